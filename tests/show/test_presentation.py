@@ -20,6 +20,7 @@ from carom.recording.schema import paths
 from carom.recording.write.rows import Rows
 from carom.scene.schema import Scene
 from carom.show import close_up, shown_step
+from carom.show.legend import LEGEND
 from carom.show.presentation import _steps, asked, presentation
 from carom.show.request import NamedEvent, Pair, Request, hardest_pair, named_event, named_pair, pair_of_step
 from carom.show.supplement import Trails
@@ -201,6 +202,29 @@ def test_the_close_up_of_an_impact_shows_the_instant_at_which_the_balls_touch(
     energy = 0.5 * 0.17 * 1.0**2
     (before,), (after,) = values_of("energy/total", "scalars", within_a_step("energy/total", rows))
     assert [before, after] == pytest.approx([energy, energy - impact["energy_lost"]], rel=1e-6), "the plot steps there"
+
+
+def test_the_close_up_of_an_impact_states_spins_and_angular_impulses_by_name(glancing: Recording) -> None:
+    """The arm of the friction is the radius; both balls are alike, and so are their changes of spin."""
+    (impact,) = glancing.impacts().to_pylist()
+    rows = within_a_step(close_up.LABELS, list(asked(glancing, Request(event="impact:1")).supplement.rows))
+    texts = values_of(close_up.LABELS, "labels", rows)[0]
+    angular = 0.0285 * impact["tangential_impulse"]
+    spin = angular / (0.4 * 0.17 * 0.0285**2)
+    for name in ("body 0", "body 1"):
+        assert f"{name}: spin 0 before, {spin:.3g} rad/s after" in texts
+        assert f"{name}: angular impulse {angular:.3g} N m s" in texts
+
+
+def test_bodies_that_never_touch_have_no_view_and_no_legend_of_contacts(tmp_path: Path) -> None:
+    recording = carom.run(pair(-1.0), tmp_path / "apart.rrd")
+    shown = asked(recording, Request(at=0.0)).supplement
+    names = [str(view.name) for view in views_of(shown.layout.root_container)]
+    assert names[:2] == ["Bodies", "Legend"]
+    legend: Any = dict(shown.statics)[LEGEND]
+    assert legend.labels.as_arrow_array().to_pylist() == ["■ body 0", "■ body 1"]
+    with pytest.raises(RecordingError, match="there is no collision graph"):
+        asked(recording, Request(at=0.0), only="graph")
 
 
 def test_a_time_that_is_asked_for_is_shown_and_the_impact_before_it_stays_where_it_was(glancing: Recording) -> None:

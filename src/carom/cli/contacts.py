@@ -17,7 +17,7 @@ from carom.cli.options import (
     simulated_or_none,
 )
 from carom.cli.printing import say, say_json
-from carom.scene.units.dimension import ENERGY, FORCE, IMPULSE, TIME, VELOCITY, Dimension
+from carom.scene.units.dimension import ANGULAR_IMPULSE, ENERGY, FORCE, IMPULSE, TIME, VELOCITY, Dimension
 from carom.scene.wording import counted
 
 if TYPE_CHECKING:
@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from carom.scene.units.system import UnitSystem
 
 MOST_ROWS = 40  # printed in the table
+_ROUNDING = 1e-9  # of the normal impulse
 FORMATS = (".parquet", ".csv")  # of files
 FIGURES = (".png", ".svg")  # of statistics
 
@@ -331,13 +332,27 @@ def _print(recording: Recording, table: pa.Table, at: OptionalTime) -> None:
     measured = [*_MEASURED, *(_FORCES if table["normal_force"].null_count < table.num_rows else ())]
     for _, label, dimension in measured:
         shown.add_column(units.labelled(label, dimension), justify="right", no_wrap=True)
+    spins = _rubs(table)
+    if spins:
+        shown.add_column(units.labelled("angular", ANGULAR_IMPULSE), justify="right", no_wrap=True)
     for row in table.slice(0, MOST_ROWS).to_pylist():
         pair = f"{names.of(row['i'])} and {names.of(row['j'])}"
-        values = (_number(row[name], dimension, units) for name, _, dimension in measured)
+        values = [_number(row[name], dimension, units) for name, _, dimension in measured]
+        if spins:
+            both = (_number(row[f"angular_impulse_{end}"], ANGULAR_IMPULSE, units) for end in "ij")
+            values.append(", ".join(dict.fromkeys(text for text in both if text)))
         shown.add_row(f"{units.shown(row['time'], TIME):.9g}", str(row["step"]), pair, row["mode"], *values)
     print_whole(shown)
     if table.num_rows > MOST_ROWS:
         say(f"… and {table.num_rows - MOST_ROWS} more; for all rows, use --csv, --json or -o FILE.parquet.")
+
+
+def _rubs(table: pa.Table) -> bool:
+    """Return whether a contact exerts an angular impulse that is more than rounding of its impulse."""
+    if table["angular_impulse_i"].null_count:
+        return False
+    normal, tangential = (table[f"{name}_impulse"].to_numpy() for name in ("normal", "tangential"))
+    return bool((tangential > _ROUNDING * normal).any())
 
 
 def _in_next_step(recording: Recording, at: float) -> str:

@@ -14,7 +14,7 @@ from carom.recording.read.recording import Recording
 from carom.recording.schema.paths import STEP
 from carom.runs.overview import Moment, moments
 from carom.runs.report import ENERGY_ERROR, worst_moment
-from carom.scene.units.dimension import ENERGY, IMPULSE, VELOCITY
+from carom.scene.units.dimension import ANGULAR_IMPULSE, ENERGY, IMPULSE, VELOCITY
 from carom.scene.wording import counted
 from carom.show.request import Request
 from carom.show.supplement import has_trails
@@ -22,6 +22,7 @@ from carom.show.supplement import has_trails
 MOST_IMPACTS = 10  # number of impacts up to which each impact is a moment
 HARDEST = 3  # number of impacts, the hardest ones, that are moments in a run with more than `MOST_IMPACTS`
 FAINTEST = 0.01  # of the largest impulse; weaker impacts explain nothing
+_ROUNDING = 1e-9  # of the normal impulse
 DEEP = 0.01  # of the smaller radius; a shallower overlap explains nothing
 
 
@@ -94,22 +95,25 @@ def _impacts(recording: Recording) -> Iterator[tuple[float, TellingMoment]]:
     _, firsts, counts = np.unique(time[inside], return_index=True, return_counts=True)
     loud = FAINTEST * impulse[inside].max(initial=0.0)
     names, units = names_of(recording), recording.units
+    rubbing = ("tangential_impulse", "angular_impulse_i")
     for hardest, together in zip(inside[firsts].tolist(), counts.tolist(), strict=True):
         if impulse[hardest] < loud:
             continue
         row: dict[str, Any] = table.slice(hardest, 1).to_pylist()[0]
         number = int(numbers[hardest])
         others = f", and {counted(together - 1, 'impact')} at the same time" if together > 1 else ""
+        rubs = row["tangential_impulse"] > _ROUNDING * row["normal_impulse"]
         measured = (
             ("approach {}", "approach_speed", VELOCITY),
             ("impulse {}", "normal_impulse", IMPULSE),
             ("friction {}", "tangential_impulse", IMPULSE),
+            ("angular impulse {}", "angular_impulse_i", ANGULAR_IMPULSE),
             ("energy lost {}", "energy_lost", ENERGY),
         )
         details = [
             wording.format(units.text(row[name], dimension, ".4g"))
             for wording, name, dimension in measured
-            if row[name] is not None and (row[name] or name != "tangential_impulse")
+            if row[name] is not None and (name not in rubbing or rubs)
         ]
         heading = f"Impact {number}: {names.of(row['i'])} and {names.of(row['j'])}{others}"
         request = Request(event=f"impact:{number}")

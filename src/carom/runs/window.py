@@ -14,7 +14,7 @@ from carom.physics.frame import Frame
 from carom.physics.simulation import StepStatus
 from carom.physics.space import Space
 from carom.recording.read.moment import goal_of
-from carom.recording.read.recorded_contacts import of_shown, table_of_rows
+from carom.recording.read.recorded_contacts import of_shown, table_of_rows, with_angular_impulses
 from carom.recording.read.recorded_scene import fixed_of, recorded_scene, start_of
 from carom.recording.read.recording import Recording
 from carom.scene.schema import Scene
@@ -111,7 +111,7 @@ class Window:
         goal = goal_of(self._recording, at)
         for frame in self.frames(goal):
             if frame.time >= goal and frame.contact_rows is not None:
-                return of_shown(table_of_rows(frame.contact_rows, self.source, frame.dt), self._recording)
+                return self._of_recording(table_of_rows(frame.contact_rows, self.source, frame.dt))
         raise self._ends_before(at)
 
     def impacts(self, first: float, last: float) -> pa.Table:
@@ -127,8 +127,11 @@ class Window:
                 break
         rows = np.concatenate(found)
         inside = (rows["step"] >= begin) & (rows["time"] >= first) & (rows["time"] <= last)
-        table = of_shown(table_of_rows(rows[inside], self.source), self._recording)
+        table = self._of_recording(table_of_rows(rows[inside], self.source))
         return table.replace_schema_metadata({"source": self.source, "left_out": str(left_out)})
+
+    def _of_recording(self, table: pa.Table) -> pa.Table:
+        return with_angular_impulses(of_shown(table, self._recording), self._recording)
 
     def _ends_before(self, at: float) -> RecordingError:
         when = self._recording.units.text(at, TIME, ".9g")

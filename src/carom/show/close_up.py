@@ -6,7 +6,7 @@ camera follows them. Edge and arrows belong to one step.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -72,11 +72,12 @@ class Contact:
 class _Arrows:
     """Arrows of one entity, of which the first few have labels."""
 
-    path: str
+    path: str  # empty if only their labels are drawn
     origins: FloatArray  # (n, 3) m
     vectors: FloatArray  # (n, 3) m
     labels: list[str]
     along: float = 1.0  # position of the labels, from 0 at the origins to 1 at the tips
+    bodies: Sequence[int] = ()  # places of the bodies that the labels belong to, in the close-up
 
     def places(self) -> FloatArray:
         """Return the positions of the labels, (labels, 3) m."""
@@ -89,6 +90,7 @@ class CloseUp:
     """Two bodies at one step."""
 
     names: str  # of the bodies, or of the body and the plane
+    called: Sequence[str]  # (b,) names of the bodies, or their numbers
     bodies: tuple[int, ...]  # a single one if it touches a plane
     step: ShownStep
     instant: ShownStep | None  # the time of an impact within the step, at which normal, impulse and spins are drawn
@@ -201,12 +203,21 @@ class CloseUp:
             self._spins(small, header.units),
         ]
         for arrows in labelled:
-            if len(arrows.vectors):
+            if arrows.path and len(arrows.vectors):
                 columns = rr.Arrows3D.columns(vectors=single(arrows.vectors), origins=single(arrows.origins))
                 yield from self._once(arrows.path, columns, len(arrows.vectors))
-        texts = [text for arrows in labelled for text in arrows.labels]
+        labelled.append(self._angular_impulses(contact, header))
+        texts = self._named(labelled)
         places = single(_apart(np.concatenate([arrows.places() for arrows in labelled]), texts, self.eye, self.area))
         yield from self._once(LABELS, rr.Points3D.columns(positions=places, labels=texts), len(texts))
+
+    def _named(self, labelled: Sequence[_Arrows]) -> list[str]:
+        """Return the labels; those that belong to one of two bodies begin with its name, if there is room."""
+        texts = [text for arrows in labelled for text in arrows.labels]
+        owners = [arrows.bodies[k] if arrows.bodies else -1 for arrows in labelled for k in range(len(arrows.labels))]
+        named = [text if k < 0 else f"{self.called[k]}: {text}" for text, k in zip(texts, owners, strict=True)]
+        widest = _LETTER_WIDTH * (max(map(len, named), default=0) + 2)
+        return named if len(self.bodies) == 2 and widest < self.area.width else texts
 
     def _normal(self, contact: Contact, small: float, units: UnitSystem) -> _Arrows:
         speed = units.text(contact.approach_speed, dimension.VELOCITY, ".3g")
@@ -232,13 +243,24 @@ class CloseUp:
         speeds[speeds <= _ROUNDING * speeds.max()] = 0.0
         turning = (speeds > 0.0).any(axis=0)
         vectors = _SPIN * small * after[turning] / (speeds.max() or 1.0)
-        texts = [[units.text(value, dimension.ANGULAR_VELOCITY, ".3g") for value in each] for each in speeds]
-        labels = [
-            last if self.spin_before is None else f"spin {first} before, {last} after"
-            for first, last in zip(*texts, strict=True)
-        ]
+        unit = dimension.ANGULAR_VELOCITY
+        labels = [units.text(last, unit, ".3g") for last in speeds[1].tolist()]
+        if self.spin_before is not None:
+            first = [units.shown(speed, unit) for speed in speeds[0].tolist()]
+            labels = [f"spin {one:.3g} before, {last} after" for one, last in zip(first, labels, strict=True)]
         labels = [label for label, turns in zip(labels, turning.tolist(), strict=True) if turns]
-        return _Arrows(SPIN, self.position[turning], vectors, labels)
+        return _Arrows(SPIN, self.position[turning], vectors, labels, bodies=np.flatnonzero(turning).tolist())
+
+    def _angular_impulses(self, contact: Contact, header: Header) -> _Arrows:
+        """Return the labels of the angular impulses of an impact, parallel to the changes of the spins."""
+        normal = contact.normal
+        tangential = contact.impulse - (contact.impulse @ normal) * normal
+        size, whole = float(np.linalg.norm(tangential)), float(np.linalg.norm(contact.impulse))
+        if contact.force is not None or self.spin is None or size <= _ROUNDING * whole:
+            return _Arrows("", np.zeros((0, 3)), np.zeros((0, 3)), [])
+        values = (size * header.radius[list(self.bodies)]).tolist()  # |r × J| about the centre of each
+        texts = [f"angular impulse {header.units.text(value, dimension.ANGULAR_IMPULSE, '.3g')}" for value in values]
+        return _Arrows("", self.position, np.zeros_like(self.position), texts, bodies=range(len(texts)))
 
     def _once(self, path: str, columns: rr.ComponentColumnList, count: int) -> Iterable[Rows]:
         """Yield a row at the step or at the instant, and then an empty one, which clears it."""
@@ -289,7 +311,10 @@ def close_up(
     bodies = pair.bodies
     places = [recording.shown.index(body) for body in bodies]
     called = names_of(recording)
-    names = called.pair(bodies) + ("" if pair.plane is None else f" and {called.of(len(called.bodies) + pair.plane)}")
+    short = [recording.bodies.name[body] or called.of(body) for body in bodies]  # titles and labels are short
+    names = " and ".join(short)
+    if pair.plane is not None:
+        names += f" and {called.of(len(called.bodies) + pair.plane)}"
     at_end = _nearest_images(step.position[places], header.box)
     if not pauses_within and step.frame is not None:
         contact = _contact(header, step.frame, pair, at_end, recording.origin)
@@ -316,6 +341,7 @@ def close_up(
         ends = np.concatenate([seen[reach > 0.0] - arrows, seen[reach > 0.0] + arrows])
     return CloseUp(
         names=names,
+        called=short,
         bodies=tuple(places),
         step=step,
         instant=instant,

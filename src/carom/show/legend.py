@@ -187,11 +187,15 @@ def _middle(header: Header, frame: Frame | None) -> str:
 
 
 def _arrows(header: Header, references: Mapping[str, float]) -> Iterator[LegendLine]:
-    """State the scales of torques and angular accelerations: arrows are not proportional to them."""
+    """State the scales of torques and angular accelerations: arrows are not proportional to them.
+
+    A recording that knows the scales of other arrows had no torques.
+    """
     for path, kind in _DIMENSIONS.items() if header.has_torque else ():
         name, colour = _NAMES[path], palette.ARROWS[path]
         if path not in references:
-            yield LegendLine(f"→ {name}", colour)
+            if not references:
+                yield LegendLine(f"→ {name}", colour)
             continue
         values = (magnitude_at(radii, REACH[path], float(references[path])) for radii in (1.0, _LARGE))
         one, more = (header.units.text(value, kind, ".2g") for value in values)

@@ -10,7 +10,16 @@ import numpy as np
 from carom.arrays import FloatArray
 from carom.errors import RecordingError, SceneError
 from carom.physics.frame import Frame
-from carom.recording.layout.blueprint import ALL, CLOSE_UP, PLOT, WINDOW, blueprint, bodies_area, close_up_area
+from carom.recording.layout.blueprint import (
+    ALL,
+    CLOSE_UP,
+    PLOT,
+    WINDOW,
+    as_happened,
+    blueprint,
+    bodies_area,
+    close_up_area,
+)
 from carom.recording.layout.bodies_view import FIELD
 from carom.recording.layout.camera import FEW, CameraMotion
 from carom.recording.layout.canvas import Additions, Canvas
@@ -184,7 +193,9 @@ def presentation(
         statics += plots.statics()
     if recoloured:
         rows.append(colours.rows(header))
-    area = bodies_area(header, canvas, only, close is not None)
+    curves = _curves(recording, repeated)
+    laid_out = as_happened(header, curves)
+    area = bodies_area(laid_out, canvas, only, close is not None)
     seen = staging.camera.view(area.aspect, narrow=area.rendered)
     field = _field(recording, header)
     if field is not None and seen.motion is CameraMotion.STILL:
@@ -192,9 +203,8 @@ def presentation(
         visible, radius = np.concatenate([paused.position, past]), np.pad(header.radius, (0, len(past)))
         statics += field_arrows(header, seen, area, field, visible, radius)
     spins = None if close is None else close.spin
-    words = legend(*(header, by, fixed, references, paused.frame), spins=spins, field=field, theme=canvas.theme)
+    words = legend(*(laid_out, by, fixed, references, paused.frame), spins=spins, field=field, theme=canvas.theme)
     statics += [*words.statics(), *arrow_styles(header, canvas.theme)]
-    curves = _curves(recording, repeated)
     impulses, strip, bands = impact_strip(recording)
     curves |= impulses
     logarithms, drawn_logarithms, styles = decades(recording, header, curves)

@@ -342,6 +342,32 @@ def test_a_clip_has_its_impacts_and_those_of_its_bodies_only(recording: Recordin
     assert replay(Recording.open(tmp_path / "few.rrd")).same
 
 
+@pytest.mark.parametrize("replayed", [False, True])
+def test_the_angular_impulses_of_an_impact_change_the_spins(tmp_path: Path, replayed: bool) -> None:
+    balls = [
+        {"position": [-2.0, 0.0, 0.0], "velocity": [1.0, 0.0, 0.0], "mass": 2.0, "radius": 0.6},
+        {"position": [0.0, 0.4, 0.0], "mass": 0.5, "radius": 0.4},
+    ]
+    times, record = {"duration": 2.0, "fixed_dt": 0.1}, {"every": "step"}
+    recording = carom.run(scene_of(balls, gravity={"constant": 0.0}, time=times, record=record), tmp_path / "run.rrd")
+    (impact,) = recording.impacts(replay=replayed).to_pylist()
+    (contact,) = recording.contacts(impact["time"], replay=replayed).to_pylist()
+    spins = recording.checkpoint(recording.checkpoint_steps[-1]).angular_velocity
+    assert spins is not None and np.all(np.abs(spins[:, 2]) > 0.05), "both rotate after it, and did not before"
+    expected = recording.bodies.inertia * np.abs(spins[:, 2])
+    for row in (impact, contact):
+        assert [row["angular_impulse_i"], row["angular_impulse_j"]] == pytest.approx(
+            expected, rel=1e-12 if replayed else SINGLE
+        )
+
+
+def test_planes_have_no_angular_impulse_nor_do_bodies_without_spins(recording: Recording, tmp_path: Path) -> None:
+    for row in recording.impacts().to_pylist():
+        assert row["angular_impulse_i"] is not None and (row["angular_impulse_j"] is None) is (row["j"] >= 3)
+    smooth = carom.run(pair(2.0, contact={"static_friction": 0.0, "kinetic_friction": 0.0}), tmp_path / "smooth.rrd")
+    assert smooth.impacts()["angular_impulse_i"].to_pylist() == [None]
+
+
 @pytest.mark.parametrize(
     ("question", "message"),
     [

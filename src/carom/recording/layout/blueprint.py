@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, Literal
 
 import rerun.blueprint as rrb
@@ -56,6 +57,7 @@ def blueprint(
     RecordingError
         If the recording has nothing to show in the view.
     """
+    header = as_happened(header, curves)
     parts = header, camera, curves, canvas, added
     if only == PLOT:
         root: rrb.View | rrb.Container = _plot(added.plots, canvas)
@@ -72,6 +74,18 @@ def blueprint(
         auto_views=False,
         auto_layout=False,
     )
+
+
+_TOUCHES = ("step/contacts", "step/impact_rate")
+
+
+def as_happened(header: Header, curves: Curves | None) -> Header:
+    """Return the header of a layout: without contacts and torques if the curves show that no bodies touched."""
+    if not header.collides or curves is None or any(path not in curves for path in _TOUCHES):
+        return header
+    if any(curves[path].largest > 0.0 for path in _TOUCHES):
+        return header
+    return replace(header, collides=False, has_torque=False, has_friction=False)
 
 
 def close_up_area(header: Header, canvas: Canvas, only: str) -> Area:

@@ -40,6 +40,8 @@ SCHEMA = pa.schema(
         ("energy_lost", pa.float64()),  # J
         ("normal_force", pa.float64()),  # N, the impulse over the length of the step; null for impacts
         ("tangential_force", pa.float64()),  # N, null for impacts
+        ("angular_impulse_i", pa.float64()),  # N m s, |r × J| about the centre; null without spins
+        ("angular_impulse_j", pa.float64()),  # N m s, null for planes and walls, too
     ]
 )
 MEASURED = ("approach_speed", "normal_impulse", "tangential_impulse", "energy_lost")  # recorded in float32
@@ -50,6 +52,7 @@ UNITS = {  # of the columns that have a unit
     **dict.fromkeys(("normal_impulse", "tangential_impulse"), "N s"),
     "energy_lost": "J",
     **dict.fromkeys(("normal_force", "tangential_force"), "N"),
+    **dict.fromkeys(("angular_impulse_i", "angular_impulse_j"), "N m s"),
 }
 SOURCE = "source"  # key of a table's metadata: the source of its rows, in words
 
@@ -110,6 +113,20 @@ def of_body(table: pa.Table, body: int | None) -> pa.Table:
     return table.filter(pa.array(own))
 
 
+def with_angular_impulses(table: pa.Table, recording: Recording) -> pa.Table:
+    """Fill in the angular impulses on spheres that spin: radius times tangential impulse."""
+    if recording.engine or not recording.info["spins"]:
+        return table
+    radius = recording.bodies.radius
+    for end in "ij":
+        body = table[end].to_numpy()
+        meets = body < len(radius)
+        values = radius[np.where(meets, body, 0)] * table["tangential_impulse"].to_numpy()
+        place = table.schema.get_field_index(f"angular_impulse_{end}")
+        table = table.set_column(place, table.schema.field(place), pa.array(values, mask=~meets))
+    return table
+
+
 def of_shown(table: pa.Table, recording: Recording) -> pa.Table:
     """Keep the rows of bodies that a recording shows, in contact with each other or with planes."""
     if recording.shows_all:
@@ -144,7 +161,7 @@ def contacts(recording: Recording, at: float | None, *, replay: bool, watch: Wat
 
     if recording.records_contacts and row is not None and not replay:
         with reading(recording.path):
-            table = _recorded(recording, row)
+            table = with_angular_impulses(_recorded(recording, row), recording)
         return finite(table, replayed)
     return replayed()
 

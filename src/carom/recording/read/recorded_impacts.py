@@ -20,6 +20,7 @@ from carom.recording.read.recorded_contacts import (
     modes,
     of_body,
     table_of,
+    with_angular_impulses,
 )
 from carom.recording.rrd.messages import Chunk, Entry
 from carom.recording.schema import paths
@@ -223,4 +224,4 @@ def _table(recording: Recording, chunk: Chunk, time: FloatArray) -> pa.Table:
         **{name: flat(chunk, name, _SINGLE).to_numpy().astype(np.float64) for name in MEASURED},
         "mode": modes(flat(chunk, "mode", Column(pa.uint8())).to_numpy(), path),
     }
-    return table_of(columns, "")
+    return with_angular_impulses(table_of(columns, ""), recording)

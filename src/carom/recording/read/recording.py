@@ -174,8 +174,10 @@ class Recording(FrameTables):
         -------
         impacts
             Columns step, time (s), i, j (ends; from n on planes and walls), x, y, z (m, the contact point), nx, ny, nz
-            (from i to j), approach_speed (m/s), normal_impulse, tangential_impulse (N s), mode, energy_lost (J). The
-            metadata of the schema state the ``source`` and how many impacts were ``left_out`` of the recording.
+            (from i to j), approach_speed (m/s), normal_impulse, tangential_impulse (N s), mode, energy_lost (J),
+            normal_force, tangential_force (null: an impact has no force), angular_impulse_i, angular_impulse_j (N m s,
+            |r × J| about the centre of each body; null without spins, and for planes and walls). The metadata of the
+            schema state the ``source`` and how many impacts were ``left_out`` of the recording.
 
         Raises
         ------
@@ -203,10 +205,10 @@ class Recording(FrameTables):
         Returns
         -------
         contacts
-            The columns of `impacts`. Point and normal are those at the end of the step or, for a pair that has
-            separated by then, at its hardest impact. Recorded contacts have approach_speed and energy_lost only for
-            impacts (null otherwise). They do not include contacts that held after the first kick but opened within the
-            step. The metadata of the schema state the ``source``.
+            The columns of `impacts`; forces are impulses over the step. Point and normal are those at the end of the
+            step or, for a pair that has separated by then, at its hardest impact. Recorded contacts have approach_speed
+            and energy_lost only for impacts (null otherwise). They do not include contacts that held after the first
+            kick but opened within the step. The metadata of the schema state the ``source``.
 
         Raises
         ------

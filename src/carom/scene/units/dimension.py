@@ -52,6 +52,7 @@ GRAVITATIONAL_CONSTANT = Dimension(
 )
 RATE = Dimension("rate", "1/s", (0, -1, 0, 0), "50 Hz")
 IMPULSE = Dimension("impulse", "N s", (1, -1, 1, 0), "3 N s")
+ANGULAR_IMPULSE = Dimension("angular impulse", "N m s", (2, -1, 1, 0), "3 N m s")
 FORCE = Dimension("force", "N", (1, -2, 1, 0), "3 N")
 TORQUE = Dimension("torque", "N m", (2, -2, 1, 0), "3 N m")
 ANGULAR_ACCELERATION = Dimension("angular acceleration", "rad/s²", (0, -2, 0, 1), "3 rad/s^2")
@@ -69,6 +70,7 @@ DIMENSIONS: Sequence[Dimension] = (
     GRAVITATIONAL_CONSTANT,
     RATE,
     IMPULSE,
+    ANGULAR_IMPULSE,
     FORCE,
     TORQUE,
     ANGULAR_ACCELERATION,
