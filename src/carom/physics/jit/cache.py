@@ -252,6 +252,7 @@ def _types(sig: Any, codegen: Any) -> bytes:
 
 def _named_tuples(kind: Any) -> list[tuple[str, str, tuple[str, ...]]]:
     """Return module, class and fields of the named tuples in a type."""
+    kind = getattr(kind, "of", kind)  # of a tuple that is passed by address
     if not isinstance(kind, numba.types.BaseTuple):
         return []
     made_by = getattr(kind, "instance_class", None)

@@ -61,8 +61,10 @@ cgutils = _module(
 compiler = _module("numba.core.compiler", "CompileResult", "Flags")
 config = _module("numba.core.config", "CACHE_DIR")
 event = _module("numba.core.event", "Listener", "register", "unregister")
-extending = _module("numba.extending", "intrinsic", "overload")
+extending = _module("numba.extending", "intrinsic", "lower_getattr_generic", "models", "overload", "register_model")
+imputils = _module("numba.core.imputils", "impl_ret_borrowed")
 serialize = _module("numba.core.serialize", "dumps")
+templates = _module("numba.core.typing.templates", "AttributeTemplate", "infer_getattr")
 types: Any = numba.types  # documented, but without type hints
 
 PLAIN = bool(MISSING) or os.environ.get("CAROM_PLAIN", "0") not in ("", "0")

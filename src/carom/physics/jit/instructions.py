@@ -79,7 +79,10 @@ class Code:
 
 
 def instruction(
-    plain: Callable[..., Any], *, returns: str | tuple[str, ...] = "none", **kinds: str
+    plain: Callable[..., Any],
+    *,
+    returns: str | tuple[str, ...] | Callable[[dict[str, Any]], Any] = "none",
+    **kinds: str,
 ) -> Callable[[Callable[..., Any]], Any]:
     """Make an instruction from a function that generates its code, given a `Code` and the arguments.
 
@@ -89,7 +92,7 @@ def instruction(
         The plain form: a kernel with the same bits.
     returns, **kinds
         Types of the result and of arguments by name, such as ``"float64"``, or ``"words.dtype"`` for the elements of an
-        array. Arguments that are not named keep their types.
+        array. Arguments that are not named keep their types. The type of the result may be a function of theirs.
     """
 
     def add(generate: Callable[..., Any]) -> Any:
@@ -108,7 +111,7 @@ def instruction(
                     return context.get_dummy_value()
                 return context.make_tuple(builder, signature.return_type, made) if isinstance(returns, tuple) else made
 
-            return _type_of(returns, known)(*taken), emit
+            return (returns(known) if callable(returns) else _type_of(returns, known))(*taken), emit
 
         first = inspect.Parameter("typing", inspect.Parameter.POSITIONAL_OR_KEYWORD)
         described: Any = define

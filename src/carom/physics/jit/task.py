@@ -19,7 +19,8 @@ from typing import Any
 import numba
 import numpy as np
 
-from carom.physics.jit.decorators import Function, compile_for, inline
+from carom.physics.jit.by_address import Located
+from carom.physics.jit.decorators import Function, inline
 from carom.physics.jit.inside import PLAIN, callconv, cgutils, ir, types
 from carom.physics.jit.instructions import WORD, Code, instruction
 
@@ -68,21 +69,23 @@ def address_of(kernel: Callable[..., None], kind: int) -> int:
     raise TypeError(f"{kernel} has never been called with such arguments")
 
 
-def code_for(kernel: Callable[..., None], *arguments: Any) -> Any:
-    """Compile a kernel for (lo, hi, *arguments), or load it; return the address of its machine code.
+def code_for(kernel: Callable[..., None], fields: tuple[Any, ...]) -> Any:
+    """Compile a kernel for (lo, hi, a located tuple), or load it; return the address of its machine code.
 
     In the plain form this is the kernel itself.
     """
     if PLAIN:
         return kernel
-    compile_for(kernel, 0, 0, *arguments)
-    return address_of(kernel, kind_for(*arguments))
-
-
-def kind_for(*arguments: Any) -> int:
-    """Return what `kind_of` returns in a kernel."""
+    compiled: Any = kernel
     type_of: Any = numba.typeof
-    return _kind([type_of(argument) for argument in arguments])
+    compiled.compile((types.int64, types.int64, Located(type_of(fields))))
+    return address_of(kernel, kind_for(fields))
+
+
+def kind_for(fields: tuple[Any, ...]) -> int:
+    """Return what `kind_of` returns in a kernel for a located tuple."""
+    type_of: Any = numba.typeof
+    return _kind([Located(type_of(fields))])
 
 
 def _kind(kinds: Sequence[Any]) -> int:

@@ -28,7 +28,7 @@ from carom.physics.contact.pipeline import ContactPipeline
 from carom.physics.contact.solver.body_state import gather, scatter
 from carom.physics.contact.solver.impacts import CONVERGED, check_closing
 from carom.physics.contact.solver.phase_code import IMPACTS, POSITIONS, RESTING
-from carom.physics.contact.solver.phases import work
+from carom.physics.contact.solver.phases import run_job
 from carom.physics.contact.solver.positions import (
     audit_corrections,
     find_push_fractions,
@@ -47,7 +47,7 @@ MOST_CONTACTS = CONTACTS_PER_BLOCK  # more contacts would be counted in several 
 class SteadyRules(NamedTuple):
     """How contacts are resolved."""
 
-    board: IntArray  # empty; this and the next two fields are arguments of `phases.work`
+    board: IntArray  # empty; this and the next two fields are arguments of `phases.run_job`
     addresses: IntArray
     kind: int
     most_sweeps: int
@@ -271,7 +271,7 @@ def find_steady(contacts: SteadyContacts, x: FloatArray, radius: FloatArray, dt:
         b, v, pushed, pushed_in = len(system.active), system.velocity, system.pushed, system.pushed_in
         find_push_fractions(0, m, system.pairs, contacts.counts, system.states)
         gather_positions(0, b, system.active, (x, v, radius, system.inverse_mass), pushed, pushed_in)
-        work(rules.board, POSITIONS, rules.addresses, rules.kind, system, rules.most_sweeps)
+        run_job(rules.board, POSITIONS, rules.addresses, rules.kind, system, rules.most_sweeps)
         scatter_positions(0, b, system.active, pushed, pushed_in, x, v)
     return not _is_behind(system.surface, system.offset, x)
 
@@ -332,7 +332,7 @@ def _lead(system: ConstraintSystem, rules: SteadyRules, inverse_inertia: FloatAr
     """Run a job on the velocities of the active bodies; return the number of iterations."""
     b = len(system.active)
     gather(0, b, system.active, system.velocity, system.spin, system.inverse_mass, inverse_inertia, system.bodies)
-    iterations = work(rules.board, job, rules.addresses, rules.kind, system, rules.most_sweeps)
+    iterations = run_job(rules.board, job, rules.addresses, rules.kind, system, rules.most_sweeps)
     scatter(0, b, system.active, system.bodies, system.velocity, system.spin)
     return iterations
 

@@ -45,6 +45,7 @@ from carom.physics.free_flight import (
     sum_accelerations,
 )
 from carom.physics.integrators.kick_drift import advance
+from carom.physics.jit.by_address import by_address
 from carom.physics.jit.decorators import borrowing, compiles_all, entry_if_worthwhile, inline
 from carom.physics.jit.inside import PLAIN
 from carom.physics.rotation import rotate_one
@@ -178,6 +179,7 @@ def _go_on(
     totals: RecordArray[SteadyTotalsRecord],
 ) -> tuple[int, float, float, float, int, float]:
     """Make steps; return their number, the times before and after the last one, its length, limit, and the average."""
+    contacts = by_address(contacts)
     time, end, until, most, average, _ = clock
     position, velocity, acceleration, orientation, spin = moved
     T, saved, n = totals[0], buffers.saved, len(position)

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from carom.physics.contact.constraints import SETTINGS, ConstraintSystem
+from carom.physics.jit.by_address import field_of
 from carom.physics.jit.decorators import inline
 from carom.physics.jit.instructions import AHEAD, Code, fetch_line
 from carom.physics.jit.vectors import (
@@ -57,11 +58,11 @@ class Block:
 
     def kind_of(self, name: str) -> Any:
         """Return Numba's type of an array of the system."""
-        return self._kind.types[self._kind.fields.index(name)]
+        return self._kind.member(name)
 
     def _array(self, name: str) -> Any:
         """Return the value of an array of the system."""
-        return self.builder.extract_value(self._system, self._kind.fields.index(name))
+        return field_of(self.code.context, self.builder, self._kind, self._system, name)
 
     def count(self, name: str) -> Any:
         """Return the number of rows of an array of the system."""

@@ -1,0 +1,78 @@
+"""Named tuples passed to kernels by address.
+
+Numba passes a tuple of arrays as some seven words for each array. The contacts of a step are 200 words, and a kernel of
+many steps would copy them for each of the forty functions of a step, which takes more than half of its time with three
+bodies. A located tuple is one word. Kernels read its fields as those of the tuple itself, and each function reads only
+what it uses.
+
+In the plain form, a located tuple is the tuple.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from carom.physics.jit.decorators import inline
+from carom.physics.jit.inside import cgutils, extending, imputils, ir, templates, types
+from carom.physics.jit.instructions import Code, instruction
+
+BYTES = ir.IntType(8).as_pointer()
+
+
+class Located(types.Type):  # type: ignore[misc] # untyped, like all of Numba's inside
+    """Numba's type of the address of a named tuple in memory that nobody writes."""
+
+    def __init__(self, of: Any) -> None:
+        self.of = of  # the type of the tuple
+        self.fields, self.types = of.fields, of.types  # of its members, by name
+        super().__init__(f"Located({of})")
+
+    def member(self, field: str) -> Any:
+        """Return the type of a field; tuples in it are located, too."""
+        kind = self.types[self.fields.index(field)]
+        return Located(kind) if hasattr(kind, "fields") else kind
+
+
+extending.register_model(Located)(extending.models.OpaqueModel)
+
+
+@templates.infer_getattr
+class _LocatedFields(templates.AttributeTemplate):  # type: ignore[misc] # untyped, like all of Numba's inside
+    key = Located
+
+    def generic_resolve(self, kind: Any, field: str) -> Any:
+        return kind.member(field) if field in kind.fields else None
+
+
+def field_of(context: Any, builder: Any, kind: Any, address: Any, field: str) -> Any:
+    """Generate code to read a field of a located tuple, or the address of a tuple in it."""
+    layout = context.get_value_type(kind.of)
+    place = cgutils.gep_inbounds(builder, builder.bitcast(address, layout.as_pointer()), 0, kind.fields.index(field))
+    if isinstance(kind.member(field), Located):
+        return builder.bitcast(place, BYTES)
+    value = builder.load(place)
+    value.set_metadata("invariant.load", builder.module.add_metadata([]))
+    return value
+
+
+@extending.lower_getattr_generic(Located)
+def _read(context: Any, builder: Any, kind: Any, address: Any, field: str) -> Any:
+    value = field_of(context, builder, kind, address, field)
+    return imputils.impl_ret_borrowed(context, builder, kind.member(field), value)
+
+
+@inline
+def _unchanged(fields: Any) -> Any:
+    return fields
+
+
+@instruction(_unchanged, returns=lambda known: Located(known["fields"]))
+def by_address(code: Code, fields: Any) -> Any:
+    """Return a named tuple as a located one, valid until the caller returns.
+
+    An empty piece of assembly hides where the address comes from. Without it, LLVM might read fields, which nobody
+    writes, before they are stored.
+    """
+    builder = code.builder
+    place = builder.bitcast(cgutils.alloca_once_value(builder, fields), BYTES)
+    return builder.asm(ir.FunctionType(BYTES, [BYTES]), "", "=r,0,~{memory}", [place], side_effect=True)
