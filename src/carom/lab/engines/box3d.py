@@ -103,9 +103,9 @@ def box3d(world: Any, planes: tuple[Plane, ...] = (), contacts: bool = False) ->
 class Box3DForces:
     """Reads the forces of contacts between the recorded bodies, and with planes.
 
-    Box3D has the impulses of its last substep, and sums over all substeps in which each counts up to twice. The force
-    is that of the last substep. In a step with an impact, to which the last substep does not apply, it is the sum over
-    the step. Friction is always that of the last substep.
+    Box3D has the impulses of its last substep, and sums over all substeps, in which a substep may count twice. The
+    force is that of the last substep. In a step with an impact, of which the last substep shows nothing, the force is
+    the sum over the step. Friction is always that of the last substep.
 
     Parameters
     ----------
