@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import importlib.util
 import json
-import os
-import shlex
 import shutil
 import subprocess
 import sys
@@ -15,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-import carom_command
+from carom_command import TOGETHER, carom_together, with_paths
 
 ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / "examples" / "extension"
@@ -96,21 +94,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-# Several commands in one process: each loads carom, and compiles kernels with what the package adds, in seconds.
-TOGETHER = """
-import json, sys
-from pathlib import Path
-from carom_command import carom
-ended = [carom(*command, cwd=Path()) for command in json.loads(sys.argv[1])]
-print(json.dumps([(command.returncode, command.stdout, command.stderr) for command in ended]))
-"""
-
-
 def environment(site: Path | None) -> dict[str, str]:
-    paths = [str(site)] if site else []
-    paths.append(str(Path(carom_command.__file__).parent))
-    paths += [os.environ["PYTHONPATH"]] if os.environ.get("PYTHONPATH") else []
-    return os.environ | {"PYTHONPATH": os.pathsep.join(paths)}
+    return with_paths(*([site] if site else []))
 
 
 def carom(folder: Path, site: Path | None, *arguments: str) -> subprocess.CompletedProcess[str]:
@@ -120,10 +105,8 @@ def carom(folder: Path, site: Path | None, *arguments: str) -> subprocess.Comple
 
 def ended(folder: Path, site: Path | None, *commands: str) -> list[tuple[int, str, str]]:
     """Run commands one after the other; return the exit code of each, and what it said."""
-    started = [sys.executable, "-c", TOGETHER, json.dumps([shlex.split(command) for command in commands])]
-    done = subprocess.run(started, cwd=folder, env=environment(site), capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    return [tuple(end) for end in json.loads(done.stdout)]
+    done = carom_together(*commands, cwd=folder, environment=environment(site))
+    return [(command.returncode, command.stdout, command.stderr) for command in done]
 
 
 def said(folder: Path, site: Path, *commands: str) -> list[str]:

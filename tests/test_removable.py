@@ -19,6 +19,7 @@ import pytest
 import carom
 import carom.record
 from carom import registry
+from carom_command import carom_together, with_paths
 
 pytestmark = pytest.mark.slow
 
@@ -26,7 +27,28 @@ HOUSE = Path(carom.__file__).parent
 ROWS = ("cli/commands.py", "registry.py")  # where an optional part may have its rows
 ENGINES = ("rebound", "mujoco", "box3d", "pybullet", "newton")
 TOOLS = ("crosscheck", "diff", "fork", "hunt", "shrink", "sweep", "tradeoff", "why")
-Carom = Callable[..., subprocess.CompletedProcess[str]]
+
+
+class Carom:
+    """Runs `carom` in a copy of the package."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+
+    def __call__(self, *arguments: str, script: str = "") -> subprocess.CompletedProcess[str]:
+        """Run a command, or a script with arguments, in a process of its own."""
+        return subprocess.run(
+            [sys.executable, *(("-c", script) if script else ("-m", "carom")), *arguments],
+            cwd=self._folder,
+            env=with_paths(self._folder / "src"),
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+
+    def together(self, *commands: str) -> list[subprocess.CompletedProcess[str]]:
+        """Run commands one after the other in one process."""
+        return carom_together(*commands, cwd=self._folder, environment=with_paths(self._folder / "src"))
 
 
 def remove(folder: Path, parts: tuple[str, ...]) -> Carom:
@@ -47,17 +69,7 @@ def remove(folder: Path, parts: tuple[str, ...]) -> Carom:
         kept = [line for line in lines if not any(f'"{module}' in line for module in modules)]
         (copy / name).write_text("".join(kept), encoding="utf-8")
 
-    def run(*arguments: str, script: str = "") -> subprocess.CompletedProcess[str]:
-        return subprocess.run(
-            [sys.executable, *(("-c", script) if script else ("-m", "carom")), *arguments],
-            cwd=folder,
-            env=os.environ | {"PYTHONPATH": str(copy.parent), "COLUMNS": "200"},
-            capture_output=True,
-            text=True,
-            check=False,
-        )
-
-    return run
+    return Carom(folder)
 
 
 @pytest.fixture
@@ -86,10 +98,9 @@ def refusal(done: subprocess.CompletedProcess[str]) -> str:
 
 @pytest.mark.parametrize("tool", TOOLS)
 def test_a_tool_can_be_removed(tool: str, without: Callable[..., Carom]) -> None:
-    run = without(f"lab/{tool}")
-    help_text = run("--help")  # imports every other command
+    help_text, called = without(f"lab/{tool}").together("--help", tool)  # the help imports every other command
     assert help_text.returncode == 0 and f" {tool} " not in help_text.stdout
-    assert f"No such command '{tool}'" in refusal(run(tool))
+    assert f"No such command '{tool}'" in refusal(called)
 
 
 def test_a_scene_runs_without_any_tool(without: Callable[..., Carom]) -> None:
@@ -98,9 +109,10 @@ def test_a_scene_runs_without_any_tool(without: Callable[..., Carom]) -> None:
 
 
 def test_a_tool_that_is_built_on_a_missing_one_names_it(without: Callable[..., Carom]) -> None:
-    run = without("lab/shrink", "lab/tradeoff")
-    assert "carom.lab.shrink" in refusal(run("hunt", "--scenes", "1", "-o", "misses"))
-    assert "carom.lab.tradeoff" in refusal(run("crosscheck", "two-spheres", "--engine", "rebound"))
+    commands = "hunt --scenes 1 -o misses", "crosscheck two-spheres --engine rebound"
+    hunt, crosscheck = without("lab/shrink", "lab/tradeoff").together(*commands)
+    assert "carom.lab.shrink" in refusal(hunt)
+    assert "carom.lab.tradeoff" in refusal(crosscheck)
 
 
 OPTIONAL = {  # module → one of its names in scenes and commands
@@ -192,13 +204,12 @@ def test_the_recorder_of_an_engine_can_be_removed(engine: str, monkeypatch: pyte
 
 
 def test_movies_and_the_web_viewer_can_be_removed(without: Callable[..., Carom]) -> None:
-    run = without("show/movie.py", "show/movie_file.py", "show/web")
-    assert run("--help").returncode == 0
-    assert run("run", "two-spheres", "-o", "run.rrd").returncode == 0
-    assert run("inspect", "run.rrd").returncode == 0
-    assert "carom.show.movie" in refusal(run("movie", "run.rrd", "-o", "run.mp4"))
-    assert "carom.show.web" in refusal(run("view", "run.rrd", "--web"))
-    assert "carom.show.web" in refusal(run("publish", "run.rrd"))
+    works = "--help", "run two-spheres -o run.rrd", "inspect run.rrd"
+    needs = "movie run.rrd -o run.mp4", "view run.rrd --web", "publish run.rrd"
+    ended = without("show/movie.py", "show/movie_file.py", "show/web").together(*works, *needs)
+    assert [command.returncode for command in ended[:3]] == [0, 0, 0]
+    for command, missing in zip(ended[3:], ("movie", "web", "web"), strict=True):
+        assert f"carom.show.{missing}" in refusal(command)
 
 
 def test_nothing_is_built_on_a_tool_but_what_is_named_here() -> None:
@@ -210,17 +221,18 @@ def test_nothing_is_built_on_a_tool_but_what_is_named_here() -> None:
 
 
 def test_statistics_can_be_removed(without: Callable[..., Carom]) -> None:
-    run = without("lab/statistics")
-    assert run("run", "two-spheres", "-o", "run.rrd").returncode == 0
-    assert run("contacts", "run.rrd", "--impacts").returncode == 0
-    assert "carom.lab.statistics" in refusal(run("contacts", "run.rrd", "--statistics"))
+    commands = "run two-spheres -o run.rrd", "contacts run.rrd --impacts", "contacts run.rrd --statistics"
+    recorded, impacts, statistics = without("lab/statistics").together(*commands)
+    assert recorded.returncode == impacts.returncode == 0
+    assert "carom.lab.statistics" in refusal(statistics)
 
 
 def test_engines_can_be_removed(without: Callable[..., Carom]) -> None:
     run = without(*(f"lab/engines/{engine}.py" for engine in ENGINES))
-    assert run("--help").returncode == 0
-    for engine in ENGINES:
-        assert f"--engine {engine}: unknown" in refusal(run("crosscheck", "two-spheres", "--engine", engine))
+    help_text, *asked = run.together("--help", *(f"crosscheck two-spheres --engine {engine}" for engine in ENGINES))
+    assert help_text.returncode == 0
+    for engine, ended in zip(ENGINES, asked, strict=True):
+        assert f"--engine {engine}: unknown" in refusal(ended)
 
 
 SHORT = ("--set", "time.duration=0.05", "--set", "gravity.constant=1e-9")
@@ -247,17 +259,16 @@ def test_a_scene_that_needs_a_removed_part_of_the_physics_names_it(part: str, wi
 
 
 def test_contact_laws_can_be_removed(without: Callable[..., Carom]) -> None:
-    run = without("laws")
-    given = ("--set", "contact.law=walton")
-    assert 'no contact law "walton"' in refusal(run("explain", "two-spheres", *given))
-    assert run("explain", "two-spheres").returncode == 0
+    needs, works = without("laws").together("explain two-spheres --set contact.law=walton", "explain two-spheres")
+    assert 'no contact law "walton"' in refusal(needs)
+    assert works.returncode == 0
 
 
 def test_shapes_of_walls_can_be_removed(without: Callable[..., Carom]) -> None:
-    run = without("walls")
-    assert run("explain", "two-spheres").returncode == 0
-    said = refusal(run("explain", "two-spheres", "--set", "wall=[{cylinder={radius=5}}]"))
-    assert "cylinder" in said
+    walled = "explain two-spheres --set 'wall=[{cylinder={radius=5}}]'"
+    works, needs = without("walls").together("explain two-spheres", walled)
+    assert works.returncode == 0
+    assert "cylinder" in refusal(needs)
 
 
 def test_scenes_run_and_replay_without_the_optional_physics(bare: Carom) -> None:

@@ -19,6 +19,7 @@ from periodic_gas import gas, temperature
 from small_scenes import scene_of
 
 
+@pytest.mark.slow  # kernels for a law are compiled for 8 s
 @pytest.mark.parametrize("psi", [0.1, 0.3, 0.43, 0.45, 1.0, 1.1, 1.2, 3.0])
 @pytest.mark.parametrize(("e", "mu", "beta"), [(0.97, 0.092, 0.44), (0.87, 0.25, 0.43)], ids=["glass", "acetate"])
 def test_spheres_reverse_the_slip_as_measured_by_foerster(e: float, mu: float, beta: float, psi: float) -> None:

@@ -149,8 +149,14 @@ def chosen(mutants: list[Mutant], seed: int, count: int) -> list[Mutant]:
     return [mutants[place] for place in places.tolist()]
 
 
-@pytest.mark.parametrize("count", [SAMPLE, pytest.param(LARGE_SAMPLE, marks=pytest.mark.slow)])
-@pytest.mark.parametrize("version", ["new", "old"])
+@pytest.mark.parametrize(
+    ("version", "count"),
+    [
+        ("new", SAMPLE),
+        pytest.param("new", LARGE_SAMPLE, marks=pytest.mark.slow),
+        pytest.param("old", LARGE_SAMPLE, marks=pytest.mark.slow),
+    ],
+)
 def test_what_is_deleted_or_altered_is_a_difference_or_named(
     version: str, count: int, seed: int, sources: dict[str, Path], tmp_path: Path
 ) -> None:

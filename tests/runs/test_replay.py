@@ -36,8 +36,11 @@ from small_scenes import bundled, cloud
 SHORT = {
     "asteroid-belt": 0.05,
     "cloud-collapse": 0.55,
+    "drum": 0.1,  # the balls have fallen onto it, and onto each other
     "elastic-gas": 0.15,
     "five-materials": 0.35,
+    "heap": 0.25,
+    "hopper": 0.2,
     "kepler-orbits": 0.1,
     "marbles-in-a-box": 0.1,
     "planet-with-gravel": 0.1,
@@ -45,7 +48,7 @@ SHORT = {
 }
 
 
-@pytest.mark.parametrize("name", bundled(quick=("figure-eight", "planet-with-gravel", "two-spheres")))
+@pytest.mark.parametrize("name", bundled(quick=("figure-eight", "two-spheres")))
 def test_every_bundled_scene_replays_with_the_same_bits_on_any_number_of_threads(name: str, tmp_path: Path) -> None:
     scene = Scene.load(name)
     scene = Scene.load(name, [f"time.duration={SHORT.get(name, 0.5) * scene.time.duration}"])

@@ -4,13 +4,26 @@ from __future__ import annotations
 
 import contextlib
 import io
+import json
+import os
 import resource
+import shlex
 import subprocess
 import sys
+from collections.abc import Mapping
 from pathlib import Path
 from unittest.mock import patch
 
 from carom.cli.main import run_command
+
+# A script that runs several commands: each start of a process of its own loads carom for a second or more.
+TOGETHER = """
+import json, sys
+from pathlib import Path
+from carom_command import carom
+ended = [carom(*command, cwd=Path()) for command in json.loads(sys.argv[1])]
+print(json.dumps([(command.returncode, command.stdout, command.stderr) for command in ended]))
+"""
 
 
 def carom(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
@@ -52,3 +65,21 @@ def carom_process(*arguments: str, cwd: Path, limit: int | None = None) -> subpr
         timeout=300,
         preexec_fn=small_disk if limit else None,
     )
+
+
+def with_paths(*folders: Path) -> dict[str, str]:
+    """Return an environment in which Python finds modules in these folders, this one, and those of PYTHONPATH."""
+    paths = [*map(str, folders), str(Path(__file__).parent), *filter(None, [os.environ.get("PYTHONPATH")])]
+    return os.environ | {"PYTHONPATH": os.pathsep.join(paths), "COLUMNS": "200"}
+
+
+def carom_together(
+    *commands: str, cwd: Path, environment: Mapping[str, str], before: str = ""
+) -> list[subprocess.CompletedProcess[str]]:
+    """Run commands one after the other, in one process with this environment, after some lines of Python."""
+    given = json.dumps([shlex.split(command) for command in commands])
+    started = [sys.executable, "-c", before + TOGETHER, given]
+    done = subprocess.run(started, cwd=cwd, env=environment, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    ends = json.loads(done.stdout)
+    return [subprocess.CompletedProcess(command, *end) for command, end in zip(commands, ends, strict=True)]
