@@ -91,6 +91,21 @@ def test_a_gas_between_two_walls_keeps_its_energy_and_the_momentum_along_them() 
     assert last.angular_momentum_error is None  # which a box that repeats does not conserve
 
 
+def test_bodies_are_placed_around_others_in_a_box_that_repeats_along_some_axes() -> None:
+    group = {
+        "count": 30,
+        "radius": 0.2,
+        "region": {"shape": "box", "size": [4.0, 4.0, 3.0], "centre": [0.0, 0.0, -4.0]},
+    }
+    bodies = [{"position": [x, x, -4.0], "radius": 0.5, "fixed": True} for x in (-1.9, 0.0)]
+    scene = {"body": bodies, "group": [group], "gravity": {"constant": 0.0}}
+    domain = {"boundary": ["periodic", "periodic", "open"], "size": [4.0, 4.0, 1.0]}
+    state = Space(Scene.from_dict(scene | {"domain": domain})).state
+    box = np.array([4.0, 4.0, ENDLESS])
+    assert len(state.position) == 32
+    assert not len(overlapping_pairs(state.position, state.radius, box))
+
+
 @pytest.mark.parametrize(
     ("change", "said"),
     [

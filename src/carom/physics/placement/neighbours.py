@@ -78,6 +78,11 @@ def wrapped(position: FloatArray, box: FloatArray | None) -> FloatArray:
     return np.where(inside >= box, 0.0, inside)  # np.mod rounds a tiny negative number up to the box itself
 
 
+def periods(box: FloatArray | None) -> FloatArray | None:
+    """Return a periodic domain as `boxsize` of a k-d tree, where 0 stands for an axis that does not repeat."""
+    return None if box is None else np.where(box < ENDLESS, box, 0.0)
+
+
 def size_classes(radius: FloatArray) -> list[NDArray[np.intp]]:
     """Group indices by radius, each class spanning less than a factor of two, smallest radii first."""
     octave = np.floor(np.log2(radius / radius.min())).astype(np.int64)
@@ -95,8 +100,7 @@ def _candidates(position: FloatArray, radius: FloatArray, box: FloatArray | None
 
     inside = wrapped(position, box)
     classes = size_classes(radius)
-    periods = None if box is None else np.where(box < ENDLESS, box, 0.0)  # 0 stands for an axis that does not repeat
-    trees = [cKDTree(inside[members], boxsize=periods) for members in classes]
+    trees = [cKDTree(inside[members], boxsize=periods(box)) for members in classes]
     reach = [radius[members].max() for members in classes]
     if len(radius) * (len(radius) - 1) // 2 > MOST_CANDIDATES:
         _refuse_crowds(trees, reach)
@@ -143,7 +147,7 @@ class Surroundings:
         clear: BoolArray = np.all(self.solids.depth(position, radius) < 0.0, axis=1)
         if not self._trees or len(position) == 0:  # a wide lattice may have no point in a region
             return clear
-        own = cKDTree(wrapped(position, self.box), boxsize=self.box)
+        own = cKDTree(wrapped(position, self.box), boxsize=periods(self.box))
         for tree, centres, radii in self._trees:
             reach = (radius.max() + radii.max()) * QUERY_MARGIN
             near = own.sparse_distance_matrix(tree, reach, output_type="ndarray")
@@ -158,7 +162,7 @@ class Surroundings:
         from scipy.spatial import cKDTree  # noqa: PLC0415 - slow to import, and not always needed
 
         return [
-            (cKDTree(wrapped(centres[same], self.box), boxsize=self.box), centres[same], radii[same])
+            (cKDTree(wrapped(centres[same], self.box), boxsize=periods(self.box)), centres[same], radii[same])
             for centres, radii in self.spheres
             for same in size_classes(radii)
         ]
