@@ -81,7 +81,7 @@ OTHER_STEPS = {  # more until something touches, fewer where a step takes millis
     "extremes/stack-200": 6,
     "golden/planets": 160,  # through the encounter, and on
 }
-FEWER_BODIES = {"extremes/pile-1000": 200, "extremes/hub-4000": 600}  # in their group: to place all takes a second
+FEWER_BODIES = {"extremes/pile-1000": 200, "extremes/hub-4000": 600, "chute": 100}  # placed or run too slowly
 
 CONTACT_VALUES = {
     "contact.solver": ("lasting", "staged"),

@@ -48,7 +48,8 @@ WORST = {  # subjects of a report if nothing went wrong
     "impact": "the hardest impact, {value} of approach (½ μ v_n²)",
     "overlap": "the deepest overlap, {value:.3g}% of the smaller radius",
 }
-LEDGER = ("restitution", "friction", "stabilisation", *(kind.loss for kind in FORCES if kind.loss), "walls")
+_DRIVERS = ("walls", "driving_field")
+LEDGER = ("restitution", "friction", "stabilisation", *(kind.loss for kind in FORCES if kind.loss), *_DRIVERS)
 
 
 @dataclass(frozen=True, slots=True)

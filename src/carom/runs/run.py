@@ -354,6 +354,7 @@ def header_of(space: Space) -> Header:
         check_interval=space.check_interval,
         promises=scene.promise is not None,
         drives=any(wall.moves for wall in scene.wall),
+        has_driving_field=any(scene.driving_field),
         shortest_dt_hint=space.first_dt,
         record_impacts=scene.record.impacts if space.records_contacts else "none",
         box=space.box,

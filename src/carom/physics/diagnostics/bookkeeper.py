@@ -25,6 +25,7 @@ from carom.physics.diagnostics.impulse_audit import ImpulseAudit
 from carom.physics.diagnostics.ledger import Ledger
 from carom.physics.diagnostics.momentum import Momentum, MomentumAccount, MomentumBaseline, TotalMotion
 from carom.physics.diagnostics.run_monitor import Activity, PaceMonitor, PaceTally, refuse_infinities
+from carom.physics.forces.field import DrivingField
 from carom.physics.forces.force import Exchange, Potentials
 from carom.physics.world import World
 from carom.plan.auto import integrator
@@ -219,6 +220,7 @@ class Bookkeeper:
         self.extremes = self._beginning(Extremes())
         constant = forces.potential_of_fixed_bodies()
         losses = [*forces.losses, *([ENTRY] if world.planes.moves else [])]
+        losses += [DrivingField.ENTRY] if world.is_driven else []
         self.audit = BalanceAudit(scene, bodies, world.names, forces.uniform, constant, losses)
         self.activity = Activity(len(bodies), scene.anchored or bool(forces.uniform.any()))
         without_kicks = integrator(scene).controls_error and world.contact is None

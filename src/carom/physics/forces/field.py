@@ -1,6 +1,11 @@
 """A uniform field: the same acceleration g for every body.
 
 a = g,    U = -Σ m g·x
+
+Along a periodic axis, the field has no potential, since -m g·x differs on opposite faces. It drives the bodies, and
+the ledger books its work on the displacements Δx between two wraps:
+
+W = Σ m g·Δx
 """
 
 from __future__ import annotations
@@ -18,12 +23,25 @@ MIN_BODIES_PER_TASK = 5000  # about 10 µs of work
 
 
 class UniformField:
-    """Accelerates all bodies alike, by `uniform` in m/s²."""
+    """Accelerates all bodies alike, by `uniform` in m/s².
+
+    Parameters
+    ----------
+    field
+        (3,) m/s².
+    driving
+        (3,) m/s², its components along periodic axes, which have no potential.
+    mass
+        (n,) kg.
+    team
+        Threads that share the work.
+    """
 
     kind = UNIFORM_FIELD
 
-    def __init__(self, field: FloatArray, mass: FloatArray, team: Team) -> None:
+    def __init__(self, field: FloatArray, driving: FloatArray, mass: FloatArray, team: Team) -> None:
         self.uniform = field
+        self._with_potential = field - driving
         self._mass = mass
         self._team = team
 
@@ -32,12 +50,45 @@ class UniformField:
         if first:
             acceleration[:] = 0.0
         self._team.divide(len(acceleration), MIN_BODIES_PER_TASK, add, acceleration, self.uniform)
-        return _potential_energy(position, self._mass, self.uniform) if potential else 0.0
+        return _potential_energy(position, self._mass, self._with_potential) if potential else 0.0
 
 
 def make(scene: Scene, bodies: Bodies, team: Team) -> UniformField:
     """Return the field of a scene."""
-    return UniformField(np.array(scene.gravity.uniform), bodies.mass, team)
+    return UniformField(np.array(scene.gravity.uniform), np.array(scene.driving_field), bodies.mass, team)
+
+
+class DrivingField:
+    """The work of the field along periodic axes.
+
+    Parameters
+    ----------
+    field
+        (3,) m/s², its components along periodic axes.
+    bodies
+        The bodies of the run.
+    """
+
+    ENTRY = "driving_field"  # of the ledger, with the sign of a loss: -W
+
+    def __init__(self, field: FloatArray, bodies: Bodies) -> None:
+        self._field = field
+        self._bodies = bodies
+        self._start = bodies.position.copy()
+        self.work = 0.0  # J, in this step
+
+    def begin(self) -> None:
+        """Begin a drift at the present positions."""
+        self._start[:] = self._bodies.position
+
+    def end(self) -> None:
+        """Add the work on the displacements since `begin`; to be called before positions are wrapped."""
+        self.work -= _potential_energy(self._bodies.position - self._start, self._bodies.mass, self._field)
+
+    def pop(self) -> float:
+        """Return the work of the step in joules, and begin the next step."""
+        work, self.work = self.work, 0.0
+        return work
 
 
 @long_kernel

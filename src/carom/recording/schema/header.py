@@ -81,6 +81,7 @@ _FLAGS = {
     "friction": "has_friction",
     "record.impacts": "records_contacts",  # not a part of the model, but required by series of contacts
     "wall.motion": "drives",  # not a part of the model, but required by the work of moving walls
+    "driving-field": "has_driving_field",  # not a part of the model, but required by its work along periodic axes
     "spin": "spins",
     "stabilisation": "stabilises",
 }
@@ -135,6 +136,7 @@ class Header:
     check_interval: float | None = None  # s, between checks of energy and momentum; None if they are at the frames
     promises: bool = False  # whether it promises an accuracy
     drives: bool = False  # whether a wall moves
+    has_driving_field: bool = False  # whether a uniform field has a component along a periodic axis
     record_impacts: Literal["auto", "all", "none"] = "none"  # applies to the contact table, too
     box: FloatArray | None = None  # (3,) m, size of a periodic domain, `ENDLESS` along axes that do not repeat
     units: UnitSystem = SI  # units of the recorded and of the printed numbers

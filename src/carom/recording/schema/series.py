@@ -56,7 +56,7 @@ PLOTS = (  # from left to right; the plots of a column are tabs
 )
 (_ENERGY,), (_TAKEN, _ERROR), (CONTACTS, _FORCE, _IMPACTS, _SOLVER), (_OVERLAP, _DT) = PLOTS
 _TABLE = "record.impacts"  # key of the scene, which must not be "none", for series of the contact table
-_MOTION = "wall.motion"  # key of the scene, which a wall must have, for the work of moving walls
+_DRIVES = ("wall.motion", "driving-field")  # what does recorded work on the bodies; not parts of the model
 # Component of a series or impact: the value in the unit of its plot. The viewer cannot scale a curve (Rerun 0.41), so
 # the scaled values are recorded, too, if the scene has a section [units].
 IN_PLOT = "in_plot"
@@ -179,7 +179,10 @@ SERIES = (
     *(_loss(kind) for kind in FORCES if kind.loss),
     Series("energy/ledger/walls", "J", "moving walls", ORANGE, _TAKEN,
            lambda s: s.energy.ledger.entry("walls"), "removed by moving walls since the start; negative if they drive "
-               "the bodies", _MOTION),
+               "the bodies", "wall.motion"),
+    Series("energy/ledger/driving_field", "J", "driving field", GREY, _TAKEN,
+           lambda s: s.energy.ledger.entry("driving_field"), "removed by the uniform field along periodic axes since "
+               "the start; negative if it drives the bodies", "driving-field"),
     Series("energy/integration_error", "J", "integration error", RED, None,
            lambda s: s.energy.integration_error, "change of the total that the ledger does not explain"),
     Series("energy/relative_error", "1", "integration error / energy scale", RED, _ERROR,
@@ -331,7 +334,7 @@ def contents(header: Header, needs: Requirements) -> Iterator[Content]:
     for path, name in needed:
         if name == _TABLE:
             continue
-        there = name is None or (header.models(name) if name == _MOTION else parts[name])
+        there = name is None or (header.models(name) if name in _DRIVES else parts[name])
         yield Content(path, there, (name or "always") if there else f"no {name}")
     yield from _contact_data(header)
     for path, why in _ALWAYS.items():

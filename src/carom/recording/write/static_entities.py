@@ -108,6 +108,8 @@ def identity(header: Header, clock: TimeScale, origin: FloatArray) -> dict[str, 
         properties["promises"] = True
     if header.drives:
         properties["drives"] = True
+    if header.has_driving_field:
+        properties["has_driving_field"] = True
     properties |= {kind.present: True for kind in FORCES if kind.name in header.forces}
     properties |= {f"{PROPERTY}{part}": package for part, package in header.extensions.items()}
     if header.has_torque:

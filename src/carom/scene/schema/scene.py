@@ -134,6 +134,12 @@ class Scene(Forces, Heading):
         return bool(self.plane or self.wall or self.domain.walled) or self.has_fixed_bodies
 
     @property
+    def driving_field(self) -> tuple[float, float, float]:
+        """The components of `gravity.uniform` along periodic axes, m/s²; the others are 0."""
+        x, y, z = (g if axis in self.domain.repeating else 0.0 for axis, g in enumerate(self.gravity.uniform))
+        return x, y, z
+
+    @property
     def wall_names(self) -> list[str]:
         """The names of the walls of [[wall]]."""
         return [wall.name or f"{wall.shape} {index}" for index, wall in enumerate(self.wall)]
@@ -276,18 +282,18 @@ class Scene(Forces, Heading):
         return self
 
     @model_validator(mode="after")
-    def _periodic_space_has_no_uniform_field(self) -> Self:
+    def _a_field_along_a_periodic_axis_meets_resistance(self) -> Self:
         along = [axis for axis in self.domain.repeating if self.gravity.uniform[axis]]
-        if along:
+        if along and not self.anchored:
             if isinstance(self.domain.boundary, tuple):
                 named = " and ".join("xyz"[axis] for axis in along)
                 raise ValueError(
                     f'gravity.uniform along {named}, where domain.boundary is "periodic": bodies would fall '
-                    'forever; set it to 0 there, or make that axis "open"'
+                    "forever; set it to 0 there, or add a plane, a wall or a fixed body that holds them back"
                 )
             raise ValueError(
-                'domain.boundary = "periodic" with gravity.uniform: bodies would fall through the box forever, and '
-                "the potential of the field is not periodic; set gravity.uniform = [0, 0, 0]"
+                'domain.boundary = "periodic" with gravity.uniform: bodies would fall through the box forever; set '
+                "gravity.uniform = [0, 0, 0], or add a fixed body that holds them back"
             )
         return self
 
