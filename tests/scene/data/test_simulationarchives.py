@@ -86,6 +86,7 @@ def test_an_archive_says_what_is_taken_from_it_and_what_is_not(tmp_path: Path) -
     assert [note for note in notes_of(scene).splitlines() if "position from position" not in note] == [
         "a.bin: N_active = 1: 2 test particles, whose masses do not attract, have mass 0 here",
         "a.bin: gravity.constant = 1 is taken from it",
+        'a.bin: integrator = "ias15" is not taken over; time.integrator = "gauss-radau15" is this method',
     ]
     assert scene.gravity.constant == 1.0
     assert "constant = 1.0" in scene.toml
@@ -126,6 +127,11 @@ REFUSED: dict[str, tuple[Callable[[Any], None], str, str]] = {
     "bodies that attract some": (two_active_of(1, 1), "", "testparticle_type = 1 with N_active = 1: 2 bodies attract"),
     "a shearing box": (shear, "", 'its boundary is "shear"'),
     "a periodic box": (periodic, "gravity.constant = 0", 'its box is periodic; set domain.boundary = "periodic"'),
+    "a box of another size": (
+        periodic,
+        'gravity.constant = 0\ndomain = {boundary = "periodic", size = [10, 10, 20]}',
+        'its box is periodic; set domain.boundary = "periodic" and domain.size = [10, 10, 10]',
+    ),
 }
 
 
@@ -173,3 +179,82 @@ def test_a_snapshot_between_half_steps_is_synchronised(tmp_path: Path) -> None:
     found = scene_of(tmp_path).data[0]
     simulation.synchronize()
     assert np.abs(found.position - [particle.xyz for particle in simulation.particles]).max() < 1e-15
+
+
+def with_functions(simulation: Any) -> None:
+    simulation.additional_forces = lambda reb_sim: None
+    simulation.collision, simulation.collision_resolve = "direct", "merge"
+
+
+NOTED: dict[str, tuple[Callable[[Any], None], str]] = {
+    "whfast": (
+        lambda simulation: (setattr(simulation, "integrator", "whfast"), setattr(simulation, "dt", 0.05))[0],
+        'integrator = "whfast" with dt = 0.05 is not taken over; time.integrator = "wisdom-holman" is this method',
+    ),
+    "leapfrog": (
+        lambda simulation: setattr(simulation, "integrator", "leapfrog"),
+        'integrator = "leapfrog" with dt = 0.001 is not taken over; time.integrator = "leapfrog-dkd" is this method',
+    ),
+    "trace": (
+        lambda simulation: setattr(simulation, "integrator", "trace"),
+        'integrator = "trace" with dt = 0.001 is not taken over; carom lacks this method',
+    ),
+    "functions": (with_functions, "REBOUNDx …) are not in an archive: what they do is missing here"),
+}
+
+
+@pytest.mark.parametrize("case", NOTED)
+def test_what_an_archive_lacks_or_carom_chooses_itself_is_said(tmp_path: Path, case: str) -> None:
+    prepare, said = NOTED[case]
+    save(tmp_path / "a.bin", prepare)
+    notes = notes_of(scene_of(tmp_path))
+    assert said in notes and "REBOUND warns" not in notes
+
+
+@pytest.mark.parametrize(
+    ("rebounds", "caroms"),
+    [("ias15", "gauss-radau15"), ("leapfrog", "leapfrog-dkd"), ("whfast", "wisdom-holman")],
+)
+def test_the_integrator_that_is_named_as_the_same_method_has_the_same_error(
+    tmp_path: Path, rebounds: str, caroms: str
+) -> None:
+    def prepare(simulation: Any) -> None:
+        simulation.integrator, simulation.dt = rebounds, 0.02
+        for planet in (1, 2):  # light enough for an integrator of Kepler orbits
+            simulation.particles[planet].m = 1e-3
+
+    simulation = save(tmp_path / "a.bin", prepare)
+    step = "" if rebounds == "ias15" else "\nfixed_dt = 0.02"
+    text = APART + f'[time]\nduration = 2.0\nintegrator = "{caroms}"{step}\n[[bodies]]\nfile = "a.bin"\nradius = 1e-6\n'
+    (tmp_path / "scene.toml").write_text(text, encoding="utf-8")
+    scene = Scene.load(tmp_path / "scene.toml")
+    assert "is not taken over" not in notes_of(scene)
+    space = Space(scene, 1)
+    for _ in space.run():
+        pass
+    simulation.integrate(2.0)
+    there = np.array([particle.xyz for particle in simulation.particles])
+    # 100 steps of a method of second order have errors of 1e-4 or more, which both share up to rounding; the corrector
+    # of Wisdom-Holman, which REBOUND leaves out by default, changes 1e-6
+    assert np.abs(space.state.position - there).max() < (1e-5 if rebounds == "whfast" else 1e-12)
+
+
+def test_an_archive_of_several_snapshots_says_which_one_is_read(tmp_path: Path) -> None:
+    simulation = save(tmp_path / "a.bin")
+    simulation.particles[1].r = 0.02
+    for time in (1.0, 2.0):
+        simulation.integrate(time)
+        if time == 2.0:
+            simulation.remove(2)  # as a merger does
+        simulation.save_to_file(str(tmp_path / "a.bin"))
+    last, first = scene_of(tmp_path), scene_of(tmp_path, more="snapshot = 0\n")
+    assert "snapshot 2 of 3 (from 0), t = 2, is read" in notes_of(last) and last.count == 2
+    assert "snapshot 0 of 3 (from 0), t = 0, is read" in notes_of(first) and first.count == 3
+    with pytest.raises(SceneError, match="no snapshot 3; the file has 3, from t = 0 to 2"):
+        scene_of(tmp_path, more="snapshot = 3\n")
+
+
+def test_a_periodic_box_of_the_same_size_is_accepted(tmp_path: Path) -> None:
+    save(tmp_path / "a.bin", periodic)
+    top = 'gravity.constant = 0\ndomain = {boundary = "periodic", size = [10, 10, 10]}\n'
+    assert scene_of(tmp_path, APART + top).domain.period == (10.0, 10.0, 10.0)

@@ -185,10 +185,24 @@ def take_over_laws(
                 refuted[index] = (
                     f"gravity.{key} is {number!r} in it, but {own!r} here; leave gravity.{key} out, or set that"
                 )
-        if law.periodic and not scene.domain.is_periodic:
-            refuted[index] = 'its box is periodic; set domain.boundary = "periodic" and domain.size'
+        if law.box is not None:
+            x, y, z = law.box
+            size = scene.domain.size or (0.0, 0.0, 0.0)
+            alike = [
+                math.isclose(units.shown(a, LENGTH), b, rel_tol=_SAME_LAW) for a, b in zip(size, law.box, strict=True)
+            ]
+            if len(scene.domain.repeating) < len(alike) or not all(alike):
+                refuted[index] = (
+                    f'its box is periodic; set domain.boundary = "periodic" and domain.size = [{x:g}, {y:g}, {z:g}]'
+                )
+        if law.integrated and scene.time.integrator != (law.integrator or None):
+            same = (
+                f'time.integrator = "{law.integrator}" is this method' if law.integrator else "carom lacks this method"
+            )
+            notes.append(f"{law.integrated} is not taken over; {same}")
         if not law.collides and scene.contact.enabled:
             notes.append("its bodies pass through each other; contact.enabled = false does the same here")
         called = scene.bodies[index].called
-        each_bodies[index] = bodies._replace(notes=(*bodies.notes, *(f"{called}: {note}" for note in notes)))
+        new = [f"{called}: {note}" for note in notes]  # bodies of a scene that is changed have earlier notes
+        each_bodies[index] = bodies._replace(notes=(*bodies.notes, *(note for note in new if note not in bodies.notes)))
     return taken, refuted

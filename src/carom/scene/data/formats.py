@@ -40,8 +40,10 @@ class MotionLaw(NamedTuple):
 
     constant: float  # gravitational constant; 0 without gravity
     softening: float
-    periodic: bool  # whether its box is periodic
+    box: tuple[float, float, float] | None  # size of its periodic box; None if space is open
     collides: bool
+    integrated: str = ""  # its integrator and step, in words
+    integrator: str = ""  # the same method in carom, if there is one
 
 
 class DataTable:

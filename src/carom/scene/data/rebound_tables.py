@@ -17,6 +17,13 @@ from carom.scene.units.system import units_of_rebound
 from carom.scene.wording import counted
 
 _GRAVITY = ("basic", "compensated", "tree", "jacobi", "mercurius", "trace")  # methods of summing the same forces
+_INTEGRATORS = {  # of REBOUND, by the names of the same methods
+    "ias15": "gauss-radau15",
+    "leapfrog": "leapfrog-dkd",
+    "whfast": "wisdom-holman",
+}
+_CHOOSING = ("ias15", "bs", "none")  # integrators without a fixed step
+_FUNCTIONS = "function pointers"  # in the warning about an archive of a simulation with functions of its program
 _DAMAGED = "corrupted"  # in the warning about a truncated archive
 _KNOWN = (
     "test particle (type 0) has finite mass",
@@ -35,13 +42,23 @@ def open_rebound(path: Path, called: str, snapshot: int) -> DataTable:
         archive = rebound.Simulationarchive(str(path))
         count = len(archive)
         if not -count <= snapshot < count:
-            raise SceneError(f"{called}: there is no snapshot {snapshot}; the file has {count}")
+            span = f"from t = {archive.tmin:g} to {archive.tmax:g}" if count > 1 else f"of t = {archive.tmin:g}"
+            raise SceneError(f"{called}: there is no snapshot {snapshot}; the file has {count}, {span}")
         simulation = archive[snapshot % count]
         simulation.synchronize()  # between outputs, symplectic maps hold positions and velocities of different times
     texts = list(dict.fromkeys(str(warning.message) for warning in given))
     notes = [
-        f"REBOUND warns: {text.splitlines()[0]}" for text in texts if not any(k in text for k in (_DAMAGED, *_KNOWN))
+        f"REBOUND warns: {text.splitlines()[0]}"
+        for text in texts
+        if not any(known in text for known in (_DAMAGED, _FUNCTIONS, *_KNOWN))
     ]
+    if count > 1:
+        notes.append(f"snapshot {snapshot % count} of {count} (from 0), t = {simulation.t:g}, is read")
+    if any(_FUNCTIONS in text for text in texts):
+        notes.append(
+            "functions of its program (additional_forces, collision_resolve, REBOUNDx …) are not in an archive: what "
+            "they do is missing here"
+        )
     if any(_DAMAGED in text for text in texts):
         which = f"of {counted(count, 'intact snapshot')} number {snapshot % count}, t = {simulation.t:g}, is read"
         notes.insert(0, f"the file is damaged or ends early; {which}")
@@ -60,11 +77,28 @@ def open_rebound(path: Path, called: str, snapshot: int) -> DataTable:
     table.law = MotionLaw(
         constant=0.0 if simulation.gravity == "none" else float(simulation.G),
         softening=float(simulation.softening),
-        periodic=simulation.boundary == "periodic",
+        box=_box(simulation),
         collides=simulation.collision != "none",
+        integrated=_integrated(simulation),
+        integrator=_INTEGRATORS.get(str(simulation.integrator), ""),
     )
     table.notes = tuple(f"{called}: {note}" for note in notes)
     return table
+
+
+def _box(simulation: Any) -> tuple[float, float, float] | None:
+    """Return the size of the periodic box; None if space is open."""
+    if simulation.boundary != "periodic":
+        return None
+    x, y, z = (float(simulation.root_size) * getattr(simulation, f"N_root_{axis}") for axis in "xyz")
+    return x, y, z
+
+
+def _integrated(simulation: Any) -> str:
+    """Return the integrator and its step in words."""
+    name = printable(str(simulation.integrator))
+    step = "" if name in _CHOOSING else f" with dt = {simulation.dt:g}"
+    return f'integrator = "{name}"{step}'
 
 
 def _arrays(simulation: Any, n: int, called: str, notes: list[str]) -> dict[str, Raw]:
