@@ -25,9 +25,7 @@ from carom.scene.start import half_spaces
 
 FloatArray = NDArray[Any]
 
-SHORTEST = (
-    1e-9  # of the duration: shortest flight between two bounces of a pair; after a shorter one, the pair is at rest
-)
+SHORTEST = 1e-9  # of the duration: shortest flight between two bounces of a pair, which otherwise is at rest
 WITHIN = np.linspace(0.0, 1.0, 33)  # fractions of a step at which distances are examined
 TOUCHING = 1e-12  # of the sum of radii
 IMAGES = np.stack(np.meshgrid(*[[-1, 0, 1]] * 3, indexing="ij"), axis=-1).reshape(-1, 3)  # of a periodic box

@@ -60,7 +60,7 @@ class RunStoppedError(ExperimentError):
     reached
         The simulated time as text, with its unit.
     by_limit
-        Whether the CPU time stopped it, which ``--limit`` bounds.
+        Whether the bound was that of the CPU time, ``--limit``.
     """
 
     def __init__(self, steps: int, seconds: float, reached: str, *, by_limit: bool) -> None:

@@ -375,10 +375,7 @@ def _apart(places: FloatArray, texts: list[str], eye: View, area: Area) -> Float
     """Move labels, (k, 3) m, into the view; move a label up or down if it would cover an earlier one."""
     point = 2.0 / area.height  # half heights of the view
     onto = eye.on_screen(places)
-    moved, drawn = (
-        onto.copy(),
-        list[tuple[float, float, float]](),
-    )  # half the width and the position of each label placed so far
+    moved, drawn = onto.copy(), list[tuple[float, float, float]]()  # half width and position of each placed label
     for k, text in enumerate(texts):
         wide, tall, low = np.array([_LETTER_WIDTH * (len(text) + 2) / 2, _LABEL_HEIGHT, _BELOW]) * point
         side = max(0.0, area.aspect - wide)
@@ -389,9 +386,7 @@ def _apart(places: FloatArray, texts: list[str], eye: View, area: Area) -> Float
         y = next(free, y)
         drawn.append((wide, x, y))
         moved[k] = x, y
-    metres = eye.slope * (
-        eye.distance - (places - eye.target) @ eye.to_eye
-    )  # half the height of the view at the depth of each label
+    metres = eye.slope * (eye.distance - (places - eye.target) @ eye.to_eye)  # half heights, at each label's depth
     return np.asarray(places + metres[:, None] * ((moved - onto) @ eye.axes()))
 
 

@@ -87,9 +87,7 @@ def _spans(recording: Recording, begin: float, end: float) -> FloatArray:
 
 # The first impact at which two recordings differ.
 
-MOST_SKIPPED = (
-    1000  # largest difference between a pair's numbers of impacts in the two runs with which all of them are matched
-)
+MOST_SKIPPED = 1000  # surplus impacts of a pair in one run; with more, the last impacts are not matched
 _VALUES = ("nx", "ny", "nz", "approach_speed", "normal_impulse", "tangential_impulse", "energy_lost")
 
 

@@ -230,7 +230,7 @@ class FrameAlignment:
         return one[both], other[both], rounding
 
     def everywhere(self, k: int) -> tuple[FloatArray, FloatArray, float]:
-        """Return the same for all bodies; the positions of bodies that do not exist are NaN."""
+        """Return what `at` returns, but for all bodies; bodies that do not exist have the position NaN."""
         i, j, part = self._place(k)
         if part == 1.0:
             exact = self._a.exact(i, self._common), self._b.exact(j, self._common)

@@ -85,7 +85,7 @@ class Cone:
     from_forces: FloatArray  # (n,) share contributed by forces on each body
     edges: dict[tuple[int, int], Edge] = field(default_factory=dict)
     passages: list[Passage] = field(default_factory=list)  # the latest first
-    pairs: list[IntArray] = field(default_factory=list)  # (k, 2) bodies each, all that touched so far
+    pairs: list[IntArray] = field(default_factory=list)  # (k, 2) each: the pairs of bodies that have touched so far
     _lasting: dict[tuple[int, int], Passage] = field(default_factory=dict)  # the earliest of each pair
     _before_step: int = 0  # the step before the present one
 

@@ -97,9 +97,7 @@ class State:
     velocity: Any  # (n, 3) m/s
     orientation: Any = None  # (n, 4) quaternions, xyzw; None if the engine has none
     angular_velocity: Any = None  # (n, 3) rad/s, in the world frame; None if the engine has none
-    contacts: Any = (
-        None  # (m,) `CONTACT` with forces, or (m, 2) indices of touching bodies, n + k for plane k; None: unknown
-    )
+    contacts: Any = None  # (m,) `CONTACT` with forces, or (m, 2) touching bodies, n + k for plane k; None: unknown
     # where bodies come and go, (n,) whole numbers that identify the bodies of this state; None: the bodies of the first
     ids: Any = None
     mass: Any = None  # (n,) kg and m, with ids: needed in states with new bodies; a body whose mass or radius changes

@@ -39,9 +39,7 @@ from carom.physics.vector import Vector, add, along, between, nearest_image, vec
 from carom.scene.schema import Coefficients
 
 FIRST_STANDOFF = 1e-9  # of the radius, the standoff of a body that is exhausted for the first time
-MOST_HOLDS = (
-    100  # of an exhausted body in a drift; its standoff then exceeds every gap, so only other bodies can meet it
-)
+MOST_HOLDS = 100  # of an exhausted body in a drift; its standoff then exceeds every gap, so only others can meet it
 MAX_SEARCH_RADIUS = 1e150  # m; its square is finite
 
 
