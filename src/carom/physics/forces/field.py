@@ -2,8 +2,8 @@
 
 a = g,    U = -Σ m g·x
 
-Along a periodic axis, the field has no potential, since -m g·x differs on opposite faces. It drives the bodies, and
-the ledger books its work on the displacements Δx between two wraps:
+Along a periodic axis, the field has no potential, since -m g·x differs on opposite faces. There the ledger books -W,
+with the work W on the displacements Δx between two wraps:
 
 W = Σ m g·Δx
 """
