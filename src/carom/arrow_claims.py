@@ -11,6 +11,7 @@ from carom.arrays import IntArray
 
 _HEADER = 2  # field of a Message: its RecordBatch
 _DATA = 1  # field of a DictionaryBatch: its RecordBatch
+_FIELDS = 1  # field of a Schema: its columns
 _SIZE = 8  # bytes before a compressed buffer
 _LENGTH, _NODES, _BUFFERS, _COMPRESSION = 0, 1, 2, 3  # fields of a RecordBatch
 
@@ -50,6 +51,22 @@ def claims(message: bytes, dictionary: bool = False) -> Claims:
         )
     except struct.error as error:
         raise ValueError("a record batch with an incomplete header") from error
+
+
+def columns(message: bytes) -> int:
+    """Return the number of columns of the schema in the metadata of an Arrow IPC message.
+
+    Raises
+    ------
+    ValueError
+        If the metadata are incomplete.
+    """
+    try:
+        schema = _table(message, _root(message), _HEADER)
+        fields = None if schema is None else _table(message, schema, _FIELDS)
+        return 0 if fields is None else int(struct.unpack_from("<I", message, fields)[0])
+    except struct.error as error:
+        raise ValueError("a schema with an incomplete header") from error
 
 
 def unpacked_bytes(claimed: Claims, body: memoryview) -> int:

@@ -586,6 +586,21 @@ def test_a_small_file_that_would_fill_the_memory_is_refused_before_it_is_read(
     assert expected in complaint(tmp_path, file)
 
 
+@pytest.mark.parametrize("file", ["a.parquet", "a.feather", "a.arrow"])
+def test_a_file_of_too_many_columns_is_refused_before_pyarrow_builds_them(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, file: str
+) -> None:
+    wide = pa.table({f"c{k}": [1.0] for k in range(200)})
+    if file == "a.parquet":
+        pq.write_table(wide, tmp_path / file)
+        monkeypatch.setattr(pq, "ParquetFile", None)
+    else:
+        pyarrow.feather.write_feather(wide, tmp_path / file)
+        monkeypatch.setattr(pyarrow.ipc, "open_stream", None)
+    monkeypatch.setattr(table, "MOST_COLUMNS", 49)
+    assert "200 columns are too many; at most 49" in complaint(tmp_path, file)
+
+
 def test_names_in_a_dictionary_are_not_repeated_without_bound(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     words = pa.DictionaryArray.from_arrays(pa.array([0, 0, 0], pa.int8()), pa.array(["a" * 1000]))
     write_feather(tmp_path / "a.feather", name=words)

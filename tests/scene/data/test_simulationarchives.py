@@ -186,9 +186,13 @@ def with_functions(simulation: Any) -> None:
     simulation.collision, simulation.collision_resolve = "direct", "merge"
 
 
+def whfast(simulation: Any) -> None:
+    simulation.integrator, simulation.dt = "whfast", 0.05
+
+
 NOTED: dict[str, tuple[Callable[[Any], None], str]] = {
     "whfast": (
-        lambda simulation: (setattr(simulation, "integrator", "whfast"), setattr(simulation, "dt", 0.05))[0],
+        whfast,
         'integrator = "whfast" with dt = 0.05 is not taken over; time.integrator = "wisdom-holman" is this method',
     ),
     "leapfrog": (

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Sequence, Set
 from pathlib import Path
 
@@ -13,7 +14,7 @@ import pyarrow.ipc
 import pyarrow.parquet as pq
 
 from carom import registry
-from carom.arrow_claims import claims, unpacked_bytes
+from carom.arrow_claims import claims, columns, unpacked_bytes
 from carom.errors import SceneError
 from carom.scene.data.formats import (
     BODY,
@@ -24,6 +25,7 @@ from carom.scene.data.formats import (
     Raw,
     refuse_bomb,
     refuse_large,
+    refuse_many_columns,
     refuse_many_rows,
 )
 from carom.scene.data.mapping import printable
@@ -36,6 +38,10 @@ _SIGNS = {
     b"Des'n": "mpcorb",
 }  # in text files of any format, whatever their suffix
 _HEAD = 1_000_000  # bytes in which these are searched for
+_PARQUET_END = 8  # bytes of the length of a footer and of the mark after it
+_FOOTER_HEAD = 32  # bytes of a footer that have the number of its elements
+_FOOTER = re.compile(rb"\x15[\x80-\xff]*[\x00-\x7f]\x19\xfc([\x80-\xff]*[\x00-\x7f])", re.S)  # of 15 or more elements
+_ELEMENTS = 4  # of a schema for each column: a list has three
 _Read = Callable[[list[str], Sequence[str]], pa.Table]
 
 
@@ -59,6 +65,7 @@ def _without_fractions(column: pa.ChunkedArray) -> pa.ChunkedArray:
 
 def open_parquet(path: Path, called: str, snapshot: int) -> DataTable:
     """Open a Parquet file."""
+    refuse_many_columns(called, _columns_of_parquet(path), _ELEMENTS)
     file = pq.ParquetFile(path, memory_map=True)
     refuse_many_rows(called, file.metadata.num_rows)
 
@@ -67,6 +74,25 @@ def open_parquet(path: Path, called: str, snapshot: int) -> DataTable:
         return file.read(columns=wanted)
 
     return _ArrowTable(called, file.schema_arrow.names, read, snapshot)
+
+
+def _columns_of_parquet(path: Path) -> int:
+    """Return the number of elements of a schema from the beginning of the footer, as pyarrow takes long for many.
+
+    The footer begins with the version and the list of the elements (Thrift's compact protocol). It is 0 where this is
+    not so; pyarrow then says what is wrong.
+    """
+    with path.open("rb") as file:
+        end = file.seek(0, 2)
+        file.seek(max(0, end - _PARQUET_END))
+        length = int.from_bytes(file.read(4), "little")
+        file.seek(max(0, end - _PARQUET_END - length))
+        head = file.read(min(length, _FOOTER_HEAD))
+    found = _FOOTER.match(head)
+    if found is None:
+        return 0
+    digits: bytes = found[1]
+    return sum((byte & 0x7F) << 7 * place for place, byte in enumerate(digits)) - 1  # the first one is their root
 
 
 def _claimed(metadata: pq.FileMetaData, wanted: Set[str]) -> int:
@@ -110,6 +136,8 @@ def _refuse_claims(source: pa.NativeFile, begin: int, called: str, stored: int) 
     source.seek(begin)
     messages, claimed = pyarrow.ipc.MessageReader.open_stream(source), 0
     for message in messages:
+        if message.type == "schema":
+            refuse_many_columns(called, columns(message.metadata.to_pybytes()))
         if message.body is not None and message.type in ("record batch", "dictionary"):
             header = claims(message.metadata.to_pybytes(), message.type == "dictionary")
             claimed += unpacked_bytes(header, memoryview(message.body))

@@ -95,9 +95,9 @@ def refuse_many_rows(called: str, rows: int) -> None:
         raise SceneError(f"{called}: {rows} rows are too many; at most {MOST_ROWS}")
 
 
-def refuse_many_columns(called: str, columns: int) -> None:
-    """Refuse a table with more columns than any table of bodies has."""
-    if columns > MOST_COLUMNS:
+def refuse_many_columns(called: str, columns: int, each: int = 1) -> None:
+    """Refuse a table with more columns, or parts of columns of which one has some, than any table of bodies has."""
+    if columns > each * MOST_COLUMNS:
         raise SceneError(f"{called}: {columns} columns are too many; at most {MOST_COLUMNS}")
 
 
