@@ -47,6 +47,7 @@ def test_inspect_prints_the_keys_that_scripts_rely_on(tmp_path: Path) -> None:
     carom("run", "two-spheres", "-o", "x.rrd", cwd=tmp_path)
     summary = json.loads(carom("inspect", "x.rrd", "--json", cwd=tmp_path).stdout)
     assert summary["scene"]["title"] == "Two spheres off centre, with friction"
+    assert summary["description"].startswith("Two spheres collide off centre"), "the comment at its head"
     assert summary["bodies"] == 2 and summary["outcome"] == "completed"
     assert summary["sim_time"] == 4.0 and summary["frames"] == summary["steps"] + 1
     assert set(summary["energy"]) >= {"initial", "final", "max_error"}

@@ -36,6 +36,7 @@ def inspect(
     from carom.recording.edit.bundle import opened
     from carom.recording.read.recorded_scene import refuse_missing_extensions
     from carom.recording.read.recording import Recording
+    from carom.runs.overview import description
 
     with opened(file) as path:
         recording = Recording.open(path)
@@ -44,6 +45,7 @@ def inspect(
             return
         refuse_missing_extensions(recording)
         summary, units = recording.summary(), recording.units
+        summary["description"] = description(recording.scene_toml)
     if as_json:
         say_json(summary)
         return
@@ -102,6 +104,8 @@ def _run(summary: dict[str, Any], units: UnitSystem) -> Iterator[Row]:
 
     scene, clip = summary["scene"], summary.get("clip")
     yield "scene", f"{scene['title']}, {counted(summary['bodies'], 'body')}"
+    if about := " ".join(summary["description"].partition("\n\n")[0].split()):
+        yield "about", about
     if scene.get("engine"):
         recorded = "states and contact forces" if summary["contact_forces"] else "only states"
         yield "engine", f"{scene['engine']}; the recording has {recorded}"

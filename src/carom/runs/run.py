@@ -29,7 +29,7 @@ from carom.recording.write.whole_file import Claim
 from carom.runs.environment import environment
 from carom.runs.outcome import Verdict, closing_of, judge
 from carom.runs.output import claimed_output, default_output, refuse_name
-from carom.runs.overview import EACH, ONCE_A_STEP
+from carom.runs.overview import EACH, ONCE_A_STEP, description
 from carom.runs.process_settings import Interrupts, garbage_sought_seldom
 from carom.scene.extensions import extensions_of
 from carom.scene.schema import Scene
@@ -332,7 +332,7 @@ def header_of(space: Space) -> Header:
     scene, needs, state = space.scene, space.requirements, space.state
     return Header(
         title=scene.title,
-        description=scene.description,
+        description=scene.description or description(scene.toml),
         scene_toml=scene.toml,
         seed=scene.seed,
         run_id=str(uuid.uuid4()),
