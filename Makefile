@@ -1,5 +1,5 @@
 # The one runner: `make check` while you work, `make test` before a push, `.ci/run` before a release.
-.PHONY: help check style types changed test slow docs bench
+.PHONY: help check style types changed test slow docs bench results
 
 SINCE ?= # a commit; by default, where this branch left origin/main
 
@@ -32,3 +32,10 @@ docs: ## the site, with its links checked
 
 bench: ## speed beside other engines, compared with the committed ratios; exits with 1 if carom got slower
 	python benchmarks/gate.py
+
+results: ## measure the ratios beside other engines again, and keep them as those of this processor
+	python benchmarks/gate.py --save
+	python benchmarks/few_contacts.py --rounds 15 --save
+	python benchmarks/gravity.py direct --bodies 1024 4096 16384
+	python benchmarks/gravity.py tree --bodies 100000 --shapes plummer --peers pytreegrav --methods tree
+	python benchmarks/heap.py --bodies 1000 --threads 1

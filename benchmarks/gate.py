@@ -10,14 +10,13 @@ ratio has grown by more than `TOLERANCE`. Peers that are not installed are left 
 from __future__ import annotations
 
 import importlib
-import json
 import sys
 import time
 from collections.abc import Callable
 from typing import Any
 
 import measurement
-from measurement import RESULTS, save
+from measurement import processor, save, stored
 
 TOLERANCE = 0.15  # two runs of the same code on a busy machine differ by up to a tenth
 NAME = "gate"
@@ -101,8 +100,8 @@ def slower(now: Ratios, before: Ratios) -> list[str]:
 
 def main() -> None:
     """Measure, print a table, and judge."""
-    path = RESULTS / f"{NAME}.json"
-    before: Ratios = json.loads(path.read_text(encoding="utf-8"))["ratios"] if path.exists() else {}
+    kept = stored(NAME)
+    before: Ratios = kept.get(processor(), {}).get("ratios", {})
     now = measured()
     worse = slower(now, before)
     print(f"\n{'carom / peer':48} {'committed':>9} {'now':>7} {'change':>7}")
@@ -110,6 +109,8 @@ def main() -> None:
         then = before.get(name)
         change = f"{ratio / then - 1.0:+7.0%}" if then else f"{'new':>7}"
         print(f"{name:48} {then or float('nan'):9.3f} {ratio:7.3f} {change}{'  slower' if name in worse else ''}")
+    if not before:
+        print(f"no committed ratios of {processor()}, only of {', '.join(kept) or 'none'}: keep these with --save")
     if "--save" in sys.argv[1:]:
         print(save(NAME, {"ratios": {name: float(f"{ratio:.4g}") for name, ratio in now.items()}}))
     elif worse:
