@@ -242,3 +242,30 @@ def test_a_merger_of_rebound_ends_two_bodies_and_begins_one(tmp_path: Path) -> N
     assert recording.bodies.mass.tolist() == [1.0, 0.5, 1e-3, 2e-3, 1.5]
     by_mass = {particle.m: particle.x for particle in simulation.particles}
     assert dict(zip(recording.bodies.mass[[2, 3, 4]].tolist(), last["x"].to_pylist(), strict=True)) == by_mass
+
+
+class Poured:
+    """One body, and thousands that are poured after it: more than a run may begin with to be drawn in detail."""
+
+    def __init__(self) -> None:
+        self.steps, self.model = 0, carom.record.Model(engine="poured", mass=[1.0], radius=[0.1])
+
+    def state(self) -> carom.record.State:
+        n = 1 + 1500 * self.steps
+        position = np.arange(n)[:, None] * [1.0, 0.0, 0.0]
+        ids, mass, radius = np.arange(n), np.ones(n), np.full(n, 0.1)
+        return carom.record.State(DT * self.steps, position, np.zeros((n, 3)), ids=ids, mass=mass, radius=radius)
+
+
+def test_a_run_that_grows_to_thousands_of_bodies_keeps_the_shape_of_its_first_frame(tmp_path: Path) -> None:
+    poured = Poured()
+    with carom.record.Recorder(poured, tmp_path / "run.rrd") as recorder:
+        for poured.steps in range(1, 4):
+            recorder.frame()
+    assert recorder.problems == []
+    recording = Recording.open(tmp_path / "run.rrd")
+    assert [int(recording.present(step).sum()) for step in range(4)] == [1, 1501, 3001, 4501]
+    path = recording.trajectory(4500)  # drawn in float32, and exact
+    assert path["x"].to_pylist() == [4500.0] and recording.bodies(2 * DT).num_rows == 3001
+    clip(recording.path, tmp_path / "part.rrd", 2 * DT, 3 * DT)
+    assert Recording.open(tmp_path / "part.rrd").bodies(3 * DT).num_rows == 4501
