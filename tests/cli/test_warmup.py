@@ -20,6 +20,7 @@ PLAIN = {f"taylor.{name}_one_by_one" for name in ("_attract", "_attract_bodies",
 OF_WALLS = {  # compiled for scenes with a [[wall]], as the kernels of a contact law are for scenes with that law
     *("solids._write_heights", "solids.add_arc_speeds", "wall_impacts._time_to_wall", "wall_impacts._until_path"),
     *("moving_walls.set_velocities_in_drift", "moving_walls.work_of_contacts", "moving_walls.work_of_impacts"),
+    *(f"translating_walls.{name}" for name in ("mean_velocities", "place", "work_at_velocities", "work_in_drift")),
 }
 OF_PACKAGES = {  # compiled for the forces and laws of each package that calls them
     *("kernel_forces._add", "kernel_forces._energy"),

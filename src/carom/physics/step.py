@@ -99,12 +99,14 @@ class KickDriftStepper:
         if world.needs.adaptive_step.modelled:
             self.timestep.previous = self.timestep.target(world.bodies)[0]
         if world.contact:
+            world.contact.place_walls(world.clock.time)
             world.contact.begin(self.first_dt)
 
     def restore(self, checkpoint: Checkpoint) -> None:
         """Continue from a checkpoint."""
         self.timestep.previous = checkpoint.previous_dt
         if self._world.contact:
+            self._world.contact.place_walls(self._world.clock.time)
             self._world.contact.recall(checkpoint.contacts)
 
     def advance(self, goal: Goal) -> bool:
@@ -192,6 +194,8 @@ class KickDriftStepper:
         world, contact, damping = self._world, self._world.contact, self._damping
         potentials: Potentials = {}
         last_kick = 0.0
+        if contact and world.planes.translates:
+            contact.begin_step(world.clock.before, world.clock.time)
         self._rotate(dt)
         for index, substep in enumerate(self._substeps):
             is_last = index == len(self._substeps) - 1

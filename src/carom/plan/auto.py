@@ -21,6 +21,7 @@ AUTO_BYTES = 300_000_000  # "auto" recordings of many bodies get fewer frames, t
 BYTES_PER_BODY_AND_FRAME = 60  # centre, quaternion, and about one arrow or edge
 
 MAX_DT = 1.0  # s, the longest step of kicks and drifts, as in the reference engine
+STEPS_PER_OSCILLATION = 100  # of a wall, at least: contacts are held against its mean velocity in a step
 
 STEP_GROWS_UP_TO = 100  # bodies; with more, "auto" steps are a tenth of the time of a fall through the smallest radius
 STEP_PER_BODY = 1e-3  # fraction of that time for each body: steps of few bodies are cheap, so they may be shorter, for
@@ -241,7 +242,10 @@ def largest_step(scene: Scene) -> float:
     """
     if scene.time.max_dt != "auto":
         return scene.time.max_dt
-    return math.inf if integrator(scene).controls_error else MAX_DT
+    if integrator(scene).controls_error:
+        return math.inf
+    frequencies = [solid.motion.frequency for solid in scene.translating if solid.motion and solid.motion.frequency]
+    return min([MAX_DT, *(1.0 / (STEPS_PER_OSCILLATION * frequency) for frequency in frequencies)])
 
 
 def target_dx(scene: Scene) -> float | None:

@@ -197,6 +197,11 @@ def _refuse_walls(scene: Scene) -> None:
             f'time.integrator = "{chosen.name}" does not support a [[wall]]; set time.integrator = "leapfrog"',
             INTEGRATOR,
         )
+    if scene.translating and chosen.controls_error:
+        raise SceneError(
+            f'time.integrator = "{chosen.name}" does not support moving planes; set time.integrator = "leapfrog"',
+            INTEGRATOR,
+        )
     needs = require(scene)
     thin = next((wall.shape for wall in scene.wall if shape_called(wall.shape).thin), "")
     if thin and needs.contact.modelled and not needs.impact_time.modelled:

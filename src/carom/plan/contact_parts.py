@@ -29,8 +29,10 @@ def contact(scene: Scene) -> Part:
 def moves_relatively(scene: Scene) -> bool:
     """Return whether two bodies start with different velocities or overlap, and so may move apart or together.
 
-    Planes, walls and fixed bodies do not move, so a uniform field or a moving medium moves bodies relative to them.
+    A uniform field or a moving medium moves bodies relative to planes, walls and fixed bodies, which it does not move.
     """
+    if scene.translating:
+        return True
     velocities: set[tuple[float, ...] | None] = {body.velocity for body in scene.body}
     velocities |= {columns.common_velocity for columns in scene.data} | {group.velocity.mean for group in scene.group}
     if None in velocities:  # the velocities in a file differ

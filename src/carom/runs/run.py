@@ -353,7 +353,7 @@ def header_of(space: Space) -> Header:
         units=scene.unit_system,
         check_interval=space.check_interval,
         promises=scene.promise is not None,
-        drives=any(wall.moves for wall in scene.wall),
+        drives=bool(scene.translating) or any(wall.moves for wall in scene.wall),
         has_driving_field=any(scene.driving_field),
         shortest_dt_hint=space.first_dt,
         record_impacts=scene.record.impacts if space.records_contacts else "none",

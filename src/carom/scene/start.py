@@ -74,8 +74,23 @@ class HalfSpaces:
 
     @property
     def moves(self) -> bool:
-        """Whether the surface of one of them moves."""
+        """Whether one of them moves."""
+        return self.rotates or self.translates
+
+    @property
+    def rotates(self) -> bool:
+        """Whether the surface of one of them moves along itself."""
         return False
+
+    @property
+    def translates(self) -> bool:
+        """Whether one of them changes its place."""
+        return False
+
+    @property
+    def largest_acceleration(self) -> float:
+        """The largest acceleration of one of them at any time, in m/s²."""
+        return 0.0
 
     @property
     def spin(self) -> FloatArray:
@@ -96,6 +111,14 @@ class HalfSpaces:
         N = self.normal
         heights = -self.offset + position[:, :1] * N[:, 0]
         return np.asarray(heights + position[:, 1:2] * N[:, 1] + position[:, 2:] * N[:, 2])
+
+    def advanced(self, start: FloatArray, crossed: BoolArray) -> FloatArray:
+        """Return where paths from (k, 3) m start in the frames of the solids that they cross, (k, p), at present."""
+        return start
+
+    def heights_before(self, position: FloatArray) -> FloatArray:
+        """Return the heights as the step began."""
+        return self.heights(position)
 
 
 def planes_of(scene: Scene) -> HalfSpaces:

@@ -79,6 +79,7 @@ def problem_of(engine: str, scene: Scene) -> Problem:
         "a periodic box": scene.domain.is_periodic,
         "drag": scene.drag is not None,
         "a [[wall]]": bool(scene.wall),
+        "moving planes": bool(scene.translating),
         f"the force {force}": force != "",
         scene.contact.law_key: parts.contact.modelled and bool(scene.contact.laws),
         "bodies of several materials": len(coefficients.places) > 0,

@@ -61,7 +61,9 @@ class NearPairs:
         self._planes = PlaneSearch(bodies.radius, bodies.ends.inverse_mass, planes, team)
         self.has_statics = len(planes) > 0 or bool((bodies.ends.inverse_mass[: len(bodies)] == 0.0).any())
         self._smallest = float(bodies.radius.min())
+        self._lift = planes.largest_acceleration
         self.rounding = 0.0  # m, of the coordinates
+        self.loading = 1.0  # by which walls multiply the acceleration that presses contacts together, at most
 
     def find(self, dt: float) -> IntArray:
         """Return the near pairs of a step of dt s, (m, 2), sorted."""
@@ -76,8 +78,10 @@ class NearPairs:
             return 1.0, 0.0
         bodies = self._bodies
         square, coordinate = largest_values(bodies.acceleration, self._field, bodies.position, self._team)
-        fall = np.sqrt(square) * dt * dt
-        if fall == 0.0:  # all contacts are impacts, which need no near pairs
+        own = np.sqrt(square)
+        fall = (own + self._lift) * dt * dt
+        self.loading = 1.0 + self._lift / own if own > 0.0 else 1.0
+        if own == 0.0 or fall == 0.0:  # all contacts are impacts, which need no near pairs
             self.rounding = 0.0
             return 1.0, 0.0
         self.rounding = ROUNDING * float(np.spacing(coordinate))

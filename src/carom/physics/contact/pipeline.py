@@ -32,10 +32,12 @@ from carom.physics.contact.moving_walls import set_velocities_in_drift, work_of_
 from carom.physics.contact.near_pairs import NearPairs
 from carom.physics.contact.reactions import Torques, supported_acceleration
 from carom.physics.contact.snapshot import ContactSnapshot, SnapshotSource
+from carom.physics.contact.solids import SolidsWithWalls
 from carom.physics.contact.solver.contact_solver import ContactSolver
 from carom.physics.contact.solver.positions import BAUMGARTE
 from carom.physics.contact.solver.prepare import ImpulseCache
 from carom.physics.contact.statistics import NO_CONTACTS, limits_of, still_closing
+from carom.physics.contact.translating_walls import WallTranslation, work_at_velocities, work_in_drift
 from carom.physics.diagnostics.run_monitor import Profile
 from carom.physics.jit.team import Team
 from carom.plan.features import Requirements
@@ -117,6 +119,10 @@ class ContactPipeline:
         self._guard = PlaneGuard(bodies, planes, team) if len(planes) else None
         self._was_crossed = False  # whether a body was put back in front of a plane in this step
         self.warned: set[str] = set()  # texts of the limits reported so far
+        self._translation: WallTranslation | None = None
+        if isinstance(planes, SolidsWithWalls) and planes.translates:
+            self._translation = WallTranslation(planes.records, planes.before, bodies.ends, len(bodies))
+        self._span = 0.0, 0.0  # s, times before and after the step
         friction = requirements.friction.modelled
         self.solver = ContactSolver(bodies, planes, materials, box, friction, team, records, contact.sweeps)
         self._torques = Torques(bodies, team)
@@ -199,6 +205,15 @@ class ContactPipeline:
         self._presses = bool(memory.rest_speed.max(initial=0.0) > 0.0)
         self._impulses = ImpulseCache.of(memory.held_pairs, memory.impulse, memory.kick)
 
+    def place_walls(self, time: float) -> None:
+        """Move walls that translate to where they are at a time (s)."""
+        if self._translation:
+            self._translation.place(time)
+
+    def begin_step(self, before: float, time: float) -> None:
+        """Note the times (s) before and after the step, by which walls translate."""
+        self._span = before, time
+
     def begin(self, dt: float) -> None:
         """Find the contacts at the start of a run whose first step is about dt s."""
         if self._lasts:
@@ -227,6 +242,7 @@ class ContactPipeline:
             assert memory is not None and self._sleepers is not None, "only lasting contacts fall asleep"
             self._recall_contacts(memory)
             self._fell_asleep, self._slept = False, self._sleepers.contacts
+        begun = self._translation.begin(*self._span, dt, booked) if self._translation else NO_ENTRIES
         if self._guard:
             self._guard.remember()
         if self.event_drift is not None and self._lasts:  # mark the bodies that contacts pressed in the last step
@@ -240,9 +256,11 @@ class ContactPipeline:
                 self.solver.ledger[:] = 0.0
             self._hold_contacts(self._dt, kick, dt, 0.0, booked, against)
             self.ledger_apart = self.solver.audited
-            self._add_work_of_walls(self.solver.contacts)
+            self._add_work_of_walls(self.solver.contacts, begun)
             if self.tap:
                 self.tap.add_hold(self.contacts.pairs, self.solver)
+        if self._translation:
+            self._translation.begin_drift()
 
     def drift(self, kick: float, dt: float, damping: float = 0.0, strength: float = 1.0) -> None:
         """Move all bodies for dt after a kick, both in s, and resolve impacts at their own times.
@@ -256,10 +274,10 @@ class ContactPipeline:
         held = self._impulses if self._is_at_rest() else ImpulseCache.empty()
         asleep = self._sleepers.asleep if self._sleepers else None
         self.impacts = self.event_drift.drift(
-            kick, dt, *self._near.margins(dt), held, self.solver.pressed, asleep, damping, strength
+            kick, dt, *self._near.margins(dt), self._near.loading, held, self.solver.pressed, asleep, damping, strength
         )
-        if self._solids.moves and len(self.impacts):
-            self.work_of_walls += work_of_impacts(self.impacts.log, self._solids.surface, len(self._bodies))
+        if len(self.impacts):
+            self.work_of_walls += self._work_of_impacts(self.impacts.log)
         if self.tap:
             self.tap.add_drift(self.impacts)
 
@@ -329,6 +347,8 @@ class ContactPipeline:
 
     def find(self, dt: float, profile: Profile) -> None:
         """Find the contacts at the present positions, colour them, and correct the overlaps of resting ones."""
+        if self._translation:
+            self._translation.arrive(self._span[1])
         self._was_crossed = self._guard is not None and self._guard.stop()
         sleepers = self._sleepers
         if sleepers and sleepers.all and not sleepers.is_disturbed():
@@ -362,6 +382,8 @@ class ContactPipeline:
         profile
             Records the time of each phase.
         """
+        if self._translation:
+            self._translation.finish(self._span[1])
         if self._guard and self._guard.has_stopped:
             self.ledger_apart = np.concatenate((self.ledger_apart, self._guard.work()))
         if len(self.contacts):
@@ -442,7 +464,8 @@ class ContactPipeline:
         if not np.array_equal(pairs, self.contacts.pairs):
             self.contacts = OrderedContacts.of(pairs, self._bodies, self.settings.colouring)
         self.solver.lay(self.contacts.order, self._impulses.contacts, self._near.rounding)
-        self._presses = self._needs.resting.modelled and self.solver.find_rest_speeds(self._field, dt)
+        loaded = self._near.loading * dt
+        self._presses = self._needs.resting.modelled and self.solver.find_rest_speeds(self._field, loaded)
         self._dt = dt  # s
         self.sweeps = 0
         self._too_few_sweeps = False
@@ -452,6 +475,7 @@ class ContactPipeline:
         solver.update_geometry()
         if self._pushes:
             solver.audit_corrections()
+        velocity = self._translation.accelerate() if self._translation else NO_ENTRIES
         bias_rate = BAUMGARTE / dt if contact.stabilisation == "baumgarte" else 0.0
         lasting = self._is_at_rest()
         self.sweeps = solver.resolve_impacts(bias_rate, self.most_sweeps, impacts_only=lasting)
@@ -464,17 +488,40 @@ class ContactPipeline:
             profile.mark("resting")
         else:
             self._impulses = ImpulseCache.empty()
-        self._add_work_of_walls(solver.recorded)
-        self._add_work_of_walls(solver.contacts)
+        self._add_work_of_walls(solver.recorded, velocity)
+        self._add_work_of_walls(solver.contacts, velocity)
+        if self._translation:
+            self._translation.rest()
         if self.sweeps >= self.most_sweeps and still_closing(contact) not in self.warned:
             self._too_few_sweeps = solver.is_closing(dt)
         profile.mark("response")
 
-    def _add_work_of_walls(self, impulses: RecordArray[Any]) -> None:
-        """Add the work of moving walls by the impulses of the present contacts, (m,) records."""
-        if self._solids.moves:
-            pairs, contacts = self.solver.system.pairs, cast(RecordArray[Any], self.solver.contacts)
-            self.work_of_walls += work_of_contacts(pairs, contacts, impulses, self._solids.surface, len(self._bodies))
+    def _add_work_of_walls(self, impulses: RecordArray[Any], velocity: FloatArray) -> None:
+        """Add the work of moving walls by the impulses of the present contacts.
+
+        Parameters
+        ----------
+        impulses
+            (m,) records.
+        velocity
+            (p, 3) m/s, of solids that translate, as they do the work.
+        """
+        if not self._solids.moves:
+            return
+        pairs, contacts, n = self.solver.system.pairs, cast(RecordArray[Any], self.solver.contacts), len(self._bodies)
+        if self._solids.rotates:
+            self.work_of_walls += work_of_contacts(pairs, contacts, impulses, self._solids.surface, n)
+        if self._solids.translates:
+            self.work_of_walls += work_at_velocities(pairs, contacts, impulses, velocity, n)
+
+    def _work_of_impacts(self, log: Any) -> float:
+        """Return the work in J of moving walls in impacts during the drift."""
+        work, surface, n = 0.0, self._solids.surface, len(self._bodies)
+        if self._solids.rotates:
+            work += work_of_impacts(log, surface, n)
+        if self._solids.translates:
+            work += work_in_drift(log, surface, n)
+        return work
 
     def _is_at_rest(self) -> bool:
         """Return whether contacts may be at rest: without a force that presses them together, all are impacts."""
@@ -486,7 +533,7 @@ class ContactPipeline:
         """Hold the contacts after a kick and before a drift (0: no drift); times in s. Return the number of sweeps."""
         solver, pairs = self.solver, self.contacts.pairs
         place = solver.order.place
-        if drift > 0.0 and self._solids.moves:
+        if drift > 0.0 and self._solids.rotates:
             system, contacts = solver.system, cast(RecordArray[Any], solver.contacts)
             moving = system.position, system.velocity, self._solids.surface
             set_velocities_in_drift(system.pairs, contacts, *moving, drift)
@@ -514,8 +561,7 @@ class ContactPipeline:
         self.solver.statistics()
         if self.event_drift:
             self._count_impacts()
-            if self._solids.moves:
-                work_of_impacts(self.event_drift.log[:0], self._solids.surface, 0)
+            self._work_of_impacts(self.event_drift.log[:0])
         if self._lasts:
             for drift in (1.0, 0.0):
                 self._hold_contacts(1.0, 1.0, drift, 0.0, 1.0)

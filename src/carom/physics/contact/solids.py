@@ -16,9 +16,10 @@ from typing import Any
 import numpy as np
 
 from carom import registry
-from carom.arrays import FloatArray, IntArray, RecordArray, Records
+from carom.arrays import BoolArray, FloatArray, IntArray, RecordArray, Records
 from carom.physics.contact.constraints import ContactStateRecord, ends_of
 from carom.physics.contact.moving_walls import MOTION
+from carom.physics.contact.translating_walls import TRANSLATION, in_frame_of_wall, place, translation_of
 from carom.physics.jit.decorators import chosen_by_type, identity_of, inline, kernel, leaf, long_kernel
 from carom.physics.jit.instructions import from_front
 from carom.physics.vector import Vector, vector
@@ -39,16 +40,27 @@ class SolidsWithWalls(HalfSpaces):
     """The half-spaces and walls of a scene with walls; ``normal`` and ``offset`` have rows of zeros for walls."""
 
     records: Records  # (p,)
+    before: Records  # (p,) the records as the step began, if walls translate
 
     @property
-    def moves(self) -> bool:
-        """Whether the surface of a wall moves; its records then have the fields `MOTION`."""
+    def rotates(self) -> bool:
+        """Whether the surface of a wall moves along itself; the records then have the fields `MOTION`."""
         return MOTION[0] in (self.records.dtype.names or ())
+
+    @property
+    def translates(self) -> bool:
+        """Whether a wall changes its place; the records then have the fields `TRANSLATION`."""
+        return TRANSLATION[0] in (self.records.dtype.names or ())
+
+    @property
+    def largest_acceleration(self) -> float:
+        """The largest acceleration of a wall at any time, in m/s²."""
+        return float(self.records["motion_fastest"].max()) if self.translates else 0.0
 
     @property
     def spin(self) -> FloatArray:
         """The angular velocity of each solid, (p, 3) rad/s."""
-        return np.stack([self.records[name] for name in MOTION[:3]], axis=1) if self.moves else super().spin
+        return np.stack([self.records[name] for name in MOTION[:3]], axis=1) if self.rotates else super().spin
 
     @property
     def surface(self) -> FloatArray:
@@ -66,42 +78,65 @@ class SolidsWithWalls(HalfSpaces):
 
     def heights(self, position: FloatArray) -> FloatArray:
         """Return the distances of points from each solid, (n, p) m; negative behind it."""
+        return self._heights(position, self.records)
+
+    def heights_before(self, position: FloatArray) -> FloatArray:
+        """Return the distances as the step began."""
+        return self._heights(position, self.before)
+
+    def _heights(self, position: FloatArray, records: Any) -> FloatArray:
         heights = np.empty((len(position), len(self)))
-        _write_heights(np.ascontiguousarray(position), self.surface, self.offset, heights)
+        _write_heights(np.ascontiguousarray(position), records, self.offset, heights)
         return heights
+
+    def advanced(self, start: FloatArray, crossed: BoolArray) -> FloatArray:
+        """Return where paths from (k, 3) m start in the frame of the first solid that each crosses, (k, p), now."""
+        if not self.translates:
+            return start
+        moved = [self.records[name] - self.before[name] for name in TRANSLATION[:3]]
+        return np.asarray(start + np.stack(moved, axis=1)[crossed.argmax(axis=1)])
 
 
 def solids_of(scene: Scene) -> HalfSpaces:
     """Return the half-spaces of a scene, followed by its walls if it has any."""
     flat = half_spaces(scene)
-    if not scene.wall:
+    motions = [*(plane.motion for plane in scene.plane), *[None] * (len(flat) - len(scene.plane))]
+    motions += [wall.motion for wall in scene.wall]
+    translates = any(motion is not None and motion.translates for motion in motions)
+    if not (scene.wall or translates):
         return flat
     shapes = sorted({*registry.HOUSE["walls"], *(wall.shape for wall in scene.wall)})
     parameters = [shape_called(wall.shape).parameters(wall.section) for wall in scene.wall]
     names = _fields_of(shapes)
-    motions = np.array([_motion_of(wall) for wall in scene.wall])
-    if motions.any():
-        names = [*names, *MOTION]
+    spins = np.array([_spin_of(wall) for wall in scene.wall]).reshape(-1, len(MOTION))
+    names += [*(MOTION if spins.any() else ()), *(TRANSLATION if translates else ())]
     kinds = [("kind", np.int64), *((name, np.float64) for name in (*_PLANE, *names))]
-    records = np.zeros(len(flat) + len(scene.wall), np.dtype([(_mark_of(shapes), np.float64), *kinds], align=True))
+    records = np.zeros(
+        len(flat) + len(scene.wall), np.dtype([(_mark_of(shapes, translates), np.float64), *kinds], align=True)
+    )
     for name, values in zip(_PLANE, (*flat.normal.T, flat.offset), strict=True):
         records[name][: len(flat)] = values
     for row, (wall, values) in enumerate(zip(scene.wall, parameters, strict=True), start=len(flat)):
         records["kind"][row] = 1 + shapes.index(wall.shape)
         for name, value in values.items():
             records[name][row] = value
-    for name, column in zip(MOTION, motions.T if motions.any() else (), strict=False):
+    for name, column in zip(MOTION, spins.T if spins.any() else (), strict=False):
         records[name][len(flat) :] = column
+    if translates:
+        for name, column in zip(TRANSLATION, np.array([translation_of(motion) for motion in motions]).T, strict=True):
+            records[name] = column
+        place(records, 0.0, np.empty((len(records), 3)))
     zeros = np.zeros((len(scene.wall), 3))
     return SolidsWithWalls(
         name=[*flat.name, *scene.wall_names],
         normal=np.concatenate((flat.normal, zeros)),
         offset=np.concatenate((flat.offset, zeros[:, 0])),
         records=records,
+        before=records.copy() if translates else records,
     )
 
 
-def _motion_of(wall: Wall) -> FloatArray:
+def _spin_of(wall: Wall) -> FloatArray:
     """Return the angular velocity in rad/s of a wall, and a point of its axis in m, (6,); zeros if it is at rest."""
     axis = shape_called(wall.shape).axis
     if wall.motion is None or wall.motion.rotation == 0.0 or axis is None:
@@ -110,15 +145,15 @@ def _motion_of(wall: Wall) -> FloatArray:
     return np.concatenate((wall.motion.rotation * direction, point))
 
 
-def _mark_of(shapes: list[str]) -> str:
+def _mark_of(shapes: list[str], translates: bool) -> str:
     """Prepare the functions of shapes for kernels; return the name of the field that identifies these shapes."""
     functions = [shape_called(name).nearest for name in shapes]
-    mark = f"{_MARK}{'_'.join(shapes)}_{identity_of(*functions)}"
+    mark = f"{_MARK}{'moving_' if translates else ''}{'_'.join(shapes)}_{identity_of(*functions)}"
     if mark not in _nearest:
         chosen: Callable[..., Any] = leaf(_of_plane)
         for kind, function in enumerate(functions, start=1):
             chosen = _either(kind, leaf(function), chosen)
-        _nearest[mark] = chosen
+        _nearest[mark] = in_frame_of_wall(chosen) if translates else chosen
     return mark
 
 

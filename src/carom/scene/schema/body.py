@@ -8,6 +8,7 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import BeforeValidator, Field, model_validator
 
 from carom.scene.schema.contact import Surface
+from carom.scene.schema.motion import WallMotion
 from carom.scene.schema.quantity import ORIGIN, AnyReal, Count, NonNegative, Positive, Real, Section, Vector
 from carom.scene.units.dimension import ANGULAR_VELOCITY, DENSITY, LENGTH, MASS, VELOCITY
 
@@ -341,7 +342,7 @@ class BodyGroup(Matter):
 
 
 class StaticPlane(Surface):
-    """[[plane]]: a static half-space; the normal points out of the solid.
+    """[[plane]]: a half-space, at rest by default; the normal points out of the solid.
 
     Its coefficients apply to all contacts with it; missing ones are combined from both materials.
     """
@@ -352,6 +353,12 @@ class StaticPlane(Surface):
         (0.0, 0.0, 1.0), description="[x, y, z], direction out of the solid, of any length but 0"
     )
     material: str | None = Field(None, description="name of a [[material]], instead of coefficients")
+    motion: WallMotion | None = Field(None, description="a prescribed motion; at rest by default")
+
+    @property
+    def translates(self) -> bool:
+        """Whether it moves."""
+        return self.motion is not None and self.motion.translates
 
     @model_validator(mode="after")
     def _has_a_direction(self) -> Self:
@@ -359,4 +366,6 @@ class StaticPlane(Surface):
             raise ValueError(
                 "normal = [0, 0, 0] has no direction; give the direction out of the solid, such as [0, 0, 1]"
             )
+        if self.motion is not None and self.motion.rotation:
+            raise ValueError("motion.rotation of a plane, which has no axis; use a [[wall]] with a disc, or remove it")
         return self

@@ -51,7 +51,7 @@ class Scene(Forces, Heading):
     group: tuple[BodyGroup, ...] = Field((), description="many bodies at random positions")
     body: tuple[Body, ...] = Field((), description="single bodies")
     bodies: tuple[BodyData, ...] = Field((), description="many bodies, from data files or arrays")
-    plane: tuple[StaticPlane, ...] = Field((), description="static half-spaces")
+    plane: tuple[StaticPlane, ...] = Field((), description="half-spaces that are solid")
     wall: tuple[Wall, ...] = Field((), description="walls of other shapes")
     material: tuple[Material, ...] = Field((), description="what bodies, groups, planes and walls may be made of")
     pair: tuple[MaterialPair, ...] = Field(
@@ -138,6 +138,12 @@ class Scene(Forces, Heading):
         """The components of `gravity.uniform` along periodic axes, m/s²; the others are 0."""
         x, y, z = (g if axis in self.domain.repeating else 0.0 for axis, g in enumerate(self.gravity.uniform))
         return x, y, z
+
+    @property
+    def translating(self) -> tuple[StaticPlane | Wall, ...]:
+        """The planes and walls that change their place."""
+        solids: tuple[StaticPlane | Wall, ...] = (*self.plane, *self.wall)
+        return tuple(solid for solid in solids if solid.translates)
 
     @property
     def wall_names(self) -> list[str]:
@@ -328,6 +334,13 @@ class Scene(Forces, Heading):
         for what, given in unsupported.items():
             if self.wall and given:
                 raise ValueError(f"a [[wall]] with {what}, which does not support walls yet; remove one of them")
+            needs_no_place = what in ("a periodic domain.boundary", "contact.enabled = false")
+            moving = next((k for k, plane in enumerate(self.plane) if plane.translates), None)
+            if moving is not None and given and not needs_no_place:
+                raise SectionError(
+                    ("plane", moving, "motion"),
+                    f"with {what}, which does not support moving planes yet; remove one of them",
+                )
         return self
 
     @model_validator(mode="after")

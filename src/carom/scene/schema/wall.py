@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import cache
-from typing import Annotated, Any, Self
+from typing import Any, Self
 
 from pydantic import Field, model_validator
 from pydantic.fields import FieldInfo
@@ -11,19 +11,11 @@ from pydantic.fields import FieldInfo
 from carom import registry
 from carom.scene.schema.contact import Surface
 from carom.scene.schema.force_settings import section_of
-from carom.scene.schema.quantity import Real, Section
-from carom.scene.units.dimension import ANGULAR_VELOCITY
+from carom.scene.schema.motion import WallMotion
+from carom.scene.schema.quantity import Section
 from carom.scene.wall_shapes import shape_called
 
 _shapes: list[str] = []
-
-
-class WallMotion(Section):
-    """[wall.motion]: a prescribed motion, whose work the ledger has as an entry."""
-
-    rotation: Annotated[Real, ANGULAR_VELOCITY] = Field(
-        description="rad/s, right-handed about the axis of a cylinder, cone, disc or sphere: only its friction moves"
-    )
 
 
 class Wall(Surface):
@@ -54,7 +46,12 @@ class Wall(Surface):
     @property
     def moves(self) -> bool:
         """Whether its surface moves."""
-        return self.motion is not None and self.motion.rotation != 0.0
+        return self.motion is not None and self.motion.moves
+
+    @property
+    def translates(self) -> bool:
+        """Whether it changes its place."""
+        return self.motion is not None and self.motion.translates
 
     @model_validator(mode="after")
     def _has_one_shape(self) -> Self:
@@ -62,7 +59,7 @@ class Wall(Surface):
             raise ValueError(f"has no shape; add the section of one: {', '.join(_shapes)}")
         if len(self.shapes) > 1:
             raise ValueError(f"has the shapes {' and '.join(self.shapes)}; leave all but one out")
-        if self.motion is not None and shape_called(self.shape).axis is None:
+        if self.motion is not None and self.motion.rotation and shape_called(self.shape).axis is None:
             raise ValueError(f"motion.rotation of a {self.shape}, which has no axis; use a disc, or remove the motion")
         return self
 

@@ -124,7 +124,7 @@ class PlaneGuard:
         self._team.divide(len(position), MIN_BODIES_PER_TASK, _test_behind, *tested)
         if not is_behind[0]:
             return False
-        crossed = (self._planes.heights(position) < 0.0) & (self._planes.heights(self._start) >= 0.0)
+        crossed = (self._planes.heights(position) < 0.0) & (self._planes.heights_before(self._start) >= 0.0)
         stopped = np.flatnonzero(crossed.any(axis=1))
         if len(stopped) == 0:  # bodies already behind a plane were behind it at the start
             return False
@@ -150,6 +150,7 @@ class PlaneGuard:
     def _first_touch(self, stopped: NDArray[np.intp], crossed: BoolArray) -> FloatArray:
         """Return the positions where bodies first touched a plane that they crossed, (k, 3) m."""
         start, end, radius = self._start[stopped], self._bodies.position[stopped], self._bodies.radius[stopped]
+        start = self._planes.advanced(start, crossed)
         before, after = self._planes.heights(start), self._planes.heights(end)
         largest = np.maximum(np.abs(start).max(axis=1), np.abs(self._planes.offset).max())
         depth = np.minimum(DEEPEST * radius, DEPTH * radius + ROUNDING * np.spacing(largest))

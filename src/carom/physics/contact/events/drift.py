@@ -178,6 +178,7 @@ class EventDrivenDrift:
         dt: float,
         scale: float,
         skin: float,
+        loading: float,
         held: ImpulseCache,
         pressed: BoolArray,
         asleep: BoolArray | None,
@@ -191,6 +192,8 @@ class EventDrivenDrift:
         scale, skin
             1 + the relative margin, and m: bodies no farther apart than ``(r_i + r_j) scale + skin`` belong to one
             island.
+        loading
+            By which walls multiply the acceleration that presses contacts together.
         held
             The impulses of the contacts that are held through the drift.
         pressed
@@ -214,7 +217,7 @@ class EventDrivenDrift:
             self._kernels.begin(T, dt, kick, damping, bends, pressed)
             self._straighten(held, asleep)
             if self._forces:
-                self._write_rest_speeds(pairs, dt, scale, skin)
+                self._write_rest_speeds(pairs, loading * dt, scale, skin)
             ends = np.searchsorted(pairs[:, 0], np.arange(n + 1))
             later = Neighbours(ends[:-1], ends[1:], np.ascontiguousarray(pairs[:, 1]))
             self._team.divide(n, MIN_BODIES_PER_TASK, predict, later, T, alone=self._kernels.predict)

@@ -35,7 +35,9 @@ from carom.physics.contact.events.trajectories import (
     elapsed,
     lag,
     leaves_search_radius,
+    mean_velocity_of_wall,
     put,
+    relative_velocity,
     rest_speed,
     slowing,
     velocity,
@@ -55,6 +57,7 @@ from carom.physics.contact.law import (
 from carom.physics.contact.moving_walls import slip_at_wall
 from carom.physics.contact.rolling import angular_impulse_of_impact, set_angular_impulse
 from carom.physics.contact.solver.body_state import slip_velocity
+from carom.physics.contact.translating_walls import velocity_in_drift, walls_translate
 from carom.physics.exponential import exponentials
 from carom.physics.jit.decorators import chosen_by_type, inline, inner, long_kernel
 from carom.physics.rotation import rotate_one
@@ -318,10 +321,8 @@ def collide(i: int, j: int, entry: ImpactRecord, T: Trajectories) -> None:
     v, omega, clock, f = T.v, T.omega, T.drift[0].clock, slowing(T)
     n, mi, mj = len(T.x), T.inverse_mass[i], T.inverse_mass[j]
     nx, ny, nz, ri, rj = contact_geometry(i, j, T)
-    s = clock - T.drift[0].kick
-    vx, vy, vz = between(v, i, j)
     ax, ay, az = between(T.a, i, j)
-    vx, vy, vz = f * vx + ax * s, f * vy + ay * s, f * vz + az * s
+    vx, vy, vz = relative_velocity(i, j, T)
     vn = vx * nx + vy * ny + vz * nz
     material = T.materials[material_index(i, j, n, T.places)]
     Kn = mi + mj
@@ -393,7 +394,12 @@ def _landing_velocity(i: int, j: int, nx: float, ny: float, nz: float, an: float
         remaining = drift.dt - drift.clock
         rise = 1.0 / (1.0 - drift.damping * (drift.dt - drift.kick)) / drift.damping - 1.0 / drift.damping
         rise = min(rise, lag(T) / remaining) if remaining > 0.0 else rise
-    return float(an * (drift.clock - drift.kick) + slowing(T) * rise * bend)
+    landing = float(an * (drift.clock - drift.kick) + slowing(T) * rise * bend)
+    if walls_translate(T.surface) and j >= n:
+        vx, vy, vz = velocity_in_drift(T.surface, j - n, elapsed(T))
+        wx, wy, wz = mean_velocity_of_wall(j, T)
+        landing += (vx - wx) * nx + (vy - wy) * ny + (vz - wz) * nz
+    return landing
 
 
 @inner

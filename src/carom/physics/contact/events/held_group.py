@@ -35,11 +35,13 @@ from carom.physics.contact.events.trajectories import (
     centre,
     contact_geometry,
     elapsed,
+    mean_velocity_of_wall,
     slowing,
     velocity,
 )
 from carom.physics.contact.impact_log import ROUNDING, ImpactRecord
 from carom.physics.contact.rolling import set_angular_impulse
+from carom.physics.contact.translating_walls import velocity_in_drift, walls_translate
 from carom.physics.jit.decorators import inline, inner, kernel
 from carom.physics.vector import along, between, nearest_image, vector
 
@@ -220,6 +222,9 @@ def _add(i: int, j: int, bodies: int, contacts: int, T: Trajectories, group: Gro
     vx, vy, vz = between(T.v, i, j)
     group.before[contacts] = vx * nx + vy * ny + vz * nz
     group.allowed[contacts] = gap / remaining if gap > 0.0 and remaining > 0.0 else 0.0
+    if walls_translate(T.surface) and j >= len(T.x):
+        wx, wy, wz = mean_velocity_of_wall(j, T)
+        group.allowed[contacts] += wx * nx + wy * ny + wz * nz
     return contacts + 1
 
 
@@ -366,6 +371,9 @@ def _log(contacts: int, T: Trajectories, group: Group, log: RecordArray[ImpactRe
         ax, ay, az = between(T.a, i, j)
         vx, vy, vz = between(T.v, i, j)
         change = s * (ax * nx + ay * ny + az * nz)
+        if walls_translate(T.surface) and j >= len(T.x):
+            wx, wy, wz = velocity_in_drift(T.surface, j - len(T.x), elapsed(T))
+            change += wx * nx + wy * ny + wz * nz
         before, after = f * group.before[c] + change, f * (vx * nx + vy * ny + vz * nz) + change
         entry = log[row]
         row += 1

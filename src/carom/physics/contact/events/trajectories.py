@@ -32,9 +32,10 @@ from carom.physics.contact.constraints import ContactRecord
 from carom.physics.contact.geometry import normal_and_distance
 from carom.physics.contact.impact_log import ROUNDING
 from carom.physics.contact.solids import tangent_plane
+from carom.physics.contact.translating_walls import displacement_in_drift, velocity_in_drift, walls_translate
 from carom.physics.diagnostics.momentum import centre_velocity
 from carom.physics.exponential import log_remainder
-from carom.physics.jit.decorators import inner, kernel, long_kernel
+from carom.physics.jit.decorators import inline, inner, kernel, long_kernel
 from carom.physics.vector import Vector, add, along, between, nearest_image, vector
 from carom.scene.schema import Coefficients
 
@@ -247,6 +248,30 @@ def velocity(i: int, T: Trajectories) -> Vector:
     return f * vx + s * ax, f * vy + s * ay, f * vz + s * az
 
 
+@inline
+def relative_velocity(i: int, j: int, T: Trajectories) -> Vector:
+    """Return the velocity of j relative to i at the present time, in m/s; j may be a solid."""
+    f, s = slowing(T), T.drift[0].clock - T.drift[0].kick
+    (vx, vy, vz), (ax, ay, az) = between(T.v, i, j), between(T.a, i, j)
+    vx, vy, vz = f * vx + ax * s, f * vy + ay * s, f * vz + az * s
+    if walls_translate(T.surface) and j >= len(T.x):  # the velocities of such walls are 0 in ``v``
+        wx, wy, wz = velocity_in_drift(T.surface, j - len(T.x), elapsed(T))
+        return vx + wx, vy + wy, vz + wz
+    return vx, vy, vz
+
+
+@inline
+def mean_velocity_of_wall(j: int, T: Trajectories) -> Vector:
+    """Return the mean velocity of a solid from the present time to the end of the drift, in m/s."""
+    drift, solid = T.drift[0], j - len(T.x)
+    remaining = drift.dt - drift.clock
+    if not (walls_translate(T.surface) and remaining > 0.0):
+        return 0.0, 0.0, 0.0
+    x, y, z = displacement_in_drift(T.surface, solid, drift.clock)
+    ex, ey, ez = displacement_in_drift(T.surface, solid, drift.dt)
+    return (ex - x) / remaining, (ey - y) / remaining, (ez - z) / remaining
+
+
 @inner
 def lag(T: Trajectories) -> float:
     """Return the lag of a path behind its straight line at the present time, per unit of the field, in s²."""
@@ -283,6 +308,9 @@ def contact_geometry(i: int, j: int, T: Trajectories) -> tuple[float, float, flo
     n = len(T.x)
     if j >= n:
         x, y, z = centre(i, T)
+        if walls_translate(T.surface):
+            rx, ry, rz = displacement_in_drift(T.surface, j - n, elapsed(T))
+            x, y, z = x - rx, y - ry, z - rz
         nx, ny, nz, offset = tangent_plane(T.surface, T.offset, j - n, x, y, z)
         return -nx, -ny, -nz, max(0.0, -offset + nx * x + ny * y + nz * z), 0.0
     dx, dy, dz = between(T.x, i, j)

@@ -4,7 +4,8 @@ The path of a body in a drift is x + v t + ½ g t², with g the field that bends
 the gap of a body of the radius r is d - r. Two bounds hold for the signed distance d. The gap cannot close before the
 path is as long as the gap, and its second derivative is at least -(g + u²/f), where u is the speed and f the distance
 of the nearest centre of curvature. Steps by either bound lead to the first root from below; with the second, they
-converge as fast as Newton's method, as in `time_of_impact`.
+converge as fast as Newton's method, as in `time_of_impact`. For a wall that translates, the path is that relative to
+the wall, and the bound of its second derivative has the wall's largest acceleration besides g.
 """
 
 from __future__ import annotations
@@ -16,6 +17,12 @@ import numpy as np
 from carom.physics.contact.events.time_of_impact import GAP_TOLERANCE, MOST_PASSES, open_for
 from carom.physics.contact.events.trajectories import MOST_HOLDS, Trajectories, elapsed, lag, rest_speed
 from carom.physics.contact.solids import nearest_point
+from carom.physics.contact.translating_walls import (
+    displacement_in_drift,
+    largest_acceleration,
+    velocity_in_drift,
+    walls_translate,
+)
 from carom.physics.jit.decorators import inner
 from carom.physics.vector import Vector, along, vector
 
@@ -60,9 +67,14 @@ def predict_with_walls(lo: int, hi: int, T: Trajectories) -> None:
                 continue
             half = 0.5 * wait
             px, py, pz = x + wait * (wx + half * gx), y + wait * (wy + half * gy), z + wait * (wz + half * gz)
-            nx, ny, nz, _, focal = nearest_point(T.surface, solid, px, py, pz)
             s = when - kick
             ux, uy, uz = vx + ax * s, vy + ay * s, vz + az * s
+            if walls_translate(T.surface):
+                rx, ry, rz = displacement_in_drift(T.surface, solid, when)
+                sx, sy, sz = velocity_in_drift(T.surface, solid, when)
+                px, py, pz = px - rx, py - ry, pz - rz
+                ux, uy, uz = ux - sx, uy - sy, uz - sz
+            nx, ny, nz, _, focal = nearest_point(T.surface, solid, px, py, pz)
             closing = -(ux * nx + uy * ny + uz * nz)
             turning = 0.0  # m/s, closing speed of a body that rolls along the wall, at the end of the drift
             if not body.is_free and focal > 0.0:
@@ -96,11 +108,19 @@ def _time_to_wall(
         m, the radius; s.
     """
     t, (x, y, z), (wx, wy, wz), (gx, gy, gz) = 0.0, position, velocity, acceleration
+    clock = T.drift[0].clock
+    if walls_translate(T.surface):
+        bend += largest_acceleration(T.surface, solid)
     for _ in range(MOST_PASSES):
         if not t <= span:
             return np.inf
         px, py, pz = x + t * (wx + 0.5 * t * gx), y + t * (wy + 0.5 * t * gy), z + t * (wz + 0.5 * t * gz)
         vx, vy, vz = wx + t * gx, wy + t * gy, wz + t * gz
+        if walls_translate(T.surface):
+            rx, ry, rz = displacement_in_drift(T.surface, solid, clock + t)
+            ux, uy, uz = velocity_in_drift(T.surface, solid, clock + t)
+            px, py, pz = px - rx, py - ry, pz - rz
+            vx, vy, vz = vx - ux, vy - uy, vz - uz
         nx, ny, nz, distance, focal = nearest_point(T.surface, solid, px, py, pz)
         gap, closing = distance - R, -(vx * nx + vy * ny + vz * nz)
         if gap <= GAP_TOLERANCE * R and closing > 0.0:

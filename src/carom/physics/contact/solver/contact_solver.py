@@ -395,7 +395,7 @@ class Workspace:
         self._materials, self._box, self._spin, self._records = materials, box, spin, records or planes.moves
         rolls = has_torque(materials.rows.dtype)
         contact = ROLLING_CONTACT if rolls else CONTACT
-        if planes.moves:
+        if planes.rotates:
             contact = ROLLING_ON_MOVING_WALL if rolls else CONTACT_ON_MOVING_WALL
         self._contacts = Buffer(contact), Buffer(contact)
         self._held = Buffer(np.bool_)

@@ -1,0 +1,281 @@
+"""Planes and walls that change their place: at constant velocity, or oscillating.
+
+At the time t, such a wall is displaced from where the scene puts it by
+
+    D(t) = V t + A sin θ,    θ = 2π f t + φ
+
+so its place is no state: steps and checkpoints need only the time. Kernels ask for the shape at x - D. Within a drift
+that begins at t₀, the wall is displaced further by r(τ) = D(t₀ + τ) - D(t₀), and the path of a body relative to it has
+a second derivative of at most |g| + |A| (2π f)². With these two, times of impact are found as for a wall at rest.
+
+A contact at rest is held like one with a body of infinite mass that a force moves by kicks, as its bodies: in a drift
+of dt the wall has its mean velocity v̄ = r(dt)/dt, so that a held body stays on it, and after the last kick Ḋ(t₀ + dt).
+The first kick has changed its velocity by v̄ - Ḋ(t₀).
+
+All relative velocities contain that of the wall. The ledger books what contacts dissipate from them, as ever, and with
+the impulses λ_n n + λ_t on the wall, its work on the bodies
+
+    W = -(λ_n n + λ_t)·Ḋ
+
+Impulses of the first kick do it at Ḋ(t₀), those of impacts at Ḋ of their time, and those of the last kick at
+Ḋ(t₀ + dt). Records of solids have these fields only in scenes with such walls; see `moving_walls`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from carom.arrays import FloatArray, IntArray, RecordArray, Records
+from carom.physics.jit.decorators import chosen_by_type, kernel, leaf
+from carom.physics.rotation import TWO_PI, sine_cosine
+from carom.physics.vector import Vector, vector
+from carom.scene.schema.motion import WallMotion
+
+if TYPE_CHECKING:
+    from carom.physics.bodies import Ends
+    from carom.physics.contact.constraints import ContactRecord, ImpulseRecord
+    from carom.physics.contact.impact_log import ImpactRecord
+
+_SHIFT = ("motion_shift_x", "motion_shift_y", "motion_shift_z")  # m, D at the present phase of the step
+TRANSLATION = (
+    *_SHIFT,
+    *("motion_velocity_x", "motion_velocity_y", "motion_velocity_z"),  # m/s, V
+    *("motion_amplitude_x", "motion_amplitude_y", "motion_amplitude_z"),  # m, A
+    *("motion_frequency", "motion_phase"),  # 1/s, f; φ/2π
+    "motion_angle",  # rad, θ at the beginning of the step, less whole turns
+    "motion_fastest",  # m/s², |A| (2π f)²
+)
+
+
+def translation_of(motion: WallMotion | None) -> FloatArray:
+    """Return the fields `TRANSLATION` of a wall, at the time 0 but for the shift."""
+    if motion is None or not motion.translates:
+        return np.zeros(len(TRANSLATION))
+    amplitude, frequency = np.array(motion.amplitude), motion.frequency or 0.0
+    omega = TWO_PI * frequency
+    fastest = omega * omega * np.sqrt((amplitude * amplitude).sum())
+    return np.array([0.0] * 3 + [*motion.velocity, *amplitude, frequency, motion.phase / TWO_PI, 0.0, fastest])
+
+
+def in_frame_of_wall(nearest: Callable[..., Any]) -> Callable[..., Any]:
+    """Return `WallShape.nearest` of a wall that is displaced by D."""
+
+    def displaced(p: Any, x: float, y: float, z: float) -> Any:
+        return nearest(p, x - p.motion_shift_x, y - p.motion_shift_y, z - p.motion_shift_z)
+
+    return leaf(displaced)
+
+
+class WallTranslation:
+    """Moves the walls of a scene through the phases of a step.
+
+    Parameters
+    ----------
+    records, before
+        (p,) of all solids, with the fields `TRANSLATION`; it writes both, the second as a step begins.
+    ends
+        The velocities and accelerations of the solids, which it writes.
+    bodies
+        Their number; ends from it on are solids.
+    """
+
+    def __init__(self, records: Records, before: Records, ends: Ends, bodies: int) -> None:
+        self._records: Any = records
+        self._before = before
+        self._velocity, self._acceleration = ends.velocity[bodies:], ends.acceleration[bodies:]
+        self._begun = np.zeros_like(self._velocity)  # m/s, Ḋ as the step began
+        self._mean = np.zeros_like(self._velocity)  # m/s, v̄
+        self._after = 0.0  # s, from the middle of the step to its end
+        self.place(0.0)
+        mean_velocities(self._records, 0.0, 1.0, self._mean)  # loads the kernel
+
+    def place(self, time: float) -> None:
+        """Move the walls to where they are at a time (s), between two steps."""
+        place(self._records, time, self._velocity)
+        self.rest()
+
+    def begin(self, before: float, time: float, dt: float, booked: float) -> FloatArray:
+        """Begin a step between two times, with a drift of dt, to hold contacts; return Ḋ as it begins, (p, 3) m/s.
+
+        ``booked`` is the length of the first kick, all in s.
+        """
+        place(self._records, before, self._begun)
+        self._before[:] = self._records
+        mean_velocities(self._records, time, dt, self._mean)
+        self._after = dt - booked
+        self._velocity[:] = self._mean
+        self._acceleration[:] = (self._mean - self._begun) / booked if booked > 0.0 else 0.0
+        return self._begun
+
+    def begin_drift(self) -> None:
+        """Leave the velocities of walls to `velocity_in_drift`."""
+        self._velocity[:] = self._acceleration[:] = 0.0
+
+    def arrive(self, time: float) -> None:
+        """Move the walls to the end of the step; bodies still have the velocities of the drift."""
+        place(self._records, time, self._velocity)
+        self._velocity[:] = self._mean
+
+    def finish(self, time: float) -> None:
+        """Give the walls their velocities after the last kick."""
+        place(self._records, time, self._velocity)
+
+    def accelerate(self) -> FloatArray:
+        """Give the walls the accelerations of the last kick; return their velocities, (p, 3) m/s."""
+        self._acceleration[:] = (self._velocity - self._mean) / self._after if self._after > 0.0 else 0.0
+        return self._velocity
+
+    def rest(self) -> None:
+        """Give the walls no acceleration: the corrections of positions do the work of the bodies' forces only."""
+        self._acceleration[:] = 0.0
+
+
+@kernel
+def place(surface: Any, time: float, velocity: FloatArray) -> None:
+    """Write the shift and the angle of each wall at a time (s), and its velocity (m/s)."""
+    for k in range(len(surface)):
+        wall = surface[k]
+        cycles = wall.motion_frequency * time + wall.motion_phase
+        wall.motion_angle = TWO_PI * (cycles - np.floor(cycles))
+        sine, cosine = sine_cosine(wall.motion_angle)
+        speed = TWO_PI * wall.motion_frequency * cosine
+        wall.motion_shift_x = wall.motion_velocity_x * time + wall.motion_amplitude_x * sine
+        wall.motion_shift_y = wall.motion_velocity_y * time + wall.motion_amplitude_y * sine
+        wall.motion_shift_z = wall.motion_velocity_z * time + wall.motion_amplitude_z * sine
+        velocity[k, 0] = wall.motion_velocity_x + wall.motion_amplitude_x * speed
+        velocity[k, 1] = wall.motion_velocity_y + wall.motion_amplitude_y * speed
+        velocity[k, 2] = wall.motion_velocity_z + wall.motion_amplitude_z * speed
+
+
+@kernel
+def mean_velocities(surface: Any, time: float, dt: float, velocity: FloatArray) -> None:
+    """Write the mean velocity (m/s) of each wall from where it is to a time, over dt, both in s."""
+    for k in range(len(surface)):
+        wall = surface[k]
+        cycles = wall.motion_frequency * time + wall.motion_phase
+        later, _ = sine_cosine(TWO_PI * (cycles - np.floor(cycles)))
+        sine, _ = sine_cosine(wall.motion_angle)
+        rate = (later - sine) / dt
+        velocity[k, 0] = wall.motion_velocity_x + wall.motion_amplitude_x * rate
+        velocity[k, 1] = wall.motion_velocity_y + wall.motion_amplitude_y * rate
+        velocity[k, 2] = wall.motion_velocity_z + wall.motion_amplitude_z * rate
+
+
+@kernel
+def work_at_velocities(
+    pairs: IntArray,
+    contacts: RecordArray[ContactRecord],
+    impulses: RecordArray[ImpulseRecord],
+    velocity: FloatArray,
+    bodies: int,
+) -> float:
+    """Return the work in J that walls do on bodies by the impulses of contacts.
+
+    Parameters
+    ----------
+    pairs, contacts
+        (m, 2) and (m,), with n.
+    impulses
+        (m,) records with λ_n and λ_t; may be the contacts.
+    velocity
+        (p, 3) m/s, of the solids.
+    bodies
+        Their number; ends from it on are solids.
+    """
+    work = 0.0
+    for c in range(len(pairs)):
+        j = pairs[c, 1]
+        if j >= bodies:
+            contact, given, (vx, vy, vz) = contacts[c], impulses[c], vector(velocity, j - bodies)
+            work -= given.normal_impulse * (contact.nx * vx + contact.ny * vy + contact.nz * vz)
+            work -= given.friction_x * vx + given.friction_y * vy + given.friction_z * vz
+    return work
+
+
+@kernel
+def work_in_drift(log: RecordArray[ImpactRecord], surface: Any, bodies: int) -> float:
+    """Return the work in J that walls do on bodies in impacts during a drift; see `work_at_velocities`."""
+    work = 0.0
+    for k in range(len(log)):
+        entry = log[k]
+        if entry.j >= bodies:
+            vx, vy, vz = velocity_in_drift(surface, entry.j - bodies, entry.time)
+            work -= entry.normal_impulse * (entry.nx * vx + entry.ny * vy + entry.nz * vz)
+            work -= entry.friction_x * vx + entry.friction_y * vy + entry.friction_z * vz
+    return work
+
+
+def walls_translate(surface: FloatArray) -> bool:
+    """Return whether solids have the fields `TRANSLATION`; a constant in compiled kernels."""
+    raise NotImplementedError("only kernels call it")
+
+
+def displacement_in_drift(surface: FloatArray, solid: int, time: float) -> Vector:
+    """Return r in m, by which a wall is displaced at a time (s) since the drift began."""
+    raise NotImplementedError("only kernels call it")
+
+
+def velocity_in_drift(surface: FloatArray, solid: int, time: float) -> Vector:
+    """Return the velocity of a wall in m/s at a time (s) since the drift began."""
+    raise NotImplementedError("only kernels call it")
+
+
+def largest_acceleration(surface: FloatArray, solid: int) -> float:
+    """Return the largest acceleration of a wall at any time, in m/s²."""
+    raise NotImplementedError("only kernels call it")
+
+
+def _is_of_translation(surface: Any) -> bool:
+    return TRANSLATION[0] in (getattr(surface.dtype, "fields", None) or ())
+
+
+@chosen_by_type(walls_translate)
+def _walls_translate(surface: Any) -> Any:
+    translates = _is_of_translation(surface)
+    return lambda surface: translates
+
+
+@chosen_by_type(displacement_in_drift)
+def _displacement_in_drift(surface: Any, solid: Any, time: Any) -> Any:
+    return _displacement if _is_of_translation(surface) else lambda surface, solid, time: (0.0, 0.0, 0.0)
+
+
+@chosen_by_type(velocity_in_drift)
+def _velocity_in_drift(surface: Any, solid: Any, time: Any) -> Any:
+    return _velocity if _is_of_translation(surface) else lambda surface, solid, time: (0.0, 0.0, 0.0)
+
+
+@chosen_by_type(largest_acceleration)
+def _largest_acceleration(surface: Any, solid: Any) -> Any:
+    if not _is_of_translation(surface):
+        return lambda surface, solid: 0.0
+    return lambda surface, solid: surface[solid].motion_fastest
+
+
+def _displacement(surface: Any, solid: int, time: float) -> Vector:
+    wall = surface[solid]
+    rise = 0.0
+    if wall.motion_frequency > 0.0:
+        rise = sine_cosine(wall.motion_angle + TWO_PI * wall.motion_frequency * time)[0]
+        rise -= sine_cosine(wall.motion_angle)[0]
+    return (
+        wall.motion_velocity_x * time + wall.motion_amplitude_x * rise,
+        wall.motion_velocity_y * time + wall.motion_amplitude_y * rise,
+        wall.motion_velocity_z * time + wall.motion_amplitude_z * rise,
+    )
+
+
+def _velocity(surface: Any, solid: int, time: float) -> Vector:
+    wall = surface[solid]
+    speed = 0.0
+    if wall.motion_frequency > 0.0:
+        omega = TWO_PI * wall.motion_frequency
+        speed = omega * sine_cosine(wall.motion_angle + omega * time)[1]
+    return (
+        wall.motion_velocity_x + wall.motion_amplitude_x * speed,
+        wall.motion_velocity_y + wall.motion_amplitude_y * speed,
+        wall.motion_velocity_z + wall.motion_amplitude_z * speed,
+    )
