@@ -24,8 +24,9 @@ FloatArray = NDArray[np.float64]
 
 
 def walls_as_slow(names: Iterable[str]) -> list[Any]:
-    """Return scenes as parameters, of which those with a [[wall]] are slow: their kernels compile for a minute."""
-    walled = {name for name, path in bundled_scenes().items() if "[[wall]]" in path.read_text(encoding="utf-8")}
+    """Return scenes as parameters, of which those with a [[wall]] or a motion are slow: they compile for a minute."""
+    texts = {name: path.read_text(encoding="utf-8") for name, path in bundled_scenes().items()}
+    walled = {name for name, text in texts.items() if "[[wall]]" in text or "motion = " in text}
     return [pytest.param(name, marks=pytest.mark.slow if name in walled else ()) for name in names]
 
 
