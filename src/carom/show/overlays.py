@@ -19,7 +19,7 @@ from carom.arrays import ColourArray, FloatArray
 from carom.physics.space import Space
 from carom.recording.layout.blueprint import WINDOW
 from carom.recording.layout.camera import CameraFit, CameraMotion, View
-from carom.recording.layout.canvas import spatial_view
+from carom.recording.layout.canvas import Area, spatial_view
 from carom.recording.layout.plot_views import curve_style, time_beside_legend, whole_time
 from carom.recording.read.recording import Recording
 from carom.recording.schema import palette, paths
@@ -206,7 +206,8 @@ def _layout(view: View, units: UnitSystem) -> rrb.Blueprint:
 TRADEOFF_PROPERTY = "tradeoff"
 
 PATHS_UP_TO = 20  # bodies; with more, only positions are drawn, in the colours of the runs
-_ROWS = (3, 2)  # heights of the bodies and of the curves
+_ROWS = (3, 2)  # heights of the bodies and of the curves below them
+_COLUMNS = (2, 3)  # widths of the bodies and of the curves beside them
 SMALLEST = 1e-17  # shown instead of distance 0 on a logarithmic scale
 
 
@@ -264,9 +265,23 @@ def write_trajectories(path: Path, space: Space, time: FloatArray, trajectories:
         frames = rr.AnyValues.columns(True, time=pa.array(time), fingerprint=pa.array([0] * len(time), pa.uint64()))
         writer.send_columns(paths.FINGERPRINT, index, frames)
         legends = [trajectory.name for trajectory in trajectories if len(trajectory.distance)]
-        axis = time_beside_legend(legends, clock.nanoseconds(time[[0, -1]].tolist()), WINDOW.width)
-        view = _view(radius, trajectories[0].position - origin)
-        writer.send_layout(_trajectory_layout(view, axis, are_filled=bodies is not None))
+        views = _views(radius, trajectories[0].position - origin)
+        shown = [area.height / view.height() for view, area in views]  # px a metre
+        beside = shown[1] > shown[0]
+        width = WINDOW.width * (_COLUMNS[1] / sum(_COLUMNS) if beside else 1.0)
+        curves = rrb.TimeSeriesView(
+            name="log10 of the distance from the reference, over the size",
+            origin="/distance",
+            plot_legend=rrb.PlotLegend(rrb.Corner2D.RightTop),
+            axis_x=time_beside_legend(legends, clock.nanoseconds(time[[0, -1]].tolist()), width),
+            axis_y=_decades(trajectories[1:]),
+        )
+        runs = "colours" if bodies is None else "wires and paths"
+        name = f"Reference: grey; runs: {runs}"
+        panels = spatial_view(name, views[beside][0], [f"/{paths.WORLD}/**"]), curves
+        side_by_side = rrb.Horizontal(*panels, column_shares=list(_COLUMNS))
+        stacked = rrb.Vertical(*panels, row_shares=list(_ROWS))
+        writer.send_layout(paused(side_by_side if beside else stacked))
         writer.flush()
 
 
@@ -322,27 +337,22 @@ def _send_trajectories(
         writer.send_columns(f"distance/{name}", shown, rr.Scalars.columns(scalars=decades))
 
 
-def _view(radius: FloatArray, position: FloatArray) -> View:
-    """Place the camera so that all positions, (K, n, 3) m, are in the picture."""
+def _views(radius: FloatArray, position: FloatArray) -> list[tuple[View, Area]]:
+    """Place the camera so that all positions, (K, n, 3) m, are in the picture, above the curves and beside them."""
     camera = CameraFit(radius, position[0], motion=CameraMotion.STILL)
     camera.look(position)
-    return camera.view(WINDOW.area(down=_ROWS[0] / sum(_ROWS)).aspect)
+    areas = WINDOW.area(down=_ROWS[0] / sum(_ROWS)), WINDOW.area(across=_COLUMNS[0] / sum(_COLUMNS))
+    return [(camera.view(area.aspect), area) for area in areas]
 
 
-def _trajectory_layout(view: View, time: rrb.TimeAxis, *, are_filled: bool) -> rrb.Blueprint:
-    runs = "paths and wires: the run, as below; fill: the body" if are_filled else "colours: the run, as below"
-    return paused(
-        rrb.Vertical(
-            spatial_view(f"Runs over the reference, grey; {runs}", view, [f"/{paths.WORLD}/**"]),
-            rrb.TimeSeriesView(
-                name="log10 of the distance from the reference, over the size",
-                origin="/distance",
-                plot_legend=rrb.PlotLegend(rrb.Corner2D.RightTop),
-                axis_x=time,
-            ),
-            row_shares=list(_ROWS),
-        )
-    )
+def _decades(runs: list[ComparedTrajectory]) -> rrb.ScalarAxis | None:
+    """Return an axis with whole decades above and below all distances."""
+    distances = np.concatenate([np.zeros(0), *(run.distance for run in runs)])
+    distances = distances[np.isfinite(distances)]
+    if not len(distances):
+        return None
+    low, high = np.log10(np.maximum([distances.min(), distances.max()], SMALLEST))
+    return rrb.ScalarAxis(range=(float(np.floor(low)) - 0.5, float(np.ceil(high)) + 0.5))
 
 
 def _entity(name: str) -> str:
