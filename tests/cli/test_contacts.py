@@ -23,6 +23,18 @@ def test_impacts_are_printed_with_the_names_of_the_bodies(folder: Path) -> None:
     assert "body 0 and body 1" in done.stdout
 
 
+def test_friction_and_losses_that_are_rounding_are_printed_as_0(tmp_path: Path) -> None:
+    line = (1.0, 0.3, 0.2)  # inclined, so that neither is exactly 0
+    bodies = [
+        {"position": [x * k for k in line], "velocity": [-x * k for k in line], "radius": 0.3, "mass": 0.7}
+        for x in (-1.0, 1.1)
+    ]
+    scene = scene_of(bodies, time={"duration": 2.0}, contact={"restitution": 1.0}, gravity={"constant": 0})
+    library.run(scene, tmp_path / "run.rrd")
+    *_, friction, lost = carom("contacts", "run.rrd", cwd=tmp_path).stdout.splitlines()[-1].split()
+    assert (friction, lost) == ("0", "0")
+
+
 def test_a_step_without_contacts_is_told_with_its_time(folder: Path) -> None:
     assert carom("contacts", "run.rrd", "--at", "0.5", cwd=folder).stdout == "0 contacts at t = 0.5 s, recorded\n"
 

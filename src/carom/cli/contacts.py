@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from carom.scene.units.system import UnitSystem
 
 MOST_ROWS = 40  # printed in the table
-_ROUNDING = 1e-9  # of the normal impulse
+_ROUNDING = 1e-9  # of the normal impulse, or of the work of that impulse at the approach speed
 FORMATS = (".parquet", ".csv")  # of files
 FIGURES = (".png", ".svg")  # of statistics
 
@@ -335,7 +335,7 @@ def _print(recording: Recording, table: pa.Table, at: OptionalTime) -> None:
     spins = _rubs(table)
     if spins:
         shown.add_column(units.labelled("angular", ANGULAR_IMPULSE), justify="right", no_wrap=True)
-    for row in table.slice(0, MOST_ROWS).to_pylist():
+    for row in map(_without_rounding, table.slice(0, MOST_ROWS).to_pylist()):
         pair = f"{names.of(row['i'])} and {names.of(row['j'])}"
         values = [_number(row[name], dimension, units) for name, _, dimension in measured]
         if spins:
@@ -345,6 +345,18 @@ def _print(recording: Recording, table: pa.Table, at: OptionalTime) -> None:
     print_whole(shown)
     if table.num_rows > MOST_ROWS:
         say(f"… and {table.num_rows - MOST_ROWS} more; for all rows, use --csv, --json or -o FILE.parquet.")
+
+
+def _without_rounding(row: dict[str, Any]) -> dict[str, Any]:
+    """Return a row in which friction and energies that are rounding of the normal impulse are 0."""
+    impulse, approach = row["normal_impulse"], row["approach_speed"] or 0.0
+    zeros: dict[str, float] = {}
+    if row["tangential_impulse"] is not None and row["tangential_impulse"] <= _ROUNDING * impulse:
+        rubbed = ("tangential_impulse", "tangential_force", "angular_impulse_i", "angular_impulse_j")
+        zeros |= {name: 0.0 for name in rubbed if row[name] is not None}
+    if row["energy_lost"] is not None and abs(row["energy_lost"]) <= _ROUNDING * impulse * approach:
+        zeros["energy_lost"] = 0.0
+    return row | zeros
 
 
 def _rubs(table: pa.Table) -> bool:
