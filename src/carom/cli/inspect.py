@@ -141,7 +141,7 @@ def _conservation(summary: dict[str, Any], units: UnitSystem) -> Iterator[Row]:
         yield "momentum", NOT_RECORDED
         return
     yield "momentum", taken_up if linear is None else f"error at most {error_text(linear)}"
-    unknown = "not conserved in a periodic box" if linear is not None else "likewise"
+    unknown = "not conserved in a periodic box" if linear is not None else "not checked, for the same reason"
     yield "angular momentum", unknown if angular is None else f"error at most {error_text(angular)}"
 
 
