@@ -1,5 +1,6 @@
 """What stands beside the bodies: the legend with its scales, names, and the arrow of a field; and the light theme."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,7 @@ from carom.recording.read.recording import Recording
 from carom.recording.schema import palette, paths
 from carom.scene.schema import Scene
 from carom.show import close_up, movie
-from carom.show.annotations import field_arrows, names_fit
+from carom.show.annotations import field_arrows, names_that_fit
 from carom.show.legend import LEGEND
 from carom.show.presentation import Presentation, asked
 from carom.show.request import Request
@@ -114,13 +115,15 @@ def test_the_arrow_and_the_axes_of_a_field_are_on_the_side_where_they_cover_less
         assert np.sign(origins[[0, 1], 0]).tolist() == [upper, lower]
 
 
-def test_names_stand_beside_bodies_only_where_they_do_not_overlap(bounce: Recording) -> None:
+def test_of_two_names_that_would_overlap_only_that_of_the_larger_body_is_shown(bounce: Recording) -> None:
     header, area = header_of_recording(bounce), Area(400.0, 400.0)
+    header = replace(header, radius=header.radius * [0.9, 1.0])
     eye = View(np.zeros(3), 10.0, CameraMotion.STILL, np.array([0.0, -1.0, 0.0]))
-    assert names_fit(header, np.array([[-2.0, 0, 0], [2.0, 0, 0]]), eye, area)
-    assert names_fit(header, np.array([[0, 0, 1.0], [0, 0, 0]]), eye, area), "one above the other"
-    assert not names_fit(header, np.array([[-0.2, 0, 0], [0.2, 0, 0]]), eye, area)
-    assert not names_fit(header, np.array([[-0.2, 0, 0], [0.2, 9.0, 0]]), eye, area), "one behind the other"
+    both, larger = tuple(header.names), ("", header.names[1])
+    assert names_that_fit(header, np.array([[-2.0, 0, 0], [2.0, 0, 0]]), eye, area) == both
+    assert names_that_fit(header, np.array([[0, 0, 1.0], [0, 0, 0]]), eye, area) == both, "one above the other"
+    assert names_that_fit(header, np.array([[-0.2, 0, 0], [0.2, 0, 0]]), eye, area) == larger
+    assert names_that_fit(header, np.array([[-0.2, 0, 0], [0.2, 9.0, 0]]), eye, area) == larger, "one behind the other"
 
 
 def luminance(colour: int) -> float:

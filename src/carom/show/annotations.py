@@ -70,16 +70,31 @@ def field_arrows(
     )
 
 
-def names_fit(header: Header, position: FloatArray, view: View, area: Area) -> bool:
-    """Return whether there are names, few enough and far enough apart in a view not to overlap.
+def names_that_fit(header: Header, position: FloatArray, view: View, area: Area) -> tuple[str, ...]:
+    """Return the names of bodies, few enough and far enough apart in a view not to overlap.
 
-    ``position`` is (n, 3) m; the view has this ``area``.
+    A name that would overlap that of a larger body is empty.
+
+    Parameters
+    ----------
+    position
+        (n, 3) m.
+    view
+        It has this `area`.
+
+    Returns
+    -------
+    names
+        (n,), or () if no name is shown.
     """
     n = len(position)
     if not any(header.names) or n > MOST_NAMES or n != len(header.names) or shape(header) != "ellipsoids":
-        return False
+        return ()
     points = (position - view.target) @ view.axes().T * area.height / view.height()
     wide = np.array([_LETTER * (len(name) + 1) for name in header.names])
     across, up = np.abs(points[:, None] - points[None]).transpose(2, 0, 1)
-    overlap = (across < (wide[:, None] + wide) / 2.0) & (up < _ROW) & ~np.eye(n, dtype=bool)
-    return bool(np.isfinite(points).all()) and not overlap.any()
+    overlap = (across < (wide[:, None] + wide) / 2.0) & (up < _ROW)
+    shown = np.zeros(n, dtype=bool)
+    for k in np.argsort(-header.radius, kind="stable"):
+        shown[k] = np.isfinite(points[k]).all() and not (overlap[k] & shown).any()
+    return tuple(name if each else "" for name, each in zip(header.names, shown.tolist(), strict=True))

@@ -36,7 +36,7 @@ from carom.recording.write.encoder import BatchEncoder, state_rows
 from carom.recording.write.rows import NO_STEPS, Index, Rows
 from carom.recording.write.static_entities import arrow_styles
 from carom.scene.forces import UNIFORM_FIELD
-from carom.show.annotations import field_arrows, names_fit
+from carom.show.annotations import field_arrows, names_that_fit
 from carom.show.body_colours import body_colours, change_with_time, recorded_colours, redrawn_for, trail_colours
 from carom.show.body_plots import BodyPlots, asked_quantities, body_series
 from carom.show.close_up import close_up
@@ -210,7 +210,7 @@ def presentation(
     logarithms, drawn_logarithms, styles = decades(recording, header, curves)
     rows += [*strip, *drawn_logarithms]
     statics += [*bands, *styles]
-    named = names_fit(header, step.position, seen, area)
+    named = names_that_fit(header, step.position, seen, area)
     shows_field = any(path == FIELD for path, _ in statics)
     added = Additions(
         *(close, staging.trails is not None, recoloured, plots, words, named, shows_field),

@@ -81,7 +81,9 @@ _HIDDEN = 1e-12  # of a body's radius; size of the dot if the body itself is lar
 Overrides = dict[EntityPathLike, VisualizerLike | list[VisualizerLike]]
 
 
-def drawn_bodies(header: Header, view: View, area: Area, recoloured: bool = False, named: bool = False) -> Overrides:
+def drawn_bodies(
+    header: Header, view: View, area: Area, recoloured: bool = False, named: tuple[str, ...] = ()
+) -> Overrides:
     """Return overrides that add dots to small bodies and names to few, and apply the colours of a `Supplement`."""
     apparent = header.radius / view.height() * area.height  # points
     small = apparent < LEAST
@@ -93,9 +95,8 @@ def drawn_bodies(header: Header, view: View, area: Area, recoloured: bool = Fals
     match shape(header):
         case "ellipsoids":
             colours = "Points3D:colors" if recoloured else "Ellipsoids3D:colors"
-            spheres = rr.Ellipsoids3D.from_fields(show_labels=named).visualizer(
-                mappings=taken_from({"Ellipsoids3D:colors": colours})
-            )
+            names = rr.Ellipsoids3D.from_fields(show_labels=bool(named), labels=named or None)
+            spheres = names.visualizer(mappings=taken_from({"Ellipsoids3D:colors": colours}))
             return {paths.BODIES: [spheres, *([_points(dots, "Ellipsoids3D:centers", colours)] if small.any() else [])]}
         case "points":
             colours = "Ellipsoids3D:colors" if recoloured else "Points3D:colors"

@@ -74,7 +74,7 @@ class Additions:
     recoloured: bool = False
     plots: BodyPlots | None = None  # of single bodies
     legend: Legend | None = None
-    named: bool = False  # whether names are shown beside the bodies
+    named: tuple[str, ...] = ()  # (n,) names beside the bodies, empty for bodies without; () for none at all
     field: bool = False  # whether an arrow and axes show a uniform field
     struck: bool = False  # whether a strip shows the impacts
     decades: Curves | None = None  # logarithms of energies that grow by decades, by the paths of the energies
