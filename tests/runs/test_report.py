@@ -196,6 +196,13 @@ def test_the_subject_of_a_report_is_the_worst_that_went_wrong(tmp_path: Path, mo
     assert worst_moment(recording) == (3.0, "Two bodies are not finite")
     monkeypatch.setattr(Recording, "warnings", lambda _: [broken])
     assert worst_moment(recording) == (2.0, "Energy rose")
+    listing = Event(2, 2.0, "WARN", "Energy rose.\nCollisions in step 2:\n  body 0", "energy-rise")
+    monkeypatch.setattr(Recording, "warnings", lambda _: [listing])
+    assert worst_moment(recording) == (2.0, "Energy rose")
+    with zipfile.ZipFile(report(recording, tmp_path / "listing.zip").path) as packed:
+        text = packed.read("README.md").decode()
+    assert "**Energy rose**, t = 2 s." in text
+    assert "- t = 2 s: Energy rose.\n  - Collisions in step 2:\n  - body 0\n" in text
 
 
 def test_a_report_of_a_run_without_contacts_is_about_its_last_frame(tmp_path: Path) -> None:

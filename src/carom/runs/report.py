@@ -140,7 +140,7 @@ def worst_moment(recording: Recording) -> tuple[float, str]:
     warnings = recording.warnings()
     broken = [event for event in warnings if event.kind.startswith(LAWS)]
     for event in sorted(broken, key=lambda event: event.kind != NOT_FINITE):
-        return event.time, event.text.rstrip(".")
+        return event.time, event.text.splitlines()[0].rstrip(".")
     for name, verdict in summary["expect"].items():
         if verdict.get("judged", True) and not verdict["met"]:
             return _missed(name, verdict, moments, last)
@@ -148,7 +148,7 @@ def worst_moment(recording: Recording) -> tuple[float, str]:
         deepest = moments.get("overlap")
         if event.text.startswith(OVERLAPS) and deepest:
             return deepest["time"], _extreme("overlap", moments, recording.units)
-        return event.time, event.text.rstrip(".")
+        return event.time, event.text.splitlines()[0].rstrip(".")
     error = moments.get("energy_error")
     if error and error["value"] > ENERGY_ERROR:
         what = "change of the energy without contact" if recording.engine else "integration error at a check"
@@ -260,9 +260,15 @@ def _warned(recording: Recording) -> list[str]:
     warnings = recording.warnings()
     if not warnings:
         return []
-    told = [f"t = {recording.units.text(e.time, TIME, '.9g')}: {e.text}" for e in warnings[:MOST_WARNINGS]]
-    more = [f"… and {len(warnings) - MOST_WARNINGS} more"] if len(warnings) > MOST_WARNINGS else []
-    return [f"## Warnings ({len(warnings)})", "", *(f"- {_literal(text)}" for text in [*told, *more]), ""]
+    listed = []
+    for event in warnings[:MOST_WARNINGS]:
+        first, *further = event.text.splitlines() or [""]
+        time = recording.units.text(event.time, TIME, ".9g")
+        listed.append(f"- {_literal(f't = {time}: {first}')}")
+        listed += [f"  - {_literal(line.strip())}" for line in further]
+    if len(warnings) > MOST_WARNINGS:
+        listed.append(f"- … and {len(warnings) - MOST_WARNINGS} more")
+    return [f"## Warnings ({len(warnings)})", "", *listed, ""]
 
 
 def _literal(text: str) -> str:
