@@ -31,6 +31,7 @@ from carom.recording.read.recording import Recording
 from carom.recording.rrd.framing import CHUNK
 from carom.recording.rrd.messages import RECORDING, decode
 from carom.runs import report
+from carom.runs.overview import description
 from carom.runs.replay import replay
 from carom.show.movie import _layout, frame_times
 from carom.show.presentation import asked
@@ -92,6 +93,7 @@ def shown(path: Path) -> None:
     """Print what `carom inspect` prints."""
     recording = Recording.open(path)
     summary, units = recording.summary(), recording.units
+    summary["description"] = description(recording.scene_toml)
     json.dumps(summary)
     with Path(os.devnull).open("w") as nowhere:
         terminal = Terminal(file=nowhere)
