@@ -20,7 +20,7 @@ from carom.physics.diagnostics.ledger import FRICTION, RESTITUTION, STABILISATIO
 from carom.scene.integrators import Integrator
 from carom.scene.units.dimension import ANGULAR_VELOCITY, ENERGY, LENGTH, TIME, VELOCITY, Dimension
 from carom.scene.units.system import SI, UnitSystem
-from carom.scene.wording import Names
+from carom.scene.wording import Names, counted
 
 MOST_CONTACTS = 6  # listed in a warning, the largest added energies first
 LOST = 0.1  # of the energy scale; such an error changes the size and the period of an orbit
@@ -61,7 +61,7 @@ class Suspects:
             return f"No bodies were colliding in step {self.step}."
         ledger = self.contributions()
         added = ledger[:, STABILISATION] - ledger[:, (RESTITUTION, FRICTION)].sum(axis=1)
-        lines = [f"Collisions in step {self.step}, {len(self.graph)} contacts, sorted by added energy:"]
+        lines = [f"Collisions in step {self.step}, {counted(len(self.graph), 'contact')}, sorted by added energy:"]
         lines += [self._contact(int(c), float(added[c]), names, units) for c in np.argsort(-added)[:MOST_CONTACTS]]
         return "\n".join(lines)
 
