@@ -29,7 +29,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from carom.arrays import FloatArray, IntArray, RecordArray, Records
-from carom.physics.jit.decorators import chosen_by_type, kernel, leaf
+from carom.physics.jit.decorators import chosen_by_type, inline, kernel, leaf
 from carom.physics.rotation import TWO_PI, sine_cosine
 from carom.physics.vector import Vector, vector
 from carom.scene.schema.motion import WallMotion
@@ -189,9 +189,7 @@ def work_at_velocities(
     for c in range(len(pairs)):
         j = pairs[c, 1]
         if j >= bodies:
-            contact, given, (vx, vy, vz) = contacts[c], impulses[c], vector(velocity, j - bodies)
-            work -= given.normal_impulse * (contact.nx * vx + contact.ny * vy + contact.nz * vz)
-            work -= given.friction_x * vx + given.friction_y * vy + given.friction_z * vz
+            work = _with_work_at(vector(velocity, j - bodies), contacts[c], impulses[c], work)
     return work
 
 
@@ -202,9 +200,16 @@ def work_in_drift(log: RecordArray[ImpactRecord], surface: Any, bodies: int) -> 
     for k in range(len(log)):
         entry = log[k]
         if entry.j >= bodies:
-            vx, vy, vz = velocity_in_drift(surface, entry.j - bodies, entry.time)
-            work -= entry.normal_impulse * (entry.nx * vx + entry.ny * vy + entry.nz * vz)
-            work -= entry.friction_x * vx + entry.friction_y * vy + entry.friction_z * vz
+            work = _with_work_at(velocity_in_drift(surface, entry.j - bodies, entry.time), entry, entry, work)
+    return work
+
+
+@inline
+def _with_work_at(velocity: Vector, contact: Any, given: Any, work: float) -> float:
+    """Add W of the impulses ``given`` at a contact to a sum of works in J; the wall's velocity is in m/s."""
+    vx, vy, vz = velocity
+    work -= given.normal_impulse * (contact.nx * vx + contact.ny * vy + contact.nz * vz)
+    work -= given.friction_x * vx + given.friction_y * vy + given.friction_z * vz
     return work
 
 

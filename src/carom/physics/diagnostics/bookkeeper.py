@@ -219,9 +219,8 @@ class Bookkeeper:
         self._world = world
         self.extremes = self._beginning(Extremes())
         constant = forces.potential_of_fixed_bodies()
-        losses = [*forces.losses, *([ENTRY] if world.planes.moves else [])]
-        losses += [DrivingField.ENTRY] if world.is_driven else []
-        self.audit = BalanceAudit(scene, bodies, world.names, forces.uniform, constant, losses)
+        drivers = [*([ENTRY] if world.planes.moves else []), *([DrivingField.ENTRY] if world.is_driven else [])]
+        self.audit = BalanceAudit(scene, bodies, world.names, forces.uniform, constant, [*forces.losses, *drivers])
         self.activity = Activity(len(bodies), scene.anchored or bool(forces.uniform.any()))
         without_kicks = integrator(scene).controls_error and world.contact is None
         audited = scene.expect.contact_audit is not None and not without_kicks
