@@ -200,13 +200,11 @@ def _measure(
 ) -> None:
     """Print or write the statistics of an interval (s)."""
     from carom.cli.terminal import replaying
-    from carom.lab.statistics.statistics_report import Statistics
+    from carom.lab.statistics.statistics_report import Statistics, draw
 
     with replaying(recording) as watch:
         statistics = Statistics.of(recording, start, end, again, watch)
     if output is not None and output.suffix in FIGURES:
-        from carom.lab.statistics.statistics_figure import draw
-
         draw(statistics, output)
         say(f"{output} written.")
     elif output is not None:

@@ -10,12 +10,18 @@ import pytest
 
 import carom
 from carom import Recording
-from carom.lab.statistics import contact_network, force_chains, impact_rates, stress_tensor
-from carom.lab.statistics.contact_network import contact_counts, held_bodies
+from carom.lab.statistics.contact_statistics import (
+    chains_of,
+    contact_counts,
+    held_bodies,
+    measure_forces,
+    measure_network,
+)
+from carom.lab.statistics.impact_statistics import measure_impacts
 from carom.lab.statistics.interval import Interval
 from carom.lab.statistics.statistic import Histogram, Statistic
-from carom.lab.statistics.statistics_figure import draw
-from carom.lab.statistics.statistics_report import Statistics
+from carom.lab.statistics.statistics_report import Statistics, draw
+from carom.lab.statistics.velocity_statistics import measure_stress
 from carom.scene.units.dimension import VELOCITY
 from small_scenes import scene_of
 
@@ -46,7 +52,7 @@ def column(tmp_path_factory: pytest.TempPathFactory) -> Interval:
 def test_a_column_of_balls_has_vertical_fabric_of_trace_1_and_two_contacts_a_ball_but_for_the_top(
     column: Interval,
 ) -> None:
-    values = contact_network.measure(column).values
+    values = measure_network(column).values
     assert values["coordination"].value == pytest.approx((2 * (COLUMN - 1) + 1) / COLUMN, abs=1e-12)
     assert values["fabric"].value == pytest.approx(np.diag([0.0, 0.0, 1.0]), abs=SINGLE)
     assert values["rattlers"].value == 1.0  # two contacts hold no ball in space
@@ -55,14 +61,14 @@ def test_a_column_of_balls_has_vertical_fabric_of_trace_1_and_two_contacts_a_bal
 def test_the_stress_of_a_column_is_the_sum_of_the_weights_times_the_heights(column: Interval) -> None:
     # contact k carries COLUMN - k weights over 1 m, the one with the plane COLUMN weights over 0.5 m
     virial = sum(COLUMN - k for k in range(1, COLUMN)) + 0.5 * COLUMN
-    statistic = stress_tensor.measure(column)
+    statistic = measure_stress(column)
     assert statistic.values["stress"].value == pytest.approx(np.diag([0.0, 0.0, virial]), abs=SINGLE * virial)
     assert statistic.values["pressure"].value == pytest.approx(virial / 3, rel=SINGLE)
     assert "not divided by a volume" in statistic.note
 
 
 def test_the_forces_of_a_column_rise_by_a_weight_and_its_lower_half_is_a_chain(column: Interval) -> None:
-    values = force_chains.measure(column).values
+    values = measure_forces(column).values
     forces = np.arange(1.0, COLUMN + 1)
     assert values["mean_force"].value == pytest.approx(forces.mean(), rel=SINGLE)
     assert values["second_moment"].value == pytest.approx(np.mean(forces**2) / forces.mean() ** 2, rel=SINGLE)
@@ -73,7 +79,7 @@ def test_the_forces_of_a_column_rise_by_a_weight_and_its_lower_half_is_a_chain(c
 
 @pytest.mark.needs("matplotlib")
 def test_the_figure_has_a_panel_for_each_histogram_with_its_unit(column: Interval, tmp_path: Path) -> None:
-    kinds = {"contacts": contact_network.measure(column), "forces": force_chains.measure(column)}
+    kinds = {"contacts": measure_network(column), "forces": measure_forces(column)}
     kinds["speeds"] = Statistic({}, {"speeds": Histogram.of("approach speed", np.linspace(0.0, 1.0, 50), VELOCITY)})
     draw(Statistics(column, kinds), tmp_path / "figure.svg")
     text = (tmp_path / "figure.svg").read_text(encoding="utf-8")
@@ -86,7 +92,7 @@ def test_a_bent_chain_ends_at_its_bend() -> None:
     pairs = np.array([[0, 1], [1, 2], [2, 3], [3, 4], [5, 6]])
     normal = np.array([[1.0, 0, 0], [1.0, 0, 0], [1.0, 0, 0], [0, 1.0, 0], [1.0, 0, 0]])
     force = np.array([10.0, 10.0, 10.0, 9.0, 0.1])
-    assert force_chains.chains_of(pairs, normal, force, np.full(7, 0.5)) == [4]
+    assert chains_of(pairs, normal, force, np.full(7, 0.5)) == [4]
 
 
 CUBIC = [(1, 0, 0), (0, 1, 0), (0, 0, 1)]
@@ -126,10 +132,10 @@ def test_two_balls_on_a_line_have_the_pressure_of_tonks_gas(tmp_path: Path) -> N
     )
     carom.run(scene, tmp_path / "run.rrd")
     interval = interval_of(tmp_path / "run.rrd")
-    stress = stress_tensor.measure(interval).values
+    stress = measure_stress(interval).values
     assert stress["stress"].value == pytest.approx(np.diag([0.5 / (1 - 2 / 6), 0, 0]) / 150.0, abs=SINGLE / 150)
     assert stress["compressibility"].value == pytest.approx(1.5, rel=SINGLE)
-    rates = impact_rates.measure(interval)
+    rates = measure_impacts(interval)
     assert rates.values["impact_rate"].value == pytest.approx(0.25, rel=1e-12)
     assert rates.values["mean_approach_speed"].value == pytest.approx(1.0, rel=SINGLE)
     (row,) = rates.rows

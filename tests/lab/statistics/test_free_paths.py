@@ -11,7 +11,7 @@ import pytest
 import carom
 from carom import Recording
 from carom.errors import RecordingError
-from carom.lab.statistics import free_paths
+from carom.lab.statistics.impact_statistics import measure_free_paths, paths_of
 from carom.lab.statistics.interval import Interval
 from carom.scene.schema import Scene
 from small_scenes import scene_of
@@ -32,11 +32,11 @@ def test_a_ball_between_two_walls_flies_the_distance_of_the_walls_less_its_diame
     interval = interval_of(
         scene_of([ball], domain=walls, time={"duration": 11.0, "fixed_dt": 0.25}, **FLIGHT), tmp_path
     )
-    paths = free_paths.paths_of(interval)
+    paths = paths_of(interval)
     assert paths.free_times == pytest.approx([3.0] * 3, rel=SINGLE)  # impacts at 1.5, 4.5, 7.5 and 10.5 s
     assert paths.free_paths == pytest.approx([3.0] * 3, rel=SINGLE)
     assert paths.length == pytest.approx(11.0, rel=SINGLE)
-    mean = free_paths.measure(interval).values
+    mean = measure_free_paths(interval).values
     assert mean["mean_free_time"].value == mean["mean_free_path"].value == pytest.approx(11.0 / 4, rel=SINGLE)
 
 
@@ -48,7 +48,7 @@ def test_a_path_through_the_faces_of_a_periodic_box_is_longer_than_half_the_box(
     balls = [resting, moving]
     box = {"boundary": "periodic", "size": [6.0, 6.0, 6.0]}
     interval = interval_of(scene_of(balls, domain=box, time={"duration": 14.0, "fixed_dt": 0.25}, **FLIGHT), tmp_path)
-    paths = free_paths.paths_of(interval)
+    paths = paths_of(interval)
     assert paths.free_times == pytest.approx([4.0] * 6, rel=SINGLE)
     assert np.sort(paths.free_paths) == pytest.approx([0.0] * 3 + [4.0] * 3, rel=SINGLE, abs=SINGLE)
     assert paths.length == pytest.approx(14.0, rel=SINGLE)
@@ -60,4 +60,4 @@ def test_a_run_without_impacts_says_so_in_a_sentence(tmp_path: Path) -> None:
     ]
     interval = interval_of(scene_of(apart, time={"duration": 1.0, "fixed_dt": 0.5}, **FLIGHT), tmp_path)
     with pytest.raises(RecordingError, match=r"^there are no impacts from 0 to 1 s$"):
-        free_paths.measure(interval)
+        measure_free_paths(interval)

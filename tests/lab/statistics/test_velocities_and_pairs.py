@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from carom.lab.statistics.pair_correlation import NEAR, Distances, distances_of, value_at_contact
-from carom.lab.statistics.velocity_distribution import fourth_cumulant, peculiar
+from carom.lab.statistics.velocity_statistics import fourth_cumulant, peculiar
 
 POINTS = 3000
 

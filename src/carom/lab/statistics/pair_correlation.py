@@ -41,7 +41,7 @@ class Distances(NamedTuple):
         return np.stack([np.histogram(self.values, edges)[0], self.ideal * np.diff(edges**3)])
 
 
-def measure(interval: Interval) -> Statistic:
+def measure_pair_correlation(interval: Interval) -> Statistic:
     """Measure the pair correlation from drawn positions, averaged over frames."""
     if interval.bodies < 2:
         raise RecordingError("a pair correlation needs at least two bodies")

@@ -1,9 +1,10 @@
-"""All statistics of a recording, as text for people, as JSON and as a table of one row for each number."""
+"""All statistics of a recording, as text, JSON, a table with a row for each number, and a figure."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from typing import Any, NamedTuple
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import pyarrow as pa
@@ -11,29 +12,31 @@ from rich.table import Table
 
 from carom import Recording
 from carom.errors import RecordingError
-from carom.extend import UnitSystem, counted, print_whole, say
-from carom.lab.statistics import (
-    contact_network,
-    force_chains,
-    free_paths,
-    impact_rates,
-    pair_correlation,
-    stress_tensor,
-    velocity_distribution,
-)
+from carom.extend import UnitSystem, counted, needing, print_whole, say, whole_file
+from carom.lab.statistics.contact_statistics import measure_forces, measure_network
+from carom.lab.statistics.impact_statistics import measure_free_paths, measure_impacts
 from carom.lab.statistics.interval import Interval, Watcher
-from carom.lab.statistics.statistic import MeasuredValue, Statistic
+from carom.lab.statistics.pair_correlation import measure_pair_correlation
+from carom.lab.statistics.statistic import Histogram, MeasuredValue, Statistic
+from carom.lab.statistics.velocity_statistics import measure_stress, measure_velocities
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 KINDS: Mapping[str, tuple[str, Callable[[Interval], Statistic]]] = {  # name → title, function
-    "free_paths": ("free times and free paths", free_paths.measure),
-    "impacts": ("impacts", impact_rates.measure),
-    "velocities": ("velocity distribution", velocity_distribution.measure),
-    "stress": ("stress tensor", stress_tensor.measure),
-    "pair_correlation": ("pair correlation", pair_correlation.measure),
-    "contacts": ("network of lasting contacts", contact_network.measure),
-    "forces": ("forces and force chains", force_chains.measure),
+    "free_paths": ("free times and free paths", measure_free_paths),
+    "impacts": ("impacts", measure_impacts),
+    "velocities": ("velocity distribution", measure_velocities),
+    "stress": ("stress tensor", measure_stress),
+    "pair_correlation": ("pair correlation", measure_pair_correlation),
+    "contacts": ("network of lasting contacts", measure_network),
+    "forces": ("forces and force chains", measure_forces),
 }
 MOST_ROWS = 12  # in a printed table
+COLUMNS = 3
+FEWEST_BINS = 3  # in a panel; a histogram with fewer bins shows no shape
+PANEL = 3.5, 2.7  # inches
+INK, FAINT, MEASURED, THEORY = "#1b2a3a", "#8a94a0", "#0072b2", "#d55e00"
 
 
 class Statistics(NamedTuple):
@@ -151,3 +154,74 @@ def text(measured: MeasuredValue, units: UnitSystem, *, unit: bool = True) -> st
     rows = np.reshape(values, (-1, np.shape(measured.value)[-1]))
     lines = ["  ".join(f"{value:10.4g}" for value in row) for row in rows.tolist()]
     return "\n".join([f"{lines[0]}  {name}".rstrip(), *lines[1:]])
+
+
+def draw(statistics: Statistics, path: Path) -> None:
+    """Draw all histograms into a PNG or SVG, in the units of the scene.
+
+    Raises
+    ------
+    RecordingError
+        If there is no histogram.
+    ExperimentError
+        If matplotlib is not installed.
+    """
+    with needing("plot", "a figure", "matplotlib"):
+        import matplotlib as mpl  # noqa: PLC0415 - an extra
+        from matplotlib.figure import Figure  # noqa: PLC0415
+    histograms = [
+        histogram
+        for kind in statistics.kinds.values()
+        for histogram in kind.histograms.values()
+        if len(histogram.values) >= FEWEST_BINS
+    ]
+    if not histograms:
+        raise RecordingError("there are too few impacts and contacts for a figure")
+    interval = statistics.interval
+    columns = min(COLUMNS, len(histograms))
+    rows = -(-len(histograms) // columns)
+    style: Any = {
+        "font.size": 8,
+        "axes.edgecolor": FAINT,
+        "text.color": INK,
+        "axes.labelcolor": INK,
+        "svg.fonttype": "none",
+    }
+    with mpl.rc_context(style):
+        figure = Figure(figsize=(PANEL[0] * columns, PANEL[1] * rows + 0.4), layout="constrained", dpi=150)
+        panels = figure.subplots(rows, columns, squeeze=False).ravel()
+        for axes, histogram in zip(panels, histograms, strict=False):
+            _panel(axes, histogram, statistics.units)
+        for axes in panels[len(histograms) :]:
+            axes.set_visible(False)
+        figure.suptitle(f"{interval.recording.title}, {interval.text}", fontsize=10)
+        with whole_file(path) as part:
+            figure.savefig(part)
+
+
+def _panel(axes: Axes, histogram: Histogram, units: UnitSystem) -> None:
+    """Draw one histogram as steps, with the theoretical curve through the middles of the bins."""
+    one = units.shown(1.0, histogram.dimension)
+    edges = histogram.edges * one
+    values, expected = histogram.values, histogram.expected
+    unit = units.unit(histogram.dimension)
+    label = histogram.function
+    if not label:  # a density
+        values, expected = values / one, None if expected is None else expected / one
+        inverse = f"({unit})⁻¹" if "/" in unit or " " in unit else f"{unit}⁻¹"
+        label = f"density / {inverse}" if unit else "density"
+    axes.stairs(values, edges, color=MEASURED, fill=True, alpha=0.25)
+    axes.stairs(values, edges, color=MEASURED, linewidth=1.0, label="measured")
+    if expected is not None:
+        axes.plot((edges[1:] + edges[:-1]) / 2, expected, color=THEORY, linewidth=1.0, label=histogram.theory)
+        axes.legend(frameon=False, fontsize=7)
+    if histogram.function.startswith("pair"):
+        axes.axhline(1.0, color=FAINT, linewidth=0.8, linestyle=":")
+    if histogram.falls and (values > 0.0).sum() >= FEWEST_BINS:
+        axes.set_yscale("log")
+    else:
+        axes.set_ylim(bottom=0.0)
+    axes.set(xlabel=f"{histogram.label} / {unit}" if unit else histogram.label, ylabel=label)
+    axes.set_xlim(edges[0], edges[-1])
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.tick_params(which="both", color=FAINT)

@@ -1,24 +1,30 @@
-"""Free times and free paths: how long and how far a body moves between two of its impacts.
+"""Impacts: free times and free paths of bodies between them, rates by pair of groups, and approach speeds.
 
 A body's path is the polyline through its positions in the frames and at its impacts. It continues across the faces of a
 periodic box and follows curved paths in a field. At an impact, the centre is one radius from the contact point.
 Histograms contain only complete paths, so they lack some long paths, which the ends of the interval cut off. The means
 have no such error: they are the time and the length of all paths, divided by the number of impacts
 (docs/statistics.md).
+
+In a Maxwellian gas, the normal velocity at impacts has Rayleigh's distribution, v exp(-v²/2s²)/s²: the relative
+velocity along the normal is Gaussian, and fast pairs meet more often (Chapman & Cowling).
 """
 
 from __future__ import annotations
 
+from dataclasses import replace
+from math import sqrt
 from typing import NamedTuple
 
 import numpy as np
 
 from carom.arrays import FloatArray, IntArray
-from carom.extend import LENGTH, RATE, TIME, Dimension, minimum_images
+from carom.extend import LENGTH, RATE, TIME, VELOCITY, Dimension, minimum_images
 from carom.lab.statistics.interval import Interval
 from carom.lab.statistics.statistic import Histogram, MeasuredValue, Statistic
 
 _BEFORE, _IMPACT, _AFTER = range(3)  # kinds of vertices of a path, in order
+PLANES = "planes"  # the group of planes and walls
 
 
 class Paths(NamedTuple):
@@ -29,7 +35,7 @@ class Paths(NamedTuple):
     free_paths: FloatArray  # (k,) m, the length of the path in that time
 
 
-def measure(interval: Interval) -> Statistic:
+def measure_free_paths(interval: Interval) -> Statistic:
     """Measure the free times and paths of moving bodies."""
     impacts, moving = interval.impacts, interval.moving
     ends = np.concatenate([impacts.i, impacts.j])
@@ -110,3 +116,49 @@ def _ends(interval: Interval, rows: slice) -> tuple[IntArray, FloatArray, FloatA
     pair = j < interval.bodies  # impacts of two bodies; the others are on planes
     centres = point - radius[i][:, None] * normal, point[pair] + radius[j[pair]][:, None] * normal[pair]
     return np.concatenate([i, j[pair]]), np.concatenate([time, time[pair]]), np.concatenate(centres)
+
+
+def measure_impacts(interval: Interval) -> Statistic:
+    """Count the impacts of each pair of groups, and measure their approach speeds."""
+    impacts = interval.impacts
+    speed, count = impacts.speed, len(impacts.speed)
+    mean = float(speed.mean())
+    values = {
+        "impact_rate": MeasuredValue(
+            "impacts in all", count / interval.duration, RATE, sqrt(count) / interval.duration
+        ),
+        "mean_approach_speed": MeasuredValue(
+            "mean approach speed", mean, VELOCITY, float(speed.std()) / sqrt(count) if count > 1 else None
+        ),
+        "rms_approach_speed": MeasuredValue("root mean square", sqrt(float(np.mean(speed * speed))), VELOCITY),
+        "largest_approach_speed": MeasuredValue("largest", float(speed.max()), VELOCITY),
+    }
+    histogram = Histogram.of("approach speed", speed, VELOCITY)
+    scale = float(np.mean(speed * speed)) / 2  # s², m²/s²
+    middle = (histogram.edges[1:] + histogram.edges[:-1]) / 2
+    rayleigh = middle / scale * np.exp(-(middle**2) / (2 * scale)) if scale > 0.0 else None
+    histogram = replace(histogram, expected=rayleigh, theory="Maxwell")
+    return Statistic(values, {"approach_speeds": histogram}, _rows_of_groups(interval))
+
+
+def _rows_of_groups(interval: Interval) -> list[dict[str, MeasuredValue | str]]:
+    """Return a row for each pair of groups that met, the most frequent first."""
+    impacts, groups = interval.impacts, interval.groups()
+    group = np.full(interval.bodies, len(groups))
+    for number, (_, own) in enumerate(groups):
+        group[own] = number
+    names = [*(name for name, _ in groups), PLANES]
+    first = group[impacts.i]
+    second = np.where(impacts.j < interval.bodies, group[np.minimum(impacts.j, interval.bodies - 1)], len(groups))
+    key = np.minimum(first, second) * len(names) + np.maximum(first, second)
+    pairs, inverse, counts = np.unique(key, return_inverse=True, return_counts=True)
+    mean = np.bincount(inverse, impacts.speed) / counts
+    return [
+        {
+            "groups": f"{names[pairs[k] // len(names)]} and {names[pairs[k] % len(names)]}",
+            "impacts": MeasuredValue("impacts", int(counts[k])),
+            "rate": MeasuredValue("rate", counts[k] / interval.duration, RATE, sqrt(counts[k]) / interval.duration),
+            "mean_approach_speed": MeasuredValue("mean approach speed", float(mean[k]), VELOCITY),
+        }
+        for k in np.argsort(-counts, kind="stable").tolist()
+    ]
