@@ -23,7 +23,7 @@ from carom.recording.read.recording import Recording
 from carom.recording.schema.series import recorded as series_of
 from carom.recording.source.source import StateMemory, engine_package
 from carom.runs.overview import overview
-from carom.runs.unrecorded import Unrecorded
+from carom.runs.snapshot_writer import Unrecorded
 from carom_command import carom as command
 
 FAULT = 100  # the step from which each fault is planted

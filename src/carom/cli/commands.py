@@ -39,7 +39,7 @@ COMMANDS: dict[str, dict[str, str]] = {  # panel → name → module:function, i
     },
     "Measure": {
         "tradeoff": "carom.lab.tradeoff.tradeoff_command:tradeoff",
-        "tune": "carom.lab.tradeoff.tune_command:tune",
+        "tune": "carom.lab.tradeoff.tradeoff_command:tune",
         "stress": "carom.cli.stress:stress",
         "hunt": "carom.lab.hunt.hunt_command:hunt",
         "crosscheck": "carom.lab.crosscheck.crosscheck_command:crosscheck",

@@ -36,8 +36,7 @@ from carom.recording.source.source import (
 )
 from carom.runs.environment import environment
 from carom.runs.output import claimed_output, refuse_name
-from carom.runs.snapshot_writer import SnapshotWriter
-from carom.runs.unrecorded import Unrecorded, sentence_of
+from carom.runs.snapshot_writer import SnapshotWriter, Unrecorded, sentence_of
 from carom.scene.units.dimension import TIME
 from carom.scene.units.system import SI, UnitSystem
 from carom.scene.units.unit import UnitError

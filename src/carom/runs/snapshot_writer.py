@@ -1,9 +1,13 @@
-"""`SnapshotWriter`: records the snapshots of another engine's run in a separate thread."""
+"""`SnapshotWriter`: records the snapshots of another engine's run in a separate thread.
+
+`Unrecorded` has the notes on everything that could not be recorded: events of the recording, and lines on stderr.
+"""
 
 from __future__ import annotations
 
 import contextlib
 import queue
+import sys
 import threading
 import time
 import uuid
@@ -27,14 +31,16 @@ from carom.runs.environment import environment
 from carom.runs.outcome import closing_of
 from carom.runs.output import claimed_output
 from carom.runs.overview import ONCE_A_STEP
-from carom.runs.unrecorded import Unrecorded
 from carom.scene.schema import Scene
+from carom.scene.wording import counted
 
 WAITING_BYTES = 32_000_000  # bytes of states that wait for the writer
 MOST_WAITING = 256
 STOCK_BYTES = 8_000_000  # bytes of memory that the writer's thread allocates at the start
 BATCH = 8  # states in a batch: waking a thread costs as much as copying a state of 1000 bodies
 PATIENCE = 0.02  # s, after which a smaller batch is sent
+KIND = "not-recorded"  # of the events
+MOST_TEXTS = 20  # further texts are only counted
 
 
 class SnapshotWriter:
@@ -230,3 +236,52 @@ def observed_recording(path: Path, observer: Observer, scene: Scene) -> Iterator
     )
     with claimed_output(path, force=True), FrameRecorder(path, header) as recorder:
         yield recorder
+
+
+class Unrecorded:
+    """Notes on states and contacts that could not be recorded. Any thread may add notes.
+
+    Parameters
+    ----------
+    path
+        The recording, for the lines on stderr.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.events: list[Event] = []  # only ever appended to
+        self.texts: list[str] = []
+        self.count = 0
+        self._path = path
+        self._known: set[str] = set()
+        self._lock = threading.Lock()
+
+    def add(self, step: int, time: float, problem: Exception | str, consequence: str, *, ends: bool = False) -> None:
+        """Add a note on a problem and its consequence; a text that differs only in its digits is counted, not repeated.
+
+        A problem that ends the recording is not an event, since the outcome states it.
+        """
+        cause = problem if isinstance(problem, str) else sentence_of(problem)
+        pattern, text = "".join(letter for letter in cause if not letter.isdigit()), f"{cause} {consequence}"
+        with self._lock:
+            self.count += 1
+            if pattern in self._known or len(self._known) == MOST_TEXTS:
+                return
+            self._known.add(pattern)
+            self.texts.append(text)
+            if not ends:
+                self.events.append(Event(step, time, "WARN", text, KIND))
+        with contextlib.suppress(OSError, ValueError, AttributeError):  # stderr may be full, closed or missing
+            sys.stderr.write(f"carom: {self._path}: {text}\n")
+            sys.stderr.flush()
+
+    def total(self, step: int, time: float) -> list[Event]:
+        """Return the event that counts the problems, if there are more than texts."""
+        if self.count <= len(self.texts):
+            return []
+        return [Event(step, time, "WARN", f"{counted(self.count, 'problem')} of recording in all.", KIND)]
+
+
+def sentence_of(error: Exception) -> str:
+    """Return an error as a sentence."""
+    text = str(error) if isinstance(error, RecordingError) else f"{type(error).__name__}: {error}"
+    return text if text.endswith((".", "!", "?")) else f"{text}."

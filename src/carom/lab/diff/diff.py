@@ -33,11 +33,12 @@ from carom.lab.diff.divergence import (
     DiffVerdict,
     DistanceCurve,
     Divergence,
+    FirstBits,
     FrameAlignment,
     divergence_of,
+    first_bits,
     verdict,
 )
-from carom.lab.diff.first_bits import FirstBits, first_bits
 
 
 @dataclass(frozen=True, slots=True)

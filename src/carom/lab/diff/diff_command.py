@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from carom import Recording
     from carom.extend import Names, UnitSystem
     from carom.lab.diff.diff import Diff, Impact, ImpactDivergence, ImpactPair
-    from carom.lab.diff.first_bits import FirstBits
+    from carom.lab.diff.divergence import FirstBits
 
 ROWS = 12  # rows in the table of the growing difference
 KEYS = 50  # largest number of different keys of the scene that are printed; --json has all
