@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -28,7 +28,6 @@ from carom.scene.wording import command
 if TYPE_CHECKING:
     from carom.cli.progress import RunProgress
     from carom.runs.run import Outcome
-    from carom.scene.units.system import UnitSystem
 
 
 def run(
@@ -94,10 +93,12 @@ def telling_of(path: Path) -> Iterator[None]:
 
 def report(outcome: Outcome, progress: RunProgress, as_json: bool) -> None:
     """Print the outcome of a run; exit with 1 unless it completed."""
+    from dataclasses import asdict
+
     from carom.runs.overview import in_words
 
     if as_json:
-        say_json(_document(outcome, progress.units))
+        say_json({"units": progress.units.recorded, **asdict(outcome), "path": str(outcome.path), "ok": outcome.ok})
     else:
         progress.summarise(outcome)
     if not outcome.ok:
@@ -115,13 +116,6 @@ def live_viewer() -> str | None:
     except RecordingError as error:
         typer.echo(f"carom: the run is being recorded, but cannot be shown live: {error}", err=True)
         return None
-
-
-def _document(outcome: Outcome, units: UnitSystem) -> dict[str, Any]:
-    from dataclasses import asdict
-
-    document = asdict(outcome) | {"path": str(outcome.path), "ok": outcome.ok}
-    return {"units": units.recorded, **document}
 
 
 def resume(

@@ -15,7 +15,6 @@ from carom.scene.wording import command
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from carom.runs.outcome import Verdict
     from carom.runs.stress import Trial
     from carom.scene.schema import Scene
     from carom.scene.units.system import UnitSystem
@@ -101,18 +100,15 @@ def _table(trials: list[Trial]) -> Table:
             escape(trial.title) + (f"\n[dim]{escape(str(outcome.path))}[/dim]" if outcome else ""),
             "\n".join(f"{verdict.name} {'≥' if verdict.at_least else '≤'} {verdict.limit:.3g}" for verdict in verdicts),
             "\n".join(f"{verdict.measured:.2g}" for verdict in verdicts),
-            "\n".join(_met(verdict) for verdict in verdicts)
+            "\n".join(
+                "not judged" if not verdict.judged else "yes" if verdict.met else "[red]NO[/red]"
+                for verdict in verdicts
+            )
             if trial.met or trial.status == "expectation missed"
             else f"[red]{in_words(trial.status)}[/red]",
             duration_text(outcome.wall_time) if outcome else "",
         )
     return table
-
-
-def _met(verdict: Verdict) -> str:
-    if not verdict.judged:
-        return "not judged"
-    return "yes" if verdict.met else "[red]NO[/red]"
 
 
 def _worst(trial: Trial, units: UnitSystem) -> Table:

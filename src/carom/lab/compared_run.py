@@ -119,10 +119,6 @@ MORE_SAMPLES_UP_TO, MORE_SAMPLES = 20, 600  # more samples of few bodies cost no
 UNBOUNDED = RunBound()
 
 
-def _ignore(step: int, time: float) -> None:
-    """Ignore the progress of a run."""
-
-
 @dataclass(frozen=True, slots=True)
 class Trajectory:
     """Data of a run for comparison; NaN if not measured."""
@@ -182,7 +178,10 @@ def sample_times(scene: Scene) -> FloatArray:
 
 
 def follow(
-    space: Space, times: FloatArray, bound: RunBound = UNBOUNDED, tell: Callable[[int, float], None] = _ignore
+    space: Space,
+    times: FloatArray,
+    bound: RunBound = UNBOUNDED,
+    tell: Callable[[int, float], None] = lambda step, time: None,
 ) -> Trajectory:
     """Run a space to its end and collect its data, without changing its steps.
 

@@ -279,7 +279,8 @@ def _why_accurate(scene: Scene, chosen: str) -> str:
         return f"the only integrator that supports {force.name}"
     if scene.count > BOUNCES_UP_TO:
         return f"{scene.count} bodies, more than {BOUNCES_UP_TO}, which gauss-radau15 would stop at each impact"
-    return f"gauss-radau15 does not support {_beyond_gauss_radau(scene)}"
+    beyond = "overlap at the start" if scene.contact.allow_overlap else f"the {scene.gravity.method} method"
+    return f"gauss-radau15 does not support {beyond}"
 
 
 def _not_by_pairs(scene: Scene) -> str:
@@ -287,11 +288,6 @@ def _not_by_pairs(scene: Scene) -> str:
     if uses_tree(scene):
         return "a tree, whose error gauss-radau15 cannot control"
     return f"{scene.count} bodies; gauss-radau15 would sum all pairs several times a step"
-
-
-def _beyond_gauss_radau(scene: Scene) -> str:
-    """Return the first feature of a scene that Gauss–Radau integration with impacts does not support."""
-    return "overlap at the start" if scene.contact.allow_overlap else f"the {scene.gravity.method} method"
 
 
 def _accuracy(scene: Scene) -> Part:

@@ -156,12 +156,6 @@ def _one(start: ForkStart, target: Path, shift: int | None, ulps: int) -> tuple[
     return document, lines, bool(early)
 
 
-def _last_step(start: ForkStart) -> float:
-    """Return the time (s) at which the last step of the recording begins."""
-    steps = start.recording.steps("dt")
-    return float(steps["time"][-1].as_py() - steps["dt"][-1].as_py())
-
-
 def _many(
     start: ForkStart, branch: Branch, target: Path, seeds: int, ulps: int, outcome: str | None, times: int, when: bool
 ) -> tuple[dict[str, Any], list[str]]:
@@ -190,7 +184,9 @@ def _many(
         begin, end, moment = start.checkpoint.time, start.scene.time.duration, None
         if outcome is not None:
             here = Chance(begin, sum(found.outcomes), len(found.outcomes))
-            found = replace(found, chances=[here, *chances(draw, begin, end, times, _last_step(start))])
+            steps = start.recording.steps("dt")
+            last = float(steps["time"][-1].as_py() - steps["dt"][-1].as_py())  # s, at which the last step begins
+            found = replace(found, chances=[here, *chances(draw, begin, end, times, last)])
         if when:
             came = bool(found.reference_outcome)
             moment = inevitable(lambda time: (hit == came for hit in draw(time)), begin, end)

@@ -102,9 +102,12 @@ def plan(
         raise ExperimentError(f"--vary: {error}") from None
     if len(rows) * (count or 1) > variation.MOST_RUNS:
         raise ExperimentError(f"{variation.TOO_MANY_RUNS}, or fewer seeds")
-    rows = [{**row, SEED: seed} for row in rows for seed in _seeds(scene.seed, row, count)]
+    seeds = range(scene.seed, scene.seed + (count or 1))
+    rows = [{**row, SEED: seed} for row in rows for seed in ([row[SEED]] if SEED in row else seeds)]
     varied = (*(key for key in axes if key != SEED), *((SEED,) if count is not None or SEED in axes else ()))
-    text = _without_sweep(scene.toml)
+    document = tomlkit.parse(scene.toml)
+    document.pop("sweep", None)  # a run does not depend on the other runs
+    text = tomlkit.dumps(document).rstrip() + "\n"
     points = tuple(_point(row, _short_names(varied)) for row in rows)
     _refuse_hopeless(text, points, scene.held)
     return Plan(scene.title, text, varied, points, _data_files(scene, points), scene.unit_system.recorded)
@@ -135,17 +138,6 @@ def _axis(text: str) -> tuple[str, variation.Values]:
         return key.strip(), variation.values_of(values)
     except ValueError as error:
         raise ExperimentError(f"--vary {key.strip()}: {error}") from None
-
-
-def _seeds(first: int, row: dict[str, Any], count: int | None) -> Sequence[Any]:
-    return [row[SEED]] if SEED in row else range(first, first + (count or 1))
-
-
-def _without_sweep(text: str) -> str:
-    """Remove [sweep], because a run does not depend on the other runs."""
-    document = tomlkit.parse(text)
-    document.pop("sweep", None)
-    return tomlkit.dumps(document).rstrip() + "\n"
 
 
 def _short_names(keys: Sequence[str]) -> dict[str, str]:

@@ -84,7 +84,9 @@ class Conductor:
                 break
             if interrupts.count and not stopping:
                 stopping = True
-                self._let_finish()
+                self._left.difference_update(self._workers.drop_waiting())
+                left = counted(len(self._left), "run")
+                self._watch.say(f"Interrupted. Waiting for {left} in progress; interrupt again to drop them.")
         stopped = INTERRUPTED if interrupts.count else GONE if self._left or self._dropped else ""
         self._workers.drop()
         if self._unsaved:
@@ -109,12 +111,6 @@ class Conductor:
             if not self._unsaved:
                 self._watch.say(f"{self._manifest.folder.manifest} cannot be written: {error.strerror}")
             self._unsaved = str(error)
-
-    def _let_finish(self) -> None:
-        """Drop the runs that have not begun."""
-        self._left.difference_update(self._workers.drop_waiting())
-        left = counted(len(self._left), "run")
-        self._watch.say(f"Interrupted. Waiting for {left} in progress; interrupt again to drop them.")
 
 
 def _report_of(ended: Ended) -> Report:

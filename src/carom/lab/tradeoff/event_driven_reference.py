@@ -184,7 +184,8 @@ class _Solver:
                 found, (after, state) = None, self._before_pressing(before, y, after)
                 solver = self._solver(after, state, end)
             self._sample(before, y, after)
-            self._accept(after, state)
+            self._time = after
+            self._bodies.position[:], self._bodies.velocity[:] = state.reshape(2, self._n, 3)
             if pressed is not None and self._gap(state, pressed) <= self._near[pressed]:
                 self._end_in_contact(pressed)
             if clock.thread_time() > self._deadline:
@@ -400,11 +401,6 @@ class _Solver:
 
     def _end(self, why: str) -> None:
         self._ended = self._ended or why
-
-    def _accept(self, time: float, y: FloatArray) -> None:
-        self._time = time
-        self._bodies.position[:] = y[: 3 * self._n].reshape(-1, 3)
-        self._bodies.velocity[:] = y[3 * self._n :].reshape(-1, 3)
 
     def _state(self) -> FloatArray:
         return np.concatenate((self._bodies.position.ravel(), self._bodies.velocity.ravel()))

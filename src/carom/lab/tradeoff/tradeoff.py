@@ -135,7 +135,7 @@ class Study:
         self.reference: Reference | None = None
         self.budget = min(BUDGET, limit)  # s, for the reference
         self.follow_engine: EngineFollower = self._followed
-        self.examine: Examiner = _leave
+        self.examine: Examiner = lambda result, tell: None
         self._busy = 0.0
         output_folder(folder)
         if force:
@@ -351,7 +351,3 @@ def _left(results: list[SettingResult], repeats: int) -> str:
     runs = [result for result in results if result.status == "measured"]
     seconds = sum((repeats - len(r.costs)) * (r.cost if r.costs else typical) for r in runs if len(r.costs) < repeats)
     return f"; about {seconds:.2g} s left"
-
-
-def _leave(result: SettingResult, tell: Teller) -> None:
-    """Do not examine a run beyond its errors."""

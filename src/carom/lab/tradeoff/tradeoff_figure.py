@@ -119,13 +119,9 @@ def _families(done: list[dict[str, Any]]) -> dict[str, list[dict[str, Any]]]:
     """Group settings that differ only in the step by their common name; a single setting keeps its whole name."""
     found: dict[str, list[dict[str, Any]]] = {}
     for entry in done:
-        found.setdefault(_without_step(entry), []).append(entry)
+        parts = [part for part in _short(entry).split(", ") if not part.startswith(("step ×", "dt ="))]
+        found.setdefault(", ".join(parts) or AS_WRITTEN.name, []).append(entry)
     return {name if len(group) > 1 else _short(group[0]): group for name, group in found.items()}
-
-
-def _without_step(entry: dict[str, Any]) -> str:
-    parts = [part for part in _short(entry).split(", ") if not part.startswith(("step ×", "dt ="))]
-    return ", ".join(parts) or AS_WRITTEN.name
 
 
 def _short(entry: dict[str, Any]) -> str:

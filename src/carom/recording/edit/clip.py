@@ -240,7 +240,13 @@ def clip(
         selection = None if bodies is None else _selection(recording, bodies)
         first = _start(recording, cut) if exact else None
         with Writer(Path(out), recording.store.application_id, str(uuid.uuid4())) as writer:
-            for chunk in _static(recording, exact):
+            gone = {
+                paths.START,
+                f"__properties/{PROPERTY}",
+                *(() if exact else (paths.STATIC_STATE, paths.GIVEN_STATE)),
+            }
+            static = (e for e in recording.store.entries if e.is_static and e.entity_path not in gone)
+            for chunk in recording.chunks(static):
                 writer.send(chunk if selection is None else selection.of(chunk))
             if first is not None:
                 writer.send(first)
@@ -327,14 +333,13 @@ def _identity(recording: Recording, cut: _Cut, shown: Sequence[int], exact: bool
     return identity if len(shown) == recording.info["bodies"] else identity | {"bodies": np.array(shown, np.int64)}
 
 
-def _static(recording: Recording, exact: bool) -> Iterator[Chunk]:
-    gone = [paths.START, f"__properties/{PROPERTY}", *(() if exact else (paths.STATIC_STATE, paths.GIVEN_STATE))]
-    return recording.chunks(e for e in recording.store.entries if e.is_static and e.entity_path not in gone)
-
-
 def _moving(recording: Recording, cut: _Cut) -> Iterator[Chunk]:
     """Read the chunks that overlap the cut, centres before the contacts that connect them."""
-    entries = [e for e in recording.store.entries if e.first_step is not None and _overlaps(e, cut)]
+    entries = [
+        entry
+        for entry in recording.store.entries
+        if entry.first_step is not None and entry.first_step <= cut.last and (entry.last_step or 0) >= cut.first
+    ]
     last = {path: _last_before(recording.store.entries, path, cut.first) for path in _STATES}
     entries += [entry for entry in last.values() if entry is not None and entry not in entries]
     for chunk in recording.chunks(sorted(entries, key=_order)):
@@ -359,10 +364,6 @@ def _at_impacts(recording: Recording, numbers: Sequence[IntArray]) -> Iterator[C
 def _order(entry: Entry) -> tuple[int, bool]:
     is_contacts = entry.entity_path == paths.CONTACTS
     return (entry.last_step if is_contacts else entry.first_step) or 0, is_contacts
-
-
-def _overlaps(entry: Entry, cut: _Cut) -> bool:
-    return entry.first_step is not None and entry.first_step <= cut.last and (entry.last_step or 0) >= cut.first
 
 
 def _last_before(entries: Iterable[Entry], path: str, step: int) -> Entry | None:

@@ -141,10 +141,13 @@ def _rewrite(recording: Recording, out: Path, found: Salvage) -> Repaired:
                     writer.send(chunk)
             except DamageError as error:  # carom or Rerun would not have written it
                 lost.append(f"{_named(entry)} ({error})")
-        frames, step, end = _reach(kept)
+        steps, times = ([row for table in kept for row in table[name].to_pylist()] for name in (STEP, "time"))
+        step, end = max(steps, default=None), max(times, default=None)
         until = "without a frame" if end is None else f"to t = {units_of(recording).text(end, TIME)} (step {step})"
-        outcome = f"{_ending(recording)}; repaired, {until}"
-        writer.send_property("outcome", {"outcome": outcome + _told(lost), "frames": frames})
+        ended = recording.outcome
+        ended = "unfinished: the run was killed, or its end is lost" if ended == UNFINISHED else ended
+        outcome = f"{ended}; repaired, {until}"
+        writer.send_property("outcome", {"outcome": outcome + _told(lost), "frames": len(steps)})
         writer.send_property(PROPERTY, {"source": recording.path.name, "lost": "\n".join(lost)})
         if layout := recording.layout():
             writer.send_layout(StoredLayout(layout))
@@ -156,7 +159,7 @@ def _rewrite(recording: Recording, out: Path, found: Salvage) -> Repaired:
     _refuse_unreadable(out, recording.path)
     if recording.lives is not None:
         widen(out)
-    return Repaired(out, out.stat().st_size, frames, step, end, lost, added)
+    return Repaired(out, out.stat().st_size, len(steps), step, end, lost, added)
 
 
 def _has_frames(recording: Recording) -> bool:
@@ -184,20 +187,6 @@ def units_of(recording: Recording) -> UnitSystem:
         return recording.units
     except RecordingError:
         return SI
-
-
-def _reach(fingerprints: list[pa.Table]) -> tuple[int, int | None, float | None]:
-    """Return the number of frames, and step and time (s) of the last one."""
-    steps, times = (
-        [row for join_rows in fingerprints for row in join_rows[name].to_pylist()] for name in (STEP, "time")
-    )
-    return len(steps), max(steps, default=None), max(times, default=None)
-
-
-def _ending(recording: Recording) -> str:
-    """Describe the end of the run, if it was not lost."""
-    ended = recording.outcome
-    return "unfinished: the run was killed, or its end is lost" if ended == UNFINISHED else ended
 
 
 def _told(lost: list[str]) -> str:

@@ -132,7 +132,10 @@ def join_rows(
     }
     for name, column in columns.items():
         values = pa.chunked_array(found[name], column.type).combine_chunks()
-        joined[name] = values if column.each == 1 else _lists(values, column.each)
+        if column.each > 1:
+            offsets = pa.array(np.arange(0, len(values) + 1, column.each, dtype=np.int32))
+            values = pa.ListArray.from_arrays(offsets, values)
+        joined[name] = values
     return pa.table(joined)
 
 
@@ -155,11 +158,6 @@ def flat(chunk: Chunk, name: str, column: Column) -> pa.Array:
     if rows.null_count or values.null_count or pc.any(pc.not_equal(lengths, column.each)).as_py():
         raise DamageError(f"rows of /{chunk.entity_path} that do not have {column.each} values in {name}")
     return values.take(pa.array(np.arange(len(values))))
-
-
-def _lists(values: pa.Array, each: int) -> pa.ListArray:
-    offsets = np.arange(0, len(values) + 1, each, dtype=np.int32)
-    return pa.ListArray.from_arrays(pa.array(offsets), values)
 
 
 Values = NDArray[Any] | list[str]

@@ -60,14 +60,12 @@ class ShownMaterials:
                 "name": name,
                 "bodies": bodies,
                 "colour": palette.name_of(colour),
-                "contacts": {kind.other(name): kind.coefficients._asdict() for kind in self._of(name)},
+                "contacts": {
+                    kind.other(name): kind.coefficients._asdict() for kind in self.contacts if name in kind.between
+                },
             }
             for name, bodies, colour in zip(self.names, count, self.colours, strict=True)
         ]
-
-    def _of(self, name: str) -> list[KindOfContact]:
-        """Return the kinds of contacts of a material."""
-        return [kind for kind in self.contacts if name in kind.between]
 
 
 Scalar = str | int | float | bool
