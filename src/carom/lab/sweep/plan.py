@@ -102,8 +102,8 @@ def plan(
         raise ExperimentError(f"--vary: {error}") from None
     if len(rows) * (count or 1) > variation.MOST_RUNS:
         raise ExperimentError(f"{variation.TOO_MANY_RUNS}, or fewer seeds")
-    seeds = range(scene.seed, scene.seed + (count or 1))
-    rows = [{**row, SEED: seed} for row in rows for seed in ([row[SEED]] if SEED in row else seeds)]
+    numbers = range(scene.seed, scene.seed + (count or 1))
+    rows = [{**row, SEED: seed} for row in rows for seed in ([row[SEED]] if SEED in row else numbers)]
     varied = (*(key for key in axes if key != SEED), *((SEED,) if count is not None or SEED in axes else ()))
     document = tomlkit.parse(scene.toml)
     document.pop("sweep", None)  # a run does not depend on the other runs
