@@ -20,10 +20,10 @@ from carom.scene.forces import FORCES
 from carom.scene.scene_file import bundled_scenes
 from carom.scene.schema import Scene
 from carom.scene.units.dimension import OF_UNIT
-from carom.show import panels
-from carom.show.panels import decades
+from carom.show import staging
 from carom.show.presentation import Presentation, asked
 from carom.show.request import Request
+from carom.show.staging import decades
 from small_scenes import scene_of
 
 MASS, GRAVITY = 2.0, 9.81
@@ -73,7 +73,7 @@ def test_impacts_are_in_view_where_impacts_are_and_contacts_where_contacts_last(
 
 
 def test_a_plot_of_very_many_impacts_is_a_tab_behind_others(ball: Recording, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(panels, "MOST_POINTS", 1)
+    monkeypatch.setattr(staging, "MOST_POINTS", 1)
     shown = asked(ball, Request())
     assert tabs_in_view(shown)[-1] != "Impulse of impacts (N s)"
     names = [str(view.name) for view in views_of(shown.supplement.layout.root_container)]

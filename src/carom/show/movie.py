@@ -25,11 +25,10 @@ from carom.recording.schema.time_scale import TimeScale
 from carom.recording.write.static_entities import arrow_styles
 from carom.scene.units.dimension import TIME
 from carom.show.body_colours import body_colours, redrawn_for, trail_colours
-from carom.show.panels import decades, impact_strip, whole_span
 from carom.show.picture import headless, stable_picture, window_of
 from carom.show.presentation import asked
 from carom.show.request import Request
-from carom.show.staging import Staging
+from carom.show.staging import Staging, decades, impact_strip, whole_span
 from carom.show.supplement import Supplement
 from carom.show.viewer import Viewer
 

@@ -41,10 +41,9 @@ from carom.show.body_colours import body_colours, change_with_time, recorded_col
 from carom.show.body_plots import BodyPlots, asked_quantities, body_series
 from carom.show.close_up import close_up
 from carom.show.legend import legend
-from carom.show.panels import decades, impact_strip, whole_span
 from carom.show.request import NamedEvent, Pair, Request, hardest_pair, named_event, named_pair, pair_of_step
 from carom.show.shown_step import ShownStep, Watcher, at_impact, shown_step
-from carom.show.staging import Staging
+from carom.show.staging import Staging, decades, impact_strip, whole_span
 from carom.show.supplement import Supplement
 
 _ONCE = (paths.EVENTS, paths.FINGERPRINT, paths.MOMENTUM, paths.IMPACTS)  # not sent for repeated steps

@@ -37,8 +37,13 @@ from carom.recording.schema.paths import (
 )
 from carom.recording.schema.series import IN_PLOT, Sample, Series, recorded
 from carom.recording.write import encoding_kernels as encoding
-from carom.recording.write.arrow_floors import ArrowFloors
-from carom.recording.write.contact_encoder import BatchContacts, ContactEncoder, contact_columns, force_rows
+from carom.recording.write.contact_encoder import (
+    ArrowFloors,
+    BatchContacts,
+    ContactEncoder,
+    contact_columns,
+    force_rows,
+)
 from carom.recording.write.encoding_kernels import Arrows, TorqueList
 from carom.recording.write.impact_frames import STEPPING, Instant, spin_rows
 from carom.recording.write.rows import (

@@ -27,9 +27,9 @@ from carom.recording.read.recording import Recording
 from carom.recording.schema.checkpoint_columns import size
 from carom.recording.schema.header import Header, Scalar
 from carom.recording.schema.time_scale import TimeScale
+from carom.recording.source.population import Lives
 from carom.recording.write.durable_sink import AddressReserve
 from carom.recording.write.encoder import BatchEncoder
-from carom.recording.write.lives import Lives
 from carom.recording.write.stream import BATCH_BYTES, Stream, frames_in_batch
 
 # A bounded queue from the physics thread to the recorder, read in batches. The reader sleeps until a batch is full or
