@@ -156,6 +156,51 @@ def test_gauss_radau_agrees_with_the_exact_reference_to_rounding(folder: Path, s
     assert max(setting["errors"]["position"] for setting in study["settings"]) < 1e-12  # DOP853's tolerance is 1e-13
 
 
+SWIRL = """
+title = "Two bodies collide in a swirl"
+time.duration = 3.0
+[gravity]
+constant = 0
+[forces.trap]
+frequency = "1 rad/s"
+[forces.swirl]
+strength = 0.5
+[contact]
+restitution = 1.0
+static_friction = 0.0
+[[body]]
+position = [0.5, 0.02, 0.0]
+velocity = [-1.0, 0.0, 0.0]
+radius = 0.1
+mass = 1.0
+[[body]]
+position = [-0.5, 0.0, 0.0]
+velocity = [1.0, 0.0, 0.0]
+radius = 0.1
+mass = 2.0
+"""
+
+
+@pytest.mark.parametrize(
+    ("integrator", "error"),
+    [
+        ("time.integrator=leapfrog --set time.fixed_dt=0.002", 1e-5),  # of second order: some (ω dt)²
+        ("time.integrator=gauss-radau15", 1e-14),  # rounding
+    ],
+)
+def test_the_work_of_a_force_without_a_potential_explains_the_energy_that_it_adds(
+    folder: Path, site: Path, integrator: str, error: float
+) -> None:
+    (folder / "swirl.toml").write_text(SWIRL, encoding="utf-8")
+    recorded = f"run swirl.toml -o swirl.rrd --force --set {integrator}"
+    _, summary, replayed = said(folder, site, recorded, "inspect swirl.rrd --json", "replay swirl.rrd")
+    energy = json.loads(summary)["energy"]
+    assert json.loads(summary)["contacts"]["impacts"] == 1
+    assert energy["final"] > 1.5 * energy["initial"]  # the swirl accelerates both bodies along their paths
+    assert energy["max_error"] < error
+    assert "same bits" in replayed
+
+
 def test_an_integrator_of_a_package_has_its_order_and_replays(folder: Path, site: Path) -> None:
     (folder / "orbit.toml").write_text(
         'time = { duration = 12.6, integrator = "pefrl" }\n[forces.trap]\nfrequency = 1.0\n'

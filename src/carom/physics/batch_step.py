@@ -105,10 +105,10 @@ class BatchStepper:
         if self._holder and self._held:
             return self._hold(self._holder, goal)
         world, clock, bodies = self._world, self._world.clock, self._world.bodies
-        rotates = world.needs.orientation.modelled
+        rotates, works = world.needs.orientation.modelled, world.forces.path_works
         steps, until = goal.quiet(clock)
         until = min(until, self._books.kept_until)
-        most = 1 if rotates else int(min(goal.most, steps))
+        most = 1 if rotates or works else int(min(goal.most, steps))
         contact, audit = world.contact, self._books.impulse_audit
         if quiet(goal.checks, clock.step, clock.time)[0] == 1:
             self._books.suspect_contacts(clock.step)
@@ -122,6 +122,9 @@ class BatchStepper:
         self._took_last = True
         clock.advance(batch.steps, batch.before, batch.time, batch.dt, batch.limit)
         refuse_infinities(bodies, world.names.bodies, clock.step, clock.time, clock.units)
+        for work in works:
+            work.follow(batch.dt, self._integrator.at)
+        self._books.book_path_works()
         if rotates:
             rotate(bodies.orientation, bodies.angular_velocity, clock.dt, world.team)
         if contact:

@@ -205,7 +205,7 @@ def can_fly(world: World) -> bool:
         and not world.planes.curves
         and not is_audited
         and not loses_turns
-        and not world.is_driven  # the work of the field is booked step by step
+        and not world.forces.path_works  # they are booked step by step
     )
 
 

@@ -13,7 +13,6 @@ from carom.physics.contact.pipeline import ContactPipeline
 from carom.physics.contact.reactions import NO_SUPPORT
 from carom.physics.diagnostics.bookkeeper import Bookkeeper
 from carom.physics.diagnostics.run_monitor import refuse_infinities, refuse_many_crossings
-from carom.physics.forces.field import DrivingField
 from carom.physics.forces.force import DampedStep, Damping, Exchange, Potentials
 from carom.physics.free_flight import Flight, FreeFlight, can_fly
 from carom.physics.integrators.kick_drift import drift, kick, wrap
@@ -52,7 +51,6 @@ class KickDriftStepper:
         self._ends_with_forces = integrator(world.scene).ends_with_forces
         self._damping = world.forces.damping
         self._exchanges: list[Exchange] = []  # of the bodies with a medium, in this step
-        self._driving = DrivingField(np.array(world.scene.driving_field), world.bodies) if world.is_driven else None
         self._flight = FreeFlight(world, timestep) if asked is None and can_fly(world) else None
         self._steady: SteadySteps | None = None  # of few bodies in contact
         if self._flight and world.contact and world.contact.event_drift and "steady-steps" in names("model"):
@@ -84,8 +82,8 @@ class KickDriftStepper:
         if self._flight:
             self._flight.take(0.0, np.inf, np.inf, most=0)  # loads the kernel
         self._exchanges.clear()
-        if self._driving:
-            self._driving.pop()
+        for work in self._world.forces.path_works:
+            work.pop()
 
     def begin(self) -> None:
         """Start at the present state, where touching contacts carry no impulses yet."""
@@ -155,8 +153,7 @@ class KickDriftStepper:
         if self._damping:
             books.book_exchanges(self._damping.kind.loss, self._exchanges)
             self._exchanges.clear()
-        if self._driving:
-            books.audit.book_work(self._driving.ENTRY, self._driving.pop())
+        books.book_path_works()
         self._finish(potentials, due or judged, judged)
         return due
 
@@ -207,13 +204,13 @@ class KickDriftStepper:
             self._kick_before_drift(first_kick, damped)
             if index == 0 and contact:
                 self._hold(contact, first_kick, dt, booked, damped)
-            if self._driving:
-                self._driving.begin()
+            for work in world.forces.path_works:
+                work.begin()
             self._drift(substep.drift * dt, booked, damped)
             if is_last and contact:
                 self._find(contact, dt)
-            if self._driving:
-                self._driving.end()
+            for work in world.forces.path_works:
+                work.end()
             if world.is_periodic:
                 wrap(world.bodies.position, world.box, world.team)
             if world.needs.accelerates:

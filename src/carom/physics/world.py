@@ -94,7 +94,6 @@ class World:
     planes: HalfSpaces
     is_periodic: bool
     box: FloatArray  # (3,) m, size of the periodic box, `ENDLESS` along other axes; zeros in open space
-    is_driven: bool  # whether a uniform field has a component along a periodic axis
     falling: FloatArray  # (3,) m/s², the uniform field if it accelerates everything equally; otherwise zeros
     forces: TotalForce
     contact: ContactPipeline | None  # None if no contact is possible
@@ -131,7 +130,6 @@ class World:
             bodies=bodies,
             planes=planes,
             is_periodic=scene.domain.is_periodic,
-            is_driven=any(scene.driving_field),
             box=box,
             falling=falling,
             forces=forces,

@@ -18,6 +18,7 @@ from carom.recording.edit import bundle
 from carom.recording.edit.clip import Clip, clip
 from carom.recording.read.recording import Recording
 from carom.recording.schema.paths import STEP
+from carom.recording.schema.series import all_series
 from carom.runs.environment import environment
 from carom.runs.overview import (
     description,
@@ -29,7 +30,7 @@ from carom.runs.overview import (
     value_shown,
 )
 from carom.runs.replay import Replay, replay
-from carom.scene.forces import FORCES
+from carom.scene.extensions import stamped
 from carom.scene.units.dimension import ENERGY, TIME
 from carom.scene.units.system import UnitSystem
 from carom.scene.wording import command, counted, escaped
@@ -48,8 +49,7 @@ WORST = {  # subjects of a report if nothing went wrong
     "impact": "the hardest impact, {value} of approach (½ μ v_n²)",
     "overlap": "the deepest overlap, {value:.3g}% of the smaller radius",
 }
-_DRIVERS = ("walls", "driving_field")
-LEDGER = ("restitution", "friction", "stabilisation", *(kind.loss for kind in FORCES if kind.loss), *_DRIVERS)
+LEDGER = "energy/ledger/"  # where series of the ledger's entries begin
 
 
 @dataclass(frozen=True, slots=True)
@@ -241,7 +241,9 @@ def _ledger(clip: Recording) -> list[str]:
     if clip.engine:
         texts = energy_texts(clip.summary(), clip.units)
         return ["## Where energy went in the clip", "", *(f"- {_literal(text)}" for text in texts), ""]
-    rows = [(name, "taken out" if name != "stabilisation" else "put in") for name in LEDGER]
+    paths = (series.path for series in all_series(stamped(clip.info)))
+    entries = [path.removeprefix(LEDGER) for path in paths if path.startswith(LEDGER)]
+    rows = [(name, "taken out" if name != "stabilisation" else "put in") for name in entries]
     rows = [*rows, ("integration_error", "the integrator's error")]
     changes = [(name, what, energy[name].to_numpy()) for name, what in rows if name in energy.column_names]
     shown = [(name.replace("_", " "), what, clip.units.text(v[-1] - v[0], ENERGY, "+.4g")) for name, what, v in changes]

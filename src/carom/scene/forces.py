@@ -129,18 +129,20 @@ def numbers_of(section: Any) -> Mapping[str, float]:
 class BodyForce:
     """A force on each body that depends on its position.
 
+    Its energy is that of its potential. Without a potential, the ledger has an entry for its work.
+
     carom compiles both functions with Numba: they may use only sums, products, quotients and `math.sqrt` of numbers,
     and call only functions decorated by `carom.extend.kernel`. ``p`` is a record of the parameters.
     """
 
     section: type[Any]  # in the scene: a `carom.extend.Section` whose docstring says "[forces.NAME]: what it is"
     acceleration: Callable[..., tuple[float, float, float]]  # (x, y, z, p) → m/s²
-    potential: Callable[..., float]  # (x, y, z, p) → J/kg, of a body of 1 kg
+    potential: Callable[..., float] | None = None  # (x, y, z, p) → J/kg, of a body of 1 kg; without it, work is booked
     parameters: Callable[[Any], Mapping[str, float]] = numbers_of  # the fields of p, from its section, in SI units
     legend: str = ""  # legend of its energy; by default its name
     meaning: str = ""  # meaning of its energy, for `carom inspect`
     colour: str = "orange"  # colour of its energy: one of `carom.recording.schema.palette.LINES`
-    periodic: bool = False  # whether it may act in a periodic box: its potential is the same on opposite faces
+    periodic: bool = False  # whether it may act in a periodic box: it is the same on opposite faces
 
 
 @dataclass(frozen=True, slots=True)
@@ -180,13 +182,18 @@ def kind_called(name: str) -> ForceKind:
     return ForceKind(
         name,
         decide,
-        potential=name,
+        potential=name if force.potential else "",
+        loss="" if force.potential else name,
         legend=force.legend or name,
-        meaning=force.meaning or f"potential energy of the force {name}",
+        meaning=force.meaning or (f"potential energy of the force {name}" if force.potential else _removed_by(name)),
         colour=force.colour,
         differs=True,
         contradiction=lambda scene: f"there is none; add [forces.{name}]",
     )
+
+
+def _removed_by(name: str) -> str:
+    return f"removed by the force {name} since the start; negative if it added energy"
 
 
 def acts_from_outside(scene: Scene) -> bool:

@@ -25,7 +25,6 @@ from carom.physics.diagnostics.impulse_audit import ImpulseAudit
 from carom.physics.diagnostics.ledger import Ledger
 from carom.physics.diagnostics.momentum import Momentum, MomentumAccount, MomentumBaseline, TotalMotion
 from carom.physics.diagnostics.run_monitor import Activity, PaceMonitor, PaceTally, refuse_infinities
-from carom.physics.forces.field import DrivingField
 from carom.physics.forces.force import Exchange, Potentials
 from carom.physics.world import World
 from carom.plan.auto import integrator
@@ -219,8 +218,8 @@ class Bookkeeper:
         self._world = world
         self.extremes = self._beginning(Extremes())
         constant = forces.potential_of_fixed_bodies()
-        drivers = [*([ENTRY] if world.planes.moves else []), *([DrivingField.ENTRY] if world.is_driven else [])]
-        self.audit = BalanceAudit(scene, bodies, world.names, forces.uniform, constant, [*forces.losses, *drivers])
+        losses = [*forces.losses, *([ENTRY] if world.planes.moves else [])]
+        self.audit = BalanceAudit(scene, bodies, world.names, forces.uniform, constant, losses)
         self.activity = Activity(len(bodies), scene.anchored or bool(forces.uniform.any()))
         without_kicks = integrator(scene).controls_error and world.contact is None
         audited = scene.expect.contact_audit is not None and not without_kicks
@@ -331,6 +330,11 @@ class Bookkeeper:
         """Book energy and momentum exchanged with a medium in an entry of the ledger."""
         for exchange in exchanges:
             self.audit.exchange(entry, *exchange)
+
+    def book_path_works(self) -> None:
+        """Book the work of forces without a potential in the last step."""
+        for work in self._world.forces.path_works:
+            self.audit.book_work(work.entry, work.pop())
 
     def check_pace(self, dt: float, limit: str) -> None:
         """Warn if the next step, of dt seconds, and the recent ones are much shorter than the first."""

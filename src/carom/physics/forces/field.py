@@ -2,10 +2,8 @@
 
 a = g,    U = -Σ m g·x
 
-Along a periodic axis, the field has no potential, since -m g·x differs on opposite faces. There the ledger books -W,
-with the work W on the displacements Δx between two wraps:
-
-W = Σ m g·Δx
+Along a periodic axis, the field has no potential, since -m g·x differs on opposite faces. There the ledger books its
+work (`carom.physics.forces.path_work`).
 """
 
 from __future__ import annotations
@@ -14,11 +12,13 @@ import numpy as np
 
 from carom.arrays import FloatArray
 from carom.physics.bodies import Bodies
+from carom.physics.forces.path_work import PathWork
 from carom.physics.jit.decorators import kernel, long_kernel
 from carom.physics.jit.team import Team
 from carom.scene.forces import UNIFORM_FIELD
 from carom.scene.schema import Scene
 
+DRIVING_FIELD = "driving_field"  # entry of the ledger: the negative work of the field along periodic axes
 MIN_BODIES_PER_TASK = 5000  # about 10 µs of work
 
 
@@ -58,37 +58,14 @@ def make(scene: Scene, bodies: Bodies, team: Team) -> UniformField:
     return UniformField(np.array(scene.gravity.uniform), np.array(scene.driving_field), bodies.mass, team)
 
 
-class DrivingField:
-    """The work of the field along periodic axes.
+def driving_work(scene: Scene, bodies: Bodies) -> PathWork:
+    """Return the work of the field along periodic axes."""
+    driving = np.array(scene.driving_field)
 
-    Parameters
-    ----------
-    field
-        (3,) m/s², its components along periodic axes.
-    bodies
-        The bodies of the run.
-    """
+    def accelerate(position: FloatArray, acceleration: FloatArray) -> None:
+        acceleration[:] = driving
 
-    ENTRY = "driving_field"  # of the ledger, with the sign of a loss: -W
-
-    def __init__(self, field: FloatArray, bodies: Bodies) -> None:
-        self._field = field
-        self._bodies = bodies
-        self._start = bodies.position.copy()
-        self.work = 0.0  # J, in this step
-
-    def begin(self) -> None:
-        """Begin a drift at the present positions."""
-        self._start[:] = self._bodies.position
-
-    def end(self) -> None:
-        """Add the work on the displacements since `begin`; to be called before positions are wrapped."""
-        self.work -= _potential_energy(self._bodies.position - self._start, self._bodies.mass, self._field)
-
-    def pop(self) -> float:
-        """Return the work of the step in joules, and begin the next step."""
-        work, self.work = self.work, 0.0
-        return work
+    return PathWork(DRIVING_FIELD, accelerate, bodies)
 
 
 @long_kernel

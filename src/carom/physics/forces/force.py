@@ -18,8 +18,10 @@ from carom.physics.bodies import Bodies
 from carom.physics.contact.impact_log import Impacts
 from carom.physics.diagnostics.run_monitor import Profile
 from carom.physics.forces import kernel_forces
+from carom.physics.forces.field import DRIVING_FIELD, driving_work
 from carom.physics.forces.gravity import gravity_of
 from carom.physics.forces.kernel_forces import KernelForce, Parameters
+from carom.physics.forces.path_work import PathWork
 from carom.physics.jit.team import Team
 from carom.plan.auto import uses_tree
 from carom.plan.features import Requirements
@@ -181,6 +183,8 @@ class TotalForce:
         The force that depends on velocities; None if there is none.
     losses
         The ledger's entries for forces without a potential.
+    path_works
+        The work of those that do not depend on velocities; booked step by step.
     """
 
     def __init__(self, scene: Scene, needs: Requirements, bodies: Bodies, team: Team, profile: Profile) -> None:
@@ -193,6 +197,11 @@ class TotalForce:
         self.uniform: FloatArray = np.sum([np.zeros(3), *(force.uniform for force in self._forces)], axis=0)
         self.damping = next((force for force in self._forces if isinstance(force, Damping)), None)
         self.losses = [force.kind.loss for force in self._forces if force.kind.loss]
+        own = (force for force in self._forces if isinstance(force, KernelForce))
+        self.path_works = [PathWork(force.kind.loss, force.write, bodies) for force in own if force.kind.loss]
+        if any(scene.driving_field):
+            self.losses.append(DRIVING_FIELD)
+            self.path_works.append(driving_work(scene, bodies))
 
     @property
     def laws(self) -> ForceLaws | None:

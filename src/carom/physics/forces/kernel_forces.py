@@ -35,7 +35,7 @@ class _Compiled(NamedTuple):
     """The functions of a force, which kernels inline."""
 
     acceleration: Any  # or the attraction of a pair
-    potential: Any
+    potential: Any  # None of a force without one
 
 
 _compiled: dict[str, _Compiled] = {}  # by the name of the first field of their records
@@ -67,7 +67,11 @@ class KernelForce:
             acceleration[:] = 0.0
         state = (self.parameters,), position, self._mass, self._box
         self._team.divide(len(position), self._bodies_per_task, _add, *state, acceleration)
-        return _energy(*state) if potential else 0.0
+        return _energy(*state) if potential and self.kind.potential else 0.0
+
+    def write(self, position: FloatArray, acceleration: FloatArray) -> None:
+        """Write the acceleration by this force alone; arguments as for `accelerate`."""
+        self.accelerate(position, acceleration, first=True, potential=False)
 
 
 def make(name: str, scene: Scene, bodies: Bodies, team: Team) -> KernelForce:
@@ -86,9 +90,10 @@ def parameters_of(name: str, scene: Scene) -> Records:
     force = force_called(name)
     is_pair = isinstance(force, PairForce)
     first = force.attraction if isinstance(force, PairForce) else force.acceleration
-    marker = f"{_PAIR if is_pair else _BODY}{name}_{identity_of(first, force.potential)}"
+    functions = [first] if force.potential is None else [first, force.potential]
+    marker = f"{_PAIR if is_pair else _BODY}{name}_{identity_of(*functions)}"
     if marker not in _compiled:
-        _compiled[marker] = _Compiled(leaf(first), leaf(force.potential))
+        _compiled[marker] = _Compiled(leaf(first), leaf(force.potential) if force.potential else None)
     values = force.parameters(scene.forces.given[name])
     record = np.zeros(1, np.dtype([(marker, np.float64), *((key, np.float64) for key in values)], align=True))
     for key, value in values.items():
