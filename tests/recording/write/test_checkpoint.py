@@ -9,6 +9,8 @@ from carom.errors import RecordingError
 from carom.physics.checkpoint import Checkpoint
 from carom.physics.frame import Frame
 from carom.recording.read.recording import Recording
+from carom.recording.rrd import container, messages
+from carom.recording.schema import paths
 from carom.recording.schema.checkpoint_columns import encode, size
 from carom.recording.write.recorder import CheckpointPlan, FrameRecorder
 from scripted_run import ScriptedRun
@@ -106,3 +108,26 @@ def test_a_step_that_is_not_a_number_is_refused_without_blaming_the_file(
     with pytest.raises(RecordingError, match=r"^checkpoint .*: give one of checkpoint_steps") as refused:
         recording.checkpoint(step)
     assert "damaged" not in str(refused.value)
+
+
+def test_states_in_order_of_their_steps_decode_each_chunk_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    scripted = ScriptedRun(20, exact=True)
+    recording = record(tmp_path / "run.rrd", scripted, list(scripted.frames(50)))
+    steps = recording.checkpoint_steps
+    alone = [recording.checkpoint(step) for step in steps]
+    decoded = list[int]()
+
+    def decode(body: bytes) -> Any:
+        decoded.append(len(body))
+        return messages.decode(body)
+
+    monkeypatch.setattr(container, "decode", decode)
+    together = list(recording.checkpoints())
+    chunks = len(recording.store.frames_of(paths.CHECKPOINT))
+    assert len(decoded) == chunks < len(steps) == len(together)
+    for one, other in zip(alone, together, strict=True):
+        assert one.fingerprint == other.fingerprint and one.step == other.step
+    some = [steps[3], steps[1], steps[-1]]
+    assert [state.step for state in recording.checkpoints(some)] == some
+    with pytest.raises(RecordingError, match="has no checkpoint at step 1000"):
+        list(recording.checkpoints([steps[0], 1000]))

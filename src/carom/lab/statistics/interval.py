@@ -280,4 +280,4 @@ class Interval:
             state = self.recording.bodies(float(self.time[-1]))
             return np.stack([state[name].to_numpy() for name in ("vx", "vy", "vz")], axis=1)[None]
         places = np.unique(np.linspace(0, len(known) - 1, min(most, len(known))).round().astype(np.int64))
-        return np.stack([self.recording.checkpoint(known[place]).velocity for place in places.tolist()])
+        return np.stack([state.velocity for state in self.recording.checkpoints(np.array(known)[places].tolist())])

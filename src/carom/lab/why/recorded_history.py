@@ -43,7 +43,8 @@ def recorded_history(recording: Recording, question: Question, start: float | No
         )
     recording.refuse_some_bodies()
     steps = _steps(recording, question, start)
-    begin = recording.checkpoint(steps[0])
+    states = recording.checkpoints(steps)
+    begin = next(states)
     found: dict[int, list[Records]] = {step: [] for step in steps}
     for step, _, rows in rows_by_frame(recording, steps[0] + 1, steps[-1]):
         found[steps[int(np.searchsorted(steps, step))]].append(rows)
@@ -53,9 +54,8 @@ def recorded_history(recording: Recording, question: Question, start: float | No
     inverse_mass[:n] = np.divide(1.0, recording.bodies.mass, out=np.zeros(n), where=moves)
     history, impacts = History(begin, inverse_mass), [np.empty(0, CONTACT_ROW)]
     before = begin
-    for step in steps[1:]:
-        after = recording.checkpoint(step)
-        one, struck = _step(before, after, found[step], inverse_mass, question.bodies)
+    for after in states:
+        one, struck = _step(before, after, found[after.step], inverse_mass, question.bodies)
         history.steps.append(one)
         impacts.append(struck)
         before = after

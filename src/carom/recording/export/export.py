@@ -97,10 +97,10 @@ def _kept(recording: Recording, steps: IntArray) -> Iterator[Snapshot]:
         raise RecordingError(
             f"{recording.path} has no exact state at step {missing[0]} and cannot be rerun; record with exact=True"
         )
-    for step in steps.tolist():
-        there = recording.present(step)[body]
+    for state in recording.checkpoints(steps.tolist()):
+        there = recording.present(state.step)[body]
         own = {name: values[there] for name, values in others.items()}
-        yield Snapshot(recording.checkpoint(step), body[there], mass[there], radius[there], own)
+        yield Snapshot(state, body[there], mass[there], radius[there], own)
 
 
 def _own(recording: Recording, fixed: BoolArray) -> tuple[IntArray, FloatArray, FloatArray, dict[str, NDArray[Any]]]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -22,6 +22,7 @@ from carom.scene.wording import body_called
 if TYPE_CHECKING:
     from carom.physics.checkpoint import Checkpoint
     from carom.recording.read.recording import Recording
+    from carom.recording.rrd.messages import Chunk
 
 
 AXES = {
@@ -95,9 +96,9 @@ def _recorded_path(recording: Recording, number: int, steps: IntArray, times: Fl
     position = _drawn(recording, number, steps)
     exact = np.isin(steps, recording.checkpoint_steps)
     states: dict[int, Checkpoint] = {}
-    for row in np.flatnonzero(exact).tolist():
-        states[row] = recording.checkpoint(int(steps[row]))
-        position[row] = states[row].position[number]
+    rows = np.flatnonzero(exact)
+    for row, state in zip(rows.tolist(), recording.checkpoints(steps[rows].tolist()), strict=True):
+        states[row], position[row] = state, state.position[number]
     lost = np.flatnonzero(np.isnan(position).any(axis=1))
     if len(lost):
         step = int(steps[lost[0]])
@@ -141,8 +142,10 @@ def _at_checkpoints(quantity: str, states: dict[int, Checkpoint], number: int, r
     return {name: pa.array(column, mask=missing) for name, column in zip(AXES[quantity], values.T, strict=True)}
 
 
-def checkpoint_at(recording: Recording, entities: Entities, start: dict[str, Values], step: int) -> Checkpoint:
-    """Return the exact state at a step; see `Recording.checkpoint`.
+def checkpoints_at(
+    recording: Recording, entities: Entities, start: dict[str, Values], steps: Iterable[int]
+) -> Iterator[Checkpoint]:
+    """Yield the exact states at some steps; see `Recording.checkpoints`.
 
     Parameters
     ----------
@@ -151,24 +154,35 @@ def checkpoint_at(recording: Recording, entities: Entities, start: dict[str, Val
     """
     from carom.recording.schema.checkpoint_columns import decode  # noqa: PLC0415 - loads Numba
 
-    row = _row(recording, entities, start, step)
-    release_memory()
-    found = decode(step, row, len(recording.bodies.mass))
     frames = recording.fingerprints()
-    own = np.flatnonzero(frames[STEP].to_numpy() == step)
-    if len(own) and frames["fingerprint"][int(own[0])].as_py() != found.fingerprint:
-        raise RecordingError(
-            f"{recording.path}: the checkpoint at step {step} does not match the fingerprint of its frame; one of the "
-            "two is damaged"
-        )
-    return found
+    known, bits = frames[STEP].to_numpy(), frames["fingerprint"].to_numpy()
+    for step, row in _rows(recording, entities, start, steps):
+        release_memory()
+        found = decode(step, row, len(recording.bodies.mass))
+        frame = int(np.searchsorted(known, step))
+        if frame < len(known) and known[frame] == step and int(bits[frame]) != found.fingerprint:
+            raise RecordingError(
+                f"{recording.path}: the checkpoint at step {step} does not match the fingerprint of its frame; one of "
+                "the two is damaged"
+            )
+        yield found
 
 
-def _row(recording: Recording, entities: Entities, start: dict[str, Values], step: int) -> dict[str, Values]:
-    for chunk in entities.chunks_at(step, paths.CHECKPOINT):
-        rows = np.flatnonzero(chunk.batch[STEP].to_numpy() == step)
-        if len(rows):
-            return {name: values_of(chunk.batch[name][int(rows[-1])]) for name in chunk.components}
-    if start and int(start[STEP][0]) == step:
-        return {name: values.copy() for name, values in start.items()}
-    raise RecordingError(f"{recording.path} has no checkpoint at step {step}")
+def _rows(
+    recording: Recording, entities: Entities, start: dict[str, Values], steps: Iterable[int]
+) -> Iterator[tuple[int, dict[str, Values]]]:
+    """Yield the stored components of the states at some steps; a chunk is read once for consecutive steps."""
+    chunk: Chunk | None = None
+    for step in steps:
+        if chunk is None or step not in chunk.batch[STEP].to_numpy():
+            there = (each for each in entities.chunks_at(step, paths.CHECKPOINT) if step in each.batch[STEP].to_numpy())
+            chunk = next(there, None)
+        if chunk is not None:
+            place = int(np.flatnonzero(chunk.batch[STEP].to_numpy() == step)[-1])
+            row = {name: values_of(chunk.batch[name][place]) for name in chunk.components}
+            chunk = chunk if chunk.batch.num_rows > 1 else None  # it may have 400 MB
+        elif start and int(start[STEP][0]) == step:
+            row = {name: values.copy() for name, values in start.items()}
+        else:
+            raise RecordingError(f"{recording.path} has no checkpoint at step {step}")
+        yield step, row

@@ -45,6 +45,7 @@ from carom.recording.write.contact_encoder import (
     force_rows,
 )
 from carom.recording.write.encoding_kernels import Arrows, TorqueList
+from carom.recording.write.frame_arrays import refuse_wrong_arrays
 from carom.recording.write.impact_frames import STEPPING, Instant, spin_rows
 from carom.recording.write.rows import (
     NO_STEPS,
@@ -122,6 +123,7 @@ class BatchEncoder:
 
     def rows(self, batch: Sequence[Frame], store: FrameStore | None = None) -> Iterable[Rows]:
         """Return the rows of all entities of a batch, without checkpoints. In a store, the frames are consecutive."""
+        refuse_wrong_arrays(self.header, batch, self._before)
         index, position = Index.of(batch), _stacked("position", batch, store)
         points = np.empty((len(batch), self.header.bodies, 3), dtype=np.float32)
         encoding.cast_positions(position, self.origin, points)

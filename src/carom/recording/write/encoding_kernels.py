@@ -174,8 +174,10 @@ def write_contacts(
     scale: ColourArray,
     widths: SingleArray,
     columns: EdgeColumns,
-) -> None:
-    """Write the contact data of a frame, and how edges are drawn by their impulses.
+) -> int:
+    """Write the contact data of a frame, and how edges are drawn by their impulses; return the number of edges written.
+
+    It ends at the first edge without a contact.
 
     Parameters
     ----------
@@ -192,6 +194,8 @@ def write_contacts(
         i, j = pairs[e, 0], pairs[e, 1]
         while a < len(rows) and (rows[a].i < i or (rows[a].i == i and rows[a].j < j)):
             a += 1
+        if a == len(rows) or rows[a].i != i or rows[a].j != j:
+            return e
         row = rows[a]
         columns.bodies[e, 0], columns.bodies[e, 1] = i, j
         x, y, z = row.friction_x, row.friction_y, row.friction_z
@@ -200,6 +204,7 @@ def write_contacts(
         columns.mode[e] = row.mode
         level = min(len(scale) - 1, int(len(scale) * _part_of_longest(max(0.0, row.normal_impulse), middle)))
         columns.colour[e], columns.width[e] = scale[level], widths[level]
+    return len(pairs)
 
 
 @kernel
