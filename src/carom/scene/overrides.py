@@ -87,7 +87,7 @@ def key_path(override: str) -> KeyPath:
 
 def forget_digest(document: Any, path: KeyPath) -> None:
     """Remove the digest and count of the previous file if an override names another file of bodies."""
-    if len(path) > 2 and path[0] == "bodies" and path[2] in ("file", "snapshot"):
+    if len(path) > 2 and path[0] == "bodies" and path[2] in ("file", "snapshot", "snapshot_time"):
         for key in ("count", *(("sha256",) if path[2] == "file" else ())):
             document["bodies"][path[1]].pop(key, None)
 

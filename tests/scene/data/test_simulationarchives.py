@@ -262,3 +262,48 @@ def test_a_periodic_box_of_the_same_size_is_accepted(tmp_path: Path) -> None:
     save(tmp_path / "a.bin", periodic)
     top = 'gravity.constant = 0\ndomain = {boundary = "periodic", size = [10, 10, 10]}\n'
     assert scene_of(tmp_path, APART + top).domain.period == (10.0, 10.0, 10.0)
+
+
+def test_a_snapshot_is_chosen_by_its_time_in_the_units_of_the_scene(tmp_path: Path) -> None:
+    simulation = save(tmp_path / "a.bin", units=("AU", "yr", "Msun"))
+    for time in (1.0, 2.5):
+        simulation.integrate(time)
+        simulation.save_to_file(str(tmp_path / "a.bin"))
+    units = f'units = "au, yr, M_sun"\n{APART}'
+    for moment, index in (("1.0", 1), ("2", 2), ('"365.25 d"', 1), ("-1e-12", 0), ("2.50000001", 2)):
+        scene = scene_of(tmp_path, units, more=f"snapshot_time = {moment}\n")
+        assert f"snapshot {index} of 3 (from 0)" in notes_of(scene)
+        assert (
+            scene.data[0].position.tolist()
+            == scene_of(tmp_path, units, more=f"snapshot = {index}\n").data[0].position.tolist()
+        )
+    with pytest.raises(SceneError, match=r"snapshot_time = 3 is outside of its 3 snapshots, from t = 0 to 2.5"):
+        scene_of(tmp_path, units, more="snapshot_time = 3\n")
+    with pytest.raises(SceneError, match="snapshot and snapshot_time are both given; leave one out"):
+        scene_of(tmp_path, units, more="snapshot_time = 1\nsnapshot = 0\n")
+    (tmp_path / "a.csv").write_text("x,y,z,m\n0,0,0,1\n", encoding="utf-8")
+    with pytest.raises(SceneError, match="reads no times of snapshots in a table of values; choose one with snapshot"):
+        scene_of(tmp_path, file="a.csv", more="snapshot_time = 1\n")
+
+
+@pytest.mark.parametrize("boundary", ["none", "open"])
+def test_ghost_boxes_whose_bodies_attract_are_refused(tmp_path: Path, boundary: str) -> None:
+    def prepare(simulation: Any) -> None:
+        simulation.root_size, simulation.boundary = 10.0, boundary
+        simulation.N_ghost_x = simulation.N_ghost_y = 2
+
+    # with boundary = "none", too, the forces of REBOUND are 25 times as large
+    save(tmp_path / "a.bin", prepare)
+    with pytest.raises(SceneError, match=r"N_ghost_x, N_ghost_y, N_ghost_z = 2, 2, 0: .* attracts 5 × 5 × 1 copies"):
+        scene_of(tmp_path)
+    assert "copies" not in notes_of(scene_of(tmp_path, f"gravity.constant = 0\n{APART}"))
+
+
+def test_a_periodic_box_without_ghost_boxes_says_that_bodies_meet_across_its_faces_only_here(tmp_path: Path) -> None:
+    def prepare(simulation: Any) -> None:
+        periodic(simulation)
+        simulation.collision = "direct"
+
+    save(tmp_path / "a.bin", prepare)
+    box = 'gravity.constant = 0\ndomain = {boundary = "periodic", size = [10, 10, 10]}\n'
+    assert "N_ghost_x, N_ghost_y, N_ghost_z = 0, 0, 0: its bodies meet" in notes_of(scene_of(tmp_path, box))

@@ -175,8 +175,11 @@ def _rows(
     chunk: Chunk | None = None
     for step in steps:
         if chunk is None or step not in chunk.batch[STEP].to_numpy():
-            there = (each for each in entities.chunks_at(step, paths.CHECKPOINT) if step in each.batch[STEP].to_numpy())
-            chunk = next(there, None)
+            chunk = None
+            for each in entities.chunks_at(step, paths.CHECKPOINT):
+                if step in each.batch[STEP].to_numpy():
+                    chunk = each
+                    break
         if chunk is not None:
             place = int(np.flatnonzero(chunk.batch[STEP].to_numpy() == step)[-1])
             row = {name: values_of(chunk.batch[name][place]) for name in chunk.components}

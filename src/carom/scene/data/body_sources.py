@@ -16,7 +16,7 @@ from carom.scene.data.body_columns import BodyColumns, read_columns
 from carom.scene.data.formats import MotionLaw, open_table
 from carom.scene.schema.body import BodyData
 from carom.scene.schema.contact import Material
-from carom.scene.units.dimension import GRAVITATIONAL_CONSTANT, LENGTH
+from carom.scene.units.dimension import GRAVITATIONAL_CONSTANT, LENGTH, TIME
 from carom.scene.units.system import SI, UnitSystem
 
 if TYPE_CHECKING:
@@ -91,7 +91,8 @@ class DataFiles:
                 f"{section.file} has changed: its sha256 is {digest[:12]}… and that of the scene "
                 f"{str(section.sha256)[:12]}…; restore the file, or remove sha256 and count"
             )
-        table = open_table(path, section.file, section.snapshot, section.columns.header)
+        time = None if section.snapshot_time is None else wanted.units.shown(section.snapshot_time, TIME)
+        table = open_table(path, section.file, section.snapshot, section.columns.header, time)
         columns, notes = read_columns(section, table, wanted.units, wanted.material, wanted.constant)
         constant = wanted.constant if section.orbit is not None else None
         return SourcedBodies(columns, digest, wanted.material, notes, table.law, constant)
@@ -195,6 +196,20 @@ def take_over_laws(
                 refuted[index] = (
                     f'its box is periodic; set domain.boundary = "periodic" and domain.size = [{x:g}, {y:g}, {z:g}]'
                 )
+        x, y, z = law.ghosts
+        images = f"N_ghost_x, N_ghost_y, N_ghost_z = {x}, {y}, {z}"
+        if law.constant > 0.0 and not is_off and any(law.ghosts):
+            copies = f"{2 * x + 1} × {2 * y + 1} × {2 * z + 1} copies"
+            refuted.setdefault(
+                index,
+                f"{images}: each of its particles attracts {copies} of the others, but here each body once; set "
+                "gravity.constant = 0, or N_ghost_x = N_ghost_y = N_ghost_z = 0 in REBOUND",
+            )
+        elif law.collides and scene.contact.enabled and (any(law.ghosts) if law.box is None else not all(law.ghosts)):
+            notes.append(
+                f"{images}: its bodies meet those many copies of each other, but here the nearest copy in a periodic "
+                "box, and none in open space"
+            )
         if law.integrated and scene.time.integrator != (law.integrator or None):
             same = (
                 f'time.integrator = "{law.integrator}" is this method' if law.integrator else "carom lacks this method"

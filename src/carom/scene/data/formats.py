@@ -44,6 +44,7 @@ class MotionLaw(NamedTuple):
     collides: bool
     integrated: str = ""  # its integrator and step, in words
     integrator: str = ""  # the same method in carom, if there is one
+    ghosts: tuple[int, int, int] = (0, 0, 0)  # images of its box on each side along x, y and z
 
 
 class DataTable:
@@ -74,6 +75,8 @@ class DataFormat(NamedTuple):
 
     called: str  # a file of this format in messages: "an Arrow file"
     open: Callable[[Path, str, int], DataTable]  # opens a path, given its name in messages and the index of a step
+    # times of the steps of a path, ascending, in the units of its numbers; None if the format states none
+    times: Callable[[Path, str], Sequence[float]] | None = None
 
 
 class Arrays(DataTable):
@@ -202,10 +205,13 @@ def _shown(value: Any) -> str:
     return "empty, which" if value is None or value == "" else repr(value)[:60]
 
 
+_ROUNDED = 1e-8  # relative error of a time that was printed and typed again
 _LONGEST_REASON = 200  # characters of a library's message
 
 
-def open_table(path: Path, called: str, snapshot: int, header: Sequence[str] | None = None) -> DataTable:
+def open_table(
+    path: Path, called: str, snapshot: int, header: Sequence[str] | None = None, time: float | None = None
+) -> DataTable:
     """Open a data file.
 
     Parameters
@@ -218,6 +224,8 @@ def open_table(path: Path, called: str, snapshot: int, header: Sequence[str] | N
         Index of the step in a file with several steps.
     header
         The names of all columns of a text file, if the scene gives them.
+    time
+        Selects the snapshot that is nearest in time, in place of ``snapshot``; in the units of the scene.
 
     Raises
     ------
@@ -230,6 +238,8 @@ def open_table(path: Path, called: str, snapshot: int, header: Sequence[str] | N
         raise SceneError(f'{called}: no format has the suffix "{path.suffix}"; {suggestion(path.suffix, known)}')
     form: DataFormat = registry.load("data_formats", ending[1:])
     with _reading(called, form):
+        if time is not None:
+            snapshot = _nearest(form, path, called, time)
         table = form.open(path, called, snapshot)
         if header is not None:
             table.rename(header)
@@ -240,6 +250,22 @@ def open_table(path: Path, called: str, snapshot: int, header: Sequence[str] | N
             )
         refuse_many_columns(called, len(table.names))
         return _Guarded(table, form)
+
+
+def _nearest(form: DataFormat, path: Path, called: str, time: float) -> int:
+    """Return the index of the snapshot that is nearest to a time."""
+    if form.times is None:
+        raise SceneError(
+            f"{called}: carom reads no times of snapshots in {form.called}; choose one with snapshot = 0, 1 …"
+        )
+    times = np.asarray(form.times(path, called), dtype=np.float64)
+    rounding = _ROUNDED * float(np.abs(times).max())
+    if not times.min() - rounding <= time <= times.max() + rounding:
+        raise SceneError(
+            f"{called}: snapshot_time = {time:g} is outside of its {len(times)} snapshots, from t = {times.min():g} to "
+            f"{times.max():g}"
+        )
+    return int(np.argmin(np.abs(times - time)))
 
 
 class _Guarded(DataTable):

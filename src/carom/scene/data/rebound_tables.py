@@ -33,10 +33,7 @@ _KNOWN = (
 
 def open_rebound(path: Path, called: str, snapshot: int) -> DataTable:
     """Open a Simulationarchive at one of its snapshots."""
-    try:
-        import rebound  # noqa: PLC0415 - an extra
-    except ModuleNotFoundError:
-        raise SceneError(f"{called}: a Simulationarchive needs rebound: {install_extra('rebound')}") from None
+    rebound = _package(called)
     with warnings.catch_warnings(record=True) as given:
         warnings.simplefilter("always")
         archive = rebound.Simulationarchive(str(path))
@@ -81,9 +78,27 @@ def open_rebound(path: Path, called: str, snapshot: int) -> DataTable:
         collides=simulation.collision != "none",
         integrated=_integrated(simulation),
         integrator=_INTEGRATORS.get(str(simulation.integrator), ""),
+        ghosts=(int(simulation.N_ghost_x), int(simulation.N_ghost_y), int(simulation.N_ghost_z)),
     )
     table.notes = tuple(f"{called}: {note}" for note in notes)
     return table
+
+
+def times_of(path: Path, called: str) -> list[float]:
+    """Return the times of the snapshots, in the units of the simulation."""
+    rebound = _package(called)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        archive = rebound.Simulationarchive(str(path))
+        return [float(archive.t[k]) for k in range(len(archive))]
+
+
+def _package(called: str) -> Any:
+    try:
+        import rebound  # noqa: PLC0415 - an extra
+    except ModuleNotFoundError:
+        raise SceneError(f"{called}: a Simulationarchive needs rebound: {install_extra('rebound')}") from None
+    return rebound
 
 
 def _box(simulation: Any) -> tuple[float, float, float] | None:
@@ -135,4 +150,4 @@ def _attracting(simulation: Any, mass: FloatArray, called: str, notes: list[str]
     return mass
 
 
-REBOUND = DataFormat("a Simulationarchive of REBOUND", open_rebound)
+REBOUND = DataFormat("a Simulationarchive of REBOUND", open_rebound, times_of)

@@ -10,7 +10,7 @@ from pydantic import BeforeValidator, Field, model_validator
 from carom.scene.schema.contact import Surface
 from carom.scene.schema.motion import WallMotion
 from carom.scene.schema.quantity import ORIGIN, AnyReal, Count, NonNegative, Positive, Real, Section, Vector
-from carom.scene.units.dimension import ANGULAR_VELOCITY, DENSITY, LENGTH, MASS, VELOCITY
+from carom.scene.units.dimension import ANGULAR_VELOCITY, DENSITY, LENGTH, MASS, TIME, VELOCITY
 
 SOLID = 2 / 5  # moment of inertia over m r² of a solid sphere
 
@@ -149,6 +149,9 @@ class BodyData(Matter):
     snapshot: Annotated[int, Field(strict=True)] = Field(
         -1, description="step of a file with several steps, counted from 0, or from the end: -1 is the last"
     )
+    snapshot_time: Annotated[Real, TIME] | None = Field(
+        None, description="s, time of the snapshot, instead of its number; the nearest one is read"
+    )
     missing: Missing | None = Field(
         None, description="{ radius, mass, density, leave_out }, for rows of the file that lack a value"
     )
@@ -178,6 +181,8 @@ class BodyData(Matter):
             for given in (quantity, _RIVALS.get(quantity)):
                 if given in self.model_fields_set:
                     raise ValueError(f"{given} and columns.{quantity} are both given; leave one out")
+        if {"snapshot", "snapshot_time"} <= self.model_fields_set and self.snapshot_time is not None:
+            raise ValueError("snapshot and snapshot_time are both given; leave one out")
         if self.orbit is not None:
             keys = self.columns.model_fields_set & {"position", "velocity"}
             others = sorted(f"columns.{key}" for key in keys) + (["velocity"] if self.velocity is not None else [])
