@@ -101,10 +101,35 @@ def test_what_contacts_leave_of_a_velocity_is_the_field_and_a_floor_holds(tmp_pa
     recording = recorded(Springs([0.0], [1.0], gravity=10.0), tmp_path / "run.rrd", steps=100)
     (account,) = why(recording, question_of(recording, "0", None, None)).accounts
     assert account.by_forces == pytest.approx([0.0, 0.0, -1.0], abs=FLOAT32)
+    assert account.by_field == pytest.approx([0.0, 0.0, -1.0], rel=1e-12) and account.field_share == 0.0
+    said = command("why", "run.rrd", "--body", "0", cwd=tmp_path).stdout
+    assert "1 m/s (0, 0, -1)     0%  gravity gave it" in said and "  no contact explains" not in said
     assert account.by_contacts == pytest.approx([0.0, 0.0, 1.0], abs=FLOAT32)
     (cause,) = account.causes
     assert cause.kind == "contact" and cause.partner == 1 and abs(cause.work) <= FLOAT32
     assert account.start_share == pytest.approx(1.0, abs=FLOAT32)  # the floor and the weight cancel
+
+
+class Blown(Springs):
+    """A ball with wind from the side, which the engine does not report."""
+
+    def step(self) -> None:
+        self.v[:, 1] += DT * 5.0
+        super().step()
+
+
+def test_gravity_and_what_nothing_explains_have_their_own_lines_and_shares(tmp_path: Path) -> None:
+    recording = recorded(Blown([0.0], [0.0], gravity=-20.0), tmp_path / "run.rrd", steps=100)  # upwards, off the floor
+    (account,) = why(recording, question_of(recording, "0", None, None)).accounts
+    assert account.by_forces - account.by_field == pytest.approx([0.0, 0.5, 0.0], abs=FLOAT32)
+    # the shares are those of the squares: both forces are constant
+    assert account.field_share == pytest.approx(400.0 / 425.0, rel=FLOAT32) and account.forces_share == pytest.approx(
+        1.0
+    )
+    said = command("why", "run.rrd", "--body", "0", cwd=tmp_path).stdout
+    assert " 94%  gravity gave it" in said and "  6%  no contact explains" in said
+    told = json.loads(command("why", "run.rrd", "--body", "0", "--json", cwd=tmp_path).stdout)["accounts"][0]
+    assert told["by_gravity"] == pytest.approx([0.0, 0.0, 2.0]) and told["gravity_share"] == account.field_share
 
 
 def test_a_fixed_body_passes_nothing_on_and_has_no_velocity(tmp_path: Path) -> None:

@@ -10,12 +10,16 @@ restitution by the maximum and friction by the geometric mean.
 from __future__ import annotations
 
 import math
-from typing import Any
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.optimize import nnls
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from carom import Scene
-from carom.arrays import FloatArray, Records, SingleArray
+from carom.arrays import FloatArray, IntArray, Records, SingleArray
 from carom.errors import RecordingError
 from carom.extend import engine_package, named_version
 from carom.lab.compared_run import Setting
@@ -25,6 +29,9 @@ from carom.record import CONTACT, Model, Plane, State, StateMemory
 PACKAGE = "robox3d"
 _NEAR = 0.2  # of the distance of a contact point from the centre: largest distance from its plane
 _PARALLEL = 1e-4  # 1 - cosine of the angle between the normal of a contact and of a plane
+_LARGEST = 64  # points in a group whose impulses are computed from velocities
+_ROUNDED = 1e-6  # of a speed: smaller changes of velocity are rounding in single precision
+_WEIGHT = 1e-3  # of the engine's own impulses beside the observed changes of velocity, whose errors are below 1e-6
 MOST_SHAPES = 64  # shapes examined for each body
 
 
@@ -55,9 +62,10 @@ class Box3DSource:
             raise RecordingError("box3d: the world has no dynamic body")
         chosen, moves = [bodies[k] for k in shown], dynamic[shown]
         self._group = package.BodyGroup(chosen)
-        self._forces = Box3DForces(self._backend, world, chosen, planes) if contacts else None
         jointed = bool(lib.b3World_GetCounters(world.id).jointCount)
         known = [sized[k] for k in shown]
+        judged = [size is not None and not size[1] and not jointed for size in known]
+        self._forces = Box3DForces(self._backend, world, chosen, judged, planes) if contacts else None
         mass = np.array([body.mass for body in chosen])
         self.model = Model(
             engine=named_version("box3d", PACKAGE).replace("box3d", f"box3d ({PACKAGE}") + ")",
@@ -65,7 +73,7 @@ class Box3DSource:
             radius=[_drawn(body) if size is None else size[0] for body, size in zip(chosen, known, strict=True)],
             names=[body.name or f"body {k}" for k, body in enumerate(chosen)],
             fixed=~moves,
-            judged=[size is not None and not size[1] and not jointed for size in known],
+            judged=judged,
             gravity=world.gravity,
             planes=planes,
             time_step=world.last_dt,
@@ -92,7 +100,7 @@ class Box3DSource:
         self._group.velocities(rates)
         into.state.time = self._world.time
         if self._forces is not None:
-            into.state.contacts = self._forces.read(poses[:, :3])
+            into.state.contacts = self._forces.read(poses[:, :3], rates)
 
 
 def box3d(world: Any, planes: tuple[Plane, ...] = (), contacts: bool = False) -> Box3DSource:
@@ -100,12 +108,27 @@ def box3d(world: Any, planes: tuple[Plane, ...] = (), contacts: bool = False) ->
     return Box3DSource(world, planes, contacts)
 
 
+class _Point(NamedTuple):
+    """A contact point of the last step."""
+
+    ends: tuple[int, int]  # of `CONTACT`
+    place: FloatArray  # (3,) m
+    normal: FloatArray  # (3,) from the first end to the second
+    arms: tuple[FloatArray, FloatArray]  # (3,) m, from the centres of the ends
+    closing: float  # m/s, before the step
+    impulse: float  # N s, if all substeps are like the last one
+    total: float  # N s, the sum over all substeps, in which some may count twice
+    friction: FloatArray  # (3,) N, in the last substep
+
+
 class Box3DForces:
     """Reads the forces of contacts between the recorded bodies, and with planes.
 
-    Box3D has the impulses of its last substep, and sums over all substeps, in which a substep may count twice. The
-    force is that of the last substep. In a step with an impact, of which the last substep shows nothing, the force is
-    the sum over the step. Friction is always that of the last substep.
+    Box3D has the impulses of its last substep, and sums over all substeps, in which a substep may count twice. Neither
+    is the impulse of a step with an impact. Among spheres, impulses are therefore those that change the normal
+    velocities of touching bodies as observed in the step, as near as possible to those of the last substep. For other
+    shapes and in large piles, they are those of the last substep or, in an impact, the sum over the step. Friction is
+    always that of the last substep.
 
     Parameters
     ----------
@@ -113,21 +136,27 @@ class Box3DForces:
         robox3d._ffi.
     bodies
         The recorded bodies, in their order.
+    spheres
+        Whether each of them is a sphere about its centre.
     planes
         The planes of static shapes.
     """
 
-    def __init__(self, backend: Any, world: Any, bodies: list[Any], planes: tuple[Plane, ...]) -> None:
+    def __init__(
+        self, backend: Any, world: Any, bodies: list[Any], spheres: Sequence[bool], planes: tuple[Plane, ...]
+    ) -> None:
         self._ffi, self._lib, self._world, self._bodies = backend.ffi, backend.lib, world, bodies
         self._number = {body.id.index1: k for k, body in enumerate(bodies)}
         moves = [self._lib.b3Body_GetType(body.id) == self._lib.b3_dynamicBody for body in bodies]
-        self._inverse_mass = [1.0 / body.mass if one else 0.0 for body, one in zip(bodies, moves, strict=True)]
+        inverse = [1.0 / body.mass if one else 0.0 for body, one in zip(bodies, moves, strict=True)]
+        self._inverse_mass = np.array([*inverse, *(0.0 for _ in planes)])
+        self._spheres = np.array([*spheres, *(True for _ in planes)])
         self._normal = np.array([plane.normal for plane in planes], dtype=np.float64).reshape(-1, 3)
         self._offset = np.array([plane.offset for plane in planes], dtype=np.float64)
 
-    def read(self, position: SingleArray) -> Records:
-        """Return the contacts, (m,) `CONTACT`, of bodies at (n, 3) m."""
-        lib, rows = self._lib, []
+    def read(self, position: SingleArray, rates: SingleArray) -> Records:
+        """Return the contacts, (m,) `CONTACT`, of bodies at (n, 3) m, with velocities and spins (n, 6)."""
+        lib, points = self._lib, list[_Point]()
         for k, body in enumerate(self._bodies if self._world.last_dt else ()):  # 0 before the first step
             capacity = lib.b3Body_GetContactCapacity(body.id)
             if capacity == 0:
@@ -137,29 +166,76 @@ class Box3DForces:
                 shapes = (contact.shapeIdA, contact.shapeIdB)
                 ends = [self._number.get(lib.b3Shape_GetBody(shape).index1, -1) for shape in shapes]
                 if ends[0] == k or ends[0] < 0:  # otherwise it is reported with the other body, too
-                    rows += self._rows(contact, ends, position[k].astype(np.float64), is_first=ends[0] == k)
+                    points += self._points(contact, ends, position[k].astype(np.float64), is_first=ends[0] == k)
+        impulses = self._impulses(points, rates.astype(np.float64)) if points else np.empty(0)
+        step = self._world.last_dt
+        rows = [(*p.ends, p.place, p.normal, J / step, p.friction) for p, J in zip(points, impulses, strict=True)]
         return np.array(rows, CONTACT)
 
-    def _rows(self, contact: Any, ends: list[int], centre: FloatArray, is_first: bool) -> list[tuple[Any, ...]]:
+    def _points(self, contact: Any, ends: list[int], centre: FloatArray, is_first: bool) -> list[_Point]:
         """Return the points of a contact of a body at (3,) m, one of the ends; unknown ends are -1."""
-        rows, step, substep = [], self._world.last_dt, self._world.last_substep_dt
-        mobility = sum(self._inverse_mass[end] for end in ends if end >= 0)
+        points, step, substep = list[_Point](), self._world.last_dt, self._world.last_substep_dt
         for manifold in contact.manifolds[0 : contact.manifoldCount]:
             normal, friction = _vector(manifold.normal), _vector(manifold.frictionImpulse)
             for point in manifold.points[0 : manifold.pointCount]:
-                arm = _vector(point.anchorA if is_first else point.anchorB)
+                arms = _vector(point.anchorA), _vector(point.anchorB)
+                arm = arms[0] if is_first else arms[1]
                 place, outward = centre + arm, -normal if is_first else normal
                 near = _NEAR * float(np.linalg.norm(arm))
-                pair = [self._plane(outward, place, near) if end < 0 else end for end in ends]
-                if -1 in pair:  # a shape that is neither a recorded body nor a plane
+                first, second = (self._plane(outward, place, near) if end < 0 else end for end in ends)
+                if first < 0 or second < 0:  # a shape that is neither a recorded body nor a plane
                     continue
-                impulse = point.normalImpulse * step / substep  # N s, if all substeps are like the last one
-                stops = max(0.0, -point.normalVelocity) / mobility if mobility else 0.0
-                if not stops <= impulse <= point.totalNormalImpulse:
-                    impulse = point.totalNormalImpulse
+                impulse, total = point.normalImpulse * step / substep, point.totalNormalImpulse
                 share = friction / (substep * manifold.pointCount)
-                rows.append((*pair, place, normal, impulse / step, share))
-        return rows
+                points.append(
+                    _Point((first, second), place, normal, arms, -point.normalVelocity, impulse, total, share)
+                )
+        return points
+
+    def _impulses(self, points: list[_Point], rates: FloatArray) -> FloatArray:
+        """Return the normal impulses of points in the last step, (m,) N s."""
+        ends = np.array([point.ends for point in points])
+        inverse = self._inverse_mass[ends]  # (m, 2)
+        closing = np.array([point.closing for point in points])
+        guess, total = (np.array([getattr(point, name) for point in points]) for name in ("impulse", "total"))
+        mobility = inverse.sum(axis=1)
+        stops = np.divide(np.maximum(0.0, closing), mobility, out=np.zeros(len(points)), where=mobility > 0.0)
+        found = np.where((stops <= guess) & (guess <= total), guess, total)
+        # the change of each normal velocity in the step, without that of the field
+        change, field = closing.copy(), self._world.last_dt * np.asarray(self._world.gravity)
+        normal, fastest = np.array([point.normal for point in points]), np.abs(closing)
+        for side, sign in ((0, -1.0), (1, 1.0)):
+            own = np.minimum(ends[:, side], len(rates) - 1)
+            arm = np.array([point.arms[side] for point in points])
+            moved = rates[own, :3] + np.cross(rates[own, 3:], arm) - field
+            change += np.where(inverse[:, side] > 0.0, sign * np.einsum("ij,ij->i", normal, moved), 0.0)
+            fastest = np.maximum(fastest, np.where(inverse[:, side] > 0.0, np.linalg.norm(moved, axis=1), 0.0))
+        signed = inverse * (-1.0, 1.0)  # of a unit impulse on the two ends
+        for group in self._groups(ends):
+            if len(group) > _LARGEST or not self._spheres[ends[group]].all():
+                continue
+            n, share = normal[group], signed[group]
+            matrix = np.zeros((len(group), len(group)))  # changes of normal velocities by unit impulses
+            for a in (0, 1):
+                for b in (0, 1):
+                    same = ends[group, a][:, None] == ends[group, b][None, :]
+                    matrix += np.where(same, (-1.0, 1.0)[a] * share[:, b][None, :] * (n @ n.T), 0.0)
+            weight = _WEIGHT * np.diag(np.diag(matrix))
+            both = np.vstack((matrix, weight))
+            found[group] = nnls(both, np.concatenate((change[group], weight @ found[group])))[0]
+        return np.where(mobility * found > _ROUNDED * fastest, found, 0.0)
+
+    def _groups(self, ends: IntArray) -> list[IntArray]:
+        """Return the rows of points that moving bodies connect, group by group."""
+        moves = self._inverse_mass[ends] > 0.0
+        row, side = np.nonzero(moves)
+        count = len(ends)
+        graph = coo_array(
+            (np.ones(len(row)), (row, count + ends[row, side])), shape=(count + len(self._inverse_mass),) * 2
+        )
+        _, label = connected_components(graph, directed=False)
+        order = np.argsort(label[:count], kind="stable")
+        return np.split(order, np.flatnonzero(np.diff(label[order])) + 1)
 
     def _plane(self, normal: FloatArray, point: FloatArray, near: float) -> int:
         """Return the end that is the plane with a normal (3,) near (m) a point (3,) m, or -1."""

@@ -74,9 +74,11 @@ class Account:
     start_velocity: FloatArray  # (3,) m/s, at the beginning of the window
     by_contacts: FloatArray  # (3,) m/s, Σ J / m
     by_forces: FloatArray  # (3,) m/s
+    by_field: FloatArray  # (3,) m/s, of this by the uniform field of another engine
     fastest: float  # m/s, the largest speed or change of velocity in the account
     start_share: float = 1.0  # share of the velocity at the beginning
     forces_share: float = 0.0
+    field_share: float = 0.0  # of this by the uniform field of another engine
     causes: list[Cause] = field(default_factory=list)  # the latest first
     _bearing: float | None = None  # m/s, Σ |J| / m of the contacts that held the body in the last step
     _held: dict[int, tuple[Cause, int]] = field(default_factory=dict)  # by partner, with the step before their first
@@ -86,8 +88,8 @@ class Account:
     @classmethod
     def at(cls, body: int, mass: float, velocity: FloatArray) -> Account:
         """Begin with the velocity at the moment of the question."""
-        none = np.zeros(3)
-        return cls(body, mass, velocity.copy(), velocity.copy(), none, none.copy(), float(np.linalg.norm(velocity)))
+        speed, (contacts, forces, field) = float(np.linalg.norm(velocity)), np.zeros((3, 3))
+        return cls(body, mass, velocity.copy(), velocity.copy(), contacts, forces, field, speed)
 
     @property
     def unexplained(self) -> float:
@@ -126,7 +128,7 @@ class Account:
         self._lost, self._before = self._lost_at_rest(contacts, impacts), step.before_step
         if self._bearing is None:
             self._bearing = float(np.linalg.norm(self._impulses(rows[rows["holds"]]), axis=1).sum()) / self.mass
-        shares = self._divide(rows, sum(kicks, np.zeros(3)), step.before[self.body])
+        shares = self._divide(rows, sum(kicks, np.zeros(3)), step.by_field, step.before[self.body])
         first, last = sum(kicks[:1], np.zeros(3)), sum(kicks[1:], np.zeros(3))  # before the drift, and after it
         late = len(rows) > 0 and rows[-1]["time"] >= step.time
         now = self._velocity_after(step, rows, first + last if late else first)
@@ -140,13 +142,14 @@ class Account:
                 begin -= 1
             now = self._undo(rows[begin:end], shares[begin:end], now, last if late else first, impacts)
             end = begin
-        self.by_forces = self.by_forces + first + last
+        self.by_forces, self.by_field = self.by_forces + first + last, self.by_field + step.by_field
         self.start_velocity = step.before[self.body].copy()
 
-    def _divide(self, rows: Records, forces: FloatArray, start: FloatArray) -> FloatArray:
+    def _divide(self, rows: Records, forces: FloatArray, field: FloatArray, start: FloatArray) -> FloatArray:
         """Divide the remaining share of the velocity as in `Cone`; return the shares of impulses, (k,).
 
-        Forces changed the velocity by (3,) m/s from ``start``, the velocity at the beginning of the step.
+        Forces changed the velocity by (3,) m/s from ``start``, the velocity at the beginning of the step; ``field`` is
+        the part of the uniform field.
         """
         shares = np.zeros(len(rows))
         changes = self._impulses(rows) / self.mass
@@ -161,6 +164,8 @@ class Account:
             given *= self.start_share * part / given.sum()
             shares[bearing] = given[:-1]
             self.forces_share += float(given[-1])
+            along, other = np.maximum(0.0, np.vstack((field, forces - field)) @ net[0]).tolist()
+            self.field_share += float(given[-1]) * along / (along + other) if along > 0.0 else 0.0
             self.start_share *= 1.0 - part
         while not bearing.all():
             struck = ~bearing & (rows["instant"] == rows["instant"][~bearing][-1])

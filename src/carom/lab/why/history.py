@@ -59,6 +59,7 @@ class Step:
     impulses: Records  # (k,) `IMPULSE`, in order
     kicks: list[FloatArray]  # each (b, 3) m/s, changes of velocity by forces, of the bodies of the question
     contacts: Records  # (m,) `CONTACT_ROW`, the contacts of these bodies
+    by_field: FloatArray = field(default_factory=lambda: np.zeros(3))  # (3,) m/s, of the kicks, by an engine's field
 
 
 @dataclass(slots=True)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from carom import Recording
@@ -56,6 +58,8 @@ def recorded_history(recording: Recording, question: Question, start: float | No
     before = begin
     for after in states:
         one, struck = _step(before, after, found[after.step], inverse_mass, question.bodies)
+        if recording.uniform_field is not None:
+            one = replace(one, by_field=(after.time - before.time) * recording.uniform_field)
         history.steps.append(one)
         impacts.append(struck)
         before = after

@@ -35,6 +35,7 @@ class Answer:
     cone: Cone
     chain: list[Link]  # the latest first
     engine: str = ""  # whose recorded contact forces it is based on; empty for carom
+    knows_field: bool = False  # whether a uniform field of this engine acts, and is recorded
 
     @property
     def is_flow(self) -> bool:
@@ -107,7 +108,8 @@ def why(
     source = f"recorded from {recording.engine}"
     if len(steps) and steps.max() > 1:
         source += f"; a frame is up to {int(steps.max())} steps after the one before, so that impulses are estimates"
-    return replace(answer, engine=recording.engine, source=source)
+    acts = recording.uniform_field is not None and bool(recording.uniform_field.any())
+    return replace(answer, engine=recording.engine, source=source, knows_field=acts)
 
 
 def answer_from(question: Question, histories: Iterable[History], mass: FloatArray) -> Answer:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
+import numpy as np
 import typer
 
 from carom.extend import (
@@ -37,9 +38,9 @@ if TYPE_CHECKING:
 
 MOST_CAUSES = 12  # printed causes of a body; --json has all
 MOST_EDGES = 8
+_ROUNDED = 1e-3  # of the largest change of velocity in an account: smaller parts that no contact explains are rounding
 _OF_ENGINE = (
-    "Impulses are the engine's contact forces times the time between frames; what they leave of a velocity's change is "
-    "due to forces, or to contacts that the engine does not report."
+    "Impulses are the engine's contact forces times the time between frames; what they leave of a velocity's change"
 )
 
 
@@ -118,7 +119,7 @@ def _document(answer: Answer, names: Names, units: UnitSystem) -> dict[str, Any]
         },
         "window": {"begin": answer.begin, "begin_step": answer.begin_step, "source": answer.source},
         "answer": answer.kind,
-        "accounts": [_account_document(account, names) for account in answer.accounts],
+        "accounts": [_account_document(account, names, answer.knows_field) for account in answer.accounts],
         "chain": [
             {
                 "time": link.time,
@@ -159,7 +160,7 @@ def _document(answer: Answer, names: Names, units: UnitSystem) -> dict[str, Any]
     }
 
 
-def _account_document(account: Account, names: Names) -> dict[str, Any]:
+def _account_document(account: Account, names: Names, knows_field: bool) -> dict[str, Any]:
     return {
         "body": account.body,
         "name": names.of(account.body),
@@ -172,6 +173,7 @@ def _account_document(account: Account, names: Names) -> dict[str, Any]:
         "rests": account.rests,
         "start_share": account.start_share,
         "forces_share": account.forces_share,
+        **({"by_gravity": account.by_field.tolist(), "gravity_share": account.field_share} if knows_field else {}),
         "causes": [
             {
                 "with": cause.partner,
@@ -213,7 +215,8 @@ def _print(answer: Answer, names: Names, units: UnitSystem, file: Path, oldest: 
         say(line)
     say(f"From t = {units.text(answer.begin, TIME, '.9g')} on, {answer.source}.")
     if answer.engine:
-        say(_OF_ENGINE)
+        also = ", without that of its uniform field," if answer.knows_field else ""
+        say(f"{_OF_ENGINE}{also} is due to forces, or to contacts that the engine does not report.")
     if answer.begin_step > oldest:
         say("Earlier causes were not examined; --from 0 goes back to the beginning.")
     best = _to_look_at(answer)
@@ -229,9 +232,15 @@ def _summary(account: Account, answer: Answer, names: Names, units: UnitSystem) 
     yield f"{names.of(account.body)}: {_speed(account.velocity, units)} at t = {at}, which is"
     kinds = [cause.kind for cause in account.causes]
     contacts = ", ".join(counted(kinds.count(kind), kind) for kind in ("impact", "stop", "contact") if kind in kinds)
+    forces = [(account.by_forces, account.forces_share, "no contact explains" if answer.engine else "forces gave it")]
+    if answer.knows_field:
+        rest, share = account.by_forces - account.by_field, account.forces_share - account.field_share
+        forces = [(account.by_field, account.field_share, "gravity gave it")]
+        if np.linalg.norm(rest) > _ROUNDED * account.fastest or share > _ROUNDED:
+            forces.append((rest, share, "no contact explains"))
     parts = (
         (account.start_velocity, account.start_share, f"it had at t = {since}"),
-        (account.by_forces, account.forces_share, "no contact explains" if answer.engine else "forces gave it"),
+        *forces,
         (account.by_contacts, sum(cause.share for cause in account.causes), f"{contacts} gave it"),
     )
     for velocity, share, text in parts:
@@ -337,6 +346,8 @@ def _behind(answer: Answer, names: Names, units: UnitSystem) -> Iterator[str]:
     if len(resting) == len(answer.accounts):
         return
     further = "what no contact explains" if answer.engine else "forces since then"
+    if answer.knows_field:
+        further = f"gravity and {further}"
     yield f"Overall contributions: velocities at t = {since} {left:.0%}, {further} {forces:.0%}."
 
 

@@ -170,6 +170,7 @@ def header_of_recording(recording: Recording) -> Header:
         shapes=() if paths.SHAPES in static else None,
         planes=recording.drawn_planes() if paths.PLANES in static else None,
         engine=recording.engine,
+        uniform_field=recording.uniform_field,
         drawing_rules=recording.drawing_rules,
         drawn_as=str(info.get("drawn_as", "")),
     )

@@ -207,6 +207,13 @@ class Statics:
 
     @property
     @named
+    def uniform_field(self) -> FloatArray | None:
+        """Uniform field (3,) m/s² of another engine; None for carom, and in recordings that do not state it."""
+        field = self.info.get("uniform_field")
+        return None if field is None else np.array(field, dtype=np.float64)
+
+    @property
+    @named
     def check_interval(self) -> float | None:
         """Time (s) between checks of energy and momentum; None in older recordings, which were checked at frames."""
         interval = self.info.get("check_interval")

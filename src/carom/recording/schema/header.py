@@ -148,6 +148,9 @@ class Header:
     properties: Mapping[str, Scalar] = field(default_factory=dict)  # versions, command, git, cpu …
     member: SweepMember | None = None  # None for a single run
     engine: str = ""  # name and version of the engine that computed the run; empty for carom
+    uniform_field: FloatArray | None = (
+        None  # (3,) m/s², uniform field of another engine; None for carom, and if unknown
+    )
     exact: bool = False  # whether every frame has a checkpoint
     fixed: BoolArray | None = None  # (n,) bodies of another engine that never move; for carom, the scene names them
     drawn_as: str = ""  # the shape of drawn bodies, where it does not follow from their number

@@ -75,7 +75,7 @@ _KEYS: dict[str, dict[str, Callable[[Any], bool]]] = {
         "bodies": _count,
         **dict.fromkeys(("time_scale", "check_interval"), _positive),
         "origin": _vector,
-        "box": _vector,
+        **dict.fromkeys(("box", "uniform_field"), _vector),
         "schema_version": _whole,
         "drawing_rules": _whole,
         "seed": _whole,

@@ -324,6 +324,7 @@ def header_of_source(
         units=units,
         record_impacts="auto" if setup.forces else "none",
         engine=setup.engine,
+        uniform_field=setup.gravity,
         exact=exact,
         fixed=setup.fixed if setup.fixed.any() else None,
     )

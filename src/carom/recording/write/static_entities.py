@@ -96,6 +96,8 @@ def identity(header: Header, clock: TimeScale, origin: FloatArray) -> dict[str, 
         properties["scene_sha256"] = scene_digest(header.scene_toml)
     if header.engine:
         properties["engine"] = header.engine
+        if header.uniform_field is not None:
+            properties["uniform_field"] = header.uniform_field
         if header.planes is not None:
             properties["plane_names"] = "\n".join(header.planes.name)
     properties |= header.units.properties()
