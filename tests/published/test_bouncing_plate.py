@@ -20,7 +20,7 @@ from carom.extend import every
 
 E, T, G = 0.5, 0.1, 9.81  # restitution, s and m/s²
 OMEGA = 2.0 * math.pi / T
-RADIUS = 0.2  # m; a smaller ball takes shorter steps
+RADIUS = 5.0  # m; a smaller ball takes shorter steps, and bounces alike
 ALONG, ACROSS = math.pi * (1.0 - E) / (1.0 + E), 2.0 * (1.0 + E * E) / (1.0 + E) ** 2
 THRESHOLD = math.hypot(ALONG, ACROSS)  # 1.527
 
@@ -44,7 +44,7 @@ def rises(strength: float, bounces: int) -> FloatArray:
             "time": {"duration": bounces * T, "max_dt": 0.02 * T},
         }
     )
-    frames = list(Space(scene).run(schedule=every(0.0)))
+    frames = list(Space(scene).run(schedule=every(0.1 * T)))
     time = np.array([frame.time for frame in frames])
     launched = np.array([frame.velocity[0, 2] for frame in frames]) + G * time  # constant in a flight
     change = np.diff(launched)
