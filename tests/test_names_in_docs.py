@@ -141,7 +141,7 @@ def is_dotted(span: str, near: Path) -> bool:
 
 
 def is_composed(name: str) -> bool:
-    """Tell whether the code puts a name together, as in ``f"ledger_{entry}"``."""
+    """Tell whether the code composes a name, as in ``f"ledger_{entry}"``."""
     starts = (text for text in strings() if text.endswith(("_", ".")) and name.startswith(text))
     return name in strings() or any(name.removeprefix(start) in words() for start in starts)
 
@@ -267,7 +267,7 @@ def modules() -> dict[str, list[str]]:
 
 @cache
 def attributes() -> dict[str, set[str]]:
-    """What the classes of carom have by their own definitions; and their bases, in ``bases:NAME``."""
+    """The members that the classes of carom define, and their bases, in ``bases:NAME``."""
     found: dict[str, set[str]] = {}
     for path in CODE:
         for node in nodes(path) if path.is_relative_to(PACKAGE) else ():

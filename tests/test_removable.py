@@ -176,7 +176,7 @@ def test_formats_and_placements_can_be_removed(bare: Carom, bare_folder: Path) -
     messages = run(*scenes, script=READ).stdout.splitlines()
     for message, (scene, missing) in zip(messages, scenes.items(), strict=True):
         assert missing in message, scene
-    for scene in ("npz.toml", "cubic.toml"):  # as a command says it, and its exit code
+    for scene in ("npz.toml", "cubic.toml"):  # the message of a command, and its exit code
         assert "there " in refusal(run("run", scene, "-o", "needs.rrd"))
     assert 'the format ".vtk" is unknown' in refusal(run("export", "random.rrd", "-o", "run.vtk"))
 

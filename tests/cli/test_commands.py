@@ -325,7 +325,7 @@ def test_a_copy_of_a_bundled_scene_keeps_its_comments(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_without_a_cache_the_command_says_that_it_compiles(tmp_path: Path) -> None:
     environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "cache")}
-    # A free body needs the fewest kernels.
+    # a free body needs the fewest kernels
     scene_file(tmp_path, f"contact = {{ enabled = false }}\ngravity = {{ constant = 0.0 }}\n{ONE_BODY}")
     command = [sys.executable, "-m", "carom", "run", "scene.toml", "--set", "time.duration=1", "-o"]
     first, second = (

@@ -142,7 +142,7 @@ def test_criteria_that_a_run_could_not_show_are_neither_met_nor_missed(checked: 
 
 
 class InterruptedRuns(Runs):
-    """Follows runs in this process, and is interrupted in place of following one more than it may."""
+    """Follows a number of runs in this process; the next one is interrupted."""
 
     def __init__(self, allowed: int) -> None:
         super().__init__(1)

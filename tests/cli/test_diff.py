@@ -16,7 +16,7 @@ from small_scenes import pair
 
 @pytest.fixture
 def other(tmp_path: Path) -> Path:
-    """The recording `run.rrd` once more, with other numbers behind its bits and in its scene."""
+    """A copy of `run.rrd` with other fingerprints and another scene."""
     scripted = ScriptedRun(20, scene_toml='title = "A merry-go-round"\nseed = 3\n')
     with FrameRecorder(tmp_path / "other.rrd", scripted.header) as recorder:
         for frame in scripted.frames(100):
@@ -101,7 +101,7 @@ class Toy:
 
 
 def test_against_another_engine_no_scene_is_compared(tmp_path: Path) -> None:
-    # what the other recording lacks is one line, and not one for each key; positions are compared, and not bits
+    # one line for all that the other recording lacks, not one for each key; positions are compared, not bits
     bodies = run(pair(time={"duration": 58 / 64, "fixed_dt": 1 / 64}), tmp_path / "carom.rrd").bodies
     toy = Toy(record.Model(engine="toy 1.0", mass=bodies.mass, radius=bodies.radius))
     with record.Recorder(toy, tmp_path / "toy.rrd") as recorder:

@@ -36,7 +36,7 @@ position = [0.5, 0, 0]
 
 
 def parsed(text: str) -> Any:
-    """Read JSON as other programs do: NaN and Infinity are none."""
+    """Read strict JSON, which has no NaN and no Infinity."""
 
     def refuse(name: str) -> None:
         raise AssertionError(f"{name} is not JSON")

@@ -1,4 +1,4 @@
-"""The lines that say where long work is."""
+"""The progress lines of long work."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Every text says which body, plane or wall it is about, by name where there is one."""
+"""Every text names its body, plane or wall, by its own name if it has one."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ SCENES = {
 
 @pytest.fixture(scope="module", params=SCENES)
 def collided(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
-    """The recording of a scene, and what its only pair is called."""
+    """Record a scene; return the recording and the name of its only pair."""
     folder = tmp_path_factory.mktemp("names")
     scene, pair = SCENES[request.param]
     (folder / "names.toml").write_text(scene)
@@ -138,7 +138,7 @@ def test_the_close_up_view_names_both_ends(collided: tuple[Path, str]) -> None:
     path, pair = collided
     recording = Recording.open(path)
     layout = presentation(recording, recording.moment()).supplement.layout
-    short = re.sub(r'body \d+ "([^"]*)"', r"\1", pair)  # names suffice in a title, which is short
+    short = re.sub(r'body \d+ "([^"]*)"', r"\1", pair)  # a short title contains only names
     assert f"Close-up: {short}" in titles(layout.root_container)
 
 

@@ -1,4 +1,4 @@
-"""Places that cannot be written: one sentence each, and nothing that was there is lost."""
+"""Outputs that cannot be written: one sentence each, and no existing file is lost."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def test_something_in_the_way_of_the_folder_of_recordings_is_one_sentence(kind: 
 
 
 def without_rights_of_root() -> None:
-    """Let root, too, be refused what the mode of a folder forbids: drop CAP_DAC_OVERRIDE."""
+    """Drop CAP_DAC_OVERRIDE, so that the mode of a folder restricts root, too."""
     if os.getuid() == 0:
         ctypes.CDLL(None).prctl(24, 1)  # PR_CAPBSET_DROP
 

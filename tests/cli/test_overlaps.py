@@ -14,11 +14,11 @@ from carom.runs.report import worst_moment
 from carom_command import carom
 from small_scenes import pair
 
-TIMINGS = {"exact": "time-of-impact", "late": "end-of-step"}  # of an impact in the middle of a step
+TIMINGS = {"exact": "time-of-impact", "late": "end-of-step"}  # of an impact within a step
 
 
 def words(folder: Path, run: str) -> dict[str, str]:
-    """Return all that carom says of a run, by where it stands."""
+    """Return all texts about a run, by output."""
     offset = 9.0 if run == "missed" else 0.0
     contact = {"timing": TIMINGS.get(run, "auto")}
     scene = pair(offset=offset, contact=contact, time={"duration": 2.0, "fixed_dt": 0.15})

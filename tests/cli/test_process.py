@@ -47,7 +47,7 @@ def wait_for_frames(path: Path, process: subprocess.Popen[str]) -> None:
 
 
 def exit_code(child: int) -> int:
-    """Return how a process ended; one that goes on for a minute is killed."""
+    """Return the exit status of a process; kill it after a minute."""
     deadline = time.monotonic() + 60
     while time.monotonic() < deadline:
         ended, status = os.waitpid(child, os.WNOHANG)
@@ -93,7 +93,7 @@ def test_a_second_interrupt_ends_at_once_and_says_what_becomes_of_the_file(tmp_p
     run = start(tmp_path, *LONG)
     wait_for_frames(tmp_path / "x.rrd", run)
     run.send_signal(signal.SIGINT)
-    time.sleep(0.35)  # long enough to be a second press, and most often too short for the file to be closed
+    time.sleep(0.35)  # long enough to count as a second press, and usually too short for the file to be closed
     run.send_signal(signal.SIGINT)
     _, stderr = run.communicate(timeout=60)
     assert_silent(stderr)
@@ -273,7 +273,7 @@ NAMES = [name for commands in COMMANDS.values() for name in commands]
 
 
 def with_open_files(name: str, soft: int, hard: int) -> subprocess.CompletedProcess[str]:
-    """Run a command where so many files may be open, and its user may raise the limit to so many."""
+    """Run a command with a soft and a hard limit of open files."""
     return subprocess.run(
         command(name, "--help"),
         capture_output=True,

@@ -1,4 +1,4 @@
-"""What a run says before its first step and after its last."""
+"""The output of a run before its first step and after its last."""
 
 from __future__ import annotations
 

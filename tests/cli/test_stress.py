@@ -15,7 +15,7 @@ from carom.recording.read.recording import Recording
 from carom.scene.scene_file import extreme_scenes
 from carom_command import carom
 
-# at their own moments impacts overlap by nothing
+# impacts at exact times do not overlap
 TOO_DEEP = ("--set", "contact.timing=end-of-step", "--set", "expect.max_overlap=1e-9")
 
 

@@ -26,7 +26,7 @@ BOUNCY = "restitution=0.8,seed=6"
 
 @pytest.fixture(scope="module")
 def first(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, subprocess.CompletedProcess[str]]:
-    """Make a sweep, in the folder out, of which a third of the runs cannot run; return where, and what it said."""
+    """Make a sweep in the folder `out`, in which a third of the runs fail; return the folder and the output."""
     folder = tmp_path_factory.mktemp("sweep")
     write_scene(folder)
     return folder, carom_process("sweep", "spheres.toml", *VARY, "-o", "out", cwd=folder)
@@ -105,7 +105,7 @@ def test_a_sweep_is_widened_by_more_values_and_needs_no_workers_when_nothing_is_
     done = carom("sweep", "spheres.toml", *less, "-o", "out", cwd=swept)
     assert done.returncode == 0, done.stderr
     assert "2 of 2 runs done, 2 of them before" in done.stdout
-    assert len(manifest(swept / "out")["runs"]) == 6  # nothing is lost of the wider one
+    assert len(manifest(swept / "out")["runs"]) == 6  # the larger sweep loses nothing
 
 
 @pytest.mark.parametrize(

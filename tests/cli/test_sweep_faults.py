@@ -131,7 +131,7 @@ def test_the_interrupt_key_twice_ends_at_once(tmp_path: Path) -> None:
         assert client.stderr is not None
         while "Waiting for" not in client.stderr.readline():
             assert client.poll() is None
-        time.sleep(2 * SAME_PRESS)  # what follows sooner is the same press, passed on by a wrapper
+        time.sleep(2 * SAME_PRESS)  # an earlier signal is the same press, forwarded by a wrapper
         os.killpg(client.pid, signal.SIGINT)
         _, stderr = client.communicate(timeout=60)
     assert client.returncode == 1 and "Traceback" not in stderr, stderr
@@ -175,7 +175,7 @@ def test_a_full_disk_leaves_a_manifest_that_says_so(tmp_path: Path) -> None:
 
 
 def children_of(process: int) -> list[int]:
-    """Find the workers of a sweep among what it has started."""
+    """Find the workers among the processes of a sweep."""
     lists = [path.read_text(encoding="utf-8") for path in Path(f"/proc/{process}/task").glob("*/children")]
     children = [int(child) for listed in lists for child in listed.split()]
     return [child for child in children if b"carom.runs.workers" in Path(f"/proc/{child}/cmdline").read_bytes()]

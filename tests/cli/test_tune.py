@@ -13,7 +13,7 @@ from small_scenes import cloud, pair
 
 QUICK = ("--vary", "time.integrator=leapfrog,yoshida4", "--vary", "step=4,1", "--repeats", "1")
 SHORT = ("--set", "time.duration=1.0", "--set", "record.every=0.1")
-TIMED = ("--set", "time.duration=20.0", "--set", "record.every=2")  # some milliseconds, so that costs differ
+TIMED = ("--set", "time.duration=20.0", "--set", "record.every=2")  # takes some milliseconds, so that costs differ
 
 
 def test_the_cheapest_setting_that_keeps_the_limit_is_written_with_its_measurement(tmp_path: Path) -> None:

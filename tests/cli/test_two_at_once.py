@@ -1,4 +1,4 @@
-"""Two commands that write one file: the second is refused when it starts, and the first loses nothing."""
+"""Two commands write one file: the second is refused at its start, and the first completes its file."""
 
 from __future__ import annotations
 

@@ -29,7 +29,7 @@ OF_PACKAGES = {  # compiled for the forces and laws of each package that calls t
 
 
 def kernels() -> set[str]:
-    """All functions of carom that Numba compiles on their own, by module and name."""
+    """All functions of carom that Numba compiles separately, by module and name."""
     found = set()
     for module in pkgutil.walk_packages(carom.__path__, "carom."):
         for value in vars(importlib.import_module(module.name)).values():
@@ -63,6 +63,6 @@ def test_after_a_warmup_nothing_is_left_to_compile_but_what_is_damaged(
         contents = file.read_bytes()
         file.write_bytes(other.read_bytes())
         other.write_bytes(contents[: len(contents) // 2])
-    # a damaged kernel that only others call is not loaded while they are whole: 4 to 8 of 11 were compiled again, with
-    # the functions that have no file of their own, of which there is one for every five files
+    # a damaged kernel that is called only by intact ones is not loaded: 4 to 8 of 11 were compiled again, and with them
+    # functions without a file of their own, one for every five files
     assert 1 <= json.loads(warmup(cache, "--json"))["compiled"] <= 2 * len(damaged)

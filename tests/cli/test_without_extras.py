@@ -1,4 +1,4 @@
-"""Every command without extras: it does what it is for, or names what to install."""
+"""Every command without extras: it works, or names the package to install."""
 
 from __future__ import annotations
 

@@ -4,10 +4,9 @@
     python tests/golden/fingerprints.py NAME…  writes only these scenes
 
 A case is a scene with some of its keys overridden, and a number of steps. Every frame of the run goes into hashes, one
-for each part of it, so that a failure says which part moved: the state itself, the energy, the ledger, the steps, the
-contacts, what turns the bodies. Values are hashed as plain 64-bit numbers in a fixed order, so that classes, fields and
-modules of carom may be renamed. The energy scale is left out: it was a dot product of BLAS, which rounds differently
-on other processors.
+for each part of it, so that a failure names the part that changed: state, energy, ledger, steps, contacts, torques.
+Values are hashed as plain 64-bit numbers in a fixed order, so that classes, fields and modules of carom may be renamed.
+The energy scale is left out: it was a dot product of BLAS, which rounds differently on other processors.
 
 Beside the hashes stand the largest errors of energy and momentum, the impacts and the steps, so that an intended change
 shows its size when it is written. The errors depend on the energy scale, so they are rounded and not compared.

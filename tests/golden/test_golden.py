@@ -1,4 +1,4 @@
-"""Short runs of all scenes by all methods have the bits that are stored: a refactoring moves none of them.
+"""Short runs of all scenes by all methods have the stored bits; a refactoring changes none of them.
 
 Where a change of the physics is meant to move bits, `python tests/golden/fingerprints.py` stores the new ones.
 """
@@ -21,7 +21,7 @@ def changes(name: str, chosen: Iterable[str]) -> str:
 
 
 def usual(name: str) -> list[str]:
-    """Return all methods for a scene that was made for these tests, and for another one a third, in rotation.
+    """Return all methods for a scene that was made for these tests, and one third of them, in rotation, for others.
 
     A slow test of the impulse audit (test_impulse_audit.py) runs all of them, with the contacts recorded.
     """

@@ -78,7 +78,7 @@ def told(folder: Path, *arguments: str) -> dict[str, Any]:
 
 
 def replay(folder: Path, path: str, *options: str) -> dict[str, Any]:
-    """Replay a recording: to its end with the same bits, or up to a difference that is named."""
+    """Replay a recording; it must end with the same bits, or with a named difference."""
     done = carom("replay", path, *options, "--yes", "--json", cwd=folder)
     replayed: dict[str, Any] = json.loads(done.stdout)
     assert (done.returncode, replayed["same"], replayed["difference"] is None) == (0 if SAME else 1, SAME, SAME)

@@ -1,4 +1,4 @@
-"""What must not matter: units, a mirror, where, which way up and how fast the whole moves, numbering, time's sense.
+"""Invariance under units, reflection, translation, rotation, boosts, numbering and reversal of time.
 
 Exact where floating point allows it: powers of two commute with every operation but underflow, a change of sign with
 all of them, and a step that is a power of two adds up to an exact clock. Elsewhere to round-off, over runs so short or

@@ -1,4 +1,4 @@
-"""What a scene does not require is not there; forced on, it changes no bit of what remains."""
+"""A part that a scene does not require is absent; forced on, it changes no bit of the others."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Orientations turn by exactly ω dt, with our own sine and cosine."""
+"""Orientations rotate by exactly ω dt, with carom's own sine and cosine."""
 
 from __future__ import annotations
 

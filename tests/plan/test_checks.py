@@ -1,4 +1,4 @@
-"""What may be a mistake in a scene is said, and bundled scenes have none."""
+"""Likely mistakes in a scene are reported, and bundled scenes have none."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a run's numbers of contacts are called."""
+"""The names of the numbers of contacts of a run."""
 
 from carom.runs.overview import EACH, ONCE_A_STEP, counts_text
 

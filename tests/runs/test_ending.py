@@ -1,4 +1,4 @@
-"""How the end of a run is told to people."""
+"""The description of the end of a run."""
 
 import pytest
 

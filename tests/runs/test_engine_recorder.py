@@ -27,7 +27,7 @@ from carom.runs.snapshot_writer import Unrecorded
 from carom_command import carom as command
 
 FAULT = 100  # the step from which each fault is planted
-MET = 101  # the step in which the two bodies meet: what is wrong with impacts happens then
+MET = 101  # the step in which the two bodies meet: faults of impacts occur then
 STEPS = 130
 DT = 0.002  # s; bodies overlap by 2 % of a radius before they bounce
 G = np.array([0.0, 0.0, -9.81])
@@ -109,7 +109,7 @@ def not_a_number(toy: Toy) -> None:
 
 
 class Clockless(Toy):
-    """An engine that does not tell the time."""
+    """An engine that does not report the time."""
 
     counted = 0
 

@@ -1,4 +1,4 @@
-"""What a run will cost is measured on a few of its steps and frames, and adds up."""
+"""The cost of a run is estimated from a few of its steps and frames, and its parts add up."""
 
 from __future__ import annotations
 

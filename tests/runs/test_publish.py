@@ -47,7 +47,7 @@ def record(path: Path, title: str = TITLE) -> Path:
 
 
 def draw(recording: Recording, shots: Sequence[Shot], size: tuple[int, int]) -> str:
-    """Draw something, at no cost, in place of pictures."""
+    """Replace the rendering of pictures by one that takes no time."""
     for shot in shots:
         Image.new("RGB", size, "orange").save(shot.out_png)
     return ""

@@ -167,7 +167,7 @@ def test_a_recording_that_lacks_bodies_of_its_scene_is_damaged(
     stated = recording.info["scene_sha256"]
     monkeypatch.setattr(
         "carom.recording.read.recorded_scene.scene_digest", lambda text: stated
-    )  # as of a stranger who knows
+    )  # as a stranger could have made it
     with pytest.raises(RecordingError, match="its scene has more bodies than it"):
         recorded_scene(Recording.open(recording.path))
 

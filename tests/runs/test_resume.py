@@ -31,7 +31,7 @@ CONTENT = ("fingerprints", "energy", "steps", "momentum", "events", "phases", "d
 
 
 def assert_same_recording(one: Recording, other: Recording) -> None:
-    """All that a reader can ask for is the same, to the bit."""
+    """All data that a reader can get are the same, to the bit."""
     for name in CONTENT:
         assert written_out(getattr(one, name)()) == written_out(getattr(other, name)()), name
     assert one.summary()["moments"] == other.summary()["moments"]

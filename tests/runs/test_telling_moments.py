@@ -1,4 +1,4 @@
-"""The moments that explain a recording, and what is said of them."""
+"""The moments that explain a recording, and their captions."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Processes that run tasks: what they return, when they die, and what other users of the machine can do to them."""
+"""Processes that run tasks: their results, their deaths, and attacks by other users of the machine."""
 
 from __future__ import annotations
 

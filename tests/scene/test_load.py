@@ -22,7 +22,7 @@ ONE_BODY = "[[body]]\nradius = 1.0\n"
 
 
 def complaint(tmp_path: Path, text: str, overrides: list[str] | None = None) -> str:
-    """Load a text as a scene file, all the way to the placed bodies, and return what is said about it."""
+    """Load a text as a scene file and place its bodies; return the messages."""
     path = tmp_path / "scene.toml"
     path.write_text(text, encoding="utf-8")
     with pytest.raises(SceneError) as caught:

@@ -1,4 +1,4 @@
-"""What varies in a sweep, as a person writes it."""
+"""The notation of values that vary in a sweep."""
 
 from __future__ import annotations
 

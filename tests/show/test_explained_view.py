@@ -1,4 +1,4 @@
-"""What stands beside the bodies: the legend with its scales, names, and the arrow of a field; and the light theme."""
+"""The annotations of the view: the legend with its scales, names, the arrow of a field; and the light theme."""
 
 from dataclasses import replace
 from typing import Any
@@ -108,7 +108,7 @@ def test_the_arrow_and_the_axes_of_a_field_are_on_the_side_where_they_cover_less
     down = np.array([0.0, 0.0, -9.81])
     left = 0.36 * area.aspect * eye.height()  # the half of the picture is 0.5 of it
     for upper, lower in ((-1.0, -1.0), (1.0, -1.0), (-1.0, 1.0), (1.0, 1.0)):
-        rows = [(-upper, 0.34), (-lower, -0.36)]  # where a path and a ball are: opposite of where nothing is
+        rows = [(-upper, 0.34), (-lower, -0.36)]  # at a path and a ball: the opposite of an empty place
         drawn = np.array([[side * left, 0.0, up * eye.height()] for side, up in rows])
         arrows: Any = dict(field_arrows(header, eye, area, down, drawn, np.array([0.0, 0.3])))[FIELD]
         origins = np.array(arrows.origins.as_arrow_array().to_pylist())

@@ -76,7 +76,7 @@ def kept(tmp_path: Path, options: str = "", prefix: tuple[str, ...] = (), screen
 
 
 def answer_to_nobody(port: int, request: bytes) -> str:
-    """Return what another user gets from a port, in words."""
+    """Describe the answer of a port to another user."""
     return run_as_nobody(f"""
 try:
     connection = socket.create_connection(("127.0.0.1", {port}), timeout={LIMIT})

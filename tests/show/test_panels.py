@@ -1,4 +1,4 @@
-"""The panels show what happened: impacts, contacts that last, or decades after an explosion."""
+"""Panels by the events of a run: impacts, lasting contacts, or decades after an explosion."""
 
 from dataclasses import replace
 from typing import Any

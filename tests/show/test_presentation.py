@@ -1,4 +1,4 @@
-"""What a viewer is given to show a moment: no picture is rendered here."""
+"""The data sent to a viewer to show a moment; no picture is rendered here."""
 
 from dataclasses import replace
 from pathlib import Path

@@ -39,7 +39,7 @@ PLANETESIMAL = "[[body]]\nradius = 1e5\nposition = [{x}, {y}, 0]\nvelocity = [{u
 
 
 def filled(pixels: Pixels) -> float:
-    """Return the share of a view's shorter side that what is drawn reaches across, but for a few stray pixels."""
+    """Return the extent of the drawn content over the shorter side of the view, without a few stray pixels."""
     ground = np.median(pixels, axis=(0, 1))
     drawn = np.argwhere(np.abs(pixels - ground).sum(axis=2) > 56)
     low, high = np.percentile(drawn, [0.5, 99.5], axis=0)

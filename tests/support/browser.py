@@ -1,4 +1,4 @@
-"""Chromium without a screen, in which the web viewer is looked at."""
+"""Headless Chromium for tests of the web viewer."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ PAINTED = 60_000  # ms
 
 @contextlib.contextmanager
 def chromium(width: int = 800, height: int = 500) -> Iterator[tuple[Page, list[str]]]:
-    """Give an empty page, and the list of what goes wrong in it: errors in the console, and exceptions."""
+    """Yield an empty page, and the list of its errors: console messages and exceptions."""
     from playwright.sync_api import sync_playwright
 
     with sync_playwright() as playwright:

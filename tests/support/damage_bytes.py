@@ -48,7 +48,7 @@ def swapped(content: bytearray, random: np.random.Generator) -> bytearray:
 
 
 def edited(content: bytearray, random: np.random.Generator) -> bytearray:
-    """Change bytes where it hurts: in the first chunks, in the footer, in the heads of messages."""
+    """Change bytes in the first chunks, in the footer and in the headers of messages."""
     size = len(content)
     heads: list[int] = [at for at in range(size - 16) if content[at] == 2 and content[at + 1 : at + 8] == bytes(7)]
     head = heads[random.integers(len(heads))]
@@ -88,7 +88,7 @@ def read_all(path: Path) -> None:
 
 
 def attempt(operation: Callable[[], object]) -> None:
-    """Do something to a file; that it refuses is all right."""
+    """Run a command on a file; a refusal is correct."""
     try:
         operation()
     except (RecordingError, SceneError, PhysicsError) as error:
@@ -103,7 +103,7 @@ def mended(path: Path, out: Path) -> None:
 
 
 def tell(*what: object) -> None:
-    """Say something at once: the next file may be the last."""
+    """Print at once, since the next file may end the process."""
     print(*what, flush=True)  # noqa: T201
 
 

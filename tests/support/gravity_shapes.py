@@ -83,7 +83,7 @@ def summed(position: FloatArray, mass: FloatArray, softening: float = 0.0) -> tu
 
 
 def total_pull(position: FloatArray, mass: FloatArray, softening: float) -> FloatArray:
-    """The sum of the magnitudes of all pulls on each body: where pulls cancel, their errors need not."""
+    """The sum of the magnitudes of all accelerations of each body: where these cancel, their errors need not."""
     d2 = np.sum((position[None, :, :] - position[:, None, :]) ** 2, axis=2)
     pull = np.divide(np.sqrt(d2), (d2 + softening**2) ** 1.5, out=np.zeros_like(d2), where=d2 > 0.0)
     return np.asarray(np.sum(mass * pull, axis=1))

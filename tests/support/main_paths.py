@@ -67,7 +67,7 @@ def without_screen_and_driver() -> dict[str, str]:
 
 
 def fault_of(command: str, path: tuple[int, str, str], folder: Path, environment: dict[str, str]) -> str:
-    """Take a path of a command; return what is wrong with its end, or nothing."""
+    """Run a path of a command; return what is wrong with its result, or nothing."""
     import shlex
 
     code, said, arguments = path
@@ -88,7 +88,7 @@ def fault_of(command: str, path: tuple[int, str, str], folder: Path, environment
 
 
 def main() -> None:
-    """Take all paths, the first command first and then two commands at a time."""
+    """Run all paths: the first command alone, then two commands at a time."""
     with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor(2) as threads:
 
         def fault_in(command: str) -> str:

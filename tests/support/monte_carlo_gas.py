@@ -1,4 +1,4 @@
-"""Rough spheres that are nowhere: Boltzmann's equation of a homogeneous gas, solved by direct simulation Monte Carlo.
+"""Rough spheres without positions: Boltzmann's equation of a homogeneous gas, by direct simulation Monte Carlo.
 
 Bird, *Molecular Gas Dynamics and the Direct Simulation of Gas Flows* (1994): pairs are drawn at random and collide
 with a probability proportional to the speed at which they approach, in a random direction. That has what a closure with

@@ -1,4 +1,4 @@
-"""What some tests need: they are skipped with the reason where it is absent, or fail where it is required.
+"""Requirements of tests: a test is skipped with the reason where one is absent, or fails where it is required.
 
 A need is ``pictures`` (a Vulkan driver and Xvfb), ``browser`` (Chromium and Playwright), or a package of an extra, by
 the name by which it is imported. ``CAROM_REQUIRE=engines,extras,pictures,browser`` requires all, as CI does.

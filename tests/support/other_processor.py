@@ -21,7 +21,7 @@ class OtherProcessor:
     kernels: Path
     environment: dict[str, str]
     ahead: dict[str, int]  # the files that `carom.runs.compile_ahead` wrote, and when (ns)
-    warmth: dict[str, Any]  # what `carom warmup --json` said afterwards
+    warmth: dict[str, Any]  # the output of `carom warmup --json` afterwards
 
 
 def environment_of(kernels: Path) -> dict[str, str]:

@@ -1,4 +1,4 @@
-"""A recording of a run that no physics made, as fixtures: whole, and as a copy to write to."""
+"""A recording of a run without physics, as fixtures: whole, and as a copy that may be changed."""
 
 from __future__ import annotations
 
@@ -32,5 +32,5 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def run_file(recorded: Path, tmp_path: Path) -> Path:
-    """A copy of it, to be done with as one likes."""
+    """A copy of it, which a test may change."""
     return Path(shutil.copy(recorded, tmp_path))

@@ -1,4 +1,4 @@
-"""Runs that no physics made: bodies on circles, touching now and then."""
+"""Runs without physics: bodies on circles that touch now and then."""
 
 from __future__ import annotations
 

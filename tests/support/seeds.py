@@ -31,7 +31,7 @@ def examples(count: int) -> Callable[[Callable[..., None]], Callable[..., None]]
 
 
 def is_random() -> bool:
-    """Tell whether this run is to try what no earlier one has tried."""
+    """Tell whether this run tries new random examples."""
     return os.environ.get(VARIABLE) == "random"
 
 

@@ -94,7 +94,7 @@ def started(*arguments: str, cwd: Path) -> Iterator[subprocess.Popen[str]]:
 
 
 def until(reached: Callable[[], bool], limit: float = 120.0) -> None:
-    """Wait until something is so; fail if it does not come to be."""
+    """Wait until a condition holds; fail if it never does."""
     end = time.monotonic() + limit
     while not reached():
         assert time.monotonic() < end, "it did not come to be"

@@ -1,4 +1,4 @@
-"""The figure of a crosscheck tells its engines apart."""
+"""The engines can be distinguished in the figure of a crosscheck."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The impact after which a run leaves the reference: the first whose outcome differs, by its number on record."""
+"""The impact at which a run diverges from the reference: the recorded number of the first whose outcome differs."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def test_a_missed_impact_is_named_by_the_number_that_event_takes(bounced: tuple[
 def test_an_outcome_that_differs_is_named_though_the_runs_part_after_later_impacts(
     bounced: tuple[Reference, Path],
 ) -> None:
-    # the ball is 5 % too slow from its second impact on, and its path a hundredth away only after its fifth
+    # the ball is 5 % too slow from its second impact on, but its path deviates by a hundredth only after its fifth
     reference, path = bounced
     best = reference.trajectory
     late = best.time > best.struck_at[1]

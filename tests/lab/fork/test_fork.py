@@ -1,4 +1,4 @@
-"""`carom fork`: what a branch shares with its recording, what it may change, and how many branches spread."""
+"""`carom fork`: the common part of a branch and its recording, allowed changes, and the spread of many branches."""
 
 from __future__ import annotations
 

@@ -48,7 +48,7 @@ def test_a_fault_is_found_shrunk_and_filed_with_its_recording(tmp_path: Path, mo
 
 
 def meeting(index: int) -> dict[str, Any]:
-    """Three spheres, of which two meet head on."""
+    """Three spheres; two of them meet head on."""
     bodies = [{"name": f"ball {k}", "position": [3.0 * k, 0.0, 0.0], "velocity": [-k, 0.0, 0.0]} for k in range(3)]
     return {
         "body": bodies,

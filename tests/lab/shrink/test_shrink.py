@@ -41,7 +41,7 @@ GAS: dict[str, Any] = {  # a dozen spheres that meet within a second
 
 @pytest.fixture
 def ledger_without_contacts(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Plant a fault: the ledger forgets what contacts take out."""
+    """Plant a fault: the ledger leaves out the energy that contacts absorb."""
     monkeypatch.setattr(BalanceAudit, "book", lambda audit, work: None)
 
 
@@ -364,7 +364,7 @@ def test_an_image_of_a_scene_with_units_runs_alike(name: str) -> None:
 
 
 def test_a_scene_with_an_accuracy_takes_the_same_steps_in_other_units() -> None:
-    """What carom has promised for it is scaled, too."""
+    """The promise of carom is scaled, too."""
     assert said_of("scaling", "body = [{}]\n[time]\nduration = 2e6\nmax_dt = 6e6\naccuracy = 1e-8\n") == ""
 
 

@@ -1,4 +1,4 @@
-"""Tasks on a Dask cluster: what is known of one that ended, and of one whose result is lost."""
+"""Tasks on a Dask cluster: the state of an ended task, and of one whose result is lost."""
 
 from __future__ import annotations
 

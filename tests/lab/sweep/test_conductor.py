@@ -1,4 +1,4 @@
-"""The conductor enters what is known of a run, and leaves a run whose report is lost for the next time."""
+"""The conductor records the state of a run; a run whose report is lost is left to the next sweep."""
 
 from __future__ import annotations
 

@@ -179,7 +179,7 @@ def test_a_subfolder_that_another_user_made_a_link_is_refused(tmp_path: Path, na
     out = tmp_path / "out"
     out.mkdir()
     (out / name).symlink_to(tmp_path)
-    Folder(out).refuse_links()  # one's own may lead to another disk
+    Folder(out).refuse_links()  # the user's own links may lead to another disk
     os.lchown(out / name, 65534, 65534)
     with pytest.raises(ExperimentError, match=f"{name}: a link of another user"):
         Folder(out).refuse_links()

@@ -1,4 +1,4 @@
-"""What a sweep is to compute."""
+"""The plan of a sweep."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The search for the cheapest setting: it ends, and where it ends no change of one key is an improvement."""
+"""The search for the cheapest setting ends at a setting that no change of a single key improves."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ def test_a_scene_that_misses_a_limit_gets_shorter_steps_until_it_is_kept(tmp_pat
 
 @pytest.mark.slow
 def test_a_limit_that_no_step_keeps_ends_the_search(tmp_path: Path) -> None:
-    tuning = search(eight(fixed_dt=0.1), tmp_path, position=1e-17)  # below rounding, with whatever order
+    tuning = search(eight(fixed_dt=0.1), tmp_path, position=1e-17)  # below rounding, whatever the order
     assert tuning.best is None and len(tuning.tried) < 60
     assert tuning.why_none().startswith("position below 1e-13 is within rounding")
 

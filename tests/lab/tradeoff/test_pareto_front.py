@@ -1,4 +1,4 @@
-"""The front is a front, and noise does not move what is on it."""
+"""The Pareto front contains only undominated settings, and noise does not change them."""
 
 from __future__ import annotations
 

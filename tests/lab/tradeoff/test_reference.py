@@ -1,4 +1,4 @@
-"""The reference says what it is, and how far it is to be trusted."""
+"""The reference states its method and its uncertainty."""
 
 from __future__ import annotations
 

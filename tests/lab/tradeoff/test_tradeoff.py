@@ -1,4 +1,4 @@
-"""A study measures each setting once, can be resumed, and says what it lacks."""
+"""A study measures each setting once, can be resumed, and names missing measurements."""
 
 from __future__ import annotations
 

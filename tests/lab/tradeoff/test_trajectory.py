@@ -1,4 +1,4 @@
-"""What is kept of a run to compare it: it must not change the run, and must not be what is measured."""
+"""The data kept of a run for comparison: collecting them must not change the run, nor count in its cost."""
 
 from __future__ import annotations
 
@@ -137,7 +137,7 @@ def test_a_pair_that_never_meets_counts_as_met_at_the_horizon() -> None:
 @pytest.mark.parametrize("timing", ["end-of-step", "time-of-impact"])
 @pytest.mark.parametrize("steps_left", [0.5, 1.5, 2.5])
 def test_contacts_of_the_last_steps_are_noted(steps_left: float, timing: str) -> None:
-    # the last step is none that a schedule asks for, and the one before it was forgotten with it
+    # no schedule requires the last step; the sample before it was once lost with it
     elastic = {"restitution": 1.0, "timing": timing}
     scene = pair(time={"fixed_dt": 0.01, "duration": 1.0 + 0.01 * steps_left}, contact=elastic)
     run = follow(Space(scene), sample_times(scene))

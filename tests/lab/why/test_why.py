@@ -1,4 +1,4 @@
-"""`carom why`: what the velocity of a body is the sum of, and which bodies are behind it."""
+"""`carom why`: the contributions to the velocity of a body, and the bodies that caused them."""
 
 from __future__ import annotations
 
@@ -163,7 +163,7 @@ def table_of_balls(seed: int, floor: bool, dt: float, friction: float = 0.0) -> 
 
 
 def answer_of(scene: Scene, folder: Path) -> tuple[FloatArray, FloatArray]:
-    """Return the shares of the start, forces and impacts of all bodies, and those behind them; and all velocities."""
+    """Return the shares of start, forces and impacts for all bodies, those of other bodies, and all velocities."""
     folder.mkdir()
     recording = recorded(scene, folder)
     bodies = tuple(range(len(recording.bodies.mass)))
@@ -308,7 +308,7 @@ def happens(scene: Scene, bodies: list[int], impact: np.void) -> bool:
         },
     )
     document = scene.model_dump(mode="json", exclude_unset=True) | {"group": []}
-    document["body"] = [  # that something moves shows the plan that bodies may touch
+    document["body"] = [  # motion makes the plan model contacts
         {"position": chosen.position[k].tolist(), "velocity": chosen.velocity[k].tolist(), "radius": 1e-3}
         for k in range(len(few))
     ]

@@ -1,4 +1,4 @@
-"""What frames say of their contacts: impulses, modes, energies and places, against what mechanics says they are."""
+"""The contacts of frames: impulses, modes, energies and places against those of mechanics."""
 
 from __future__ import annotations
 
@@ -269,7 +269,7 @@ def test_of_too_many_impacts_the_largest_are_kept_in_order_of_time_and_the_other
 
 
 def test_the_room_of_a_new_slot_holds_the_most_contacts_so_far() -> None:
-    """Rows that do not fit are written twice, so a room is enlarged before a frame is written into it."""
+    """Rows that do not fit are written twice, so the buffer is enlarged before a frame is written."""
     space = Space(collapse("end-of-step"), 1, record_contacts=True)
     store = FrameStore(40, space.state)
     most = 0

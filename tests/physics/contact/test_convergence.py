@@ -1,4 +1,4 @@
-"""Loads that sweeps alone do not carry: heavy on light, tall stacks, columns that fall; and what no setting may do."""
+"""Loads that sweeps alone do not carry: heavy on light, tall or falling stacks; errors that no setting may cause."""
 
 from __future__ import annotations
 

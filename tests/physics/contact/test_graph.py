@@ -125,7 +125,7 @@ def test_grids_find_what_trees_find(seed: int, count: int, decades: float, far: 
 
 @pytest.mark.parametrize("box", [0.0, 60.0, 12.0])  # m; in the last one a planet reaches around to itself
 def test_grids_find_what_trees_find_in_clusters_of_a_wide_space(box: float) -> None:
-    # Wide cells that are crowded, hashed ones, and planets that look into the grids of their pebbles.
+    # Crowded wide cells, hashed cells, and planets that search the grids of their pebbles.
     rng = np.random.default_rng(11)
     radius = np.concatenate((np.full(2, 5.0), rng.uniform(0.05, 0.4, 1500)))
     grid, trees = HierarchicalGrid(radius, np.full(3, box)), KdTree(radius, np.full(3, box))

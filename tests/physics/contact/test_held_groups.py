@@ -11,7 +11,7 @@ from carom.physics.contact.events.held_group import MOST_BODIES, MOST_CONTACTS, 
 from carom.physics.space import Space
 from carom.scene.schema import Scene
 
-DEEPEST = 0.05  # of the smaller radius, an overlap that nothing the engine does may leave
+DEEPEST = 0.05  # of the smaller radius, the largest overlap that may remain
 EXACT = 1e-12  # some 10⁴ roundings, of as many impacts
 
 

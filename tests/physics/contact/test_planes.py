@@ -1,4 +1,4 @@
-"""Planes, walls and fixed bodies: what nothing moves, and what happens to those that meet it."""
+"""Planes, walls and fixed bodies, and the bodies that meet them."""
 
 from __future__ import annotations
 
@@ -235,7 +235,7 @@ def test_fixed_bodies_that_overlap_are_nobodys_business() -> None:
     )
     assert not any([0, 1] in frame.contacts.pairs.tolist() for frame in frames)
     assert space.extremes.overlap is not None and space.extremes.overlap.bodies in ((0, 2), (1, 2))
-    # A fixed body inside the ground is nobody's business either.
+    # A fixed body inside the ground is ignored, too.
     _, frames = frames_of(
         scene_of(bodies[:1], plane=[{}], gravity=FALLING, contact={"allow_overlap": True}, time={"duration": 0.1})
     )

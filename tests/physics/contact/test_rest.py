@@ -1,4 +1,4 @@
-"""A contact at rest closes no faster than gravity makes it; what other piles do is their business."""
+"""A contact at rest closes no faster than gravity makes it, whatever happens in other piles."""
 
 from __future__ import annotations
 

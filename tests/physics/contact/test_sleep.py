@@ -1,4 +1,4 @@
-"""Sleep: what lies still on something fixed is left alone until something disturbs it."""
+"""Sleep: bodies at rest on something fixed are not computed until something disturbs them."""
 
 from __future__ import annotations
 

@@ -139,7 +139,7 @@ def test_the_energy_scale_of_a_collapse_contains_what_contacts_took_out() -> Non
     start = account.balance(TotalMotion.of(bodies), pull, Ledger())
     later = account.balance(TotalMotion.of(bodies), pull, Ledger(restitution=2e3, friction=1e3))
     assert later.scale == pytest.approx(start.scale + 3e3)
-    # what contacts put in, which they never may, makes no error look smaller
+    # energy from contacts, which would be an error, does not make other errors look smaller
     assert EnergyAccount(bodies, np.zeros(3)).balance(TotalMotion.of(bodies), pull, Ledger(-5e3)).scale == start.scale
 
 

@@ -1,6 +1,6 @@
 """What carom uses of Numba's inside, one test each: a new version that changes it fails here, by name.
 
-Where a part is missing, kernels are plain (`test_plain.py`); where one has changed its meaning, only these tests tell.
+Where a part is missing, kernels are plain (`test_plain.py`); only these tests find a part that has changed its meaning.
 """
 
 from __future__ import annotations

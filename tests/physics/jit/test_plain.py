@@ -1,4 +1,4 @@
-"""Plain kernels, which use what Numba documents only, have the bits of those with code of our own."""
+"""Plain kernels, which use only documented features of Numba, have the bits of the optimised ones."""
 
 from __future__ import annotations
 

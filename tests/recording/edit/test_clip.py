@@ -233,7 +233,7 @@ def test_a_clip_of_one_per_cent_of_400_mb_takes_less_than_300_mb_of_memory(tmp_p
         recorder.finish("completed")
     assert (tmp_path / "long.rrd").stat().st_size > 400e6
     command = [sys.executable, "-m", "carom", "clip", "long.rrd", "--from", "150", "--to", "153.6"]
-    # a process between, whose only child it is: what is asked for is the peak of the largest child
+    # an intermediate process with this only child: the system reports the peak of the largest child
     code = f"import resource, subprocess; subprocess.run({command!r}, check=True, stdout=subprocess.DEVNULL)"
     code += "; print(resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss)"
     between = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, check=True, capture_output=True, text=True)

@@ -1,4 +1,4 @@
-"""A clip of some bodies answers about these alone, whether it is asked for what was recorded or for a replay."""
+"""A clip of selected bodies contains only these, whether their data are recorded or replayed."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a recording tells about contacts and impacts, on short runs of a real scene."""
+"""The contacts and impacts of a recording, on short runs of a real scene."""
 
 from __future__ import annotations
 
@@ -66,13 +66,13 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Recording:
 
 @pytest.fixture(scope="module")
 def silent(tmp_path_factory: pytest.TempPathFactory) -> Recording:
-    """The same run without what contacts did."""
+    """The same run without recorded contacts."""
     return carom.run(scene("none"), tmp_path_factory.mktemp("silent") / "silent.rrd")
 
 
 @pytest.fixture(scope="module")
 def truth() -> np.ndarray:
-    """All impacts of the run, as the solver tells them."""
+    """All impacts of the run, as the solver reports them."""
     frames = Space(scene(), record_contacts=True).run()
     return np.concatenate([frame.impacts for frame in frames if frame.impacts is not None])
 

@@ -1,4 +1,4 @@
-"""What a resumed run takes over from the recording of the run before it."""
+"""The data that a resumed run takes over from the recording of the previous run."""
 
 from __future__ import annotations
 

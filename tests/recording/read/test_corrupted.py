@@ -15,7 +15,7 @@ AT_ONCE = 20  # files a process: Rerun keeps some 2 MB of every stream that wrot
 
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A recording with all that there can be in one: impacts, contacts, forces, and bodies drawn at impacts."""
+    """A recording of every kind of data: impacts, contacts, forces, and bodies drawn at impacts."""
     document = {
         "seed": 3,
         "time": {"duration": 4.0, "max_dt": 0.02},

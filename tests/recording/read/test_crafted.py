@@ -1,4 +1,4 @@
-"""Recordings with something else in them than carom writes: one sentence, whoever asks for it."""
+"""Recordings with data that carom does not write: each reader refuses them in one sentence."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is refused before memory is taken for it."""
+"""Streams that are refused before memory is allocated for them."""
 
 from __future__ import annotations
 

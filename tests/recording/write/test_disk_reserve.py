@@ -1,4 +1,4 @@
-"""Room for the last words, with and without the system's help."""
+"""Disk space reserved for the end of a recording, with and without support by the system."""
 
 from __future__ import annotations
 

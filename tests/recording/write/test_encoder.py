@@ -1,4 +1,4 @@
-"""What stands still is drawn once, and lines to it end on it."""
+"""Bodies at rest are drawn once, and lines to them end at them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is drawn: positions, arrows and edges in float32, as the recording's documentation says."""
+"""Drawn data: positions, arrows and edges in float32, as documented for recordings."""
 
 from __future__ import annotations
 

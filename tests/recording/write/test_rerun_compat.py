@@ -1,4 +1,4 @@
-"""What carom borrows from the inside of Rerun behaves as carom needs it to, and carom can do without it."""
+"""The private parts of Rerun that carom uses behave as needed, and carom works without them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A guess about a column is said, and a doubtful one is a question."""
+"""A guess about a column is reported, and a doubtful one is refused with a question."""
 
 from __future__ import annotations
 

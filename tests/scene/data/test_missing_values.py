@@ -1,4 +1,4 @@
-"""Rows of a file that lack a value: the scene says what stands for it, or leaves the row out."""
+"""Rows of a file that lack a value: the scene sets a replacement or leaves the row out."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a Simulationarchive of REBOUND says of its physics is taken over, or refused by name."""
+"""The physics stated in a Simulationarchive of REBOUND is taken over, or refused by name."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What gravity by a tree and by fast multipoles promise alike."""
+"""Common promises of gravity by a tree and by fast multipoles."""
 
 from __future__ import annotations
 

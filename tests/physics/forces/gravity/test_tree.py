@@ -172,7 +172,7 @@ def test_boxes_are_the_same_on_any_number_of_threads(shape: Shape) -> None:
     found = set()
     for threads in (1, 2, 4):
         boxes = Boxes(np.ones(n), Team(threads))
-        for _ in range(3):  # who sorts what is left to chance
+        for _ in range(3):  # chance decides which thread sorts which body
             boxes.sort(shape(n))
             parts = [array[: boxes.count].tobytes() for array in (boxes.first, boxes.last, boxes.skip)]
             found.add((boxes.count, boxes.body.tobytes(), boxes.position.tobytes(), boxes.groups.tobytes(), *parts))
