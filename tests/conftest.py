@@ -1,10 +1,10 @@
-"""What holds for all tests.
+"""Settings of all tests.
 
 In a fresh clone the processes of a test run would compile the same kernels, one waiting for the other: a process of its
 own begins with the last ones, as beside the first run on a machine.
 
 What tests draw at random, and the examples of Hypothesis, are the same in every run, so that no commit fails by chance.
-CAROM_SEED=random looks for what was not tried yet. The report of a test that failed has its seed.
+CAROM_SEED=random tries new examples. The report of a test that failed has its seed.
 
 With all tests in memory, Python's search for garbage took an eighth of a compilation: here it searches seldom.
 
@@ -24,6 +24,7 @@ from collections.abc import Generator
 import pytest
 
 from carom.cli.compiling import start_on_a_new_installation
+from carom.extend import cores
 from needs import missing_though_required, need
 from other_processor import other_processor  # noqa: F401 - a fixture
 from seeds import VARIABLE, chosen_seed, is_random
@@ -55,6 +56,11 @@ def pytest_configure() -> None:
 
 def pytest_report_header() -> str:
     return f"{VARIABLE}={SEED}"
+
+
+def pytest_xdist_auto_num_workers() -> int:
+    """Return one process more than there are cores: tests wait for two fifths of their time, for what they start."""
+    return cores() + 1
 
 
 @pytest.hookimpl(tryfirst=True)
