@@ -25,6 +25,7 @@ import rebound
 from numpy.typing import NDArray
 
 from carom.physics.integrators.gauss_radau.gauss_radau15 import GaussRadau15
+from carom.physics.integrators.gauss_radau.radau_step import motion_of
 from carom.physics.schedule import at
 from carom.physics.space import Space
 from few_bodies import Problem, Run, energy_error, planets, scene_of
@@ -79,7 +80,8 @@ def encounter(mass: float, seed: int) -> Problem:
     position -= masses @ position / masses.sum()
     velocity -= masses @ velocity / masses.sum()
     velocity *= -1.0
-    back = GaussRadau15(position, velocity, masses, np.zeros(0, np.int64), np.zeros(3), 0.0, 1e9, None)
+    motion = motion_of(position, velocity, masses, np.zeros(0, np.int64), np.zeros(3), 0.0)
+    back = GaussRadau15(motion, 1e9, None)
     back.begin(1e-6)
     back.advance(0.0, 3.3 * YEAR, np.inf, 10**9)
     return Problem(f"encounter of {mass:g} at 0.1 Hill radii", masses, position, -velocity, 6.6 * YEAR)

@@ -38,7 +38,7 @@ from carom.physics.step_rule import (
     smooth_and_cut,
     target,
 )
-from carom.plan.auto import HELD_PART, StepLimits
+from carom.plan.auto import StepLimits
 from carom.scene.schema import Scene, Time
 
 MIN_SHARED_BLOCKS = 10
@@ -51,14 +51,10 @@ class Timestep:
     ----------
     time
         The scene's section.
-    cfl, target_dx, pull
-        Limits of the step other than ``max_dt``; ``target_dx`` in m; None for no limit.
-    smoothing
-        Weight of the new step in the average.
-    held_dx
-        m, replaces ``target_dx`` for bodies held by lasting contacts; None if it is the same.
-    held_part
-        Largest motion of such a body in a step, relative to its radius.
+    limits
+        Limits of the step; its ``max_dt`` is that of the run, which may be shorter than that of the scene.
+    pull
+        Limit by gravity, from ``limits.pull_fraction``; None for no limit.
     field
         (3,) m/s², the uniform field if it accelerates all bodies alike; otherwise zeros.
     anchored
@@ -81,33 +77,27 @@ class Timestep:
     def __init__(
         self,
         time: Time,
-        cfl: float | None,
-        target_dx: float | None,
+        limits: StepLimits,
+        pull: GravityStep | None,
         field: FloatArray,
         anchored: bool = False,
         team: Team = SOLO,
-        *,
-        pull: GravityStep | None = None,
-        smoothing: float = 1.0,
-        held_dx: float | None = None,
-        held_part: float = HELD_PART,
     ) -> None:
         self.rule = np.zeros(1, RULE)
         rule = self.rule[0]
-        rule["max_dt"], rule["cfl"], rule["target_dx"] = time.max_dt, cfl or 0.0, target_dx or 0.0
+        rule["max_dt"], rule["cfl"], rule["target_dx"] = limits.max_dt, limits.cfl or 0.0, limits.target_dx or 0.0
         rule["by_fastest_body"] = time.velocity_limit == "fastest-body"
-        rule["held_dx"], rule["held_part"] = held_dx or 0.0, held_part
-        rule["smoothing"], rule["anchored"] = smoothing, anchored
-        rule["measures_bodies"] = (
-            cfl is not None or target_dx is not None or (pull is not None and not pull.examines_pairs)
-        )
+        rule["held_dx"], rule["held_part"] = limits.held_dx or 0.0, limits.held_part
+        rule["smoothing"], rule["anchored"] = limits.smoothing, anchored
+        by_bodies = limits.cfl is not None or limits.target_dx is not None
+        rule["measures_bodies"] = by_bodies or (pull is not None and not pull.examines_pairs)
         if pull is not None:
             rule["gravity_fraction"], rule["examines_pairs"] = pull.fraction, pull.examines_pairs
             rule["constant"], rule["softening"], rule["mean"] = pull.constant, pull.softening, pull.mean
         self.fixed_dt = time.fixed_dt
-        self._smoothing = smoothing
+        self._smoothing = limits.smoothing
         self.field = field
-        self.spares_held = held_dx is not None
+        self.spares_held = limits.held_dx is not None
         self.previous = 0.0
         self._team = team
         self._found = np.empty(0, LIMITS)
@@ -116,18 +106,8 @@ class Timestep:
     def of(cls, scene: Scene, limits: StepLimits, bodies: Bodies, field: FloatArray, team: Team) -> Timestep:
         """Return the rule of a scene with these limits; ``field`` as above."""
         fraction = limits.pull_fraction
-        return cls(
-            scene.time.model_copy(update={"max_dt": limits.max_dt}),
-            limits.cfl,
-            limits.target_dx,
-            field,
-            scene.anchored,
-            team,
-            pull=None if fraction is None else GravityStep.of(scene.gravity, fraction, bodies),
-            smoothing=limits.smoothing,
-            held_dx=limits.held_dx,
-            held_part=limits.held_part,
-        )
+        pull = None if fraction is None else GravityStep.of(scene.gravity, fraction, bodies)
+        return cls(scene.time, limits, pull, field, scene.anchored, team)
 
     def choose(self, bodies: Bodies, remaining: float, supported: FloatArray = NO_SUPPORT) -> tuple[float, str]:
         """Choose the next step.

@@ -343,10 +343,10 @@ class StepLimits:
     max_dt: float  # s, infinite for no limit
     cfl: float | None
     target_dx: float | None  # m
-    held_dx: float | None  # m, replaces ``target_dx`` for bodies held by lasting contacts; None if it is the same
-    held_part: float  # largest motion of such a body in a step over its radius
-    pull_fraction: float | None
-    smoothing: float
+    held_dx: float | None = None  # m, replaces ``target_dx`` for bodies held by lasting contacts; None for the same
+    held_part: float = HELD_PART  # largest motion of such a body in a step over its radius
+    pull_fraction: float | None = None
+    smoothing: float = 1.0  # weight of the new step in the average
 
 
 def step_limits(scene: Scene) -> StepLimits:

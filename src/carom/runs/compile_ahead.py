@@ -34,6 +34,7 @@ from carom.physics.jit.team import SOLO, load_helpers
 from carom.physics.placement import place
 from carom.physics.space import Space
 from carom.physics.time_step import Timestep
+from carom.plan.auto import StepLimits
 from carom.recording.schema import palette
 from carom.recording.write import encoding_kernels as encoding
 from carom.recording.write.impact_plan import ImpactPlan
@@ -59,7 +60,7 @@ def compile_ahead() -> None:
     bodies = Bodies.at_start(place(scene), spins=True, orients=True, torques=True)
     _compile_encoding()
     _compile_second_steps(bodies)
-    Timestep(scene.time, 0.5, 0.01, np.zeros(3), team=SOLO).choose(bodies, 1.0)
+    Timestep(scene.time, StepLimits(0.02, 0.5, 0.01), None, np.zeros(3), team=SOLO).choose(bodies, 1.0)
     count = ALL_PAIRS_UP_TO + 1
     search_by("grid", np.linspace(0.1, 0.2, count), np.zeros(3)).pairs(np.random.default_rng(0).random((count, 3)))
     Space(scene, threads=1).energy()

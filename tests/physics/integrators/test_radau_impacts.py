@@ -17,6 +17,7 @@ from carom.lab.compared_run import follow
 from carom.lab.tradeoff.event_driven_reference import solve
 from carom.physics.integrators.gauss_radau.gauss_radau15 import GaussRadau15
 from carom.physics.integrators.gauss_radau.radau_impacts import Solids
+from carom.physics.integrators.gauss_radau.radau_step import motion_of
 from carom.physics.schedule import at, every
 from carom.physics.space import Space
 from carom.recording.read.recording import Recording
@@ -205,7 +206,8 @@ def test_no_small_fast_or_grazing_body_passes_into_another(seed: int) -> None:
         aim = way + miss * aside / np.linalg.norm(aside)
         velocity[k] = aim / np.linalg.norm(aim) * rng.choice([1.0, 30.0, 500.0])
     still = np.zeros(0, np.int64), np.zeros(3)  # nothing is fixed, and no field
-    integrator = GaussRadau15(position, velocity, mass.copy(), *still, 0.0, 1e9, None, solids=Solids.of(radius))
+    motion = motion_of(position, velocity, mass.copy(), *still, 0.0)
+    integrator = GaussRadau15(motion, 1e9, None, solids=Solids.of(radius))
     integrator.begin(1e-3)
     time, hits = 0.0, 0
     while time < 1.0 and hits < 200:

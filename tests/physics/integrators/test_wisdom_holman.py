@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 import carom
 from carom.errors import SceneError
 from carom.physics.integrators.gauss_radau.gauss_radau15 import GaussRadau15
+from carom.physics.integrators.gauss_radau.radau_step import motion_of
 from carom.physics.schedule import at, every
 from carom.physics.space import Space
 from carom.plan.features import require
@@ -55,7 +56,7 @@ def encounter(mass: float, turn: float) -> Bodies:
     velocity[1:] += np.outer([0.5, -0.5], speed * ahead)
     masses = np.array([1.0, mass, mass])
     velocity *= -1.0
-    back = GaussRadau15(position, velocity, masses, np.zeros(0, np.int64), np.zeros(3), 0.0, 1e9, None)
+    back = GaussRadau15(motion_of(position, velocity, masses, np.zeros(0, np.int64), np.zeros(3), 0.0), 1e9, None)
     back.begin(1e-6)
     back.advance(0.0, 2.0 * YEAR, np.inf, 10**9)
     return [

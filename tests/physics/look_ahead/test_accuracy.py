@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from carom.errors import SceneError
 from carom.lab.tradeoff.event_driven_reference import solve
 from carom.physics.integrators.gauss_radau.gauss_radau15 import STEP_FRACTION, GaussRadau15
-from carom.physics.integrators.gauss_radau.radau_step import tolerance
+from carom.physics.integrators.gauss_radau.radau_step import motion_of, tolerance
 from carom.physics.integrators.gauss_radau.radau_twin import diverge
 from carom.physics.look_ahead.error_growth import Scale
 from carom.physics.look_ahead.find_step import with_promise
@@ -317,8 +317,8 @@ def test_long_steps_of_gauss_radau15_take_hardly_more_than_two_iterations() -> N
     for refinement in (1.0, 0.5, 0.25):
         start = place(kepler(0.5, 1e-6))
         fixed, field, fraction = np.zeros(0, np.int64), np.zeros(3), STEP_FRACTION / refinement
-        x, v = start.position, start.velocity
-        runner = GaussRadau15(x, v, start.mass, fixed, field, 0.0, 1e3, None, fraction, None, tolerance(refinement))
+        motion = motion_of(start.position, start.velocity, start.mass, fixed, field, 0.0)
+        runner = GaussRadau15(motion, 1e3, None, fraction, None, tolerance(refinement))
         runner.begin(0.01)
         steps = runner.advance(0.0, 20.0, np.inf, 10**6).steps
         assert runner.iterations < 3 * steps  # the first ones predict nothing

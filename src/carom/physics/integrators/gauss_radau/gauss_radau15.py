@@ -33,9 +33,9 @@ from collections.abc import Callable
 
 import numpy as np
 
-from carom.arrays import FloatArray, IntArray, RecordArray
+from carom.arrays import FloatArray, RecordArray
 from carom.physics.bodies import Bodies
-from carom.physics.forces.kernel_forces import Parameters, parameters_of_all
+from carom.physics.forces.kernel_forces import parameters_of_all
 from carom.physics.integrators.batch_integrator import Batch, IntegratorCheckpoint, Meeting
 from carom.physics.integrators.gauss_radau.radau_impacts import (
     AT_REST,
@@ -81,16 +81,8 @@ class GaussRadau15:
 
     Parameters
     ----------
-    position, velocity
-        (n, 3) m and m/s, moved in place.
-    gm
-        (n,) m³/s², G m of each body.
-    fixed
-        Indices of bodies that do not move.
-    field
-        (3,) m/s², uniform acceleration.
-    softening
-        m
+    motion
+        The bodies and what accelerates them; see `motion_of`.
     max_dt
         s
     fixed_dt
@@ -101,27 +93,18 @@ class GaussRadau15:
         The bodies and planes that may touch; None where nothing can.
     tolerance
         Residual at a node, relative to the largest acceleration, at which the iterations of a step end.
-    mass, forces
-        (n,) kg, and the forces of installed packages, which need it.
     """
 
     def __init__(
         self,
-        position: FloatArray,
-        velocity: FloatArray,
-        gm: FloatArray,
-        fixed: IntArray,
-        field: FloatArray,
-        softening: float,
+        motion: Motion,
         max_dt: float,
         fixed_dt: float | None,
         fraction: float = STEP_FRACTION,
         solids: Solids | None = None,
         tolerance: float = CONVERGED,
-        mass: FloatArray | None = None,
-        forces: Parameters = (),
     ) -> None:
-        self._motion = motion_of(position, velocity, gm, fixed, field, softening, mass, forces)
+        self._motion = motion
         self._max_dt = float(max_dt if fixed_dt is None else fixed_dt)
         self._adapts = fixed_dt is None
         self._fraction, self._tolerance = fraction, tolerance
@@ -129,7 +112,7 @@ class GaussRadau15:
         self._progress = np.zeros(1, PROGRESS)
         kinds = self._motion, solids, self._progress, 0.0, 0.0, 0, self._max_dt, self._adapts
         self._advance: Callable[..., None] = entry_of(advance, *kinds)
-        self._arrival = velocity  # at the end of the last step, before its impacts
+        self._arrival = motion.velocity  # at the end of the last step, before its impacts
 
     @property
     def next_dt(self) -> float:
@@ -213,19 +196,9 @@ def make(scene: Scene, needs: Requirements, bodies: Bodies, uniform: FloatArray)
     steps = (largest_step(scene), scene.time.fixed_dt, STEP_FRACTION / refinement)
     planes = half_spaces(scene)
     solids = Solids.of(bodies.radius, planes.normal, planes.offset) if needs.contact.modelled else None
-    return GaussRadau15(
-        bodies.position,
-        bodies.velocity,
-        gm,
-        fixed,
-        uniform,
-        gravity.softening,
-        *steps,
-        solids=solids,
-        tolerance=tolerance(refinement),
-        mass=bodies.mass,
-        forces=parameters_of_all(scene),
-    )
+    forces = parameters_of_all(scene)
+    motion = motion_of(bodies.position, bodies.velocity, gm, fixed, uniform, gravity.softening, bodies.mass, forces)
+    return GaussRadau15(motion, *steps, solids, tolerance(refinement))
 
 
 @borrowing

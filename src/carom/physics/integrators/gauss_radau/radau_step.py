@@ -126,7 +126,23 @@ def motion_of(
     mass: FloatArray | None = None,
     forces: Parameters = (),
 ) -> Motion:
-    """Return the arrays of an integration that moves the bodies in place; see `GaussRadau15`."""
+    """Return the arrays of an integration.
+
+    Parameters
+    ----------
+    position, velocity
+        (n, 3) m and m/s, moved in place.
+    gm
+        (n,) m³/s², G m of each body.
+    fixed
+        Indices of bodies that do not move.
+    field
+        (3,) m/s², uniform acceleration.
+    softening
+        m
+    mass, forces
+        (n,) kg, and the forces of installed packages, which need it.
+    """
     n = len(position)
     moves = np.ones(n)
     moves[fixed] = 0.0

@@ -32,6 +32,7 @@ from carom.arrays import FloatArray, IntArray
 from carom.physics.bodies import Bodies
 from carom.physics.integrators.batch_integrator import Batch, EqualSteps, IntegratorCheckpoint, OrbitCheckpoint
 from carom.physics.integrators.gauss_radau.gauss_radau15 import GaussRadau15
+from carom.physics.integrators.gauss_radau.radau_step import motion_of
 from carom.physics.integrators.wisdom_holman.kepler import TWO_PI, WORKSPACE
 from carom.physics.integrators.wisdom_holman.orbit_steps import RUN, OrbitArrays, advance, begin, leap, meets_soon
 from carom.plan.auto import largest_step
@@ -155,7 +156,7 @@ class WisdomHolman:
         self._limit, self._resolves, self._refinement = LIMITS[0], resolves, refinement
         self._run = np.zeros(1, RUN)
         no_field, none_fixed = np.zeros(3), np.zeros(0, np.int64)
-        self._radau = GaussRadau15(position, velocity, gm, none_fixed, no_field, 0.0, max_dt, None)
+        self._radau = GaussRadau15(motion_of(position, velocity, gm, none_fixed, no_field, 0.0), max_dt, None)
         self._phase = ANEW
         self._by_radau = False  # whether it took the last step
         self._encounters = 0
