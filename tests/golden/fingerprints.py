@@ -57,6 +57,7 @@ OTHER_STEPS = {  # more until something touches, fewer where a step takes millis
     "drum": 45,
     "hopper": 50,
     "shaker": 110,
+    "shear-cell": 8,
     "rack-break": 450,
     "marbles-in-a-box": 110,
     "cloud-collapse": 35,

@@ -270,7 +270,7 @@ def bundled(tmp_path_factory: pytest.TempPathFactory) -> Bundled:
 
 
 LONG = (  # seconds each
-    *("asteroid-belt", "chute", "cloud-collapse", "drum", "hopper", "shaker"),
+    *("asteroid-belt", "chute", "cloud-collapse", "drum", "hopper", "shaker", "shear-cell"),
     *("marbles-in-a-box", "planet-with-gravel", "rubble-collision"),
 )
 SHORT = [name for name in bundled_scenes() if name not in LONG]

@@ -206,6 +206,7 @@ def can_fly(world: World) -> bool:
         and not is_audited
         and not loses_turns
         and not world.forces.path_works  # they are booked step by step
+        and world.shear is None
     )
 
 

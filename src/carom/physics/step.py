@@ -18,6 +18,7 @@ from carom.physics.free_flight import Flight, FreeFlight, can_fly
 from carom.physics.integrators.kick_drift import drift, kick, wrap
 from carom.physics.rotation import rotate
 from carom.physics.schedule import Goal, looks_before
+from carom.physics.sheared_box import ShearedBox
 from carom.physics.time_step import Timestep
 from carom.physics.world import World
 from carom.plan.auto import integrator
@@ -84,6 +85,8 @@ class KickDriftStepper:
         self._exchanges.clear()
         for work in self._world.forces.path_works:
             work.pop()
+        if self._world.shear:
+            self._world.shear.pop()
 
     def begin(self) -> None:
         """Start at the present state, where touching contacts carry no impulses yet."""
@@ -154,6 +157,8 @@ class KickDriftStepper:
             books.book_exchanges(self._damping.kind.loss, self._exchanges)
             self._exchanges.clear()
         books.book_path_works()
+        if world.shear:
+            books.book_shear(world.shear)
         self._finish(potentials, due or judged, judged)
         return due
 
@@ -193,6 +198,8 @@ class KickDriftStepper:
         last_kick = 0.0
         if contact and world.planes.translates:
             contact.begin_step(world.clock.before, world.clock.time)
+        if world.shear:
+            world.shear.begin(world.clock.before)
         self._rotate(dt)
         for index, substep in enumerate(self._substeps):
             is_last = index == len(self._substeps) - 1
@@ -211,7 +218,9 @@ class KickDriftStepper:
                 self._find(contact, dt)
             for work in world.forces.path_works:
                 work.end()
-            if world.is_periodic:
+            if world.shear:
+                self._wrap_sheared(world.shear)
+            elif world.is_periodic:
                 wrap(world.bodies.position, world.box, world.team)
             if world.needs.accelerates:
                 potentials = self._sum_forces(is_last, with_potential)
@@ -275,6 +284,14 @@ class KickDriftStepper:
             self._exchanges.append(self._damping.exchange_in_impacts(damped, before, contact.impacts))
             if self._books.impulse_audit:
                 self._books.impulse_audit.add_force(before[: len(self._world.bodies)])
+
+    def _wrap_sheared(self, shear: ShearedBox) -> None:
+        """Wrap the bodies into a sheared box at the end of the step, which changes velocities."""
+        bodies, audit = self._world.bodies, self._books.impulse_audit
+        before = bodies.velocity.copy() if audit else None
+        shear.wrap(bodies, self._world.clock.time)
+        if audit and before is not None:
+            audit.add_change(before)
 
     def _find(self, contact: ContactPipeline, dt: float) -> None:
         """Find contacts at the final positions, and correct the overlaps of resting ones."""

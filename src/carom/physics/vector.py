@@ -78,5 +78,12 @@ def nearest_image(dx: float, dy: float, dz: float, box: FloatArray | Vector) -> 
 
 
 def minimum_images(d: FloatArray, box: FloatArray) -> FloatArray:
-    """Return separations, (..., 3) m, to the nearest images in a box, (3,) m; unchanged in open space."""
+    """Return separations, (..., 3) m, to the nearest images in a box; unchanged in open space.
+
+    The box is its size, (3,) m, or the vectors to the next images in a sheared box (`Shear.cell`), (3, 3) m.
+    """
+    if box.ndim == 2:
+        for axis in np.argsort(np.count_nonzero(box, axis=1) == 1, kind="stable"):  # the gradient first
+            d = d - np.floor(d[..., axis, None] / box[axis, axis] + 0.5) * box[axis]
+        return d
     return d - box * np.floor(d / box + 0.5) if box[0] > 0.0 else d

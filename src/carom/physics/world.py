@@ -15,6 +15,7 @@ from carom.physics.contact.solids import solids_of
 from carom.physics.diagnostics.run_monitor import Profile, remedies_of
 from carom.physics.forces.force import TotalForce
 from carom.physics.jit.team import Team
+from carom.physics.sheared_box import ShearedBox
 from carom.plan.features import Requirements, require
 from carom.scene.matter import pair_coefficients
 from carom.scene.schema import Scene
@@ -94,6 +95,7 @@ class World:
     planes: HalfSpaces
     is_periodic: bool
     box: FloatArray  # (3,) m, size of the periodic box, `ENDLESS` along other axes; zeros in open space
+    shear: ShearedBox | None  # the images of a sheared box
     falling: FloatArray  # (3,) m/s², the uniform field if it accelerates everything equally; otherwise zeros
     forces: TotalForce
     contact: ContactPipeline | None  # None if no contact is possible
@@ -118,11 +120,12 @@ class World:
         forces = TotalForce(scene, needs, bodies, team, profile)
         at_rest = np.zeros(3)
         falling, bending = (at_rest, forces.uniform) if scene.anchored else (forces.uniform, at_rest)
+        shear = ShearedBox(scene.domain.shear, box) if scene.domain.shear else None
         contact = None
         if needs.contact.modelled:
             materials = materials_of(pair_coefficients(scene))
             ends = bodies, planes, materials
-            contact = ContactPipeline(scene.contact, *ends, needs, box, falling, bending, team, records_contacts)
+            contact = ContactPipeline(scene.contact, *ends, needs, box, falling, bending, team, records_contacts, shear)
         return cls(
             scene=scene,
             needs=needs,
@@ -130,6 +133,7 @@ class World:
             bodies=bodies,
             planes=planes,
             is_periodic=scene.domain.is_periodic,
+            shear=shear,
             box=box,
             falling=falling,
             forces=forces,

@@ -72,6 +72,8 @@ def stabilisation(scene: Scene, contact: Part) -> Part:
     how = scene.contact.stabilisation
     if contact.modelled and how == "none":
         return Part("stabilisation", False, 'contact.stabilisation = "none"')
+    if contact.modelled and scene.domain.shear:
+        return Part("stabilisation", False, "domain.shear: every contact is an impact at its own time")
     return where_bodies_meet("stabilisation", contact, f"{how}: overlaps are corrected")
 
 

@@ -355,6 +355,7 @@ def header_of(space: Space) -> Header:
         promises=scene.promise is not None,
         drives=bool(scene.translating) or any(wall.moves for wall in scene.wall),
         has_driving_field=any(scene.driving_field),
+        shear=scene.domain.shear,
         shortest_dt_hint=space.first_dt,
         record_impacts=scene.record.impacts if space.records_contacts else "none",
         box=space.box,

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 import numpy as np
 import pyarrow as pa
 
+from carom.arrays import FloatArray
 from carom.contact_table import NO_ROWS
 from carom.errors import PhysicsError, RecordingError, SceneError
 from carom.physics.checkpoint import Checkpoint
@@ -66,8 +67,15 @@ class Window:
         except SceneError as error:
             raise RecordingError(f"{recording.path} cannot be rerun: {error}") from error
         self.fixed = fixed_of(scene)  # (n,)
-        self.box = scene.domain.period  # m
+        self._domain = scene.domain
         self._space = space_of(recording, scene, checkpoint, threads, record_contacts=contacts)
+
+    def cell(self, time: float) -> FloatArray | None:
+        """Return the size of the periodic box, (3,) m, or of a sheared one the vectors to its images at a time (s)."""
+        if self._domain.period is None:
+            return None
+        size = np.array(self._domain.period)
+        return self._domain.shear.cell(size, time) if self._domain.shear else size
 
     @property
     def source(self) -> str:

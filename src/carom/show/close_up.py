@@ -6,7 +6,7 @@ camera follows them. Edge and arrows belong to one step.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -102,7 +102,7 @@ class CloseUp:
     paths: DrawnPaths | None
     times: FloatArray  # (frames,) s, of the paths
     origin: FloatArray  # (3,) m, of the recording
-    box: FloatArray | None  # (3,) m, of a periodic domain: the second body is drawn as the image nearest to the first
+    cell: Callable[[float], FloatArray | None]  # see `Header.cell`; the second body is drawn at its nearest image
     eye: View
     colours: BodyColours  # of the bodies, as in the other views
     area: Area
@@ -182,7 +182,8 @@ class CloseUp:
 
     def _placed(self, index: Index, position: NDArray[np.floating], turned: SingleArray | None) -> Iterable[Rows]:
         """Place the bodies at (frames, b, 3) m, and two points around them whose distance sets that of the camera."""
-        placed = _nearest_images(position.astype(np.float64), self.box)
+        places = zip(position.astype(np.float64), index.times.tolist(), strict=True)
+        placed = np.stack([_nearest_images(place, self.cell(time)) for place, time in places])
         centres = single(placed.reshape(-1, 3))
         turns = None if turned is None else turned.reshape(-1, 4)
         columns = rr.Ellipsoids3D.columns(centers=centres, quaternions=turns)
@@ -315,7 +316,7 @@ def close_up(
     names = " and ".join(short)
     if pair.plane is not None:
         names += f" and {called.of(len(called.bodies) + pair.plane)}"
-    at_end = _nearest_images(step.position[places], header.box)
+    at_end = _nearest_images(step.position[places], header.cell(step.time))
     if not pauses_within and step.frame is not None:
         contact = _contact(header, step.frame, pair, at_end, recording.origin)
         if contact is not None and _touches(contact, at_end, header.radius[places]):
@@ -326,7 +327,7 @@ def close_up(
         spin_before, spin = (None, None) if drawn.state.spins is None else drawn.state.spins
     elif frame is not None and frame.angular_velocity is not None:
         spin = frame.angular_velocity[list(bodies)]
-    position = _nearest_images(drawn.position[places], header.box)
+    position = _nearest_images(drawn.position[places], header.cell(drawn.time))
     contact = None if frame is None else _contact(header, frame, pair, position, recording.origin)
     frames = recording.fingerprints()
     found, times = None, np.zeros(0)
@@ -353,7 +354,7 @@ def close_up(
         paths=found,
         times=times,
         origin=recording.origin,
-        box=header.box,
+        cell=header.cell,
         eye=_fit(header.radius[places], seen, contact).view(area.aspect, narrow=area.rendered, tips=ends),
         colours=colours,
         area=area,
@@ -421,7 +422,7 @@ def _contact(header: Header, frame: Frame, pair: Pair, position: FloatArray, ori
     row = found[int(np.argmax(found["normal_impulse"]))]
     normal = np.array([row["nx"], row["ny"], row["nz"]])
     place = np.array([row["x"], row["y"], row["z"]]) - origin
-    point = _nearest_images(np.stack([position[0], place]), header.box)[1]
+    point = _nearest_images(np.stack([position[0], place]), header.cell(frame.time))[1]
     end = point if pair.j is None else position[1]
     impulse = row["normal_impulse"] * normal + [row["friction_x"], row["friction_y"], row["friction_z"]]
     rests = row["mode"] != IMPACT_MODE and frame.dt > 0.0

@@ -77,7 +77,7 @@ class Trails:
         self._steps = drawn.steps[::every]
         self._times = table["time"].to_numpy()[rows][::every]
         self._position = drawn.position[::every]
-        self._box = header.box
+        self._box, self._shear = header.box, header.shear
         untouched = recording.closing.get("contacts.total") == 0 and header.box is None
         self._is_smooth = untouched and bool((np.diff(self._times) > 0.0).all())
         self._colours = colours
@@ -110,7 +110,11 @@ class Trails:
         """Return the points of all pieces, (pieces, parts + 1, n, 3) m."""
         begin, end = self._position[:-1], self._position[1:]
         if self._box is not None:
-            end = np.where(np.abs(end - begin) > self._box / 2, begin, end)
+            leaves = np.abs(end - begin) > self._box / 2
+            if self._shear:  # the image is displaced along the flow, too
+                flow, gradient = self._shear.axes
+                leaves[..., flow] |= leaves[..., gradient]
+            end = np.where(leaves, begin, end)
         if parts == 1:
             return np.stack([begin, end], axis=1)
         from scipy.interpolate import CubicSpline  # noqa: PLC0415 - slow to import, and most commands draw no trails

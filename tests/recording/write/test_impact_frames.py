@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 import carom
 from carom.arrays import FloatArray
+from carom.physics.vector import minimum_images
 from carom.recording.edit.clip import clip
 from carom.recording.read.recorded_impacts import impacts_by_number, states_by_number
 from carom.recording.read.recording import Recording
@@ -114,3 +115,38 @@ def test_a_clip_has_the_frames_of_its_impacts_and_is_replayed_with_the_same_bits
     for recording in (bounces, part):
         result = replay(recording.path)
         assert result.same and not any("states at impacts" in what for what in result.not_compared)
+
+
+def test_spheres_that_meet_across_a_sheared_face_are_drawn_with_the_image_that_they_touch(tmp_path: Path) -> None:
+    size, rate = [5.0, 4.0, 6.0], 0.8
+    bodies = [  # the first passes through the face along y at 0.2 s, and meets an image of the second after that
+        {"position": [0.3, 1.8, 0.1], "velocity": [1.5, 1.0, 0.0], "radius": 0.5},
+        {"position": [0.2, -0.4, 0.0], "velocity": [-0.4, -0.2, 0.1], "radius": 0.5},
+        {"position": [-1.8, -1.7, 2.0], "velocity": [1.2, -1.0, -1.3], "radius": 0.5},
+    ]
+    scene = scene_of(
+        bodies,
+        gravity={"constant": 0.0},
+        contact={"restitution": 0.9},
+        domain={"boundary": "periodic", "size": size, "shear": {"rate": rate}},
+        time={"duration": 12.0},
+        record={"every": 1.0, "impacts": "auto"},
+    )
+    recording = carom.run(scene, tmp_path / "sheared.rrd")
+    numbers, times, centres = column(recording, "world/bodies", "Ellipsoids3D:centers")
+    edges = column(recording, "world/contacts", "LineStrips3D:strips")[2].reshape(-1, 2, 3)
+    table = recording.impacts()
+    assert len(numbers) == table.num_rows > 3
+    precision = 20.0 * SINGLE * 4.0  # m, of centres in single precision, with the times in nanoseconds
+    crossings = 0
+    for time, places, edge, i, j in zip(
+        times, centres.reshape(-1, 3, 3), edges, table["i"].to_pylist(), table["j"].to_pylist(), strict=True
+    ):
+        cell = recording.cell(float(time))
+        assert cell is not None
+        apart = places[j] - places[i]
+        assert np.linalg.norm(minimum_images(apart, cell)) == pytest.approx(1.0, abs=precision)
+        assert edge[0] == pytest.approx(places[i], abs=precision)
+        assert edge[1] - edge[0] == pytest.approx(minimum_images(apart, cell), abs=precision)
+        crossings += abs(apart[1]) > 0.5 * size[1]
+    assert crossings > 0, "an impact across the face"

@@ -193,8 +193,7 @@ class FrameAlignment:
         )  # bodies with numbers in both; None if all exist always
         self._a, self._b = _Frames(a), _Frames(b)
         self._of_bits = bool(a.engine) == bool(b.engine)
-        box = a.info.get("box")
-        self._box = None if box is None else np.asarray(box, dtype=np.float64)
+        self._cell = a.cell
         _, first, second = np.intersect1d(self._a.step, self._b.step, return_indices=True)
         self.by = "step"
         same = np.allclose(self._a.time[first], self._b.time[second], rtol=SAME_TIME, atol=0.0)
@@ -236,14 +235,14 @@ class FrameAlignment:
         if part == 1.0:
             exact = self._a.exact(i, self._common), self._b.exact(j, self._common)
             if exact[0] is not None and exact[1] is not None:
-                return exact[0], self._near(exact[0], exact[1]), 0.0
+                return exact[0], self._near(exact[0], exact[1], self._a.time[i]), 0.0
         one, other = self._a.drawn(i, self._common), self._b.drawn(j, self._common)
         rounding = _rounding(self._existing(one) - self._a.origin) + _rounding(self._existing(other) - self._b.origin)
         if part < 1.0:
-            earlier = self._near(other, self._b.drawn(j - 1, self._common))
+            earlier = self._near(other, self._b.drawn(j - 1, self._common), self._b.time[j - 1])
             rounding += 4.0 * part * (1.0 - part) * self._bend(j, earlier, other)
             other = earlier + part * (other - earlier)
-        return one, self._near(one, other), rounding
+        return one, self._near(one, other, self._a.time[i]), rounding
 
     def _existing(self, vectors: FloatArray) -> FloatArray:
         """Leave out the bodies that do not exist, whose vectors are NaN."""
@@ -277,12 +276,13 @@ class FrameAlignment:
             return i, j, 1.0
         return i, j, float((time - self._b.time[j - 1]) / (reached - self._b.time[j - 1]))
 
-    def _near(self, one: FloatArray, other: FloatArray) -> FloatArray:
-        """Return the periodic images of other positions that are nearest to given positions."""
-        if self._box is None:
+    def _near(self, one: FloatArray, other: FloatArray, time: float) -> FloatArray:
+        """Return the periodic images of other positions at a time (s) that are nearest to given positions."""
+        cell = self._cell(time)
+        if cell is None:
             return other
         apart = other - one
-        return other + (minimum_images(apart, self._box) - apart)  # exactly `other` where that is nearest
+        return other + (minimum_images(apart, cell) - apart)  # exactly `other` where that is nearest
 
     def _bend(self, j: int, earlier: FloatArray, later: FloatArray) -> float:
         """Bound the error of linear interpolation at the midpoint: an eighth of the acceleration times h².
@@ -295,7 +295,7 @@ class FrameAlignment:
         speed = (later - earlier) / h
         for third, near, side in ((j - 2, earlier, -1.0), (j + 1, later, 1.0)):
             if 0 <= third < len(time):
-                beyond = self._near(near, self._b.drawn(third, self._common))
+                beyond = self._near(near, self._b.drawn(third, self._common), self._b.time[third])
                 span = abs(time[third] - time[j if third > j else j - 1])
                 change = side * (beyond - near) / span - speed
                 largest = max(largest, _UNSEEN * 2.0 * _rms(self._existing(change)) / (h + span))

@@ -320,14 +320,17 @@ def execute(task: PerturbedTask) -> PerturbedResult:
     start, reference = _prepared(task.branch)
     outcome = None if task.outcome is None else Expression(task.outcome, OPTION)
     path = path_of(start, task.seed, task.ulps, outcome)
-    return PerturbedResult(task.seed, apart(path.position, reference.position, start).astype(np.float32), path.outcome)
+    distances = apart(path.position, reference.position, path.time, start)
+    return PerturbedResult(task.seed, distances.astype(np.float32), path.outcome)
 
 
-def apart(a: FloatArray, b: FloatArray, start: ForkStart) -> FloatArray:
-    """Return the distances of counterparts, (k, n) m, between nearest images in a periodic box."""
-    off = a - b
-    if start.scene.domain.period is not None:
-        off = minimum_images(off, np.array(start.scene.domain.period))
+def apart(a: FloatArray, b: FloatArray, times: FloatArray, start: ForkStart) -> FloatArray:
+    """Return the distances of counterparts at some times (s), (k, n) m, between nearest images in a periodic box."""
+    off, domain = a - b, start.scene.domain
+    if domain.period is not None:
+        size = np.array(domain.period)
+        cells = [domain.shear.cell(size, time) if domain.shear else size for time in times.tolist()]
+        off = np.stack([minimum_images(each, cell) for each, cell in zip(off, cells, strict=True)])
     return np.asarray(np.sqrt((off * off).sum(axis=2)))
 
 

@@ -37,6 +37,7 @@ class Paths(NamedTuple):
 
 def measure_free_paths(interval: Interval) -> Statistic:
     """Measure the free times and paths of moving bodies."""
+    interval.refuse_shear("free paths")
     impacts, moving = interval.impacts, interval.moving
     ends = np.concatenate([impacts.i, impacts.j])
     all_of_them = 1.0 + interval.impacts_left_out / len(impacts.step)

@@ -119,6 +119,20 @@ class Interval:
         box = self.recording.info.get("box")
         return None if box is None else np.asarray(box, dtype=np.float64)
 
+    def refuse_shear(self, what: str) -> None:
+        """Raise RecordingError in a sheared box."""
+        if self.recording.shear is not None:
+            raise RecordingError(f"{what} in a sheared box cannot be measured yet, since its images move")
+
+    def _relative_to_flow(self, velocity: FloatArray, position: FloatArray) -> FloatArray:
+        """Return velocities relative to the flow of a sheared box, (n, 3) m/s; without shear they are unchanged."""
+        shear = self.recording.shear
+        if shear is None:
+            return velocity
+        (flow, gradient), relative = shear.axes, velocity.copy()
+        relative[:, flow] -= shear.rate * position[:, gradient]
+        return relative
+
     @cached_property
     def moving(self) -> BoolArray:
         """Mask (n,) of the bodies that are not fixed."""
@@ -269,15 +283,21 @@ class Interval:
 
     @cached_property
     def velocities(self) -> FloatArray:
-        """Exact velocities of some moments of the interval, (k, n, 3) m/s."""
+        """Exact velocities of some moments of the interval, (k, n, 3) m/s; in a sheared box, relative to the flow."""
         most = max(1, min(MOST_STATES, MOST_VELOCITIES // self.bodies))
         if self.replay:
             window = self.recording.rerun(float(self.time[0]), watch=self.watch)
-            return np.stack([state.velocity for state in window.states(self.step[self.chosen(most)].tolist())])
+            states = window.states(self.step[self.chosen(most)].tolist())
+            return np.stack([self._relative_to_flow(state.velocity, state.position) for state in states])
         known = [step for step in self.recording.checkpoint_times if self.step[0] <= step <= self.step[-1]]
         known = [step for step in known if step > 0] or known
         if not known:
             state = self.recording.bodies(float(self.time[-1]))
-            return np.stack([state[name].to_numpy() for name in ("vx", "vy", "vz")], axis=1)[None]
+            place, velocity = (
+                np.stack([state[name].to_numpy() for name in names], axis=1)
+                for names in (("x", "y", "z"), ("vx", "vy", "vz"))
+            )
+            return self._relative_to_flow(velocity, place)[None]
         places = np.unique(np.linspace(0, len(known) - 1, min(most, len(known))).round().astype(np.int64))
-        return np.stack([state.velocity for state in self.recording.checkpoints(np.array(known)[places].tolist())])
+        kept = self.recording.checkpoints(np.array(known)[places].tolist())
+        return np.stack([self._relative_to_flow(state.velocity, state.position) for state in kept])

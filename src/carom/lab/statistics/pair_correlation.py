@@ -45,6 +45,7 @@ def measure_pair_correlation(interval: Interval) -> Statistic:
     """Measure the pair correlation from drawn positions, averaged over frames."""
     if interval.bodies < 2:
         raise RecordingError("a pair correlation needs at least two bodies")
+    interval.refuse_shear("pair correlations")
     if interval.scene is not None and len(set(interval.scene.domain.axes)) > 1:
         raise RecordingError("a pair correlation needs the same boundary along all axes")
     radius, box = interval.recording.bodies.radius, interval.box

@@ -40,6 +40,7 @@ from carom.physics.contact.statistics import NO_CONTACTS, limits_of, still_closi
 from carom.physics.contact.translating_walls import WallTranslation, work_at_velocities, work_in_drift
 from carom.physics.diagnostics.run_monitor import Profile
 from carom.physics.jit.team import Team
+from carom.physics.sheared_box import ShearedBox
 from carom.plan.features import Requirements
 from carom.registry import load
 from carom.scene.schema import ContactSettings
@@ -80,6 +81,8 @@ class ContactPipeline:
         Threads that share the work.
     records
         Whether `tap` collects the impulses of each contact.
+    shear
+        The images of a sheared box, where all contacts are impacts during the drift; None without shear.
 
     Attributes
     ----------
@@ -105,12 +108,13 @@ class ContactPipeline:
         bending: FloatArray,
         team: Team,
         records: bool = False,
+        shear: ShearedBox | None = None,
     ) -> None:
         sleep = load("model", "sleep") if contact.sleep else None
         self.settings = contact
         self._bodies, self._solids = bodies, planes
         self._field = field
-        self._team = team
+        self._team, self._is_sheared = team, shear is not None
         self._needs = requirements
         self._lasts = contact.solver == "lasting" and requirements.resting.modelled
         self._near = NearPairs(contact, bodies, planes, box, field, self._lasts, team)
@@ -133,7 +137,7 @@ class ContactPipeline:
             event_driven = load("model", "time-of-impact")
             drift = (friction, self._near.has_statics, requirements.resting.modelled)
             self.event_drift = event_driven(
-                bodies, planes, materials, box, field, bending, *drift, self._near.search, team
+                bodies, planes, materials, box, field, bending, *drift, self._near.search, team, shear
             )
         self.tap = ContactTap(bodies, materials, box, friction) if records else None
         self._sleepers: Sleepers | None = None
@@ -349,6 +353,8 @@ class ContactPipeline:
         """Find the contacts at the present positions, colour them, and correct the overlaps of resting ones."""
         if self._translation:
             self._translation.arrive(self._span[1])
+        if self._is_sheared:  # nothing presses bodies together, so none is in contact for longer than an impact
+            return
         self._was_crossed = self._guard is not None and self._guard.stop()
         sleepers = self._sleepers
         if sleepers and sleepers.all and not sleepers.is_disturbed():

@@ -26,6 +26,8 @@ from carom.physics.diagnostics.ledger import Ledger
 from carom.physics.diagnostics.momentum import Momentum, MomentumAccount, MomentumBaseline, TotalMotion
 from carom.physics.diagnostics.run_monitor import Activity, PaceMonitor, PaceTally, refuse_infinities
 from carom.physics.forces.force import Exchange, Potentials
+from carom.physics.sheared_box import ENTRY as SHEAR
+from carom.physics.sheared_box import ShearedBox
 from carom.physics.world import World
 from carom.plan.auto import integrator
 from carom.scene.forces import acts_from_outside
@@ -218,7 +220,7 @@ class Bookkeeper:
         self._world = world
         self.extremes = self._beginning(Extremes())
         constant = forces.potential_of_fixed_bodies()
-        losses = [*forces.losses, *([ENTRY] if world.planes.moves else [])]
+        losses = [*forces.losses, *([ENTRY] if world.planes.moves else []), *([SHEAR] if world.shear else [])]
         self.audit = BalanceAudit(scene, bodies, world.names, forces.uniform, constant, losses)
         self.activity = Activity(len(bodies), scene.anchored or bool(forces.uniform.any()))
         without_kicks = integrator(scene).controls_error and world.contact is None
@@ -335,6 +337,11 @@ class Bookkeeper:
         """Book the work of forces without a potential in the last step."""
         for work in self._world.forces.path_works:
             self.audit.book_work(work.entry, work.pop())
+
+    def book_shear(self, shear: ShearedBox) -> None:
+        """Book the work of a sheared box in the last step, and the momentum gained by wrapping."""
+        work, impulse = shear.pop()
+        self.audit.exchange(SHEAR, -work, impulse, np.zeros(3))
 
     def check_pace(self, dt: float, limit: str) -> None:
         """Warn if the next step, of dt seconds, and the recent ones are much shorter than the first."""

@@ -84,14 +84,20 @@ def _place(scene: Scene) -> InitialBodies:
         parts.append(_group(index, made, region, radii[index], centres[index], streams[index], pull))
     start = join(parts)
     refuse_overflow(start)
-    return start if box is None else replace(start, position=_inside(start.position, box))
+    return start if box is None else _inside(scene, start, box)
 
 
-def _inside(position: FloatArray, box: FloatArray) -> FloatArray:
-    """Return the images of positions inside a periodic box; positions inside keep their bits."""
-    half = 0.5 * box
-    images = np.where(np.abs(position) > half, np.floor(position / box + 0.5), 0.0)
-    return np.clip(position - box * images, -half, half)  # rounding may put an image an ulp outside
+def _inside(scene: Scene, start: InitialBodies, box: FloatArray) -> InitialBodies:
+    """Return bodies with the images of their positions inside a periodic box; positions inside keep their bits."""
+    half, velocity = 0.5 * box, start.velocity
+    images = np.where(np.abs(start.position) > half, np.floor(start.position / box + 0.5), 0.0)
+    position = np.clip(start.position - box * images, -half, half)  # rounding may put an image an ulp outside
+    if scene.domain.shear:  # groups move with the flow, and images with the box
+        flow, gradient = scene.domain.shear.axes
+        carried = np.where(start.group >= 0, start.position[:, gradient], 0.0) - box[gradient] * images[:, gradient]
+        velocity = velocity.copy()
+        velocity[:, flow] += scene.domain.shear.rate * carried
+    return replace(start, position=position, velocity=velocity)
 
 
 def _given(scene: Scene) -> InitialBodies:

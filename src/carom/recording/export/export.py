@@ -34,7 +34,7 @@ class Snapshot:
     mass: FloatArray  # (n,) kg
     radius: FloatArray  # (n,) m
     others: Mapping[str, NDArray[Any]]  # (n,) further columns that a [[bodies]] section needs
-    box: tuple[float, ...] | None = None  # m, size of a periodic domain about the origin
+    cell: FloatArray | None = None  # (3,) m, size of a periodic domain about the origin; or (3, 3) m, see `Shear.cell`
 
     @property
     def step(self) -> int:
@@ -84,7 +84,7 @@ def snapshots(
         if window.differs is not None:
             raise RecordingError(f"{recording.path}: the rerun has different bits from step {window.differs} on")
         left -= 1
-        yield Snapshot(frame.checkpoint, *own, window.box)
+        yield Snapshot(frame.checkpoint, *own, window.cell(frame.time))
     if left:
         raise RecordingError(f"{recording.path} ends earlier when it is rerun; its bits differ")
 

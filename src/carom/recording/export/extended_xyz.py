@@ -38,10 +38,14 @@ def _block(snapshot: Snapshot) -> str:
 
 def _cell(snapshot: Snapshot) -> str:
     """Name the vectors of the periodic box, if there is one, and its lower corner, which OVITO reads."""
-    if snapshot.box is None:
+    if snapshot.cell is None:
         return 'pbc="F F F"'
-    repeats = [length < ENDLESS for length in snapshot.box]
-    x, y, z = (length if one else 0.0 for length, one in zip(snapshot.box, repeats, strict=True))
+    if snapshot.cell.ndim == 2:  # the box is sheared
+        vectors, corner = (" ".join(map(repr, v.ravel().tolist())) for v in (snapshot.cell, -snapshot.cell.sum(0) / 2))
+        return f'Lattice="{vectors}" Origin="{corner}" pbc="T T T"'
+    box = snapshot.cell.tolist()
+    repeats = [length < ENDLESS for length in box]
+    x, y, z = (length if one else 0.0 for length, one in zip(box, repeats, strict=True))
     corner = " ".join(repr(0.0 - length / 2.0) for length in (x, y, z))
     flags = " ".join("T" if one else "F" for one in repeats)
     return f'Lattice="{x!r} 0 0 0 {y!r} 0 0 0 {z!r}" Origin="{corner}" pbc="{flags}"'

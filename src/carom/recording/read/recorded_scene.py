@@ -164,6 +164,7 @@ def header_of_recording(recording: Recording) -> Header:
         promises=bool(info.get("promises", False)),
         drives=bool(info.get("drives", False)),
         has_driving_field=bool(info.get("has_driving_field", False)),
+        shear=recording.shear,
         record_impacts="auto" if recording.records_contacts else "none",
         box=np.asarray(info["box"]) if "box" in info else None,
         walls=recording.drawn_box(paths.WALLS) if paths.WALLS in static else None,

@@ -28,6 +28,7 @@ from carom.recording.schema.header import schema_version
 from carom.recording.schema.paths import STEP
 from carom.recording.schema.stored_bodies import decode_bodies, decode_names
 from carom.scene.data.body_columns import BodyColumns
+from carom.scene.schema.shear import Shear
 from carom.scene.wording import counted
 
 if TYPE_CHECKING:
@@ -107,6 +108,27 @@ class Recording(FrameTables):
         if mask.shape != (n,) or mask.dtype != np.bool_:
             raise DamageError("it does not state for each body whether it is fixed")
         return mask
+
+    @property
+    def shear(self) -> Shear | None:
+        """The shear of the periodic box; None without one."""
+        info = self.info
+        if "shear.rate" not in info:
+            return None
+        try:
+            return Shear(rate=float(info["shear.rate"]), flow=info["shear.flow"], gradient=info["shear.gradient"])
+        except (KeyError, ValueError) as error:
+            raise DamageError("it does not state how its box is sheared") from error
+
+    def cell(self, time: float) -> FloatArray | None:
+        """Return the size of the periodic box, (3,) m, or None in open space.
+
+        Of a sheared box, return the vectors to its images at a time (s), (3, 3) m.
+        """
+        if "box" not in self.info:
+            return None
+        size = np.asarray(self.info["box"], dtype=np.float64)
+        return self.shear.cell(size, time) if self.shear else size
 
     def present(self, step: int) -> BoolArray:
         """Return a mask (n,) of the bodies that exist in the frame of a step."""

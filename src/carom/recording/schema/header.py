@@ -20,6 +20,7 @@ from carom.scene.forces import FORCES
 from carom.scene.matter import KindOfContact, body_materials, kinds_of_contacts, material_called
 from carom.scene.portable_math import ENDLESS
 from carom.scene.schema import Scene
+from carom.scene.schema.shear import Shear
 from carom.scene.schema.wall import Wall
 from carom.scene.start import HalfSpaces
 from carom.scene.units.dimension import OF_UNIT
@@ -80,6 +81,7 @@ _FLAGS = {
     "record.impacts": "records_contacts",  # not a part of the model, but required by series of contacts
     "wall.motion": "drives",  # not a part of the model, but required by the work of moving walls
     "driving-field": "has_driving_field",  # not a part of the model, but required by its work along periodic axes
+    "shear": "shears",  # not a part of the model, but required by the work of a sheared box
     "spin": "spins",
     "stabilisation": "stabilises",
 }
@@ -135,6 +137,7 @@ class Header:
     promises: bool = False  # whether it promises an accuracy
     drives: bool = False  # whether a wall moves
     has_driving_field: bool = False  # whether a uniform field has a component along a periodic axis
+    shear: Shear | None = None  # of a periodic domain
     record_impacts: Literal["auto", "all", "none"] = "none"  # applies to the contact table, too
     box: FloatArray | None = None  # (3,) m, size of a periodic domain, `ENDLESS` along axes that do not repeat
     units: UnitSystem = SI  # units of the recorded and of the printed numbers
@@ -189,6 +192,15 @@ class Header:
         if by == "material" and self.materials:
             return self.materials.body_colours()
         return palette.body_colours(self.group)
+
+    @property
+    def shears(self) -> bool:
+        """Whether the periodic domain is sheared."""
+        return self.shear is not None
+
+    def cell(self, time: float) -> FloatArray | None:
+        """Return the size of the periodic box, (3,) m, or the vectors to its images if it is sheared, (3, 3) m."""
+        return self.box if self.box is None or self.shear is None else self.shear.cell(self.box, time)
 
     @property
     def records_contacts(self) -> bool:

@@ -56,7 +56,7 @@ PLOTS = (  # from left to right; the plots of a column are tabs
 )
 (_ENERGY,), (_TAKEN, _ERROR), (CONTACTS, _FORCE, _IMPACTS, _SOLVER), (_OVERLAP, _DT) = PLOTS
 _TABLE = "record.impacts"  # key of the scene, which must not be "none", for series of the contact table
-_DRIVES = ("wall.motion", "driving-field")  # what does recorded work on the bodies; not parts of the model
+_DRIVES = ("wall.motion", "driving-field", "shear")  # what does recorded work on the bodies; not parts of the model
 # Component of a series or impact: the value in the unit of its plot. The viewer cannot scale a curve (Rerun 0.41), so
 # the scaled values are recorded, too, if the scene has a section [units].
 IN_PLOT = "in_plot"
@@ -183,6 +183,9 @@ SERIES = (
     Series("energy/ledger/driving_field", "J", "driving field", GREY, _TAKEN,
            lambda s: s.energy.ledger.entry("driving_field"), "removed by the uniform field along periodic axes since "
                "the start; negative if it drives the bodies", "driving-field"),
+    Series("energy/ledger/shear", "J", "shear", ORANGE, _TAKEN,
+           lambda s: s.energy.ledger.entry("shear"), "removed by the shear of a periodic box since the start; negative "
+               "if it drives the bodies", "shear"),
     Series("energy/integration_error", "J", "integration error", RED, None,
            lambda s: s.energy.integration_error, "change of the total that the ledger does not explain"),
     Series("energy/relative_error", "1", "integration error / energy scale", RED, _ERROR,

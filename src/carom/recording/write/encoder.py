@@ -16,6 +16,7 @@ from carom.errors import RecordingError
 from carom.event import Event
 from carom.physics.checkpoint import Checkpoint
 from carom.physics.frame import Frame, FrameStore
+from carom.physics.vector import minimum_images
 from carom.recording.layout import colouring, drawing
 from carom.recording.layout.drawing import arrow_length, shape, single
 from carom.recording.layout.plot_views import CurveOutline
@@ -176,7 +177,7 @@ class BatchEncoder:
         columns, size = self._drawn(points.reshape(-1, 3), single(np.concatenate(turned)) if turned else None, None)
         yield Rows(BODIES, index, columns, size)
         contacts = BatchContacts(frames)
-        edges, size = self._edges(contacts, points, np.zeros((len(found), 3)))
+        edges, size = self._edges(contacts, points, np.zeros((len(found), 3)), index.times.tolist())
         middle = contacts.middles()
         did, more = contact_columns(contacts, middle, self.header.radius)
         yield Rows(CONTACTS, index, [*edges, *did], size + more)
@@ -307,14 +308,14 @@ class BatchEncoder:
     ) -> Rows:
         """Draw the edges of the collision graphs; return the extremes of each frame (see `draw_edges`)."""
         contacts = BatchContacts(batch)
-        columns, size = self._edges(contacts, points, extremes)
+        columns, size = self._edges(contacts, points, extremes, [frame.time for frame in batch])
         if self._contacts:
             did, more = self._contacts.columns(batch, contacts, position)
             columns, size = [*columns, *did], size + more
         return frame_rows(CONTACTS, index, columns, size)
 
     def _edges(
-        self, contacts: BatchContacts, points: SingleArray, extremes: FloatArray
+        self, contacts: BatchContacts, points: SingleArray, extremes: FloatArray, times: Sequence[float]
     ) -> tuple[list[ComponentColumn], int]:
         """Return the columns that draw edges, and their bytes; find `encoding_kernels.draw_edges` extremes."""
         count = int(contacts.edges.sum())
@@ -324,6 +325,11 @@ class BatchEncoder:
                 *(frame, points[f], self.header.radius, self._box, palette.STAGE_COLOURS),
                 *(strips[part], shown[part], extremes[f]),
             )
+            if self.header.shear:
+                i, j = frame.pairs.T
+                cell, ends = self.header.cell(times[f]), points[f].astype(np.float64)
+                assert cell is not None
+                strips[part, 3:] = ends[i] + minimum_images(ends[j] - ends[i], cell)
         columns: list[ComponentColumn] = [
             line_column(strips, contacts.edges),
             plain_column(rr.LineStrips3D.descriptor_colors(), shown, contacts.edges),

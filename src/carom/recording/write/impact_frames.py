@@ -69,7 +69,7 @@ def instants(
     """
     box = np.zeros(3) if header.box is None else np.asarray(header.box, dtype=np.float64)
     times = impacts["time"][chosen]
-    positions = positions_at(times, before, frame, impacts, header.radius, box)
+    positions = positions_at(times, before, frame, impacts, header.radius, box, header.shear)
     orientations = orientations_at(times, before, frame)
     struck = _Jumps(header, before, frame, impacts)
     found = []

@@ -12,7 +12,8 @@ from carom.arrays import FloatArray, IntArray, RecordArray, Records, SingleArray
 from carom.physics.checkpoint import Checkpoint
 from carom.physics.frame import Frame
 from carom.physics.jit.decorators import inline, long_kernel
-from carom.physics.vector import minimum_image, minimum_images
+from carom.physics.sheared_box import ShearedBox, nearest_in_drift
+from carom.physics.vector import minimum_images
 from carom.recording.layout import drawing
 from carom.recording.layout.drawing import single
 from carom.recording.schema.header import Header
@@ -20,6 +21,7 @@ from carom.recording.schema.paths import IMPACT_ENERGY, IMPACTS
 from carom.recording.schema.series import IMPULSES, IN_PLOT
 from carom.recording.write.encoding_kernels import count_moved
 from carom.recording.write.rows import Index, Rows, any_column, array_bytes, plain_column, vector_column
+from carom.scene.schema.shear import Shear
 
 # Positions of the bodies at impacts between two frames. A body with impacts between the frames is at the contact point
 # of each impact, and moves on straight lines in between. Other bodies follow the cubic through their positions and
@@ -33,6 +35,7 @@ def positions_at(
     impacts: Records,
     radius: FloatArray,
     box: FloatArray,
+    shear: Shear | None = None,
 ) -> FloatArray:
     """Return positions (k, n, 3) m at some times (k,) s.
 
@@ -46,15 +49,21 @@ def positions_at(
         (n,) m.
     box
         (3,) m, of a periodic domain; zeros in open space.
+    shear
+        Of the domain.
     """
-    start, dt = before.position, after.time - before.time
-    path = minimum_images(after.position - start, box)
+    start, dt, images, last = before.position, after.time - before.time, box, after.velocity
+    path = minimum_images(after.position - start, shear.cell(box, after.time) if shear else box)
+    if shear:  # follow bodies through the faces along the gradient
+        (flow, gradient), images = shear.axes, ShearedBox(shear, box).at(before.time)
+        last = last.copy()
+        last[:, flow] += shear.rate * (start + path - after.position)[:, gradient]
     s = np.clip((times - before.time) / dt, 0.0, 1.0)[:, None, None]
-    own, other = before.velocity * dt - path, path - after.velocity * dt  # Hermite's, about the straight line
+    own, other = before.velocity * dt - path, path - last * dt  # Hermite's, about the straight line
     found: FloatArray = start + s * path + s * (1.0 - s) * ((1.0 - s) * own + s * other)
     own_impacts = _by_body(impacts, len(radius))
     most = int(np.diff(own_impacts.first).max(initial=0)) + 2  # with both frames
-    motion = _Motion(before.time, after.time, start, path, radius, box)
+    motion = _Motion(before.time, after.time, start, path, radius, images)
     _pass_through(times, motion, own_impacts, _Corners(np.empty(most), np.empty((most, 3))), found)
     return found
 
@@ -67,7 +76,7 @@ class _Motion(NamedTuple):
     start: FloatArray  # (n, 3) m
     path: FloatArray  # (n, 3) m, displacement
     radius: FloatArray  # (n,) m
-    box: FloatArray  # (3,) m
+    box: FloatArray  # (3,) m, or the record of a sheared box as the interval begins
 
 
 class _ImpactsByBody(NamedTuple):
@@ -124,12 +133,11 @@ def _pass_through(
             impact = impacts[own[lo + c - 1]]
             reach = -radius[body] if impact.i == body else radius[body]  # along the normal, which points away from i
             clock[c] = impact.time
-            corner[c, 0] = impact.x + reach * impact.nx - start[body, 0]
-            corner[c, 1] = impact.y + reach * impact.ny - start[body, 1]
-            corner[c, 2] = impact.z + reach * impact.nz - start[body, 2]
-            if box[0] > 0.0:
-                for k in range(3):
-                    corner[c, k] = minimum_image(corner[c, k], box[k])
+            x = impact.x + reach * impact.nx - start[body, 0]
+            y = impact.y + reach * impact.ny - start[body, 1]
+            z = impact.z + reach * impact.nz - start[body, 2]
+            x, y, z = nearest_in_drift(x, y, z, box, impact.time - begin)
+            corner[c, 0], corner[c, 1], corner[c, 2] = x, y, z
         for m in range(len(times)):
             time, c = times[m], 0  # the previous corner, as in `numpy.interp`
             while c < last and clock[c + 1] <= time:

@@ -22,7 +22,7 @@ from carom.recording.schema.time_scale import TimeScale
 from carom.scene.extensions import PROPERTY
 from carom.scene.forces import FORCES, GRAVITY, UNIFORM_FIELD
 from carom.scene.portable_math import ENDLESS
-from carom.scene.units.dimension import LENGTH, MASS, TIME
+from carom.scene.units.dimension import LENGTH, MASS, RATE, TIME
 from carom.scene.wall_shapes import shape_called
 from carom.scene.wording import in_series
 
@@ -112,6 +112,8 @@ def identity(header: Header, clock: TimeScale, origin: FloatArray) -> dict[str, 
         properties["drives"] = True
     if header.has_driving_field:
         properties["has_driving_field"] = True
+    if header.shear:
+        properties |= {f"shear.{key}": value for key, value in header.shear.model_dump().items()}
     properties |= {kind.present: True for kind in FORCES if kind.name in header.forces}
     properties |= {f"{PROPERTY}{part}": package for part, package in header.extensions.items()}
     if header.has_torque:
@@ -308,6 +310,12 @@ def _scales(header: Header, clock: TimeScale, origin: np.ndarray[tuple[int], np.
         box = zip("xyz", header.box.tolist(), strict=True)
         periods = [f"{axis} with {units.text(side, LENGTH, 'g')}" for axis, side in box if side < ENDLESS]
         lines.append(f"- Space is periodic along {in_series(periods)}.")
+    if header.shear:
+        rate = units.text(header.shear.rate, RATE, "g")
+        lines.append(
+            f"- It is sheared at {rate}: the mean velocity is along {header.shear.flow} and changes along "
+            f"{header.shear.gradient}. The box is drawn at rest; its images along {header.shear.gradient} move."
+        )
     return "\n".join(lines)
 
 

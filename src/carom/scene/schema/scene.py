@@ -22,6 +22,7 @@ from carom.scene.schema.force_settings import Forces, know_installed_forces
 from carom.scene.schema.promise import Expect, Promise, Sweep
 from carom.scene.schema.quantity import SectionError
 from carom.scene.schema.settings import Domain, ForcedParts, Heading, Record
+from carom.scene.schema.shear import refuse_what_is_not_sheared
 from carom.scene.schema.wall import Wall, know_wall_shapes
 from carom.scene.units.system import SI, UnitSystem
 from carom.scene.wording import suggestion
@@ -318,6 +319,11 @@ class Scene(Forces, Heading):
                 'domain.boundary = "periodic" with a [[plane]]: a periodic space cannot contain planes; use '
                 'boundary = "walls" or "open", or remove the plane'
             )
+        return self
+
+    @model_validator(mode="after")
+    def _shears_what_it_can(self) -> Self:
+        refuse_what_is_not_sheared(self)
         return self
 
     @model_validator(mode="after")

@@ -21,6 +21,7 @@ from carom.scene.integrators import AUTO, INTEGRATORS, described, integrator_cal
 from carom.scene.parts import PARTS, unknown
 from carom.scene.portable_math import ENDLESS
 from carom.scene.schema.quantity import Count, Positive, Section
+from carom.scene.schema.shear import Shear
 from carom.scene.units.dimension import LENGTH, TIME
 
 
@@ -245,6 +246,9 @@ class Domain(Section):
     )
 
     material: str | None = Field(None, description="name of the [[material]] of the walls")
+    shear: Shear | None = Field(
+        None, description='Lees–Edwards shear of a periodic box, such as { rate = 1.0, flow = "x", gradient = "y" }'
+    )
 
     @property
     def axes(self) -> tuple[Boundary, Boundary, Boundary]:
@@ -283,6 +287,13 @@ class Domain(Section):
     def _walls_have_a_material(self) -> Self:
         if self.material is not None and not self.walled:
             raise ValueError(f'material = "{self.material}" without walls; set boundary = "walls", or remove it')
+        return self
+
+    @model_validator(mode="after")
+    def _shear_needs_images(self) -> Self:
+        if self.shear is not None and self.boundary != "periodic":
+            shown = f'"{self.boundary}"' if isinstance(self.boundary, str) else str(list(self.boundary))
+            raise ValueError(f'shear with boundary = {shown}; set boundary = "periodic", or remove shear')
         return self
 
     @model_validator(mode="after")

@@ -50,6 +50,7 @@ from carom.physics.contact.solver.prepare import ImpulseCache
 from carom.physics.integrators.kick_drift import MIN_BODIES_PER_TASK, drift
 from carom.physics.jit.decorators import entry_of, inline, kernel, long_kernel
 from carom.physics.jit.team import Team
+from carom.physics.sheared_box import ShearedBox
 from carom.physics.vector import between, vector
 from carom.scene.start import HalfSpaces
 
@@ -101,6 +102,8 @@ class EventDrivenDrift:
         Whether impulses change spins, whether something is fixed, and whether a force presses contacts together.
     search, team
         The broad phase, and the threads that share the work.
+    shear
+        The images of a sheared box; None without shear.
 
     Attributes
     ----------
@@ -123,11 +126,12 @@ class EventDrivenDrift:
         forces: bool,
         search: Search,
         team: Team,
+        shear: ShearedBox | None = None,
     ) -> None:
         n, ends = len(bodies), bodies.ends
         spin = slice(None) if friction else slice(0)
         self._bodies, self.field, self.anchored, self._forces = bodies, field, anchored, forces
-        self._search, self._team = search, team
+        self._search, self._team, self._box, self._shear = search, team, box, shear
         self.bending = bending
         self.log = np.empty(LOG_ROWS, dtype=ROLLING_IMPACT if has_torque(materials.rows.dtype) else IMPACT)
         zeros = np.zeros(n, dtype=np.int64)
@@ -143,7 +147,7 @@ class EventDrivenDrift:
             inverse_inertia=ends.inverse_inertia,
             radius=ends.radius,
             rest_speed=np.zeros(len(ends.radius)),
-            box=box,
+            box=shear.at(0.0) if shear else box,
             surface=planes.surface,
             offset=planes.offset,
             materials=materials.rows,
@@ -209,8 +213,9 @@ class EventDrivenDrift:
             T.drift["field_x"], T.drift["field_y"], T.drift["field_z"] = field
             T = T if strength == 1.0 else T._replace(a=strength * T.a)
         T.drift["exhausted"] = 0
-        largest = write_search_radii(bodies.velocity, bodies.mass, bodies.radius, self.anchored, dt, T.body, T.drift)
-        pairs = self._neighbours(largest, scale, skin)
+        velocity = self._shear.relative(bodies.velocity, bodies.position) if self._shear else bodies.velocity
+        largest = write_search_radii(velocity, bodies.mass, bodies.radius, self.anchored, dt, T.body, T.drift)
+        pairs = self._neighbours(largest, scale, skin, dt)
         impacts = NO_IMPACTS
         if len(pairs) or len(T.offset):
             bends = bool(self.bending.any()) and (damping > 0.0 or kick == 0.5 * dt)  # velocities are the mean
@@ -262,13 +267,16 @@ class EventDrivenDrift:
         acceleration = self._bodies.ends.acceleration
         island_rest_speeds(pairs, self.trajectories, scale, skin, acceleration, self.field, dt)
 
-    def _neighbours(self, largest: float, scale: float, skin: float) -> IntArray:
+    def _neighbours(self, largest: float, scale: float, skin: float, dt: float) -> IntArray:
         """Return the pairs whose search radii overlap. If the largest, in body radii, is small, all bodies get it."""
-        T, radius = self.trajectories, self._bodies.radius
+        T, radius, position = self.trajectories, self._bodies.radius, self._bodies.position
+        if self._shear:
+            position, stretch = self._shear.carried(position), self._shear.stretch(dt)
+            scale, skin = stretch * scale, stretch * skin
         if largest <= WIDEST - 1.0:
             T.body["search_radius"] = largest * radius
-            return self._search.pairs(T.x, scale * (1.0 + largest), skin)
-        return HierarchicalGrid(radius + T.body["search_radius"], T.box, self._team).pairs(T.x, scale, skin)
+            return self._search.pairs(position, scale * (1.0 + largest), skin)
+        return HierarchicalGrid(radius + T.body["search_radius"], self._box, self._team).pairs(position, scale, skin)
 
     def _resolve(self, pairs: IntArray, T: Trajectories) -> Impacts:
         n = len(self._bodies)

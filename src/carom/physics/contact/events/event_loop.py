@@ -20,6 +20,7 @@ import numpy as np
 from carom.arrays import RecordArray
 from carom.physics.contact.events.held_group import MOST_CONTACTS, hold_group
 from carom.physics.contact.events.time_of_impact import (
+    first_of_images,
     time_of_impact,
     time_of_impact_in_box,
     time_of_impact_on_parabola,
@@ -41,6 +42,7 @@ from carom.physics.contact.events.trajectories import (
     rest_speed,
     slowing,
     velocity,
+    velocity_of_partner,
 )
 from carom.physics.contact.events.wall_impacts import has_walls, predict_with_solids, predict_with_walls
 from carom.physics.contact.impact_log import ROUNDING, ImpactRecord
@@ -61,7 +63,8 @@ from carom.physics.contact.translating_walls import velocity_in_drift, walls_tra
 from carom.physics.exponential import exponentials
 from carom.physics.jit.decorators import chosen_by_type, inline, inner, long_kernel
 from carom.physics.rotation import rotate_one
-from carom.physics.vector import Vector, add, along, between, is_periodic, nearest_image, sizes, vector
+from carom.physics.sheared_box import add_work, is_sheared, nearest_in_drift, periods
+from carom.physics.vector import Vector, add, along, between, is_periodic, nearest_image, vector
 
 # Fraction of the rest speed above which a contact is resolved where it touches; it rebounds above the rest speed
 # itself. With 1, dropped stacks of 500 balls overlap by 0.18 r instead of 0.06 r, and marbles-in-a-box by 5 mm instead
@@ -176,7 +179,7 @@ def _predict_again(i: int, neighbours: Neighbours, T: Trajectories) -> None:
 @inner
 def _predict(lo: int, hi: int, neighbours: Neighbours, T: Trajectories) -> None:
     """Predict each body's next impact with its neighbours, for [lo, hi), and keep it if it is before the stored one."""
-    box, drift = sizes(T.box), T.drift[0]
+    box, drift = periods(T.box), T.drift[0]
     clock = drift.clock
     span, since_kick = drift.dt - clock, clock - drift.kick
     for i in range(lo, hi):
@@ -197,7 +200,9 @@ def _predict(lo: int, hi: int, neighbours: Neighbours, T: Trajectories) -> None:
             slow = drift.slow * max(own, 0.0 if other.is_free else T.rest_speed[j])
             slow += one.negligible_speed + other.negligible_speed
             # on a parabola only the nearest image is tested, so a body must not come halfway to another image
-            if one.is_straight != other.is_straight and not (is_periodic(box) and _passes_images(v, span, box)):
+            if is_sheared(T.box):
+                tau = first_of_images(d, v, a, R, span, since_kick, slow, (T.box, clock))
+            elif one.is_straight != other.is_straight and not (is_periodic(box) and _passes_images(v, span, box)):
                 tau = _time_on_parabola(i, j, nearest_image(d[0], d[1], d[2], box), v, slow, T)
             elif is_periodic(box):
                 tau = time_of_impact_in_box(d, v, a, R, span, since_kick, slow, box)
@@ -372,6 +377,10 @@ def collide(i: int, j: int, entry: ImpactRecord, T: Trajectories) -> None:
     add(v, i, -mi / f, Jx, Jy, Jz)
     if mj > 0.0:
         add(v, j, mj / f, Jx, Jy, Jz)
+    if is_sheared(T.box):
+        wx, wy, wz = velocity_of_partner(i, j, T)
+        add_work(T.box, -(Jx * wx + Jy * wy + Jz * wz))
+        entry.x, entry.y, entry.z = nearest_in_drift(entry.x, entry.y, entry.z, T.box, clock)
     entry.vix, entry.viy, entry.viz = velocity(i, T)
     entry.vjx, entry.vjy, entry.vjz = velocity(j, T)
 

@@ -38,12 +38,14 @@ from carom.physics.contact.events.trajectories import (
     mean_velocity_of_wall,
     slowing,
     velocity,
+    velocity_of_partner,
 )
 from carom.physics.contact.impact_log import ROUNDING, ImpactRecord
 from carom.physics.contact.rolling import set_angular_impulse
 from carom.physics.contact.translating_walls import velocity_in_drift, walls_translate
 from carom.physics.jit.decorators import inline, inner, kernel
-from carom.physics.vector import along, between, nearest_image, vector
+from carom.physics.sheared_box import add_work, is_sheared, nearest_in_drift
+from carom.physics.vector import along, between, vector
 
 MOST_BODIES = 48  # in a group; further bodies are held in groups of their own
 MOST_CONTACTS = 3 * MOST_BODIES
@@ -183,7 +185,7 @@ def _is_near(i: int, j: int, T: Trajectories) -> bool:
     xi, yi, zi = along(T.x, T.v, i, clock - T.body[i].now)
     xj, yj, zj = along(T.x, T.v, j, clock - T.body[j].now)
     dx, dy, dz = xj - xi, yj - yi, zj - zi
-    dx, dy, dz = nearest_image(dx, dy, dz, T.box)
+    dx, dy, dz = nearest_in_drift(dx, dy, dz, T.box, clock)
     R = T.radius[i] + T.radius[j] + _standoff(i, T) + _standoff(j, T)
     return bool(dx * dx + dy * dy + dz * dz <= R * R)
 
@@ -224,6 +226,9 @@ def _add(i: int, j: int, bodies: int, contacts: int, T: Trajectories, group: Gro
     group.allowed[contacts] = gap / remaining if gap > 0.0 and remaining > 0.0 else 0.0
     if walls_translate(T.surface) and j >= len(T.x):
         wx, wy, wz = mean_velocity_of_wall(j, T)
+        group.allowed[contacts] += wx * nx + wy * ny + wz * nz
+    if is_sheared(T.box):
+        wx, wy, wz = velocity_of_partner(i, j, T)
         group.allowed[contacts] += wx * nx + wy * ny + wz * nz
     return contacts + 1
 
@@ -374,6 +379,10 @@ def _log(contacts: int, T: Trajectories, group: Group, log: RecordArray[ImpactRe
         if walls_translate(T.surface) and j >= len(T.x):
             wx, wy, wz = velocity_in_drift(T.surface, j - len(T.x), elapsed(T))
             change += wx * nx + wy * ny + wz * nz
+        if is_sheared(T.box):
+            wx, wy, wz = velocity_of_partner(i, j, T)
+            change += wx * nx + wy * ny + wz * nz
+            add_work(T.box, -Jn * (wx * nx + wy * ny + wz * nz))
         before, after = f * group.before[c] + change, f * (vx * nx + vy * ny + vz * nz) + change
         entry = log[row]
         row += 1
@@ -387,6 +396,8 @@ def _log(contacts: int, T: Trajectories, group: Group, log: RecordArray[ImpactRe
         set_angular_impulse(entry, 0.0, 0.0, 0.0)
         x, y, z = centre(i, T)
         entry.x, entry.y, entry.z = x + ri * nx, y + ri * ny, z + ri * nz
+        if is_sheared(T.box):
+            entry.x, entry.y, entry.z = nearest_in_drift(entry.x, entry.y, entry.z, T.box, clock)
         entry.vix, entry.viy, entry.viz = velocity(i, T)
         entry.vjx, entry.vjy, entry.vjz = velocity(j, T)
     return row

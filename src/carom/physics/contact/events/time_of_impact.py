@@ -25,12 +25,15 @@ than a given speed.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from carom.arrays import FloatArray
 from carom.physics.contact.impact_log import ROUNDING
 from carom.physics.exponential import exponentials
-from carom.physics.jit.decorators import inline, kernel
+from carom.physics.jit.decorators import chosen_by_type, inline, kernel
+from carom.physics.sheared_box import along_gradient, in_axes, is_record_of_shear
 from carom.physics.vector import Vector, between, nearest_image, vector
 
 MOST_PASSES = 100
@@ -200,6 +203,41 @@ def time_of_impact_in_box(
         if not passed < passed + leg < span:
             return np.inf
         dx, dy, dz, passed = dx + vx * leg, dy + vy * leg, dz + vz * leg, passed + leg
+
+
+def first_of_images(
+    d: Vector, v: Vector, a: Vector, R: float, span: float, since_kick: float, slow: float, at: tuple[Any, float]
+) -> float:
+    """Return `time_of_impact` in a sheared box, given the box and the time (s) since the step began; else infinity."""
+    raise NotImplementedError("only kernels call it")
+
+
+@chosen_by_type(first_of_images)
+def _first_of_images(d: Any, v: Any, a: Any, R: Any, span: Any, since_kick: Any, slow: Any, at: Any) -> Any:
+    if is_record_of_shear(at.types[0]):
+        return _each_on_its_line
+    return lambda d, v, a, R, span, since_kick, slow, at: np.inf
+
+
+def _each_on_its_line(
+    d: Vector, v: Vector, a: Vector, R: float, span: float, since_kick: float, slow: float, at: tuple[Any, float]
+) -> float:
+    """Test the images that come within R along the gradient; along the other axes, space repeats as without shear."""
+    box, clock = at
+    B = box[0]
+    (dx, dy, dz), (vx, vy, vz) = d, v
+    start = along_gradient(dx, dy, dz, B.gradient)
+    end = start + along_gradient(vx, vy, vz, B.gradient) * span
+    k, last = np.ceil((min(start, end) - R) / B.depth), np.floor((max(start, end) + R) / B.depth)
+    first = np.inf
+    while k <= last:
+        sx, sy, sz = in_axes(B, k * (B.shift + B.speed * clock), k * B.depth)
+        ux, uy, uz = in_axes(B, k * B.speed, 0.0)
+        separation, velocity = (dx - sx, dy - sy, dz - sz), (vx - ux, vy - uy, vz - uz)
+        across = B.period_x, B.period_y, B.period_z
+        first = min(first, time_of_impact_in_box(separation, velocity, a, R, span, since_kick, slow, across))
+        k += 1.0
+    return float(first)
 
 
 @kernel

@@ -36,7 +36,8 @@ from carom.physics.contact.translating_walls import displacement_in_drift, veloc
 from carom.physics.diagnostics.momentum import centre_velocity
 from carom.physics.exponential import log_remainder
 from carom.physics.jit.decorators import inline, inner, kernel, long_kernel
-from carom.physics.vector import Vector, add, along, between, nearest_image, vector
+from carom.physics.sheared_box import flow_in_drift, is_sheared, nearest_in_drift, velocity_of_image
+from carom.physics.vector import Vector, add, along, between, vector
 from carom.scene.schema import Coefficients
 
 FIRST_STANDOFF = 1e-9  # of the radius, the standoff of a body that is exhausted for the first time
@@ -121,7 +122,7 @@ class Trajectories(NamedTuple):
     inverse_inertia: FloatArray  # (n + p,) 1/(kg m²)
     radius: FloatArray  # (n + p,) m
     rest_speed: FloatArray  # (n + p,) m/s, closing speed up to which the body's contacts are at rest
-    box: FloatArray  # (3,) m; zeros in open space
+    box: FloatArray  # (3,) m, zeros in open space; or the record of a sheared box
     surface: FloatArray  # (p, 3) normals, or records: see `solids`
     offset: FloatArray  # (p,) m
     materials: RecordArray[Coefficients]  # (k,) `MATERIAL`, by `law.material_index`
@@ -254,10 +255,23 @@ def relative_velocity(i: int, j: int, T: Trajectories) -> Vector:
     f, s = slowing(T), T.drift[0].clock - T.drift[0].kick
     (vx, vy, vz), (ax, ay, az) = between(T.v, i, j), between(T.a, i, j)
     vx, vy, vz = f * vx + ax * s, f * vy + ay * s, f * vz + az * s
+    if is_sheared(T.box):
+        wx, wy, wz = velocity_of_partner(i, j, T)
+        return vx + wx, vy + wy, vz + wz
     if walls_translate(T.surface) and j >= len(T.x):  # the velocities of such walls are 0 in ``v``
         wx, wy, wz = velocity_in_drift(T.surface, j - len(T.x), elapsed(T))
         return vx + wx, vy + wy, vz + wz
     return vx, vy, vz
+
+
+@inline
+def velocity_of_partner(i: int, j: int, T: Trajectories) -> Vector:
+    """Return the velocity of the image of j that is nearest to i relative to j, in m/s; 0 unless the box is sheared.
+
+    Both must be at the present time.
+    """
+    dx, dy, dz = between(T.x, i, j)
+    return velocity_of_image(dx, dy, dz, T.box)
 
 
 @inline
@@ -318,7 +332,7 @@ def contact_geometry(i: int, j: int, T: Trajectories) -> tuple[float, float, flo
         drift = T.drift[0]
         behind = lag(T) if T.body[i].is_straight else -lag(T)
         dx, dy, dz = dx - behind * drift.field_x, dy - behind * drift.field_y, dz - behind * drift.field_z
-    dx, dy, dz = nearest_image(dx, dy, dz, T.box)
+    dx, dy, dz = nearest_in_drift(dx, dy, dz, T.box, T.drift[0].clock)
     nx, ny, nz, d = normal_and_distance(dx, dy, dz)
     ratio = d / (T.radius[i] + T.radius[j])
     return nx, ny, nz, ratio * T.radius[i], ratio * T.radius[j]
@@ -333,6 +347,9 @@ def leaves_search_radius(i: int, T: Trajectories) -> bool:
     x = x - drift.bulk_x * drift.dt - body.start_x
     y = y - drift.bulk_y * drift.dt - body.start_y
     z = z - drift.bulk_z * drift.dt - body.start_z
+    if is_sheared(T.box):  # search radii are relative to the flow
+        ux, uy, uz = flow_in_drift(T.box, body.start_x, body.start_y, body.start_z, drift.dt)
+        x, y, z = x - ux, y - uy, z - uz
     return bool(x * x + y * y + z * z > body.search_radius * body.search_radius)
 
 

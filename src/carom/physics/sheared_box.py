@@ -1,0 +1,274 @@
+"""A periodic box under uniform shear: the images along the gradient move (Lees & Edwards 1972).
+
+With the shear rate γ, the flow along x and the gradient along y, the mean velocity is u = γ y x̂. In a box of the size
+L, image k along the gradient has at the time t the position and the velocity
+
+    x + k (L_y ŷ + s x̂),    v + k γ L_y x̂,    s = γ L_y t
+
+with s less whole lengths L_x. A body that leaves the box through a face along y enters it through the other one as its
+image: its position changes by ∓(L_y ŷ + s x̂), its velocity by ∓γ L_y x̂. Its velocity relative to the flow, v - γ y x̂,
+does not change.
+
+Within a step, the paths of bodies and of their images are straight lines, with different velocities. Times of impact
+are found for each image that comes near (`time_of_impact.first_of_images`), and an impact has the velocity relative to
+the image. Bodies are wrapped at the end of the step.
+
+An impact with an image that has the velocity w relative to its body, and the impulse J on it, changes the energy of
+both bodies by what it dissipates, and by the work -J·w. Together with the change of Σ ½ m v² by wrapping, this is the
+work of the shear, which the ledger books as an entry, with the sign of a loss. The momentum that bodies gain by
+wrapping is added to the expected one. In coordinates that the shear carries along,
+
+    x' = x - (s/L_y) y
+
+the images form a grid at rest, and bodies move only relative to the flow. The broad phase searches there, within
+distances that are longer by the largest stretch of x ↦ x', and of the flow within a step (`ShearedBox.stretch`).
+
+Numba compiles the functions below by the type of the box: an array of sizes, or the record of a sheared box.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any, Protocol, cast
+
+import numpy as np
+
+from carom.arrays import FloatArray, RecordArray, dtype_of
+from carom.physics.jit.decorators import chosen_by_type, inner, kernel
+from carom.physics.vector import Vector, minimum_image, nearest_image
+from carom.scene.portable_math import ENDLESS
+
+if TYPE_CHECKING:
+    from carom.physics.bodies import Bodies
+    from carom.scene.schema.shear import Shear
+
+ENTRY = "shear"  # of the ledger, with the sign of a loss: -W
+
+
+class ShearedBoxRecord(Protocol):
+    """A sheared box in a step."""
+
+    flow: int  # axis of the mean velocity
+    gradient: int  # axis along which it changes
+    rate: float  # 1/s, γ
+    depth: float  # m, size of the box along the gradient
+    speed: float  # m/s, velocity of the next image along the gradient
+    shift: float  # m, its displacement along the flow as the step begins
+    period_x: float  # m, size along the other axes, `ENDLESS` along the gradient
+    period_y: float
+    period_z: float
+    work: float  # J, of the shear in impacts since `ShearedBox.pop`
+
+
+SHEARED_BOX = dtype_of(ShearedBoxRecord)
+
+
+class ShearedBox:
+    """The images of a sheared box from step to step.
+
+    Parameters
+    ----------
+    shear
+        The scene's section.
+    size
+        (3,) m.
+
+    Attributes
+    ----------
+    record
+        (1,) `SHEARED_BOX`, for kernels.
+    """
+
+    def __init__(self, shear: Shear, size: FloatArray) -> None:
+        self._shear, self._size, (self._flow, self._gradient) = shear, size, shear.axes
+        self._depth, self.rate = float(size[self._gradient]), shear.rate
+        periods = np.where(np.arange(3) == self._gradient, ENDLESS, size).tolist()
+        speed = shear.rate * self._depth
+        axes = self._flow, self._gradient
+        self.record = np.array([(*axes, shear.rate, self._depth, speed, 0.0, *periods, 0.0)], SHEARED_BOX)
+        self._impulse = 0.0  # N s along the flow, by wrapping
+        self._work = 0.0  # J, by wrapping
+
+    def begin(self, time: float) -> None:
+        """Begin a step at a time in seconds."""
+        self.record["shift"] = self._shear.shift(self._size, time)
+
+    def at(self, time: float) -> FloatArray:
+        """Return the record of a time (s), for kernels that accept any box."""
+        self.begin(time)
+        return cast(FloatArray, self.record)
+
+    def relative(self, velocity: FloatArray, position: FloatArray) -> FloatArray:
+        """Return velocities relative to the flow at some positions, (n, 3) m/s."""
+        relative = velocity.copy()
+        relative[:, self._flow] -= self.rate * position[:, self._gradient]
+        return relative
+
+    def carried(self, position: FloatArray) -> FloatArray:
+        """Return positions x', (n, 3) m, in coordinates that the shear carries along, as the step begins."""
+        carried = position.copy()
+        carried[:, self._flow] -= self._slope * position[:, self._gradient]
+        return carried
+
+    def stretch(self, dt: float) -> float:
+        """Return a factor of search distances: of the distance of x' and the way of the flow in a step of dt s."""
+        return _largest_stretch(self._slope) * _largest_stretch(self.rate * dt)
+
+    @property
+    def _slope(self) -> float:
+        return float(self.record["shift"][0]) / self._depth
+
+    def wrap(self, bodies: Bodies, time: float) -> None:
+        """Wrap every centre into the box at a time (s) at the end of a step, with its velocity, and book the work."""
+        state = bodies.position, bodies.velocity, bodies.mass
+        work, impulse = _wrap(*state, self.record, self._shear.shift(self._size, time))
+        self._work, self._impulse = self._work + work, self._impulse + impulse
+
+    def pop(self) -> tuple[float, FloatArray]:
+        """Return the work of the shear since the last call (J), and the momentum gained by wrapping (3,) N s."""
+        work, impulse = self._work + float(self.record["work"][0]), np.zeros(3)
+        impulse[self._flow] = self._impulse
+        self._work = self._impulse = 0.0
+        self.record["work"] = 0.0
+        return work, impulse
+
+
+def _largest_stretch(slope: float) -> float:
+    """Return the largest singular value of x ↦ x + slope y."""
+    half = 0.5 * abs(slope)
+    return half + math.sqrt(1.0 + half * half)
+
+
+@kernel
+def _wrap(
+    position: FloatArray, velocity: FloatArray, mass: FloatArray, box: RecordArray[ShearedBoxRecord], shift: float
+) -> tuple[float, float]:
+    """Wrap all centres; return the change of the kinetic energy (J), and of the momentum along the flow (N s)."""
+    B, work, impulse = box[0], 0.0, 0.0
+    f, g = B.flow, B.gradient
+    for i in range(len(position)):
+        k = _image(position[i, g], B.depth)
+        if k != 0.0:
+            position[i, g] -= k * B.depth
+            position[i, f] -= k * shift
+            change, v = -k * B.speed, velocity[i, f]
+            velocity[i, f] = v + change
+            work += mass[i] * change * (v + 0.5 * change)
+            impulse += mass[i] * change
+        position[i, 0] = minimum_image(position[i, 0], B.period_x)
+        position[i, 1] = minimum_image(position[i, 1], B.period_y)
+        position[i, 2] = minimum_image(position[i, 2], B.period_z)
+    return work, impulse
+
+
+@inner
+def _image(d: float, depth: float) -> float:
+    """Return the number of the box that a coordinate along the gradient is in."""
+    return float(np.floor(d / depth + 0.5))
+
+
+# What kernels ask of a box, which may be sheared
+
+
+def is_sheared(box: Any) -> bool:
+    """Return whether a box is sheared; a constant in compiled kernels."""
+    raise NotImplementedError("only kernels call it")
+
+
+def periods(box: Any) -> Vector:
+    """Return the size of a periodic box in m; of a sheared one `ENDLESS` along the gradient."""
+    raise NotImplementedError("only kernels call it")
+
+
+def nearest_in_drift(dx: float, dy: float, dz: float, box: Any, clock: float) -> Vector:
+    """Return a separation (m) to the nearest image at a time (s) since the step began."""
+    raise NotImplementedError("only kernels call it")
+
+
+def velocity_of_image(dx: float, dy: float, dz: float, box: Any) -> Vector:
+    """Return the velocity (m/s) of the nearest image of a body relative to the body, given its separation (m)."""
+    raise NotImplementedError("only kernels call it")
+
+
+def flow_in_drift(box: Any, x: float, y: float, z: float, dt: float) -> Vector:
+    """Return the displacement (m) by the flow at a place in a time (s)."""
+    raise NotImplementedError("only kernels call it")
+
+
+def add_work(box: Any, work: float) -> None:
+    """Add work (J) of the shear."""
+    raise NotImplementedError("only kernels call it")
+
+
+def is_record_of_shear(box: Any) -> bool:
+    """Return whether Numba's type of a box is that of a sheared one."""
+    return "shift" in (getattr(box.dtype, "fields", None) or ())
+
+
+@chosen_by_type(is_sheared)
+def _is_sheared(box: Any) -> Any:
+    sheared = is_record_of_shear(box)
+    return lambda box: sheared
+
+
+@chosen_by_type(periods)
+def _periods(box: Any) -> Any:
+    if is_record_of_shear(box):
+        return lambda box: (box[0].period_x, box[0].period_y, box[0].period_z)
+    return lambda box: (box[0], box[1], box[2])
+
+
+@chosen_by_type(nearest_in_drift)
+def _nearest_in_drift(dx: Any, dy: Any, dz: Any, box: Any, clock: Any) -> Any:
+    return _nearest if is_record_of_shear(box) else lambda dx, dy, dz, box, clock: nearest_image(dx, dy, dz, box)
+
+
+@chosen_by_type(velocity_of_image)
+def _velocity_of_image(dx: Any, dy: Any, dz: Any, box: Any) -> Any:
+    return _velocity if is_record_of_shear(box) else lambda dx, dy, dz, box: (0.0, 0.0, 0.0)
+
+
+@chosen_by_type(flow_in_drift)
+def _flow_in_drift(box: Any, x: Any, y: Any, z: Any, dt: Any) -> Any:
+    return _flow if is_record_of_shear(box) else lambda box, x, y, z, dt: (0.0, 0.0, 0.0)
+
+
+@chosen_by_type(add_work)
+def _add_work(box: Any, work: Any) -> Any:
+    def add(box: Any, work: float) -> None:
+        box[0].work += work
+
+    return add if is_record_of_shear(box) else lambda box, work: None
+
+
+def _nearest(dx: float, dy: float, dz: float, box: Any, clock: float) -> Vector:
+    B = box[0]
+    k = _image(along_gradient(dx, dy, dz, B.gradient), B.depth)
+    sx, sy, sz = in_axes(B, k * (B.shift + B.speed * clock), k * B.depth)
+    return nearest_image(dx - sx, dy - sy, dz - sz, (B.period_x, B.period_y, B.period_z))
+
+
+def _velocity(dx: float, dy: float, dz: float, box: Any) -> Vector:
+    B = box[0]
+    return in_axes(B, -_image(along_gradient(dx, dy, dz, B.gradient), B.depth) * B.speed, 0.0)
+
+
+def _flow(box: Any, x: float, y: float, z: float, dt: float) -> Vector:
+    B = box[0]
+    return in_axes(B, B.rate * along_gradient(x, y, z, B.gradient) * dt, 0.0)
+
+
+@inner
+def along_gradient(x: float, y: float, z: float, axis: int) -> float:
+    """Return the component of a vector along an axis."""
+    return x if axis == 0 else (y if axis == 1 else z)
+
+
+@inner
+def in_axes(B: ShearedBoxRecord, flow: float, gradient: float) -> Vector:
+    """Return a vector with two components, along the flow and the gradient."""
+    f, g = B.flow, B.gradient
+    x = flow if f == 0 else (gradient if g == 0 else 0.0)
+    y = flow if f == 1 else (gradient if g == 1 else 0.0)
+    z = flow if f == 2 else (gradient if g == 2 else 0.0)
+    return x, y, z

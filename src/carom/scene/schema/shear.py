@@ -1,0 +1,89 @@
+"""[domain] shear: a periodic box whose images move past each other (Lees & Edwards 1972)."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Annotated, Literal, Self
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from carom.arrays import FloatArray
+from carom.scene.integrators import AUTO
+from carom.scene.schema.quantity import Real, Section
+from carom.scene.units.dimension import RATE
+
+if TYPE_CHECKING:
+    from carom.scene.schema.scene import Scene
+
+Axis = Literal["x", "y", "z"]
+
+
+class Shear(Section):
+    """[domain.shear]: uniform shear of a periodic box, whose mean velocity is ``rate`` times the gradient's coordinate.
+
+    The images of the box along the gradient move along the flow. Groups start with the velocity of the flow at their
+    places in addition to their own; velocities of single bodies and of data are those in the box.
+    """
+
+    rate: Annotated[Real, RATE] = Field(description="1/s, change of the velocity along the gradient")
+    flow: Axis = Field("x", description="axis of the mean velocity")
+    gradient: Axis = Field("y", description="axis along which it changes")
+
+    @model_validator(mode="after")
+    def _axes_differ(self) -> Self:
+        if self.flow == self.gradient:
+            raise ValueError(f'flow and gradient are both "{self.flow}"; choose two different axes')
+        return self
+
+    @property
+    def axes(self) -> tuple[int, int]:
+        """The flow and the gradient as numbers of axes."""
+        return "xyz".index(self.flow), "xyz".index(self.gradient)
+
+    def shift(self, size: FloatArray, time: float) -> float:
+        """Return by how much the next image along the gradient is displaced along the flow at a time (s).
+
+        The result is in m, less whole lengths of the box, whose size is (3,) m.
+        """
+        flow, gradient = self.axes
+        path, width = self.rate * float(size[gradient]) * time, float(size[flow])
+        return path - width * math.floor(path / width + 0.5)
+
+    def cell(self, size: FloatArray, time: float) -> FloatArray:
+        """Return the vectors to the next images of the box at a time (s), (3, 3) m, each in a row."""
+        flow, gradient = self.axes
+        cell = np.diag(size)
+        cell[gradient, flow] = self.shift(size, time)
+        return cell
+
+
+def refuse_what_is_not_sheared(scene: Scene) -> None:
+    """Refuse sheared boxes with parts of the model that need forces, or the velocity of something at rest.
+
+    Without forces, all contacts are impacts at their own times, which know the images. Nothing can be fixed in a
+    sheared box, since its images would move.
+
+    Raises
+    ------
+    ValueError
+        The message names the key and the remedy.
+    """
+    if scene.domain.shear is None:
+        return
+    time, contact = scene.time, scene.contact
+    remedies = {
+        "gravity.uniform": ("set it to [0, 0, 0]", any(scene.gravity.uniform)),
+        "a [drag]": ("remove it", scene.drag is not None),
+        "a [forces]": ("remove it", bool(scene.forces.given)),
+        "a fixed body": ("set fixed = false", scene.has_fixed_bodies),
+        "time.accuracy": ("remove it", time.accuracy is not None),
+        f'time.integrator = "{time.integrator}"': ('set "leapfrog"', time.integrator not in (AUTO, "leapfrog")),
+        'contact.timing = "end-of-step"': ('set "time-of-impact"', contact.timing == "end-of-step"),
+        "contact.sleep": ("remove it", contact.sleep is not None),
+        "contact.allow_overlap": ("set it to false", contact.allow_overlap),
+        "model.force": ("remove it", bool(scene.model.force)),
+    }
+    for what, (remedy, given) in remedies.items():
+        if given:
+            raise ValueError(f"domain.shear with {what}, which a sheared box does not support; {remedy}")
