@@ -1,4 +1,7 @@
-"""A periodic box under Lees–Edwards shear, held against impacts that NumPy finds image by image."""
+"""A periodic box under Lees–Edwards shear, held against impacts that NumPy finds image by image.
+
+Runs with impacts are slow, since their kernels compile for a minute.
+"""
 
 from __future__ import annotations
 
@@ -106,6 +109,7 @@ def gas(flow: int = 0, gradient: int = 1) -> tuple[FloatArray, FloatArray]:
     return x, v
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("flow", "gradient"), AXES)
 def test_spheres_meet_the_images_that_quadratics_find_for_every_pair_of_axes(flow: int, gradient: int) -> None:
     x, v = gas(flow, gradient)
@@ -122,6 +126,7 @@ def test_spheres_meet_the_images_that_quadratics_find_for_every_pair_of_axes(flo
     assert last.momentum_error is not None and last.momentum_error < 1e-13
 
 
+@pytest.mark.slow
 def test_an_impact_across_the_sheared_face_is_that_with_the_image_in_open_space_spins_included() -> None:
     rough = {"restitution": 0.7, "static_friction": 0.4, "kinetic_friction": 0.3}
     x = np.array([[0.3, 1.1, 0.1], [0.2, -1.1, 0.0]])
@@ -169,6 +174,7 @@ def test_bodies_that_move_with_the_flow_stay_on_it() -> None:
     assert last.energy.ledger.entry("shear") == 0.0
 
 
+@pytest.mark.slow
 def test_the_result_does_not_depend_on_where_the_middle_of_the_box_lies() -> None:
     x, v = gas()
     end, up = 3.0, 0.77
@@ -185,6 +191,7 @@ def test_the_result_does_not_depend_on_where_the_middle_of_the_box_lies() -> Non
     assert dissipated[0] == pytest.approx(dissipated[1], rel=1e-9)
 
 
+@pytest.mark.slow
 def test_without_a_rate_a_sheared_box_is_a_periodic_box() -> None:
     x, v = gas()
     still = sheared(rate=0.0)
@@ -217,6 +224,7 @@ def smallest_gap(frame: Frame, radius: FloatArray, time: float) -> float:
     return float(min(gaps))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("restitution", [0.0, 0.8])
 def test_spheres_in_a_crowded_box_never_overlap_an_image_even_if_their_impacts_do_not_end(restitution: float) -> None:
     document = sheared() | {"group": [CROWD], "contact": SMOOTH | {"restitution": restitution}}
@@ -231,13 +239,14 @@ def test_spheres_in_a_crowded_box_never_overlap_an_image_even_if_their_impacts_d
 
 
 def test_a_group_starts_with_the_flow_in_addition_to_its_own_velocities() -> None:
-    still = sheared(rate=0.0) | {"group": [CROWD], "contact": SMOOTH}
+    still = sheared(rate=0.0) | {"group": [CROWD], "contact": {"enabled": False}}
     plain, moving = (Space(Scene.from_dict(still | box)).state for box in (sheared(rate=0.0), sheared()))
     np.testing.assert_array_equal(moving.position, plain.position)
     np.testing.assert_allclose(moving.velocity[:, 0] - plain.velocity[:, 0], RATE * plain.position[:, 1], atol=1e-15)
     np.testing.assert_array_equal(moving.velocity[:, 1:], plain.velocity[:, 1:])
 
 
+@pytest.mark.slow
 def test_a_sheared_gas_has_the_same_bits_on_any_number_of_threads_after_resuming_and_in_a_replay(
     tmp_path: Path,
 ) -> None:

@@ -24,9 +24,10 @@ FloatArray = NDArray[np.float64]
 
 
 def walls_as_slow(names: Iterable[str]) -> list[Any]:
-    """Return scenes as parameters, of which those with a [[wall]] or a motion are slow: they compile for a minute."""
+    """Return scenes as parameters; those with walls, motions or shear, which compile for a minute, are slow."""
     texts = {name: path.read_text(encoding="utf-8") for name, path in bundled_scenes().items()}
-    walled = {name for name, text in texts.items() if "[[wall]]" in text or "motion = " in text}
+    parts = "[[wall]]", "motion = ", "shear = "
+    walled = {name for name, text in texts.items() if any(part in text for part in parts)}
     return [pytest.param(name, marks=pytest.mark.slow if name in walled else ()) for name in names]
 
 

@@ -117,6 +117,7 @@ def test_a_clip_has_the_frames_of_its_impacts_and_is_replayed_with_the_same_bits
         assert result.same and not any("states at impacts" in what for what in result.not_compared)
 
 
+@pytest.mark.slow
 def test_spheres_that_meet_across_a_sheared_face_are_drawn_with_the_image_that_they_touch(tmp_path: Path) -> None:
     size, rate = [5.0, 4.0, 6.0], 0.8
     bodies = [  # the first passes through the face along y at 0.2 s, and meets an image of the second after that
