@@ -17,6 +17,8 @@ from carom.arrays import FloatArray
 from carom.errors import SceneError
 from carom.physics.frame import Frame
 from carom.physics.space import Space
+from carom.recording.export.export import snapshots
+from carom.recording.export.extended_xyz import write_extended_xyz
 from carom.scene.schema import Scene
 from small_scenes import scene_of
 
@@ -162,6 +164,20 @@ def test_bodies_that_cannot_touch_pass_through_the_images_of_the_box() -> None:
     np.testing.assert_allclose(last.velocity, velocity, atol=1e-12)
     assert last.energy.ledger.entry("shear") == pytest.approx(start - last.energy.total, rel=1e-12)
     assert last.energy.relative_error < 1e-14
+
+
+def test_an_exported_box_has_the_vectors_to_its_images_at_the_time_of_the_frame(tmp_path: Path) -> None:
+    x, v = gas()
+    scene = scene_of(bodies_at(x, v), contact={"enabled": False}, time={"duration": 3.0, "max_dt": 0.1}, **sheared())
+    recording = carom.run(scene, tmp_path / "run.rrd")
+    write_extended_xyz(tmp_path / "run.extxyz", next(snapshots(recording, 2.0, everything=False)), iter(()))
+    head = (tmp_path / "run.extxyz").read_text(encoding="utf-8").splitlines()[1]
+    time = float(head.partition("Time=")[2].split()[0])
+    cell = np.array(head.partition('Lattice="')[2].partition('"')[0].split(), dtype=float).reshape(3, 3)
+    shift = cell[1, 0] - RATE * SIZE[1] * time
+    assert shift - SIZE[0] * round(shift / SIZE[0]) == pytest.approx(0.0, abs=1e-14)
+    np.testing.assert_array_equal(cell - np.diag(SIZE), np.outer([0.0, 1.0, 0.0], [cell[1, 0], 0.0, 0.0]))
+    np.testing.assert_array_equal(cell, recording.cell(time))
 
 
 def test_bodies_that_move_with_the_flow_stay_on_it() -> None:

@@ -88,6 +88,12 @@ def test_another_scene_in_the_folder_is_refused_unless_forced(tmp_path: Path) ->
     assert Study(changed, tmp_path, force=True).results == []
 
 
+def test_a_study_of_a_sheared_box_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(SceneError, match=r"domain\.shear: .* cannot be measured yet; remove it"):
+        Study(Scene.load("shear-cell"), tmp_path / "study")
+    assert not (tmp_path / "study").exists()
+
+
 @pytest.mark.parametrize("name", ["tradeoff.png", "tradeoff.rrd", "reference.npz"])
 def test_a_file_in_the_folder_that_no_study_made_is_not_replaced(tmp_path: Path, name: str) -> None:
     (tmp_path / name).write_bytes(b"mine")

@@ -21,7 +21,7 @@ import numpy as np
 
 from carom import Scene, Space
 from carom.arrays import FloatArray
-from carom.errors import ExperimentError, PhysicsError
+from carom.errors import ExperimentError, PhysicsError, SceneError
 from carom.extend import TIME, at, cores, environment, output_folder, with_promise
 from carom.lab.compared_run import (
     AS_WRITTEN,
@@ -114,6 +114,8 @@ class Study:
     ExperimentError
         If the folder contains a study of another scene and ``force`` is not given, a study that cannot be read, or no
         study but a file of the same name as one of its own.
+    SceneError
+        If the scene is sheared.
     """
 
     def __init__(
@@ -128,6 +130,8 @@ class Study:
         bounded: bool = False,
         files: Iterable[str] = (REFERENCE, FIGURE, OVERLAY),
     ) -> None:
+        if scene.domain.shear:
+            raise SceneError("domain.shear: errors in a sheared box cannot be measured yet; remove it")
         self.scene, self.folder, self.threads = scene, folder, threads
         self.limit, self.bounded = limit, bounded
         self._advice = advice

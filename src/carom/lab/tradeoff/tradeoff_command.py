@@ -118,13 +118,11 @@ def opened(
     advice: str | None = None,
 ) -> tuple[Study, list[Setting] | None]:
     """Open or begin the study of a scene; return it with the settings of ``--vary`` (None without)."""
-    from carom import Scene, SceneError
+    from carom import Scene
     from carom.lab.tradeoff.settings_grid import vary as grid
     from carom.lab.tradeoff.tradeoff import ADVICE, Study
 
     scene = Scene.load(source, overrides)
-    if scene.domain.shear:
-        raise SceneError("domain.shear: the errors of a sheared box cannot be measured yet; remove it")
     settings = grid(scene, vary) if vary else None
     where = folder or Path("recordings/tradeoff") / Path(source).stem
     most = math.inf if limit is None else limit
