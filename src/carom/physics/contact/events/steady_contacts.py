@@ -138,42 +138,34 @@ class SteadyContacts(NamedTuple):
 
 
 @inline
-def remember_contacts(contacts: SteadyContacts, orientation: FloatArray, spin: FloatArray) -> None:
-    """Store the state that `undo_contacts` restores."""
+def copy_contacts(contacts: SteadyContacts, orientation: FloatArray, spin: FloatArray, back: bool) -> None:
+    """Copy records, orientations and spins as a step begins into the buffers, or back from these."""
     B = contacts.buffers
-    copy_words(contacts.contact_words, B.contacts)
-    copy_words(contacts.state_words, B.states)
-    copy_words(contacts.recorded_words, B.recorded)
-    copy_rows(contacts.normals, B.normals)
-    copy_rows(orientation, B.orientations)
-    copy_rows(spin, B.spins)
-
-
-@inline
-def undo_contacts(contacts: SteadyContacts, orientation: FloatArray, spin: FloatArray) -> None:
-    """Restore records, orientations and spins to the beginning of the step."""
-    B = contacts.buffers
-    copy_words(B.contacts, contacts.contact_words)
-    copy_words(B.states, contacts.state_words)
-    copy_words(B.recorded, contacts.recorded_words)
-    copy_rows(B.normals, contacts.normals)
-    copy_rows(B.orientations, orientation)
-    copy_rows(B.spins, spin)
+    copy_words(contacts.contact_words, B.contacts, back)
+    copy_words(contacts.state_words, B.states, back)
+    copy_words(contacts.recorded_words, B.recorded, back)
+    copy_rows(contacts.normals, B.normals, back)
+    copy_rows(orientation, B.orientations, back)
+    copy_rows(spin, B.spins, back)
 
 
 @unowned
-def copy_words(words: IntArray, to: IntArray) -> None:
-    """Copy words; NumPy's assignment would check for overlapping memory."""
+def copy_words(words: IntArray, buffer: IntArray, back: bool) -> None:
+    """Copy words into a buffer, or back; NumPy's assignment would check for overlapping memory."""
+    if back:
+        words, buffer = buffer, words
     for k in range(len(words)):
-        to[k] = words[k]
+        buffer[k] = words[k]
 
 
 @unowned
-def copy_rows(rows: FloatArray, to: FloatArray) -> None:
-    """Copy rows of numbers."""
+def copy_rows(rows: FloatArray, buffer: FloatArray, back: bool) -> None:
+    """Copy rows of numbers into a buffer, or back."""
+    if back:
+        rows, buffer = buffer, rows
     for i in range(len(rows)):
         for k in range(rows.shape[1]):
-            to[i, k] = rows[i, k]
+            buffer[i, k] = rows[i, k]
 
 
 @inline
@@ -260,7 +252,7 @@ def find_steady(contacts: SteadyContacts, x: FloatArray, radius: FloatArray, dt:
         return False
     settings = system.settings[0]
     settings.islands_known = False
-    copy_words(contacts.contact_words, buffers.held_words)
+    copy_words(contacts.contact_words, buffers.held_words, False)
     for k in range(len(contacts.recorded_words)):
         contacts.recorded_words[k] = 0
     shapes = x, radius, system.box, system.surface, system.offset

@@ -20,12 +20,11 @@ from carom.arrays import FloatArray, RecordArray, dtype_of
 from carom.physics.contact.events.steady_contacts import (
     MOST_CONTACTS,
     SteadyContacts,
+    copy_contacts,
     drift_steady,
     find_steady,
     hold_steady,
-    remember_contacts,
     resolve_steady,
-    undo_contacts,
     write_support,
 )
 from carom.physics.contact.graph import OrderedContacts
@@ -193,7 +192,7 @@ def _go_on(
         if why == END or not time < after < until or not min(first_kick, last_kick) > 0.0:
             break
         copy_state(position, velocity, acceleration, saved[0], saved[1], saved[2])
-        remember_contacts(contacts, orientation, spin)
+        copy_contacts(contacts, orientation, spin, False)
         for i in range(len(orientation)):
             rotate_one(i, orientation, spin, length)
         advance(0, n, velocity, acceleration, first_kick)
@@ -218,7 +217,7 @@ def _go_on(
             is_steady, sweeps = resolve_steady(contacts, position, kept.radius, first_kick, last_kick, length)
         if not is_steady:
             copy_state(saved[0], saved[1], saved[2], position, velocity, acceleration)
-            undo_contacts(contacts, orientation, spin)
+            copy_contacts(contacts, orientation, spin, True)
             break
         _write_torques(contacts, spin, length)
         before, time, dt, limit, average = time, after, length, why, following
