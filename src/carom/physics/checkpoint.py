@@ -1,8 +1,15 @@
-"""The complete state of a run at one moment, from which it continues with the same bits."""
+"""The complete state of a run at one moment, from which it continues with the same bits, and its fingerprint.
+
+The 64-bit fingerprint of a state is XXH64 of the bytes of its arrays, in their order.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field
+
+import numpy as np
+import xxhash
 
 from carom.arrays import FloatArray
 from carom.physics.bodies import Bodies
@@ -10,7 +17,6 @@ from carom.physics.contact.contact_checkpoint import ContactCheckpoint
 from carom.physics.diagnostics.energy import Energy, EnergyBaseline
 from carom.physics.diagnostics.energy_monitor import MonitorState
 from carom.physics.diagnostics.extremes import Extremes
-from carom.physics.diagnostics.fingerprint import fingerprint_of
 from carom.physics.diagnostics.momentum import MomentumBaseline
 from carom.physics.diagnostics.run_monitor import PaceTally
 from carom.physics.integrators.batch_integrator import IntegratorCheckpoint
@@ -63,3 +69,17 @@ class Checkpoint:
     def fingerprint(self) -> int:
         """The fingerprint of the state, which equals that of the frame."""
         return fingerprint_of(self.time, (self.position, self.velocity, self.orientation, self.angular_velocity))
+
+
+def fingerprint(bodies: Bodies, time: float) -> int:
+    """Return the fingerprint of time, positions, velocities, orientations and angular velocities, in this order."""
+    return fingerprint_of(time, (bodies.position, bodies.velocity, bodies.orientation, bodies.angular_velocity))
+
+
+def fingerprint_of(time: float, arrays: Iterable[FloatArray | None]) -> int:
+    """Return the fingerprint of a time (s) and of arrays; None counts as no array."""
+    digest = xxhash.xxh64(np.float64(time).tobytes())
+    for array in arrays:
+        if array is not None:
+            digest.update(np.ascontiguousarray(array).data)
+    return digest.intdigest()

@@ -12,11 +12,10 @@ from carom.contact_table import CONTACT_ROW
 from carom.event import Event
 from carom.physics.aligned import Buffer
 from carom.physics.bodies import Bodies
-from carom.physics.checkpoint import Books, Checkpoint
+from carom.physics.checkpoint import Books, Checkpoint, fingerprint_of
 from carom.physics.contact.contact_checkpoint import ContactCheckpoint
 from carom.physics.contact.graph import CollisionGraph
 from carom.physics.diagnostics.energy import Energy
-from carom.physics.diagnostics.fingerprint import fingerprint_of
 from carom.physics.integrators.batch_integrator import IntegratorCheckpoint
 
 

@@ -10,11 +10,10 @@ from carom.arrays import FloatArray, Records
 from carom.contact_table import NO_ROWS
 from carom.physics.aligned import Buffer
 from carom.physics.batch_step import BatchStepper
-from carom.physics.checkpoint import Checkpoint
+from carom.physics.checkpoint import Checkpoint, fingerprint
 from carom.physics.contact.graph import CollisionGraph, empty_graph
 from carom.physics.diagnostics.bookkeeper import Bookkeeper
 from carom.physics.diagnostics.energy import Energy
-from carom.physics.diagnostics.fingerprint import fingerprint
 from carom.physics.diagnostics.run_monitor import PaceMonitor, remedies_of
 from carom.physics.forces.force import Potentials
 from carom.physics.frame import Frame, FrameStore, copies

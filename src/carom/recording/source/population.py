@@ -14,7 +14,7 @@ import numpy as np
 
 from carom.arrays import BoolArray, FloatArray, IntArray, Records
 from carom.errors import RecordingError
-from carom.physics.diagnostics.fingerprint import fingerprint_of
+from carom.physics.checkpoint import fingerprint_of
 from carom.physics.frame import Frame
 from carom.recording.schema.checkpoint_columns import PartialCheckpoint
 from carom.recording.source.source import MASSLESS, SPHERE, Model, Setup, State, array_of
