@@ -32,7 +32,7 @@ from carom.scene.forces import FORCES
 from carom.scene.parts import Part
 from carom.scene.schema import Scene
 
-TRIAL_SECONDS = 1.0
+TRIAL_SECONDS = 0.5
 TRIAL_STEPS = 200
 LOADING_STEPS = 3
 PULL_SECONDS, PULL_ROUNDS = 0.2, 15  # for the measurement of the cost of the potential
@@ -110,7 +110,7 @@ class Estimate:
 
 
 def estimate(scene: Scene, watch_look_ahead: Watcher | None = None) -> Estimate:
-    """Run the first steps of a scene for about a second, record a few frames, and run it coarsely.
+    """Run the first steps of a scene for about half a second, record a few frames, and run it coarsely.
 
     For ``watch_look_ahead`` see `Space`.
 
@@ -279,6 +279,8 @@ def _with_share(entity: EntityCost, whole: float) -> EntityCost:
 
 STRIDES = 8.0, 64.0  # coarse steps over the steps of the scene; the second if the first would take too long
 LOOK_SECONDS = 3.0  # for each coarse run
+GLANCE_SECONDS = 0.3  # for a coarse run that would cover less than this fraction of the duration in its time
+LEAST_SEEN = 0.05
 MANY_STEPS = 100  # with at least this many coarse steps, their mean time is more accurate than that of the first steps
 LIKELY = 2.0  # accuracy (a factor) of a complete estimate for the bundled scenes and extremes (test_estimate.py)
 
@@ -316,7 +318,7 @@ def estimate_steps(scene: Scene, step_seconds: float, flight_seconds: float = ma
         return Outlook(steps, steps, steps, steps * step_seconds, 1.0, {"fixed": 1.0})
     best: Outlook | None = None
     for stride in STRIDES:
-        if best is None or best.seen < 1.0:
+        if best is None or LEAST_SEEN * STRIDES[0] / stride < best.seen < 1.0:
             found = _look(scene, stride, step_seconds, flight_seconds)
             best = found if best is None or found.seen > best.seen else best
     assert best is not None
@@ -326,11 +328,12 @@ def estimate_steps(scene: Scene, step_seconds: float, flight_seconds: float = ma
 def _look(scene: Scene, stride: float, step_seconds: float, flight_seconds: float) -> Outlook:
     """Run the whole scene with longer steps, and count the steps of an actual run."""
     space, duration = Space(scene, stride=stride), scene.time.duration
-    last = time.perf_counter()
-    deadline = last + LOOK_SECONDS
+    began = last = time.perf_counter()
     rates: list[float] = []  # 1/s, steps of the scene in a second of its time
     before, total, counted, seconds, touched = 0.0, 0.0, 0.0, 0.0, 0
-    while before < duration and last < deadline:
+    while before < duration and last - began < LOOK_SECONDS:
+        if last - began > GLANCE_SECONDS and before < LEAST_SEEN * duration * (last - began) / LOOK_SECONDS:
+            break  # the rest of the time would show hardly more
         try:
             space.compute_dynamics(space.step + 1)
         except PhysicsError:
