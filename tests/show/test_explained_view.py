@@ -1,6 +1,7 @@
 """The annotations of the view: the legend with its scales, names, the arrow of a field; and the light theme."""
 
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -8,8 +9,8 @@ import pytest
 
 import carom
 from carom.recording.layout.bodies_view import FIELD
-from carom.recording.layout.camera import CameraMotion, View
-from carom.recording.layout.canvas import Area, Canvas
+from carom.recording.layout.camera import CameraFit, CameraMotion, View, free_corner
+from carom.recording.layout.canvas import LEGEND, Area, Canvas, views_of
 from carom.recording.layout.drawing import REACH, magnitude_at, part_of_longest
 from carom.recording.read.recorded_scene import header_of_recording
 from carom.recording.read.recording import Recording
@@ -17,7 +18,7 @@ from carom.recording.schema import palette, paths
 from carom.scene.schema import Scene
 from carom.show import close_up, movie
 from carom.show.annotations import field_arrows, names_that_fit
-from carom.show.legend import LEGEND
+from carom.show.drawn import impact_marks
 from carom.show.presentation import Presentation, asked
 from carom.show.request import Request
 from carom.show.shown_step import shown_step
@@ -67,9 +68,9 @@ def test_the_legend_names_the_scale_of_every_kind_of_arrow(bounce: Recording) ->
     assert step is not None and step.torque is not None
     # the only step with torques, which are alike, so they are the middle of the scale: 1 of 2 radii
     torque = float(np.linalg.norm(step.torque[0]))
-    assert f"1 radius = {torque:.2g}, 1.5 radii = " in lines
+    assert f"1 radius = {float(f'{torque:.2g}'):g}, 1.5 radii = " in lines
     alpha = magnitude_at(1.0, REACH[paths.ANGULAR_ACCELERATION], torque / header.inertia[0])
-    assert f"1 radius = {alpha:.2g}, 1.5 radii = " in lines
+    assert f"1 radius = {float(f'{alpha:.2g}'):g}, 1.5 radii = " in lines
     assert f"normal impulse: 1 radius = {impact['normal_impulse']:.3g} N s" in lines, "the only one is the median"
     assert "spin, close up: 1.3 radii = 0.857 rad/s" in lines
 
@@ -124,6 +125,55 @@ def test_of_two_names_that_would_overlap_only_that_of_the_larger_body_is_shown(b
     assert names_that_fit(header, np.array([[0, 0, 1.0], [0, 0, 0]]), eye, area) == both, "one above the other"
     assert names_that_fit(header, np.array([[-0.2, 0, 0], [0.2, 0, 0]]), eye, area) == larger
     assert names_that_fit(header, np.array([[-0.2, 0, 0], [0.2, 9.0, 0]]), eye, area) == larger, "one behind the other"
+
+
+def test_without_friction_the_legend_names_none(tmp_path: Path) -> None:
+    straight = ["body.0.position=[-2, 0, 0]", "body.1.position=[2, 0, 0]", "record.every=0.25"]
+    head_on = carom.run(Scene.load("two-spheres", straight), tmp_path / "head-on.rrd")
+    assert header_of_recording(head_on).has_friction
+    texts = " ".join(lines_of(asked(head_on, Request())))
+    assert "normal impulse" in texts and "friction" not in texts and "torque" not in texts
+
+
+@pytest.mark.parametrize("view", ["bodies", "graph", "close-up"])
+def test_a_picture_of_one_view_has_a_legend_of_what_this_view_shows(view: str, bounce: Recording) -> None:
+    shown = asked(bounce, Request(event="impact:1"), Canvas(800, 500, framed=False, rendered=True), view)
+    lines = " ".join(lines_of(shown))
+    for text, views in {
+        "path so far": ["bodies"],
+        "impact: size": ["bodies"],
+        "impulse of friction": ["graph"],
+        "torque": ["graph"],
+        "impulse on each body": ["close-up"],
+    }.items():
+        assert (text in lines) == (view in views), text
+    (only,) = views_of(shown.supplement.layout.root_container)
+    assert LEGEND in str(only.contents)
+    before = asked(bounce, Request(at=0.5), Canvas(800, 500, framed=False, rendered=True), "bodies")
+    assert "impact" not in " ".join(lines_of(before)), "not before there is one"
+
+
+@pytest.mark.parametrize("wide", [0.1, 1.0, 4.0])
+def test_a_legend_in_a_picture_covers_no_body(wide: float) -> None:
+    random = np.random.default_rng(1)
+    for _ in range(20):
+        position, radius = random.uniform(-1.0, 1.0, (8, 3)) * [wide, 1.0, 1.0], random.uniform(0.05, 0.2, 8)
+        camera, inset = CameraFit(radius, position), (random.uniform(0.1, 0.5), random.uniform(0.1, 0.5))
+        view = camera.view(1.6, narrow=True, inset=inset)
+        assert view.holds(position, radius, 1.6).all()
+        assert free_corner(view, 1.6, inset, position, radius) is not None
+
+
+def test_the_point_of_an_impact_is_inside_the_picture(tmp_path: Path) -> None:
+    bouncing = carom.run(Scene.load("bouncing-ball", ["time.duration=0.5"]), tmp_path / "bouncing.rrd")
+    marks = impact_marks(bouncing, header_of_recording(bouncing), bouncing.impacts()["time"][0].as_py())
+    assert len(marks) == 26, "around one point"
+    first, radius = np.array([[0.0, 0.0, 0.1]]), np.array([0.1])
+    camera = CameraFit(radius, first)
+    below = np.array([[0.0, 0.0, -5.0]])
+    for tips, inside in ((None, False), (below, True)):
+        view = camera.view(1.6, narrow=True, tips=tips)
+        assert view.holds(below, np.zeros(1), 1.6)[0] == inside
 
 
 def luminance(colour: int) -> float:

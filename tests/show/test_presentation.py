@@ -13,14 +13,13 @@ from carom.errors import RecordingError
 from carom.recording.edit.clip import clip
 from carom.recording.layout.bodies_view import TRAILS
 from carom.recording.layout.camera import CameraFit, CameraMotion, View
-from carom.recording.layout.canvas import Area, Canvas, LensView, views_of
+from carom.recording.layout.canvas import LEGEND, Area, Canvas, LensView, views_of
 from carom.recording.read.recorded_scene import header_of_recording
 from carom.recording.read.recording import Recording
 from carom.recording.schema import paths
 from carom.recording.write.rows import Rows
 from carom.scene.schema import Scene
 from carom.show import close_up, shown_step
-from carom.show.legend import LEGEND
 from carom.show.presentation import _steps, asked, presentation
 from carom.show.request import NamedEvent, Pair, Request, hardest_pair, named_event, named_pair, pair_of_step
 from carom.show.supplement import Trails
@@ -222,7 +221,7 @@ def test_bodies_that_never_touch_have_no_view_and_no_legend_of_contacts(tmp_path
     names = [str(view.name) for view in views_of(shown.layout.root_container)]
     assert names[:2] == ["Bodies", "Legend"]
     legend: Any = dict(shown.statics)[LEGEND]
-    assert legend.labels.as_arrow_array().to_pylist() == ["■ body 0", "■ body 1"]
+    assert legend.labels.as_arrow_array().to_pylist() == ["■ body 0", "■ body 1", "— path so far"]
     with pytest.raises(RecordingError, match="there is no collision graph"):
         asked(recording, Request(at=0.0), only="graph")
 

@@ -24,7 +24,13 @@ _AXES = np.array([0xD42A1EFF, 0x0FA35AFF, 0x4A66F0FF], dtype=np.uint32)  # x, y,
 
 
 def field_arrows(
-    header: Header, view: View, area: Area, field: FloatArray, drawn: FloatArray, radius: FloatArray
+    header: Header,
+    view: View,
+    area: Area,
+    field: FloatArray,
+    drawn: FloatArray,
+    radius: FloatArray,
+    legend: tuple[int, int] | None = None,
 ) -> Iterator[Static]:
     """Draw a uniform field as an arrow at the upper border of the view, and the axes of space at the lower border.
 
@@ -36,6 +42,8 @@ def field_arrows(
         (3,) m/s².
     drawn, radius
         (k, 3) and (k,) m, of bodies and points of their paths.
+    legend
+        The corner of the legend in this view, if it has one.
     """
     height, size = view.height(), float(np.linalg.norm(field))
     right, up = view.axes()
@@ -46,7 +54,9 @@ def field_arrows(
     origins = []
     for middle, extent, start in ((0.84 - _LENGTH, reach, 0.84), (-0.72, np.full(2, 1.5 * _LENGTH), -0.72)):
         sides = [np.array([side * 0.72 * area.aspect, middle]) for side in (-1.0, 1.0)]
-        covered = [np.all(np.abs(places - side) < extent + sizes, axis=1).sum() for side in sides]
+        covered = [float(np.all(np.abs(places - side) < extent + sizes, axis=1).sum()) for side in sides]
+        if legend is not None and legend[1] * start > 0.0:
+            covered[int(legend[0] > 0)] = np.inf
         x = sides[int(covered[1] < covered[0])][0]
         origins.append(view.target + 0.5 * height * (x * right + start * up))
     top, corner = origins

@@ -6,8 +6,8 @@ camera follows them. Edge and arrows belong to one step.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 import rerun as rr
@@ -19,8 +19,8 @@ from carom.contact_table import IMPACT_MODE
 from carom.physics.frame import Frame
 from carom.physics.vector import minimum_images
 from carom.recording.layout.bodies_view import faint_bodies
-from carom.recording.layout.camera import CameraFit, View
-from carom.recording.layout.canvas import Area, spatial_view, surroundings
+from carom.recording.layout.camera import CORNERS, CameraFit, View, free_corner
+from carom.recording.layout.canvas import LEGEND, Area, spatial_view, surroundings
 from carom.recording.layout.drawing import line_radii, single
 from carom.recording.read.body_lookup import names_of
 from carom.recording.read.frame_rows import DrawnPaths, drawn_paths
@@ -32,6 +32,7 @@ from carom.recording.write.rows import BatchColumn, Index, Rows
 from carom.scene.units import dimension
 from carom.scene.units.system import UnitSystem
 from carom.show.body_colours import BodyColours
+from carom.show.legend import Legend, LegendLine
 from carom.show.request import Pair
 from carom.show.shown_step import ShownStep
 from carom.show.supplement import Static
@@ -106,10 +107,13 @@ class CloseUp:
     eye: View
     colours: BodyColours  # of the bodies, as in the other views
     area: Area
+    legend: Legend  # empty, unless the view is alone in a picture
+    corner: tuple[int, int]  # of the legend
 
     def view(self, header: Header, recoloured: bool = False) -> rrb.Spatial3DView:
         """Return a view of the two bodies as solids, with all others as thin wires."""
         contents = [BODIES, FOLLOWED, EDGE, NORMAL, IMPULSE, SPIN, LABELS, paths.BODIES, *surroundings(header)]
+        contents += [LEGEND] if self.legend.entries else []
         return spatial_view(
             *(f"Close-up: {self.names}", self.eye, contents, faint_bodies(header, recoloured)),
             follows=FOLLOWED,
@@ -138,6 +142,7 @@ class CloseUp:
         yield SPIN, rr.Arrows3D.from_fields(radii=line_radii(_THIN, small), colors=spin)
         # on the arrows themselves, the labels would have their colours
         yield LABELS, rr.Points3D.from_fields(radii=_UNSEEN * small, colors=ink, show_labels=True)
+        yield from self.legend.inside(self.eye, self.area, self.corner)
 
     def rows(self, header: Header) -> Iterable[Rows]:
         """Yield the positions of the bodies at all frames, and the contact of the step."""
@@ -209,8 +214,17 @@ class CloseUp:
                 yield from self._once(arrows.path, columns, len(arrows.vectors))
         labelled.append(self._angular_impulses(contact, header))
         texts = self._named(labelled)
-        places = single(_apart(np.concatenate([arrows.places() for arrows in labelled]), texts, self.eye, self.area))
+        wanted = np.concatenate([arrows.places() for arrows in labelled])
+        places = single(_apart(wanted, texts, self.eye, self.area, self._legend_rows()))
         yield from self._once(LABELS, rr.Points3D.columns(positions=places, labels=texts), len(texts))
+
+    def _legend_rows(self) -> Iterator[_Placed]:
+        """Yield the rows of the legend as placed labels."""
+        point = 2.0 / self.area.height
+        wide, tall = 0.5 * point * self.area.inset[0], 0.5 * point * self.area.inset[1]
+        x, top = self.corner[0] * (self.area.aspect - wide), self.corner[1] * (1.0 - tall) + tall
+        for down in np.arange(0.0, 2.0 * tall, _LABEL_HEIGHT * point).tolist():
+            yield wide, x, top - down
 
     def _named(self, labelled: Sequence[_Arrows]) -> list[str]:
         """Return the labels; those that belong to one of two bodies begin with its name, if there is room."""
@@ -294,6 +308,7 @@ def close_up(
     instant: ShownStep | None = None,
     *,
     pauses_within: bool = False,
+    explained: bool = False,
 ) -> CloseUp:
     """Make the close-up view of a pair at a step.
 
@@ -308,6 +323,8 @@ def close_up(
         there.
     pauses_within
         Whether the viewer pauses at the instant.
+    explained
+        Whether a legend is inside the view.
     """
     bodies = pair.bodies
     places = [recording.shown.index(body) for body in bodies]
@@ -340,6 +357,17 @@ def close_up(
         reach = _impulse_radii(header.radius[places])
         arrows = reach[reach > 0.0, None] * contact.impulse / np.linalg.norm(contact.impulse)
         ends = np.concatenate([seen[reach > 0.0] - arrows, seen[reach > 0.0] + arrows])
+    entries = list[LegendLine]()
+    if explained and contact is not None:
+        ink, impulse = palette.INKS[area.theme], palette.ARROWS[paths.FORCE_NORMAL]
+        entries = [LegendLine("— line of centres", palette.VERMILION), LegendLine("→ normal", ink)]
+        entries += [LegendLine("→ impulse on each body", impulse)] if ends is not None else []
+        entries += [LegendLine("→ spin", palette.SPIN)] if spin is not None and np.any(spin) else []
+    words = Legend(entries, area.theme)
+    area = replace(area, inset=words.size)
+    sizes, around = header.radius[places], ends if ends is not None else np.zeros((0, 3))
+    eye = _fit(sizes, seen, contact).view(area.aspect, narrow=area.rendered, tips=ends, inset=area.inset_share)
+    shown, radii = np.concatenate([seen, around]), np.pad(_ROOM * sizes, (0, len(around)))
     return CloseUp(
         names=names,
         called=short,
@@ -355,9 +383,11 @@ def close_up(
         times=times,
         origin=recording.origin,
         cell=header.cell,
-        eye=_fit(header.radius[places], seen, contact).view(area.aspect, narrow=area.rendered, tips=ends),
+        eye=eye,
         colours=colours,
         area=area,
+        legend=words,
+        corner=free_corner(eye, area.aspect, area.inset_share, shown, radii) or CORNERS[0],
     )
 
 
@@ -372,11 +402,14 @@ def _touches(contact: Contact, position: FloatArray, radius: FloatArray) -> bool
     return float(np.linalg.norm(other - position[0])) <= (1.0 + _TOUCHING) * float(radius.sum())
 
 
-def _apart(places: FloatArray, texts: list[str], eye: View, area: Area) -> FloatArray:
+_Placed = tuple[float, float, float]  # half width of a label, and its place, in half heights of the view
+
+
+def _apart(places: FloatArray, texts: list[str], eye: View, area: Area, placed: Iterable[_Placed] = ()) -> FloatArray:
     """Move labels, (k, 3) m, into the view; move a label up or down if it would cover an earlier one."""
     point = 2.0 / area.height  # half heights of the view
     onto = eye.on_screen(places)
-    moved, drawn = onto.copy(), list[tuple[float, float, float]]()  # half width and position of each placed label
+    moved, drawn = onto.copy(), [*placed]
     for k, text in enumerate(texts):
         wide, tall, low = np.array([_LETTER_WIDTH * (len(text) + 2) / 2, _LABEL_HEIGHT, _BELOW]) * point
         side = max(0.0, area.aspect - wide)

@@ -1,13 +1,15 @@
-"""The legend beside the 3D views: the meaning of each colour, arrow and edge, and the scale of the arrows.
+"""The legend of the 3D views: the meaning of each colour, arrow and edge, and the scale of the arrows.
 
-It is a separate view, with a label for each entry in the colour that it explains. A recording does not hold it: the
-viewer gets it in a `Supplement`.
+It has a label for each entry in the colour that it explains, and names only what is drawn. Beside several views it is a
+view of its own; in a picture of a single view it is in a corner. A recording does not hold it: the viewer gets it in a
+`Supplement`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass, replace
+from typing import Any
 
 import numpy as np
 import rerun as rr
@@ -16,19 +18,22 @@ import rerun.blueprint as rrb
 from carom.arrays import ColourArray, FloatArray
 from carom.physics.frame import Frame
 from carom.recording.layout import colouring, drawing
-from carom.recording.layout.canvas import Area
-from carom.recording.layout.drawing import REACH, magnitude_at, shape
+from carom.recording.layout.camera import View
+from carom.recording.layout.canvas import LEGEND, Area
+from carom.recording.layout.drawing import REACH, magnitude_at, shape, single
 from carom.recording.schema import palette, paths
 from carom.recording.schema.header import STATIC_COLOURS, Header
 from carom.recording.write.encoder import SPEED
 from carom.scene.units import dimension
 
-LEGEND = "legend"
+BODIES, GRAPH = "bodies", "graph"  # views
+_SPACE = (BODIES, GRAPH)
 MOST_NAMED = 6  # bodies that have an entry each, so that the scales of arrows remain visible
 
 _ROW = 25.0  # points, from one line to the next
 _MARGIN = 10.0  # points, around the lines
-_LETTER = 6.1  # points, mean width of a letter
+_LETTER, _WIDE, _NARROW = 7.1, 10.4, 3.9  # points, widths of letters
+_WIDE_LETTERS, _NARROW_LETTERS = "mwMWNOQ→—■=+", "iljtfrI .,:'()-/|1"
 _LARGE = 1.5  # radii, the longer of the two arrows that show the scale
 _DIMENSIONS = {paths.TORQUE: dimension.TORQUE, paths.ANGULAR_ACCELERATION: dimension.ANGULAR_ACCELERATION}
 _NAMES = {paths.TORQUE: "torque", paths.ANGULAR_ACCELERATION: "angular acceleration"}
@@ -40,6 +45,30 @@ class LegendLine:
 
     text: str
     colour: int  # 0xRRGGBBAA
+    views: Sequence[str] = ()  # that have a legend of their own with this line, in a picture of one of them
+
+    @property
+    def width(self) -> float:
+        """Its width in points."""
+        wide = sum(letter in _WIDE_LETTERS for letter in self.text)
+        narrow = sum(letter in _NARROW_LETTERS for letter in self.text)
+        return _WIDE * wide + _NARROW * narrow + _LETTER * (len(self.text) - wide - narrow)
+
+
+@dataclass(frozen=True, slots=True)
+class Drawn:
+    """What there is to explain, at the moment of a picture or during the run."""
+
+    contacts: bool = False
+    impulses: bool = False  # arrows, and widths of edges
+    friction: bool = False
+    impacts: bool = False
+    torques: bool = False
+    trails: bool = False
+
+    def __or__(self, other: Drawn) -> Drawn:
+        """Return what one of both has."""
+        return Drawn(*(one or another for one, another in zip(astuple(self), astuple(other), strict=True)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,6 +77,17 @@ class Legend:
 
     entries: Sequence[LegendLine]
     theme: str = "dark"
+
+    def of(self, view: str) -> Legend:
+        """Return the lines about one view."""
+        return replace(self, entries=[entry for entry in self.entries if view in entry.views])
+
+    @property
+    def size(self) -> tuple[float, float]:
+        """Width and height of the lines, in points; zeros without any."""
+        if not self.entries:
+            return 0.0, 0.0
+        return max(entry.width for entry in self.entries) + 2.0 * _MARGIN, _ROW * len(self.entries) + 2.0 * _MARGIN
 
     def view(self, area: Area) -> rrb.Spatial2DView:
         """Lay out the lines in a view of this size; lines that do not fit are below its lower edge."""
@@ -60,10 +100,24 @@ class Legend:
 
     def statics(self) -> Iterator[tuple[str, rr.AsComponents]]:
         """Yield the lines as labels of invisibly small points. A label is centred below its point."""
-        texts = [entry.text for entry in self.entries]
-        places = [(_MARGIN + _LETTER * len(text) / 2, _MARGIN + _ROW * k) for k, text in enumerate(texts)]
+        yield LEGEND, rr.Points2D(self._places(), radii=1e-3, **self._labels())
+
+    def inside(self, view: View, area: Area, corner: tuple[int, int]) -> Iterator[tuple[str, rr.AsComponents]]:
+        """Yield the same for a corner of a 3D view of this area."""
+        if not self.entries:
+            return
+        start = (np.array([area.width, area.height]) - self.size) * [corner[0] > 0, corner[1] < 0]
+        shift = (self._places() + start - [0.5 * area.width, 0.5 * area.height]) * [1.0, -1.0]
+        places = view.target + view.height() / area.height * shift @ view.axes()
+        yield LEGEND, rr.Points3D(single(places), radii=1e-6 * view.height(), **self._labels())
+
+    def _places(self) -> FloatArray:
+        """Return the points (k, 2) above the middles of the labels, from the upper left corner of the legend."""
+        return np.array([(_MARGIN + 0.5 * each.width, _MARGIN + _ROW * k) for k, each in enumerate(self.entries)])
+
+    def _labels(self) -> dict[str, Any]:
         colours = palette.legible([entry.colour for entry in self.entries], self.theme)
-        yield LEGEND, rr.Points2D(places, radii=1e-3, labels=texts, colors=colours, show_labels=True)
+        return {"labels": [entry.text for entry in self.entries], "colors": colours, "show_labels": True}
 
 
 def legend(
@@ -72,7 +126,9 @@ def legend(
     colours: ColourArray | None,
     references: Mapping[str, float],
     frame: Frame | None,
+    drawn: Drawn,
     *,
+    named: bool = False,
     spins: FloatArray | None = None,
     field: FloatArray | None = None,
     theme: str = "dark",
@@ -91,12 +147,20 @@ def legend(
         The magnitudes in the middle of the scales, as recorded.
     frame
         The step shown; None if it is not known. Its impulses set the scale of the arrows of impulses.
+    drawn
+        What there is to explain.
+    named
+        Whether all bodies have their names beside them in the view of the bodies.
     spins
         (b, 3) rad/s of the bodies of the close-up, if there is one.
     field
         (3,) m/s², a uniform field.
     """
-    lines = [*_bodies(header, by, colours, references), *_edges(header, frame, theme), *_arrows(header, references)]
+    lines = [*_bodies(header, by, colours, references, named), *_edges(header, frame, drawn, theme)]
+    if drawn.trails:
+        lines.append(LegendLine("— path so far", palette.GREY, (BODIES,)))
+    if drawn.torques:
+        lines += _arrows(header, references)
     if spins is not None:
         fastest = float(np.linalg.norm(spins, axis=1).max(initial=0.0))
         if fastest > 0.0:
@@ -109,39 +173,40 @@ def legend(
 
 
 def _bodies(
-    header: Header, by: str, colours: ColourArray | None, references: Mapping[str, float]
+    header: Header, by: str, colours: ColourArray | None, references: Mapping[str, float], named: bool
 ) -> Iterator[LegendLine]:
     """Explain the colours of bodies."""
     if by == header.coloured_by and shape(header) == "mesh":
-        yield LegendLine("■ all bodies; the dark half shows how they rotate", palette.SKY)
+        yield LegendLine("■ all bodies; the dark half shows how they rotate", palette.SKY, _SPACE)
     elif by == "material" and header.materials:
         for name, colour in zip(header.materials.names, header.materials.colours, strict=True):
-            yield LegendLine(f"■ {name}", colour)
+            yield LegendLine(f"■ {name}", colour, _SPACE)
     elif by in STATIC_COLOURS and colours is not None:
-        yield from _groups(header, colours)
+        for line in _groups(header, colours):
+            yield replace(line, views=(GRAPH,)) if named else line
     elif by == "speed":
         scale, middle = colouring.SPEEDS.tolist(), references.get(SPEED, 0.0)
         known = by == header.coloured_by and middle > 0.0
         text = header.units.text(middle, dimension.VELOCITY, ".3g") if known else "the median speed"
         yield from (
-            LegendLine("■ slow", scale[0]),
-            LegendLine(f"■ {text}", scale[len(scale) // 2]),
-            LegendLine("■ fast", scale[-1]),
+            LegendLine("■ slow", scale[0], _SPACE),
+            LegendLine(f"■ {text}", scale[len(scale) // 2], _SPACE),
+            LegendLine("■ fast", scale[-1], _SPACE),
         )
     elif by == "island":
-        yield LegendLine("■ one colour: linked by contacts", palette.SKY)
-        yield LegendLine("■ without contacts", palette.GREY)
+        yield LegendLine("■ one colour: linked by contacts", palette.SKY, _SPACE)
+        yield LegendLine("■ without contacts", palette.GREY, _SPACE)
     else:
         few = zip(palette.BODIES[:3], ("first", "second", "third"), strict=True)
-        yield from (LegendLine(f"■ {name} colour of the graph", colour) for colour, name in few)
-        yield LegendLine("■ without contacts", palette.GREY)
+        yield from (LegendLine(f"■ {name} colour of the graph", colour, _SPACE) for colour, name in few)
+        yield LegendLine("■ without contacts", palette.GREY, _SPACE)
 
 
 def _groups(header: Header, colours: ColourArray) -> Iterator[LegendLine]:
     """Explain colours by group: a line for each body if there are few, otherwise for each group."""
     names, known = list(header.names), colours.tolist()
     if len(known) <= MOST_NAMED and len(known) == len(names):
-        yield from (LegendLine(f"■ {name or f'body {k}'}", known[k]) for k, name in enumerate(names))
+        yield from (LegendLine(f"■ {name or f'body {k}'}", known[k], _SPACE) for k, name in enumerate(names))
         return
     if len(known) != len(names):  # a clip of some bodies
         return
@@ -149,32 +214,33 @@ def _groups(header: Header, colours: ColourArray) -> Iterator[LegendLine]:
     for group in groups[groups >= 0][:MOST_NAMED].tolist():
         members = np.flatnonzero(header.group == group)
         name = names[int(members[0])].rstrip(" 0123456789-_#") or f"group {group}"
-        yield LegendLine(f"■ {name}, {len(members)} bodies, in shades", known[int(members[0])])
+        yield LegendLine(f"■ {name}, {len(members)} bodies, in shades", known[int(members[0])], _SPACE)
     single = np.flatnonzero(header.group == -1)
-    yield from (LegendLine(f"■ {names[k] or f'body {k}'}", known[k]) for k in single[:MOST_NAMED].tolist())
+    yield from (LegendLine(f"■ {names[k] or f'body {k}'}", known[k], _SPACE) for k in single[:MOST_NAMED].tolist())
     if len(single) > MOST_NAMED:
-        yield LegendLine(f"and {len(single) - MOST_NAMED} more, in other shades", palette.GREY)
+        yield LegendLine(f"and {len(single) - MOST_NAMED} more, in other shades", palette.GREY, _SPACE)
 
 
-def _edges(header: Header, frame: Frame | None, theme: str) -> Iterator[LegendLine]:
-    """Explain lines between touching bodies, and points at impacts."""
-    if not header.collides:
-        return
-    if header.engine or theme == "light":
-        yield LegendLine("— bodies that touch", palette.VERMILION)
-    else:
-        yield LegendLine("— contact, coloured by the solver's stage", palette.STAGES[0])
-    if not header.records_contacts:
+def _edges(header: Header, frame: Frame | None, drawn: Drawn, theme: str) -> Iterator[LegendLine]:
+    """Explain lines between touching bodies, points at impacts, and arrows of impulses."""
+    if drawn.contacts:
+        if header.engine or theme == "light":
+            yield LegendLine("— bodies that touch", palette.VERMILION, (BODIES, *(() if drawn.impulses else (GRAPH,))))
+        else:
+            yield LegendLine("— contact, coloured by the solver's stage", palette.STAGES[0], (BODIES,))
+    if drawn.impacts:
+        yield LegendLine("■ impact: size = impulse, glow = lost energy", int(drawing.COLOURS[-2]), (BODIES,))
+    if not drawn.impulses:
         return
     middle = _middle(header, frame)
     levels = drawing.COLOURS.tolist() if theme == "dark" else [palette.VERMILION] * drawing.LEVELS
-    yield LegendLine("— thin edge: small impulse", levels[1])
-    yield LegendLine(f"— edge: {middle or 'the median impulse'}", levels[len(levels) // 2])
-    yield LegendLine("— wide edge: large impulse", levels[-1])
-    yield LegendLine("■ impact: size = impulse, glow = lost energy", int(drawing.COLOURS[-2]))
-    yield LegendLine(f"→ normal impulse: 1 radius = {middle or 'the median'}", palette.ARROWS[paths.FORCE_NORMAL])
-    if header.has_friction:
-        yield LegendLine("→ impulse of friction, same scale", palette.ARROWS[paths.FORCE_FRICTION])
+    normal, friction = palette.ARROWS[paths.FORCE_NORMAL], palette.ARROWS[paths.FORCE_FRICTION]
+    yield LegendLine("— thin edge: small impulse", levels[1], (GRAPH,))
+    yield LegendLine(f"— edge: {middle or 'the median impulse'}", levels[len(levels) // 2], (GRAPH,))
+    yield LegendLine("— wide edge: large impulse", levels[-1], (GRAPH,))
+    yield LegendLine(f"→ normal impulse: 1 radius = {middle or 'the median'}", normal, (GRAPH,))
+    if drawn.friction:
+        yield LegendLine("→ impulse of friction, same scale", friction, (GRAPH,))
 
 
 def _middle(header: Header, frame: Frame | None) -> str:
@@ -187,19 +253,15 @@ def _middle(header: Header, frame: Frame | None) -> str:
 
 
 def _arrows(header: Header, references: Mapping[str, float]) -> Iterator[LegendLine]:
-    """State the scales of torques and angular accelerations: arrows are not proportional to them.
-
-    A recording that knows the scales of other arrows had no torques.
-    """
-    for path, kind in _DIMENSIONS.items() if header.has_torque else ():
+    """State the scales of torques and angular accelerations: arrows are not proportional to them."""
+    for path, kind in _DIMENSIONS.items():
         name, colour = _NAMES[path], palette.ARROWS[path]
         if path not in references:
-            if not references:
-                yield LegendLine(f"→ {name}", colour)
+            yield LegendLine(f"→ {name}", colour, (GRAPH,))
             continue
         values = (magnitude_at(radii, REACH[path], float(references[path])) for radii in (1.0, _LARGE))
-        one, more = (header.units.text(value, kind, ".2g") for value in values)
-        if one.partition(" ")[2] == more.partition(" ")[2]:
-            one = one.partition(" ")[0]  # the line is too short
-        yield LegendLine(f"→ {name}, beyond the surface:", colour)
-        yield LegendLine(f"→ 1 radius = {one}, {_LARGE:g} radii = {more}", colour)
+        (one, _, first), (more, _, unit) = (header.units.text(value, kind, ".2g").partition(" ") for value in values)
+        one, more = (f"{float(text):.6g}" for text in (one, more))  # 190 in place of 1.9e+02
+        one, more = one if first == unit else f"{one} {first}", f"{more} {unit}"  # the line is short
+        yield LegendLine(f"→ {name}, beyond the surface:", colour, (GRAPH,))
+        yield LegendLine(f"→ 1 radius = {one}, {_LARGE:g} radii = {more}", colour, (GRAPH,))

@@ -20,8 +20,8 @@ from carom.recording.layout.blueprint import (
     bodies_area,
     close_up_area,
 )
-from carom.recording.layout.bodies_view import FIELD
-from carom.recording.layout.camera import FEW, CameraMotion
+from carom.recording.layout.bodies_view import FIELD, bodies_eye, graph_eye
+from carom.recording.layout.camera import CORNERS, FEW, CameraMotion, free_corner
 from carom.recording.layout.canvas import Additions, Canvas
 from carom.recording.layout.plot_views import CurveOutline
 from carom.recording.read.frame_rows import arrow_floors
@@ -40,7 +40,8 @@ from carom.show.annotations import field_arrows, names_that_fit
 from carom.show.body_colours import body_colours, change_with_time, recorded_colours, redrawn_for, trail_colours
 from carom.show.body_plots import BodyPlots, asked_quantities, body_series
 from carom.show.close_up import close_up
-from carom.show.legend import legend
+from carom.show.drawn import drawn_at, drawn_during, impact_marks
+from carom.show.legend import GRAPH, Drawn, legend
 from carom.show.request import NamedEvent, Pair, Request, hardest_pair, named_event, named_pair, pair_of_step
 from carom.show.shown_step import ShownStep, Watcher, at_impact, shown_step
 from carom.show.staging import Staging, decades, impact_strip, whole_span
@@ -175,7 +176,11 @@ def presentation(
     close = None
     if chosen is not None:
         close_area = close_up_area(header, canvas, only)
-        close = close_up(recording, header, step, chosen, close_area, own, instant, pauses_within=within_step)
+        close = close_up(
+            *(recording, header, step, chosen, close_area, own, instant),
+            pauses_within=within_step,
+            explained=only == CLOSE_UP and canvas.rendered,
+        )
     references = {name: float(value) for name, value in recording.arrow_references.items()}
     repeated, references = _steps(recording, header, step, references)
     rows = [*repeated, *(close.rows(header) if close else [])]
@@ -194,29 +199,56 @@ def presentation(
         rows.append(colours.rows(header))
     curves = _curves(recording, repeated)
     laid_out = as_happened(header, curves)
+    has_trails = staging.trails is not None
+    marks = impact_marks(recording, header, paused.time)
+    contents = Drawn() if canvas.rendered else drawn_during(recording, laid_out)
+    if paused.frame is not None:  # a repeated step may have what no frame has
+        contents |= drawn_at(paused.frame, laid_out)
+    elif canvas.rendered:
+        contents = drawn_during(recording, laid_out)
+    contents |= Drawn(impacts=len(marks) > 0, trails=has_trails)
+    field, spins = _field(recording, header), None if close is None else close.spin
     area = bodies_area(laid_out, canvas, only, close is not None)
-    seen = staging.camera.view(area.aspect, narrow=area.rendered)
-    field = _field(recording, header)
+    plain = staging.camera.view(area.aspect, narrow=area.rendered)
+    named = names_that_fit(header, step.position, plain, area)
+    words = legend(
+        *(laid_out, by, fixed, references, paused.frame, contents),
+        named=bool(named) and all(named),
+        spins=spins,
+        field=field,
+        theme=canvas.theme,
+    )
+    added = Additions(
+        *(close, has_trails, recoloured, plots, words),
+        moment=canvas.rendered,
+        tips=_arrow_tips(header, recording.origin, paused.frame, references),
+        marks=marks,
+        inset=words.of(only).size if canvas.rendered else (0.0, 0.0),
+    )
+    area = replace(area, inset=added.inset)
+    seen = graph_eye(header, staging.camera, area, added) if only == GRAPH else bodies_eye(staging.camera, area, added)
+    past = np.zeros((0, 3)) if staging.trails is None else staging.trails.until(moment)
+    visible, radius = np.concatenate([paused.position, past]), np.pad(header.radius, (0, len(past)))
+    corner = None
+    if added.inset[0]:
+        corner = free_corner(seen, area.aspect, area.inset_share, visible, radius) or CORNERS[0]
+        statics += words.of(only).inside(seen, area, corner)
+    elif only == ALL:
+        statics += words.statics()
     if field is not None and seen.motion is CameraMotion.STILL:
-        past = np.zeros((0, 3)) if staging.trails is None else staging.trails.until(moment)
-        visible, radius = np.concatenate([paused.position, past]), np.pad(header.radius, (0, len(past)))
-        statics += field_arrows(header, seen, area, field, visible, radius)
-    spins = None if close is None else close.spin
-    words = legend(*(laid_out, by, fixed, references, paused.frame), spins=spins, field=field, theme=canvas.theme)
-    statics += [*words.statics(), *arrow_styles(header, canvas.theme)]
+        statics += field_arrows(header, seen, area, field, visible, radius, corner)
+    statics += arrow_styles(header, canvas.theme)
     impulses, strip, bands = impact_strip(recording)
     curves |= impulses
     logarithms, drawn_logarithms, styles = decades(recording, header, curves)
     rows += [*strip, *drawn_logarithms]
     statics += [*bands, *styles]
-    named = names_that_fit(header, step.position, seen, area)
-    shows_field = any(path == FIELD for path, _ in statics)
-    added = Additions(
-        *(close, staging.trails is not None, recoloured, plots, words, named, shows_field),
+    added = replace(
+        added,
+        named=names_that_fit(header, step.position, seen, area),
+        field=any(path == FIELD for path, _ in statics),
         struck=bool(strip),
         decades=logarithms,
-        moment=canvas.rendered,
-        tips=_arrow_tips(header, recording.origin, paused.frame, references),
         span=clock.nanoseconds(whole_span(recording)) if canvas.rendered else None,
     )
     layout = blueprint(header, staging.camera, curves, canvas, only, added)

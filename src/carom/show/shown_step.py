@@ -89,7 +89,8 @@ def shown_step(
     if recording.engine and recording.records_contacts and row is not None:
         return replace(drawn, frame=_frame_of_engine(recording, row))
     try:
-        found = _run(recording, goal, times, IMPATIENCE if row is not None else PATIENCE, dense, watch)
+        limit = IMPATIENCE if row is not None else PATIENCE
+        found = _run(recording, goal, times, within if row is None else None, limit, dense, watch)
     except (RecordingError, PhysicsError) as error:
         missing = str(error)
     else:
@@ -180,9 +181,18 @@ def _row_of(step: int, steps: IntArray) -> int | None:
 
 
 def _run(
-    recording: Recording, goal: float, times: FloatArray, limit: float, dense: bool, watch: Watcher
+    recording: Recording,
+    goal: float,
+    times: FloatArray,
+    within: int | None,
+    limit: float,
+    dense: bool,
+    watch: Watcher,
 ) -> ShownStep | None:
-    """Repeat the steps up to the one that contains a time (s), or to the next frame; None if that takes too long."""
+    """Repeat the steps up to the one that contains a time (s), or to the next frame; None if that takes too long.
+
+    At the end of one step and the start of the next, ``within`` is the number of the one that is meant.
+    """
     own = int(np.searchsorted(times, goal))
     earlier = float(times[max(0, own - 1)])
     until = float(times[own]) if dense and own < len(times) else goal
@@ -201,7 +211,7 @@ def _run(
         if len(added) == most:  # only the last ones are kept
             before = added.pop(0)
         added.append(frame)
-        if shown is None and frame.time >= goal:
+        if shown is None and frame.time >= goal and (within is None or frame.step >= within):
             shown = frame
         if shown is not None and frame.time >= until:
             break

@@ -142,9 +142,9 @@ def _single(
 ) -> rrb.View:
     match only:
         case "bodies":
-            return bodies_view(header, camera, canvas.area(), added)
+            return bodies_view(header, camera, replace(canvas.area(), inset=added.inset), added)
         case "graph" if has_graph(header):
-            return graph_view(header, camera, canvas.area(), added)
+            return graph_view(header, camera, replace(canvas.area(), inset=added.inset), added)
         case "graph":
             raise RecordingError(
                 "there is no collision graph, since bodies neither touch nor have torques; use the view of bodies"

@@ -10,14 +10,14 @@ from rerun.encodings import EntityPathLike
 
 from carom.arrays import SingleArray
 from carom.recording.layout.camera import CameraFit, View
-from carom.recording.layout.canvas import NONE, Additions, Area, spatial_view, surroundings, taken_from
+from carom.recording.layout.canvas import LEGEND, NONE, Additions, Area, spatial_view, surroundings, taken_from
 from carom.recording.layout.drawing import arrow_length, shape
 from carom.recording.schema import palette, paths
 from carom.recording.schema.header import Header
 from carom.recording.schema.paths import SIM_TIME, STEP
 from carom.recording.schema.time_scale import TimeScale
 
-_OF_LATE = 1 / 300  # fraction of the duration for which an impact stays visible
+OF_LATE = 1 / 300  # fraction of the duration for which an impact stays visible
 
 
 def force_arrows(header: Header) -> list[str]:
@@ -55,7 +55,7 @@ def recent_impacts(header: Header) -> Overrides:
     if not header.records_contacts:
         return {}
     clock = TimeScale.fitting(header.duration, header.shortest_dt_hint)
-    start = rr.TimeRangeBoundary.cursor_relative(nanos=-int(1e9 * header.duration * _OF_LATE / clock.scale))
+    start = rr.TimeRangeBoundary.cursor_relative(nanos=-int(1e9 * header.duration * OF_LATE / clock.scale))
     end = rr.TimeRangeBoundary.cursor_relative()
     return {paths.IMPACTS: rrb.VisibleTimeRanges(timeline=SIM_TIME, start=start, end=end)}
 
@@ -112,9 +112,14 @@ def _points(radii: SingleArray, centres: str, colours: str) -> VisualizerLike:
     return rr.Points3D.from_fields(radii=radii).visualizer(mappings=mappings)
 
 
+def bodies_eye(camera: CameraFit, area: Area, added: Additions) -> View:
+    """Return the camera of `bodies_view`."""
+    return camera.view(area.aspect, narrow=area.rendered, tips=added.marks, inset=area.inset_share)
+
+
 def bodies_view(header: Header, camera: CameraFit, area: Area, added: Additions = NONE) -> rrb.Spatial3DView:
     """Show bodies, contacts, planes, walls and the box."""
-    view = camera.view(area.aspect, narrow=area.rendered)
+    view = bodies_eye(camera, area, added)
     name = "Bodies and contacts" if header.collides else "Bodies"
     return spatial_view(
         f"{name} ({view.outside} outside)" if area.rendered and view.outside else name,
@@ -125,6 +130,7 @@ def bodies_view(header: Header, camera: CameraFit, area: Area, added: Additions 
             *([paths.CONTACTS] if header.collides else []),
             *([TRAILS] if added.trails else []),
             *([f"{FIELD}/**"] if added.field else []),
+            *([LEGEND] if area.inset[0] else []),
             *([paths.IMPACTS] if header.records_contacts else []),
             *([paths.IMPACT_SPINS] if header.records_contacts and header.spins else []),
         ],
@@ -146,20 +152,32 @@ def has_graph(header: Header) -> bool:
     return header.collides or header.has_torque
 
 
-def graph_view(header: Header, camera: CameraFit, area: Area, added: Additions = NONE) -> rrb.Spatial3DView:
-    """Return the view; edges are drawn by their impulses if these are recorded."""
+def graph_eye(header: Header, camera: CameraFit, area: Area, added: Additions) -> View:
+    """Return the camera of `graph_view`."""
     # how far (m) arrows of medium length extend from the bodies
     room = arrow_length(header, paths.ANGULAR_ACCELERATION) / 4 if header.has_torque else 0.0
-    view = camera.view(area.aspect, room, narrow=area.rendered, trails=False, tips=added.tips, moment=added.moment)
+    return camera.view(
+        *(area.aspect, room),
+        narrow=area.rendered,
+        trails=False,
+        tips=added.tips,
+        moment=added.moment,
+        inset=area.inset_share,
+    )
+
+
+def graph_view(header: Header, camera: CameraFit, area: Area, added: Additions = NONE) -> rrb.Spatial3DView:
+    """Return the view; edges are drawn by their impulses if these are recorded."""
     return spatial_view(
         _name(header),
-        view,
+        graph_eye(header, camera, area, added),
         [
             paths.BODIES,
             *surroundings(header),
             *([paths.CONTACTS] if header.collides else []),
             *force_arrows(header),
             *([paths.TORQUE, paths.ANGULAR_ACCELERATION] if header.has_torque else []),
+            *([LEGEND] if area.inset[0] else []),
         ],
         faint_bodies(header, added.recoloured) | edges_by_impulse(header, area.theme),
         theme=area.theme,

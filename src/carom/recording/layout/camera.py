@@ -126,6 +126,7 @@ class _Frame:
     has_paths: bool
     tips: FloatArray
     moment: bool
+    inset: tuple[float, float]
 
 
 class CameraFit:
@@ -252,6 +253,7 @@ class CameraFit:
         trails: bool = True,
         tips: FloatArray | None = None,
         moment: bool = False,
+        inset: tuple[float, float] = (0.0, 0.0),
     ) -> View:
         """Return a view of the first moment and, unless bodies would be too small, of all others.
 
@@ -269,10 +271,12 @@ class CameraFit:
             (k, 3) m, ends of arrows of the first moment; those of few bodies are inside.
         moment
             Whether the picture shows the first moment alone.
+        inset
+            Width and height of a legend, as fractions of those of the picture. One of its corners has room for it.
         """
         has_paths = trails and self.is_few
         ends = tips if tips is not None and self.is_few else np.zeros((0, 3))
-        frame = _Frame(aspect, room, narrow, has_paths, ends, moment and not has_paths)
+        frame = _Frame(aspect, room, narrow, has_paths, ends, moment and not has_paths, inset)
         if self.motion is not None:
             return self._view(frame, self.motion)
         view = self._view(frame, CameraMotion.STILL)
@@ -292,7 +296,27 @@ class CameraFit:
         depth = float(np.ptp(self._around(motion)[0] @ to_eye)) if len(self._spheres) else 0.0
         if frame.narrow and view.distance < _DEPTHS * depth:
             view = self._fitted(frame, to_eye, _NARROW_SLOPE * view.distance / (_DEPTHS * depth), motion)
-        return view
+        return self._beside_inset(frame, view)
+
+    def _beside_inset(self, frame: _Frame, view: View) -> View:
+        """Return a view with room for a legend: this one, or a smaller one left of the legend or below it."""
+        wide, tall = frame.inset
+        if wide == 0.0:
+            return view
+        others, radii = (self._first, self._first_radius) if frame.moment else self._around(view.motion)
+        places = np.concatenate([self._first, others, frame.tips])
+        sizes = np.concatenate([self._first_radius, radii, np.zeros(len(frame.tips))])
+        if free_corner(view, frame.aspect, frame.inset, places, sizes) is not None:
+            return view
+        right, up = view.axes()
+        left, below = (
+            self._fitted(replace(frame, aspect=aspect), view.to_eye, view.slope, view.motion)
+            for aspect in (frame.aspect * (1.0 - wide), frame.aspect / (1.0 - tall))
+        )
+        below = replace(below, distance=below.distance / (1.0 - tall))
+        if left.distance <= below.distance:
+            return replace(left, target=left.target + 0.5 * wide * frame.aspect * left.height() * right)
+        return replace(below, target=below.target + 0.5 * tall * below.height() * up)
 
     def _fitted(self, frame: _Frame, to_eye: FloatArray, slope: float, motion: CameraMotion) -> View:
         axes = screen(to_eye, self.up)
@@ -373,6 +397,29 @@ def screen(to_eye: FloatArray, up: FloatArray = _UP) -> FloatArray:
         right = np.cross(np.eye(3)[int(np.argmin(np.abs(to_eye)))], to_eye)
     right = right / np.linalg.norm(right)
     return np.array([right, np.cross(to_eye, right), to_eye])
+
+
+CORNERS = ((1, 1), (-1, 1), (1, -1), (-1, -1))  # right and up are positive
+
+
+def free_corner(
+    view: View, aspect: float, inset: tuple[float, float], position: FloatArray, radius: FloatArray
+) -> tuple[int, int] | None:
+    """Return a corner of a picture in which a legend covers no sphere; None without any.
+
+    Parameters
+    ----------
+    inset
+        Width and height of the legend, as fractions of those of the picture.
+    position, radius
+        (k, 3) and (k,) m, of the spheres.
+    """
+    places, sizes = view.on_screen(position), view.radius_on_screen(position, radius)[:, None]
+    half, whole = np.array([inset[0] * aspect, inset[1]]), np.array([aspect, 1.0])
+    for corner in CORNERS:
+        if not np.any(np.all(np.abs(places - corner * (whole - half)) < half + sizes, axis=1)):
+            return corner
+    return None
 
 
 def turned(vector: FloatArray, axis: FloatArray, angle: float) -> FloatArray:

@@ -40,11 +40,17 @@ class Area:
     height: float
     rendered: bool = False
     theme: str = "dark"
+    inset: tuple[float, float] = (0.0, 0.0)  # points, width and height of the legend in one of its corners
 
     @property
     def aspect(self) -> float:
         """Width over height."""
         return self.width / self.height
+
+    @property
+    def inset_share(self) -> tuple[float, float]:
+        """Width and height of the legend, as fractions of its own."""
+        return self.inset[0] / self.width, self.inset[1] / self.height
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,10 +86,13 @@ class Additions:
     decades: Curves | None = None  # logarithms of energies that grow by decades, by the paths of the energies
     moment: bool = False  # whether a picture shows one moment, so that other moments need not be inside it
     tips: FloatArray | None = None  # (k, 3) m, of the arrows that are drawn at the moment
+    marks: FloatArray | None = None  # (k, 3) m, around the points of impacts that are drawn
+    inset: tuple[float, float] = (0.0, 0.0)  # points, width and height of the legend inside a single view
     span: IntArray | None = None  # (2,) ns, first and last time of plots that nobody will zoom
 
 
 NONE = Additions()
+LEGEND = "legend"  # entity
 
 
 # Magnified spaces, in which views show small scenes. Rerun's camera draws nothing nearer than 0.01 units (Rerun 0.41),

@@ -163,6 +163,7 @@ def _bytes_of(frame: Frame) -> int:
 
 _BATCH_FRAMES = 2048
 _QUEUE_FRAMES = 512
+_SMALL_FRAMES, _SMALL_BYTES = 4096, 16_000_000  # more of few bodies, since a chunk costs 2.4 kB, as 40 scalars do
 _BATCH_SECONDS = 1.0  # s, the frames that a killed run may lose
 _QUEUE_BYTES = 64_000_000
 _LOOK = 1.25  # ratio between the frame counts at two updates of the camera
@@ -197,7 +198,8 @@ class FrameRecorder:
         frame_bytes = 300 * header.bodies + 2000
         self._stream = Stream(self.path, header, file=self._file, batch_bytes=max(BATCH_BYTES, frame_bytes), live=live)
         self._clock = continued.clock if continued else TimeScale.fitting(header.duration, header.shortest_dt_hint)
-        room = queue_size or max(1, min(_QUEUE_FRAMES, _QUEUE_BYTES // frame_bytes))
+        small = min(_SMALL_FRAMES, _SMALL_BYTES // frame_bytes)
+        room = queue_size or max(1, min(_QUEUE_FRAMES, _QUEUE_BYTES // frame_bytes), small)
         batch = max(1, min(_BATCH_FRAMES, frames_in_batch(header.bodies), room // 2))
         self._queue: BatchQueue[Frame] = BatchQueue(room, batch, _BATCH_SECONDS)
         self._store: FrameStore | None = None
