@@ -269,3 +269,103 @@ def test_a_run_that_grows_to_thousands_of_bodies_keeps_the_shape_of_its_first_fr
     assert path["x"].to_pylist() == [4500.0] and recording.bodies(2 * DT).num_rows == 3001
     clip(recording.path, tmp_path / "part.rrd", 2 * DT, 3 * DT)
     assert Recording.open(tmp_path / "part.rrd").bodies(3 * DT).num_rows == 4501
+
+
+class Visits(Toy):
+    """A run that begins and ends without bodies, and has none in between."""
+
+    def state(self) -> carom.record.State:
+        k = self.steps
+        ids = [1] if 5 <= k < 10 else [1, 2] if 10 <= k < 15 else [3] if 20 <= k < 25 else []
+        self.ids, self.mass, self.radius = ids, [1.0] * len(ids), [0.5] * len(ids)
+        self.position = np.array([[each + DT * k, 0.0, 0.5] for each in ids]).reshape(-1, 3)
+        self.velocity = np.tile([1.0, 0.0, 0.0], (len(ids), 1))
+        return super().state()
+
+    def step(self) -> None:
+        self.steps += 1
+
+
+def test_a_run_may_begin_and_end_without_bodies_and_have_none_in_between(tmp_path: Path) -> None:
+    visits = Visits()
+    visits.model = replace(visits.model, mass=[], radius=[])
+    recorder = recorded(visits, tmp_path / "run.rrd")
+    assert recorder.problems == ["toy 1.0: there is no body before t = 0.5 s. The recording begins there."]
+    assert recorder.faults == []
+    recording = Recording.open(tmp_path / "run.rrd")
+    assert recording.lives is not None and recording.lives.tolist() == [[5, 14], [10, 14], [20, 24]]
+    there = {step: recording.bodies(DT * step).num_rows for step in (5, 12, 17, 22, STEPS)}
+    assert there == {5: 1, 12: 2, 17: 0, 22: 1, STEPS: 0} and recording.frames == STEPS - 4
+    assert recording.contacts(1.2).num_rows == 2 and recording.contacts(1.7).num_rows == 0
+    assert sum(state.position.shape == (3, 3) for state in recording.checkpoints()) == STEPS - 4
+    clip(recording.path, tmp_path / "nobody.rrd", 1.6, 1.9)
+    nobody = Recording.open(tmp_path / "nobody.rrd")
+    assert nobody.frames == 4 and nobody.bodies(1.7).num_rows == 0 and nobody.summary()
+    assert diff(recording, nobody).first_bits is None
+    for suffix in ("csv", "npz", "extxyz", "vtk", "parquet"):
+        for what in (["--all"], ["--at", "1.7"]):
+            name = f"{what[0][2:]}.{suffix}"
+            assert command("export", "run.rrd", *what, "-o", name, cwd=tmp_path).returncode == 0, name
+
+
+def run_pybullet(path: Path) -> carom.record.Recorder:
+    engine = pytest.importorskip("pybullet")
+    client = engine.connect(engine.DIRECT)
+    engine.setTimeStep(DT / 10)
+    ball = engine.createCollisionShape(engine.GEOM_SPHERE, radius=0.1)
+    engine.createMultiBody(0.0, engine.createCollisionShape(engine.GEOM_PLANE))
+    source = carom.record.pybullet(DT / 10, (0.0, 0.0, 0.0), client, changing=True)
+    bodies: list[int] = []
+    with carom.record.Recorder(source, path) as recorder:
+        for step in range(1, STEPS + 1):
+            if step in (5, 10):
+                bodies.append(engine.createMultiBody(1.0, ball, basePosition=(float(len(bodies)), 0.0, 1.0)))
+            if step == 15:
+                engine.removeBody(bodies[0])
+                new = engine.createMultiBody(1.0, ball, basePosition=(5.0, 0.0, 1.0))
+                assert new == bodies[0], "PyBullet reuses the id"
+            if step == 25:
+                engine.removeBody(new)
+                engine.removeBody(bodies[1])
+            engine.stepSimulation()
+            recorder.frame()
+    engine.disconnect(client)
+    return recorder
+
+
+def run_box3d(path: Path) -> carom.record.Recorder:
+    engine = pytest.importorskip("robox3d")
+    destroy = pytest.importorskip("robox3d._ffi").lib.b3DestroyBody
+    world = engine.World(gravity=(0.0, 0.0, 0.0))
+
+    def ball(x: float) -> Any:
+        found = world.create_body(position=(x, 0.0, 1.0), kind="dynamic")
+        found.add_sphere(0.1, density=1000.0)
+        return found
+
+    bodies: list[Any] = []
+    with carom.record.Recorder(carom.record.box3d(world, contacts=True, changing=True), path) as recorder:
+        for step in range(1, STEPS + 1):
+            if step in (5, 10):
+                bodies.append(ball(float(len(bodies))))
+            if step == 15:
+                destroy(bodies[0].id)
+                new = ball(5.0)
+                assert new.id.index1 == bodies[0].id.index1, "Box3D reuses the place"
+            if step == 25:
+                destroy(new.id)
+                destroy(bodies[1].id)
+            world.step(DT / 10)
+            recorder.frame()
+    return recorder
+
+
+@pytest.mark.parametrize("run", [run_pybullet, run_box3d])
+def test_bodies_of_engines_that_create_and_destroy_them_keep_their_numbers(run: Any, tmp_path: Path) -> None:
+    (problem,) = run(tmp_path / "run.rrd").problems
+    assert "there is no body before t = 0.05 s. The recording begins there." in problem
+    recording = Recording.open(tmp_path / "run.rrd")
+    assert recording.lives is not None and recording.lives.tolist() == [[5, 14], [10, 24], [15, 24]]
+    table = recording.bodies(0.2)
+    assert table["x"].to_pylist() == [1.0, 5.0] and table["name"].to_pylist() == ["body 1", "body 2"]
+    assert recording.bodies(0.3).num_rows == 0

@@ -8,12 +8,14 @@ import threading
 import uuid
 from collections import deque
 from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
 from typing import Self
 
 import numpy as np
 
+from carom.arrays import IntArray
 from carom.errors import RecordingError
 from carom.recording.read.recording import Recording
 from carom.recording.schema.header import Scalar
@@ -138,8 +140,11 @@ class Recorder:
         self._ended = ""  # why no more frames are accepted
         self._ring: deque[tuple[int, StateMemory]] | None = None if last is None else deque(maxlen=int(last))
         first = source.state()
-        self._setup = _checked(source, first)
-        self._ids = None if first.ids is None else ids_of(self._setup.engine, first.ids, len(self._setup))
+        self._model = source.model  # of the first bodies
+        self._setup: Setup | None = None  # of these bodies; None until there are some
+        self._ids: IntArray | None = None
+        if not _is_empty(first):
+            self._begin_with(first)
         self._new = memory_of(source, first)
         self._free: StateMemory | None = None  # reusable memory
         self._sink: SnapshotWriter | None = None
@@ -227,7 +232,20 @@ class Recorder:
 
     def _keep(self, call: int, snapshot: StateMemory) -> bool:
         """Check a snapshot, and pass it to the writer or into the ring; return whether that was done."""
-        state, setup = snapshot.state, self._setup
+        state = snapshot.state
+        if self._setup is None:
+            if _is_empty(state):
+                return False
+            given = {"mass": state.mass, "radius": state.radius, "fixed": state.fixed, "judged": state.judged}
+            self._model = replace(self._model, **given, names=state.names, inertia=None)
+            self._begin_with(state)
+            if call:
+                text = (
+                    f"{self._model.engine}: there is no body before t = {self._units.text(time_of(state), TIME, 'g')}."
+                )
+                self._unrecorded.add(call, time_of(state), text, "The recording begins there.")
+        setup = self._setup
+        assert setup is not None, "it was set above"
         if not snapshot.bounded:
             if (fault := not_finite(setup, call, state)) is not None:
                 self._end(call, fault.text, (fault,))
@@ -263,6 +281,11 @@ class Recorder:
         self._taken += 1
         return True
 
+    def _begin_with(self, first: State) -> None:
+        """Check the first state with bodies."""
+        self._setup = _checked(self._source, self._model, first)
+        self._ids = None if first.ids is None else ids_of(self._setup.engine, first.ids, len(self._setup))
+
     @property
     def _time_of_note(self) -> float:
         """The last recorded time in s, for notes."""
@@ -277,8 +300,9 @@ class Recorder:
 
     def _writer(self, path: Path, first: State, force: bool) -> SnapshotWriter:
         setup, population = self._setup, None
+        assert setup is not None, "there is a state with bodies"
         if self._ids is not None:
-            population = Population(setup, self._source.model, self._ids)
+            population = Population(setup, self._model, self._ids)
             present = population.find(first)
             setup = population.whole
             observer = Observer(present.setup, first, self._tolerances, self._units, present)
@@ -334,13 +358,18 @@ class Recorder:
             self._unrecorded.add(self._calls - 1, self._time_of_note, error, "The recording ends there.", ends=True)
 
 
-def _checked(source: Source, first: State) -> Setup:
+def _is_empty(state: State) -> bool:
+    """Return whether a state of a run in which bodies come and go has none."""
+    return isinstance(state, State) and state.ids is not None and np.size(state.ids) == 0
+
+
+def _checked(source: Source, model: Model, first: State) -> Setup:
     """Check the model and the present state of a source before anything is allocated or written."""
     if not isinstance(first, State):
         raise RecordingError(
             f"`state` of {type(source).__name__} returned {type(first).__name__}; return a carom.record.State"
         )
-    setup = setup_of(source.model, first)
+    setup = setup_of(model, first)
     array_of(setup.engine, "time", time_of(first), ())
     n = len(setup)
     array_of(setup.engine, "velocity", first.velocity, (n, 3))

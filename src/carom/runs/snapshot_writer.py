@@ -24,7 +24,7 @@ from carom.recording.edit.widen import widen
 from carom.recording.schema.header import Header, Scalar
 from carom.recording.source.law_audit import Fault
 from carom.recording.source.observer import Observer, header_of_source
-from carom.recording.source.population import Population, Present, spread
+from carom.recording.source.population import Population, Present, spread, without_bodies
 from carom.recording.source.source import State, StateMemory
 from carom.recording.write.recorder import FrameRecorder
 from carom.runs.environment import environment
@@ -92,6 +92,7 @@ class SnapshotWriter:
         self._spare: queue.SimpleQueue[StateMemory] = queue.SimpleQueue()  # reusable memory
         self._error: Exception | None = None  # the error after which the file can no longer be written
         self._last = (0, 0.0)
+        self._frame: Frame  # the last one with bodies
         self._thread = threading.Thread(target=self._run, name="carom-observer", daemon=True)
         self._thread.start()
 
@@ -161,6 +162,9 @@ class SnapshotWriter:
         except Exception as error:
             self._unrecorded.add(step, state.time, error, "This state is not recorded.")
             return
+        if present is not None and not len(present.numbers):
+            self._put(without_bodies(self._frame, step, state.time))
+            return
         try:
             if state.contacts is not None:
                 self._observer.named(state.contacts)
@@ -173,10 +177,14 @@ class SnapshotWriter:
         except Exception as error:
             self._unrecorded.add(step, state.time, error, "This state is not recorded.")
             return
+        self._frame = frame
+        self._put(frame)
+
+    def _put(self, frame: Frame) -> None:
         notes = self._notes_until(frame)
         try:
             self._recorder.put(replace(frame, events=(*notes, *frame.events)) if notes else frame)
-            self._last = (step, state.time)
+            self._last = (frame.step, frame.time)
         except Exception as error:
             self._error = error
 
@@ -200,7 +208,8 @@ class SnapshotWriter:
                         fixed=whole.fixed if whole.fixed.any() else None,
                     )
                 )
-            self._observer = self._observer.continued(present, state)
+            if len(present.numbers):
+                self._observer = self._observer.continued(present, state)
             self._present = present
         return present
 

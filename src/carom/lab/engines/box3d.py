@@ -54,13 +54,15 @@ class Box3DSource:
     def __init__(self, world: Any, planes: tuple[Plane, ...] = (), contacts: bool = False) -> None:
         package = engine_package(PACKAGE)
         self._world, self._backend = world, engine_package(f"{PACKAGE}._ffi", PACKAGE)
-        lib, bodies = self._backend.lib, list(world.bodies)
+        lib = self._backend.lib
+        bodies = [body for body in world.bodies if lib.b3Body_IsValid(body.id)]
         sized = [_sphere_of(self._backend, body) for body in bodies]
         dynamic = np.array([lib.b3Body_GetType(body.id) == lib.b3_dynamicBody for body in bodies], dtype=bool)
         shown = [k for k, size in enumerate(sized) if dynamic[k] or (size is not None and not size[1])]
         if not dynamic.any():
             raise RecordingError("box3d: the world has no dynamic body")
         chosen, moves = [bodies[k] for k in shown], dynamic[shown]
+        self.bodies = chosen
         self._group = package.BodyGroup(chosen)
         jointed = bool(lib.b3World_GetCounters(world.id).jointCount)
         known = [sized[k] for k in shown]
@@ -68,7 +70,7 @@ class Box3DSource:
         self._forces = Box3DForces(self._backend, world, chosen, judged, planes) if contacts else None
         mass = np.array([body.mass for body in chosen])
         self.model = Model(
-            engine=named_version("box3d", PACKAGE).replace("box3d", f"box3d ({PACKAGE}") + ")",
+            engine=_version(),
             mass=np.where(moves, mass, 1.0),
             radius=[_drawn(body) if size is None else size[0] for body, size in zip(chosen, known, strict=True)],
             names=[body.name or f"body {k}" for k, body in enumerate(chosen)],
@@ -103,9 +105,64 @@ class Box3DSource:
             into.state.contacts = self._forces.read(poses[:, :3], rates)
 
 
-def box3d(world: Any, planes: tuple[Plane, ...] = (), contacts: bool = False) -> Box3DSource:
-    """Return the source of a robox3d.World; see `Box3DSource`."""
-    return Box3DSource(world, planes, contacts)
+class ChangingBox3DSource:
+    """The bodies of a world in which bodies are created and destroyed; see `box3d`."""
+
+    def __init__(self, world: Any, planes: tuple[Plane, ...] = (), contacts: bool = False) -> None:
+        self._world, self._planes, self._contacts = world, planes, contacts
+        self._lib = engine_package(f"{PACKAGE}._ffi", PACKAGE).lib
+        self._ids: list[int] = []  # of the valid bodies of the world
+        self._source: Box3DSource | None = None  # of these bodies; None where none of them moves
+        self._find()
+        no_body = Model(engine=_version(), mass=[], radius=[], gravity=world.gravity, planes=planes)
+        self.model = no_body if self._source is None else self._source.model
+
+    def state(self) -> State:
+        """Return the present state."""
+        self._find()
+        source = self._source
+        if source is None:
+            nobody, contacts = np.empty((0, 3)), np.zeros(0, CONTACT) if self._contacts else None
+            return State(self._world.time, nobody, nobody, np.empty((0, 4)), nobody, contacts, np.empty(0, np.int64))
+        state, model = source.state(), source.model
+        state.ids = np.array([_identity(body) for body in source.bodies])
+        state.mass, state.radius = model.mass, model.radius
+        state.names = ["" if name == f"body {k}" else name for k, name in enumerate(model.names or ())]
+        state.fixed, state.judged = model.fixed, model.judged
+        return state
+
+    def _find(self) -> None:
+        """Make a source for the present bodies if they changed."""
+        there = [body for body in self._world.bodies if self._lib.b3Body_IsValid(body.id)]
+        ids = [_identity(body) for body in there]
+        if ids != self._ids:
+            moves = any(self._lib.b3Body_GetType(body.id) == self._lib.b3_dynamicBody for body in there)
+            self._source = Box3DSource(self._world, self._planes, self._contacts) if moves else None
+            self._ids = ids
+
+
+def box3d(
+    world: Any, planes: tuple[Plane, ...] = (), contacts: bool = False, *, changing: bool = False
+) -> Box3DSource | ChangingBox3DSource:
+    """Return the source of a robox3d.World; see `Box3DSource`.
+
+    Parameters
+    ----------
+    world, planes, contacts
+        As in `Box3DSource`.
+    changing
+        Whether bodies are created or destroyed while it is recorded.
+    """
+    return (ChangingBox3DSource if changing else Box3DSource)(world, planes, contacts)
+
+
+def _identity(body: Any) -> int:
+    """Return a number that no other body of the world has, even if Box3D reuses the place of a destroyed one."""
+    return int(body.id.index1) << 16 | int(body.id.generation)
+
+
+def _version() -> str:
+    return named_version("box3d", PACKAGE).replace("box3d", f"box3d ({PACKAGE}") + ")"
 
 
 class _Point(NamedTuple):

@@ -12,6 +12,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterable
+from dataclasses import replace
 from itertools import chain, repeat
 from typing import Any
 
@@ -28,6 +29,7 @@ from carom.record import CONTACT, Model, Plane, State
 BASE = -1  # the number of a body's first link
 SLOW = 200  # with more bodies, copying their states takes more than a thirtieth of a step
 SELDOM = 5  # steps per frame of 1000 bodies, whose states take a sixth of a step to read
+_MARK = "carom"  # key of the user data that marks bodies where they come and go
 UNNAMED = ("", "baseLink", "link0")  # the names of bodies that have none
 
 
@@ -60,23 +62,23 @@ class PyBulletSource:
         contacts: bool = False,
     ) -> None:
         package = engine_package("pybullet")
-        self._package, self._client, self._frames = package, client, 0
+        self._package, self._client, self.frames = package, client, 0
         self._stride = time_step * steps_per_frame
         everything = [package.getBodyUniqueId(k, client) for k in range(package.getNumBodies(client))]
         shapes = {body: package.getCollisionShapeData(body, BASE, client) for body in everything}
-        planes = [b for b in everything if len(shapes[b]) == 1 and shapes[b][0][2] == package.GEOM_PLANE]
-        self._bodies = [b for b in everything if b not in planes]
-        if not self._bodies:
+        planes = [b for b in everything if _is_plane(package, shapes[b])]
+        self.bodies = [b for b in everything if b not in planes]  # unique ids
+        if not self.bodies:
             raise RecordingError("pybullet: the physics server has no body besides planes")
         self._forces = contacts
-        self._end_of = {body: end for end, body in enumerate([*self._bodies, *planes])}
-        dynamics = [package.getDynamicsInfo(b, BASE, client) for b in self._bodies]
+        self._end_of = {body: end for end, body in enumerate([*self.bodies, *planes])}
+        dynamics = [package.getDynamicsInfo(b, BASE, client) for b in self.bodies]
         mass = np.array([found[0] for found in dynamics])
-        spheres = np.array([_is_sphere(package, b, shapes[b], client) for b in self._bodies])
+        spheres = np.array([_is_sphere(package, b, shapes[b], client) for b in self.bodies])
         radius = np.array(
             [
                 shapes[b][0][3][0] if round_ else _reach(package, b, client)
-                for b, round_ in zip(self._bodies, spheres, strict=True)
+                for b, round_ in zip(self.bodies, spheres, strict=True)
             ]
         )
         self.model = Model(
@@ -88,27 +90,27 @@ class PyBulletSource:
                 [np.mean(found[2]) for found in dynamics],
                 SPHERE * np.where(mass > 0, mass, 1.0) * radius**2,
             ),
-            names=[_name(package, b, k, client) for k, b in enumerate(self._bodies)],
+            names=[_name(package, b, k, client) for k, b in enumerate(self.bodies)],
             fixed=mass == 0.0,
             judged=spheres,
             gravity=gravity,
-            planes=[_plane(package, b, shapes[b][0], k, client) for k, b in enumerate(planes)],
+            planes=_planes_of(package, client),
             time_step=time_step,
-            every=calls_per_frame(len(self._bodies)),
+            every=calls_per_frame(len(self.bodies)),
         )
 
     def stepped(self) -> None:
         """Count the steps up to the next frame."""
-        self._frames += 1
+        self.frames += 1
 
     def state(self) -> State:
         """Return the present state."""
         # PyBullet has no call for several bodies: these two calls per body are most of the cost of a frame
-        places = map(self._package.getBasePositionAndOrientation, self._bodies, repeat(self._client))
-        rates = map(self._package.getBaseVelocity, self._bodies, repeat(self._client))
-        place, rate = _rows(places, len(self._bodies), 7), _rows(rates, len(self._bodies), 6)
+        places = map(self._package.getBasePositionAndOrientation, self.bodies, repeat(self._client))
+        rates = map(self._package.getBaseVelocity, self.bodies, repeat(self._client))
+        place, rate = _rows(places, len(self.bodies), 7), _rows(rates, len(self.bodies), 6)
         forces = self.forces() if self._forces else None
-        return State(self._frames * self._stride, place[:, :3], rate[:, :3], place[:, 3:], rate[:, 3:], forces)
+        return State(self.frames * self._stride, place[:, :3], rate[:, :3], place[:, 3:], rate[:, 3:], forces)
 
     def forces(self) -> Records:
         """Return the contacts of the last step with their forces, (m,) `CONTACT`."""
@@ -124,15 +126,82 @@ class PyBulletSource:
         return np.compress((found["i"] >= 0) & (found["j"] >= 0) & (found["i"] != found["j"]), found)
 
 
+class ChangingPyBulletSource:
+    """The bodies of a physics server to which bodies are added, and from which they are removed; see `pybullet`.
+
+    PyBullet reuses the unique ids of bodies. This source therefore marks each body with user data of the key "carom",
+    which PyBullet removes with the body. Planes are those at the start.
+    """
+
+    def __init__(self, time_step: float, gravity: tuple[float, float, float], *others: Any) -> None:
+        self._arguments = (time_step, gravity, *others)
+        self._package, self._client, self._frames = engine_package("pybullet"), int(others[0]), 0
+        self._marked = 0  # bodies so far
+        self._ids: dict[int, int] = {}  # of the bodies of the server, by their unique ids
+        self._source: PyBulletSource | None = None  # of these bodies; None where there is none
+        self._find()
+        no_body = Model(engine=named_version("pybullet"), mass=[], radius=[], gravity=gravity, time_step=time_step)
+        planes = _planes_of(self._package, self._client)
+        self.model = replace(no_body, planes=planes) if self._source is None else self._source.model
+
+    def stepped(self) -> None:
+        """Count the steps up to the next frame."""
+        self._frames += 1
+
+    def state(self) -> State:
+        """Return the present state."""
+        self._find()
+        source = self._source
+        if source is None:
+            time, nobody = self._frames * self._arguments[0] * self._arguments[3], np.empty((0, 3))
+            contacts = np.zeros(0, CONTACT) if self._arguments[4] else None
+            return State(time, nobody, nobody, np.empty((0, 4)), nobody, contacts, np.empty(0, np.int64))
+        source.frames = self._frames
+        state, model = source.state(), source.model
+        state.ids = np.array([self._ids[body] for body in source.bodies])
+        state.mass, state.radius = model.mass, model.radius
+        state.names = ["" if name == f"body {k}" else name for k, name in enumerate(model.names or ())]
+        state.fixed, state.judged = model.fixed, model.judged
+        return state
+
+    def _find(self) -> None:
+        """Mark new bodies; make a source for the present bodies if they changed."""
+        package, client = self._package, self._client
+        there = [package.getBodyUniqueId(k, client) for k in range(package.getNumBodies(client))]
+        new = [body for body in there if package.getUserDataId(body, _MARK, physicsClientId=client) < 0]
+        if not new and len(there) == len(self._ids):
+            return
+        for body in new:
+            self._marked += 1
+            package.addUserData(body, _MARK, str(self._marked), physicsClientId=client)
+            self._ids[body] = self._marked
+        self._ids = {body: self._ids[body] for body in there}
+        planes = len(_planes_of(package, client))
+        self._source = PyBulletSource(*self._arguments) if len(there) > planes else None
+
+
 def pybullet(
     time_step: float = 1.0 / 240.0,
     gravity: tuple[float, float, float] = (0.0, 0.0, 0.0),
     client: int = 0,
     steps_per_frame: int = 1,
     contacts: bool = True,
-) -> PyBulletSource:
-    """Return the source of a physics server, with or without the forces of contacts; see `PyBulletSource`."""
-    return PyBulletSource(time_step, gravity, client, steps_per_frame, contacts)
+    *,
+    changing: bool = False,
+) -> PyBulletSource | ChangingPyBulletSource:
+    """Return the source of a physics server; see `PyBulletSource`.
+
+    Parameters
+    ----------
+    time_step, gravity, client, steps_per_frame
+        As in `PyBulletSource`.
+    contacts
+        Whether to record the forces of contacts.
+    changing
+        Whether bodies are added or removed while it is recorded. They are then marked with user data, "carom".
+    """
+    kind = ChangingPyBulletSource if changing else PyBulletSource
+    return kind(time_step, gravity, client, steps_per_frame, contacts)
 
 
 def calls_per_frame(bodies: int) -> int:
@@ -155,6 +224,18 @@ def _is_sphere(package: Any, body: int, shapes: Any, client: int) -> bool:
 def _reach(package: Any, body: int, client: int) -> float:
     low, high = package.getAABB(body, BASE, client)
     return float(0.5 * np.linalg.norm(np.subtract(high, low)))
+
+
+def _is_plane(package: Any, shapes: Any) -> bool:
+    return len(shapes) == 1 and bool(shapes[0][2] == package.GEOM_PLANE)
+
+
+def _planes_of(package: Any, client: int) -> list[Plane]:
+    """Return the planes of a server, in the order of its bodies."""
+    bodies = [package.getBodyUniqueId(k, client) for k in range(package.getNumBodies(client))]
+    shapes = {body: package.getCollisionShapeData(body, BASE, client) for body in bodies}
+    planes = [body for body in bodies if _is_plane(package, shapes[body])]
+    return [_plane(package, body, shapes[body][0], k, client) for k, body in enumerate(planes)]
 
 
 def _plane(package: Any, body: int, shape: Any, number: int, client: int) -> Plane:

@@ -32,7 +32,7 @@ def write_vtk(path: Path, snapshot: Snapshot) -> None:
         file.write(f"FIELD FieldData {fields}\n".encode())  # readers ignore all but the first SCALARS and VECTORS
         file.write(f"body 1 {n} int\n".encode() + _bytes(snapshot.body.astype(np.int32)))
         for name, values in arrays.items():
-            file.write(f"{name} {values[0].size} {n} double\n".encode() + _bytes(values))
+            file.write(f"{name} {1 if values.ndim == 1 else values.shape[1]} {n} double\n".encode() + _bytes(values))
 
 
 def write_vtk_series(path: Path, snapshots: Iterator[Snapshot], folder: Path, stem: str) -> None:

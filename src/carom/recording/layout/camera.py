@@ -535,7 +535,8 @@ def _middle(moments: FloatArray, near: BoolArray, radius: FloatArray) -> FloatAr
         shown = near[..., None]
         low = np.where(shown, moments - radius[:, None], np.inf).min(axis=1)
         high = np.where(shown, moments + radius[:, None], -np.inf).max(axis=1)
-        return np.where(np.isfinite(low), (low + high) / 2, 0.0)
+        there = np.isfinite(low)
+        return np.where(there, (np.where(there, low, 0.0) + np.where(there, high, 0.0)) / 2, 0.0)
     return np.array([_middle_of_many(moment[kept], radius[kept]) for moment, kept in zip(moments, near, strict=True)])
 
 

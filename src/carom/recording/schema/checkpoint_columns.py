@@ -269,7 +269,7 @@ def decode(step: int, stored: Mapping[str, NDArray[Any] | list[Any]], bodies: in
         if present is None:
             return checkpoint
         numbers = np.asarray(present, dtype=np.int64)
-        if len(np.unique(numbers)) < len(numbers) or not len(numbers) or numbers.max() >= bodies:
+        if len(np.unique(numbers)) < len(numbers) or numbers.max(initial=-1) >= bodies:
             raise ValueError(f"{_PRESENT} names bodies that do not exist")
         return spread(checkpoint, numbers, bodies)
     except (KeyError, IndexError, TypeError, ValueError, OverflowError, RecursionError, ValidationError) as error:

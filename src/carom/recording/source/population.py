@@ -15,9 +15,10 @@ import numpy as np
 from carom.arrays import BoolArray, FloatArray, IntArray, Records
 from carom.errors import RecordingError
 from carom.physics.checkpoint import fingerprint_of
+from carom.physics.contact.graph import empty_graph
 from carom.physics.frame import Frame
 from carom.recording.schema.checkpoint_columns import PartialCheckpoint
-from carom.recording.source.source import MASSLESS, SPHERE, Model, Setup, State, array_of
+from carom.recording.source.source import MASSLESS, SPHERE, Model, Setup, State, array_of, flags_of
 from carom.scene.wording import Names, SomeNames
 
 FIRST_PLANE = 1 << 40  # number of the first plane while the number of bodies is not known yet
@@ -106,8 +107,6 @@ class Population:
                     raise RecordingError(f"{engine}: {name}[{sizes[:, column].argmin()}] is negative")
         if np.array_equal(ids, self._ids) and np.all(_same(sizes, self._given[known.numbers])):
             return known
-        if not len(ids):
-            raise RecordingError(f"{engine}: there is no body in the state")
         numbers = self._number(state, ids, sizes)
         whole, self._ids = self.whole, ids
         setup = replace(whole, **{name: getattr(whole, name)[numbers] for name in _COLUMNS})
@@ -119,7 +118,7 @@ class Population:
         """Return the numbers of the bodies of a state; add the new ones."""
         whole = self.whole
         before = dict(zip(self._ids.tolist(), self.present.numbers.tolist(), strict=True))
-        numbers = np.array([before.get(identity, -1) for identity in ids.tolist()])
+        numbers = np.array([before.get(identity, -1) for identity in ids.tolist()], dtype=np.int64)
         numbers[~np.all(_same(sizes, self._given[numbers]), axis=1)] = -1
         new = np.flatnonzero(numbers < 0)
         unknown = new[np.isnan(sizes[new]).any(axis=1)]
@@ -132,7 +131,7 @@ class Population:
         for row in new.tolist():
             identity = int(ids[row])
             count = self._bodies_of_id[identity] = self._bodies_of_id.get(identity, 0) + 1
-            name = f"body {len(names)}" if state.names is None else str(state.names[row])
+            name = ("" if state.names is None else str(state.names[row])) or f"body {len(names)}"
             if count > 1 and identity in before:
                 name = f"{whole.names[before[identity]].partition(_AGAIN)[0]}{_AGAIN}{count})"
             names.append(name)
@@ -143,8 +142,8 @@ class Population:
             "mass": heavy,
             "radius": drawn,
             "inertia": np.maximum(SPHERE * heavy * drawn**2, np.finfo(np.float64).tiny),
-            "fixed": np.zeros(len(new), np.bool_),
-            "judged": np.ones(len(new), np.bool_),
+            "fixed": flags_of(whole.engine, "fixed", state.fixed, len(ids), False)[new],
+            "judged": flags_of(whole.engine, "judged", state.judged, len(ids), True)[new],
             "touches": radius > 0.0,
         }
         joined: dict[str, Any] = {name: np.concatenate((getattr(whole, name), each)) for name, each in added.items()}
@@ -161,7 +160,7 @@ _AGAIN = " ("  # in a name, before the number of a body that reuses the id of an
 def ids_of(engine: str, ids: Any, count: int) -> IntArray:
     """Return the ids of a state, (count,), each once."""
     found = np.asarray(ids)
-    if found.shape != (count,) or not np.issubdtype(found.dtype, np.integer):
+    if found.shape != (count,) or (count and not np.issubdtype(found.dtype, np.integer)):
         raise RecordingError(f"{engine}: ids must be {count} whole numbers, one for each body")
     unique, counts = np.unique(found, return_counts=True)
     if len(unique) < count:
@@ -203,6 +202,20 @@ def spread(frame: Frame, present: Present) -> PartialFrame:
     if frame.contact_rows is not None:
         values["contact_rows"] = _renumbered(frame.contact_rows, ends)
     return PartialFrame(**values | {"slot": None, "present": present.numbers})
+
+
+def without_bodies(last: Frame, step: int, time: float) -> PartialFrame:
+    """Return a frame in which no body exists, after another one; nothing happens in it."""
+    values: dict[str, Any] = {field.name: getattr(last, field.name) for field in fields(last)}
+    for name in ("position", "velocity", "acceleration", "angular_velocity"):
+        values[name] = None if values[name] is None else np.full_like(values[name], np.nan)
+    rows = None if last.contact_rows is None else last.contact_rows[:0]
+    energy = replace(last.energy, translational=0.0, rotational=0.0, gravitational=0.0, field=0.0)
+    changed: dict[str, Any] = {"step": step, "time": time, "dt": time - last.time, "previous_dt": time - last.time}
+    changed |= {"contacts": empty_graph(), "contact_rows": rows, "energy": energy, "events": (), "dt_limit": "engine"}
+    changed |= {"momentum": np.zeros(3), "angular_momentum": np.zeros(3), "momentum_error": None}
+    changed |= {"angular_momentum_error": None, "slot": None, "present": np.empty(0, np.int64)}
+    return PartialFrame(**values | changed)
 
 
 def _renumbered(rows: Records, ends: IntArray) -> Records:

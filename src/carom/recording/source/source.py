@@ -102,7 +102,9 @@ class State:
     ids: Any = None
     mass: Any = None  # (n,) kg and m, with ids: needed in states with new bodies; a body whose mass or radius changes
     radius: Any = None  # ends, and another begins
-    names: Any = None  # (n,) with ids: names of the bodies; only those of new bodies are used
+    names: Any = None  # (n,) with ids, as in `Model`, or empty; these three are read for new bodies only
+    fixed: Any = None
+    judged: Any = None
 
 
 class Source(Protocol):
@@ -187,8 +189,8 @@ def setup_of(model: Model, first: State) -> Setup:
         radius=drawn,
         inertia=np.maximum(inertia, np.finfo(np.float64).tiny),
         names=names,
-        fixed=_flags(engine, "fixed", model.fixed, n, False),
-        judged=_flags(engine, "judged", model.judged, n, True),
+        fixed=flags_of(engine, "fixed", model.fixed, n, False),
+        judged=flags_of(engine, "judged", model.judged, n, True),
         gravity=array_of(engine, "gravity", model.gravity, (3,)),
         constant=_not_negative(engine, "constant", model.constant),
         softening=_not_negative(engine, "softening", model.softening),
@@ -262,7 +264,8 @@ def _column(engine: str, name: str, values: Any, n: int | None = None) -> FloatA
     return array
 
 
-def _flags(engine: str, name: str, values: Any, n: int, default: bool) -> BoolArray:
+def flags_of(engine: str, name: str, values: Any, n: int, default: bool) -> BoolArray:
+    """Return a flag for each body."""
     if values is None:
         return np.full(n, default)
     given = np.array(values, dtype=object)
@@ -301,7 +304,8 @@ def _planes(engine: str, planes: Sequence[Plane]) -> HalfSpaces:
 
 
 _LEAST, _MOST = np.minimum.reduce, np.maximum.reduce  # the methods `min` and `max` would call Python code
-_ARRAYS = ("position", "velocity", "orientation", "angular_velocity")
+_WIDTHS = {"position": 3, "velocity": 3, "orientation": 4, "angular_velocity": 3}
+_ARRAYS = tuple(_WIDTHS)
 
 _Floats = NDArray[np.floating[Any]]
 
@@ -357,13 +361,13 @@ class StateMemory:
     def _take_bodies(self, state: State) -> None:
         """Copy the ids, sizes and names of a state's bodies, and fit the memory to their number."""
         own = self.state
-        for name in ("ids", "mass", "radius", "names"):
+        for name in ("ids", "mass", "radius", "names", "fixed", "judged"):
             values = getattr(state, name)
             setattr(own, name, None if values is None else np.array(values))
         count = np.shape(state.position)[:1]
         if count and count != own.position.shape[:1]:
             there = [name for name in _ARRAYS if getattr(own, name) is not None]
-            like = {name: np.empty((*count, *getattr(own, name).shape[1:])) for name in there}
+            like = {name: np.empty((*count, _WIDTHS[name])) for name in there}
             other = StateMemory.like(State(own.time, **like))
             self.block = other.block
             for name in like:
@@ -376,8 +380,8 @@ class StateMemory:
         # float32
         return (
             -LARGEST <= self.state.time <= LARGEST
-            and float(_LEAST(self.block, None)) >= -LARGEST
-            and float(_MOST(self.block, None)) <= LARGEST
+            and (self.block.size == 0 or float(_LEAST(self.block, None)) >= -LARGEST)
+            and (self.block.size == 0 or float(_MOST(self.block, None)) <= LARGEST)
         )
 
 
