@@ -258,3 +258,21 @@ def test_a_part_of_a_snapshot_is_refused_and_comoving_numbers_are_said(tmp_path:
     write_snapshot(tmp_path / "comoving.hdf5", Omega0=0.3)
     notes = scene_of(tmp_path, "comoving.hdf5", "radius = 0.01", NO_GRAVITY).notes[0]
     assert any("its lengths are comoving" in note for note in notes)
+
+
+def test_hostile_particle_files_are_refused_before_they_are_parsed(tmp_path: Path) -> None:
+    h5py = pytest.importorskip("h5py")
+    head = "title\n\n{} atoms\n1 atom types\n\nAtoms # sphere\n\n1 1 1.0 1.0 0 0 0\n"
+    (tmp_path / "many.data").write_text(head.format(10**12), encoding="utf-8")
+    assert "1000000000000 rows are too many" in refusal(tmp_path, "many.data")
+    (tmp_path / "short.data").write_text(head.format(3), encoding="utf-8")
+    assert "its header states 3 atoms, but its section Atoms has 1" in refusal(tmp_path, "short.data")
+    (tmp_path / "lines.data").write_text(head.format(1) + "\n" * 50_000, encoding="utf-8")
+    assert "50008 lines are too many for 1 stated atoms" in refusal(tmp_path, "lines.data")
+    (tmp_path / "title.data").write_text("title\n", encoding="utf-8")
+    assert 'no line such as "100 atoms" in its header' in refusal(tmp_path, "title.data")
+    (tmp_path / "deep.vtp").write_text("<a>" * 200_000, encoding="utf-8")
+    assert "more than 100000 tags" in refusal(tmp_path, "deep.vtp")
+    with h5py.File(tmp_path / "deep.h5", "w") as file:
+        file.create_group("/".join(["group"] * 300))
+    assert "paths too long to be read" in refusal(tmp_path, "deep.h5")

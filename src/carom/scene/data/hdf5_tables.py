@@ -24,6 +24,8 @@ from carom.scene.data.formats import (
 )
 
 _MOST_DATASETS = 10_000
+_MOST_NODES = 20_000  # groups and datasets; looking through them takes half a second
+_LONGEST_PATH = 1000  # characters; HDF5 takes a time that grows as the square of the depth
 _HEADER = "Header"  # group in Gadget's snapshots, and in those of AREPO, GIZMO and SWIFT
 _OF_TYPE = re.compile(r"PartType(\d)/\w+")
 _MASSES = "Masses"
@@ -37,9 +39,12 @@ def open_hdf5(path: Path, called: str, snapshot: int) -> DataTable:
     except ModuleNotFoundError:
         raise SceneError(f"{called}: HDF5 needs h5py: {install_extra('hdf5')}") from None
     with h5py.File(path, "r") as file:
-        names = list[str]()
+        names, visited = list[str](), [0]
 
         def add(name: str | bytes, node: Any) -> bool | None:
+            visited[0] += 1
+            if visited[0] > _MOST_NODES or len(name) > _LONGEST_PATH:
+                raise SceneError(f"{called}: more than {_MOST_NODES} groups and datasets, or paths too long to be read")
             if isinstance(name, str) and isinstance(node, h5py.Dataset) and node.ndim:  # bytes: not UTF-8
                 names.append(name)
             return True if len(names) > _MOST_DATASETS else None

@@ -32,6 +32,9 @@ from carom.scene.data.text_rows import TextRows
 _STEP = b"ITEM: TIMESTEP"
 _UNITS = {"si": "m, s, kg", "cgs": "cm, s, g"}  # names of units in LAMMPS and in carom
 _MOST_STEPS = 10_000_000
+_COUNT = re.compile(rb"^\s*([0-9]{1,18})\s+atoms\b", re.MULTILINE)  # in the header of a data file
+_HEAD = 10_000  # bytes of a data file that have its header
+_LINES = 20  # lines of a data file per atom, with bonds, angles and dihedrals
 
 
 def open_dump(path: Path, called: str, snapshot: int) -> DataTable:
@@ -142,7 +145,14 @@ _COLUMNS = {  # of the section Atoms, by style
 def open_data(path: Path, called: str, snapshot: int) -> DataTable:
     """Open a data file: its sections Atoms, Velocities and Masses."""
     refuse_large(called, "file", path.stat().st_size)
-    sections = _sections(path.read_text(encoding="utf-8", errors="surrogateescape").splitlines())
+    content = path.read_bytes()
+    stated = _COUNT.search(content[:_HEAD])
+    if stated is None:
+        raise SceneError(f'{called}: no line such as "100 atoms" in its header, which a data file of LAMMPS has')
+    refuse_many_rows(called, int(stated[1]))
+    if (lines := content.count(b"\n")) > _LINES * (int(stated[1]) + 1000):
+        raise SceneError(f"{called}: {lines} lines are too many for {int(stated[1])} stated atoms: it is damaged")
+    sections = _sections(content.decode("utf-8", "surrogateescape").splitlines())
     if "Atoms" not in sections:
         raise SceneError(f'{called}: no section "Atoms", which a data file of LAMMPS has')
     atoms = sections["Atoms"]
@@ -152,7 +162,11 @@ def open_data(path: Path, called: str, snapshot: int) -> DataTable:
             f'{called}: line {atoms.line}: write the atom style after the title, such as "Atoms # sphere"; carom reads '
             f"{styles}"
         )
-    refuse_many_rows(called, len(atoms.rows))
+    if len(atoms.rows) != int(stated[1]):
+        raise SceneError(
+            f"{called}: its header states {int(stated[1])} atoms, but its section Atoms has {len(atoms.rows)}; the "
+            "file ends early, or is damaged"
+        )
     table = _rows(called, _COLUMNS[atoms.style].split(), atoms, optional=("ix", "iy", "iz"))
     arrays = table.read([name for name in table.names if name not in ("ix", "iy", "iz")])
     order = np.argsort(numbers_of(called, "id", arrays["id"]), kind="stable")

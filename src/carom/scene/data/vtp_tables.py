@@ -35,6 +35,9 @@ class _Blocks(NamedTuple):
     raw: bool  # whether the appended data are not in base64
 
 
+_MOST_TAGS = 100_000
+
+
 def open_vtp(path: Path, called: str, snapshot: int) -> DataTable:
     """Open a VTK XML file, which has one step."""
     stored = path.stat().st_size
@@ -45,6 +48,8 @@ def open_vtp(path: Path, called: str, snapshot: int) -> DataTable:
     text = content[: found.start()] + b"</VTKFile>" if found else content
     if b"<!" in text.replace(b"<!--", b""):
         raise SceneError(f"{called}: a document type or an entity in it, which no VTK file needs")
+    if text.count(b"<") > _MOST_TAGS:
+        raise SceneError(f"{called}: more than {_MOST_TAGS} tags, which no VTK file of points needs")
     root = ElementTree.fromstring(text)
     if root.tag != "VTKFile" or root.get("type") not in ("PolyData", "UnstructuredGrid"):
         raise SceneError(
