@@ -23,7 +23,7 @@ from carom.physics.space import Space
 from carom.recording.read.continuation import Continuation
 from carom.recording.read.recorded_impacts import RecordedImpacts
 from carom.recording.read.recording import Recording
-from carom.recording.schema.header import Header, Scalar, ShownMaterials, SweepMember
+from carom.recording.schema.header import Header, Scalar, ShownMaterials, SweepMember, motions_of
 from carom.recording.write.recorder import FrameRecorder
 from carom.recording.write.whole_file import Claim
 from carom.runs.environment import environment
@@ -355,6 +355,7 @@ def header_of(space: Space) -> Header:
         check_interval=space.check_interval,
         promises=scene.promise is not None,
         drives=bool(scene.translating) or any(wall.moves for wall in scene.wall),
+        motions=motions_of(scene),
         has_driving_field=any(scene.driving_field),
         shear=scene.domain.shear,
         shortest_dt_hint=space.first_dt,

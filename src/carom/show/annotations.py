@@ -34,7 +34,7 @@ def field_arrows(
 ) -> Iterator[Static]:
     """Draw a uniform field as an arrow at the upper border of the view, and the axes of space at the lower border.
 
-    Each is on the left, unless it would cover less on the right.
+    Each is on the left, unless it would cover less on the right; in a corner with a legend, beside it.
 
     Parameters
     ----------
@@ -53,12 +53,14 @@ def field_arrows(
     reach = np.array([_LETTER * (len(text) + 1) / area.height, _LENGTH])  # half of the label and of the arrow
     origins = []
     for middle, extent, start in ((0.84 - _LENGTH, reach, 0.84), (-0.72, np.full(2, 1.5 * _LENGTH), -0.72)):
-        sides = [np.array([side * 0.72 * area.aspect, middle]) for side in (-1.0, 1.0)]
-        covered = [float(np.all(np.abs(places - side) < extent + sizes, axis=1).sum()) for side in sides]
+        aside = np.zeros(2)  # by how far the legend displaces it on each side
         if legend is not None and legend[1] * start > 0.0:
-            covered[int(legend[0] > 0)] = np.inf
-        x = sides[int(covered[1] < covered[0])][0]
-        origins.append(view.target + 0.5 * height * (x * right + start * up))
+            aside[int(legend[0] > 0)] = -2.0 * legend[1] * area.inset_share[1]
+        sides = [np.array([x * 0.72 * area.aspect, middle + down]) for x, down in zip((-1.0, 1.0), aside, strict=True)]
+        covered = [np.all(np.abs(places - side) < extent + sizes, axis=1).sum() for side in sides]
+        chosen = int(covered[1] < covered[0]) if covered[0] != covered[1] else int(aside[0] != 0.0)
+        x, y = sides[chosen][0], start + aside[chosen]
+        origins.append(view.target + 0.5 * height * (x * right + y * up))
     top, corner = origins
     vectors = np.vstack([length * field / size, 0.6 * length * np.eye(3)])
     theme = area.theme

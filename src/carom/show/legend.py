@@ -9,18 +9,21 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import astuple, dataclass, replace
+from itertools import product
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
 import rerun as rr
 import rerun.blueprint as rrb
 
 from carom.arrays import ColourArray, FloatArray
 from carom.physics.frame import Frame
-from carom.recording.layout import colouring, drawing
+from carom.recording.layout import bodies_view, colouring, drawing
 from carom.recording.layout.camera import View
 from carom.recording.layout.canvas import LEGEND, Area
 from carom.recording.layout.drawing import REACH, magnitude_at, shape, single
+from carom.recording.read.recording import Recording
 from carom.recording.schema import palette, paths
 from carom.recording.schema.header import STATIC_COLOURS, Header
 from carom.recording.write.encoder import SPEED
@@ -56,7 +59,7 @@ class LegendLine:
 
 
 @dataclass(frozen=True, slots=True)
-class Drawn:
+class LegendContents:
     """What there is to explain, at the moment of a picture or during the run."""
 
     contacts: bool = False
@@ -66,9 +69,9 @@ class Drawn:
     torques: bool = False
     trails: bool = False
 
-    def __or__(self, other: Drawn) -> Drawn:
+    def __or__(self, other: LegendContents) -> LegendContents:
         """Return what one of both has."""
-        return Drawn(*(one or another for one, another in zip(astuple(self), astuple(other), strict=True)))
+        return LegendContents(*(one or another for one, another in zip(astuple(self), astuple(other), strict=True)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,6 +80,19 @@ class Legend:
 
     entries: Sequence[LegendLine]
     theme: str = "dark"
+
+    def wrapped(self, width: float) -> Legend:
+        """Return the lines, of which none is wider than a view of this width (points), unless by a single word."""
+        found = list[LegendLine]()
+        for entry in self.entries:
+            line, *words = entry.text.split(" ")
+            for word in words:
+                if replace(entry, text=f"{line} {word}").width + 2.0 * _MARGIN > width and line.strip("→—■ "):
+                    found.append(replace(entry, text=line))
+                    line = "    "
+                line = f"{line} {word}"
+            found.append(replace(entry, text=line))
+        return replace(self, entries=found)
 
     def of(self, view: str) -> Legend:
         """Return the lines about one view."""
@@ -116,7 +132,7 @@ class Legend:
         return np.array([(_MARGIN + 0.5 * each.width, _MARGIN + _ROW * k) for k, each in enumerate(self.entries)])
 
     def _labels(self) -> dict[str, Any]:
-        colours = palette.legible([entry.colour for entry in self.entries], self.theme)
+        colours = palette.readable([entry.colour for entry in self.entries], self.theme)
         return {"labels": [entry.text for entry in self.entries], "colors": colours, "show_labels": True}
 
 
@@ -126,9 +142,10 @@ def legend(
     colours: ColourArray | None,
     references: Mapping[str, float],
     frame: Frame | None,
-    drawn: Drawn,
+    drawn: LegendContents,
     *,
     named: bool = False,
+    viewer_time: str = "",
     spins: FloatArray | None = None,
     field: FloatArray | None = None,
     theme: str = "dark",
@@ -151,6 +168,8 @@ def legend(
         What there is to explain.
     named
         Whether all bodies have their names beside them in the view of the bodies.
+    viewer_time
+        How the viewer's times are related to the scene's unit of time.
     spins
         (b, 3) rad/s of the bodies of the close-up, if there is one.
     field
@@ -169,6 +188,8 @@ def legend(
     if field is not None and np.any(field):
         size = header.units.text(float(np.linalg.norm(field)), dimension.ACCELERATION, ".4g")
         lines.append(LegendLine(f"→ gravity, {size}", palette.FIELD))
+    if viewer_time:
+        lines.append(LegendLine(f"time: {viewer_time}", palette.GREY))
     return Legend(lines, theme)
 
 
@@ -215,13 +236,16 @@ def _groups(header: Header, colours: ColourArray) -> Iterator[LegendLine]:
         members = np.flatnonzero(header.group == group)
         name = names[int(members[0])].rstrip(" 0123456789-_#") or f"group {group}"
         yield LegendLine(f"■ {name}, {len(members)} bodies, in shades", known[int(members[0])], _SPACE)
+    for table in groups[groups < -1].tolist():
+        members = np.flatnonzero(header.group == table)
+        yield LegendLine(f"■ {len(members)} bodies of a file, in shades", known[int(members[0])], _SPACE)
     single = np.flatnonzero(header.group == -1)
     yield from (LegendLine(f"■ {names[k] or f'body {k}'}", known[k], _SPACE) for k in single[:MOST_NAMED].tolist())
     if len(single) > MOST_NAMED:
         yield LegendLine(f"and {len(single) - MOST_NAMED} more, in other shades", palette.GREY, _SPACE)
 
 
-def _edges(header: Header, frame: Frame | None, drawn: Drawn, theme: str) -> Iterator[LegendLine]:
+def _edges(header: Header, frame: Frame | None, drawn: LegendContents, theme: str) -> Iterator[LegendLine]:
     """Explain lines between touching bodies, points at impacts, and arrows of impulses."""
     if drawn.contacts:
         if header.engine or theme == "light":
@@ -265,3 +289,53 @@ def _arrows(header: Header, references: Mapping[str, float]) -> Iterator[LegendL
         one, more = one if first == unit else f"{one} {first}", f"{more} {unit}"  # the line is short
         yield LegendLine(f"→ {name}, beyond the surface:", colour, (GRAPH,))
         yield LegendLine(f"→ 1 radius = {one}, {_LARGE:g} radii = {more}", colour, (GRAPH,))
+
+
+# What is drawn, at a moment or during the whole run: the legend names nothing else.
+
+_AROUND = np.array([v for v in product((-1.0, 0.0, 1.0), repeat=3) if any(v)])
+_AROUND /= np.linalg.norm(_AROUND, axis=1)[:, None]
+_ROUNDING = 1e-9  # of the largest normal impulse; friction below it is rounding, and not drawn
+
+
+def drawn_during(recording: Recording, header: Header) -> LegendContents:
+    """Return what is drawn at some time of a run; ``header`` is that of its layout."""
+    records = header.records_contacts
+    impacts = records and any(entry.rows for entry in recording.store.frames_of(paths.IMPACTS))
+    rubs = records and header.has_friction and _has_arrows(recording, paths.FORCE_FRICTION)
+    torques = header.has_torque and _has_arrows(recording, paths.TORQUE)
+    return LegendContents(header.collides, records, rubs, impacts, torques)
+
+
+def _has_arrows(recording: Recording, path: str) -> bool:
+    """Return whether a recorded arrow of an entity has a length."""
+    entries = [entry for entry in recording.store.entries if entry.entity_path == path and not entry.is_static]
+    for chunk in recording.chunks(entries):
+        vectors: pa.Array = chunk.batch["Arrows3D:vectors"].flatten().flatten()
+        if np.any(vectors.to_numpy()):
+            return True
+    return False
+
+
+def drawn_at(frame: Frame, header: Header) -> LegendContents:
+    """Return what is drawn at the end of a step, or at an instant, but for points of impacts."""
+    rows = frame.contact_rows if header.records_contacts else None
+    largest = 0.0 if rows is None or not len(rows) else float(rows["normal_impulse"].max())
+    rubs = False
+    if rows is not None and largest > 0.0 and header.has_friction:
+        friction = np.stack([rows["friction_x"], rows["friction_y"], rows["friction_z"]])
+        rubs = bool(np.abs(friction).max() > _ROUNDING * largest)
+    torques = header.has_torque and frame.torque is not None and bool(np.any(frame.torque))
+    return LegendContents(len(frame.contacts.pairs) > 0, largest > 0.0, rubs, torques=torques)
+
+
+def impact_marks(recording: Recording, header: Header, moment: float | None = None) -> FloatArray:
+    """Return points (k, 3) m around the points that views draw at impacts, at a time (s) or during the whole run."""
+    if not header.records_contacts:
+        return np.zeros((0, 3))
+    since = None if moment is None else max(0.0, moment - bodies_view.OF_LATE * header.duration)
+    table = recording.impacts(since, moment)
+    places = np.stack([table[axis].to_numpy() for axis in "xyz"], axis=1) - recording.origin
+    reference = recording.arrow_references.get(paths.IMPACTS, 1.0)
+    radii = drawing.point_radii(header.radius)[drawing.level(table["normal_impulse"].to_numpy(), reference)]
+    return np.asarray(places[:, None] + radii[:, None, None] * _AROUND, dtype=np.float64).reshape(-1, 3)

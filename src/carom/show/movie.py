@@ -8,25 +8,29 @@ from collections import deque
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack
+from dataclasses import replace
 from itertools import cycle
 
 import numpy as np
 
 from carom.arrays import FloatArray
 from carom.errors import RecordingError
-from carom.recording.layout.blueprint import ALL, CLOSE_UP, blueprint
-from carom.recording.layout.camera import CameraMotion
+from carom.recording.layout.blueprint import ALL, CLOSE_UP, as_happened, blueprint, bodies_area, legend_area
+from carom.recording.layout.bodies_view import bodies_eye, graph_eye
+from carom.recording.layout.camera import CORNERS, FEW, CameraMotion, free_corner
 from carom.recording.layout.canvas import Additions, Canvas
 from carom.recording.read.frame_rows import RecordedPositions
 from carom.recording.read.recorded_scene import header_of_recording, recorded_curves
 from carom.recording.read.recording import Recording
 from carom.recording.schema.paths import STEP
-from carom.recording.schema.time_scale import TimeScale
+from carom.recording.schema.time_scale import TimeScale, viewer_time
 from carom.recording.write.static_entities import arrow_styles
 from carom.scene.units.dimension import TIME
-from carom.show.body_colours import body_colours, redrawn_for, trail_colours
+from carom.show.annotations import field_arrows
+from carom.show.body_colours import body_colours, change_with_time, redrawn_for, trail_colours
+from carom.show.legend import GRAPH, LegendContents, drawn_during, impact_marks, legend
 from carom.show.picture import headless, stable_picture, window_of
-from carom.show.presentation import asked
+from carom.show.presentation import asked, uniform_field
 from carom.show.request import Request
 from carom.show.staging import Staging, decades, impact_strip, whole_span
 from carom.show.supplement import Supplement
@@ -36,6 +40,7 @@ FORMATS = (".mp4", ".gif")
 
 _MOST_VIEWERS = 4
 _FRAMES_EACH = 20  # pictures for which starting another viewer, which takes seconds, pays
+_LOOKS = 50  # frames among which a legend finds a free corner
 _LIMIT = 60.0  # s, in which a picture must settle
 
 
@@ -209,18 +214,51 @@ def _layout(
     impulses, strip, bands = impact_strip(recording)
     curves |= impulses
     logarithms, drawn_logarithms, styles = decades(recording, header, curves)
+    by, theme = header.coloured_by, canvas.theme
+    bodies = None
+    if recoloured or not change_with_time(header, by):
+        bodies = body_colours(recording, header, by).on(theme)
+    laid_out, field = as_happened(header, curves), uniform_field(recording, header)
+    marks = impact_marks(recording, header) if header.bodies <= FEW else np.zeros((0, 3))
+    contents = drawn_during(recording, laid_out)
+    references = {name: float(value) for name, value in recording.arrow_references.items()}
+    fixed = None if bodies is None else bodies.fixed
+    note = viewer_time(header.units, clock)
+    contents |= LegendContents(trails=staging.trails is not None)
+    words = legend(*(laid_out, by, fixed, references, None, contents), viewer_time=note, field=field, theme=theme)
     added = Additions(
         trails=staging.trails is not None,
         recoloured=recoloured,
+        legend=words,
         struck=bool(strip),
         decades=logarithms,
         span=clock.nanoseconds(whole_span(recording)),
+        marks=marks,
+        viewer_time=note,
     )
+    area = bodies_area(laid_out, canvas, view, close=False)
+    statics = [*bands, *styles, *staging.statics(), *arrow_styles(header, theme)]
+    seen = bodies_eye(staging.camera, area, added)
+    if view == ALL:
+        statics += words.wrapped(legend_area(laid_out, canvas, close=False).width).statics()
+    if seen.motion is CameraMotion.STILL:  # otherwise what stands in a corner would leave it
+        added = replace(added, inset=words.of(view).size)
+        area = replace(area, inset=added.inset)
+        seen = bodies_eye(staging.camera, area, added)
+        if view == GRAPH:
+            seen = graph_eye(header, staging.camera, area, added)
+        some = np.concatenate(positions[:: max(1, len(positions) // _LOOKS)])
+        radius = np.resize(header.radius, len(some))
+        corner = free_corner(seen, area.aspect, area.inset_share, some, radius) or CORNERS[0]
+        statics += words.of(view).inside(seen, area, corner)
+        if field is not None:
+            statics += field_arrows(header, seen, area, field, some, radius, corner if added.inset[0] else None)
+            added = replace(added, field=True)
     layout = blueprint(header, staging.camera, curves, canvas, view, added)
     drawn = [*strip, *drawn_logarithms, *staging.rows(), *staging.camera_rows(layout, steps, moments, positions)]
-    if recoloured:
-        drawn.append(body_colours(recording, header, header.coloured_by).on(canvas.theme).rows(header))
-    return Supplement(layout, clock, drawn, [*bands, *styles, *staging.statics(), *arrow_styles(header, canvas.theme)])
+    if recoloured and bodies is not None:
+        drawn.append(bodies.rows(header))
+    return Supplement(layout, clock, drawn, statics)
 
 
 def _extent(position: FloatArray) -> float:

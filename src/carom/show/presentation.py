@@ -19,6 +19,7 @@ from carom.recording.layout.blueprint import (
     blueprint,
     bodies_area,
     close_up_area,
+    legend_area,
 )
 from carom.recording.layout.bodies_view import FIELD, bodies_eye, graph_eye
 from carom.recording.layout.camera import CORNERS, FEW, CameraMotion, free_corner
@@ -31,7 +32,7 @@ from carom.recording.read.recording import Recording
 from carom.recording.schema import paths
 from carom.recording.schema.header import Header
 from carom.recording.schema.paths import STEP
-from carom.recording.schema.time_scale import TimeScale
+from carom.recording.schema.time_scale import TimeScale, viewer_time
 from carom.recording.write.encoder import BatchEncoder, state_rows
 from carom.recording.write.rows import NO_STEPS, Index, Rows
 from carom.recording.write.static_entities import arrow_styles
@@ -40,8 +41,7 @@ from carom.show.annotations import field_arrows, names_that_fit
 from carom.show.body_colours import body_colours, change_with_time, recorded_colours, redrawn_for, trail_colours
 from carom.show.body_plots import BodyPlots, asked_quantities, body_series
 from carom.show.close_up import close_up
-from carom.show.drawn import drawn_at, drawn_during, impact_marks
-from carom.show.legend import GRAPH, Drawn, legend
+from carom.show.legend import GRAPH, LegendContents, drawn_at, drawn_during, impact_marks, legend
 from carom.show.request import NamedEvent, Pair, Request, hardest_pair, named_event, named_pair, pair_of_step
 from carom.show.shown_step import ShownStep, Watcher, at_impact, shown_step
 from carom.show.staging import Staging, decades, impact_strip, whole_span
@@ -201,19 +201,20 @@ def presentation(
     laid_out = as_happened(header, curves)
     has_trails = staging.trails is not None
     marks = impact_marks(recording, header, paused.time)
-    contents = Drawn() if canvas.rendered else drawn_during(recording, laid_out)
+    contents = LegendContents() if canvas.rendered else drawn_during(recording, laid_out)
     if paused.frame is not None:  # a repeated step may have what no frame has
         contents |= drawn_at(paused.frame, laid_out)
     elif canvas.rendered:
         contents = drawn_during(recording, laid_out)
-    contents |= Drawn(impacts=len(marks) > 0, trails=has_trails)
-    field, spins = _field(recording, header), None if close is None else close.spin
+    contents |= LegendContents(impacts=len(marks) > 0, trails=has_trails)
+    field, spins = uniform_field(recording, header), None if close is None else close.spin
     area = bodies_area(laid_out, canvas, only, close is not None)
     plain = staging.camera.view(area.aspect, narrow=area.rendered)
     named = names_that_fit(header, step.position, plain, area)
     words = legend(
         *(laid_out, by, fixed, references, paused.frame, contents),
         named=bool(named) and all(named),
+        viewer_time=viewer_time(header.units, clock),
         spins=spins,
         field=field,
         theme=canvas.theme,
@@ -234,7 +235,7 @@ def presentation(
         corner = free_corner(seen, area.aspect, area.inset_share, visible, radius) or CORNERS[0]
         statics += words.of(only).inside(seen, area, corner)
     elif only == ALL:
-        statics += words.statics()
+        statics += words.wrapped(legend_area(laid_out, canvas, close is not None).width).statics()
     if field is not None and seen.motion is CameraMotion.STILL:
         statics += field_arrows(header, seen, area, field, visible, radius, corner)
     statics += arrow_styles(header, canvas.theme)
@@ -246,6 +247,7 @@ def presentation(
     added = replace(
         added,
         named=names_that_fit(header, step.position, seen, area),
+        viewer_time=viewer_time(header.units, clock),
         field=any(path == FIELD for path, _ in statics),
         struck=bool(strip),
         decades=logarithms,
@@ -255,7 +257,7 @@ def presentation(
     return Presentation(paused.time, step.missing, Supplement(layout, clock, rows, statics))
 
 
-def _field(recording: Recording, header: Header) -> FloatArray | None:
+def uniform_field(recording: Recording, header: Header) -> FloatArray | None:
     """Return the uniform field (3,) m/s² of a recording; None if it has none, or its scene cannot be read."""
     if UNIFORM_FIELD.name not in header.forces or not recording.scene_toml:
         return None

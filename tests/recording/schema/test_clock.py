@@ -2,7 +2,8 @@ import numpy as np
 import pytest
 
 from carom.errors import RecordingError
-from carom.recording.schema.time_scale import TimeScale
+from carom.recording.schema.time_scale import TimeScale, viewer_time
+from carom.scene.units.system import SI, UnitSystem
 
 
 def test_an_ordinary_scene_is_shown_in_plain_seconds() -> None:
@@ -47,3 +48,17 @@ def test_an_unknown_duration_needs_no_scale() -> None:
 def test_a_time_that_does_not_fit_is_refused(time: float) -> None:
     with pytest.raises(RecordingError, match="does not fit"):
         TimeScale().nanoseconds([time])
+
+
+@pytest.mark.parametrize(
+    ("units", "scale", "note"),
+    [
+        (SI, 1.0, ""),
+        (SI, 1e3, "+1s is 1000 s"),
+        (UnitSystem.of_table({"time": "year"}), 1.0, "1 year is +365.25d"),
+        (UnitSystem.of_table({"time": "ms"}), 1.0, "1 ms is +0.001s"),
+        (UnitSystem.of_table({"length": "mm"}), 1.0, ""),
+    ],
+)
+def test_the_times_of_the_viewer_are_related_to_the_scenes_unit(units: UnitSystem, scale: float, note: str) -> None:
+    assert viewer_time(units, TimeScale(scale)) == note

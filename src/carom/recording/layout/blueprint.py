@@ -98,6 +98,11 @@ def bodies_area(header: Header, canvas: Canvas, only: str, close: bool) -> Area:
     return _areas(canvas, _shares(header, close, True))[0] if only == ALL else canvas.area()
 
 
+def legend_area(header: Header, canvas: Canvas, close: bool) -> Area:
+    """Return the area of the legend in a layout of all views."""
+    return _areas(canvas, _shares(header, close, True))[-1]
+
+
 def _shares(header: Header, close: bool, legend: bool) -> list[float]:
     """Return the widths of the 3D views and of the legend."""
     return [3.0, *([2.2] if has_graph(header) else []), *([2.0] if close else []), *([1.7] if legend else [])]
@@ -125,7 +130,7 @@ def _all(header: Header, camera: CameraFit, curves: Curves | None, canvas: Canva
         rrb.Horizontal(*views, column_shares=shares),
         *([] if added.plots is None else [rrb.Horizontal(*added.plots.views(plots))]),
         rrb.Horizontal(*plot_views(header, curves, plots, added)),
-        rrb.Horizontal(_texts(), _states(canvas, added), column_shares=[3, 2]),
+        rrb.Horizontal(_texts(added), _states(canvas, added), column_shares=[3, 2]),
         row_shares=heights,
     )
 
@@ -157,9 +162,10 @@ def _single(
             return energy_view(header, curves, canvas.area(), added.span)
 
 
-def _texts() -> rrb.Container:
+def _texts(added: Additions) -> rrb.Container:
+    name = f"Events ({added.viewer_time})" if added.viewer_time else "Events"
     return rrb.Tabs(
-        rrb.TextLogView(name="Events", origin=paths.EVENTS, columns=_event_columns()),
+        rrb.TextLogView(name=name, origin=paths.EVENTS, columns=_event_columns()),
         rrb.TextDocumentView(name="Scene", origin=paths.SCENE, contents=[paths.SCENE]),
         rrb.TextDocumentView(name="Scene file", origin=paths.SCENE_TOML),
     )

@@ -114,7 +114,13 @@ def _points(radii: SingleArray, centres: str, colours: str) -> VisualizerLike:
 
 def bodies_eye(camera: CameraFit, area: Area, added: Additions) -> View:
     """Return the camera of `bodies_view`."""
-    return camera.view(area.aspect, narrow=area.rendered, tips=added.marks, inset=area.inset_share)
+    return camera.view(
+        area.aspect,
+        narrow=area.rendered,
+        tips=added.marks,
+        inset=area.inset_share,
+        pictured=added.moment,
+    )
 
 
 def bodies_view(header: Header, camera: CameraFit, area: Area, added: Additions = NONE) -> rrb.Spatial3DView:

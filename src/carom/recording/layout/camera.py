@@ -127,6 +127,7 @@ class _Frame:
     tips: FloatArray
     moment: bool
     inset: tuple[float, float]
+    pictured: bool
 
 
 class CameraFit:
@@ -254,6 +255,7 @@ class CameraFit:
         tips: FloatArray | None = None,
         moment: bool = False,
         inset: tuple[float, float] = (0.0, 0.0),
+        pictured: bool = False,
     ) -> View:
         """Return a view of the first moment and, unless bodies would be too small, of all others.
 
@@ -273,10 +275,14 @@ class CameraFit:
             Whether the picture shows the first moment alone.
         inset
             Width and height of a legend, as fractions of those of the picture. One of its corners has room for it.
+        pictured
+            Whether the legend may be where bodies are at other moments.
         """
         has_paths = trails and self.is_few
         ends = tips if tips is not None and self.is_few else np.zeros((0, 3))
-        frame = _Frame(aspect, room, narrow, has_paths, ends, moment and not has_paths, inset)
+        frame = _Frame(
+            aspect, room, narrow, has_paths, ends, moment and not has_paths, inset, pictured and not has_paths
+        )
         if self.motion is not None:
             return self._view(frame, self.motion)
         view = self._view(frame, CameraMotion.STILL)
@@ -303,7 +309,8 @@ class CameraFit:
         wide, tall = frame.inset
         if wide == 0.0:
             return view
-        others, radii = (self._first, self._first_radius) if frame.moment else self._around(view.motion)
+        now = frame.moment or frame.pictured
+        others, radii = (self._first, self._first_radius) if now else self._around(view.motion)
         places = np.concatenate([self._first, others, frame.tips])
         sizes = np.concatenate([self._first_radius, radii, np.zeros(len(frame.tips))])
         if free_corner(view, frame.aspect, frame.inset, places, sizes) is not None:

@@ -18,7 +18,7 @@ from carom.arrays import FloatArray, IntArray
 from carom.recording.layout.camera import SLOPE, CameraMotion, View, screen
 from carom.recording.schema import palette, paths
 from carom.recording.schema.header import Header
-from carom.recording.schema.paths import PERIODIC_BOX, PLANES, SHAPES, WALLS
+from carom.recording.schema.paths import MOVING, PERIODIC_BOX, PLANES, SHAPES, WALLS
 
 if TYPE_CHECKING:
     from carom.recording.layout.plot_views import Curves
@@ -88,6 +88,7 @@ class Additions:
     tips: FloatArray | None = None  # (k, 3) m, of the arrows that are drawn at the moment
     marks: FloatArray | None = None  # (k, 3) m, around the points of impacts that are drawn
     inset: tuple[float, float] = (0.0, 0.0)  # points, width and height of the legend inside a single view
+    viewer_time: str = ""  # how the viewer's times are related to the scene's unit of time, if they are not the same
     span: IntArray | None = None  # (2,) ns, first and last time of plots that nobody will zoom
 
 
@@ -217,8 +218,9 @@ def spatial_view(
 
 def surroundings(header: Header) -> list[str]:
     """Return the entities of the planes, walls and periodic box of the scene."""
-    parts = ((PLANES, header.planes), (WALLS, header.walls), (SHAPES, header.shapes), (PERIODIC_BOX, header.box))
-    return [path for path, part in parts if part is not None]
+    still = ((PLANES, header.planes), (SHAPES, header.shapes)) if not header.draws_motion else ()
+    parts = (*still, (WALLS, header.walls), (PERIODIC_BOX, header.box))
+    return [*(path for path, part in parts if part is not None), *([f"{MOVING}/**"] if header.draws_motion else [])]
 
 
 def taken_from(sources: Mapping[str, str]) -> list[VisualizerComponentMapping]:

@@ -5,7 +5,7 @@ A recording may come from a stranger, so everything is checked before use.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,7 +16,7 @@ from carom.errors import RecordingError, SceneError
 from carom.recording.layout.plot_views import CurveOutline
 from carom.recording.read.entities import SCALARS, flat
 from carom.recording.schema import paths
-from carom.recording.schema.header import COLOUR_BY, Header, ShownMaterials, scene_digest
+from carom.recording.schema.header import COLOUR_BY, Header, ShownMaterials, motions_of, scene_digest
 from carom.recording.schema.paths import ENERGY, SIM_TIME, STEP, STEPS
 from carom.recording.schema.series import all_series
 from carom.scene.data.body_sources import SourcedBodies, Wanted
@@ -24,6 +24,8 @@ from carom.scene.extensions import missing, names_of, stamped
 from carom.scene.forces import FORCES
 from carom.scene.load import longest_text, scene_from_text
 from carom.scene.schema import Scene
+from carom.scene.schema.motion import WallMotion
+from carom.scene.schema.wall import Wall
 from carom.scene.start import InitialBodies
 
 if TYPE_CHECKING:
@@ -164,12 +166,13 @@ def header_of_recording(recording: Recording) -> Header:
         check_interval=recording.check_interval,
         promises=bool(info.get("promises", False)),
         drives=bool(info.get("drives", False)),
+        motions=_motions(recording),
         has_driving_field=bool(info.get("has_driving_field", False)),
         shear=recording.shear,
         record_impacts="auto" if recording.records_contacts else "none",
         box=np.asarray(info["box"]) if "box" in info else None,
         walls=recording.drawn_box(paths.WALLS) if paths.WALLS in static else None,
-        shapes=() if paths.SHAPES in static else None,
+        shapes=_shapes(recording) if paths.SHAPES in static else None,
         planes=recording.drawn_planes() if paths.PLANES in static else None,
         engine=recording.engine,
         uniform_field=recording.uniform_field,
@@ -177,6 +180,26 @@ def header_of_recording(recording: Recording) -> Header:
         contact_rules=recording.contact_rules,
         drawn_as=str(info.get("drawn_as", "")),
     )
+
+
+def _motions(recording: Recording) -> dict[str, WallMotion]:
+    """Return the motions of its planes and walls; none if this version cannot read the scene."""
+    if not recording.info.get("drives"):
+        return {}
+    try:
+        return motions_of(recorded_scene(recording))
+    except (RecordingError, SceneError):
+        return {}
+
+
+def _shapes(recording: Recording) -> Sequence[Wall]:
+    """Return its walls of other shapes than planes, if they move and this version can read the scene."""
+    if not recording.info.get("drives"):
+        return ()
+    try:
+        return recorded_scene(recording).wall
+    except (RecordingError, SceneError):
+        return ()
 
 
 def _colour_by(info: Mapping[str, Any]) -> str:

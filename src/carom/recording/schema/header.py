@@ -13,13 +13,14 @@ from numpy.typing import NDArray
 
 from carom.arrays import BoolArray, ColourArray, FloatArray, IntArray
 from carom.recording.schema import palette
-from carom.recording.schema.paths import SCHEMA_VERSION
+from carom.recording.schema.paths import MOVING, SCHEMA_VERSION
 from carom.scene.data.body_columns import BodyColumns
 from carom.scene.extensions import PROPERTY
 from carom.scene.forces import FORCES
 from carom.scene.matter import KindOfContact, body_materials, kinds_of_contacts, material_called
 from carom.scene.portable_math import ENDLESS
 from carom.scene.schema import Scene
+from carom.scene.schema.motion import WallMotion
 from carom.scene.schema.shear import Shear
 from carom.scene.schema.wall import Wall
 from carom.scene.start import HalfSpaces
@@ -87,6 +88,7 @@ _FLAGS = {
 }
 _FORCES = {kind.recorded_with: kind for kind in FORCES}
 _PLOTS_IN_UNITS = 3  # first version of the rules of drawing with plots in the units of a scene with [units]
+_MOVING_WALLS = 4  # first version in which planes and walls are drawn where they move
 RECORDED_PARTS = (*_FLAGS, *_FORCES)  # parts of the model on which series depend
 
 
@@ -136,6 +138,7 @@ class Header:
     check_interval: float | None = None  # s, between checks of energy and momentum; None if they are at the frames
     promises: bool = False  # whether it promises an accuracy
     drives: bool = False  # whether a wall moves
+    motions: Mapping[str, WallMotion] = field(default_factory=dict)  # of walls that move, by their entities
     has_driving_field: bool = False  # whether a uniform field has a component along a periodic axis
     shear: Shear | None = None  # of a periodic domain
     record_impacts: Literal["auto", "all", "none"] = "none"  # applies to the contact table, too
@@ -158,7 +161,7 @@ class Header:
     fixed: BoolArray | None = None  # (n,) bodies of another engine that never move; for carom, the scene names them
     drawn_as: str = ""  # the shape of drawn bodies, where it does not follow from their number
     extensions: Mapping[str, str] = field(default_factory=dict)  # versions by name, see `extensions_of`
-    drawing_rules: int = 3  # version of the rules of drawing (docs/recording.md); 1 in the first recordings
+    drawing_rules: int = 4  # version of the rules of drawing (docs/recording.md); 1 in the first recordings
     contact_rules: int = 1  # version of the meaning of `contact.sweeps`, see `Scene.contact_rules`
 
     def models(self, part: str) -> bool:
@@ -178,6 +181,11 @@ class Header:
         if self.drawing_rules < _PLOTS_IN_UNITS or si not in OF_UNIT:
             return 1.0
         return self.units.factor(OF_UNIT[si])
+
+    @property
+    def draws_motion(self) -> bool:
+        """Whether planes and walls are drawn each, where they move."""
+        return self.drives and self.drawing_rules >= _MOVING_WALLS
 
     @property
     def coloured_by(self) -> str:
@@ -219,6 +227,13 @@ class Header:
     def bodies(self) -> int:
         """Number of bodies."""
         return len(self.mass)
+
+
+def motions_of(scene: Scene) -> dict[str, WallMotion]:
+    """Return the motions of planes and walls by their entities."""
+    planes = {f"{MOVING}/plane-{k}": plane.motion for k, plane in enumerate(scene.plane)}
+    walls = {f"{MOVING}/wall-{k}": wall.motion for k, wall in enumerate(scene.wall)}
+    return {path: motion for path, motion in (planes | walls).items() if motion is not None and motion.moves}
 
 
 def scene_digest(text: str) -> str:

@@ -120,6 +120,15 @@ def legible(colours: Iterable[int], theme: str = "") -> NDArray[np.uint32]:
     return result
 
 
+def readable(colours: Sequence[int], theme: str) -> NDArray[np.uint32]:
+    """Return colours of text with a contrast of at least 3 to 1 on the ground of a theme."""
+    if theme == "light":
+        return legible(colours, theme)
+    given, both = np.array(colours, dtype=np.uint32), legible(colours)
+    channels = (np.uint32(0xFF << shift) for shift in (24, 16, 8, 0))
+    return np.asarray(sum(np.maximum(given & channel, both & channel) for channel in channels), dtype=np.uint32)
+
+
 def node_colours(body_colours: IntArray) -> NDArray[np.uint32]:
     """Colours of bodies by their colour in the collision graph; bodies without contacts are grey."""
     cycle = np.array(BODIES, dtype=np.uint32)

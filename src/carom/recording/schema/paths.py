@@ -23,6 +23,7 @@ PLANES = "world/planes"
 PLANE_LINES = 13  # of the grid that shows a plane, in each direction
 WALLS = "world/walls"  # of the domain
 SHAPES = "world/shapes"  # walls of other shapes
+MOVING = "world/moving"  # planes and walls, each an entity, where one of them moves
 PERIODIC_BOX = "world/box"
 TORQUE = "world/torque"
 ANGULAR_ACCELERATION = "world/angular_acceleration"

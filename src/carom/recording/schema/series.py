@@ -344,5 +344,7 @@ def contents(header: Header, needs: Requirements) -> Iterator[Content]:
         yield Content(path, True, why)
     yield Content(paths.PLANES, header.planes is not None, ONCE if header.planes is not None else "no planes")
     yield Content(paths.WALLS, header.walls is not None, ONCE if header.walls is not None else "no walls")
+    moving = header.draws_motion
+    yield Content(paths.MOVING, moving, "planes and walls, each" if moving else "nothing of them moves")
     yield Content(paths.SHAPES, header.shapes is not None, ONCE if header.shapes is not None else "no [[wall]]")
     yield Content(paths.PERIODIC_BOX, header.box is not None, ONCE if header.box is not None else "no periodic box")

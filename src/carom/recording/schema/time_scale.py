@@ -12,6 +12,8 @@ import rerun as rr
 from carom.arrays import FloatArray, IntArray
 from carom.errors import RecordingError
 from carom.recording.schema.paths import IMPACT, SIM_TIME, STEP
+from carom.scene.units.dimension import TIME
+from carom.scene.units.system import UnitSystem
 
 _LONGEST = 9.0e9  # s; 2⁶³ ns are 9.22e9 s, or 292 years
 _COARSEST = 1.0e-6  # s; with shorter steps, times of impact would have fewer than three digits
@@ -66,6 +68,23 @@ class TimeScale:
             shown = self.within(np.asarray(times), ends)
             columns.append(rr.TimeColumn(SIM_TIME, duration=shown.astype("timedelta64[ns]")))
         return [*columns, rr.TimeColumn(IMPACT, sequence=impacts)] if len(impacts) else columns
+
+
+_VIEWER_UNITS = (("d", 86400.0), ("h", 3600.0), ("min", 60.0), ("s", 1.0))
+
+
+def viewer_time(units: UnitSystem, clock: TimeScale) -> str:
+    """Relate the times that the viewer shows, in s, min, h and d, to those of a scene; empty if they are the same."""
+    if units.is_si and clock.scale == 1.0:
+        return ""
+    if units.own or units.is_si:
+        text = units.text(clock.scale, TIME, ".6g")
+        return f"+1s is {text if units.unit(TIME) else f'{text} unit of time'}"
+    name, length = units.unit(TIME), units.factor(TIME) / clock.scale  # s of the viewer
+    if name == "s" and clock.scale == 1.0:
+        return ""
+    unit, size = next((each for each in _VIEWER_UNITS if each[1] <= length), _VIEWER_UNITS[-1])
+    return f"1 {name} is +{length / size:.6g}{unit}"
 
 
 def _positive(value: float) -> bool:

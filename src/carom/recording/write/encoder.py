@@ -59,6 +59,7 @@ from carom.recording.write.rows import (
     plain_column,
     vector_column,
 )
+from carom.recording.write.wall_places import moving_walls, wall_rows
 
 SPEED = "speed"  # in the property `arrows`: the speed (m/s) in the middle of the colours
 
@@ -109,6 +110,7 @@ class BatchEncoder:
             if header.records_contacts
             else None
         )
+        self._walls = moving_walls(header) if header.draws_motion else {}
         self._box = np.zeros(3) if header.box is None else np.asarray(header.box, dtype=np.float64)
 
     def extend(self, header: Header) -> None:
@@ -129,6 +131,7 @@ class BatchEncoder:
         points = np.empty((len(batch), self.header.bodies, 3), dtype=np.float32)
         encoding.cast_positions(position, self.origin, points)
         yield self._bodies(index, batch, store, points)
+        yield from wall_rows(self._walls, index, self.origin)
         if self.header.has_torque:
             yield from self._arrows(index, batch, store, points)
         extremes = np.zeros((len(batch), 3))
@@ -176,6 +179,7 @@ class BatchEncoder:
         turned = [frame.orientation for frame in frames if frame.orientation is not None]
         columns, size = self._drawn(points.reshape(-1, 3), single(np.concatenate(turned)) if turned else None, None)
         yield Rows(BODIES, index, columns, size)
+        yield from wall_rows(self._walls, index, self.origin)
         contacts = BatchContacts(frames)
         edges, size = self._edges(contacts, points, np.zeros((len(found), 3)), index.times.tolist())
         middle = contacts.middles()

@@ -20,13 +20,14 @@ from carom.physics.bodies import Bodies
 from carom.physics.frame import Frame, FrameStore
 from carom.recording.layout.blueprint import blueprint
 from carom.recording.layout.camera import CameraFit
+from carom.recording.layout.canvas import Additions
 from carom.recording.read.continuation import Continuation
 from carom.recording.read.recorded_impacts import RecordedImpacts
 from carom.recording.read.recorded_scene import recorded_curves
 from carom.recording.read.recording import Recording
 from carom.recording.schema.checkpoint_columns import size
 from carom.recording.schema.header import Header, Scalar
-from carom.recording.schema.time_scale import TimeScale
+from carom.recording.schema.time_scale import TimeScale, viewer_time
 from carom.recording.source.population import Lives
 from carom.recording.write.durable_sink import AddressReserve
 from carom.recording.write.encoder import BatchEncoder
@@ -164,7 +165,7 @@ def _bytes_of(frame: Frame) -> int:
 _BATCH_FRAMES = 2048
 _QUEUE_FRAMES = 512
 _SMALL_FRAMES, _SMALL_BYTES = 4096, 16_000_000  # more of few bodies, since a chunk costs 2.4 kB, as 40 scalars do
-_BATCH_SECONDS = 1.0  # s, the frames that a killed run may lose
+_BATCH_SECONDS, _LIVE_SECONDS = 2.0, 1.0  # s, the frames that a killed run may lose, and that a live viewer lags
 _QUEUE_BYTES = 64_000_000
 _LOOK = 1.25  # ratio between the frame counts at two updates of the camera
 _LAID_OUT_AFTER = 1_000_000  # bytes; a smaller recording gets a single blueprint, at the end
@@ -201,7 +202,7 @@ class FrameRecorder:
         small = min(_SMALL_FRAMES, _SMALL_BYTES // frame_bytes)
         room = queue_size or max(1, min(_QUEUE_FRAMES, _QUEUE_BYTES // frame_bytes), small)
         batch = max(1, min(_BATCH_FRAMES, frames_in_batch(header.bodies), room // 2))
-        self._queue: BatchQueue[Frame] = BatchQueue(room, batch, _BATCH_SECONDS)
+        self._queue: BatchQueue[Frame] = BatchQueue(room, batch, _BATCH_SECONDS if live is None else _LIVE_SECONDS)
         self._store: FrameStore | None = None
         # a slot is reused once its frame has left the queue, the batch being written, and `_last`; a frame being copied
         # already has a place in the queue
@@ -212,6 +213,7 @@ class FrameRecorder:
         self._references: set[str] = set()  # names of the magnitudes sent so far
         self._camera_fit: CameraFit | None = None
         self._laid_out = False
+        self._added = Additions(viewer_time=viewer_time(header.units, self._clock))
         self._looked = 0  # frames when the camera last took one into account
         self._last: Frame | None = None
         self._last_checkpoint = -1
@@ -371,7 +373,7 @@ class FrameRecorder:
         """Update the camera; send a first layout early, for a live viewer and for a run that is killed."""
         assert self._camera_fit is not None, "it begins with the first batch"
         if not self._laid_out and (self._stream.is_live or self.payload_bytes > _LAID_OUT_AFTER):
-            self._stream.send_blueprint(blueprint(self.header, self._camera_fit))
+            self._stream.send_blueprint(blueprint(self.header, self._camera_fit, added=self._added))
             self._laid_out = True
         if (
             self._camera_fit.is_few or self.frames >= _LOOK * self._looked
@@ -383,7 +385,9 @@ class FrameRecorder:
         """Send a layout that shows the whole recording, without empty plots."""
         if self._camera_fit is not None and self._encoder is not None and self._last is not None:
             self._camera_fit.see([self._last], self._encoder.origin)
-            self._stream.send_blueprint(blueprint(self.header, self._camera_fit, self._encoder.curves))
+            self._stream.send_blueprint(
+                blueprint(self.header, self._camera_fit, self._encoder.curves, added=self._added)
+            )
 
     def _fail(self, error: RecordingError) -> None:
         """Close the file in its present state, and then report the error to the physics."""

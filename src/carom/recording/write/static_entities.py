@@ -23,7 +23,7 @@ from carom.scene.extensions import PROPERTY
 from carom.scene.forces import FORCES, GRAVITY, UNIFORM_FIELD
 from carom.scene.portable_math import ENDLESS
 from carom.scene.units.dimension import LENGTH, MASS, RATE, TIME
-from carom.scene.wall_shapes import shape_called
+from carom.scene.wall_shapes import SIDES, Mesh, shape_called
 from carom.scene.wording import in_series
 
 Static = tuple[str, rr.AsComponents]
@@ -31,6 +31,7 @@ Static = tuple[str, rr.AsComponents]
 _THICK, _THIN, _FORCE = 0.16, 0.07, 0.05  # of an arrow, in median body radii
 _EDGE_POINTS = 2.5  # width of a contact's line in points of the screen
 _TRANSLUCENT = 0x8A93A638  # walls in front of bodies
+_SECTORS, _SHADE = 16, 0x505050FF  # of walls that rotate
 _PLANE_REACH = 1.5  # half-width of a plane's grid, in units of `reach`
 _MESH_RINGS = 8  # from pole to pole; enough for one sphere among thousands to look round
 
@@ -173,6 +174,8 @@ def _surroundings(header: Header, origin: FloatArray, reach: float) -> Iterable[
     yield from plane_grids(header, origin, np.zeros(3), reach)
     if header.shapes:
         meshes = [shape_called(wall.shape).mesh(wall.section, origin, _PLANE_REACH * reach) for wall in header.shapes]
+        for k, mesh in enumerate(meshes) if header.draws_motion else ():
+            yield _wall(f"{paths.MOVING}/wall-{k}", header, mesh, origin)
         first = np.cumsum([0, *(len(mesh.corners) for mesh in meshes[:-1])])
         yield (
             paths.SHAPES,
@@ -184,6 +187,19 @@ def _surroundings(header: Header, origin: FloatArray, reach: float) -> Iterable[
         )
 
 
+def _wall(path: str, header: Header, mesh: Mesh, origin: FloatArray) -> Static:
+    """Draw a wall by itself; one that rotates has darker sectors, which show it."""
+    motion = header.motions.get(path)
+    sector = np.arange(len(mesh.corners)) % SIDES * _SECTORS // SIDES
+    shades = np.where(sector % 2 == 0, np.uint32(palette.WHITE), np.uint32(_SHADE))
+    return path, rr.Mesh3D(
+        vertex_positions=mesh.corners - origin,
+        triangle_indices=mesh.triangles,
+        vertex_colors=shades if motion is not None and motion.rotation != 0.0 else None,
+        albedo_factor=_TRANSLUCENT,
+    )
+
+
 def plane_grids(header: Header, origin: FloatArray, centre: FloatArray, reach: float) -> Iterable[Static]:
     """Draw each plane as a square grid about the point nearest to a centre, (3,) m from the origin.
 
@@ -192,6 +208,9 @@ def plane_grids(header: Header, origin: FloatArray, centre: FloatArray, reach: f
     if header.planes is not None and len(header.planes):
         planes = zip(header.planes.normal, header.planes.offset, strict=True)
         grids = [_grid(normal, offset - normal @ origin, centre, reach) for normal, offset in planes]
+        for k, grid in enumerate(grids) if header.draws_motion else ():
+            radii = rr.Radius.ui_points(0.6)
+            yield f"{paths.MOVING}/plane-{k}", rr.LineStrips3D(grid, colors=palette.GREY, radii=radii)
         yield (
             paths.PLANES,
             rr.LineStrips3D(np.concatenate(grids), colors=palette.GREY, radii=rr.Radius.ui_points(0.6)),

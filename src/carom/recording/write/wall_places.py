@@ -1,0 +1,79 @@
+"""Where planes and walls that move are: a transform for each of them, at every frame and at impacts.
+
+A drawn plane is infinite, so a displacement along itself shows nothing. A belt that runs for ever would leave the view:
+of the constant velocity of a plane, only the component along the normal is drawn, but all of an oscillation.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import rerun as rr
+
+from carom.arrays import FloatArray
+from carom.recording.layout.drawing import single
+from carom.recording.schema.header import Header
+from carom.recording.write.rows import Index, Rows, array_bytes, vector_column
+from carom.scene.portable_math import cosine_and_sine
+from carom.scene.schema.motion import WallMotion
+from carom.scene.wall_shapes import shape_called
+
+
+@dataclass(frozen=True, slots=True)
+class MovingWall:
+    """A plane or a wall that moves."""
+
+    motion: WallMotion
+    normal: FloatArray | None = None  # (3,) of a plane
+    axis: tuple[FloatArray, FloatArray] | None = None  # of a wall that rotates: a point (3,) m, and the direction (3,)
+
+    def displacement(self, time: FloatArray) -> FloatArray:
+        """Return how far it is from where the scene puts it at some times (k,) s, (k, 3) m, as drawn."""
+        motion, velocity = self.motion, np.array(self.motion.velocity)
+        if self.normal is not None:
+            velocity = (velocity * self.normal).sum() * self.normal
+        cycles = (motion.frequency or 0.0) * time + motion.phase / (2.0 * np.pi)
+        _, sine = cosine_and_sine(360.0 * (cycles - np.floor(cycles)))
+        return np.asarray(time[:, None] * velocity + sine[:, None] * np.array(motion.amplitude))
+
+    def turns(self, time: FloatArray) -> FloatArray:
+        """Return its orientations at some times (k,) s, (k, 4)."""
+        assert self.axis is not None
+        half = np.fmod(self.motion.rotation * time / (4.0 * np.pi), 1.0)
+        cosine, sine = cosine_and_sine(360.0 * half)
+        return np.concatenate([sine[:, None] * self.axis[1], cosine[:, None]], axis=1)
+
+
+def moving_walls(header: Header) -> Mapping[str, MovingWall]:
+    """Return the planes and walls that move, by their entities."""
+    found = {}
+    for path, motion in header.motions.items():
+        kind, _, number = path.rpartition("/")[2].partition("-")
+        if kind == "plane" and header.planes is not None:
+            found[path] = MovingWall(motion, normal=header.planes.normal[int(number)])
+        elif kind == "wall":
+            wall = header.shapes[int(number)] if header.shapes else None
+            axis = shape_called(wall.shape).axis if wall is not None else None
+            rotates = motion.rotation != 0.0 and axis is not None and wall is not None
+            found[path] = MovingWall(motion, axis=axis(wall.section) if rotates and axis and wall else None)
+    return found
+
+
+def wall_rows(walls: Mapping[str, MovingWall], index: Index, origin: FloatArray) -> Iterable[Rows]:
+    """Yield the transform of each wall at the times of an index; ``origin`` is (3,) m, that of the drawing."""
+    for path, wall in walls.items():
+        columns, turned = [], None
+        shift = wall.displacement(index.times)
+        if wall.axis is not None:
+            turns = wall.turns(index.times)
+            point = wall.axis[0] - origin
+            vector, scalar = turns[:, :3], turns[:, 3:]
+            twice = 2.0 * np.cross(vector, np.broadcast_to(point, vector.shape))
+            shift = shift - scalar * twice - np.cross(vector, twice)  # c - R c, about a point c
+            turned = single(turns)
+            columns.append(vector_column(rr.Transform3D.descriptor_quaternion(), turned))
+        places = single(shift)
+        columns.insert(0, vector_column(rr.Transform3D.descriptor_translation(), places))
+        yield Rows(path, index, columns, array_bytes(places, turned))
