@@ -11,9 +11,15 @@ a constant coefficient of restitution as t⁻² (Haff 1983).
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
+from scipy.optimize import brentq
 
+from carom import Scene
+from carom.arrays import FloatArray
 from carom.physics.space import Space
 from periodic_gas import gas, temperature
 from small_scenes import scene_of
@@ -100,3 +106,57 @@ def test_a_gas_of_viscoelastic_spheres_cools_with_the_exponent_five_thirds() -> 
 
     powers = np.linspace(1.2, 2.6, 141)
     assert powers[np.argmin([bend(power) for power in powers])] == pytest.approx(5 / 3, abs=0.15)
+
+
+def rebound_of_hertzian_spheres(mass: float, radius: float, dissipation: float, speed: float) -> float:
+    """Return e from the equation of motion m ξ'' = -√r (ξ^{3/2} + A √ξ ξ'), in units of the elastic constant."""
+    stiffness = np.sqrt(radius) / mass
+
+    def force(time: float, state: FloatArray) -> list[float]:
+        depth, rate = state
+        root = np.sqrt(max(0.0, depth))
+        return [rate, -stiffness * (root**3 + dissipation * root * rate)]
+
+    def ends(time: float, state: FloatArray) -> float:  # where the force is 0; it never pulls
+        return float(state[0] + dissipation * state[1]) if time > 0.0 else 1.0
+
+    ends.terminal = True  # type: ignore[attr-defined]
+    path = solve_ivp(force, (0.0, 100.0), [1e-12, speed], events=ends, rtol=1e-9, atol=1e-13)
+    return float(-path.y[1, -1] / speed)
+
+
+@pytest.mark.slow  # kernels for a law are compiled for 8 s
+@pytest.mark.parametrize("scale", [0.2, 1.0, 5.0])
+@pytest.mark.parametrize("partner", ["equal", "ten times as large", "a plane"])
+def test_viscoelastic_spheres_of_other_sizes_rebound_as_their_equation_of_motion_says(
+    scale: float, partner: str
+) -> None:
+    # Brilliantov, Spahn, Hertzsch & Pöschel, Phys. Rev. E 53, 5382 (1996); one constant A, fitted to the measured pair
+    measured, density, speed, e = 0.01, 2000.0, 1.0, 0.8
+
+    def reduced(one: float, other: float) -> tuple[float, float]:
+        mass = density * 4.0 / 3.0 * np.pi
+        return mass / (one**-3 + other**-3), 1.0 / (1.0 / one + 1.0 / other)
+
+    dissipation = brentq(
+        lambda A: rebound_of_hertzian_spheres(*reduced(measured, measured), A, speed) - e, 1e-6, 1.0, rtol=1e-9
+    )
+    radius = scale * measured
+    other = {"equal": radius, "ten times as large": 10.0 * radius, "a plane": np.inf}[partner]
+    expected = rebound_of_hertzian_spheres(*reduced(radius, other), dissipation, speed)
+    section = {"restitution": e, "speed": speed, "radius": measured, "density": density}
+    start = 3.0 * radius
+    document: dict[str, Any] = {"gravity": {"constant": 0.0}, "time": {"duration": 2.0 * start / speed}}
+    document["contact"] = {"law": "viscoelastic", "viscoelastic": section}
+    document["body"] = [{"radius": radius, "density": density, "position": [0, 0, start], "velocity": [0, 0, -speed]}]
+    if partner == "a plane":
+        document["plane"] = [{}]
+    else:
+        document["body"] += [{"radius": other, "density": density, "position": [0, 0, -other]}]
+    *_, frame = Space(Scene.from_dict(document)).run()
+    velocity = frame.velocity[:, 2]
+    after = velocity[0] if partner == "a plane" else velocity[0] - velocity[1]
+    # the Padé approximant is within 0.01 of the equation's solution
+    assert after / speed == pytest.approx(expected, abs=0.01)
+    if partner == "equal" and scale != 1.0:
+        assert abs(expected - e) > 0.1  # sizes matter here

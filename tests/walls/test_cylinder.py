@@ -127,7 +127,7 @@ def test_a_run_is_recorded_replayed_and_shows_the_wall(tmp_path: Path) -> None:
         ({"drag": {"relaxation_time": 1.0}}, "drag"),
         ({"contact": {"sleep": {"speed": 0.1}}}, "contact.sleep"),
         ({"contact": {"enabled": False}}, "contact.enabled"),
-        ({"domain": {"boundary": "periodic", "size": [3, 3, 3]}, "gravity": WEIGHTLESS}, "periodic"),
+        ({"domain": {"boundary": "periodic", "size": [3, 3, 3]}, "gravity": WEIGHTLESS}, "space repeats along"),
         ({"wall": [{"cylinder": {"radius": 1.0, "axis": [0, 0, 0]}}]}, "direction"),
         ({"wall": [{"name": "drum"}]}, "no shape"),
         ({"wall": [{"cylinder": {"radius": 0.05}}]}, "cylinder 0"),

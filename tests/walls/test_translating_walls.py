@@ -259,12 +259,14 @@ def test_a_run_on_a_moving_plane_is_recorded_replayed_resumed_and_cut(tmp_path: 
 @pytest.mark.parametrize(
     ("motion", "message"),
     [
-        ({}, "add rotation, velocity, or amplitude"),
+        ({}, "add rotation, velocity, times and velocities, or an amplitude"),
         ({"amplitude": [0, 0, 1]}, "amplitude without frequency"),
         ({"frequency": 3.0}, "frequency without amplitude"),
         ({"velocity": [1, 0, 0], "phase": 0.1}, "phase without amplitude"),
         ({"rotation": 1.0}, "plane, which has no axis"),
-        ({"rotation": 1.0, "velocity": [0, 0, 1]}, "either rotates or translates"),
+        ({"times": [0.5], "velocities": [[0, 0, 1], [0, 0, 0]]}, "1 times and 2 velocities"),
+        ({"times": [0.5, 0.5], "velocities": [[0, 0, 1], [0, 0, 0]]}, "do not ascend"),
+        ({"times": [0.5], "velocities": [[0, 0, 1]], "velocity": [1, 0, 0]}, "velocity and velocities"),
         ({"amplitude": [0, 0, 1], "frequency": 0.0}, "frequency"),
     ],
 )

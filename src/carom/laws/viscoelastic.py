@@ -4,23 +4,24 @@ A Hertzian contact whose material is viscoelastic rebounds with a coefficient th
 (Schwager & Pöschel 2008). Its Padé approximant (Müller & Pöschel, Phys. Rev. E 84, 021302, 2011) is within 0.01 of the
 solution of the equation of motion at any speed:
 
-    e(v) = (1 + c₁ x) / (1 + b₁ x + b₂ x² + b₃ x³ + b₄ x⁴),    x ∝ v^{1/10}
+    e(v) = (1 + c₁ x) / (1 + b₁ x + b₂ x² + b₃ x³ + b₄ x⁴),    x ∝ v^{1/10} (√r/m)^{1/5}
 
-For slow impacts, e = 1 - b₂ x² + … is the series 1 - C₁ A v^{1/5} + … of Ramírez et al. (1999). A scene states one
-measured coefficient and its speed. They fix the factor of x, and with it the curve.
-
-In reality, the curve also depends on the sizes of the bodies. Here all pairs of two materials have the same curve.
+with the reduced radius r and the reduced mass m of the two bodies. For slow impacts, e = 1 - b₂ x² + … is the series
+1 - C₁ A v^{1/5} + … of Ramírez et al. (1999). A scene states one measured coefficient and its speed. They fix the
+factor of x for spheres like the measured ones, and with it the curve. If the scene also states the radius and the
+density of these spheres, larger bodies rebound faster and smaller ones more slowly, as 1 - e ∝ 1/R for equal spheres of
+one material. Otherwise all pairs of two materials have the same curve.
 """
 
 from __future__ import annotations
 
 import math
 from types import SimpleNamespace
-from typing import Annotated, Any
+from typing import Annotated, Any, Self
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
-from carom.extend import VELOCITY, ContactLaw, Positive, Section
+from carom.extend import DENSITY, LENGTH, VELOCITY, ContactLaw, Positive, Section
 
 C1, B1, B2, B3, B4 = 0.501086, 0.501086, 1.15345, 0.577977, 0.532178
 HALVINGS = 80  # of an interval of x; the last ones change nothing
@@ -33,20 +34,35 @@ class Viscoelastic(Section):
 
     restitution: float = Field(strict=True, gt=1e-6, lt=1, description="e at ``speed``; more than 1e-6, less than 1")
     speed: Annotated[Positive, VELOCITY] = Field(description="m/s, closing speed at which ``restitution`` was measured")
+    radius: Annotated[Positive, LENGTH] | None = Field(
+        None, description="m, of the two equal spheres that were measured; by default, sizes do not matter"
+    )
+    density: Annotated[Positive, DENSITY] | None = Field(None, description="kg/m³, of these spheres")
+
+    @model_validator(mode="after")
+    def _knows_the_spheres(self) -> Self:
+        if (self.radius is None) != (self.density is None):
+            given, missing = ("density", "radius") if self.radius is None else ("radius", "density")
+            raise ValueError(f"{given} without {missing}; give both of the spheres that were measured, or neither")
+        return self
 
 
 def numbers(section: Viscoelastic) -> dict[str, float]:
-    """Return x at the stated speed, by bisection, and that speed."""
+    """Return x at the stated speed, by bisection, that speed, and r/m² of the measured spheres in m/kg²."""
     low, high = 0.0, MOST
     for _ in range(HALVINGS):
         x = 0.5 * (low + high)
         e = restitution(SimpleNamespace(measured_x=x, measured_speed=1.0), 1.0, 0.0)
         low, high = (x, high) if e > section.restitution else (low, x)
-    return {"measured_x": 0.5 * (low + high), "measured_speed": section.speed}
+    size = 0.0  # sizes do not matter
+    if section.radius is not None and section.density is not None:
+        mass = 0.5 * section.density * 4.0 / 3.0 * math.pi * section.radius**3
+        size = 0.5 * section.radius / (mass * mass)
+    return {"measured_x": 0.5 * (low + high), "measured_speed": section.speed, "measured_size": size}
 
 
 def restitution(p: Any, approach: float, rest_speed: float) -> float:
-    """Return e(v); 0 for contacts that close no faster than the rest speed."""
+    """Return e(v) of the measured spheres; 0 for contacts that close no faster than the rest speed."""
     if not approach > rest_speed:
         return 0.0
     ratio = approach / p.measured_speed
@@ -61,9 +77,23 @@ def restitution(p: Any, approach: float, rest_speed: float) -> float:
     return e
 
 
+def equivalent_speed(p: Any, approach: float, mass: float, radius: float) -> float:
+    """Return the speed at which the measured spheres rebound as these bodies do."""
+    speed: float = approach
+    if p.measured_size > 0.0:
+        speed *= radius / (mass * mass) / p.measured_size
+    return speed
+
+
 def dissipates(p: Any) -> bool:
     """Return True: e < 1 at any speed."""
     return True
 
 
-LAW = ContactLaw(Viscoelastic, restitution=restitution, dissipates=dissipates, coefficients=numbers)
+LAW = ContactLaw(
+    Viscoelastic,
+    restitution=restitution,
+    equivalent_speed=equivalent_speed,
+    dissipates=dissipates,
+    coefficients=numbers,
+)

@@ -180,10 +180,13 @@ class KickDriftStepper:
     def _choose(self, end: float) -> tuple[float, float, str]:
         """Choose the next step of a run that ends at a time; return the time at its end, its length, and its limit."""
         world, time = self._world, self._world.clock.time
-        dt, limit = self.timestep.choose(world.bodies, end - time, self.supported_acceleration())
+        change = world.contact.next_change_of_walls(time) if world.contact and world.planes.translates else np.inf
+        dt, limit = self.timestep.choose(world.bodies, min(end, change) - time, self.supported_acceleration())
         if self._asked:
             asked, asked_limit = self._asked.target(world.bodies, self.supported_acceleration())
             world.clock.foresee(asked_limit, dt / asked if asked > 0.0 else np.inf)
+        if limit == "end" and change < end:
+            return change, dt, "motion"
         return end if limit == "end" else time + dt, dt, limit
 
     def _step(self, dt: float, with_potential: bool) -> Potentials:

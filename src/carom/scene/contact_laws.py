@@ -44,6 +44,7 @@ class ContactLaw:
     # about axes in the tangential plane; ``normal`` is the normal impulse in N s
     twisting: Callable[..., float] | None = None  # (p, normal, radius, stopping) → N m s, about the normal
     restitution: Callable[..., float] | None = None  # arguments as in `carom.physics.contact.law`
+    equivalent_speed: Callable[..., float] | None = None
     dissipates: Callable[..., bool] | None = None
     impact_friction: Callable[..., float] | None = None
     lasting_friction: Callable[..., tuple[float, float, float]] | None = None

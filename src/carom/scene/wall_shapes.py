@@ -26,6 +26,11 @@ class Mesh(NamedTuple):
     triangles: IntArray  # (t, 3) into `corners`
 
 
+def depends_on_all(section: Any, axis: int, period: float) -> Mapping[str, float] | None:
+    """Return None: the distance from a wall depends on each coordinate."""
+    return None
+
+
 @dataclass(frozen=True, slots=True)
 class WallShape:
     """A shape of a wall.
@@ -44,6 +49,8 @@ class WallShape:
     thin: bool = False  # whether bodies may be on both sides, so that the distance is never negative
     axis: Callable[[Any], tuple[FloatArray, FloatArray]] | None = None  # (section) → the axis of a surface of
     # revolution, about which the wall may rotate: a point in m, and the direction
+    periodic: Callable[[Any, int, float], Mapping[str, float] | None] = depends_on_all  # (section, axis, period in m)
+    # → the fields to change where space repeats along an axis; None if the distance then depends on that coordinate
 
 
 def shape_called(name: str) -> WallShape:

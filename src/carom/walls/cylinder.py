@@ -58,6 +58,11 @@ def axis(section: Cylinder) -> tuple[FloatArray, FloatArray]:
     return np.array(section.point), unit_vector(section.axis)
 
 
+def periodic(section: Cylinder, axis: int, period: float) -> Mapping[str, float] | None:
+    """Return no changes for a cylinder along the axis."""
+    return {} if abs(unit_vector(section.axis)[axis]) == 1.0 else None
+
+
 def mesh(section: Cylinder, centre: FloatArray, reach: float) -> Mesh:
     """Return a prism that is as long as the scene."""
     point, direction = axis(section)
@@ -66,4 +71,4 @@ def mesh(section: Cylinder, centre: FloatArray, reach: float) -> Mesh:
     return mesh_of_revolution(point, direction, ends)
 
 
-WALL = WallShape(Cylinder, nearest, mesh, FIELDS, parameters, axis=axis)
+WALL = WallShape(Cylinder, nearest, mesh, FIELDS, parameters, axis=axis, periodic=periodic)

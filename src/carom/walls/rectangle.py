@@ -69,6 +69,14 @@ def nearest(p: Any, x: float, y: float, z: float) -> tuple[float, float, float, 
     return nx, ny, nz, distance, math.inf
 
 
+def periodic(section: Rectangle, axis: int, period: float) -> Mapping[str, float] | None:
+    """Return the half of a side along the axis as endless, if the side is at least as long as the period."""
+    for name, side in (("half_one", section.side), ("half_other", section.other_side)):
+        if np.count_nonzero(side) == 1 and abs(side[axis]) >= period:
+            return {name: math.inf}
+    return None
+
+
 def mesh(section: Rectangle, centre: FloatArray, reach: float) -> Mesh:
     """Return both triangles."""
     one, other = 0.5 * np.array(section.side), 0.5 * np.array(section.other_side)
@@ -76,4 +84,4 @@ def mesh(section: Rectangle, centre: FloatArray, reach: float) -> Mesh:
     return Mesh(corners, np.array([[0, 1, 2], [0, 2, 3]]))
 
 
-WALL = WallShape(Rectangle, nearest, mesh, FIELDS, parameters, thin=True)
+WALL = WallShape(Rectangle, nearest, mesh, FIELDS, parameters, thin=True, periodic=periodic)

@@ -1,7 +1,7 @@
 """The random scenes of a hunt: meeting bodies, crowds, columns, groups, planets, and scenes with their own laws.
 
-Most scenes also get random values of other keys: forces, walls and planes, materials and pairs, units, steps, and the
-search and solution of contacts. The schema refuses some combinations; these are only counted.
+Most scenes also get random values of other keys: forces, walls, planes (some of which move), materials and pairs,
+units, steps, and the search and solution of contacts. The schema refuses some combinations; these are only counted.
 """
 
 from __future__ import annotations
@@ -50,6 +50,8 @@ def drawn(seed: int, index: int) -> Drawn:
     """Draw a scene; the same numbers give the same scene."""
     draw = RandomDraw(f"{seed} {index}")
     found = _drawn(draw)
+    if not found.kind:
+        _move_planes(RandomDraw(f"{seed} {index} motion"), found.document)
     found.document["title"] = f"Hunted scene {index}"
     for number, body in enumerate(found.document.get("body", [])):
         body["name"] = f"ball {number}"
@@ -168,6 +170,24 @@ def _bound(draw: Draw, document: Document, scale: Scales) -> None:
         fixed.pop("velocity", None)
         fixed.pop("angular_velocity", None)
         fixed["fixed"] = True
+
+
+def _move_planes(draw: Draw, document: Document) -> None:
+    """Let planes move in some scenes, by their own random numbers: by about a radius in the time of the run."""
+    time, planes = document["time"], document.get("plane", [])
+    steps_by_impulse = time.get("integrator", "auto") in ("auto", "leapfrog") and "accuracy" not in time
+    if not steps_by_impulse or "drag" in document or document["contact"].get("enabled") is False:
+        return
+    L, T = max(body["radius"] for body in document["body"]), time["duration"]
+    for plane in planes:
+        kind, way = draw.integer(0, 7), row(vector(draw) * L)
+        if kind == 0:
+            plane["motion"] = {"velocity": row(np.array(way) / T)}
+        elif kind == 1:
+            plane["motion"] = {"amplitude": row(0.1 * np.array(way)), "frequency": draw.choice(1.0, 3.0, 10.0) / T}
+        elif kind == 2:
+            velocities = [row(np.array(way) / T), row(vector(draw) * L / T), [0.0, 0.0, 0.0]]
+            plane["motion"] = {"times": [0.1 * T, 0.3 * T, 0.7 * T], "velocities": velocities}
 
 
 def _set_drag(draw: Draw, document: Document, T: float) -> None:

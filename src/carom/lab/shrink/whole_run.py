@@ -91,6 +91,11 @@ class Image:
             if "normal" in plane or not np.array_equal(self.matrix, np.eye(3)):
                 plane.setdefault("normal", [0.0, 0.0, 1.0])
                 self._change(plane, "normal", np.zeros(3))
+            motion = plane.get("motion", {})
+            for key in ("velocity", "amplitude"):
+                self._change(motion, key, np.zeros(3))
+            if "velocities" in motion:
+                motion["velocities"] = [[float(v) for v in self.matrix @ np.array(one)] for one in motion["velocities"]]
         if "uniform" in changed.get("gravity", {}):
             self._change(changed["gravity"], "uniform", np.zeros(3))
         if "drag" in changed:

@@ -95,6 +95,21 @@ def restitution(material: Coefficients, approach: float, rest_speed: float) -> f
     raise NotImplementedError("only kernels call it")
 
 
+def equivalent_speed(material: Coefficients, approach: float, mass: float, radius: float) -> float:
+    """Return the speed (m/s) for which `restitution` is that of an impact, if it depends on the sizes of bodies.
+
+    Parameters
+    ----------
+    material, approach
+        As for `restitution`.
+    mass
+        kg, m_i m_j / (m_i + m_j), or the mass of the body at a plane.
+    radius
+        m, r_i r_j / (r_i + r_j), or the radius of the body at a plane.
+    """
+    raise NotImplementedError("only kernels call it")
+
+
 def dissipates(material: Coefficients) -> bool:
     """Return whether an impact may rebound more slowly than it closed."""
     raise NotImplementedError("only kernels call it")
@@ -188,7 +203,8 @@ _STUBS = (
     *(restitution, dissipates, impact_friction, lasting_friction, sliding_friction, sticks, slides),
     *(rolling, twisting),
 )
-assert {stub.__name__ for stub in _STUBS} == set(FUNCTIONS)
+_OPTIONAL = equivalent_speed  # which Coulomb's law lacks
+assert {stub.__name__ for stub in (*_STUBS, _OPTIONAL)} == set(FUNCTIONS)
 
 
 def _offer(stub: Callable[..., Any]) -> None:
@@ -203,6 +219,46 @@ def _offer(stub: Callable[..., Any]) -> None:
 
 for _stub in _STUBS:
     _offer(_stub)
+
+
+@chosen_by_type(equivalent_speed)
+def _equivalent_speed(material: Any, *arguments: Any) -> Any:
+    return _laws[next(iter(material.fields))][_OPTIONAL.__name__]
+
+
+def restitution_of_impact(
+    material: Coefficients, approach: float, rest_speed: float, inverse_mass: float, arm_i: float, arm_j: float
+) -> float:
+    """Return the coefficient of restitution of an impact of two bodies, or of a body and a plane.
+
+    Parameters
+    ----------
+    material, approach, rest_speed
+        As for `restitution`.
+    inverse_mass
+        1/kg, 1/m_i + 1/m_j.
+    arm_i, arm_j
+        m, the lever arms; 0 at a plane.
+    """
+    raise NotImplementedError("only kernels call it")
+
+
+@chosen_by_type(restitution_of_impact)
+def _restitution_of_impact(material: Any, *arguments: Any) -> Any:
+    if _OPTIONAL.__name__ not in _laws.get(next(iter(material.fields)), {}):
+        return lambda material, approach, rest_speed, inverse_mass, arm_i, arm_j: restitution(
+            material, approach, rest_speed
+        )
+
+    def of_sizes(
+        material: Any, approach: float, rest_speed: float, inverse_mass: float, arm_i: float, arm_j: float
+    ) -> float:
+        if not approach > rest_speed:
+            return restitution(material, approach, rest_speed)
+        radius = arm_i * arm_j / (arm_i + arm_j) if arm_j > 0.0 else arm_i
+        return restitution(material, equivalent_speed(material, approach, 1.0 / inverse_mass, radius), 0.0)
+
+    return of_sizes
 
 
 @chosen_by_type(exerts_torque)

@@ -1,11 +1,13 @@
 """Walls whose surface moves along itself, such as a rotating drum.
 
-The shape of such a wall stays where it is, so its contacts and times of impact are those of a wall at rest. Only the
-slip differs: at the contact point p, the surface of a wall that rotates at Ω about an axis through c has the velocity
+The shape of such a wall does not change, so its contacts and times of impact are those of a wall that does not rotate.
+Only the slip differs: at the contact point p, the surface of a wall that rotates at Ω about an axis through c has the
+velocity
 
     s = Ω × (p - c),    u = v_t + s - ρ_i ω_i × n
 
-Friction λ_t and an angular impulse Λ act on the wall, and their opposites on the body. The ledger books the energy that
+If the wall translates, too (`translating_walls`), c moves with it, and v_t contains its velocity. Friction λ_t and an
+angular impulse Λ act on the wall, and their opposites on the body. The ledger books the energy that
 both dissipate, -λ_t·u - Λ·(Ω - ω_i). The wall does the work
 
     W = -λ_t·s - Λ·Ω
@@ -21,8 +23,9 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 from carom.arrays import FloatArray, IntArray, RecordArray
 from carom.physics.contact.rolling import angular_impulse
+from carom.physics.contact.translating_walls import displacement_in_drift, shift_of
 from carom.physics.jit.decorators import chosen_by_type, inline, kernel
-from carom.physics.vector import Vector, vector
+from carom.physics.vector import Vector, between, vector
 
 if TYPE_CHECKING:
     from carom.physics.contact.constraints import ImpulseRecord, SlidingWallContactRecord
@@ -70,8 +73,8 @@ def clear_surface_velocity(contact: object) -> None:
     raise NotImplementedError("only kernels call it")
 
 
-def slip_at_wall(surface: FloatArray, solid: int, point: Vector, slip: Vector) -> Vector:
-    """Return the slip u in m/s at a point (m) of a wall, given the slip on a wall at rest."""
+def slip_at_wall(surface: FloatArray, solid: int, time: float, point: Vector, slip: Vector) -> Vector:
+    """Return the slip u in m/s at a point (m) of a wall, a time (s) into a drift, given the slip without rotation."""
     raise NotImplementedError("only kernels call it")
 
 
@@ -114,12 +117,12 @@ def _clear_surface_velocity(contact: Any) -> Any:
 
 
 @chosen_by_type(slip_at_wall)
-def _slip_at_wall(surface: Any, solid: Any, point: Any, slip: Any) -> Any:
+def _slip_at_wall(surface: Any, solid: Any, time: Any, point: Any, slip: Any) -> Any:
     if MOTION[0] not in getattr(surface.dtype, "fields", ()):
-        return lambda surface, solid, point, slip: slip
+        return lambda surface, solid, time, point, slip: slip
 
-    def on_moving(surface: FloatArray, solid: int, point: Vector, slip: Vector) -> Vector:
-        (ux, uy, uz), (sx, sy, sz) = slip, velocity_of_wall(surface, solid, point)
+    def on_moving(surface: FloatArray, solid: int, time: float, point: Vector, slip: Vector) -> Vector:
+        (ux, uy, uz), (sx, sy, sz) = slip, velocity_in_wall(surface, solid, time, point)
         return ux + sx, uy + sy, uz + sz
 
     return on_moving
@@ -128,10 +131,17 @@ def _slip_at_wall(surface: Any, solid: Any, point: Any, slip: Any) -> Any:
 @inline
 def velocity_of_wall(surface: Any, solid: int, point: Vector) -> Vector:
     """Return s in m/s at a point (m) of a wall; ``surface`` has the fields `MOTION`."""
-    wall, (x, y, z) = surface[solid], point
+    wall, (x, y, z), (dx, dy, dz) = surface[solid], point, shift_of(surface, solid)
     wx, wy, wz = wall.motion_spin_x, wall.motion_spin_y, wall.motion_spin_z
-    dx, dy, dz = x - wall.motion_x, y - wall.motion_y, z - wall.motion_z
+    dx, dy, dz = x - dx - wall.motion_x, y - dy - wall.motion_y, z - dz - wall.motion_z
     return wy * dz - wz * dy, wz * dx - wx * dz, wx * dy - wy * dx
+
+
+@inline
+def velocity_in_wall(surface: Any, solid: int, time: float, point: Vector) -> Vector:
+    """Return s in m/s at a point (m) of a wall, a time (s) into a drift."""
+    (x, y, z), (dx, dy, dz) = point, displacement_in_drift(surface, solid, time)
+    return velocity_of_wall(surface, solid, (x - dx, y - dy, z - dz))
 
 
 @kernel
@@ -154,7 +164,7 @@ def set_velocities_in_drift(
         if j >= n:
             contact = contacts[c]
             nx, ny, nz = contact.nx, contact.ny, contact.nz
-            (x, y, z), (vx, vy, vz) = vector(position, i), vector(velocity, i)
+            (x, y, z), (vx, vy, vz) = vector(position, i), between(velocity, j, i)
             vn, half = vx * nx + vy * ny + vz * nz, 0.5 * drift
             x += contact.arm_i * nx + half * (vx - vn * nx)
             y += contact.arm_i * ny + half * (vy - vn * ny)
@@ -206,7 +216,7 @@ def work_of_impacts(log: RecordArray[ImpactRecord], surface: Any, bodies: int) -
         entry = log[k]
         if entry.j >= bodies:
             wall = surface[entry.j - bodies]
-            sx, sy, sz = velocity_of_wall(surface, entry.j - bodies, (entry.x, entry.y, entry.z))
+            sx, sy, sz = velocity_in_wall(surface, entry.j - bodies, entry.time, (entry.x, entry.y, entry.z))
             work -= entry.friction_x * sx + entry.friction_y * sy + entry.friction_z * sz
             lx, ly, lz = angular_impulse(entry)
             work -= lx * wall.motion_spin_x + ly * wall.motion_spin_y + lz * wall.motion_spin_z

@@ -125,7 +125,7 @@ class ContactPipeline:
         self.warned: set[str] = set()  # texts of the limits reported so far
         self._translation: WallTranslation | None = None
         if isinstance(planes, SolidsWithWalls) and planes.translates:
-            self._translation = WallTranslation(planes.records, planes.before, bodies.ends, len(bodies))
+            self._translation = WallTranslation(planes.records, planes.before, bodies.ends, planes.motions)
         self._span = 0.0, 0.0  # s, times before and after the step
         friction = requirements.friction.modelled
         self.solver = ContactSolver(bodies, planes, materials, box, friction, team, records, contact.sweeps)
@@ -213,6 +213,10 @@ class ContactPipeline:
         """Move walls that translate to where they are at a time (s)."""
         if self._translation:
             self._translation.place(time)
+
+    def next_change_of_walls(self, time: float) -> float:
+        """Return when the velocity of a wall jumps next after a time, both in s; infinite if none does."""
+        return self._translation.next_change(time) if self._translation else np.inf
 
     def begin_step(self, before: float, time: float) -> None:
         """Note the times (s) before and after the step, by which walls translate."""

@@ -9,7 +9,7 @@ therefore do not contain them.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -24,6 +24,7 @@ from carom.physics.jit.decorators import chosen_by_type, identity_of, inline, ke
 from carom.physics.jit.instructions import from_front
 from carom.physics.vector import Vector, vector
 from carom.scene.schema import Scene
+from carom.scene.schema.motion import WallMotion
 from carom.scene.schema.wall import Wall
 from carom.scene.start import HalfSpaces, half_spaces
 from carom.scene.wall_shapes import shape_called
@@ -41,6 +42,7 @@ class SolidsWithWalls(HalfSpaces):
 
     records: Records  # (p,)
     before: Records  # (p,) the records as the step began, if walls translate
+    motions: Sequence[WallMotion | None]  # (p,)
 
     @property
     def rotates(self) -> bool:
@@ -106,7 +108,7 @@ def solids_of(scene: Scene) -> HalfSpaces:
     if not (scene.wall or translates):
         return flat
     shapes = sorted({*registry.HOUSE["walls"], *(wall.shape for wall in scene.wall)})
-    parameters = [shape_called(wall.shape).parameters(wall.section) for wall in scene.wall]
+    parameters = [_parameters(scene, wall) for wall in scene.wall]
     names = _fields_of(shapes)
     spins = np.array([_spin_of(wall) for wall in scene.wall]).reshape(-1, len(MOTION))
     names += [*(MOTION if spins.any() else ()), *(TRANSLATION if translates else ())]
@@ -133,7 +135,17 @@ def solids_of(scene: Scene) -> HalfSpaces:
         offset=np.concatenate((flat.offset, zeros[:, 0])),
         records=records,
         before=records.copy() if translates else records,
+        motions=motions,
     )
+
+
+def _parameters(scene: Scene, wall: Wall) -> Mapping[str, float]:
+    """Return the fields of a wall; where space repeats, it is endless."""
+    shape, size = shape_called(wall.shape), scene.domain.size or (0.0, 0.0, 0.0)
+    values = dict(shape.parameters(wall.section))
+    for axis in scene.domain.repeating:
+        values |= shape.periodic(wall.section, axis, size[axis]) or {}
+    return values
 
 
 def _spin_of(wall: Wall) -> FloatArray:

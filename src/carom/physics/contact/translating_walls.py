@@ -1,10 +1,11 @@
-"""Planes and walls that change their place: at constant velocity, or oscillating.
+"""Planes and walls that change their place: at constant velocities, or oscillating.
 
 At the time t, such a wall is displaced from where the scene puts it by
 
-    D(t) = V t + A sin θ,    θ = 2π f t + φ
+    D(t) = D_k + V_k (t - t_k) + A sin θ,    θ = 2π f t + φ
 
-so its place is no state: steps and checkpoints need only the time. Kernels ask for the shape at x - D. Within a drift
+so its place is no state: steps and checkpoints need only the time. The velocity V_k lasts from t_k to t_{k+1}, where a
+step ends (`next_change`), so that V is constant within each step. Kernels ask for the shape at x - D. Within a drift
 that begins at t₀, the wall is displaced further by r(τ) = D(t₀ + τ) - D(t₀), and the path of a body relative to it has
 a second derivative of at most |g| + |A| (2π f)². With these two, times of impact are found as for a wall at rest.
 
@@ -23,8 +24,9 @@ Impulses of the first kick do it at Ḋ(t₀), those of impacts at Ḋ of their 
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from bisect import bisect_right
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -42,12 +44,15 @@ if TYPE_CHECKING:
 _SHIFT = ("motion_shift_x", "motion_shift_y", "motion_shift_z")  # m, D at the present phase of the step
 TRANSLATION = (
     *_SHIFT,
-    *("motion_velocity_x", "motion_velocity_y", "motion_velocity_z"),  # m/s, V
+    *("motion_velocity_x", "motion_velocity_y", "motion_velocity_z"),  # m/s, V_k
+    *("motion_origin_x", "motion_origin_y", "motion_origin_z"),  # m, D_k
+    "motion_since",  # s, t_k
     *("motion_amplitude_x", "motion_amplitude_y", "motion_amplitude_z"),  # m, A
     *("motion_frequency", "motion_phase"),  # 1/s, f; φ/2π
     "motion_angle",  # rad, θ at the beginning of the step, less whole turns
     "motion_fastest",  # m/s², |A| (2π f)²
 )
+_PIECE = TRANSLATION[3:10]  # V_k, D_k, t_k
 
 
 def translation_of(motion: WallMotion | None) -> FloatArray:
@@ -57,7 +62,24 @@ def translation_of(motion: WallMotion | None) -> FloatArray:
     amplitude, frequency = np.array(motion.amplitude), motion.frequency or 0.0
     omega = TWO_PI * frequency
     fastest = omega * omega * np.sqrt((amplitude * amplitude).sum())
-    return np.array([0.0] * 3 + [*motion.velocity, *amplitude, frequency, motion.phase / TWO_PI, 0.0, fastest])
+    oscillation = [*amplitude, frequency, motion.phase / TWO_PI, 0.0, fastest]
+    return np.array([0.0] * 3 + [*motion.velocity] + [0.0] * 4 + oscillation)
+
+
+class _Pieces(NamedTuple):
+    """The velocities of a wall, each from a time to the next."""
+
+    solid: int
+    times: FloatArray  # (k,) s, from 0
+    values: FloatArray  # (k, 7) the velocities, the displacements at these times, and the times again
+
+    @classmethod
+    def of(cls, solid: int, motion: WallMotion) -> _Pieces:
+        """Return those of a wall whose motion has `times`; before the first of them it is at rest."""
+        times, velocities = np.array([0.0, *motion.times]), np.array([(0.0, 0.0, 0.0), *motion.velocities])
+        steps = velocities[:-1] * np.diff(times)[:, None]
+        displacements = np.concatenate((np.zeros((1, 3)), np.cumsum(steps, axis=0)))
+        return cls(solid, times, np.concatenate((velocities, displacements, times[:, None]), axis=1))
 
 
 def in_frame_of_wall(nearest: Callable[..., Any]) -> Callable[..., Any]:
@@ -78,13 +100,17 @@ class WallTranslation:
         (p,) of all solids, with the fields `TRANSLATION`; it writes both, the second as a step begins.
     ends
         The velocities and accelerations of the solids, which it writes.
-    bodies
-        Their number; ends from it on are solids.
+    motions
+        The motion of each solid; None if it has none.
     """
 
-    def __init__(self, records: Records, before: Records, ends: Ends, bodies: int) -> None:
+    def __init__(self, records: Records, before: Records, ends: Ends, motions: Sequence[WallMotion | None]) -> None:
         self._records: Any = records
         self._before = before
+        bodies = len(ends.velocity) - len(records)
+        changing = [(k, motion) for k, motion in enumerate(motions) if motion is not None and motion.times]
+        self._pieces = [_Pieces.of(k, motion) for k, motion in changing]
+        self._changes = sorted({float(time) for pieces in self._pieces for time in pieces.times[1:]})  # s
         self._velocity, self._acceleration = ends.velocity[bodies:], ends.acceleration[bodies:]
         self._begun = np.zeros_like(self._velocity)  # m/s, Ḋ as the step began
         self._mean = np.zeros_like(self._velocity)  # m/s, v̄
@@ -94,6 +120,7 @@ class WallTranslation:
 
     def place(self, time: float) -> None:
         """Move the walls to where they are at a time (s), between two steps."""
+        self._set_velocities(time)
         place(self._records, time, self._velocity)
         self.rest()
 
@@ -102,6 +129,7 @@ class WallTranslation:
 
         ``booked`` is the length of the first kick, all in s.
         """
+        self._set_velocities(0.5 * (before + time))
         place(self._records, before, self._begun)
         self._before[:] = self._records
         mean_velocities(self._records, time, dt, self._mean)
@@ -128,6 +156,18 @@ class WallTranslation:
         self._acceleration[:] = (self._velocity - self._mean) / self._after if self._after > 0.0 else 0.0
         return self._velocity
 
+    def next_change(self, time: float) -> float:
+        """Return the first time (s) after another at which the velocity of a wall changes; infinite if none does."""
+        following = bisect_right(self._changes, time)
+        return self._changes[following] if following < len(self._changes) else np.inf
+
+    def _set_velocities(self, time: float) -> None:
+        """Write the velocities V_k at a time (s), with D_k and t_k."""
+        for pieces in self._pieces:
+            k = bisect_right(pieces.times, time) - 1
+            for name, value in zip(_PIECE, pieces.values[k], strict=True):
+                self._records[name][pieces.solid] = value
+
     def rest(self) -> None:
         """Give the walls no acceleration: the corrections of positions do the work of the bodies' forces only."""
         self._acceleration[:] = 0.0
@@ -141,10 +181,10 @@ def place(surface: Any, time: float, velocity: FloatArray) -> None:
         cycles = wall.motion_frequency * time + wall.motion_phase
         wall.motion_angle = TWO_PI * (cycles - np.floor(cycles))
         sine, cosine = sine_cosine(wall.motion_angle)
-        speed = TWO_PI * wall.motion_frequency * cosine
-        wall.motion_shift_x = wall.motion_velocity_x * time + wall.motion_amplitude_x * sine
-        wall.motion_shift_y = wall.motion_velocity_y * time + wall.motion_amplitude_y * sine
-        wall.motion_shift_z = wall.motion_velocity_z * time + wall.motion_amplitude_z * sine
+        speed, since = TWO_PI * wall.motion_frequency * cosine, time - wall.motion_since
+        wall.motion_shift_x = wall.motion_origin_x + wall.motion_velocity_x * since + wall.motion_amplitude_x * sine
+        wall.motion_shift_y = wall.motion_origin_y + wall.motion_velocity_y * since + wall.motion_amplitude_y * sine
+        wall.motion_shift_z = wall.motion_origin_z + wall.motion_velocity_z * since + wall.motion_amplitude_z * sine
         velocity[k, 0] = wall.motion_velocity_x + wall.motion_amplitude_x * speed
         velocity[k, 1] = wall.motion_velocity_y + wall.motion_amplitude_y * speed
         velocity[k, 2] = wall.motion_velocity_z + wall.motion_amplitude_z * speed
@@ -218,6 +258,11 @@ def walls_translate(surface: FloatArray) -> bool:
     raise NotImplementedError("only kernels call it")
 
 
+def shift_of(surface: FloatArray, solid: int) -> Vector:
+    """Return D in m at the present phase of the step."""
+    raise NotImplementedError("only kernels call it")
+
+
 def displacement_in_drift(surface: FloatArray, solid: int, time: float) -> Vector:
     """Return r in m, by which a wall is displaced at a time (s) since the drift began."""
     raise NotImplementedError("only kernels call it")
@@ -241,6 +286,17 @@ def _is_of_translation(surface: Any) -> bool:
 def _walls_translate(surface: Any) -> Any:
     translates = _is_of_translation(surface)
     return lambda surface: translates
+
+
+@chosen_by_type(shift_of)
+def _shift_of(surface: Any, solid: Any) -> Any:
+    if not _is_of_translation(surface):
+        return lambda surface, solid: (0.0, 0.0, 0.0)
+    return lambda surface, solid: (
+        surface[solid].motion_shift_x,
+        surface[solid].motion_shift_y,
+        surface[solid].motion_shift_z,
+    )
 
 
 @chosen_by_type(displacement_in_drift)

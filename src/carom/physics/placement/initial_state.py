@@ -22,6 +22,7 @@ from carom.physics.placement.region import (
     plummer,
     plummer_lengths,
 )
+from carom.physics.placement.wall_clearance import refuse_crossing_walls
 from carom.scene.data.body_columns import BodyColumns
 from carom.scene.key_places import KeyPath, naming_places
 from carom.scene.matter import drawn_radii, made_of, mass_of, mean_volume
@@ -57,6 +58,8 @@ def _place(scene: Scene) -> InitialBodies:
         size, key = float(parts[0].radius[worst]), key_of(scene, worst)
         refuse_unresolved(called, key, float(reach[worst]), size, scene.unit_system, remedy)
     solids = solids_of(scene)
+    if parts and scene.wall:
+        refuse_outside(scene, parts[0], solids)
     if parts and not scene.contact.allow_overlap and scene.contact.enabled:
         refuse_overlaps(scene, parts[0], box)
         refuse_immersion(scene, parts[0], solids)
@@ -84,6 +87,8 @@ def _place(scene: Scene) -> InitialBodies:
         parts.append(_group(index, made, region, radii[index], centres[index], streams[index], pull))
     start = join(parts)
     refuse_overflow(start)
+    if scene.contact.enabled:
+        refuse_crossing_walls(scene, start, solids)
     return start if box is None else _inside(scene, start, box)
 
 
@@ -342,6 +347,20 @@ def refuse_overlaps(scene: Scene, start: InitialBodies, box: FloatArray | None) 
         f"{called(worst)} overlap by {depth} at the start{more}; move them apart, or set contact.allow_overlap = true",
         key_of(scene, int(pairs[worst, 0])),
     )
+
+
+def refuse_outside(scene: Scene, start: InitialBodies, solids: HalfSpaces) -> None:
+    """Refuse bodies outside of a wall that has all bodies inside, even if bodies may overlap at the start."""
+    first = len(solids) - len(scene.wall)
+    heights = solids.heights(start.position)[:, first:]
+    if heights.min() < 0.0:
+        body, wall = np.unravel_index(np.argmin(heights), heights.shape)
+        name = solids.name[first + int(wall)]
+        raise SceneError(
+            f"{written_name(scene, int(body), start.name)} is outside of {name} at the start, which must have all "
+            "bodies inside; move it in, or enlarge or remove the wall",
+            key_of(scene, int(body)),
+        )
 
 
 def refuse_immersion(scene: Scene, start: InitialBodies, solids: HalfSpaces) -> None:

@@ -4,7 +4,10 @@ Sections and keys have the same names as in the TOML file. All are optional, but
 Unknown keys are refused.
 """
 
-from carom.scene.schema.body import Body, BodyData, BodyGroup, RadiusRange, Region, Spin, StaticPlane, Velocity
+import warnings
+from typing import Any
+
+from carom.scene.schema.body import Body, BodyData, BodyGroup, RadiusRange, Region, SolidPlane, Spin, Velocity
 from carom.scene.schema.contact import Coefficients, ContactSettings, Material, MaterialPair
 from carom.scene.schema.force_settings import Drag, Gravity
 from carom.scene.schema.promise import Expect, Promise, Sweep
@@ -31,10 +34,17 @@ __all__ = [
     "Record",
     "Region",
     "Scene",
+    "SolidPlane",
     "Spin",
-    "StaticPlane",
     "Sweep",
     "Time",
     "Units",
     "Velocity",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    if name == "StaticPlane":  # its name until 0.1, when planes could not move
+        warnings.warn("carom.scene.schema.StaticPlane is now called SolidPlane", DeprecationWarning, stacklevel=2)
+        return SolidPlane
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -346,7 +346,7 @@ class BodyGroup(Matter):
         return self
 
 
-class StaticPlane(Surface):
+class SolidPlane(Surface):
     """[[plane]]: a half-space, at rest by default; the normal points out of the solid.
 
     Its coefficients apply to all contacts with it; missing ones are combined from both materials.

@@ -1,18 +1,22 @@
-"""The prescribed motion of a plane or a wall: rotation about its axis, or translation.
+"""The prescribed motion of a plane or a wall: rotation about its axis, and translation.
 
 A wall that translates is displaced from where its section puts it by
 
-    D(t) = V t + A sin(2π f t + φ)
+    D(t) = V t + ∫ V_k dt + A sin(2π f t + φ)
+
+with velocities V_k that change at given times.
 """
 
 from __future__ import annotations
 
+import math
+from itertools import pairwise
 from typing import Annotated, Self
 
 from pydantic import Field, model_validator
 
-from carom.scene.schema.quantity import ORIGIN, Positive, Real, Section, Vector
-from carom.scene.units.dimension import ANGLE, ANGULAR_VELOCITY, LENGTH, RATE, VELOCITY
+from carom.scene.schema.quantity import ORIGIN, NonNegative, Positive, Real, Section, Vector
+from carom.scene.units.dimension import ANGLE, ANGULAR_VELOCITY, LENGTH, RATE, TIME, VELOCITY
 
 
 class WallMotion(Section):
@@ -25,6 +29,12 @@ class WallMotion(Section):
     velocity: Annotated[Vector, VELOCITY] = Field(
         ORIGIN, description="m/s, [x, y, z]: at the time t, the wall is displaced by `velocity` t"
     )
+    times: Annotated[tuple[NonNegative, ...], TIME] = Field(
+        (), description="s, ascending: when its velocity becomes the next of `velocities`; it is at rest before"
+    )
+    velocities: Annotated[tuple[Vector, ...], VELOCITY] = Field(
+        (), description="m/s, [[x, y, z], …], as many as `times`; the last one lasts to the end. Steps end at `times`"
+    )
     amplitude: Annotated[Vector, LENGTH] = Field(
         ORIGIN, description="m, [x, y, z]: it is also displaced by `amplitude` sin(2π `frequency` t + `phase`)"
     )
@@ -36,23 +46,39 @@ class WallMotion(Section):
     @property
     def translates(self) -> bool:
         """Whether the wall changes its place."""
-        return any(self.velocity) or any(self.amplitude)
+        return any(self.velocity) or any(self.amplitude) or any(map(any, self.velocities))
 
     @property
     def moves(self) -> bool:
         """Whether anything of it moves."""
         return self.translates or self.rotation != 0.0
 
+    def displacement(self, time: float) -> tuple[float, float, float]:
+        """Return D(t) in m at a time in s, for checks; steps compute it with portable sines."""
+        sine = math.sin(2.0 * math.pi * (self.frequency or 0.0) * time + self.phase)
+        lasting = [max(0.0, min(time, end) - begin) for begin, end in pairwise((*self.times, math.inf))]
+        x, y, z = (
+            self.velocity[axis] * time
+            + sum(velocity[axis] * span for velocity, span in zip(self.velocities, lasting, strict=True))
+            + self.amplitude[axis] * sine
+            for axis in range(3)
+        )
+        return x, y, z
+
     @model_validator(mode="after")
     def _is_complete(self) -> Self:
         if not self.model_fields_set:
-            raise ValueError("motion gives none; add rotation, velocity, or amplitude and frequency")
+            raise ValueError("motion is empty; add rotation, velocity, times and velocities, or an amplitude")
         if any(self.amplitude) and self.frequency is None:
             raise ValueError('amplitude without frequency; add the frequency, such as "30 Hz"')
         if not any(self.amplitude) and {"frequency", "phase"} & self.model_fields_set:
             given = "frequency" if self.frequency is not None else "phase"
             raise ValueError(f"{given} without amplitude; add the amplitude of the oscillation, such as [0, 0, 0.001]")
-        if self.rotation != 0.0 and self.translates:
-            given = "velocity" if any(self.velocity) else "amplitude"
-            raise ValueError(f"rotation with {given}: a wall either rotates or translates; remove one of them")
+        if len(self.times) != len(self.velocities):
+            given = f"{len(self.times)} times and {len(self.velocities)} velocities"
+            raise ValueError(f"{given}; give a velocity for each time, [0, 0, 0] for rest")
+        if any(later <= earlier for earlier, later in pairwise(self.times)):
+            raise ValueError(f"times = {list(self.times)} do not ascend; sort them, and give each only once")
+        if any(self.velocity) and self.velocities:
+            raise ValueError("velocity and velocities; give the constant one in each of velocities, and remove it")
         return self

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Self
 
 from pydantic import Field, PrivateAttr, model_validator
 
-from carom.scene.schema.body import Body, BodyData, BodyGroup, StaticPlane
+from carom.scene.schema.body import Body, BodyData, BodyGroup, SolidPlane
 from carom.scene.schema.contact import (
     CONTACT_RULES,
     DEFAULT,
@@ -26,6 +26,7 @@ from carom.scene.schema.settings import Domain, ForcedParts, Heading, Record
 from carom.scene.schema.shear import refuse_what_is_not_sheared
 from carom.scene.schema.wall import Wall, know_wall_shapes
 from carom.scene.units.system import SI, UnitSystem
+from carom.scene.wall_shapes import shape_called
 from carom.scene.wording import suggestion
 
 if TYPE_CHECKING:
@@ -53,7 +54,7 @@ class Scene(Forces, Heading):
     group: tuple[BodyGroup, ...] = Field((), description="many bodies at random positions")
     body: tuple[Body, ...] = Field((), description="single bodies")
     bodies: tuple[BodyData, ...] = Field((), description="many bodies, from data files or arrays")
-    plane: tuple[StaticPlane, ...] = Field((), description="half-spaces that are solid")
+    plane: tuple[SolidPlane, ...] = Field((), description="half-spaces that are solid")
     wall: tuple[Wall, ...] = Field((), description="walls of other shapes")
     material: tuple[Material, ...] = Field((), description="what bodies, groups, planes and walls may be made of")
     pair: tuple[MaterialPair, ...] = Field(
@@ -149,9 +150,9 @@ class Scene(Forces, Heading):
         return x, y, z
 
     @property
-    def translating(self) -> tuple[StaticPlane | Wall, ...]:
+    def translating(self) -> tuple[SolidPlane | Wall, ...]:
         """The planes and walls that change their place."""
-        solids: tuple[StaticPlane | Wall, ...] = (*self.plane, *self.wall)
+        solids: tuple[SolidPlane | Wall, ...] = (*self.plane, *self.wall)
         return tuple(solid for solid in solids if solid.translates)
 
     @property
@@ -348,7 +349,6 @@ class Scene(Forces, Heading):
         """Refuse parts of the model that have no form for walls yet."""
         unsupported = {
             "time.accuracy": self.time.accuracy is not None,
-            "a periodic domain.boundary": self.domain.is_periodic,
             "a [drag]": self.drag is not None,
             "contact.sleep": self.contact.sleep is not None,
             'a group with arrangement = "compressed"': any(g.arrangement == "compressed" for g in self.group),
@@ -357,13 +357,25 @@ class Scene(Forces, Heading):
         for what, given in unsupported.items():
             if self.wall and given:
                 raise ValueError(f"a [[wall]] with {what}, which does not support walls yet; remove one of them")
-            needs_no_place = what in ("a periodic domain.boundary", "contact.enabled = false")
             moving = next((k for k, plane in enumerate(self.plane) if plane.translates), None)
-            if moving is not None and given and not needs_no_place:
+            if moving is not None and given and what != "contact.enabled = false":
                 raise SectionError(
                     ("plane", moving, "motion"),
                     f"with {what}, which does not support moving planes yet; remove one of them",
                 )
+        return self
+
+    @model_validator(mode="after")
+    def _walls_in_periodic_space_are_endless(self) -> Self:
+        size = self.domain.size or (0.0, 0.0, 0.0)
+        for axis in self.domain.repeating:
+            for index, wall in enumerate(self.wall):
+                if shape_called(wall.shape).periodic(wall.section, axis, size[axis]) is None:
+                    raise SectionError(
+                        ("wall", index, wall.shape),
+                        f"space repeats along {'xyz'[axis]}, where this wall ends or bends; use a cylinder along that "
+                        "axis, or a rectangle with a side along it that is at least as long as the box",
+                    )
         return self
 
     @model_validator(mode="after")
@@ -418,7 +430,7 @@ def check_materials(scene: Scene) -> None:
                         (section, index, key),
                         f'given, but material = "{matter.material}" has one; remove one of the two',
                     )
-    solids: tuple[tuple[str, tuple[StaticPlane | Wall, ...]], ...] = (("plane", scene.plane), ("wall", scene.wall))
+    solids: tuple[tuple[str, tuple[SolidPlane | Wall, ...]], ...] = (("plane", scene.plane), ("wall", scene.wall))
     for section, walls in solids:
         for index, wall in enumerate(walls):
             if wall.material is not None:
@@ -442,5 +454,5 @@ def check_materials(scene: Scene) -> None:
 def know_installed_parts() -> None:
     """Add the sections of forces, contact laws and shapes of walls to scenes."""
     know_installed_forces(Scene)
-    know_contact_laws(ContactSettings, Material, MaterialPair, StaticPlane, Wall, Scene)
+    know_contact_laws(ContactSettings, Material, MaterialPair, SolidPlane, Wall, Scene)
     know_wall_shapes(Wall, Scene)

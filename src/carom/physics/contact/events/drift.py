@@ -333,7 +333,7 @@ def resolve_touching(T: Trajectories, pairs: IntArray, log: RecordArray[ImpactRe
                 continue
             lossy = dissipates(T.materials[material_index(i, j, len(T.x), T.places)])
             if sweep < (MAX_IN_COLLAPSE if lossy else MAX_ELASTIC) and row < len(log) // 2:
-                collide(i, j, log[row], T)
+                collide(i, j, log, row, T)
                 row += 1
             elif row + MOST_CONTACTS <= len(log):
                 _exhaust(i, T)

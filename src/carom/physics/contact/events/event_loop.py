@@ -54,7 +54,7 @@ from carom.physics.contact.law import (
     material_index,
     normal_loss,
     rebound,
-    restitution,
+    restitution_of_impact,
 )
 from carom.physics.contact.moving_walls import slip_at_wall
 from carom.physics.contact.rolling import angular_impulse_of_impact, set_angular_impulse
@@ -107,7 +107,7 @@ def resolve(neighbours: Neighbours, T: Trajectories, log: RecordArray[ImpactReco
             for k in range(len(held)):
                 _predict_again(held[k], neighbours, T)
             continue
-        collide(i, j, log[row], T)
+        collide(i, j, log, row, T)
         row += 1
         _count_impact(known, lossy, T)
         _count_impact(partner, lossy, T)
@@ -321,8 +321,13 @@ def _time_to_plane(gap: float, rate: float, bend: float) -> float:
 
 
 @inner
-def collide(i: int, j: int, entry: ImpactRecord, T: Trajectories) -> None:
-    """Resolve one impact with the velocities at its time, and log it."""
+def collide(i: int, j: int, log: RecordArray[ImpactRecord], row: int, T: Trajectories) -> None:
+    """Resolve one impact with the velocities at its time, and write it into a row of the log.
+
+    The log is passed, not its row: Numba would compare the type of a row with those of all other logs, and warn that
+    one has the fields of another.
+    """
+    entry = log[row]
     v, omega, clock, f = T.v, T.omega, T.drift[0].clock, slowing(T)
     n, mi, mj = len(T.x), T.inverse_mass[i], T.inverse_mass[j]
     nx, ny, nz, ri, rj = contact_geometry(i, j, T)
@@ -332,7 +337,7 @@ def collide(i: int, j: int, entry: ImpactRecord, T: Trajectories) -> None:
     material = T.materials[material_index(i, j, n, T.places)]
     Kn = mi + mj
     slow = max(rest_speed(i, T), rest_speed(j, T) if j < n else 0.0)
-    e = restitution(material, -vn, slow)
+    e = restitution_of_impact(material, -vn, slow, Kn, ri, rj)
     Jn = max(0.0, rebound(e, vn)) / Kn
     entry.restitution_loss, entry.stabilisation_gain = normal_loss(Jn, vn, Kn), 0.0
     if max(T.rest_speed[i], T.rest_speed[j]) > 0.0:
@@ -355,7 +360,7 @@ def collide(i: int, j: int, entry: ImpactRecord, T: Trajectories) -> None:
         wx, wy, wz = ri * wix + rj * wjx, ri * wiy + rj * wjy, ri * wiz + rj * wjz
         ux, uy, uz = slip_velocity((vx - vn * nx, vy - vn * ny, vz - vn * nz), (nx, ny, nz), (wx, wy, wz))
         if j >= n:
-            ux, uy, uz = slip_at_wall(T.surface, j - n, (entry.x, entry.y, entry.z), (ux, uy, uz))
+            ux, uy, uz = slip_at_wall(T.surface, j - n, entry.time, (entry.x, entry.y, entry.z), (ux, uy, uz))
         Kt = inverse_tangent_mass(Kn, ri, rj, T.inverse_inertia[i], T.inverse_inertia[j])
         fx, fy, fz, entry.friction_loss = friction_of_impact(material, Jn, ux, uy, uz, Kt)
         if fx != 0.0 or fy != 0.0 or fz != 0.0:

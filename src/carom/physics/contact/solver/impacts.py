@@ -38,8 +38,8 @@ from carom.physics.contact.law import (
     material_index,
     normal_loss,
     rebound,
-    restitution,
     restitution_at_depth,
+    restitution_of_impact,
 )
 from carom.physics.contact.rolling import (
     angular_impulse,
@@ -90,7 +90,8 @@ def _resolve(piece: int, system: ConstraintSystem) -> None:
         if impacts_only and (rests or (state.overlap < 0.0 and state.apart)):
             continue  # `hold` resolves resting contacts; an open gap may close in the next step
         material = system.materials[material_index(i, j, count, places)]
-        e = restitution(material, -vn, state.rest_speed)
+        Kn = body_i.inverse_mass + body_j.inverse_mass
+        e = restitution_of_impact(material, -vn, state.rest_speed, Kn, contact.arm_i, contact.arm_j)
         overlap = state.detected_overlap
         if first and e > 0.0 and overlap > 0.0:
             ax, ay, az = between(a, j, i)
@@ -104,7 +105,6 @@ def _resolve(piece: int, system: ConstraintSystem) -> None:
         largest_change = max(largest_change, biased)
         if not rests and -vn > state.approach_speed and -vn > ROUNDING * _sum_of_speeds(body_i, body_j):
             state.approach_speed = -vn
-        Kn = body_i.inverse_mass + body_j.inverse_mass
         Jn = biased / Kn
         Jn_unbiased = max(0.0, change) / Kn
         lost = normal_loss(Jn_unbiased, vn, Kn)
