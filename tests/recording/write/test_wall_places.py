@@ -92,3 +92,10 @@ def test_a_wall_rotates_about_its_axis_by_its_angular_velocity() -> None:
     np.testing.assert_allclose(np.sum(turns * turns, axis=1), 1.0, atol=1e-12)
     np.testing.assert_allclose(turns[:, 1], np.sin(times), atol=1e-12)
     np.testing.assert_allclose(turns[:, 3], np.cos(times), atol=1e-12)
+
+
+def test_a_wall_is_drawn_where_velocities_that_change_at_given_times_have_moved_it() -> None:
+    changing = WallMotion(times=(0.1, 0.5, 0.9), velocities=((1.0, 0.0, 0.0), (0.0, 0.0, 2.0), (0.0, 0.0, 0.0)))
+    time = np.linspace(0.0, 1.3, 14)
+    expected = [changing.displacement(moment) for moment in time.tolist()]
+    assert MovingWall(changing).displacement(time) == pytest.approx(np.array(expected), abs=1e-12)

@@ -1,7 +1,7 @@
 """Where planes and walls that move are: a transform for each of them, at every frame and at impacts.
 
 A drawn plane is infinite, so a displacement along itself shows nothing. A belt that runs for ever would leave the view:
-of the constant velocity of a plane, only the component along the normal is drawn, but all of an oscillation.
+of the velocities of a plane, only the component along the normal is drawn, but all of an oscillation.
 """
 
 from __future__ import annotations
@@ -31,12 +31,18 @@ class MovingWall:
 
     def displacement(self, time: FloatArray) -> FloatArray:
         """Return how far it is from where the scene puts it at some times (k,) s, (k, 3) m, as drawn."""
-        motion, velocity = self.motion, np.array(self.motion.velocity)
-        if self.normal is not None:
-            velocity = (velocity * self.normal).sum() * self.normal
+        motion = self.motion
+        velocity = self._drawn(np.array(motion.velocity))
         cycles = (motion.frequency or 0.0) * time + motion.phase / (2.0 * np.pi)
         _, sine = cosine_and_sine(360.0 * (cycles - np.floor(cycles)))
-        return np.asarray(time[:, None] * velocity + sine[:, None] * np.array(motion.amplitude))
+        shift = np.asarray(time[:, None] * velocity + sine[:, None] * np.array(motion.amplitude))
+        for begin, end, changed in zip(motion.times, (*motion.times[1:], np.inf), motion.velocities, strict=True):
+            shift += (np.clip(time, begin, end) - begin)[:, None] * self._drawn(np.array(changed))
+        return shift
+
+    def _drawn(self, velocity: FloatArray) -> FloatArray:
+        """Return the part of a velocity that is drawn, (3,) m/s: of a plane, the component along its normal."""
+        return velocity if self.normal is None else np.asarray((velocity * self.normal).sum() * self.normal)
 
     def turns(self, time: FloatArray) -> FloatArray:
         """Return its orientations at some times (k,) s, (k, 4)."""
