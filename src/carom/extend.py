@@ -70,6 +70,7 @@ if TYPE_CHECKING:
     from carom.recording.read.body_lookup import names_of as names_of
     from carom.recording.read.frame_rows import RecordedPositions as RecordedPositions
     from carom.recording.read.moment import tolerance as tolerance
+    from carom.recording.read.recorded_contacts import closing_speeds as closing_speeds
     from carom.recording.read.recorded_contacts import rows_by_frame as rows_by_frame
     from carom.recording.read.recorded_impacts import count_at as count_at
     from carom.recording.read.recorded_impacts import impacts_by_number as impacts_by_number
@@ -308,7 +309,7 @@ SECTIONS = {  # purpose → module → names
         "carom.recording.schema.header": "SweepMember",
         "carom.recording.read.body_lookup": "body_number names_of",
         "carom.runs.environment": "command_line environment versions",
-        "carom.recording.read.recorded_contacts": "rows_by_frame",
+        "carom.recording.read.recorded_contacts": "closing_speeds rows_by_frame",
         "carom.recording.read.recorded_impacts": "count_at impacts_by_number",
         "carom.runs.output": "is_link_of_another output_folder refuse_itself refuse_output refuse_scene_output",
         "carom.recording.write.whole_file": "new_name whole_file write_whole",

@@ -16,6 +16,10 @@ import pytest
 import carom
 from carom.errors import RecordingError
 from carom.lab.diff.diff import diff
+from carom.lab.statistics.contact_statistics import measure_network
+from carom.lab.statistics.impact_statistics import measure_free_paths
+from carom.lab.statistics.interval import Interval
+from carom.lab.statistics.velocity_statistics import measure_velocities
 from carom.recording.edit.clip import clip
 from carom.recording.read.recording import Recording
 from carom_command import carom as command
@@ -82,6 +86,22 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Recording:
     recorder = recorded(Toy(), path)
     assert recorder.problems == [] and recorder.faults == []
     return Recording.open(path)
+
+
+def test_statistics_of_a_run_count_only_the_bodies_that_exist(recording: Recording) -> None:
+    interval = Interval.of(recording, None, None, False, lambda _: None)
+    contacts = measure_network(interval).values
+    assert contacts["coordination"].value == 1.0  # each body lies on the floor
+    expected = []
+    for state in recording.checkpoints():
+        there = recording.present(state.step)
+        mass, velocity = recording.bodies.mass[there], state.velocity[there]
+        c = velocity - mass @ velocity / mass.sum()
+        expected.append(float(np.sum(mass[:, None] * c * c)) / (3 * len(mass)))
+    temperature = measure_velocities(interval).values["temperature"].value
+    assert temperature == pytest.approx(np.mean(expected[1:]), rel=1e-12)  # without step 0
+    with pytest.raises(RecordingError, match="bodies come and go"):
+        measure_free_paths(interval)
 
 
 def test_a_state_has_only_the_bodies_that_exist_and_a_merger_keeps_mass_and_momentum(recording: Recording) -> None:

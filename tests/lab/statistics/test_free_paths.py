@@ -61,3 +61,40 @@ def test_a_run_without_impacts_says_so_in_a_sentence(tmp_path: Path) -> None:
     interval = interval_of(scene_of(apart, time={"duration": 1.0, "fixed_dt": 0.5}, **FLIGHT), tmp_path)
     with pytest.raises(RecordingError, match=r"^there are no impacts from 0 to 1 s$"):
         measure_free_paths(interval)
+
+
+class SoftBounces:
+    """Another engine's ball between two planes 4 m apart, at 1 m/s; each bounce takes two of its steps of 0.1 s."""
+
+    planes = (carom.record.Plane((1.0, 0.0, 0.0), -2.0), carom.record.Plane((-1.0, 0.0, 0.0), -2.0))
+
+    def __init__(self) -> None:
+        self.model = carom.record.Model(engine="soft", mass=[2.0], radius=[0.5], planes=list(self.planes))
+        self.step = 0
+
+    def state(self) -> carom.record.State:
+        flights, along = divmod(self.step, 31)  # 30 steps of flight, and a step at rest at the plane
+        to_right = flights % 2 == 0
+        x = -1.5 + 0.1 * along if to_right else 1.5 - 0.1 * along
+        turns = along == 30 or (along == 0 and flights > 0)
+        velocity = 0.0 if along == 30 else 1.0 if to_right else -1.0
+        contacts = np.zeros(int(turns), carom.record.CONTACT)
+        at_right = x > 0.0
+        contacts["i"], contacts["j"] = 0, 2 if at_right else 1
+        contacts["point"], contacts["normal"] = [2.0 if at_right else -2.0, 0, 0], [1.0 if at_right else -1.0, 0, 0]
+        contacts["force"] = 20.0  # N, two steps of it turn 2 kg m/s
+        return carom.record.State(0.1 * self.step, [[x, 0.0, 0.0]], [[velocity, 0.0, 0.0]], contacts=contacts)
+
+
+def test_a_bounce_of_another_engine_that_takes_two_steps_is_one_impact(tmp_path: Path) -> None:
+    ball = SoftBounces()
+    with carom.record.Recorder(ball, tmp_path / "run.rrd") as recorder:
+        for ball.step in range(1, 125):
+            recorder.frame()
+    assert recorder.problems == []
+    interval = Interval.of(Recording.open(tmp_path / "run.rrd"), None, None, False, lambda _: None)
+    impacts = interval.impacts
+    assert impacts.step.tolist() == [30, 61, 92, 123] and impacts.j.tolist() == [2, 1, 2, 1]
+    assert impacts.speed == pytest.approx([1.0] * 4, rel=1e-12)  # of the exact states
+    paths = paths_of(interval)
+    assert paths.free_times == pytest.approx([3.1] * 3, rel=1e-12) and paths.free_paths == pytest.approx([3.0] * 3)

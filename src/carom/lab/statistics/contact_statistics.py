@@ -31,10 +31,10 @@ SHORTEST = 3  # bodies of a chain
 
 def measure_network(interval: Interval) -> Statistic:
     """Measure the network, averaged over frames."""
-    contacts, moving, n = interval.contacts, interval.moving, interval.bodies
+    contacts, n = interval.contacts, interval.bodies
     fewest = HOLDING[bool(interval.recording.info["has_friction"])]
     counts, held_counts, rattlers, kept_contacts = [], [], 0, 0
-    for frame in range(contacts.frames):
+    for frame, moving in enumerate(contacts.moving):
         own = contacts.frame == frame
         pairs = np.stack([contacts.i[own], contacts.j[own]], axis=1)
         counts.append(contact_counts(pairs, n)[moving])
@@ -45,10 +45,10 @@ def measure_network(interval: Interval) -> Statistic:
     each, of_held = np.concatenate(counts), np.concatenate(held_counts)
     fabric = contacts.normal.T @ contacts.normal / len(contacts.normal)
     principal, axes = np.linalg.eigh(fabric)
-    bodies = np.count_nonzero(moving) * contacts.frames
+    frames, bodies = len(contacts.moving), np.count_nonzero(contacts.moving)
     values = {
-        "frames": MeasuredValue("frames with their contacts", contacts.frames),
-        "contacts": MeasuredValue("contacts that carry an impulse, of a frame", len(contacts.i) / contacts.frames),
+        "frames": MeasuredValue("frames with their contacts", frames),
+        "contacts": MeasuredValue("contacts that carry an impulse, of a frame", len(contacts.i) / frames),
         "coordination": MeasuredValue("contacts of a body", float(each.mean())),
         "rattlers": MeasuredValue(f"rattlers, held by fewer than {fewest} contacts", rattlers / bodies),
         "coordination_of_held": MeasuredValue(
@@ -92,10 +92,10 @@ def measure_forces(interval: Interval) -> Statistic:
     """Measure the forces of lasting contacts, and their chains frame by frame."""
     contacts = interval.contacts
     mean = float(contacts.force.mean())
-    ratio = contacts.force / mean
+    ratio, frames = contacts.force / mean, len(contacts.moving)
     chains = [
         size
-        for frame in range(contacts.frames)
+        for frame in range(frames)
         for size in chains_of(
             np.stack([contacts.i, contacts.j], axis=1)[contacts.frame == frame],
             contacts.normal[contacts.frame == frame],
@@ -103,14 +103,14 @@ def measure_forces(interval: Interval) -> Statistic:
             interval.recording.bodies.radius,
         )
     ]
-    bodies = np.count_nonzero(interval.moving) * contacts.frames
+    bodies = np.count_nonzero(contacts.moving)
     values = {
         "mean_force": MeasuredValue("mean normal force", mean, FORCE),
         "largest_force": MeasuredValue("largest", float(contacts.force.max()), FORCE),
         "second_moment": MeasuredValue("⟨f²⟩/⟨f⟩²", float(np.mean(ratio * ratio))),
         "strong": MeasuredValue("contacts with more than the mean", float(np.mean(ratio > 1.0))),
         "friction": MeasuredValue("friction / normal force, mean", float(np.mean(contacts.friction / contacts.force))),
-        "chains": MeasuredValue("chains, of a frame", len(chains) / contacts.frames),
+        "chains": MeasuredValue("chains, of a frame", len(chains) / frames),
         "chain_length": MeasuredValue("bodies of a chain", float(np.mean(chains)) if chains else 0.0),
         "longest_chain": MeasuredValue("… of the longest", int(max(chains, default=0))),
         "in_chains": MeasuredValue("bodies in chains", sum(chains) / bodies),

@@ -19,6 +19,7 @@ from typing import NamedTuple
 import numpy as np
 
 from carom.arrays import FloatArray, IntArray
+from carom.errors import RecordingError
 from carom.extend import LENGTH, RATE, TIME, VELOCITY, Dimension, minimum_images
 from carom.lab.statistics.interval import Interval
 from carom.lab.statistics.statistic import Histogram, MeasuredValue, Statistic
@@ -38,6 +39,8 @@ class Paths(NamedTuple):
 def measure_free_paths(interval: Interval) -> Statistic:
     """Measure the free times and paths of moving bodies."""
     interval.refuse_shear("free paths")
+    if interval.recording.lives is not None:
+        raise RecordingError("free paths are not measured in recordings whose bodies come and go")
     impacts, moving = interval.impacts, interval.moving
     ends = np.concatenate([impacts.i, impacts.j])
     all_of_them = 1.0 + interval.impacts_left_out / len(impacts.step)

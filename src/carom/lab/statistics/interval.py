@@ -17,15 +17,18 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from carom import Recording, Scene
-from carom.arrays import BoolArray, FloatArray, IntArray
+from carom.arrays import BoolArray, FloatArray, IntArray, Records
+from carom.contact_table import CONTACT_ROW
 from carom.errors import RecordingError, SceneError
 from carom.extend import (
     STEP,
     TIME,
     RecordedPositions,
     StepStatus,
+    closing_speeds,
     count_at,
     recorded_scene,
+    rows_by_frame,
     start_of,
     tolerance,
 )
@@ -45,7 +48,7 @@ class NothingThereError(RecordingError):
 class ContactColumns(NamedTuple):
     """The lasting contacts that carry an impulse, in the steps of some frames."""
 
-    frames: int
+    moving: BoolArray  # (f, n) mask of the bodies that exist in each frame and are not fixed
     elapsed: float  # s, the length of these steps in all
     frame: IntArray  # (k,) index of the frame, from 0
     i: IntArray  # (k,) i < j
@@ -138,8 +141,12 @@ class Interval:
         """Mask (n,) of the bodies that are not fixed."""
         first = next(iter(self.recording.checkpoint_times), None)
         if self.scene is None or first is None:
-            return np.ones(self.bodies, dtype=bool)
+            return np.asarray(~self.recording.fixed)
         return ~start_of(self.recording, self.scene, self.recording.checkpoint(first)).fixed
+
+    def moving_at(self, step: int) -> BoolArray:
+        """Return a mask (n,) of the bodies that exist in a step and are not fixed."""
+        return np.asarray(self.moving & self.recording.present(step))
 
     @cached_property
     def scene(self) -> Scene | None:
@@ -162,11 +169,12 @@ class Interval:
     @cached_property
     def _impact_table(self) -> pa.Table:
         self.require_contacts()
-        if self.recording.engine:
-            raise RecordingError(f"impacts are not in a recording of {self.recording.engine}")
+        self._require_frames()
+        return self.recording.impacts(self.time[0], self.time[-1], replay=self.replay, watch=self.watch)
+
+    def _require_frames(self) -> None:
         if self.duration == 0.0:
             raise RecordingError("impacts are counted between frames, and the interval has only one")
-        return self.recording.impacts(self.time[0], self.time[-1], replay=self.replay, watch=self.watch)
 
     @cached_property
     def impacts(self) -> ImpactColumns:
@@ -177,6 +185,8 @@ class Interval:
         RecordingError
             If there are none.
         """
+        if self.recording.engine:
+            return self._impacts_of_engine()
         table = self._impact_table
         step = table[STEP].to_numpy()
         table = table.filter(pa.array((step > self.step[0]) & (step <= self.step[-1])))
@@ -191,9 +201,54 @@ class Interval:
         )
         return ImpactColumns(step, time, i, j, point, normal, speed, impulse)
 
+    def _impacts_of_engine(self) -> ImpactColumns:
+        """Return the impacts in a recording of another engine: contacts that begin, between bodies that close.
+
+        A contact begins in a frame if its pair has none in the frame before. Its approach speed is that of the exact
+        states of the frame before, since another engine may resolve an impact over several steps.
+        """
+        self.require_contacts()
+        self._require_frames()
+        recording, steps = self.recording, self.step.tolist()
+        if not recording.records_contacts:
+            raise RecordingError(
+                f"forces of contacts, which show impacts, are not in this recording of {recording.engine}"
+            )
+        if not set(steps) <= set(recording.checkpoint_times):
+            raise RecordingError(
+                "impacts in another engine need the exact state of every frame; record with exact=True"
+            )
+        none = np.empty(0, CONTACT_ROW)
+        rows = {step: rows for step, _, rows in rows_by_frame(recording, steps[0], steps[-1])}
+        found, speeds, touching = [none], [np.empty(0)], _pairs(rows.get(steps[0], none))
+        states = recording.checkpoints(steps)
+        before = next(states)
+        for after in states:
+            contacts = rows.get(after.step, none)
+            speed = closing_speeds(contacts, before)
+            pairs = _pairs(contacts)
+            begins = ~np.isin(pairs, touching) & (contacts["normal_impulse"] > 0.0) & (speed > 0.0)
+            _, first = np.unique(pairs[begins], return_index=True)  # a pair may have several points of contact
+            kept = np.flatnonzero(begins)[np.sort(first)]
+            found.append(contacts[kept])
+            speeds.append(speed[kept])
+            touching, before = pairs, after
+        table, step = np.concatenate(found), np.repeat(steps, [len(each) for each in found])
+        if len(table) == 0:
+            raise NothingThereError(f"there are no impacts from {self.text}")
+        point, normal = (
+            np.stack([table[name] for name in names], axis=1).astype(np.float64)
+            for names in (("x", "y", "z"), ("nx", "ny", "nz"))
+        )
+        pair = table["i"].astype(np.int64), table["j"].astype(np.int64)
+        impulse = table["normal_impulse"].astype(np.float64)
+        return ImpactColumns(step, table["time"], *pair, point, normal, np.concatenate(speeds), impulse)
+
     @cached_property
     def impacts_left_out(self) -> int:
         """Number of impacts of the interval that are not in `impacts`."""
+        if self.recording.engine:
+            return 0
         if self.replay or not self.recording.records_contacts:
             return int((self._impact_table.schema.metadata or {}).get(b"left_out", b"0"))
         first, last = (count_at(self.recording, int(step)) for step in self.step[[0, -1]])
@@ -236,7 +291,8 @@ class Interval:
         dt = steps["dt"].to_numpy()[np.isin(steps[STEP].to_numpy(), self.step[rows])]
         held = np.ones(len(rows)) if self.scene is None or self.scene.drag is None else self._held_fraction(dt)
         force, friction = force / held[frame], friction / held[frame]
-        return ContactColumns(len(rows), float((dt * held).sum()), frame, i, j, normal, impulse, force, friction)
+        moving = np.stack([self.moving_at(int(step)) for step in self.step[rows]])
+        return ContactColumns(moving, float((dt * held).sum()), frame, i, j, normal, impulse, force, friction)
 
     def _held_fraction(self, dt: FloatArray) -> FloatArray:
         """Return the impulse that balances a constant force F in a step under drag, over F dt.
@@ -283,7 +339,10 @@ class Interval:
 
     @cached_property
     def velocities(self) -> FloatArray:
-        """Exact velocities of some moments of the interval, (k, n, 3) m/s; in a sheared box, relative to the flow."""
+        """Exact velocities of some moments of the interval, (k, n, 3) m/s; NaN of bodies that do not exist.
+
+        In a sheared box they are relative to the flow.
+        """
         most = max(1, min(MOST_STATES, MOST_VELOCITIES // self.bodies))
         if self.replay:
             window = self.recording.rerun(float(self.time[0]), watch=self.watch)
@@ -301,3 +360,8 @@ class Interval:
         places = np.unique(np.linspace(0, len(known) - 1, min(most, len(known))).round().astype(np.int64))
         kept = self.recording.checkpoints(np.array(known)[places].tolist())
         return np.stack([self._relative_to_flow(state.velocity, state.position) for state in kept])
+
+
+def _pairs(rows: Records) -> IntArray:
+    """Return a number for the pair of each contact, (k,)."""
+    return np.asarray(rows["i"].astype(np.int64) << 32 | rows["j"].astype(np.int64))

@@ -48,15 +48,20 @@ def measure_pair_correlation(interval: Interval) -> Statistic:
     interval.refuse_shear("pair correlations")
     if interval.scene is not None and len(set(interval.scene.domain.axes)) > 1:
         raise RecordingError("a pair correlation needs the same boundary along all axes")
-    radius, box = interval.recording.bodies.radius, interval.box
+    box, recording = interval.box, interval.recording
     centres = min(interval.bodies, MOST_CENTRES_OF_FRAME)
     steps = interval.step[interval.chosen(MOST_CENTRES // centres)].tolist()
-    largest = _largest_distance(interval.positions.drawn(steps[-1]), radius, box)
+
+    def present(step: int) -> tuple[FloatArray, FloatArray]:
+        there = recording.present(step)
+        return interval.positions.drawn(step)[there], recording.bodies.radius[there]
+
+    largest = _largest_distance(*present(steps[-1]), box)
     shells = max(1, round(SHELLS / largest))  # up to s = 1
     edges = np.arange(int(largest * shells) + 1) / shells
     counts, near = np.zeros((2, len(edges) - 1)), np.zeros((2, len(NEAR) - 1))
     for step in steps:
-        distances = distances_of(interval.positions.drawn(step), radius, box, largest)
+        distances = distances_of(*present(step), box, largest)
         counts += distances.counts(edges)
         near += distances.counts(NEAR)
     values = {"frames": MeasuredValue("frames", len(steps))}

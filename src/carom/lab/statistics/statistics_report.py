@@ -149,6 +149,8 @@ def text(measured: MeasuredValue, units: UnitSystem, *, unit: bool = True) -> st
     name = units.unit(measured.dimension) if unit else ""
     values = [units.shown(float(value), measured.dimension) for value in np.ravel(measured.value)]
     if np.ndim(measured.value) == 0:
+        if np.isnan(values[0]):  # of no bodies
+            return "none"
         error = "" if measured.error is None else f" ± {units.shown(measured.error, measured.dimension):.2g}"
         return f"{values[0]:.4g}{error} {name}".rstrip()
     rows = np.reshape(values, (-1, np.shape(measured.value)[-1]))

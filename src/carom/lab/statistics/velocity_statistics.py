@@ -37,45 +37,58 @@ def measure_velocities(interval: Interval) -> Statistic:
     if np.count_nonzero(moving) < 2:
         raise RecordingError("a distribution of velocities needs at least two bodies that can move")
     velocity, mass = interval.velocities[:, moving], mass[moving]
+    there = ~np.isnan(velocity[:, :, 0])
+    enough = there.sum(axis=1) >= 2
+    if not enough.any():
+        raise RecordingError("at no moment do two bodies exist that can move")
+    velocity, there = velocity[enough], there[enough]
     weighted = peculiar(velocity, mass)
-    if not weighted.any():
+    if not np.nan_to_num(weighted).any():
         raise RecordingError("all bodies are at rest")
-    temperature = (weighted * weighted).mean(axis=(1, 2))  # J, of each state
+    temperature = np.nanmean(weighted * weighted, axis=(1, 2))  # J, of each state
     mean = float(temperature.mean())
-    count = weighted.shape[0] * weighted.shape[1]
+    count = np.count_nonzero(there)
     values = {
         "states": MeasuredValue("exact states", len(velocity)),
-        "mean_velocity": MeasuredValue("mean velocity", velocity.mean(axis=(0, 1)), VELOCITY),
+        "mean_velocity": MeasuredValue("mean velocity", np.nanmean(velocity, axis=(0, 1)), VELOCITY),
         "temperature": MeasuredValue("granular temperature, m c²/3", mean, ENERGY, mean * sqrt(2 / (3 * count))),
-        "temperature_of_axes": MeasuredValue("… of x, y, z", (weighted * weighted).mean(axis=(0, 1)), ENERGY),
+        "temperature_of_axes": MeasuredValue("… of x, y, z", np.nanmean(weighted * weighted, axis=(0, 1)), ENERGY),
         "fourth_cumulant": MeasuredValue(
             "fourth cumulant a₂",
-            float(np.mean([fourth_cumulant(state) for state in weighted])),
+            float(np.mean([fourth_cumulant(w[t]) for w, t in zip(weighted, there, strict=True)])),
             error=sqrt(8 / (15 * count)),
         ),
     }
     edges = np.linspace(-WIDTH, WIDTH, BINS + 1)
-    scaled = weighted / np.sqrt(temperature)[:, None, None]
+    scaled = (weighted / np.sqrt(temperature)[:, None, None])[there]
     density = np.histogram(scaled, edges)[0] / (scaled.size * np.diff(edges))
     middle = (edges[1:] + edges[:-1]) / 2
     maxwell = np.exp(-(middle**2) / 2) / sqrt(2 * pi)
     histogram = Histogram("velocity component / its rms", edges, density, expected=maxwell, theory="Maxwell")
+    states = list(zip(weighted, there, strict=True))
     rows = [
         {
             "group": name,
             "bodies": MeasuredValue("bodies", int(np.count_nonzero(own))),
-            "temperature": MeasuredValue("temperature", float((weighted[:, own] ** 2).mean()), ENERGY),
-            "fourth_cumulant": MeasuredValue("a₂", float(np.mean([fourth_cumulant(state[own]) for state in weighted]))),
+            "temperature": MeasuredValue("temperature", float(np.nanmean(weighted[:, own] ** 2)), ENERGY),
+            "fourth_cumulant": MeasuredValue(
+                "a₂",
+                float(np.mean([fourth_cumulant(w[own & t]) for w, t in states if np.count_nonzero(own & t) > 1])),
+            ),
         }
         for name, own in interval.groups(moving)
-        if np.count_nonzero(own) > 1
+        if (there & own).sum(axis=1).max() > 1
     ]
     return Statistic(values, {"velocities": histogram}, rows if len(rows) > 1 else ())
 
 
 def peculiar(velocity: FloatArray, mass: FloatArray) -> FloatArray:
-    """Return √m c in √J for velocities (k, n, 3) m/s, with c relative to the centre of mass of each state."""
-    drift = np.einsum("kna,n->ka", velocity, mass) / mass.sum()
+    """Return √m c in √J for velocities (k, n, 3) m/s, with c relative to the centre of mass of each state.
+
+    The velocity of a body that does not exist is NaN.
+    """
+    present = np.where(np.isnan(velocity[:, :, 0]), 0.0, mass)
+    drift = np.einsum("kna,kn->ka", np.nan_to_num(velocity), present) / present.sum(axis=1)[:, None]
     return np.asarray(np.sqrt(mass)[:, None] * (velocity - drift[:, None]))
 
 
@@ -91,6 +104,7 @@ def measure_stress(interval: Interval) -> Statistic:
     """Measure the mean stress in the box; without a box, the stress times the unknown volume."""
     moving, recording = interval.moving, interval.recording
     weighted = peculiar(interval.velocities[:, moving], recording.bodies.mass[moving])
+    weighted = np.nan_to_num(weighted)  # bodies that do not exist carry no momentum
     kinetic = np.einsum("kna,knb->ab", weighted, weighted) / len(weighted)
     impacts, spread, lasting, notes = np.zeros((3, 3)), 0.0, np.zeros((3, 3)), list[str]()
     try:

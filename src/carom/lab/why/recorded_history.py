@@ -10,7 +10,7 @@ from carom import Recording
 from carom.arrays import FloatArray, Records
 from carom.contact_table import CONTACT_ROW, IMPACT_MODE
 from carom.errors import ExperimentError, RecordingError
-from carom.extend import TIME, Checkpoint, names_of, rows_by_frame, tolerance
+from carom.extend import TIME, Checkpoint, closing_speeds, names_of, rows_by_frame, tolerance
 from carom.lab.why.history import IMPULSE, History, Question, Step
 
 MOST_FRAMES = 2_000  # read by default; a few seconds
@@ -120,8 +120,7 @@ def _step(
     noise = np.zeros(len(inverse_mass))
     noise[:n] = np.linalg.norm(kick, axis=1)
     noise += _ROUNDED * acted
-    point = np.stack([contacts[axis] for axis in "xyz"], axis=1)
-    closing = [_closing(rows, normal, point, state, inverse_mass) for state in (before, after)]
+    closing = [closing_speeds(contacts, state, inverse_mass[:n] > 0.0) for state in (before, after)]
     limit = noise[rows["i"]] + noise[rows["j"]]
     rows["impact"] = J.any(axis=1) & (np.maximum(np.abs(closing[0]), np.abs(closing[1])) > limit)
     rows["holds"] = ~rows["impact"]
@@ -131,17 +130,3 @@ def _step(
     kicks = [np.zeros((len(bodies), 3)), kick[list(bodies)]]
     one = Step(after.step, before.step, after.time, before.time, began, ended, rows, kicks, contacts[:0])
     return one, struck
-
-
-def _closing(
-    rows: Records, normal: FloatArray, point: FloatArray, state: Checkpoint, inverse_mass: FloatArray
-) -> FloatArray:
-    """Return the speeds (m/s) at which contacts close; negative where they part."""
-    n, relative = len(state.position), np.zeros((len(rows), 3))
-    for end, sign in (("i", -1.0), ("j", 1.0)):
-        body = np.minimum(rows[end], n - 1)
-        velocity = state.velocity[body]
-        if state.angular_velocity is not None:
-            velocity = velocity + np.cross(state.angular_velocity[body], point - state.position[body])
-        relative += np.where((inverse_mass[rows[end]] > 0.0)[:, None], sign * velocity, 0.0)
-    return np.asarray(np.nan_to_num(-np.einsum("ij,ij->i", relative, normal)))

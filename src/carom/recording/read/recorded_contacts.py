@@ -11,7 +11,7 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from carom.arrays import BoolArray, IntArray, Records
+from carom.arrays import BoolArray, FloatArray, IntArray, Records
 from carom.contact_table import CONTACT_ROW, IMPACT_MODE, MODES
 from carom.errors import DamageError, RecordingError, SceneError
 from carom.recording.read.entities import reading
@@ -21,6 +21,7 @@ from carom.recording.schema import paths
 from carom.recording.schema.paths import STEP
 
 if TYPE_CHECKING:
+    from carom.physics.checkpoint import Checkpoint
     from carom.recording.read.recording import Recording
     from carom.runs.window import Watcher
 
@@ -194,6 +195,25 @@ def rows_by_frame(recording: Recording, first: int, last: int) -> Iterator[tuple
             for row, step in enumerate(chunk.batch[STEP].to_pylist()):
                 if first <= step <= last and step in times:
                     yield step, times[step], _rows_of_engine(recording, chunk, row, step, times[step])
+
+
+def closing_speeds(rows: Records, state: Checkpoint, moves: BoolArray | None = None) -> FloatArray:
+    """Return the speeds (m/s) at which contacts (k,) `CONTACT_ROW` close; negative where they part.
+
+    Solids have no velocity; with a mask (n,), neither have bodies that do not move.
+    """
+    n, relative = len(state.position), np.zeros((len(rows), 3))
+    point, normal = (
+        np.stack([rows[name] for name in names], axis=1) for names in (("x", "y", "z"), ("nx", "ny", "nz"))
+    )
+    for end, sign in (("i", -1.0), ("j", 1.0)):
+        body = np.minimum(rows[end], n - 1)
+        velocity = state.velocity[body]
+        if state.angular_velocity is not None:
+            velocity = velocity + np.cross(state.angular_velocity[body], point - state.position[body])
+        counts = rows[end] < n if moves is None else (rows[end] < n) & moves[body]
+        relative += np.where(counts[:, None], sign * velocity, 0.0)
+    return np.asarray(np.nan_to_num(-np.einsum("ij,ij->i", relative, normal)))
 
 
 def _recorded(recording: Recording, row: int) -> pa.Table:
