@@ -50,13 +50,7 @@ def separation(position: FloatArray) -> float:
 
 @pytest.mark.parametrize(
     ("sweeps", "speed", "least", "most"),
-    [
-        ("auto", 1e-7, 1, 1),
-        ("auto", 1e-4, 2, 8),
-        ("as-needed", 1e-7, 1, 1),
-        ("quick", 1e-7, 1, 1),
-        ("converged", 1e-7, 2, 8),
-    ],
+    [("as-needed", 1e-7, 1, 1), ("as-needed", 1e-4, 2, 8), ("quick", 1e-7, 1, 1), ("auto", 1e-7, 2, 8)],
 )
 def test_sweeps_as_needed_end_when_no_contact_changes_by_more_than_counts(
     sweeps: Sweeps, speed: float, least: int, most: int
@@ -114,7 +108,7 @@ def test_a_stack_of_twenty_stands(restitution: float) -> None:
     space = Space(scene)
     for frame in space.run():
         if frame.time > 5.0:  # pushes hand half an overlap on to each neighbour: what sags at first leaves within 4 s
-            assert frame.contacts.overlaps.max() <= 2e-5  # pushes leave 10⁻⁵ of the sum of radii
+            assert frame.contacts.overlaps.max() <= 1e-8  # pushes leave 10⁻⁹ of the sum of radii, each of twenty
             assert frame.sweeps == 1, "the impulses of the step before hold"
     assert space.extremes.overlap is not None and space.extremes.overlap.value <= G * 0.01**2
     weight = 20 * float(space.state.mass[0]) * G

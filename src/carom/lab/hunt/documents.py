@@ -139,7 +139,7 @@ def meeting(
             "colouring": draw.choice("contacts", "bodies"),
             "stabilisation": undoing,
             "timing": _timing(draw, time["integrator"]),
-            "sweeps": draw.choice("auto", "converged", "as-needed", "quick", 1, 8),
+            "sweeps": draw.choice("auto", "auto", "as-needed", "quick", 1, 8),
             "allow_overlap": overlapping,
         },
         "record": {"every": "step", "check_every": 1},

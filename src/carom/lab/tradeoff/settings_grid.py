@@ -64,7 +64,7 @@ def knobs(scene: Scene) -> dict[str, tuple[str, ...]]:
         found["contact.solver"] = ("lasting", "staged")
     if parts.contact.modelled:
         if forces or not located:  # otherwise almost nothing happens at the end of the step
-            found["contact.sweeps"] = ("converged", "quick", "2")
+            found["contact.sweeps"] = ("quick", "2")
             found["contact.stabilisation"] = ("split", "none", "baumgarte")
         found["contact.timing"] = ("end-of-step", "time-of-impact")
         if parts.adaptive_step.modelled:

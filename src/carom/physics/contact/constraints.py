@@ -208,7 +208,6 @@ class SettingsRecord(Protocol):
     any_rests: bool  # whether a contact was at rest before them
     spins: bool  # whether impulses exert torques
     impacts_only: bool  # whether resting contacts are skipped
-    solved: float  # fraction of r·z at the start of a round of conjugate gradients, at which its iterations end
     refines: bool  # whether conjugate gradients follow the iterations
     as_needed: bool  # whether small changes and small overlaps end the iterations
     keeps_iterating: bool  # whether iterations follow conjugate gradients that did not converge

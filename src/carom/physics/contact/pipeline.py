@@ -54,7 +54,7 @@ if TYPE_CHECKING:
 # Iterations for each `contact.sweeps` that is not a number. A step of a falling heap with "quick" takes 1.24 ms with
 # four iterations, 1.36 with five, and 1.32 with three, which leave four times the overlap after 3 s
 # (benchmarks/heap.py, 1000 spheres).
-MOST_SWEEPS: dict[Sweeps, int] = {"auto": 8, "converged": 8, "as-needed": 8, "quick": 4}
+MOST_SWEEPS: dict[Sweeps, int] = {"auto": 8, "as-needed": 8, "quick": 4}
 NO_ENTRIES: FloatArray = np.zeros((0, 3))
 
 

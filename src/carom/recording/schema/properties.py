@@ -78,7 +78,6 @@ _KEYS: dict[str, dict[str, Callable[[Any], bool]]] = {
         **dict.fromkeys(("box", "uniform_field"), _vector),
         "schema_version": _whole,
         "drawing_rules": _whole,
-        "contact_rules": _whole,
         "seed": _whole,
         "duration": _number,
         "arrow_length.*": _number,

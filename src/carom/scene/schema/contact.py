@@ -133,8 +133,7 @@ class MaterialPair(Surface):
         return self
 
 
-Sweeps = Literal["auto", "converged", "as-needed", "quick"]
-CONTACT_RULES = 2  # version of the meaning of `sweeps = "auto"`; in 1, of the first recordings, it is "converged"
+Sweeps = Literal["auto", "as-needed", "quick"]
 
 
 def _known_law(law: str | list[str]) -> str | list[str]:
@@ -199,10 +198,9 @@ class ContactSettings(Section):
     )
     sweeps: Sweeps | Annotated[Count, Field(le=10_000)] = Field(
         "auto",
-        description="solver iterations in a step: until no contact changes by 3e-6 of a radius (auto); until the "
-        "impulses converge to 1e-8, up to three times as slow for heaps (converged); as auto, but with more iterations "
-        "of conjugate gradients (as-needed); at most four sweeps, cheaper for falling heaps, with deeper overlaps "
-        "(quick); or at most this number of sweeps, up to 10000",
+        description="solver iterations in a step: until the impulses converge (auto); until no contact changes by "
+        "3e-6 of a radius, cheaper for heaps at rest (as-needed); at most four of these, cheaper for "
+        "falling heaps, with deeper overlaps (quick); or at most this number, up to 10000",
     )
     sleep: Sleep | None = Field(
         None,

@@ -58,11 +58,8 @@ from carom.physics.jit.team import ALONE, Team
 from carom.scene.schema.contact import Sweeps
 from carom.scene.start import HalfSpaces
 
-# Fraction of r·z at the start of a round of conjugate gradients at which its iterations end, by `contact.sweeps`; with
-# other values none follow. After a round, contacts are released, so a more exact solution is one of other equations. In
-# a falling heap of 1000 (benchmarks/heap.py), 0.3 takes a fifth of the iterations of 10⁻³ and leaves the same overlaps.
-SOLVED: dict[Sweeps, float] = {"auto": 0.3, "converged": 1e-3, "as-needed": 1e-3}
-AS_NEEDED: tuple[Sweeps, ...] = ("auto", "as-needed", "quick")  # values with which small changes end the iterations
+REFINED: tuple[Sweeps, ...] = ("auto", "as-needed")  # values of `contact.sweeps` after which conjugate gradients follow
+AS_NEEDED: tuple[Sweeps, ...] = ("as-needed", "quick")  # values with which small changes end the iterations
 
 
 class ContactSolver:
@@ -115,10 +112,9 @@ class ContactSolver:
         self._counts: IntArray | None = None  # (n + p,) number of contacts of each end, once needed
         self._settings = np.zeros(1, SETTINGS)
         self._settings["spins"] = friction
-        self._settings["refines"], self._settings["as_needed"] = sweeps in SOLVED, sweeps in AS_NEEDED
-        self._settings["solved"] = 0.0 if isinstance(sweeps, int) else SOLVED.get(sweeps, 0.0)
+        self._settings["refines"], self._settings["as_needed"] = sweeps in REFINED, sweeps in AS_NEEDED
         alternates = bool((materials.rows["kinetic_friction"] < materials.rows["static_friction"]).any())
-        self._settings["keeps_iterating"] = sweeps == "converged" or alternates
+        self._settings["keeps_iterating"] = sweeps == "auto" or alternates
         self.code = PhaseCode(friction)
         self._run: Callable[..., int] | None = None  # `work`, compiled for this solver's systems
 

@@ -48,6 +48,7 @@ MAX_ITERATIONS = 100  # in a round
 MAX_FURTHER_ITERATIONS = 256  # Gauss-Seidel iterations after the last round
 GROWN = 1e6  # growth of the largest impulse in a search; more shows that there is no solution
 MOST_LEFT = 0.5  # fraction of the previous violation; a round that leaves more is the last one
+SOLVED = 1e-3  # fraction of r·z at the start of a round, at which its iterations end
 
 
 class Phases(NamedTuple):
@@ -220,7 +221,7 @@ def _conjugate_gradients(board: IntArray, phases: Phases) -> int:
     first = rho = _residual_norm(phases)
     largest = _largest_impulses(phases)[0]
     iterations, push, pull = 0, 0.0, 0.0
-    while rho > settings.solved * first and iterations < MAX_ITERATIONS:
+    while rho > SOLVED * first and iterations < MAX_ITERATIONS:
         _share_colours(board, phases, CONJUGATE_DIRECTION)
         _share(board, phases, LINE_SEARCH, 0, len(phases.sums), True)
         curvature = 0.0
