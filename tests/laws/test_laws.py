@@ -122,8 +122,8 @@ TABLE = "[contact.restitution_table]\nspeeds = [0, 1]\nrestitutions = [1, 0.5]"
 def test_two_laws_share_a_contact() -> None:
     both = pair_coefficients(scene('["viscoelastic", "rolling_resistance"]', ROLLS, SLOWS))
     assert both.laws == ("viscoelastic", "rolling_resistance")
-    assert both.names == ("measured_x", "measured_speed", "rolling_friction", "twisting_friction")
-    assert both.further[0, 1:].tolist() == [1.0, 0.1, 0.0]
+    assert both.names == ("measured_x", "measured_speed", "measured_size", "rolling_friction", "twisting_friction")
+    assert both.further[0, 1:].tolist() == [1.0, 0.0, 0.1, 0.0]
 
 
 @pytest.mark.parametrize(
