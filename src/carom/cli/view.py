@@ -24,7 +24,7 @@ AtOption = Annotated[
         "--at",
         parser=seconds,
         metavar="T",
-        help="Simulated time to show. Default: the hardest impact or, without any, the most contacts.",
+        help="Simulated time to show. Default: the hardest impact or, without any, the most contacts or the end.",
     ),
 ]
 EventOption = Annotated[

@@ -9,7 +9,9 @@ from carom.errors import RecordingError
 from carom.event import Event
 from carom.recording.read.recording import Recording
 from carom.recording.write.recorder import FrameRecorder
+from carom.runs.run import run
 from scripted_run import ScriptedRun, write_events_without_kinds
+from small_scenes import scene_of
 
 KEPT: dict[str, float | bool] = {"measured": 0.1, "limit": 0.2, "met": True}
 HIT: dict[str, float] = {"value": 2.0, "step": 4, "time": 0.2}
@@ -129,6 +131,13 @@ def test_the_most_interesting_moment_is_the_hardest_impact(tmp_path: Path, scrip
             recorder.put(replace(frame, energy=harder) if frame.step == 33 else frame)
         recorder.finish("completed")
     assert Recording.open(tmp_path / "run.rrd").moment() == frames[33].time
+
+
+def test_a_ball_that_slides_from_the_start_on_is_shown_at_the_end(tmp_path: Path) -> None:
+    ball = {"position": [0.0, 0.0, 0.1], "velocity": [1.0, 0.0, 0.0], "radius": 0.1, "mass": 1.0}
+    document = {"gravity": {"constant": 0.0, "uniform": [0.0, 0.0, -9.81]}, "plane": [{}]}
+    run(scene_of([ball], time={"duration": 0.2, "fixed_dt": 0.01}, **document), tmp_path / "run.rrd")
+    assert Recording.open(tmp_path / "run.rrd").moment() == pytest.approx(0.2)
 
 
 def test_events_recorded_before_there_were_kinds_get_them_from_their_texts(

@@ -1,6 +1,7 @@
 """The time that is shown by default: the time of the hardest impact or, without impacts, of the most contacts.
 
-A killed run has recorded neither. For it, the frame before which contacts dissipated most energy is shown.
+Where as many touch from the first step on, as on a slope, the end is shown: nothing has moved yet in that step. A killed
+run has recorded neither. For it, the frame before which contacts dissipated most energy is shown.
 """
 
 from __future__ import annotations
@@ -43,7 +44,8 @@ def moment(recording: Recording, at: float | None) -> float:
     for name in ("impact", "contacts"):
         known = float(recording.closing.get(f"moments.{name}.time", np.nan))
         if times[0] <= known <= times[-1]:
-            return known
+            from_start = name == "contacts" and recording.closing.get("moments.contacts.step") == 1
+            return float(times[-1]) if from_start else known
     energy = recording.energy()
     if "restitution" in energy.column_names:
         taken = _column(energy, "restitution")
