@@ -124,7 +124,7 @@ StepTimeOption = Annotated[
         "--at",
         parser=seconds,
         metavar="T",
-        help="Simulated time within the step. Default: the hardest impact or, without any, the most contacts or the end.",
+        help="Simulated time within the step. Default: the hardest impact; without any, the most contacts or the end.",
     ),
 ]
 LiveOption = Annotated[bool, typer.Option("--live", help="Show the run in a viewer window while it is recorded.")]
