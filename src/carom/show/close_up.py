@@ -357,11 +357,14 @@ def close_up(
         reach = _impulse_radii(header.radius[places])
         arrows = reach[reach > 0.0, None] * contact.impulse / np.linalg.norm(contact.impulse)
         ends = np.concatenate([seen[reach > 0.0] - arrows, seen[reach > 0.0] + arrows])
+    if contact is not None:  # at a plane, the normal points away from the body
+        tip = contact.point + _NORMAL * header.radius[places].min() * contact.normal
+        ends = tip[None] if ends is None else np.concatenate([ends, tip[None]])
     entries = list[LegendLine]()
     if explained and contact is not None:
         ink, impulse = palette.INKS[area.theme], palette.ARROWS[paths.FORCE_NORMAL]
         entries = [LegendLine("— line of centres", palette.VERMILION), LegendLine("→ normal", ink)]
-        entries += [LegendLine("→ impulse on each body", impulse)] if ends is not None else []
+        entries += [LegendLine("→ impulse on each body", impulse)] if np.any(contact.impulse) else []
         entries += [LegendLine("→ spin", palette.SPIN)] if spin is not None and np.any(spin) else []
     words = Legend(entries, area.theme)
     area = replace(area, inset=words.size)
