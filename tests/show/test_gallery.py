@@ -10,7 +10,7 @@ from carom.recording.schema import palette
 from carom.show import picture
 from gallery import FOLDER, entries, make
 from needs import PICTURES
-from picture_pixels import Pixels, hue_mask
+from picture_pixels import Pixels, hue_mask, largest_piece
 
 MOST_BYTES = 1_500_000  # of all pictures, so that a clone stays small
 LARGEST = 1000  # pixels: the page shows pictures 800 pixels wide, where smaller letters cannot be read
@@ -56,7 +56,7 @@ def test_pictures_of_the_gallery_have_all_bodies_inside_no_empty_half_and_equal_
             assert inner.sum() == coloured.sum(), f"{name}: a body leaves the picture"
     radii = []
     for colour in (palette.SKY, palette.ORANGE, palette.GREEN, palette.YELLOW, palette.PURPLE):
-        widths = hue_mask(made["cradle"], colour).sum(axis=1)
+        widths = largest_piece(hue_mask(made["cradle"], colour)).sum(axis=1)
         rows = np.arange(12)  # from the top of a ball, where no path crosses it
         chords = widths[np.flatnonzero(widths > 10)[0] + rows]
         # a chord at the depth h is c²/4 = 2 r h - h²: the slope of c²/4 + h² is 2 r, less twice the fraction of a row

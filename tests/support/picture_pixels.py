@@ -2,6 +2,7 @@
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 
 Pixels = NDArray[np.int64]
 
@@ -31,6 +32,12 @@ def hue_mask(pixels: Pixels, colour: int, apart: float = 0.06) -> NDArray[np.boo
     share = pixels / np.maximum(brightness, 1)[..., None]
     near = np.all(np.abs(share - wanted / wanted.sum()) < apart, axis=2)
     return np.asarray(near & (brightness > 90))
+
+
+def largest_piece(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return the largest connected piece of a mask: a body, not a word of the legend in its colour."""
+    pieces, _ = ndimage.label(mask)
+    return np.asarray(pieces == 1 + np.argmax(np.bincount(pieces.ravel())[1:]))
 
 
 def of_hue(pixels: Pixels, colour: int, apart: float = 0.06) -> int:

@@ -117,6 +117,13 @@ SCENES: dict[str, dict[str, Any]] = {
         "time": {"duration": 0.2, "max_dt": 0.02},
         "record": {"every": 0.2},
     },
+    "a ball that a field drives along a periodic axis": {
+        "body": [{"position": [0.0, 0.0, 0.0], "mass": 1.0}],
+        "plane": [{"point": [0.0, 0.0, -1.0]}],
+        "domain": {"boundary": ["periodic", "periodic", "open"], "size": [4.0, 4.0, 4.0]},
+        "gravity": {"constant": 0.0, "uniform": [1.0, 0.0, -1.0]},
+        "time": {"duration": 0.1, "max_dt": 0.02},
+    },
     "a pile in a wind, and falling bodies": {
         "body": [*_PAIR, {"position": [0.0, 0.0, 2.2], "velocity": [0.0, 0.0, -5.0], "mass": 1.0}],
         "plane": [{"point": [0.0, 0.0, -1.0]}],

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 import rerun as rr
@@ -36,7 +37,7 @@ class MovingWall:
         cycles = (motion.frequency or 0.0) * time + motion.phase / (2.0 * np.pi)
         _, sine = cosine_and_sine(360.0 * (cycles - np.floor(cycles)))
         shift = np.asarray(time[:, None] * velocity + sine[:, None] * np.array(motion.amplitude))
-        for begin, end, changed in zip(motion.times, (*motion.times[1:], np.inf), motion.velocities, strict=True):
+        for (begin, end), changed in zip(pairwise((*motion.times, np.inf)), motion.velocities, strict=True):
             shift += (np.clip(time, begin, end) - begin)[:, None] * self._drawn(np.array(changed))
         return shift
 
