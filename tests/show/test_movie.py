@@ -176,7 +176,7 @@ def test_a_close_up_movie_keeps_its_two_bodies_in_the_middle(tmp_path: Path) -> 
         for body in (sky, pink):
             assert body.mean() > 0.03, "each fills more than a thirtieth of the picture"
         middle = np.mean([np.mean(np.nonzero(body), axis=1) for body in (sky, pink)], axis=0)
-        assert np.all(np.abs(middle / (360, 480) - 0.5) < 0.2), "the camera follows them"
+        assert np.all(np.abs(middle / (360, 480) - 0.5) < 0.25), "the camera follows them, below the legend"
 
 
 @pytest.mark.slow
