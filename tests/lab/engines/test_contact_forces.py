@@ -287,7 +287,7 @@ def test_a_floor_holds_a_ball_by_its_weight_and_has_stopped_one_that_fell(
     # the ball rests at the end, so that the floor gave what its weight had
     (account,) = why(recording, question_of(recording, "1", None, None)).accounts
     assert account.by_contacts[2] == pytest.approx(9.81 * 0.6, rel=1e-3)
-    assert account.by_field == pytest.approx([0.0, 0.0, -9.81 * 0.6], rel=1e-12)
+    assert account.by_field == pytest.approx([0.0, 0.0, -9.81 * 0.6], rel=1e-6)  # Newton computes in float32
 
 
 def test_impacts_in_box3d_have_the_impulses_that_changed_the_velocities(tmp_path: Path) -> None:
