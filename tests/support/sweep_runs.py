@@ -33,7 +33,7 @@ velocity = [1.0, 0.0, 0.0]
 position = [1.05, 0.3, 0.0]
 velocity = [-1.0, 0.0, 0.0]
 """
-SLOW = ("--set", "time.fixed_dt=1e-5", "--set", "time.duration=0.15")  # 15 000 steps: half a second or more a run
+SLOW = ("--set", "time.fixed_dt=4e-6", "--set", "time.duration=0.15")  # 37 500 steps: about a second a run
 
 
 def write_scene(folder: Path) -> Path:
