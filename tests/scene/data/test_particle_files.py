@@ -23,7 +23,8 @@ def test_a_dump_is_read_at_a_step_in_the_order_of_its_ids(tmp_path: Path) -> Non
     assert bodies.position[:, 0].tolist() == [0.1, 0.35] and bodies.velocity[:, 2].tolist() == [-1.0, 0.0]
     assert bodies.angular_velocity[1].tolist() == [0.0, 0.0, 2.5] and bodies.mass.tolist() == [0.001, 0.002]
     assert scene.notes[0][0] == "granular.lammpstrj: step 1000 of LAMMPS"
-    assert "its box of 1 × 1 × 2 is periodic, which is ignored" in scene.notes[0][1]
+    assert "its box of 1 × 1 × 2 is periodic along x and y, which is ignored" in scene.notes[0][1]
+    assert scene.notes[0][1].endswith('set domain.boundary = ["periodic", "periodic", "open"] for that')
     assert scene_of(tmp_path, "granular.lammpstrj", "snapshot = 0").data[0].radius.tolist() == [0.05, 0.05]
     assert "it has 2" in refusal(tmp_path, "granular.lammpstrj", "snapshot = 2")
 

@@ -123,10 +123,14 @@ def step_at(called: str, snapshot: int, steps: int, whose: str = "it") -> int:
     return snapshot % steps
 
 
-def periodic_note(called: str, size: Sequence[float] = ()) -> str:
-    """Return the note that a file's periodic box is ignored, with the size of the box if known."""
+def periodic_note(called: str, size: Sequence[float] = (), axes: str = "xyz") -> str:
+    """Return the note that a file's box, periodic along some axes, is ignored, with its size if known."""
     shown = f" of {' × '.join(f'{length:g}' for length in size)}" if len(size) else ""
-    return f'{called}: its box{shown} is periodic, which is ignored; set domain.boundary = "periodic" for that'
+    along, wanted = "", '"periodic"'
+    if axes != "xyz":
+        along = f" along {' and '.join(axes)}"
+        wanted = str(["periodic" if axis in axes else "open" for axis in "xyz"]).replace("'", '"')
+    return f"{called}: its box{shown} is periodic{along}, which is ignored; set domain.boundary = {wanted} for that"
 
 
 def refuse_bomb(called: str, claimed: int, stored: int) -> None:

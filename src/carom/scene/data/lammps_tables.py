@@ -88,9 +88,11 @@ class _Dump(DataTable):
         units = "".join(items.get("UNITS", [])[:1]).strip()
         self.units = _UNITS.get(units, "")
         self.notes = (f"{called}: step {printable(step)} of LAMMPS{f', units {printable(units)}' if units else ''}",)
-        if "pp" in bounds[0].split() or bounds[0].split()[-1:] == ["p"]:
+        ends = bounds[0].split()[-3:]  # such as pp pp ff; old versions write none
+        repeated = "".join(axis for axis, end in zip("xyz", ends, strict=False) if end in ("pp", "p"))
+        if repeated:
             size = () if self._box is None else (self._box[:, 1] - self._box[:, 0]).tolist()
-            self.notes += (periodic_note(called, size),)
+            self.notes += (periodic_note(called, size, repeated),)
 
     def read(self, names: Sequence[str], texts: Sequence[str] = ()) -> dict[str, Raw]:
         """Read columns by their names."""
@@ -147,6 +149,8 @@ def open_data(path: Path, called: str, snapshot: int) -> DataTable:
     refuse_large(called, "file", path.stat().st_size)
     content = path.read_bytes()
     stated = _COUNT.search(content[:_HEAD])
+    if content.startswith(b"ITEM:"):
+        raise SceneError(f'{called}: it begins with "ITEM:" like a dump of LAMMPS, not a data file; name it *.dump')
     if stated is None:
         raise SceneError(f'{called}: no line such as "100 atoms" in its header, which a data file of LAMMPS has')
     refuse_many_rows(called, int(stated[1]))
