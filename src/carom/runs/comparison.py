@@ -181,7 +181,7 @@ class StaticCheck:
                 continue
             others = dict(recorded.get(path, {}))
             for name, value in components.items():
-                if path in (paths.PLANES, paths.SHAPES) and name in _SHAPES and reach is None:
+                if reach is None and name in _SHAPES and path.startswith((paths.PLANES, paths.SHAPES, paths.MOVING)):
                     others.pop(name, None)
                     self._skip(path, name, "depends on the initial positions of all bodies of the run")
                 elif name not in others:

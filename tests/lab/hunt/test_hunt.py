@@ -33,6 +33,11 @@ def test_the_same_seed_draws_the_same_scene() -> None:
     assert drawn(3, 4) == drawn(3, 4) != drawn(3, 5)
 
 
+def test_every_draw_is_a_document_and_some_have_planes_that_move() -> None:
+    planes = [plane for index in range(400) for plane in drawn(1, index).document.get("plane", [])]
+    assert any("motion" in plane for plane in planes)
+
+
 @pytest.mark.slow
 def test_a_fault_is_found_shrunk_and_filed_with_its_recording(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("carom.lab.hunt.hunt.drawn", lambda seed, index: Drawn(meeting(index)))

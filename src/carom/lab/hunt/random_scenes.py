@@ -174,11 +174,12 @@ def _bound(draw: Draw, document: Document, scale: Scales) -> None:
 
 def _move_planes(draw: Draw, document: Document) -> None:
     """Let planes move in some scenes, by their own random numbers: by about a radius in the time of the run."""
-    time, planes = document["time"], document.get("plane", [])
+    time, planes, bodies = document["time"], document.get("plane", []), document.get("body", [])
     steps_by_impulse = time.get("integrator", "auto") in ("auto", "leapfrog") and "accuracy" not in time
-    if not steps_by_impulse or "drag" in document or document["contact"].get("enabled") is False:
+    refused = not steps_by_impulse or "drag" in document or document["contact"].get("enabled") is False
+    if refused or not planes or not bodies:  # bodies of a group fill the space between the planes
         return
-    L, T = max(body["radius"] for body in document["body"]), time["duration"]
+    L, T = max(body.get("radius", 1.0) for body in bodies), time["duration"]
     for plane in planes:
         kind, way = draw.integer(0, 7), row(vector(draw) * L)
         if kind == 0:
