@@ -174,6 +174,7 @@ def kind_called(name: str) -> ForceKind:
     if own is not None:
         return own
     force = force_called(name)
+    removed = f"removed by the force {name} since the start; negative if it added energy"
 
     def decide(scene: Scene) -> tuple[bool, str]:
         given = scene.forces.given
@@ -185,15 +186,11 @@ def kind_called(name: str) -> ForceKind:
         potential=name if force.potential else "",
         loss="" if force.potential else name,
         legend=force.legend or name,
-        meaning=force.meaning or (f"potential energy of the force {name}" if force.potential else _removed_by(name)),
+        meaning=force.meaning or (f"potential energy of the force {name}" if force.potential else removed),
         colour=force.colour,
         differs=True,
         contradiction=lambda scene: f"there is none; add [forces.{name}]",
     )
-
-
-def _removed_by(name: str) -> str:
-    return f"removed by the force {name} since the start; negative if it added energy"
 
 
 def acts_from_outside(scene: Scene) -> bool:

@@ -35,6 +35,7 @@ from carom.extend import (
 
 Watcher = Callable[[StepStatus], None]
 
+_POINT, _NORMAL, _VELOCITY = ("x", "y", "z"), ("nx", "ny", "nz"), ("vx", "vy", "vz")  # columns of tables
 MOST_STATES = 64  # exact states whose velocities are used
 MOST_CONTACT_FRAMES = 32
 MOST_VELOCITIES = 2_000_000  # in memory, summed over these states
@@ -192,10 +193,7 @@ class Interval:
         table = table.filter(pa.array((step > self.step[0]) & (step <= self.step[-1])))
         if table.num_rows == 0:
             raise NothingThereError(f"there are no impacts from {self.text}")
-        point, normal = (
-            np.stack([table[name].to_numpy() for name in names], axis=1)
-            for names in (("x", "y", "z"), ("nx", "ny", "nz"))
-        )
+        point, normal = _vectors(table, _POINT), _vectors(table, _NORMAL)
         step, time, i, j, speed, impulse = (
             table[name].to_numpy() for name in (STEP, "time", "i", "j", "approach_speed", "normal_impulse")
         )
@@ -236,10 +234,7 @@ class Interval:
         table, step = np.concatenate(found), np.repeat(steps, [len(each) for each in found])
         if len(table) == 0:
             raise NothingThereError(f"there are no impacts from {self.text}")
-        point, normal = (
-            np.stack([table[name] for name in names], axis=1).astype(np.float64)
-            for names in (("x", "y", "z"), ("nx", "ny", "nz"))
-        )
+        point, normal = _vectors(table, _POINT), _vectors(table, _NORMAL)
         pair = table["i"].astype(np.int64), table["j"].astype(np.int64)
         impulse = table["normal_impulse"].astype(np.float64)
         return ImpactColumns(step, table["time"], *pair, point, normal, np.concatenate(speeds), impulse)
@@ -283,7 +278,7 @@ class Interval:
             [each.append_column("frame", pa.array(np.full(each.num_rows, k))) for k, each in enumerate(tables)]
         )
         table = table.filter(pc.and_(pc.is_valid(table["normal_force"]), pc.greater(table["normal_impulse"], 0.0)))
-        normal = np.stack([table[name].to_numpy() for name in ("nx", "ny", "nz")], axis=1)
+        normal = _vectors(table, _NORMAL)
         names = ("normal_impulse", "normal_force", "tangential_force")
         impulse, force, friction = (table[name].to_numpy() for name in names)
         frame, i, j = (table[name].to_numpy() for name in ("frame", "i", "j"))
@@ -352,14 +347,15 @@ class Interval:
         known = [step for step in known if step > 0] or known
         if not known:
             state = self.recording.bodies(float(self.time[-1]))
-            place, velocity = (
-                np.stack([state[name].to_numpy() for name in names], axis=1)
-                for names in (("x", "y", "z"), ("vx", "vy", "vz"))
-            )
-            return self._relative_to_flow(velocity, place)[None]
+            return self._relative_to_flow(_vectors(state, _VELOCITY), _vectors(state, _POINT))[None]
         places = np.unique(np.linspace(0, len(known) - 1, min(most, len(known))).round().astype(np.int64))
         kept = self.recording.checkpoints(np.array(known)[places].tolist())
         return np.stack([self._relative_to_flow(state.velocity, state.position) for state in kept])
+
+
+def _vectors(table: pa.Table | Records, names: tuple[str, str, str]) -> FloatArray:
+    """Return three columns of a table as vectors, (k, 3)."""
+    return np.stack([np.asarray(table[name], dtype=np.float64) for name in names], axis=1)
 
 
 def _pairs(rows: Records) -> IntArray:

@@ -48,6 +48,7 @@ def measure_velocities(interval: Interval) -> Statistic:
     temperature = np.nanmean(weighted * weighted, axis=(1, 2))  # J, of each state
     mean = float(temperature.mean())
     count = np.count_nonzero(there)
+    states = list(zip(weighted, there, strict=True))
     values = {
         "states": MeasuredValue("exact states", len(velocity)),
         "mean_velocity": MeasuredValue("mean velocity", np.nanmean(velocity, axis=(0, 1)), VELOCITY),
@@ -55,7 +56,7 @@ def measure_velocities(interval: Interval) -> Statistic:
         "temperature_of_axes": MeasuredValue("… of x, y, z", np.nanmean(weighted * weighted, axis=(0, 1)), ENERGY),
         "fourth_cumulant": MeasuredValue(
             "fourth cumulant a₂",
-            float(np.mean([fourth_cumulant(w[t]) for w, t in zip(weighted, there, strict=True)])),
+            float(np.mean([fourth_cumulant(w[t]) for w, t in states])),
             error=sqrt(8 / (15 * count)),
         ),
     }
@@ -65,7 +66,6 @@ def measure_velocities(interval: Interval) -> Statistic:
     middle = (edges[1:] + edges[:-1]) / 2
     maxwell = np.exp(-(middle**2) / 2) / sqrt(2 * pi)
     histogram = Histogram("velocity component / its rms", edges, density, expected=maxwell, theory="Maxwell")
-    states = list(zip(weighted, there, strict=True))
     rows = [
         {
             "group": name,

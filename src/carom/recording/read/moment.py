@@ -1,7 +1,7 @@
 """The time that is shown by default: the time of the hardest impact or, without impacts, of the most contacts.
 
-Where as many touch from the first step on, as on a slope, the end is shown: nothing has moved yet in that step. A
-killed run has recorded neither. For it, the frame before which contacts dissipated most energy is shown.
+If no later step has more contacts than the first, as on a slope, the end is shown, since nothing has moved yet in the
+first step. A killed run has recorded neither. For it, the frame before which contacts dissipated most energy is shown.
 """
 
 from __future__ import annotations
