@@ -1,5 +1,5 @@
 # The one runner: `make check` while you work, `make test` before a push, `.ci/run` before a release.
-.PHONY: help check style types changed test slow docs bench results
+.PHONY: help check style types changed test slow hunt docs bench results
 
 SINCE ?= # a commit; by default, where this branch left origin/main
 
@@ -26,6 +26,9 @@ test: ## the default tests, on all cores
 
 slow: ## the slow tests; tests of pictures, pages and engines have further requirements (CONTRIBUTING.md)
 	CAROM_EXAMPLES=all pytest -q -m "slow or needs or drawn"
+
+hunt: ## two minutes of random scenes and of damaged and hostile files, with a new seed; exits with 1 after a fault
+	tests/support/generators.sh
 
 docs: ## the site, with its links checked
 	NO_MKDOCS_2_WARNING=1 mkdocs build --quiet --strict --site-dir "$${TMPDIR:-/tmp}/carom-site"
