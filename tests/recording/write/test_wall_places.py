@@ -97,5 +97,9 @@ def test_a_wall_rotates_about_its_axis_by_its_angular_velocity() -> None:
 def test_a_wall_is_drawn_where_velocities_that_change_at_given_times_have_moved_it() -> None:
     changing = WallMotion(times=(0.1, 0.5, 0.9), velocities=((1.0, 0.0, 0.0), (0.0, 0.0, 2.0), (0.0, 0.0, 0.0)))
     time = np.linspace(0.0, 1.3, 14)
-    expected = [changing.displacement(moment) for moment in time.tolist()]
-    assert MovingWall(changing).displacement(time) == pytest.approx(np.array(expected), abs=1e-12)
+    begun = np.maximum(time - 0.1, 0.0), np.maximum(time - 0.5, 0.0), np.maximum(time - 0.9, 0.0)
+    expected = np.stack((begun[0] - begun[1], np.zeros(14), 2.0 * (begun[1] - begun[2])), axis=1)
+    assert changing.displacement(time) == pytest.approx(expected, abs=1e-12)
+    assert changing.displacement(0.7) == pytest.approx([0.4, 0.0, 0.4], abs=1e-12)
+    along_x = changing.displacement(time, np.array([1.0, 0.0, 0.0]))  # a drawn plane moves only along its normal
+    assert along_x == pytest.approx(expected * [1.0, 0.0, 0.0], abs=1e-12)

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 import rerun as rr
@@ -29,21 +28,6 @@ class MovingWall:
     motion: WallMotion
     normal: FloatArray | None = None  # (3,) of a plane
     axis: tuple[FloatArray, FloatArray] | None = None  # of a wall that rotates: a point (3,) m, and the direction (3,)
-
-    def displacement(self, time: FloatArray) -> FloatArray:
-        """Return how far it is from where the scene puts it at some times (k,) s, (k, 3) m, as drawn."""
-        motion = self.motion
-        velocity = self._drawn(np.array(motion.velocity))
-        cycles = (motion.frequency or 0.0) * time + motion.phase / (2.0 * np.pi)
-        _, sine = cosine_and_sine(360.0 * (cycles - np.floor(cycles)))
-        shift = np.asarray(time[:, None] * velocity + sine[:, None] * np.array(motion.amplitude))
-        for (begin, end), changed in zip(pairwise((*motion.times, np.inf)), motion.velocities, strict=True):
-            shift += (np.clip(time, begin, end) - begin)[:, None] * self._drawn(np.array(changed))
-        return shift
-
-    def _drawn(self, velocity: FloatArray) -> FloatArray:
-        """Return the part of a velocity that is drawn, (3,) m/s: of a plane, the component along its normal."""
-        return velocity if self.normal is None else np.asarray((velocity * self.normal).sum() * self.normal)
 
     def turns(self, time: FloatArray) -> FloatArray:
         """Return its orientations at some times (k,) s, (k, 4)."""
@@ -72,7 +56,7 @@ def wall_rows(walls: Mapping[str, MovingWall], index: Index, origin: FloatArray)
     """Yield the transform of each wall at the times of an index; ``origin`` is (3,) m, that of the drawing."""
     for path, wall in walls.items():
         columns, turned = [], None
-        shift = wall.displacement(index.times)
+        shift = wall.motion.displacement(index.times, wall.normal)
         if wall.axis is not None:
             turns = wall.turns(index.times)
             point = wall.axis[0] - origin

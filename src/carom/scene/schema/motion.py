@@ -9,12 +9,14 @@ with velocities V_k that change at given times.
 
 from __future__ import annotations
 
-import math
 from itertools import pairwise
 from typing import Annotated, Self
 
+import numpy as np
 from pydantic import Field, model_validator
 
+from carom.arrays import FloatArray
+from carom.scene.portable_math import cosine_and_sine
 from carom.scene.schema.quantity import ORIGIN, NonNegative, Positive, Real, Section, Vector
 from carom.scene.units.dimension import ANGLE, ANGULAR_VELOCITY, LENGTH, RATE, TIME, VELOCITY
 
@@ -53,17 +55,21 @@ class WallMotion(Section):
         """Whether anything of it moves."""
         return self.translates or self.rotation != 0.0
 
-    def displacement(self, time: float) -> tuple[float, float, float]:
-        """Return D(t) in m at a time in s, for checks; steps compute it with portable sines."""
-        sine = math.sin(2.0 * math.pi * (self.frequency or 0.0) * time + self.phase)
-        lasting = [max(0.0, min(time, end) - begin) for begin, end in pairwise((*self.times, math.inf))]
-        x, y, z = (
-            self.velocity[axis] * time
-            + sum(velocity[axis] * span for velocity, span in zip(self.velocities, lasting, strict=True))
-            + self.amplitude[axis] * sine
-            for axis in range(3)
-        )
-        return x, y, z
+    def displacement(self, time: float | FloatArray, normal: FloatArray | None = None) -> FloatArray:
+        """Return D(t) in m at times (...) in s, (..., 3); steps compute it in a kernel.
+
+        With a ``normal`` (3,), velocities count only along it, as those of a plane that is drawn.
+        """
+        t = np.asarray(time, dtype=np.float64)
+        velocities = [np.array(each) for each in (self.velocity, *self.velocities)]
+        if normal is not None:
+            velocities = [(each * normal).sum() * normal for each in velocities]
+        cycles = (self.frequency or 0.0) * t + self.phase / (2.0 * np.pi)
+        _, sine = cosine_and_sine(360.0 * (cycles - np.floor(cycles)))
+        shift = t[..., None] * velocities[0] + sine[..., None] * np.array(self.amplitude)
+        for (begin, end), velocity in zip(pairwise((*self.times, np.inf)), velocities[1:], strict=True):
+            shift = shift + (np.clip(t, begin, end) - begin)[..., None] * velocity
+        return np.asarray(shift)
 
     @model_validator(mode="after")
     def _is_complete(self) -> Self:
