@@ -18,7 +18,7 @@ from typing import Any
 
 from carom.lab.hunt.hunt import Hunt
 from carom.lab.shrink.trials import Budget
-from carom.runs.process_settings import Interrupts
+from carom.runs.environment import Interrupts
 from planted_faults import FAULTS, Fault
 
 RESULTS = Path(__file__).parent / "results" / "hunt.json"

@@ -25,7 +25,7 @@ from pathlib import Path
 from typing import Any
 from unittest import mock
 
-from carom.runs.process_settings import keep_freed_memory
+from carom.runs.environment import keep_freed_memory
 
 keep_freed_memory()  # as the carom command does, before NumPy starts its threads
 

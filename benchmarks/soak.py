@@ -21,7 +21,7 @@ from unittest import mock
 
 import numpy as np
 
-from carom.runs.process_settings import keep_freed_memory
+from carom.runs.environment import keep_freed_memory
 
 keep_freed_memory()  # as the carom command does, before NumPy starts its threads
 

@@ -19,7 +19,7 @@ def main() -> None:
     fit_into_descriptors()
     # Arrow's own allocator keeps freed memory: a clip took 30 MB more with it, in the same time
     os.environ.setdefault("ARROW_DEFAULT_MEMORY_POOL", "system")
-    from carom.runs.process_settings import raise_signals, received  # noqa: PLC0415 - checks come first
+    from carom.runs.environment import raise_signals, received  # noqa: PLC0415 - checks come first
 
     raise_signals()
     try:

@@ -66,10 +66,10 @@ if TYPE_CHECKING:
     from carom.recording.edit.bundle import is_bundle as is_bundle
     from carom.recording.edit.bundle import opened as opened
     from carom.recording.export.export import Snapshot as Snapshot
-    from carom.recording.read.body_lookup import body_number as body_number
-    from carom.recording.read.body_lookup import names_of as names_of
     from carom.recording.read.frame_rows import RecordedPositions as RecordedPositions
-    from carom.recording.read.moment import tolerance as tolerance
+    from carom.recording.read.lookup import body_number as body_number
+    from carom.recording.read.lookup import names_of as names_of
+    from carom.recording.read.lookup import tolerance as tolerance
     from carom.recording.read.recorded_contacts import closing_speeds as closing_speeds
     from carom.recording.read.recorded_contacts import rows_by_frame as rows_by_frame
     from carom.recording.read.recorded_impacts import count_at as count_at
@@ -91,21 +91,21 @@ if TYPE_CHECKING:
     from carom.recording.source.source import named_version as named_version
     from carom.recording.source.source import setup_of as setup_of
     from carom.recording.write.durable_sink import DiskReserve as DiskReserve
+    from carom.recording.write.whole_file import is_link_of_another as is_link_of_another
     from carom.recording.write.whole_file import new_name as new_name
+    from carom.recording.write.whole_file import output_folder as output_folder
+    from carom.recording.write.whole_file import refuse_itself as refuse_itself
+    from carom.recording.write.whole_file import refuse_output as refuse_output
+    from carom.recording.write.whole_file import refuse_scene_output as refuse_scene_output
     from carom.recording.write.whole_file import whole_file as whole_file
     from carom.recording.write.whole_file import write_whole as write_whole
+    from carom.runs.environment import Interrupts as Interrupts
     from carom.runs.environment import command_line as command_line
     from carom.runs.environment import environment as environment
     from carom.runs.environment import versions as versions
     from carom.runs.outcome import Verdict as Verdict
+    from carom.runs.outcome import in_words as in_words
     from carom.runs.outcome import judge as judge
-    from carom.runs.output import is_link_of_another as is_link_of_another
-    from carom.runs.output import output_folder as output_folder
-    from carom.runs.output import refuse_itself as refuse_itself
-    from carom.runs.output import refuse_output as refuse_output
-    from carom.runs.output import refuse_scene_output as refuse_scene_output
-    from carom.runs.overview import in_words as in_words
-    from carom.runs.process_settings import Interrupts as Interrupts
     from carom.runs.report import report as report
     from carom.runs.resume import continued_scene as continued_scene
     from carom.runs.run import Outcome as Outcome
@@ -287,16 +287,15 @@ SECTIONS = {  # purpose → module → names
         "carom.physics.checkpoint": "Checkpoint",
         "carom.runs.workers": "Ended LocalWorkers TaskDroppedError WorkerDiedError Workers",
         "carom.physics.schedule": "Every Schedule at every",
-        "carom.runs.process_settings": "Interrupts",
+        "carom.runs.environment": "Interrupts",
         "carom.physics.contact.law": "LAW",
         "carom.runs.run": "Outcome Watcher closing_summary recording_space simulate",
         "carom.physics.simulation": "StepStatus",
-        "carom.runs.outcome": "Verdict judge",
+        "carom.runs.outcome": "Verdict in_words judge",
         "carom.runs.window": "checkpoint_before space_of",
         "carom.runs.resume": "continued_scene",
         "carom.physics.jit": "cores",
         "carom.physics.forces.kernel_forces": "forces_of_packages",
-        "carom.runs.overview": "in_words",
         "carom.physics.vector": "minimum_images",
         "carom.runs.report": "report",
         "carom.physics.look_ahead.find_step": "with_promise",
@@ -307,13 +306,14 @@ SECTIONS = {  # purpose → module → names
         "carom.recording.read.frame_rows": "RecordedPositions",
         "carom.recording.schema.paths": "STEP",
         "carom.recording.schema.header": "SweepMember",
-        "carom.recording.read.body_lookup": "body_number names_of",
+        "carom.recording.read.lookup": "body_number names_of tolerance",
         "carom.runs.environment": "command_line environment versions",
         "carom.recording.read.recorded_contacts": "closing_speeds rows_by_frame",
         "carom.recording.read.recorded_impacts": "count_at impacts_by_number",
-        "carom.runs.output": "is_link_of_another output_folder refuse_itself refuse_output refuse_scene_output",
-        "carom.recording.write.whole_file": "new_name whole_file write_whole",
-        "carom.recording.read.moment": "tolerance",
+        "carom.recording.write.whole_file": (
+            "is_link_of_another new_name output_folder refuse_itself refuse_output refuse_scene_output whole_file "
+            "write_whole"
+        ),
     },
     "Tools: views that compare runs": {
         "carom.show.causes": "CauseEdge Causes write_causes",

@@ -9,7 +9,7 @@ import pytest
 import carom as library
 from carom.errors import SceneError
 from carom.recording.read.recording import Recording
-from carom.runs.overview import overview
+from carom.runs.outcome import overview
 from carom.runs.report import worst_moment
 from carom_command import carom
 from small_scenes import pair

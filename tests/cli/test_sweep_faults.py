@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from carom.runs.process_settings import SAME_PRESS
+from carom.runs.environment import SAME_PRESS
 from carom_command import carom_process
 from sweep_runs import (
     SLOW,

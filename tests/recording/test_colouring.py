@@ -5,12 +5,13 @@ import pytest
 
 import carom
 from carom.errors import RecordingError
-from carom.recording.layout import colouring
+from carom.recording.layout import drawing
 from carom.recording.layout.camera import ASPECT, CameraFit, CameraMotion
 from carom.recording.read.recorded_scene import header_of_recording
 from carom.recording.read.recording import Recording
 from carom.recording.schema import palette, paths
 from carom.recording.schema.paths import STEP
+from carom.recording.write.encoder import graph_colours
 from carom.runs.replay import replay
 from carom.scene.schema import Scene
 from carom.show import supplement
@@ -34,26 +35,26 @@ def colours_sent(recording: Recording, by: str) -> dict[int, list[int]]:
 
 
 def test_bodies_that_touch_have_different_colours_and_the_others_are_grey() -> None:
-    colours = colouring.graph_colours(PAIRS, 7)
+    colours = graph_colours(PAIRS, 7)
     assert colours[0] != colours[1] != colours[2] and colours[3] != colours[4]
     assert colours[6] == palette.GREY
 
 
 def test_bodies_of_an_island_have_one_colour_and_a_plane_joins_none() -> None:
-    colours = colouring.island_colours(PAIRS, 7)
+    colours = drawing.island_colours(PAIRS, 7)
     assert colours[0] == colours[1] == colours[2] != colours[3] == colours[4]
     assert colours[5] == colours[6] == palette.GREY
 
 
 def test_faster_bodies_are_nearer_to_the_end_of_the_scale() -> None:
-    order = colouring.speed_colours(np.array([0.0, 1.0, 3.0, 1e9]), 1.0).tolist()
-    scale = list(dict.fromkeys(colouring.speed_colours(np.geomspace(1e-9, 1e9, 2000), 1.0).tolist()))
+    order = drawing.speed_colours(np.array([0.0, 1.0, 3.0, 1e9]), 1.0).tolist()
+    scale = list(dict.fromkeys(drawing.speed_colours(np.geomspace(1e-9, 1e9, 2000), 1.0).tolist()))
     assert [scale.index(colour) for colour in order] == [0, len(scale) // 2, len(scale) * 3 // 4, len(scale) - 1]
 
 
 @pytest.mark.parametrize("reference", [0.0, np.nan])
 def test_bodies_at_rest_have_a_colour(reference: float) -> None:
-    assert len(set(colouring.speed_colours(np.zeros(3), reference).tolist())) == 1
+    assert len(set(drawing.speed_colours(np.zeros(3), reference).tolist())) == 1
 
 
 @pytest.mark.slow

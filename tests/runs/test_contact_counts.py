@@ -1,6 +1,6 @@
 """The names of the numbers of contacts of a run."""
 
-from carom.runs.overview import EACH, ONCE_A_STEP, counts_text
+from carom.runs.outcome import EACH, ONCE_A_STEP, counts_text
 
 
 def test_impacts_and_contact_steps_are_told_apart_and_said_how_they_were_counted() -> None:

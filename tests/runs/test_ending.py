@@ -2,7 +2,7 @@
 
 import pytest
 
-from carom.runs.overview import in_words
+from carom.runs.outcome import in_words
 
 
 @pytest.mark.parametrize(

@@ -10,23 +10,23 @@ from pathlib import Path
 import pytest
 
 from carom.recording.read.recording import Recording
-from carom.runs import process_settings
-from carom.runs.process_settings import Interrupts
+from carom.runs import environment
+from carom.runs.environment import Interrupts
 
 
 def test_an_interrupt_that_an_imported_library_caught_ends_the_run_before_it_begins(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(process_settings, "_received", [signal.SIGINT])
+    monkeypatch.setattr(environment, "_received", [signal.SIGINT])
     with pytest.raises(KeyboardInterrupt), Interrupts():
         pytest.fail("the run began")
-    monkeypatch.setattr(process_settings, "_received", [])
+    monkeypatch.setattr(environment, "_received", [])
     with Interrupts() as seen:
         assert seen.count == 0
 
 
 def test_a_program_that_caught_a_second_interrupt_can_run_again(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(process_settings, "SAME_PRESS", 0.0)
+    monkeypatch.setattr(environment, "SAME_PRESS", 0.0)
     with pytest.raises(KeyboardInterrupt), Interrupts():
         signal.raise_signal(signal.SIGINT)
         signal.raise_signal(signal.SIGINT)
@@ -61,7 +61,7 @@ def test_a_signal_ends_a_script_of_several_runs_and_leaves_a_complete_recording(
 
 CALLBACK = """
 import ctypes, signal, time
-from carom.runs.process_settings import raise_signals
+from carom.runs.environment import raise_signals
 
 raise_signals()
 try:

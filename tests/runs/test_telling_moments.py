@@ -9,7 +9,7 @@ import pytest
 
 import carom
 from carom.recording.read.recording import Recording
-from carom.runs.overview import description, problems
+from carom.runs.outcome import description, problems
 from carom.runs.publish import telling_moments
 from carom.scene.scene_file import starter
 from carom.scene.schema import Scene

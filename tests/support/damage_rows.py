@@ -31,7 +31,7 @@ from carom.recording.read.recording import Recording
 from carom.recording.rrd.framing import CHUNK
 from carom.recording.rrd.messages import RECORDING, decode
 from carom.runs import report
-from carom.runs.overview import description
+from carom.runs.outcome import description
 from carom.runs.replay import replay
 from carom.show.movie import _layout, frame_times
 from carom.show.presentation import asked

@@ -20,7 +20,7 @@ class OtherProcessor:
 
     kernels: Path
     environment: dict[str, str]
-    ahead: dict[str, int]  # the files that `carom.runs.compile_ahead` wrote, and when (ns)
+    ahead: dict[str, int]  # the files that `carom.runs.warmup` wrote, and when (ns)
     warmth: dict[str, Any]  # the output of `carom warmup --json` afterwards
 
 
@@ -46,7 +46,7 @@ def other_processor(tmp_path_factory: pytest.TempPathFactory) -> OtherProcessor:
         fcntl.flock(lock, fcntl.LOCK_EX)
         if not answers.exists():
             kernels.mkdir(mode=0o700)
-            ahead = [sys.executable, "-m", "carom.runs.compile_ahead"]
+            ahead = [sys.executable, "-m", "carom.runs.warmup"]
             with subprocess.Popen(ahead, stdin=subprocess.PIPE, env=environment) as second:
                 assert second.wait() == 0
             files = written(kernels)

@@ -35,7 +35,7 @@ def start_compiling() -> subprocess.Popen[bytes] | None:
         return None
     try:
         helper = subprocess.Popen(
-            [sys.executable, "-P", "-m", "carom.runs.compile_ahead"],
+            [sys.executable, "-P", "-m", "carom.runs.warmup"],
             stdin=subprocess.PIPE,  # closed when this process ends
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,

@@ -95,7 +95,7 @@ def contacts(
     from carom.recording.edit.bundle import opened
     from carom.recording.export.export import refuse_format
     from carom.recording.read.recording import Recording
-    from carom.runs.output import refuse_output
+    from carom.recording.write.whole_file import refuse_output
 
     _refuse_contradictions(at, impacts, statistics, start, end, bodies, as_json + as_csv + (output is not None))
     if output is not None:
@@ -166,7 +166,7 @@ def _table(
 ) -> pa.Table:
     """Return the contacts of the recording that concern the bodies."""
     from carom.errors import RecordingError
-    from carom.recording.read.body_lookup import shown_body
+    from carom.recording.read.lookup import shown_body
     from carom.recording.read.recorded_contacts import of_body
 
     numbers = [shown_body(recording, body) for body in bodies]
@@ -236,7 +236,7 @@ def _hardest(recording: Recording, bodies: list[int]) -> OptionalTime:
 
 
 def _names(recording: Recording) -> Any:
-    from carom.recording.read.body_lookup import names_of
+    from carom.recording.read.lookup import names_of
 
     return names_of(recording)
 
@@ -367,7 +367,7 @@ def _rubs(table: pa.Table) -> bool:
 
 def _in_next_step(recording: Recording, at: float) -> str:
     """Return a hint to the next step if it recorded impacts at the very end of the step that contains a time (s)."""
-    from carom.recording.read.moment import frame_of
+    from carom.recording.read.lookup import frame_of
 
     row = frame_of(recording, at)
     if row is None or not recording.records_contacts:

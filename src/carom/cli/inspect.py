@@ -36,7 +36,7 @@ def inspect(
     from carom.recording.edit.bundle import opened
     from carom.recording.read.recorded_scene import refuse_missing_extensions
     from carom.recording.read.recording import Recording
-    from carom.runs.overview import description
+    from carom.runs.outcome import description
 
     with opened(file) as path:
         recording = Recording.open(path)
@@ -99,7 +99,7 @@ def _overview(summary: dict[str, Any], units: UnitSystem) -> Table:
 
 def _run(summary: dict[str, Any], units: UnitSystem) -> Iterator[Row]:
     """Describe the run, its length and its outcome."""
-    from carom.runs.overview import in_words
+    from carom.runs.outcome import in_words
     from carom.scene.wording import in_series
 
     scene, clip = summary["scene"], summary.get("clip")
@@ -128,7 +128,7 @@ def _run(summary: dict[str, Any], units: UnitSystem) -> Iterator[Row]:
 
 def _conservation(summary: dict[str, Any], units: UnitSystem) -> Iterator[Row]:
     """Describe the conservation of energy and momenta."""
-    from carom.runs.overview import energy_texts, error_text
+    from carom.runs.outcome import energy_texts, error_text
 
     energy = summary["energy"]
     if math.isnan(energy["initial"]):
@@ -148,7 +148,7 @@ def _conservation(summary: dict[str, Any], units: UnitSystem) -> Iterator[Row]:
 def _contacts(summary: dict[str, Any]) -> Iterator[Row]:
     """Count contacts and impacts, and name the deepest overlap."""
     from carom.recording.read.recorded_impacts import RecordedImpacts
-    from carom.runs.overview import counts_text, overlap_text
+    from carom.runs.outcome import counts_text, overlap_text
 
     contacts, texts = summary["contacts"], []
     if contacts["total"] or contacts.get("impacts") or "contacts" in summary["moments"] or summary.get("clip"):
@@ -165,7 +165,7 @@ def _contacts(summary: dict[str, Any]) -> Iterator[Row]:
 
 def _judgements(summary: dict[str, Any], units: UnitSystem) -> Iterator[Row]:
     """Describe the kept and missed accuracy and promises, and the violated laws."""
-    from carom.runs.overview import accuracy_text
+    from carom.runs.outcome import accuracy_text
 
     if summary["accuracy"]:
         yield "accuracy", accuracy_text(summary["accuracy"], units)
@@ -193,7 +193,7 @@ def _warnings(summary: dict[str, Any], units: UnitSystem) -> Iterator[str]:
 
 def _moments(summary: dict[str, Any], file: Path, units: UnitSystem) -> Iterator[str]:
     """List each extreme, with the commands that show it."""
-    from carom.runs.overview import moments
+    from carom.runs.outcome import moments
 
     first, last = summary.get("clip", {}).get("from", 0.0), summary["sim_time"]
     window = min(AROUND / max(1, summary["frames"] - 1), 1.0) * (last - first)

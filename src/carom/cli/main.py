@@ -13,7 +13,7 @@ import typer
 
 from carom.cli.commands import CommandGroup
 from carom.private_folder import remove_private_folder
-from carom.runs.process_settings import keep_freed_memory, received
+from carom.runs.environment import keep_freed_memory, received
 
 if TYPE_CHECKING:
     from _typeshed import ReadableBuffer

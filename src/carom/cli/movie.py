@@ -86,7 +86,7 @@ def movie(
     from carom.install import needing
     from carom.recording.layout.camera import CameraMotion
     from carom.recording.read.recording import Recording
-    from carom.runs.output import claimed_output
+    from carom.recording.write.whole_file import claimed_output
     from carom.show.movie import frame_times, pictures
 
     path = output or file.with_suffix(".mp4")

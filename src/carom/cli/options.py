@@ -82,7 +82,7 @@ def not_a_folder(path: Path) -> Path:
 
 def recording_to_write(path: Path | None) -> Path | None:
     """Return the path of a recording to write; refuse a name that the viewer would not recognise as a recording."""
-    from carom.runs.output import refuse_name
+    from carom.recording.write.whole_file import refuse_name
 
     if path is not None:
         refuse_name(path)

@@ -15,7 +15,7 @@ from carom.physics.look_ahead.trial_run import Watcher, WorkBudget
 from carom.physics.simulation import StepStatus
 from carom.plan.auto import ended_bounces, inexact_impacts, largest_step
 from carom.plan.checks import doubts
-from carom.runs.overview import accuracy_text, counts_text, error_text, in_words, overlap_text
+from carom.runs.outcome import accuracy_text, counts_text, error_text, in_words, overlap_text
 from carom.runs.run import Outcome, shortfall_text
 from carom.scene.schema import Scene
 from carom.scene.units.dimension import TIME

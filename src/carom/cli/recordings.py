@@ -64,7 +64,7 @@ def clip(
     from carom.recording.edit.bundle import opened
     from carom.recording.edit.clip import clip as cut
     from carom.recording.read.recording import Recording
-    from carom.runs.output import refuse_itself, refuse_output
+    from carom.recording.write.whole_file import refuse_itself, refuse_output
     from carom.scene.wording import bodies_called, counted
 
     path = output or file.with_name(f"{file.stem}-clip.rrd")
@@ -115,7 +115,7 @@ def _interval(
 
 def _numbers(file: Path, bodies: str | None) -> list[int] | None:
     """Return the numbers of the bodies, given by number or name."""
-    from carom.recording.read.body_lookup import body_number, split_at_commas
+    from carom.recording.read.lookup import body_number, split_at_commas
     from carom.recording.read.recording import Recording
 
     if bodies is None:
@@ -142,8 +142,7 @@ def repair(
     from carom.recording.edit.repair import repair as mend
     from carom.recording.edit.repair import units_of
     from carom.recording.read.recording import Recording
-    from carom.recording.write.whole_file import Claim
-    from carom.runs.output import refuse_output
+    from carom.recording.write.whole_file import Claim, refuse_output
 
     path = _path(file, output, in_place)
     torn = file.with_name(f"{file.name}.torn")
@@ -202,7 +201,7 @@ def export(
     from carom.recording.edit.bundle import opened
     from carom.recording.export.export import VTK, refuse_format, refuse_series, series_of, snapshots, write
     from carom.recording.read.recording import Recording
-    from carom.runs.output import refuse_output
+    from carom.recording.write.whole_file import refuse_output
 
     refuse_format(output)
     if everything and at is not None:
@@ -246,7 +245,7 @@ def report(
     from carom.cli.compiling import announce_compilation
     from carom.cli.printing import bytes_text
     from carom.recording.read.recording import Recording
-    from carom.runs.output import refuse_output
+    from carom.recording.write.whole_file import refuse_output
     from carom.runs.report import report as make
 
     recording = Recording.open(file)

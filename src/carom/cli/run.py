@@ -61,7 +61,7 @@ def run(
     loaded = Scene.load(scene, changes)
 
     from carom.cli.compiling import announce_compilation
-    from carom.runs.output import claimed_output, default_output
+    from carom.recording.write.whole_file import claimed_output, default_output
 
     path = output or default_output(Path(scene).stem)
 
@@ -95,7 +95,7 @@ def report(outcome: Outcome, progress: RunProgress, as_json: bool) -> None:
     """Print the outcome of a run; exit with 1 unless it completed."""
     from dataclasses import asdict
 
-    from carom.runs.overview import in_words
+    from carom.runs.outcome import in_words
 
     if as_json:
         say_json({"units": progress.units.recorded, **asdict(outcome), "path": str(outcome.path), "ok": outcome.ok})

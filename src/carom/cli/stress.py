@@ -33,7 +33,7 @@ def stress(
     """Run the scenes at the limits of the method and compare each with its criteria; exit with 1 on a miss."""
     from carom.cli.compiling import announce_compilation
     from carom.cli.progress import RunProgress
-    from carom.runs.output import output_folder
+    from carom.recording.write.whole_file import output_folder
     from carom.runs.stress import attempt, extremes
     from carom.scene.schema import Scene
 
@@ -63,7 +63,7 @@ def _show(trials: list[Trial], scenes: dict[str, Scene]) -> None:
     from rich.markup import escape
 
     from carom.cli.terminal import Terminal
-    from carom.runs.overview import in_words
+    from carom.runs.outcome import in_words
 
     console = Terminal(markup=True)
     if not console.is_terminal:
@@ -86,7 +86,7 @@ def _table(trials: list[Trial]) -> Table:
     from rich.table import Table
 
     from carom.cli.printing import duration_text
-    from carom.runs.overview import in_words
+    from carom.runs.outcome import in_words
 
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False, show_lines=True)
     for heading in ("extreme", "description and recording"):

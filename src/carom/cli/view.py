@@ -198,7 +198,7 @@ def picture(
     from carom.cli.compiling import announce_compilation
     from carom.recording.edit.bundle import opened
     from carom.recording.read.recording import Recording
-    from carom.runs.output import refuse_output
+    from carom.recording.write.whole_file import refuse_output
     from carom.show.picture import is_picture_of_carom, render
     from carom.show.request import Request
 

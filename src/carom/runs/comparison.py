@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,15 +12,22 @@ from numpy.typing import NDArray
 
 from carom.arrays import FloatArray, IntArray
 from carom.errors import DamageError
+from carom.physics.frame import Frame
 from carom.physics.space import Space
 from carom.plan.auto import auto_interval
 from carom.recording.edit.clip import Selection
 from carom.recording.read.entities import reading
+from carom.recording.read.frame_rows import BY_EVENT
 from carom.recording.read.recording import Recording
+from carom.recording.rrd.messages import Chunk
 from carom.recording.schema import paths
+from carom.recording.schema.header import Header
+from carom.recording.schema.paths import IMPACT, SIM_TIME, STEP
 from carom.recording.schema.series import SERIES, all_series
 from carom.recording.schema.time_scale import TimeScale
-from carom.recording.write.frame_chunks import IDENTITY, statics_of
+from carom.recording.write.encoder import BatchEncoder
+from carom.recording.write.rows import Rows, any_values
+from carom.recording.write.static_entities import identity, recording_name, statics
 from carom.runs.run import header_of
 from carom.scene.schema import Scene
 
@@ -112,7 +120,7 @@ def _flat(row: pa.Array) -> NDArray[np.generic]:
     return np.ascontiguousarray(values.to_numpy(zero_copy_only=False))
 
 
-Rows = dict[str, dict[str, pa.Array]]  # the one row of each component, by entity
+StaticRows = dict[str, dict[str, pa.Array]]  # the one row of each component, by entity
 
 _START_TIME = "RecordingInfo:start_time"  # wall-clock time
 _STATES = (paths.STATIC_STATE, paths.GIVEN_STATE, paths.SCENE_TOML)  # the initial data of a run
@@ -206,9 +214,9 @@ class StaticCheck:
         what = f"{name} of the property carom" if path == IDENTITY else f"{name} of /{path} (once)"
         self.skipped[f"{what}, which {why}"] = None
 
-    def _recorded(self) -> Rows:
+    def _recorded(self) -> StaticRows:
         """Read all static data."""
-        found: Rows = {}
+        found: StaticRows = {}
         with reading(self._recording.path):
             for chunk in self._recording.chunks(e for e in self._recording.store.entries if e.is_static):
                 if (rows := chunk.batch.num_rows) > 1:
@@ -218,12 +226,12 @@ class StaticCheck:
                     found[chunk.entity_path] = found.get(chunk.entity_path, {}) | row
         return found
 
-    def _expected(self, reach: float) -> Rows:
+    def _expected(self, reach: float) -> StaticRows:
         """Return the static data that the recorder would write, for the bodies that the recording shows."""
         recording, header = self._recording, self._header
         clock = TimeScale(float(recording.info["time_scale"]))
         title = str(recording.parameters.get("name", header.title))
-        found: Rows = {}
+        found: StaticRows = {}
         every = range(header.bodies)
         few = None if recording.shows_all else Selection(recording.shown, every, header.box, header.bodies)
         for chunk in statics_of(header, clock, recording.origin, reach, title):
@@ -257,3 +265,47 @@ def _is_data(path: str, name: str) -> bool:
     if path == IDENTITY:
         return not name.startswith(_DRAWING)
     return path in _STATES or name in _SHAPES
+
+
+IDENTITY = "__properties/carom"
+_INDEX, _DATA = {b"rerun:kind": b"index"}, {b"rerun:kind": b"data"}
+
+
+def rows_of(frames: Sequence[Frame], encoder: BatchEncoder, clock: TimeScale) -> Iterator[Chunk]:
+    """Encode frames like the recorder; return a chunk for each entity with one row per frame."""
+    for rows in encoder.rows(frames):
+        if rows.path not in BY_EVENT and len(rows.steps):
+            yield chunk_of(rows, clock)
+
+
+def checkpoints_of(frames: Sequence[Frame], encoder: BatchEncoder, clock: TimeScale) -> Chunk:
+    """Encode the exact state of frames."""
+    return chunk_of(encoder.checkpoints(frames), clock)
+
+
+def chunk_of(rows: Rows, clock: TimeScale) -> Chunk:
+    """Return rows as a chunk, as if they had been recorded."""
+    columns: dict[str, tuple[pa.Array, dict[bytes, bytes]]] = {}
+    index = rows.index
+    if len(index.impacts):
+        columns[IMPACT] = pa.array(index.impacts, pa.int64()), _INDEX
+    if len(index.steps):
+        columns[STEP] = pa.array(index.steps, pa.int64()), _INDEX
+    if len(index.times):
+        columns[SIM_TIME] = pa.array(clock.within(index.times, index.ends)).cast(pa.duration("ns")), _INDEX
+    for column in rows.columns:
+        columns[column.component_descriptor().component] = (column.as_arrow_array(), _DATA)
+    fields = [pa.field(name, array.type, metadata=kind) for name, (array, kind) in columns.items()]
+    return Chunk(rows.path, pa.record_batch([array for array, _ in columns.values()], schema=pa.schema(fields)))
+
+
+def statics_of(header: Header, clock: TimeScale, origin: FloatArray, reach: float, name: str) -> Iterator[Chunk]:
+    """Encode the static data of a recording of this name; see `statics`."""
+    archetypes = [(IDENTITY, any_values(identity(header, clock, origin))), recording_name(name)]
+    for path, archetype in (*archetypes, *statics(header, clock, origin, reach)):
+        rows = {}
+        for batch in archetype.as_component_batches():
+            values = batch.as_arrow_array()
+            rows[batch.component_descriptor().component] = pa.ListArray.from_arrays([0, len(values)], values)
+        fields = [pa.field(name, row.type, metadata=_DATA) for name, row in rows.items()]
+        yield Chunk(path, pa.record_batch(list(rows.values()), schema=pa.schema(fields)))

@@ -36,8 +36,8 @@ from carom.recording.source.source import (
     setup_of,
     time_of,
 )
+from carom.recording.write.whole_file import claimed_output, refuse_name
 from carom.runs.environment import environment
-from carom.runs.output import claimed_output, refuse_name
 from carom.runs.snapshot_writer import SnapshotWriter, Unrecorded, sentence_of
 from carom.scene.units.dimension import TIME
 from carom.scene.units.system import SI, UnitSystem

@@ -22,9 +22,8 @@ from carom.recording.schema.paths import CLOSING, SIM_TIME, STEP
 from carom.recording.schema.series import Past, all_series
 from carom.recording.schema.time_scale import TimeScale
 from carom.recording.write.encoder import BatchEncoder
-from carom.recording.write.frame_chunks import checkpoints_of, rows_of
 from carom.recording.write.recorder import CheckpointPlan
-from carom.runs.comparison import Mismatch, different, same
+from carom.runs.comparison import Mismatch, checkpoints_of, different, rows_of, same
 from carom.runs.environment import versions
 from carom.runs.impact_check import ImpactCheck
 

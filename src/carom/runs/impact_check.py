@@ -23,11 +23,10 @@ from carom.recording.schema import paths
 from carom.recording.schema.paths import IMPACT, SIM_TIME, STEP
 from carom.recording.schema.time_scale import TimeScale
 from carom.recording.write.encoder import BatchEncoder
-from carom.recording.write.frame_chunks import chunk_of
 from carom.recording.write.impact_frames import instants
 from carom.recording.write.impact_plan import ImpactPlan, Kept, impact_rows, largest
 from carom.recording.write.static_entities import STATES_AT_IMPACTS
-from carom.runs.comparison import Mismatch, different, same
+from carom.runs.comparison import Mismatch, chunk_of, different, same
 
 LEFT_OUT = "the number of impacts that were not recorded (only the largest between two frames are)"
 ROOM = "the numbers of contacts with arrows and of impacts with frames"

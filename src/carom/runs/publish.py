@@ -18,13 +18,12 @@ import xxhash
 
 from carom.errors import RecordingError
 from carom.recording.layout.blueprint import CLOSE_UP
-from carom.recording.read.body_lookup import names_of
+from carom.recording.read.lookup import names_of
 from carom.recording.read.recorded_impacts import numbered_impacts
 from carom.recording.read.recording import Recording
 from carom.recording.schema.paths import STEP
-from carom.recording.write.whole_file import Claim, write_whole
-from carom.runs.output import is_link_of_another
-from carom.runs.overview import Moment, description, headline, moments, overview, problems
+from carom.recording.write.whole_file import Claim, is_link_of_another, write_whole
+from carom.runs.outcome import Moment, description, headline, moments, overview, problems
 from carom.runs.report import ENERGY_ERROR, worst_moment
 from carom.scene.units.dimension import ANGULAR_IMPULSE, ENERGY, IMPULSE, TIME, VELOCITY
 from carom.scene.wording import counted

@@ -17,17 +17,17 @@ from carom.physics.frame import Frame
 from carom.physics.schedule import at, every
 from carom.physics.space import Space
 from carom.recording.edit.bundle import opened
-from carom.recording.read.moment import interval, tolerance
+from carom.recording.read.lookup import interval, tolerance
 from carom.recording.read.recorded_scene import recorded_scene
 from carom.recording.read.recording import Recording
 from carom.recording.schema.header import Header, Scalar
 from carom.recording.schema.time_scale import TimeScale
 from carom.recording.write.recorder import FrameRecorder
+from carom.recording.write.whole_file import claimed_output, refuse_itself, refuse_output
 from carom.runs.comparison import Mismatch, StaticCheck, Value
 from carom.runs.environment import versions
 from carom.runs.frame_check import WORDS_OF_EXTREMES, FrameCheck, is_whole, text_of, told_of
 from carom.runs.outcome import judge
-from carom.runs.output import claimed_output, refuse_itself, refuse_output
 from carom.runs.run import Watcher, closing_summary, ending_of, header_of, outcome_text
 from carom.runs.window import checkpoint_before, space_of
 from carom.scene.data.body_sources import changed_files

@@ -20,7 +20,7 @@ from carom.recording.read.recording import Recording
 from carom.recording.schema.paths import STEP
 from carom.recording.schema.series import all_series
 from carom.runs.environment import environment
-from carom.runs.overview import (
+from carom.runs.outcome import (
     description,
     energy_texts,
     in_words,

@@ -11,13 +11,12 @@ from carom.errors import RecordingError
 from carom.physics.checkpoint import Checkpoint
 from carom.physics.space import Space
 from carom.plan.auto import frame_interval, integrator
-from carom.recording.read.continuation import Continuation
+from carom.recording.read.frame_rows import Continuation
 from carom.recording.read.recorded_scene import recorded_scene
 from carom.recording.read.recording import Recording
 from carom.recording.schema.header import Scalar
-from carom.recording.write.whole_file import Claim
+from carom.recording.write.whole_file import Claim, claimed_output, refuse_name, refuse_output
 from carom.runs.environment import environment
-from carom.runs.output import claimed_output, refuse_name, refuse_output
 from carom.runs.replay import replay
 from carom.runs.run import Outcome, Watcher, recording_of, simulate, watched
 from carom.runs.window import space_of

@@ -20,17 +20,14 @@ from carom.physics.diagnostics.extremes import Extremes
 from carom.physics.look_ahead.trial_run import Watcher as LookAheadWatcher
 from carom.physics.simulation import StepStatus
 from carom.physics.space import Space
-from carom.recording.read.continuation import Continuation
+from carom.recording.read.frame_rows import Continuation
 from carom.recording.read.recorded_impacts import RecordedImpacts
 from carom.recording.read.recording import Recording
 from carom.recording.schema.header import Header, Scalar, ShownMaterials, SweepMember, motions_of
 from carom.recording.write.recorder import FrameRecorder
-from carom.recording.write.whole_file import Claim
-from carom.runs.environment import environment
-from carom.runs.outcome import Verdict, closing_of, judge
-from carom.runs.output import claimed_output, default_output, refuse_name
-from carom.runs.overview import EACH, ONCE_A_STEP, description
-from carom.runs.process_settings import Interrupts, garbage_sought_seldom
+from carom.recording.write.whole_file import Claim, claimed_output, default_output, refuse_name
+from carom.runs.environment import Interrupts, environment, garbage_sought_seldom
+from carom.runs.outcome import EACH, ONCE_A_STEP, Verdict, closing_of, description, judge
 from carom.scene.extensions import extensions_of
 from carom.scene.schema import Scene
 from carom.scene.schema.settings import LARGEST_ACCURACY

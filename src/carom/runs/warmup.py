@@ -1,23 +1,53 @@
-"""Compiles all kernels ahead of time, by running a few tiny scenes that need all of them."""
+"""Compiles all kernels ahead of time, in this process or in a second one beside the first run on a machine.
+
+Numba compiles under a global lock, so a thread would gain nothing. Both processes share the cache of compiled kernels,
+and neither compiles a kernel that the other has begun (see `jit.cache`). The second process begins with the kernels
+that a run needs last. It only fills the cache; if it fails, the run compiles everything itself.
+"""
 
 from __future__ import annotations
 
 import contextlib
+import os
+import sys
+import threading
 import time
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from carom.contact_table import CONTACT_ROW
+from carom.physics.bodies import Bodies
 from carom.physics.contact.broad_phase.grid import ALL_PAIRS_UP_TO
-from carom.physics.contact.islands import number_sets
+from carom.physics.contact.broad_phase.pairs import search_by
+from carom.physics.contact.constraints import CONTACT, CONTACT_STATE
+from carom.physics.contact.contact_tap import ContactTap
+from carom.physics.contact.islands import Islands, number_sets
+from carom.physics.contact.law import materials_of
+from carom.physics.contact.near_pairs import largest_values
+from carom.physics.contact.solver.contact_solver import ContactSolver
+from carom.physics.contact.solver.prepare import ImpulseCache
+from carom.physics.diagnostics.ledger import Ledger
+from carom.physics.diagnostics.run_monitor import refuse_infinities
 from carom.physics.forces.gravity.direct import MAX_IN_ONE_BLOCK
+from carom.physics.frame import FrameStore
 from carom.physics.jit.decorators import Compilations, cache_folder, compiling_all
-from carom.physics.jit.team import load_helpers, sharing_all
+from carom.physics.jit.team import SOLO, load_helpers, sharing_all
+from carom.physics.placement import place
+from carom.physics.space import Space
+from carom.physics.time_step import Timestep
+from carom.plan.auto import StepLimits
 from carom.private_folder import temporary_folder
+from carom.recording.schema import palette
+from carom.recording.write import encoding_kernels as encoding
+from carom.recording.write.impact_plan import ImpactPlan
 from carom.registry import ExtensionError
 from carom.runs.run import run
+from carom.scene.matter import pair_coefficients
 from carom.scene.schema import Scene
+from carom.scene.start import half_spaces
+from carom.scene.units.system import SI
 
 # Together these scenes need every kernel. Add a scene for a kernel that none of them needs (a test checks this).
 _PAIR = [{"position": [-1.0, 0.0, 0.0], "mass": 1.0}, {"position": [0.9999, 0.1, 0.0], "mass": 1.0}]
@@ -155,3 +185,84 @@ def warm_up() -> Warmth:
         number_sets(nothing, nothing, nothing)  # needed by the audit of other engines
         load_helpers()
     return Warmth(time.perf_counter() - began, compilations.count, cache_folder())
+
+
+_SPINNING = {"position": [-1.0, 0.0, 0.0], "mass": 1.0, "angular_velocity": [0.0, 0.0, 1.0]}
+POINTS: dict[str, Any] = {
+    "title": "points that attract each other",
+    "body": [_SPINNING, *({"position": [float(k), 0.0, 0.0], "mass": 1.0} for k in range(1, MAX_IN_ONE_BLOCK + 1))],
+    "gravity": {"constant": 1.0},
+    "contact": {"enabled": False},
+    "time": {"duration": 0.1, "max_dt": 0.02, "integrator": "leapfrog"},
+}
+
+
+def compile_ahead() -> None:
+    """Compile the kernels of most runs in reverse order, so that both processes meet only once and neither waits."""
+    scene = Scene.from_dict(POINTS)
+    bodies = Bodies.at_start(place(scene), spins=True, orients=True, torques=True)
+    _compile_encoding()
+    _compile_second_steps(bodies)
+    Timestep(scene.time, StepLimits(0.02, 0.5, 0.01), None, np.zeros(3), team=SOLO).choose(bodies, 1.0)
+    count = ALL_PAIRS_UP_TO + 1
+    search_by("grid", np.linspace(0.1, 0.2, count), np.zeros(3)).pairs(np.random.default_rng(0).random((count, 3)))
+    Space(scene, threads=1).energy()
+    frictionless, open_space = materials_of(pair_coefficients(scene)), np.zeros(3)
+    solver = ContactSolver(bodies, half_spaces(scene), frictionless, open_space, friction=True, team=SOLO)
+    solver.lay(solver.order)
+    tap = ContactTap(bodies, frictionless, open_space, friction=True)
+    tap.add_impacts(solver.order.pairs, solver)
+    tap.rows(solver.order.pairs, solver)
+    solver.rest_speeds_by_pair()
+    solver.statistics()
+    solver.compile_phases()
+    FrameStore(1, bodies).keep()
+    with compiling_all():  # kernels that only long runs need, after all others
+        for _ in Space(Scene.from_dict({"title": "", **SCENES["a ball that rolls on"]}), threads=1).run():
+            pass
+
+
+def _compile_encoding() -> None:
+    """Compile the kernels that write a batch of frames, with an empty batch."""
+    position, single, points = np.empty((0, 0, 3)), np.empty((0, 3), np.float32), np.empty((0, 0, 3), np.float32)
+    values, each = np.empty(0), np.empty(0, np.int64)
+    numbers, bytes_, scale = np.empty(0, np.uint32), np.empty(0, np.uint8), np.empty(0, np.float32)
+    rows, strips, box = np.empty(0, CONTACT_ROW), np.empty((0, 6), np.float32), np.zeros(3)
+    columns = encoding.EdgeColumns(np.empty((0, 2), np.uint32), scale, scale, bytes_, numbers, scale)
+    contacts = encoding.FrameContacts(np.empty((0, 2), np.int64), np.empty((0, 3)), values, each, rows, rows)
+    encoding.write_contacts(contacts.pairs, rows, 1.0, numbers, scale, columns)
+    encoding.middle_of(rows, values)
+    encoding.pick_strongest(rows, values, each, rows)
+    encoding.draw_edges(contacts, single, values, box, palette.STAGE_COLOURS, strips, numbers, np.empty(3))
+    ImpactPlan(everything=False, oriented=True, turned=True).choose(position, each, each, each, values)
+    torques = encoding.TorqueList(position, each, numbers, values)
+    encoding.draw_arrows(torques, points, values, values, 1.0, encoding.Arrows(single, single))
+    encoding.list_torques(torques)
+    encoding.cast_orientations(np.empty((0, 0, 4)), np.empty((0, 0, 4), np.float32))
+    encoding.cast_positions(position, box, points)
+
+
+def _compile_second_steps(bodies: Bodies) -> None:
+    """Compile the kernels that a run with contacts needs from its second step on, with two bodies in contact."""
+    pairs, place, ends, none = np.array([[0, 1]]), np.zeros(1, np.int64), len(bodies.ends.velocity), np.zeros(3)
+    contacts, states = np.zeros(1, CONTACT), np.zeros(1, CONTACT_STATE)
+    cache = ImpulseCache(pairs, place, contacts, 1.0)
+    cache.carry_to(pairs, place, 1.0, contacts, SOLO)
+    assert len(cache.impulse) == 1
+    unequal = np.arange(3.0 * ends).reshape(ends, 3)
+    Islands(ends, SOLO).write_rest_speeds(pairs, pairs[0], unequal, np.ones(ends), none, 1.0, states)
+    largest_values(unequal, none, bodies.position)
+    Ledger().plus(np.zeros((1, 3)))
+    load_helpers()
+    refuse_infinities(bodies, ["", ""], 0, 0.0, SI)
+
+
+def _end_with_parent() -> None:
+    sys.stdin.buffer.read()
+    os._exit(0)
+
+
+if __name__ == "__main__":
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+    compile_ahead()
+    os._exit(0)

@@ -14,7 +14,7 @@ from carom.physics.checkpoint import Checkpoint
 from carom.physics.frame import Frame
 from carom.physics.simulation import StepStatus
 from carom.physics.space import Space
-from carom.recording.read.moment import goal_of
+from carom.recording.read.lookup import goal_of
 from carom.recording.read.recorded_contacts import of_shown, table_of_rows, with_angular_impulses
 from carom.recording.read.recorded_scene import fixed_of, recorded_scene, start_of
 from carom.recording.read.recording import Recording

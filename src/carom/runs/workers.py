@@ -24,7 +24,7 @@ from typing import Any, Protocol, Self
 
 from carom.errors import ExperimentError
 from carom.private_folder import move_into, private_folder
-from carom.runs.process_settings import ENDING, keep_freed_memory
+from carom.runs.environment import ENDING, keep_freed_memory
 
 MOST_DEATHS = 4  # workers that may die on the same task before the task is abandoned
 _START = "from carom.runs.workers import work; work()"

@@ -14,7 +14,7 @@ import rerun as rr
 
 from carom.arrays import ColourArray, FloatArray, IntArray, SingleArray
 from carom.errors import RecordingError
-from carom.recording.layout import colouring
+from carom.recording.layout import drawing
 from carom.recording.layout.drawing import shape
 from carom.recording.read.entities import reading
 from carom.recording.read.frame_rows import drawn_paths
@@ -23,6 +23,7 @@ from carom.recording.read.recording import Recording
 from carom.recording.schema import palette, paths
 from carom.recording.schema.header import STATIC_COLOURS, Header
 from carom.recording.schema.paths import STEP
+from carom.recording.write.encoder import graph_colours
 from carom.recording.write.rows import Index, Rows
 from carom.show.shown_step import ShownStep
 
@@ -177,17 +178,17 @@ def _by_speed(recording: Recording, header: Header, step: ShownStep) -> Iterator
         )
     mass = header.mass[recording.shown]
     velocity = np.gradient(drawn.position.astype(np.float64), np.maximum.accumulate(times), axis=0)
-    speed = np.stack([colouring.speeds(velocity[row], mass) for row in range(len(velocity))])
+    speed = np.stack([drawing.speeds(velocity[row], mass) for row in range(len(velocity))])
     reference = float(np.median(speed[np.isfinite(speed)]))
     for row, (number, time) in enumerate(zip(steps, times, strict=True)):
-        yield number, time, colouring.speed_colours(speed[row], reference)
+        yield number, time, drawing.speed_colours(speed[row], reference)
     for frame in step.added:
-        exact = colouring.speeds(frame.velocity, mass)
-        yield frame.step, frame.time, colouring.speed_colours(exact, reference)
+        exact = drawing.speeds(frame.velocity, mass)
+        yield frame.step, frame.time, drawing.speed_colours(exact, reference)
 
 
 def _by_contacts(recording: Recording, n: int, by: str, step: ShownStep) -> Iterator[_Row]:
-    colours_of = colouring.graph_colours if by == "graph" else colouring.island_colours
+    colours_of = graph_colours if by == "graph" else drawing.island_colours
     drawn = drawn_paths(recording, range(n))
     steps, times = _times(recording, drawn.steps)
     ends = _contact_ends(recording)

@@ -14,7 +14,7 @@ from carom.arrays import FloatArray, IntArray
 from carom.errors import RecordingError
 from carom.recording.layout.canvas import Area
 from carom.recording.layout.plot_views import CurveOutline, curve_style, time_series_view
-from carom.recording.read.body_lookup import body_number, split_at_commas
+from carom.recording.read.lookup import body_number, split_at_commas
 from carom.recording.read.recording import Recording
 from carom.recording.schema import palette
 from carom.recording.schema.paths import STEP

@@ -18,12 +18,12 @@ from carom.arrays import FloatArray, SingleArray
 from carom.contact_table import IMPACT_MODE
 from carom.physics.frame import Frame
 from carom.physics.vector import minimum_images
-from carom.recording.layout.bodies_view import faint_bodies
+from carom.recording.layout.blueprint import faint_bodies
 from carom.recording.layout.camera import CORNERS, CameraFit, View, free_corner
 from carom.recording.layout.canvas import LEGEND, Area, spatial_view, surroundings
 from carom.recording.layout.drawing import line_radii, single
-from carom.recording.read.body_lookup import names_of
 from carom.recording.read.frame_rows import DrawnPaths, drawn_paths
+from carom.recording.read.lookup import names_of
 from carom.recording.read.recording import Recording
 from carom.recording.schema import palette, paths
 from carom.recording.schema.header import Header

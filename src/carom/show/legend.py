@@ -19,7 +19,7 @@ import rerun.blueprint as rrb
 
 from carom.arrays import ColourArray, FloatArray
 from carom.physics.frame import Frame
-from carom.recording.layout import bodies_view, colouring, drawing
+from carom.recording.layout import blueprint, drawing
 from carom.recording.layout.camera import View
 from carom.recording.layout.canvas import LEGEND, Area
 from carom.recording.layout.drawing import REACH, magnitude_at, shape, single
@@ -206,7 +206,7 @@ def _bodies(
         for line in _groups(header, colours):
             yield replace(line, views=(GRAPH,)) if named else line
     elif by == "speed":
-        scale, middle = colouring.SPEEDS.tolist(), references.get(SPEED, 0.0)
+        scale, middle = drawing.SPEEDS.tolist(), references.get(SPEED, 0.0)
         known = by == header.coloured_by and middle > 0.0
         text = header.units.text(middle, dimension.VELOCITY, ".3g") if known else "the median speed"
         yield from (
@@ -333,7 +333,7 @@ def impact_marks(recording: Recording, header: Header, moment: float | None = No
     """Return points (k, 3) m around the points that views draw at impacts, at a time (s) or during the whole run."""
     if not header.records_contacts:
         return np.zeros((0, 3))
-    since = None if moment is None else max(0.0, moment - bodies_view.OF_LATE * header.duration)
+    since = None if moment is None else max(0.0, moment - blueprint.OF_LATE * header.duration)
     table = recording.impacts(since, moment)
     places = np.stack([table[axis].to_numpy() for axis in "xyz"], axis=1) - recording.origin
     reference = recording.arrow_references.get(paths.IMPACTS, 1.0)

@@ -15,8 +15,16 @@ import numpy as np
 
 from carom.arrays import FloatArray
 from carom.errors import RecordingError
-from carom.recording.layout.blueprint import ALL, CLOSE_UP, as_happened, blueprint, bodies_area, legend_area
-from carom.recording.layout.bodies_view import bodies_eye, graph_eye
+from carom.recording.layout.blueprint import (
+    ALL,
+    CLOSE_UP,
+    as_happened,
+    blueprint,
+    bodies_area,
+    bodies_eye,
+    graph_eye,
+    legend_area,
+)
 from carom.recording.layout.camera import CORNERS, FEW, CameraMotion, free_corner
 from carom.recording.layout.canvas import Additions, Canvas
 from carom.recording.read.frame_rows import RecordedPositions

@@ -20,7 +20,7 @@ from carom.errors import RecordingError
 from carom.private_folder import private_folder
 from carom.recording.layout.blueprint import ALL
 from carom.recording.layout.canvas import Canvas
-from carom.recording.read.body_lookup import names_of
+from carom.recording.read.lookup import names_of
 from carom.recording.read.recording import Recording
 from carom.recording.write.whole_file import whole_file
 from carom.show.presentation import asked

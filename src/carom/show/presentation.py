@@ -13,20 +13,22 @@ from carom.physics.frame import Frame
 from carom.recording.layout.blueprint import (
     ALL,
     CLOSE_UP,
+    FIELD,
     PLOT,
     WINDOW,
     as_happened,
     blueprint,
     bodies_area,
+    bodies_eye,
     close_up_area,
+    graph_eye,
     legend_area,
 )
-from carom.recording.layout.bodies_view import FIELD, bodies_eye, graph_eye
 from carom.recording.layout.camera import CORNERS, FEW, CameraMotion, free_corner
 from carom.recording.layout.canvas import Additions, Canvas
 from carom.recording.layout.plot_views import CurveOutline
 from carom.recording.read.frame_rows import arrow_floors
-from carom.recording.read.moment import tolerance
+from carom.recording.read.lookup import tolerance
 from carom.recording.read.recorded_scene import header_of_recording, recorded_curves, recorded_scene
 from carom.recording.read.recording import Recording
 from carom.recording.schema import paths

@@ -8,7 +8,7 @@ import numpy as np
 
 from carom.errors import RecordingError
 from carom.physics.frame import Frame
-from carom.recording.read.body_lookup import shown_body, split_at_commas
+from carom.recording.read.lookup import shown_body, split_at_commas
 from carom.recording.read.recorded_impacts import numbered_impact
 from carom.recording.read.recording import Recording
 from carom.recording.schema.paths import SIM_TIME, STEP

@@ -14,7 +14,7 @@ from carom.physics.contact.graph import CollisionGraph
 from carom.physics.frame import Frame
 from carom.physics.simulation import StepStatus
 from carom.recording.read.frame_rows import RecordedPositions
-from carom.recording.read.moment import frame_of, tolerance
+from carom.recording.read.lookup import frame_of, tolerance
 from carom.recording.read.recorded_contacts import rows_of_engine
 from carom.recording.read.recording import Recording
 from carom.recording.schema.header import Header

@@ -14,7 +14,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from carom.arrays import ColourArray, FloatArray, SingleArray
-from carom.recording.layout.bodies_view import TRAILS
+from carom.recording.layout.blueprint import TRAILS
 from carom.recording.layout.camera import FEW, CameraFit
 from carom.recording.read.frame_rows import drawn_paths
 from carom.recording.read.recording import Recording

@@ -13,7 +13,7 @@ import carom
 from carom.lab.why.history import question_of
 from carom.lab.why.why import why
 from carom.recording.layout.canvas import Area
-from carom.recording.read.moment import frame_of
+from carom.recording.read.lookup import frame_of
 from carom.recording.read.recorded_contacts import rows_of_engine
 from carom.recording.read.recorded_scene import header_of_recording
 from carom.recording.read.recording import Recording

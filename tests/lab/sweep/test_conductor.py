@@ -10,7 +10,7 @@ import pytest
 from carom.lab.sweep.manifest import FAILED, PENDING, Folder, Manifest
 from carom.lab.sweep.plan import plan
 from carom.lab.sweep.sweep import GONE, INTERRUPTED, Conductor
-from carom.runs.process_settings import Interrupts
+from carom.runs.environment import Interrupts
 from carom.runs.workers import Ended, TaskDroppedError, WorkerDiedError
 from sweep_runs import write_scene
 

@@ -20,7 +20,7 @@ from carom.errors import RecordingError
 from carom.physics.frame import Frame
 from carom.physics.space import Space
 from carom.recording.edit.clip import clip
-from carom.recording.read.moment import frame_of
+from carom.recording.read.lookup import frame_of
 from carom.recording.read.recorded_impacts import impacts_by_number
 from carom.recording.read.recording import Recording
 from carom.recording.rrd.container import Container

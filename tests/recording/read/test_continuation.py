@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from carom.event import Event
-from carom.recording.read.continuation import Continuation
+from carom.recording.read.frame_rows import Continuation
 from carom.recording.read.recording import Recording
 from carom.recording.schema import paths
 from carom.recording.write.recorder import FrameRecorder

@@ -16,7 +16,7 @@ import rerun as rr
 from carom.arrays import BoolArray, FloatArray, IntArray, SingleArray
 from carom.errors import RecordingError
 from carom.recording.read.entities import reading
-from carom.recording.read.moment import tolerance
+from carom.recording.read.lookup import tolerance
 from carom.recording.read.recorded_contacts import join_some
 from carom.recording.read.recording import Recording
 from carom.recording.rrd.messages import Chunk, Entry

@@ -10,7 +10,7 @@ import pyarrow as pa
 import pyarrow.csv as pc
 import pyarrow.parquet as pq
 
-from carom.recording.read.body_states import state_table
+from carom.recording.read.tables import state_table
 
 if TYPE_CHECKING:
     from carom.recording.export.export import Snapshot

@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from carom import registry
 from carom.arrays import BoolArray, FloatArray, IntArray
 from carom.errors import ExistsError, RecordingError
-from carom.recording.read.body_states import AXES
-from carom.recording.read.moment import tolerance
+from carom.recording.read.lookup import tolerance
 from carom.recording.read.recording import Recording
+from carom.recording.read.tables import AXES
 from carom.recording.schema.paths import STEP
 
 if TYPE_CHECKING:

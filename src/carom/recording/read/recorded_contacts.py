@@ -15,7 +15,7 @@ from carom.arrays import BoolArray, FloatArray, IntArray, Records
 from carom.contact_table import CONTACT_ROW, IMPACT_MODE, MODES
 from carom.errors import DamageError, RecordingError, SceneError
 from carom.recording.read.entities import reading
-from carom.recording.read.moment import frame_of, goal_of
+from carom.recording.read.lookup import frame_of, goal_of
 from carom.recording.rrd.messages import Chunk
 from carom.recording.schema import paths
 from carom.recording.schema.paths import STEP

@@ -10,9 +10,8 @@ import pyarrow as pa
 
 from carom.arrays import FloatArray, IntArray
 from carom.errors import DamageError, RecordingError
-from carom.recording.read.body_lookup import shown_body
 from carom.recording.read.entities import Column, flat, reading
-from carom.recording.read.moment import interval, tolerance
+from carom.recording.read.lookup import interval, shown_body, tolerance
 from carom.recording.read.recorded_contacts import (
     MEASURED,
     check_pairs,

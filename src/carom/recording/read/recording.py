@@ -13,20 +13,18 @@ from numpy.typing import NDArray
 
 from carom.arrays import BoolArray, FloatArray, IntArray
 from carom.errors import DamageError, RecordingError
-from carom.recording.read.body_states import bodies_at, checkpoints_at, trajectory
 from carom.recording.read.entities import CHECKPOINT_TIMES, Values, reading
-from carom.recording.read.frame_tables import FrameTables
-from carom.recording.read.moment import check_times, moment
+from carom.recording.read.lookup import check_times, moment
 from carom.recording.read.recorded_contacts import contacts
 from carom.recording.read.recorded_impacts import impacts
-from carom.recording.read.statics import BodyTable, named
+from carom.recording.read.statics import BodyTable, decode_bodies, decode_names, named
 from carom.recording.read.summary import html_of, summary
+from carom.recording.read.tables import FrameTables, bodies_at, checkpoints_at, trajectory
 from carom.recording.rrd.container import Container
 from carom.recording.rrd.messages import RECORDING, Chunk, Entry
 from carom.recording.schema import paths
 from carom.recording.schema.header import schema_version
 from carom.recording.schema.paths import STEP
-from carom.recording.schema.stored_bodies import decode_bodies, decode_names
 from carom.scene.data.body_columns import BodyColumns
 from carom.scene.schema.shear import Shear
 from carom.scene.wording import counted
@@ -250,7 +248,7 @@ class Recording(FrameTables):
 
     @named
     def given_bodies(self, index: int, row: int, place: range) -> BodyColumns:
-        """Return the initial bodies of one [[bodies]] table; see `carom.recording.schema.stored_bodies`."""
+        """Return the initial bodies of one [[bodies]] table; see `carom.recording.read.statics`."""
         return decode_bodies(self._given, index, row, place, self.bodies)
 
     def _sizes(self, values: NDArray[Any] | list[str], name: str, n: int) -> FloatArray:

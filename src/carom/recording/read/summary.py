@@ -15,7 +15,7 @@ from carom.contact_table import ROUNDED_OVERLAP
 from carom.errors import DamageError, RecordingError
 from carom.recording.read.recorded_impacts import impacts_until
 from carom.recording.read.recorded_scene import materials_of
-from carom.recording.schema.properties import NOTES
+from carom.recording.schema.header import NOTES
 from carom.scene.units.dimension import ENERGY, TIME
 from carom.scene.units.system import UnitSystem
 from carom.scene.wording import body_called, counted
@@ -176,7 +176,7 @@ def _moments(recording: Recording) -> dict[str, Any]:
         moment["bodies"] = [end for end in ends if end < n]
         moment["planes"] = planes or [end - n for end in ends if end >= n]
         if not moment.get("between"):
-            from carom.recording.read.body_lookup import names_of  # noqa: PLC0415 - loads Numba, for old recordings only
+            from carom.recording.read.lookup import names_of  # noqa: PLC0415 - loads Numba, for old recordings only
 
             ends = moment["bodies"] + [plane + n for plane in moment["planes"]]
             moment["between"] = names_of(recording).pair(ends) if ends else ""

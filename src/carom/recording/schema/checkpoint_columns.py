@@ -21,9 +21,8 @@ from carom.physics.diagnostics.energy import Energy
 from carom.physics.diagnostics.ledger import Ledger, NamedEnergies
 from carom.physics.frame import Frame
 from carom.physics.integrators.batch_integrator import EqualSteps, IntegratorCheckpoint, OrbitCheckpoint
-from carom.recording.schema.header import Header
+from carom.recording.schema.header import LARGEST, Header
 from carom.recording.schema.paths import STEP
-from carom.recording.schema.properties import LARGEST
 
 Values = NDArray[Any] | list[str]
 Column = tuple[Values, list[int]]  # the values of all rows, and their number in each row

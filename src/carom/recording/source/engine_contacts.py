@@ -1,15 +1,21 @@
-"""Contacts with forces as other engines report them, and their conversion to rows of the contact table."""
+"""Contacts of other engines: with the forces that they report, or found by the distances of bodies."""
 
 from __future__ import annotations
 
-from typing import Any
+from dataclasses import dataclass, fields
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from carom.arrays import FloatArray, Records
+from carom.arrays import BoolArray, FloatArray, IntArray, Records
 from carom.contact_table import CONTACT_ROW, NO_ROWS, OPEN, RESTING
 from carom.errors import RecordingError
-from carom.physics.contact.graph import CollisionGraph
+from carom.physics.contact.broad_phase.grid import HierarchicalGrid
+from carom.physics.contact.graph import CollisionGraph, empty_graph
+from carom.physics.vector import minimum_images
+
+if TYPE_CHECKING:
+    from carom.recording.source.source import Setup
 
 CONTACT = np.dtype(
     [
@@ -112,3 +118,173 @@ def rows_of_graph(graph: CollisionGraph, position: FloatArray, radius: FloatArra
         for axis, component in zip("xyz", values.T, strict=True):
             rows[f"{prefix}{axis}"] = component
     return rows
+
+
+MARGIN = 0.02  # of the smaller radius: engines push bodies apart before they touch
+TOUCH = 1e-3  # of the smaller radius; a smaller gap counts as contact
+
+
+@dataclass(frozen=True, slots=True)
+class EngineMoment:
+    """A state whose arrays are complete."""
+
+    time: float  # s
+    position: FloatArray  # (n, 3) m
+    velocity: FloatArray  # (n, 3) m/s
+    spin: FloatArray  # (n, 3) rad/s; (0, 3) where unknown
+
+
+@dataclass(frozen=True, slots=True)
+class Near:
+    """Pairs that may have touched since the previous moment: bodies, and planes from n on."""
+
+    pairs: IntArray  # (k, 2) i < j; planes from n on
+    reach: FloatArray  # (k,) m, r_i + r_j
+    small: FloatArray  # (k,) m, the smaller radius
+    before: FloatArray  # (k, 3) m, from i to j; to a plane, from the centre to the plane
+    now: FloatArray  # (k, 3) m
+    gap_before: FloatArray  # (k,) m, between the surfaces; negative where they overlap
+    gap_now: FloatArray  # (k,) m
+    normal: FloatArray  # (k, 3) unit vectors from i to j, now
+    relative_before: FloatArray  # (k, 3) m/s, velocity of j relative to i
+    relative_now: FloatArray  # (k, 3) m/s
+
+    def __len__(self) -> int:
+        return len(self.pairs)
+
+    def directions_of_touch(self) -> FloatArray:
+        """Return the directions from i to j at first touch on straight paths, or at the smallest distance."""
+        path = self.now - self.before
+        a, b = np.einsum("ij,ij->i", path, path), np.einsum("ij,ij->i", self.before, path)
+        c = np.einsum("ij,ij->i", self.before, self.before) - self.reach**2
+        root = b * b - a * c
+        moving = a > 0.0
+        first = np.where(
+            root > 0.0, (-b - np.sqrt(np.maximum(root, 0.0))) / np.where(moving, a, 1.0), -b / np.where(moving, a, 1.0)
+        )
+        at = self.before + np.where(moving, np.clip(first, 0.0, 1.0), 0.0)[:, None] * path
+        length = lengths(at)[:, None]
+        return np.asarray(np.where(length > 0.0, at / np.where(length > 0.0, length, 1.0), self.normal))
+
+    def passed_deep(self) -> BoolArray:
+        """Return a mask of the pairs whose straight paths overlap by more than a twentieth of the sum of radii."""
+        path = self.now - self.before
+        a = np.einsum("ij,ij->i", path, path)
+        s = np.clip(-np.einsum("ij,ij->i", self.before, path) / np.where(a > 0.0, a, 1.0), 0.0, 1.0)
+        return np.asarray(lengths(self.before + s[:, None] * path) < 0.95 * self.reach)
+
+
+class Proximity:
+    """Finds pairs of bodies and planes near each other."""
+
+    def __init__(self, setup: Setup) -> None:
+        self._setup = setup
+        self._grid = HierarchicalGrid(setup.radius, setup.box) if setup.collides and len(setup) > 1 else None
+
+    def between(self, before: EngineMoment, now: EngineMoment) -> Near:
+        """Return the pairs that may have touched between two moments, or soon will."""
+        setup, dt = self._setup, now.time - before.time
+        moved = now.position - before.position
+        drift = np.median(moved, axis=0)
+        speed = np.maximum(lengths(now.velocity - np.median(now.velocity, axis=0)) * dt, lengths(moved - drift))
+        parts = [self._bodies(before, now, speed)] if self._grid else []
+        parts += [self._plane(k, before, now, speed) for k in range(len(setup.planes))] if setup.collides else []
+        if not parts:
+            numbers, vectors = np.empty(0), np.empty((0, 3))
+            return Near(np.empty((0, 2), np.int64), *[numbers] * 2, *[vectors] * 2, *[numbers] * 2, *[vectors] * 3)
+        return Near(*(np.concatenate(column) for column in zip(*map(_columns, parts), strict=True)))
+
+    def graph(self, near: Near, known: IntArray | None) -> CollisionGraph:
+        """Return the contacts at a moment: the pairs reported by the engine, or otherwise all near pairs."""
+        which = near.gap_now <= TOUCH * near.small if known is None else self._is_named(near, known)
+        touching = np.flatnonzero(which)
+        if len(touching) == 0:
+            return empty_graph()
+        pairs = near.pairs[touching]
+        touching = touching[np.lexsort((pairs[:, 1], pairs[:, 0]))]
+        colours = np.zeros(len(touching), dtype=np.int64)
+        return CollisionGraph(near.pairs[touching], near.normal[touching], -near.gap_now[touching], colours)
+
+    def graph_of_rows(self, rows: Records, position: FloatArray) -> CollisionGraph:
+        """Return the graph of an engine's contacts, (m,) `CONTACT_ROW`; their overlaps are those of the spheres."""
+        if len(rows) == 0:
+            return empty_graph()
+        setup, n = self._setup, len(self._setup)
+        pairs = np.stack([rows["i"], rows["j"]], axis=1)
+        i, j, overlap = *pairs.T, np.empty(len(rows))
+        plane = j >= n
+        a, b = i[~plane], j[~plane]
+        overlap[~plane] = setup.radius[a] + setup.radius[b] - lengths(self._image(position[b] - position[a]))
+        a, k = i[plane], j[plane] - n
+        height = np.einsum("ij,ij->i", position[a], setup.planes.normal[k]) - setup.planes.offset[k]
+        overlap[plane] = setup.radius[a] - height
+        normals = np.stack([rows["nx"], rows["ny"], rows["nz"]], axis=1)
+        return CollisionGraph(pairs, normals, overlap, np.zeros(len(rows), dtype=np.int64))
+
+    def _is_named(self, near: Near, known: IntArray) -> BoolArray:
+        """Return a mask of the near pairs that the engine reports."""
+        total = len(self._setup) + len(self._setup.planes)
+        keys = near.pairs[:, 0] * total + near.pairs[:, 1]
+        ordered = np.sort(known, axis=1)
+        return np.isin(keys, ordered[:, 0] * total + ordered[:, 1])
+
+    def _bodies(self, before: EngineMoment, now: EngineMoment, travel: FloatArray) -> Near:
+        assert self._grid is not None
+        radius = self._setup.radius
+        pairs = self._grid.pairs(now.position, 1.0 + MARGIN, 4.0 * float(travel.max()))
+        pairs = pairs[self._setup.touches[pairs].all(axis=1)]
+        i, j = pairs.T
+        apart = self._image(now.position[j] - now.position[i])
+        reach = radius[i] + radius[j]
+        distance = lengths(apart)
+        gap = distance - reach
+        small = np.minimum(radius[i], radius[j])
+        close = np.flatnonzero(gap <= MARGIN * small + 2.0 * (travel[i] + travel[j]))
+        i, j, apart, reach = i[close], j[close], apart[close], reach[close]
+        earlier, distance = self._image(before.position[j] - before.position[i]), distance[close]
+        return Near(
+            pairs=pairs[close],
+            reach=reach,
+            small=small[close],
+            before=earlier,
+            now=apart,
+            gap_before=lengths(earlier) - reach,
+            gap_now=gap[close],
+            normal=apart / np.where(distance > 0.0, distance, 1.0)[:, None],
+            relative_before=before.velocity[j] - before.velocity[i],
+            relative_now=now.velocity[j] - now.velocity[i],
+        )
+
+    def _plane(self, plane: int, before: EngineMoment, now: EngineMoment, travel: FloatArray) -> Near:
+        setup = self._setup
+        normal, offset = setup.planes.normal[plane], setup.planes.offset[plane]
+        height = now.position @ normal - offset
+        near = height - setup.radius <= MARGIN * setup.radius + 2.0 * travel
+        close = np.flatnonzero(near & setup.touches)
+        earlier, height, radius = before.position[close] @ normal - offset, height[close], setup.radius[close]
+        return Near(
+            pairs=np.stack((close, np.full(len(close), len(setup) + plane)), axis=1),
+            reach=radius,
+            small=radius,
+            before=-earlier[:, None] * normal,
+            now=-height[:, None] * normal,
+            gap_before=earlier - radius,
+            gap_now=height - radius,
+            normal=np.tile(-normal, (len(close), 1)),
+            relative_before=-before.velocity[close],
+            relative_now=-now.velocity[close],
+        )
+
+    def _image(self, apart: FloatArray) -> FloatArray:
+        """Return the differences of positions, to the nearest periodic image."""
+        box = self._setup.box
+        return minimum_images(apart, box)
+
+
+def _columns(near: Near) -> tuple[Any, ...]:
+    return tuple(getattr(near, field.name) for field in fields(Near))
+
+
+def lengths(vectors: FloatArray) -> FloatArray:
+    """Return the length of each row."""
+    return np.asarray(np.sqrt(np.einsum("ij,ij->i", vectors, vectors)))

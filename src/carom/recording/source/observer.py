@@ -22,12 +22,17 @@ from carom.physics.diagnostics.momentum import Momentum, MomentumAccount, TotalM
 from carom.physics.diagnostics.run_monitor import Activity
 from carom.physics.forces.gravity.direct import DirectGravity
 from carom.physics.frame import Frame, FrameStore, copies
-from carom.recording.schema.header import Header, Scalar
-from carom.recording.schema.properties import LARGEST
-from carom.recording.source.engine_contacts import checked_contacts, has_forces, rows_of_contacts, rows_of_graph
+from carom.recording.schema.header import LARGEST, Header, Scalar
+from carom.recording.source.engine_contacts import (
+    EngineMoment,
+    Proximity,
+    checked_contacts,
+    has_forces,
+    rows_of_contacts,
+    rows_of_graph,
+)
 from carom.recording.source.law_audit import AuditFinding, Fault, LawAudit, Tolerances
 from carom.recording.source.population import Present
-from carom.recording.source.proximity import EngineMoment, Proximity
 from carom.recording.source.source import Setup, State
 from carom.scene.forces import GRAVITY, UNIFORM_FIELD
 from carom.scene.schema.settings import called

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from carom.arrays import BoolArray, FloatArray
 from carom.errors import RecordingError
-from carom.recording.schema.properties import LARGEST
+from carom.recording.schema.header import LARGEST
 from carom.recording.source.engine_contacts import has_forces
 from carom.scene.start import HalfSpaces
 

@@ -1,4 +1,4 @@
-"""Encodes batches of frames as Rerun's columns. Parts of the model that the scene does not require have no entity."""
+"""Frames encoded as rows of a recording."""
 
 from __future__ import annotations
 
@@ -11,13 +11,14 @@ import rerun as rr
 from numpy.typing import NDArray
 from rerun import ComponentColumn
 
-from carom.arrays import FloatArray, SingleArray
+from carom.arrays import ColourArray, FloatArray, IntArray, SingleArray
 from carom.errors import RecordingError
 from carom.event import Event
 from carom.physics.checkpoint import Checkpoint
+from carom.physics.contact.graph import colour_bodies
 from carom.physics.frame import Frame, FrameStore
 from carom.physics.vector import minimum_images
-from carom.recording.layout import colouring, drawing
+from carom.recording.layout import drawing
 from carom.recording.layout.drawing import arrow_length, shape, single
 from carom.recording.layout.plot_views import CurveOutline
 from carom.recording.read.recorded_impacts import RecordedImpacts
@@ -46,7 +47,6 @@ from carom.recording.write.contact_encoder import (
     force_rows,
 )
 from carom.recording.write.encoding_kernels import Arrows, TorqueList
-from carom.recording.write.frame_arrays import refuse_wrong_arrays
 from carom.recording.write.impact_frames import STEPPING, Instant, spin_rows
 from carom.recording.write.rows import (
     NO_STEPS,
@@ -231,20 +231,20 @@ class BatchEncoder:
                 return self._speed_colours(batch)
             case "island":
                 n = self.header.bodies
-                return np.concatenate([colouring.island_colours(frame.contacts.pairs, n) for frame in batch])
+                return np.concatenate([drawing.island_colours(frame.contacts.pairs, n) for frame in batch])
         if not self.header.body_colouring:
             n = self.header.bodies
-            return np.concatenate([colouring.graph_colours(frame.contacts.pairs, n) for frame in batch])
+            return np.concatenate([graph_colours(frame.contacts.pairs, n) for frame in batch])
         nobody = np.full(self.header.bodies, -1, dtype=np.int64)
         nodes = [f.contacts.body_colours if f.contacts.body_colours is not None else nobody for f in batch]
         return palette.node_colours(np.concatenate(nodes))
 
     def _speed_colours(self, batch: Sequence[Frame]) -> NDArray[np.uint32]:
         mass = self.header.mass
-        speeds = [colouring.speeds(frame.velocity, mass) for frame in batch]
+        speeds = [drawing.speeds(frame.velocity, mass) for frame in batch]
         if SPEED not in self.arrow_references.chosen:
             self.arrow_references.choose(SPEED, float(np.median(speeds[0])))
-        return np.concatenate([colouring.speed_colours(each, self.arrow_references[SPEED]) for each in speeds])
+        return np.concatenate([drawing.speed_colours(each, self.arrow_references[SPEED]) for each in speeds])
 
     def _arrows(
         self, index: Index, batch: Sequence[Frame], store: FrameStore | None, points: SingleArray
@@ -390,6 +390,11 @@ class BatchEncoder:
         return frame_rows(MOMENTUM, index, columns, array_bytes(*arrays.values()))
 
 
+def graph_colours(pairs: IntArray, bodies: int) -> ColourArray:
+    """Return the colours of the reference engine: touching bodies differ, and bodies without contacts are grey."""
+    return palette.node_colours(colour_bodies(np.ascontiguousarray(pairs, dtype=np.int64), bodies)[1])
+
+
 def _stacked(name: str, batch: Sequence[Frame], store: FrameStore | None) -> FloatArray:
     """Return one of the arrays of all frames, (frames, n, …), as a view of the store or a copy."""
     first = batch[0].slot
@@ -423,3 +428,39 @@ def event_rows(events: Sequence[Event]) -> Rows:
     size = sum(len(e.text) + len(e.level) + len(e.kind) + 16 for e in events)  # 16: step and time
     index = Index(np.array([e.step for e in events]), np.array([e.time for e in events]))
     return Rows(EVENTS, index, columns, size)
+
+
+def refuse_wrong_arrays(header: Header, batch: Sequence[Frame], before: Frame | Checkpoint | None) -> None:
+    """Refuse frames whose arrays have other lengths than the recording has bodies, or whose contacts name no body.
+
+    Parameters
+    ----------
+    before
+        The frame before the first; None if there is none.
+
+    Raises
+    ------
+    RecordingError
+        The message names the step and the array.
+    """
+    n = header.bodies
+    expected: list[tuple[str, Any, tuple[int, ...]]]  # the name of each array, its values and their shape
+    expected = [(f"the recording's {name}", getattr(header, name), (n,)) for name in ("radius", "inertia")]
+    widths = {"position": 3, "velocity": 3}
+    widths |= {"orientation": 4} if header.has_orientation else {}
+    widths |= {"torque": 3} if header.has_torque else {}
+    for frame in batch:
+        graph, step, edges = frame.contacts, f"step {frame.step}: ", len(frame.contacts.pairs)
+        expected += [(step + name, getattr(frame, name), (n, width)) for name, width in widths.items()]
+        for name, inner in (("pairs", (2,)), ("normals", (3,)), ("overlaps", ()), ("colours", ())):
+            expected.append((f"{step}{name} of contacts", getattr(graph, name), (edges, *inner)))
+        if graph.body_colours is not None:
+            expected.append((f"{step}colours of bodies", graph.body_colours, (n,)))
+        if frame.impacts is not None and len(frame.impacts) and before is not None:
+            expected.append((f"step {before.step}, before impacts: position", before.position, (n, 3)))
+        for called, values, wanted in expected:
+            if values is None or values.shape != wanted:
+                raise RecordingError(f"{called} has the shape {getattr(values, 'shape', None)} instead of {wanted}")
+        if edges and (graph.pairs.min() < 0 or graph.pairs[:, 0].max() >= n):  # planes and walls are second
+            raise RecordingError(f"{step}a contact names no body; bodies are 0 to {n - 1}")
+        before, expected = frame, []

@@ -11,7 +11,6 @@ from types import TracebackType
 from typing import Generic, Self, TypeVar
 
 import numpy as np
-import rerun as rr
 
 from carom.arrays import FloatArray
 from carom.errors import RecordingError
@@ -21,7 +20,7 @@ from carom.physics.frame import Frame, FrameStore
 from carom.recording.layout.blueprint import blueprint
 from carom.recording.layout.camera import CameraFit
 from carom.recording.layout.canvas import Additions
-from carom.recording.read.continuation import Continuation
+from carom.recording.read.frame_rows import Continuation
 from carom.recording.read.recorded_impacts import RecordedImpacts
 from carom.recording.read.recorded_scene import recorded_curves
 from carom.recording.read.recording import Recording
@@ -187,7 +186,6 @@ class FrameRecorder:
         queue_size: int | None = None,
         continued: Continuation | None = None,
     ) -> None:
-        rr.set_strict_mode(True)  # otherwise bad data would only cause a warning, and the row would be lost
         self.path = Path(path)
         self._file = _new_file(self.path)  # an earlier recording is replaced once this one is complete
         self.header = header

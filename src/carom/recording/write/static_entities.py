@@ -10,14 +10,14 @@ import rerun as rr
 from rerun.components import FillMode
 
 from carom.arrays import FloatArray, SingleArray
-from carom.recording.layout.bodies_view import force_arrows
+from carom.recording.layout.blueprint import force_arrows
 from carom.recording.layout.drawing import arrow_length, line_radii, shape, single
 from carom.recording.layout.plot_views import curve_style
+from carom.recording.read.statics import encode_bodies, encode_names
 from carom.recording.schema import palette, paths
 from carom.recording.schema.header import STATIC_COLOURS, Header, Scalar, scene_digest
 from carom.recording.schema.paths import ANGULAR_ACCELERATION, FORCE_NORMAL, TORQUE
 from carom.recording.schema.series import recorded
-from carom.recording.schema.stored_bodies import encode_bodies, encode_names
 from carom.recording.schema.time_scale import TimeScale
 from carom.scene.extensions import PROPERTY
 from carom.scene.forces import FORCES, GRAVITY, UNIFORM_FIELD
@@ -127,6 +127,11 @@ def identity(header: Header, clock: TimeScale, origin: FloatArray) -> dict[str, 
     if header.box is not None:
         properties["box"] = header.box
     return properties
+
+
+def recording_name(name: str) -> Static:
+    """Return the name of a recording, as Rerun writes it."""
+    return "__properties", rr.archetypes.RecordingInfo(name=name)
 
 
 def _bodies(header: Header) -> Iterable[Static]:

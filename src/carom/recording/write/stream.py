@@ -15,7 +15,7 @@ import rerun as rr
 from carom.arrays import FloatArray
 from carom.errors import RecordingError
 from carom.event import Event
-from carom.recording.read.continuation import Continuation
+from carom.recording.read.frame_rows import Continuation
 from carom.recording.rrd.messages import release_memory
 from carom.recording.schema import checkpoint_columns, paths
 from carom.recording.schema.header import Header, Scalar, application_id
@@ -133,6 +133,7 @@ class Stream:
         self._live = None if live is None else LiveView(live, self._application, header.run_id)
         # for the current batch when the disk fills up, for the last checkpoint, and for the end of the file
         self._reserve = int(_ENCODED * batch_bytes) + checkpoint_columns.largest_size(header) + _ENDING
+        rr.set_strict_mode(True)  # otherwise bad data would only cause a warning, and the row would be lost
         self._sink = DurableSink(file or path, self._reserve)
         end_earlier_streams()
         self._stream = rr.RecordingStream(self._application, recording_id=header.run_id)
