@@ -39,6 +39,10 @@ class RecordingError(Exception):
     """A recording cannot be written, read or shown; the message is one sentence with the reason."""
 
 
+class RecorderError(RecordingError):
+    """The recorder stopped by an error of the program or of an extension, or for lack of memory; its file is closed."""
+
+
 class ExistsError(RecordingError):
     """A file would be replaced without permission."""
 

@@ -23,9 +23,10 @@ from carom.physics.simulation import StepStatus
 from carom.physics.space import Space
 from carom.recording.read.recording import Recording
 from carom.recording.schema.header import SweepMember
+from carom.recording.write.encoder import BatchEncoder
 from carom.runs.outcome import judge
 from carom.runs.resume import resumable_run
-from carom.runs.run import Outcome, recording_space, simulate
+from carom.runs.run import Outcome, recording_of, recording_space, simulate
 from carom.scene.load import scene_from_text
 from carom.scene.scene_file import bundled_scenes
 from carom.scene.schema import Scene
@@ -164,6 +165,24 @@ def test_a_state_that_stops_being_finite_leaves_a_readable_file_that_says_so(tmp
     assert outcome.status == "failed" and "no longer finite" in outcome.reason
     recording = Recording.open(outcome.path)
     assert recording.outcome.startswith("failed") and recording.frames == outcome.frames > 0
+
+
+@pytest.mark.parametrize(
+    ("fault", "status"),
+    [(ValueError("a bug"), "error"), (MemoryError(), "error"), (RecordingError("no space left"), "disk")],
+)
+def test_an_error_of_the_recorder_is_not_called_one_of_the_disk(
+    fault: Exception, status: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(*arguments: Any) -> None:
+        raise fault
+
+    monkeypatch.setattr(BatchEncoder, "rows", fail)
+    outcome = simulate(Space(cloud(time={"duration": 0.1})), tmp_path / "x.rrd")
+    assert outcome.status == status and not outcome.ok
+    assert Recording.open(outcome.path).outcome.startswith(f"{status}: ")
+    with pytest.raises(RecordingError):
+        recording_of(outcome)
 
 
 def failing(error: Exception, after: float = 0.3) -> Space:

@@ -149,6 +149,7 @@ OF_ENGINES = {"energy_error": "largest change of the energy without contact, {va
 EACH = "each"  # impacts during the drift of a step
 ONCE_A_STEP = "once a pair and step"  # impacts detected at the end of a step
 _DISK = "disk"
+FAILURES = ("failed", _DISK, "error")  # statuses of runs that an error ended
 _FAILED = "recording failed"
 
 

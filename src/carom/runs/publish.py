@@ -23,7 +23,7 @@ from carom.recording.read.recorded_impacts import numbered_impacts
 from carom.recording.read.recording import Recording
 from carom.recording.schema.paths import STEP
 from carom.recording.write.whole_file import Claim, is_link_of_another, write_whole
-from carom.runs.outcome import Moment, description, headline, moments, overview, problems
+from carom.runs.outcome import FAILURES, Moment, description, headline, moments, overview, problems
 from carom.runs.report import ENERGY_ERROR, worst_moment
 from carom.scene.units.dimension import ANGULAR_IMPULSE, ENERGY, IMPULSE, TIME, VELOCITY
 from carom.scene.wording import counted
@@ -312,7 +312,7 @@ def telling_moments(recording: Recording) -> list[TellingMoment]:
         _add(chosen, _of_extreme(extremes["overlap"], close=True))
     if "energy_error" in extremes and summary["moments"]["energy_error"]["value"] > ENERGY_ERROR:
         _add(chosen, _of_extreme(extremes["energy_error"]))
-    if recording.warnings() or recording.outcome.startswith(("failed", "disk")):
+    if recording.warnings() or recording.outcome.startswith(FAILURES):
         time, why = worst_moment(recording)
         table = recording.fingerprints()
         row = min(int(np.searchsorted(table["time"].to_numpy(), time)), table.num_rows - 1)

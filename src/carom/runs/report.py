@@ -21,6 +21,7 @@ from carom.recording.schema.paths import STEP
 from carom.recording.schema.series import all_series
 from carom.runs.environment import environment
 from carom.runs.outcome import (
+    FAILURES,
     description,
     energy_texts,
     in_words,
@@ -135,7 +136,7 @@ def worst_moment(recording: Recording) -> tuple[float, str]:
     summary = recording.summary()
     moments: dict[str, Any] = summary["moments"]
     last = float(recording.fingerprints()["time"][-1].as_py())
-    if recording.outcome.startswith(("failed", "disk")):
+    if recording.outcome.startswith(FAILURES):
         return last, in_words(recording.outcome)
     warnings = recording.warnings()
     broken = [event for event in warnings if event.kind.startswith(LAWS)]

@@ -224,7 +224,7 @@ def _resume(
     if outcome.frames <= run.recording.frames:
         part.unlink(missing_ok=True)
         raise RecordingError(f"{source} is unchanged: {outcome.status}: {outcome.reason}")
-    if outcome.status == "disk":
+    if outcome.status in ("disk", "error"):
         return replace(outcome, reason=f"{outcome.reason}; {source} is unchanged, and {part} has the new frames")
     part.replace(target)
     return replace(outcome, path=target)

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
-from carom.errors import PhysicsError, RecordingError
+from carom.errors import PhysicsError, RecorderError, RecordingError
 from carom.event import Event
 from carom.physics.diagnostics.extremes import Extremes
 from carom.physics.look_ahead.trial_run import Watcher as LookAheadWatcher
@@ -45,7 +45,7 @@ class Outcome:
     """How a run ended."""
 
     path: Path
-    status: str  # "completed", "expectation missed", "interrupted", "disk" or "failed"
+    status: str  # "completed", "expectation missed", "interrupted", "failed", "disk" or "error" (of the recorder)
     reason: str  # a sentence; empty when completed
     frames: int
     steps: int
@@ -122,6 +122,8 @@ def recording_of(outcome: Outcome) -> Recording:
     """Open the recording of a completed run; otherwise raise the error or interrupt that ended it."""
     if outcome.status == "disk":
         raise RecordingError(outcome.reason)
+    if outcome.status == "error":
+        raise RecorderError(outcome.reason)
     if outcome.status == "failed":
         raise PhysicsError(outcome.reason)
     if outcome.status == "interrupted":  # the file is complete up to that time; end the caller's program, too
@@ -230,7 +232,7 @@ def _simulate(
     try:
         recorder.finish(outcome_text(status, reason), summary, space.highlights())
     except RecordingError as error:
-        status, reason = "disk", str(error)
+        status, reason = "error" if isinstance(error, RecorderError) else "disk", str(error)
     return Outcome(
         path=path,
         status=status,
@@ -292,6 +294,8 @@ class _Physics:
                 return "interrupted", f"stopped by {interrupts.sender} {at}"
             case None:
                 return "completed", ""
+            case RecorderError():
+                return "error", f"{self._error} {at}"
             case RecordingError():
                 return "disk", f"{self._error} {at}"
             case PhysicsError():

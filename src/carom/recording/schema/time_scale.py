@@ -10,7 +10,7 @@ import numpy as np
 import rerun as rr
 
 from carom.arrays import FloatArray, IntArray
-from carom.errors import RecordingError
+from carom.errors import RecorderError
 from carom.recording.schema.paths import IMPACT, SIM_TIME, STEP
 from carom.scene.units.dimension import TIME
 from carom.scene.units.system import UnitSystem
@@ -47,7 +47,7 @@ class TimeScale:
         """Convert simulated seconds to whole nanoseconds of the timeline, by rounding."""
         shown = np.asarray(times, dtype=np.float64) / self.scale
         if not bool(np.all(np.abs(shown) <= _LONGEST * 1.02)):
-            raise RecordingError(f"simulated time {np.max(np.abs(times)):g} does not fit the timeline")
+            raise RecorderError(f"simulated time {np.max(np.abs(times)):g} does not fit the timeline")
         return np.round(shown * 1e9).astype(np.int64)
 
     def within(self, times: FloatArray, ends: FloatArray | None) -> IntArray:

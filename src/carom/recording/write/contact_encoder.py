@@ -10,7 +10,7 @@ from rerun import ComponentColumn
 
 from carom.arrays import FloatArray, IntArray, Records, SingleArray
 from carom.contact_table import CONTACT_ROW, NO_ROWS
-from carom.errors import RecordingError
+from carom.errors import RecorderError
 from carom.physics.aligned import picked
 from carom.physics.checkpoint import Checkpoint
 from carom.physics.frame import Frame
@@ -123,7 +123,7 @@ def contact_columns(
         done = encoding.write_contacts(frame.pairs, frame.rows, unit, drawing.COLOURS, widths, of_frame)
         if done < len(frame.pairs):
             i, j = frame.pairs[done].tolist()
-            raise RecordingError(f"the contact of {i} and {j} is in the collision graph, but has no row of its own")
+            raise RecorderError(f"the contact of {i} and {j} is in the collision graph, but has no row of its own")
     columns: list[ComponentColumn] = [
         any_column("bodies", values.bodies.ravel(), 2 * edges),
         any_column("normal_impulse", values.normal_impulse, edges),

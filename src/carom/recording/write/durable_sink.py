@@ -24,7 +24,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from carom.errors import RecordingError
+from carom.errors import RecorderError, RecordingError
 from carom.recording.rrd.framing import MessageSplitter
 
 if TYPE_CHECKING:
@@ -242,7 +242,7 @@ class AddressReserve:
         closing = self._least + _CLOSING_PER_CONTACT * max(contacts)
         if not self._keep(closing) or _in_use() + encoding > self._limit:
             needed = f"{(encoding + closing) / 1e9:.2g} GB of address space"
-            raise RecordingError(
+            raise RecorderError(
                 f"cannot write more of {path}: frames of {max(contacts)} contacts need {needed}, more than `ulimit "
                 f"-v` leaves of its {self._limit / 1e9:.3g} GB; raise the limit"
             )

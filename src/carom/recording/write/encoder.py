@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from rerun import ComponentColumn
 
 from carom.arrays import ColourArray, FloatArray, IntArray, SingleArray
-from carom.errors import RecordingError
+from carom.errors import RecorderError
 from carom.event import Event
 from carom.physics.checkpoint import Checkpoint
 from carom.physics.contact.graph import colour_bodies
@@ -354,7 +354,7 @@ class BatchEncoder:
                 values = np.array([series.value(sample) for sample in samples], dtype=np.float64)
             except Exception as error:
                 # the function may belong to another package
-                raise RecordingError(f"the series {series.path}: {type(error).__name__}: {error}") from error
+                raise RecorderError(f"the series {series.path}: {type(error).__name__}: {error}") from error
             self.curves[series.path].see(index.times, values)
             yield frame_rows(series.path, index, *self._scalars(series, values))
 
@@ -440,7 +440,7 @@ def refuse_wrong_arrays(header: Header, batch: Sequence[Frame], before: Frame | 
 
     Raises
     ------
-    RecordingError
+    RecorderError
         The message names the step and the array.
     """
     n = header.bodies
@@ -460,7 +460,7 @@ def refuse_wrong_arrays(header: Header, batch: Sequence[Frame], before: Frame | 
             expected.append((f"step {before.step}, before impacts: position", before.position, (n, 3)))
         for called, values, wanted in expected:
             if values is None or values.shape != wanted:
-                raise RecordingError(f"{called} has the shape {getattr(values, 'shape', None)} instead of {wanted}")
+                raise RecorderError(f"{called} has the shape {getattr(values, 'shape', None)} instead of {wanted}")
         if edges and (graph.pairs.min() < 0 or graph.pairs[:, 0].max() >= n):  # planes and walls are second
-            raise RecordingError(f"{step}a contact names no body; bodies are 0 to {n - 1}")
+            raise RecorderError(f"{step}a contact names no body; bodies are 0 to {n - 1}")
         before, expected = frame, []

@@ -13,7 +13,7 @@ from typing import Generic, Self, TypeVar
 import numpy as np
 
 from carom.arrays import FloatArray
-from carom.errors import RecordingError
+from carom.errors import RecorderError, RecordingError
 from carom.event import Event
 from carom.physics.bodies import Bodies
 from carom.physics.frame import Frame, FrameStore
@@ -296,13 +296,13 @@ class FrameRecorder:
             self._fail(error)
         except MemoryError:
             self._fail(
-                RecordingError(
+                RecorderError(
                     f"cannot write more of {self.path}: no memory is left; lower the number of bodies, or raise the "
                     "limit of the address space (`ulimit -v`)"
                 )
             )
         except Exception as error:  # the physics thread must learn of any failure
-            self._fail(RecordingError(f"recording {self.path} failed: {type(error).__name__}: {error}"))
+            self._fail(RecorderError(f"recording {self.path} failed: {type(error).__name__}: {error}"))
         finally:
             self._begun.set()
 
@@ -390,7 +390,7 @@ class FrameRecorder:
     def _fail(self, error: RecordingError) -> None:
         """Close the file in its present state, and then report the error to the physics."""
         try:
-            self._close(str(error), {}, ())
+            self._close(f"{'error' if isinstance(error, RecorderError) else 'disk'}: {error}", {}, ())
         except Exception as second:  # report the first error
             error.add_note(f"closing it also failed: {second}")
             if self._file != self.path.resolve():
