@@ -119,6 +119,13 @@ SCENES: dict[str, dict[str, Any]] = {
         "time": {"duration": 0.2, "max_dt": 0.02},
         "expect": {"contact_audit": 1e-12},
     },
+    "heavy balls on a light one, which is held": {
+        "body": [{"position": [0.0, 0.0, 2.001 * k], "mass": 1e3**k} for k in range(3)],
+        "plane": [{"point": [0.0, 0.0, -1.001]}],
+        "gravity": {"constant": 0.0, "uniform": [0.0, 0.0, -9.81]},
+        "contact": {"restitution": 0.5},
+        "time": {"duration": 0.1, "max_dt": 0.02},
+    },
     "impacts found on polynomials": {
         "body": [{"position": [-1.2, 0.0, 0.0], "mass": 1.0}, {"position": [1.2, 0.1, 0.0], "mass": 1.0}],
         "plane": [{"point": [0.0, 0.0, -1.5]}],

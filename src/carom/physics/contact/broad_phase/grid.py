@@ -142,44 +142,50 @@ def search(
     The functions called below return the next row of the buffer and the end of the claimed rows.
     """
     scope = Scope(table, layout, scale, skin, claimed, buffer)
+    box, periodic, origin = sizes(layout.box), is_periodic(layout.box), layout.origin
     m, end, K = 0, 0, 0
     for a in range(lo, hi):
         while a >= layout.grid[K].end:
             K += 1
+        sphere = table.sphere[a]
+        ox, oy, oz = sphere.x - origin[0], sphere.y - origin[1], sphere.z - origin[2]
         for L in range(layout.grids[0]):
-            if layout.into[K, L]:
-                m, end = _search_grid(a, K, L, scope, m, end)
+            if not layout.into[K, L]:
+                continue
+            grid = layout.grid[L]
+            search_radius = WIDER * ((sphere.radius + 0.5 * grid.diameter) * scale + skin)
+            fx, lx, once_x = _cells_along(ox, search_radius, grid.kx, grid.nx, repeats(box[0]))
+            fy, ly, once_y = _cells_along(oy, search_radius, grid.ky, grid.ny, repeats(box[1]))
+            fz, lz, once_z = _cells_along(oz, search_radius, grid.kz, grid.nz, repeats(box[2]))
+            # Within an octave, half of the neighbours are searched. If a cell is a neighbour on both sides, all
+            # neighbours are searched, but only for later bodies.
+            half = K == L and not _meets_itself(grid, scale, skin, box)
+            later = K == L and not half
+            cx, cy, cz = 0, 0, 0
+            if half:
+                cx, cy, cz = cell_of(ox, oy, oz, grid, False)
+                fz = cz
+            wide = lz - fz > NARROW and once_x and once_y and once_z
+            for iz in range(fz, lz):
+                for iy in range(cy if half and iz == cz else fy, ly):
+                    is_own = half and iz == cz and iy == cy
+                    first, after = cx if is_own else fx, a + 1 if later or is_own else 0
+                    row = Row(first, lx, iy, iz)
+                    if wide and not is_own:
+                        row = _chord(row, ox, oy, oz, search_radius, grid)
+                    # a row may cross the periodic box, and strips of hashed cells
+                    y, z = (row.y % grid.ny, row.z % grid.nz) if periodic else (row.y, row.z)
+                    ix = row.first
+                    while ix < row.end:
+                        x = ix % grid.nx if periodic else ix
+                        cells = min(row.end - ix, grid.nx - x)
+                        if grid.hashed:
+                            cells = min(cells, STRIP - x % STRIP)
+                        m, end = _search_cells(a, Row(x, x + cells, y, z), after, grid, scope, m, end)
+                        ix += cells
+                        if half:
+                            after = 0  # the index applies to the first cells of the row only
     _mark_unused(buffer, m, end)
-
-
-@inline
-def _search_grid(a: int, K: int, L: int, scope: Scope, m: int, end: int) -> tuple[int, int]:
-    """Store the pairs of a body of grid K with bodies of grid L."""
-    sphere, grid, origin = scope.table.sphere[a], scope.layout.grid[L], scope.layout.origin
-    ox, oy, oz = sphere.x - origin[0], sphere.y - origin[1], sphere.z - origin[2]
-    search_radius = WIDER * ((sphere.radius + 0.5 * grid.diameter) * scope.scale + scope.skin)
-    box = sizes(scope.layout.box)
-    fx, lx, once_x = _cells_along(ox, search_radius, grid.kx, grid.nx, repeats(box[0]))
-    fy, ly, once_y = _cells_along(oy, search_radius, grid.ky, grid.ny, repeats(box[1]))
-    fz, lz, once_z = _cells_along(oz, search_radius, grid.kz, grid.nz, repeats(box[2]))
-    # Within an octave, half of the neighbours are searched. If a cell is a neighbour on both sides, all neighbours are
-    # searched, but only for later bodies.
-    half = K == L and not _meets_itself(grid, scope.scale, scope.skin, box)
-    later = K == L and not half
-    cx, cy, cz = 0, 0, 0
-    if half:
-        cx, cy, cz = cell_of(ox, oy, oz, grid, False)
-        fz = cz
-    wide = lz - fz > NARROW and once_x and once_y and once_z
-    for iz in range(fz, lz):
-        for iy in range(cy if half and iz == cz else fy, ly):
-            is_own = half and iz == cz and iy == cy
-            first, after = cx if is_own else fx, a + 1 if later or is_own else 0
-            row = Row(first, lx, iy, iz)
-            if wide and not is_own:
-                row = _chord(row, ox, oy, oz, search_radius, grid)
-            m, end = _search_row(a, row, after, half, grid, scope, m, end)
-    return m, end
 
 
 @inline
@@ -192,29 +198,6 @@ def _chord(row: Row, ox: float, oy: float, oz: float, search_radius: float, grid
     half = np.sqrt(squared)
     first, last = math.floor((ox - half) * grid.kx), math.floor((ox + half) * grid.kx)
     return Row(max(row.first, first), min(row.end, last + 1), row.y, row.z)
-
-
-@inline
-def _search_row(
-    a: int, row: Row, after: int, half: bool, grid: GridRecord, scope: Scope, m: int, end: int
-) -> tuple[int, int]:
-    """Store the pairs of a body with those in a row of cells, starting at an index of the table.
-
-    If only half of the neighbours are searched, that index applies to the first cells of the row only.
-    """
-    periodic = is_periodic(scope.layout.box)
-    y, z = (row.y % grid.ny, row.z % grid.nz) if periodic else (row.y, row.z)
-    ix = row.first
-    while ix < row.end:
-        x = ix % grid.nx if periodic else ix
-        cells = min(row.end - ix, grid.nx - x)
-        if grid.hashed:
-            cells = min(cells, STRIP - x % STRIP)
-        m, end = _search_cells(a, Row(x, x + cells, y, z), after, grid, scope, m, end)
-        ix += cells
-        if half:
-            after = 0
-    return m, end
 
 
 @inline

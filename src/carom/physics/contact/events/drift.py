@@ -27,7 +27,7 @@ from carom.physics.contact.events.event_loop import (
     predict,
     resolve,
 )
-from carom.physics.contact.events.held_group import MOST_CONTACTS, hold_group
+from carom.physics.contact.events.held_group import MOST_BODIES, MOST_CONTACTS, hold_group
 from carom.physics.contact.events.time_of_impact import step_by_impacts
 from carom.physics.contact.events.trajectories import (
     DRIFT,
@@ -78,7 +78,7 @@ class _Kernels(NamedTuple):
             begin=entry_of(begin, T, 1.0, 0.0, 0.0, False, np.zeros(0, dtype=np.bool_)),
             predict=entry_of(predict, 0, 0, nobody, T),
             fill_queue=entry_of(_fill_queue, T),
-            resolve=entry_of(resolve, nobody, T, log),
+            resolve=entry_of(resolve, nobody, T, log, None),
             finish=entry_of(finish, 0, 0, T),
         )
 
@@ -284,11 +284,12 @@ class EventDrivenDrift:
         both_ways(pairs, ends, others)
         neighbours = Neighbours(ends[:-1], ends[1:], others)
         logs: list[Records] = []
-        again = True
-        while again:
-            count = self._kernels.resolve(neighbours, T, self.log)
+        step, held = self._kernels.resolve, None
+        while not logs or T.drift["queued"][0] > 0:
+            count = step(neighbours, T, self.log, held)
             logs.append(self.log[:count].copy())
-            again = T.drift["queued"][0] > 0
+            if count + MOST_CONTACTS <= len(self.log):  # not because the log is full: a body is exhausted
+                step, held = resolve, np.empty(MOST_BODIES, dtype=np.int64)
         return Impacts.of(logs[0] if len(logs) == 1 else np.concatenate(logs))
 
 
@@ -321,7 +322,7 @@ def resolve_touching(T: Trajectories, pairs: IntArray, log: RecordArray[ImpactRe
     log
         (k,) `IMPACT`, buffer for the log of the impacts.
     """
-    count, row = _touching_pairs(T, pairs), 0
+    count, row, held = _touching_pairs(T, pairs), 0, np.empty(MOST_BODIES, np.int64)
     for i in range(len(T.x) if count > 0 else 0):
         arrive(i, T)
     for sweep in range(MAX_ELASTIC + MOST_HOLDS):
@@ -338,7 +339,7 @@ def resolve_touching(T: Trajectories, pairs: IntArray, log: RecordArray[ImpactRe
             elif row + MOST_CONTACTS <= len(log):
                 _exhaust(i, T)
                 _exhaust(j, T)
-                row = hold_group(i, j, T.everyone, T, log, row)[1]
+                row = hold_group(i, j, T.everyone, T, log, row, held)[1]
             else:
                 T.drift[0].exhausted = 1
                 return row

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from carom.arrays import RecordArray
+from carom.arrays import IntArray, RecordArray
 from carom.physics.contact.events.held_group import MOST_CONTACTS, hold_group
 from carom.physics.contact.events.time_of_impact import (
     first_of_images,
@@ -90,8 +90,12 @@ def predict(lo: int, hi: int, neighbours: Neighbours, T: Trajectories) -> None:
 
 
 @long_kernel
-def resolve(neighbours: Neighbours, T: Trajectories, log: RecordArray[ImpactRecord]) -> int:
-    """Resolve impacts until none is left or the log, (k,) `IMPACT`, is full; return their number."""
+def resolve(neighbours: Neighbours, T: Trajectories, log: RecordArray[ImpactRecord], held: IntArray | None) -> int:
+    """Resolve impacts until none is left or the log, (k,) `IMPACT`, is full; return their number.
+
+    ``held`` is (MOST_BODIES,) workspace for the bodies of a held group. With None, the loop ends where a body is
+    exhausted: few scenes hold contacts in a drift, and without `hold_group` the kernel compiles in half the time.
+    """
     n, row = len(T.x), 0
     while row + MOST_CONTACTS <= len(log):
         known = _go_to_next(neighbours, T)
@@ -101,10 +105,12 @@ def resolve(neighbours: Neighbours, T: Trajectories, log: RecordArray[ImpactReco
         i, j = min(known, partner), max(known, partner)
         lossy = dissipates(T.materials[material_index(i, j, n, T.places)])
         if T.body[i].exhausted or (j < n and T.body[j].exhausted):
-            held, row = hold_group(i, j, neighbours, T, log, row)
-            for k in range(len(held)):
+            if held is None:
+                return row
+            count, row = hold_group(i, j, neighbours, T, log, row, held)
+            for k in range(count):
                 _count_impact(held[k], lossy, T)
-            for k in range(len(held)):
+            for k in range(count):
                 _predict_again(held[k], neighbours, T)
             continue
         collide(i, j, log, row, T)

@@ -69,8 +69,8 @@ class Group(NamedTuple):
 
 @inner
 def hold_group(
-    i: int, j: int, neighbours: Neighbours, T: Trajectories, log: RecordArray[ImpactRecord], row: int
-) -> tuple[IntArray, int]:
+    i: int, j: int, neighbours: Neighbours, T: Trajectories, log: RecordArray[ImpactRecord], row: int, held: IntArray
+) -> tuple[int, int]:
     """Hold the contacts of a meeting pair, and those of its group.
 
     Parameters
@@ -81,11 +81,13 @@ def hold_group(
         The possible partners of each body that is not a stray.
     log, row
         (k,) `IMPACT`, and the first free row of it. At least `MOST_CONTACTS` rows are free.
+    held
+        (MOST_BODIES,) workspace for the bodies of the pair, and those whose velocities change.
 
     Returns
     -------
-    bodies
-        The bodies of the pair, and those whose velocities changed.
+    count
+        The number of those bodies.
     row
         The first free row.
     """
@@ -111,7 +113,7 @@ def hold_group(
     find_impulses(bodies, contacts, SPEED_ROUNDING * fastest, group)
     for c in range(contacts):
         group.impulse[c] /= unit
-    changed, count = np.empty(bodies, np.int64), 0
+    count = 0
     for k in range(bodies):
         b = group.body[k]
         moved = b in (i, j)
@@ -119,7 +121,7 @@ def hold_group(
             moved = moved or T.v[b, d] != group.v[k, d]
             T.v[b, d] = group.v[k, d]
         if moved:
-            changed[count] = b
+            held[count] = b
             count += 1
             T.body[b].negligible_speed = max(T.body[b].negligible_speed, SPEED_ROUNDING * fastest)
     for end in range(2 if j < len(T.x) else 1):
@@ -127,7 +129,7 @@ def hold_group(
         if body.exhausted:
             body.holds += 1
             body.standoff *= 2.0
-    return changed[:count], _log(contacts, T, group, log, row)
+    return count, _log(contacts, T, group, log, row)
 
 
 @inner

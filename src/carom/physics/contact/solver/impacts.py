@@ -63,81 +63,78 @@ def resolve_impacts(first: int, end: int, system: ConstraintSystem) -> None:
     The first iteration also records each closing speed, the fastest one, and whether a contact is at rest. A later
     iteration raises the closing speed if an impulse from a neighbour has made the contact close faster.
     """
-    for piece in range(first, end):
-        _resolve(piece, system)
-
-
-@inline
-def _resolve(piece: int, system: ConstraintSystem) -> None:
-    lo, hi = contacts_of(piece, piece + 1, system)
     pairs, a, bodies = system.pairs, system.acceleration, system.bodies
     settings = system.settings[0]
-    spins, first, impacts_only = settings.spins, settings.iteration == 0, settings.impacts_only
+    spins, is_first, impacts_only = settings.spins, settings.iteration == 0, settings.impacts_only
     records = len(system.recorded) > 0
     bias_rate = settings.bias_rate
     count, places = body_count(system), system.places
-    largest_change, fastest, any_rests = 0.0, 0.0, False
-    for c in range(lo, hi):
-        prefetch_ends(bodies, pairs, c)
-        i, j = ends_of(pairs, c)
-        contact, state, body_i, body_j = system.contacts[c], system.states[c], bodies[i], bodies[j]
-        nx, ny, nz = contact.nx, contact.ny, contact.nz
-        vn, tx, ty, tz = relative_velocity(contact, body_i, body_j)
-        rests = -vn <= state.rest_speed
-        if first:
-            state.approach_speed = max(0.0, -vn)
-            fastest, any_rests = max(fastest, -vn), any_rests or rests
-        if impacts_only and (rests or (state.overlap < 0.0 and state.apart)):
-            continue  # `hold` resolves resting contacts; an open gap may close in the next step
-        material = system.materials[material_index(i, j, count, places)]
-        Kn = body_i.inverse_mass + body_j.inverse_mass
-        e = restitution_of_impact(material, -vn, state.rest_speed, Kn, contact.arm_i, contact.arm_j)
-        overlap = state.detected_overlap
-        if first and e > 0.0 and overlap > 0.0:
-            ax, ay, az = between(a, j, i)
-            an = ax * nx + ay * ny + az * nz
-            if an > 0.0:
-                e = restitution_at_depth(e, vn, overlap, an)
-        change = rebound(e, vn)
-        biased = change + bias_rate * overlap
-        if biased <= 0.0:
-            continue
-        largest_change = max(largest_change, biased)
-        if not rests and -vn > state.approach_speed and -vn > ROUNDING * _sum_of_speeds(body_i, body_j):
-            state.approach_speed = -vn
-        Jn = biased / Kn
-        Jn_unbiased = max(0.0, change) / Kn
-        lost = normal_loss(Jn_unbiased, vn, Kn)
-        state.restitution_loss += lost
-        state.stabilisation_gain += lost - normal_loss(Jn, vn, Kn)
-        Jx, Jy, Jz = Jn * nx, Jn * ny, Jn * nz
-        if records:
-            system.recorded[c].normal_impulse += Jn
-        if spins:
-            ux, uy, uz = slip(contact, body_i, body_j, tx, ty, tz)
-            Kt = inverse_tangent_mass(Kn, contact.arm_i, contact.arm_j, body_i.inverse_inertia, body_j.inverse_inertia)
-            tx, ty, tz, dissipated = friction_of_impact(material, Jn, ux, uy, uz, Kt)
-            state.friction_loss += dissipated
-            if tx != 0.0 or ty != 0.0 or tz != 0.0:
-                Jx, Jy, Jz = Jx + tx, Jy + ty, Jz + tz
-                turn(contact, body_i, body_j, tx, ty, tz)
-                if records:
-                    _record_friction(system.recorded[c], tx, ty, tz)
-            K = body_i.inverse_inertia + body_j.inverse_inertia
-            if exerts_torque(material) and K > 0.0:
-                wx, wy, wz = relative_spin(body_i, body_j)
-                lx, ly, lz, dissipated = angular_impulse_of_impact(contact, material, Jn, wx, wy, wz, K)
+    for piece in range(first, end):
+        lo, hi = contacts_of(piece, piece + 1, system)
+        largest_change, fastest, any_rests = 0.0, 0.0, False
+        for c in range(lo, hi):
+            prefetch_ends(bodies, pairs, c)
+            i, j = ends_of(pairs, c)
+            contact, state, body_i, body_j = system.contacts[c], system.states[c], bodies[i], bodies[j]
+            nx, ny, nz = contact.nx, contact.ny, contact.nz
+            vn, tx, ty, tz = relative_velocity(contact, body_i, body_j)
+            rests = -vn <= state.rest_speed
+            if is_first:
+                state.approach_speed = max(0.0, -vn)
+                fastest, any_rests = max(fastest, -vn), any_rests or rests
+            if impacts_only and (rests or (state.overlap < 0.0 and state.apart)):
+                continue  # `hold` resolves resting contacts; an open gap may close in the next step
+            material = system.materials[material_index(i, j, count, places)]
+            Kn = body_i.inverse_mass + body_j.inverse_mass
+            e = restitution_of_impact(material, -vn, state.rest_speed, Kn, contact.arm_i, contact.arm_j)
+            overlap = state.detected_overlap
+            if is_first and e > 0.0 and overlap > 0.0:
+                ax, ay, az = between(a, j, i)
+                an = ax * nx + ay * ny + az * nz
+                if an > 0.0:
+                    e = restitution_at_depth(e, vn, overlap, an)
+            change = rebound(e, vn)
+            biased = change + bias_rate * overlap
+            if biased <= 0.0:
+                continue
+            largest_change = max(largest_change, biased)
+            if not rests and -vn > state.approach_speed and -vn > ROUNDING * _sum_of_speeds(body_i, body_j):
+                state.approach_speed = -vn
+            Jn = biased / Kn
+            Jn_unbiased = max(0.0, change) / Kn
+            lost = normal_loss(Jn_unbiased, vn, Kn)
+            state.restitution_loss += lost
+            state.stabilisation_gain += lost - normal_loss(Jn, vn, Kn)
+            Jx, Jy, Jz = Jn * nx, Jn * ny, Jn * nz
+            if records:
+                system.recorded[c].normal_impulse += Jn
+            if spins:
+                ux, uy, uz = slip(contact, body_i, body_j, tx, ty, tz)
+                Kt = inverse_tangent_mass(
+                    Kn, contact.arm_i, contact.arm_j, body_i.inverse_inertia, body_j.inverse_inertia
+                )
+                tx, ty, tz, dissipated = friction_of_impact(material, Jn, ux, uy, uz, Kt)
                 state.friction_loss += dissipated
-                apply_angular_impulse(body_i, body_j, lx, ly, lz)
-                if records:
-                    given = system.recorded[c]
-                    sx, sy, sz = angular_impulse(given)
-                    set_angular_impulse(given, sx + lx, sy + ly, sz + lz)
-        push(body_i, body_j, Jx, Jy, Jz)
-    results = system.piece_results[piece]
-    results.residual = largest_change
-    if first:
-        results.fastest, results.any_rests = fastest, any_rests
+                if tx != 0.0 or ty != 0.0 or tz != 0.0:
+                    Jx, Jy, Jz = Jx + tx, Jy + ty, Jz + tz
+                    turn(contact, body_i, body_j, tx, ty, tz)
+                    if records:
+                        _record_friction(system.recorded[c], tx, ty, tz)
+                K = body_i.inverse_inertia + body_j.inverse_inertia
+                if exerts_torque(material) and K > 0.0:
+                    wx, wy, wz = relative_spin(body_i, body_j)
+                    lx, ly, lz, dissipated = angular_impulse_of_impact(contact, material, Jn, wx, wy, wz, K)
+                    state.friction_loss += dissipated
+                    apply_angular_impulse(body_i, body_j, lx, ly, lz)
+                    if records:
+                        given = system.recorded[c]
+                        sx, sy, sz = angular_impulse(given)
+                        set_angular_impulse(given, sx + lx, sy + ly, sz + lz)
+            push(body_i, body_j, Jx, Jy, Jz)
+        results = system.piece_results[piece]
+        results.residual = largest_change
+        if is_first:
+            results.fastest, results.any_rests = fastest, any_rests
 
 
 @inline

@@ -96,29 +96,21 @@ def correct_positions(first: int, end: int, system: ConstraintSystem) -> None:
     Later iterations visit only contacts with an end that the previous iteration pushed. The others have not changed
     since they needed no push: they do not overlap, or are not at rest.
     """
+    n = body_count(system)
     for piece in range(first, end):
-        system.piece_results[piece].residual = _correct(piece, system)
-
-
-@inline
-def _correct(piece: int, system: ConstraintSystem) -> float:
-    """Push the resting contacts of a piece apart; return 1 if an overlap needs another iteration, otherwise 0.
-
-    Contacts between bodies are corrected in blocks (`correct_block`), the others one by one.
-    """
-    lo, hi = contacts_of(piece, piece + 1, system)
-    n, again = body_count(system), 0.0
-    blocks = whole_blocks(piece, system) if not is_periodic(system.box) else 0
-    for block in range(blocks):
-        first = lo + block * WIDTH
-        again = correct_block(system, first, again)
-        if len(system.surface) > 0:
-            for c in range(first, first + WIDTH):
-                if ends_of(system.pairs, c)[1] >= n:
-                    again = max(again, _push_apart(c, system))
-    for c in range(lo + blocks * WIDTH, hi):
-        again = max(again, _push_apart(c, system))
-    return again
+        lo, hi = contacts_of(piece, piece + 1, system)
+        blocks = whole_blocks(piece, system) if not is_periodic(system.box) else 0
+        c, one_by_one, again = lo, lo + blocks * WIDTH, 0.0
+        while c < hi:
+            if c < one_by_one and (c - lo) % WIDTH == 0:
+                again = correct_block(system, c, again)  # contacts between bodies
+                if len(system.surface) == 0:
+                    c += WIDTH
+                    continue
+            if c >= one_by_one or ends_of(system.pairs, c)[1] >= n:
+                again = max(again, _push_apart(c, system))
+            c += 1
+        system.piece_results[piece].residual = again
 
 
 @inline

@@ -114,64 +114,61 @@ def _clear(contact: ContactRecord, state: ContactStateRecord) -> None:
 @unowned
 def prepare(first: int, end: int, system: ConstraintSystem) -> None:
     """Write the constants of the iterations, and v_n and u before them; clear the impulses of impacts."""
-    for piece in range(first, end):
-        system.piece_results[piece].residual = _prepare(piece, system)
-
-
-@inline
-def _prepare(piece: int, system: ConstraintSystem) -> float:
-    """Prepare the contacts of a piece; return the largest velocity that a contact removes, in m/s."""
-    lo, hi = contacts_of(piece, piece + 1, system)
     pairs, bodies = system.pairs, system.bodies
     settings = system.settings[0]
     spins = settings.spins
     dt, drift, booked, bias_rate = settings.dt, settings.drift, settings.booked, settings.bias_rate
-    count, largest = body_count(system), 0.0
-    for c in range(lo, hi):
-        prefetch_ends(bodies, pairs, c)
-        i, j = ends_of(pairs, c)
-        contact, state, body_i, body_j = system.contacts[c], system.states[c], bodies[i], bodies[j]
-        Kn = body_i.inverse_mass + body_j.inverse_mass
-        contact.normal_mass = 1.0 / Kn
-        vn, tx, ty, tz = relative_velocity(contact, body_i, body_j)
-        state.normal_before = vn
-        if spins:
-            Kt = inverse_tangent_mass(Kn, contact.arm_i, contact.arm_j, body_i.inverse_inertia, body_j.inverse_inertia)
-            contact.tangent_mass = 1.0 / Kt
-            state.slip_x, state.slip_y, state.slip_z = slip(contact, body_i, body_j, tx, ty, tz)
-            wx, wy, wz = relative_spin(body_i, body_j)
-            set_spin_before(contact, wx, wy, wz)
-        gap, rest_speed = -state.overlap, state.rest_speed
-        if drift > 0.0:
-            bias = max(0.0, gap) / drift
-            if j >= count:
-                # slip of the body after the friction of the warm start, which is close to the final friction
-                fx, fy, fz = Kn * contact.friction_x, Kn * contact.friction_y, Kn * contact.friction_z
-                along = (-tx - fx, -ty - fy, -tz - fz)
-                normal, place = (contact.nx, contact.ny, contact.nz), vector(system.position, i)
-                bias = bias_along_wall(system.surface, j - count, bias, contact.arm_i, place, normal, along, drift)
-            # a resting contact closes no faster than this kick and half of the drift's acceleration can make it
-            fastest = rest_speed * ((booked + 0.5 * drift) / dt)
-            is_open = gap > TOUCHING * (contact.arm_i + contact.arm_j - gap)
-        else:
-            bias = gap / dt if gap > 0.0 else bias_rate * gap
-            is_open = gap > 0.0 and state.apart
-            fastest = rest_speed if is_open else np.inf  # impacts of touching pairs have been resolved
-        contact.velocity_bias, state.biased, state.slides = bias, drift == 0.0 and bias < 0.0, False
-        # bodies of an open contact that nothing has pressed meet in an impact, if at all
-        meets = is_open and not (system.pressed[i] or system.pressed[j])
-        system.held[c] = not (meets or -vn > fastest)
-        negligible = min(SMALL_OF_REST * rest_speed, SMALL_OF_RADIUS * smaller_arm(contact) / dt)
-        system.small_change[c] = negligible if settings.as_needed else 0.0
-        if system.held[c]:
-            opening = -(vn + bias) if drift > 0.0 else 0.0  # along a wall that curves towards the body, bias < 0
-            largest = max(largest, -vn, opening, LOADED * contact.normal_impulse * Kn)
-        else:
-            contact.normal_impulse = contact.friction_x = contact.friction_y = contact.friction_z = 0.0
-            set_angular_impulse(contact, 0.0, 0.0, 0.0)
-        contact.delta_normal = contact.delta_x = contact.delta_y = contact.delta_z = 0.0
-        set_change_of_angular_impulse(contact, 0.0, 0.0, 0.0)
-    return largest
+    count = body_count(system)
+    for piece in range(first, end):
+        lo, hi = contacts_of(piece, piece + 1, system)
+        largest = 0.0  # m/s, velocity that a contact removes
+        for c in range(lo, hi):
+            prefetch_ends(bodies, pairs, c)
+            i, j = ends_of(pairs, c)
+            contact, state, body_i, body_j = system.contacts[c], system.states[c], bodies[i], bodies[j]
+            Kn = body_i.inverse_mass + body_j.inverse_mass
+            contact.normal_mass = 1.0 / Kn
+            vn, tx, ty, tz = relative_velocity(contact, body_i, body_j)
+            state.normal_before = vn
+            if spins:
+                Kt = inverse_tangent_mass(
+                    Kn, contact.arm_i, contact.arm_j, body_i.inverse_inertia, body_j.inverse_inertia
+                )
+                contact.tangent_mass = 1.0 / Kt
+                state.slip_x, state.slip_y, state.slip_z = slip(contact, body_i, body_j, tx, ty, tz)
+                wx, wy, wz = relative_spin(body_i, body_j)
+                set_spin_before(contact, wx, wy, wz)
+            gap, rest_speed = -state.overlap, state.rest_speed
+            if drift > 0.0:
+                bias = max(0.0, gap) / drift
+                if j >= count:
+                    # slip of the body after the friction of the warm start, which is close to the final friction
+                    fx, fy, fz = Kn * contact.friction_x, Kn * contact.friction_y, Kn * contact.friction_z
+                    along = (-tx - fx, -ty - fy, -tz - fz)
+                    normal, place = (contact.nx, contact.ny, contact.nz), vector(system.position, i)
+                    bias = bias_along_wall(system.surface, j - count, bias, contact.arm_i, place, normal, along, drift)
+                # a resting contact closes no faster than this kick and half of the drift's acceleration can make it
+                fastest = rest_speed * ((booked + 0.5 * drift) / dt)
+                is_open = gap > TOUCHING * (contact.arm_i + contact.arm_j - gap)
+            else:
+                bias = gap / dt if gap > 0.0 else bias_rate * gap
+                is_open = gap > 0.0 and state.apart
+                fastest = rest_speed if is_open else np.inf  # impacts of touching pairs have been resolved
+            contact.velocity_bias, state.biased, state.slides = bias, drift == 0.0 and bias < 0.0, False
+            # bodies of an open contact that nothing has pressed meet in an impact, if at all
+            meets = is_open and not (system.pressed[i] or system.pressed[j])
+            system.held[c] = not (meets or -vn > fastest)
+            negligible = min(SMALL_OF_REST * rest_speed, SMALL_OF_RADIUS * smaller_arm(contact) / dt)
+            system.small_change[c] = negligible if settings.as_needed else 0.0
+            if system.held[c]:
+                opening = -(vn + bias) if drift > 0.0 else 0.0  # along a wall that curves towards the body, bias < 0
+                largest = max(largest, -vn, opening, LOADED * contact.normal_impulse * Kn)
+            else:
+                contact.normal_impulse = contact.friction_x = contact.friction_y = contact.friction_z = 0.0
+                set_angular_impulse(contact, 0.0, 0.0, 0.0)
+            contact.delta_normal = contact.delta_x = contact.delta_y = contact.delta_z = 0.0
+            set_change_of_angular_impulse(contact, 0.0, 0.0, 0.0)
+        system.piece_results[piece].residual = largest
 
 
 def impulses_of(contacts: RecordArray[ContactRecord]) -> FloatArray:

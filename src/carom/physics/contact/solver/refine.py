@@ -202,40 +202,35 @@ def conjugate_step(first: int, end: int, system: ConstraintSystem) -> None:
     if system.settings[0].iteration == 0:
         lo, hi = contacts_of(first, end, system)
         begin_search(lo, hi, system)
-    for piece in range(first, end):
-        _step(piece, system)
-
-
-@inline
-def _step(piece: int, system: ConstraintSystem) -> None:
-    lo, hi = contacts_of(piece, piece + 1, system)
     settings = system.settings[0]
     alpha = settings.alpha
-    norm, most, least = 0.0, 0.0, 0.0
-    for c in range(lo, hi):
-        search, contact = system.search[c], system.contacts[c]
-        if not (search.free_normal or search.free_tangent):
-            continue
-        if settings.iteration > 0:
-            search.step_normal += alpha * search.direction_normal
-            search.step_x += alpha * search.direction_x
-            search.step_y += alpha * search.direction_y
-            search.step_z += alpha * search.direction_z
-            i, j = ends_of(system.pairs, c)
-            pn, px, py, pz = change_of_velocity(contact, system.bodies[i], system.bodies[j])
-            if search.free_normal:
-                search.residual_normal -= alpha * pn
-            if search.free_tangent:
-                search.residual_x -= alpha * px
-                search.residual_y -= alpha * py
-                search.residual_z -= alpha * pz
-        impulse = contact.normal_impulse + search.step_normal
-        most, least = max(most, impulse), min(least, impulse)
-        norm += search.residual_normal * search.residual_normal * contact.normal_mass
-        rx, ry, rz = search.residual_x, search.residual_y, search.residual_z
-        norm += (rx * rx + ry * ry + rz * rz) * contact.tangent_mass
-    results = system.piece_results[piece]
-    results.residual_norm, results.largest_push, results.largest_pull = norm, most, -least
+    for piece in range(first, end):
+        lo, hi = contacts_of(piece, piece + 1, system)
+        norm, most, least = 0.0, 0.0, 0.0
+        for c in range(lo, hi):
+            search, contact = system.search[c], system.contacts[c]
+            if not (search.free_normal or search.free_tangent):
+                continue
+            if settings.iteration > 0:
+                search.step_normal += alpha * search.direction_normal
+                search.step_x += alpha * search.direction_x
+                search.step_y += alpha * search.direction_y
+                search.step_z += alpha * search.direction_z
+                i, j = ends_of(system.pairs, c)
+                pn, px, py, pz = change_of_velocity(contact, system.bodies[i], system.bodies[j])
+                if search.free_normal:
+                    search.residual_normal -= alpha * pn
+                if search.free_tangent:
+                    search.residual_x -= alpha * px
+                    search.residual_y -= alpha * py
+                    search.residual_z -= alpha * pz
+            impulse = contact.normal_impulse + search.step_normal
+            most, least = max(most, impulse), min(least, impulse)
+            norm += search.residual_normal * search.residual_normal * contact.normal_mass
+            rx, ry, rz = search.residual_x, search.residual_y, search.residual_z
+            norm += (rx * rx + ry * ry + rz * rz) * contact.tangent_mass
+        results = system.piece_results[piece]
+        results.residual_norm, results.largest_push, results.largest_pull = norm, most, -least
 
 
 @unowned
