@@ -103,11 +103,6 @@ def test_a_tool_can_be_removed(tool: str, without: Callable[..., Carom]) -> None
     assert f"No such command '{tool}'" in refusal(called)
 
 
-def test_a_scene_runs_without_any_tool(without: Callable[..., Carom]) -> None:
-    ended = without(*(f"lab/{tool}" for tool in TOOLS))("run", "two-spheres", "-o", "run.rrd")
-    assert ended.returncode == 0, ended.stderr
-
-
 def test_a_tool_that_is_built_on_a_missing_one_names_it(without: Callable[..., Carom]) -> None:
     commands = "hunt --scenes 1 -o misses", "crosscheck two-spheres --engine rebound"
     hunt, crosscheck = without("lab/shrink", "lab/tradeoff").together(*commands)
@@ -203,13 +198,26 @@ def test_the_recorder_of_an_engine_can_be_removed(engine: str, monkeypatch: pyte
     assert all(callable(getattr(carom.record, other)) for other in rows)
 
 
-def test_movies_and_the_web_viewer_can_be_removed(without: Callable[..., Carom]) -> None:
-    works = "--help", "run two-spheres -o run.rrd", "inspect run.rrd"
-    needs = "movie run.rrd -o run.mp4", "view run.rrd --web", "publish run.rrd"
-    ended = without("show/movie.py", "show/movie_file.py", "show/web").together(*works, *needs)
-    assert [command.returncode for command in ended[:3]] == [0, 0, 0]
-    for command, missing in zip(ended[3:], ("movie", "web", "web"), strict=True):
-        assert f"carom.show.{missing}" in refusal(command)
+def test_tools_statistics_movies_the_web_viewer_laws_and_walls_can_be_removed(without: Callable[..., Carom]) -> None:
+    tools = (f"lab/{tool}" for tool in TOOLS)
+    run = without(*tools, "lab/statistics", "show/movie.py", "show/movie_file.py", "show/web", "laws", "walls")
+    works = (
+        *("--help", "run two-spheres -o run.rrd", "inspect run.rrd", "contacts run.rrd --impacts"),
+        "explain two-spheres",
+    )
+    needs = {
+        "movie run.rrd -o run.mp4": "carom.show.movie",
+        "view run.rrd --web": "carom.show.web",
+        "publish run.rrd": "carom.show.web",
+        "contacts run.rrd --statistics": "carom.lab.statistics",
+        "explain two-spheres --set contact.law=walton": 'no contact law "walton"',
+        "explain two-spheres --set 'wall=[{cylinder={radius=5}}]'": "cylinder",
+    }
+    ended = run.together(*works, *needs)
+    for command in ended[: len(works)]:
+        assert command.returncode == 0, command.stderr
+    for command, missing in zip(ended[len(works) :], needs.values(), strict=True):
+        assert missing in refusal(command)
 
 
 def test_nothing_is_built_on_a_tool_but_what_is_named_here() -> None:
@@ -218,13 +226,6 @@ def test_nothing_is_built_on_a_tool_but_what_is_named_here() -> None:
         text = "".join(path.read_text(encoding="utf-8") for path in tool.glob("*.py"))
         others = {other for other in (*TOOLS, "engines") if f"carom.lab.{other}." in text} - {tool.name}
         assert others == built_on.get(tool.name, set()), tool.name
-
-
-def test_statistics_can_be_removed(without: Callable[..., Carom]) -> None:
-    commands = "run two-spheres -o run.rrd", "contacts run.rrd --impacts", "contacts run.rrd --statistics"
-    recorded, impacts, statistics = without("lab/statistics").together(*commands)
-    assert recorded.returncode == impacts.returncode == 0
-    assert "carom.lab.statistics" in refusal(statistics)
 
 
 def test_engines_can_be_removed(without: Callable[..., Carom]) -> None:
@@ -239,36 +240,21 @@ SHORT = ("--set", "time.duration=0.05", "--set", "gravity.constant=1e-9")
 LATE = ("--set", "contact.timing=end-of-step")
 APART = ("--set", "contact.enabled=false")  # an accuracy needs exact times of impact
 PHYSICS = {  # part → a scene that needs it, and what the refusal names
-    "physics/integrators/gauss_radau": (["time.integrator=gauss-radau15"], 'integrator "gauss-radau15"'),
-    "physics/integrators/wisdom_holman": (["time.integrator=wisdom-holman"], 'integrator "wisdom-holman"'),
-    "physics/forces/gravity/tree.py": (["gravity.method=tree"], 'gravity method "tree"'),
-    "physics/forces/gravity/fast_multipole": (["gravity.method=fast-multipole"], 'gravity method "fast-multipole"'),
-    "physics/forces/drag.py": (["drag.relaxation_time=1.0"], 'force "drag"'),
-    "physics/contact/sleep": (["contact.sleep.speed=0.01"], 'part of the model "sleep"'),
-    "physics/contact/events": (["contact.timing=auto"], 'part of the model "time-of-impact"'),
+    "physics/integrators/gauss_radau": ("time.integrator=gauss-radau15", 'integrator "gauss-radau15"'),
+    "physics/integrators/wisdom_holman": ("time.integrator=wisdom-holman", 'integrator "wisdom-holman"'),
+    "physics/forces/gravity/tree.py": ("gravity.method=tree", 'gravity method "tree"'),
+    "physics/forces/gravity/fast_multipole": ("gravity.method=fast-multipole", 'gravity method "fast-multipole"'),
+    "physics/forces/drag.py": ("drag.relaxation_time=1.0", 'force "drag"'),
+    "physics/contact/sleep": ("contact.sleep.speed=0.01", 'part of the model "sleep"'),
+    "physics/contact/events": ("contact.timing=auto", 'part of the model "time-of-impact"'),
 }
 
 
-@pytest.mark.parametrize("part", PHYSICS)
-def test_a_scene_that_needs_a_removed_part_of_the_physics_names_it(part: str, without: Callable[..., Carom]) -> None:
-    run = without(part)
-    overrides, named = PHYSICS[part]
-    given = [word for override in overrides for word in ("--set", override)]
-    said = refusal(run("run", "two-spheres", *SHORT, *given, "-o", "needs.rrd"))
-    assert named in said and "this installation" in said
-
-
-def test_contact_laws_can_be_removed(without: Callable[..., Carom]) -> None:
-    needs, works = without("laws").together("explain two-spheres --set contact.law=walton", "explain two-spheres")
-    assert 'no contact law "walton"' in refusal(needs)
-    assert works.returncode == 0
-
-
-def test_shapes_of_walls_can_be_removed(without: Callable[..., Carom]) -> None:
-    walled = "explain two-spheres --set 'wall=[{cylinder={radius=5}}]'"
-    works, needs = without("walls").together("explain two-spheres", walled)
-    assert works.returncode == 0
-    assert "cylinder" in refusal(needs)
+def test_scenes_that_need_a_removed_part_of_the_physics_name_it(bare: Carom) -> None:
+    runs = (" ".join(("run two-spheres -o needs.rrd", *SHORT, *LATE, "--set", needs)) for needs, _ in PHYSICS.values())
+    for ended, (_, named) in zip(bare.together(*runs), PHYSICS.values(), strict=True):
+        said = refusal(ended)
+        assert named in said and "this installation" in said
 
 
 def test_scenes_run_and_replay_without_the_optional_physics(bare: Carom) -> None:
