@@ -266,7 +266,7 @@ def test_frames_come_at_the_first_step_past_each_multiple() -> None:
         assert 0.5 * k <= time < 0.5 * k + 0.02
 
 
-@examples(24)
+@examples(16)
 @given(seed=st.integers(0, 10**6), e=st.floats(0, 1), mu=st.floats(0, 1.5))
 def test_any_collapse_keeps_momentum_and_gains_no_energy(seed: int, e: float, mu: float) -> None:
     scene = cloud(seed=seed, count=15, contact={"restitution": e, "static_friction": mu, "kinetic_friction": mu / 2})
@@ -345,15 +345,6 @@ def test_bodies_are_wrapped_into_the_periodic_box(restitution: float) -> None:
     assert np.abs(frame.position).max() <= 4.5
     assert frame.angular_momentum_error is None
     assert np.linalg.norm(momentum_of(space.state)) > 0.0
-
-
-@pytest.mark.slow
-def test_phases_tell_free_colliding_and_settled_apart() -> None:
-    phases = [frame.phase for frame in Space(Scene.load("cloud-collapse")).run()]
-    changes = [phase for k, phase in enumerate(phases) if k == 0 or phases[k - 1] != phase]
-    assert changes[:2] == ["warm-up", "free"]
-    assert "colliding" in changes
-    assert changes[-1] == "settled"
 
 
 FLOOR: dict[str, Any] = {"plane": [{}], "gravity": {"constant": 0.0, "uniform": [0, 0, -9.81]}}

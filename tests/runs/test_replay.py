@@ -35,6 +35,7 @@ from small_scenes import bundled, cloud
 # parts of their durations
 SHORT = {
     "asteroid-belt": 0.05,
+    "chute": 0.06,  # the balls have fallen onto the bed
     "cloud-collapse": 0.55,
     "drum": 0.1,  # the balls have fallen onto it, and onto each other
     "elastic-gas": 0.15,
@@ -45,6 +46,8 @@ SHORT = {
     "marbles-in-a-box": 0.1,
     "planet-with-gravel": 0.1,
     "rubble-collision": 0.15,
+    "shaker": 0.15,  # two periods of the floor
+    "shear-cell": 0.1,
 }
 
 

@@ -318,3 +318,11 @@ def test_the_recordings_of_bundled_scenes_are_what_rerun_calls_valid(names: Sequ
 def test_the_file_is_at_most_a_fifth_larger_than_its_arrays(bundled: Bundled) -> None:
     outcome = bundled("cloud-collapse")
     assert outcome.size <= 1.2 * outcome.payload
+
+
+@pytest.mark.slow
+def test_phases_tell_free_colliding_and_settled_apart(bundled: Bundled) -> None:
+    phases = Recording.open(bundled("cloud-collapse").path).phases()["state"].to_pylist()  # each where it begins
+    assert phases[:2] == ["warm-up", "free"]
+    assert "colliding" in phases
+    assert phases[-1] == "settled"
