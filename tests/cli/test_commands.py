@@ -29,7 +29,7 @@ def scene_file(folder: Path, text: str) -> Path:
 
 
 def test_run_records_a_scene_and_says_what_to_do_next(tmp_path: Path) -> None:
-    done = carom_process("run", "two-spheres", cwd=tmp_path)
+    done = carom("run", "two-spheres", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     for part in ("completed", "recordings/two-spheres.rrd", "carom view", "energy_error"):
         assert part in done.stdout

@@ -37,8 +37,15 @@ def without_rights_of_root() -> None:
         ctypes.CDLL(None).prctl(24, 1)  # PR_CAPBSET_DROP
 
 
-@pytest.mark.parametrize("arguments", [[], ["-o", "x.rrd"]])
-@pytest.mark.parametrize("folder", ["removed", "read-only"])
+@pytest.mark.parametrize(
+    ("folder", "arguments"),
+    [
+        ("removed", []),
+        ("read-only", ["-o", "x.rrd"]),
+        pytest.param("removed", ["-o", "x.rrd"], marks=pytest.mark.slow),
+        pytest.param("read-only", [], marks=pytest.mark.slow),
+    ],
+)
 def test_a_working_folder_that_cannot_be_written_is_one_sentence(
     folder: str, arguments: list[str], tmp_path: Path
 ) -> None:

@@ -63,7 +63,8 @@ def assert_silent(stderr: str) -> None:
     assert "Traceback" not in stderr and "Exception ignored" not in stderr, stderr
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, pytest.param(signal.SIGHUP, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
 def test_a_signal_that_ends_processes_closes_the_recording(number: signal.Signals, tmp_path: Path) -> None:
     run = start(tmp_path, *LONG)
     wait_for_frames(tmp_path / "x.rrd", run)

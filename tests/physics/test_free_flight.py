@@ -234,7 +234,13 @@ def test_steps_in_a_medium_are_those_of_single_steps(sections: dict[str, dict[st
 
 
 # 5.0 s, 0.02 s and 0.2 ms: a step is 0.0008, 0.2 and 20 times as long
-@pytest.mark.parametrize(("falls", "relaxation_time"), [(True, 5.0), (False, 0.02), (True, 0.02), (False, 2e-4)])
+@pytest.mark.parametrize(
+    ("falls", "relaxation_time"),
+    [
+        (True, 5.0),
+        *(pytest.param(*each, marks=pytest.mark.slow) for each in [(False, 0.02), (True, 0.02), (False, 2e-4)]),
+    ],
+)
 def test_steps_in_a_medium_between_collisions_are_those_of_single_steps(falls: bool, relaxation_time: float) -> None:
     drag = {"relaxation_time": relaxation_time, "medium_velocity": [2.0, 1.0, 0.0]}
     field = [0.0, 0.0, -9.81 if falls else 0.0]

@@ -199,6 +199,7 @@ def test_the_last_frames_of_a_changing_run_are_written(tmp_path: Path) -> None:
     assert last.lives is not None and last.lives[:2].tolist() == [[-1, -1]] * 2  # gone before the first frame
 
 
+@pytest.mark.slow
 def test_a_killed_run_in_which_bodies_came_is_repaired(tmp_path: Path) -> None:
     code = (
         "import os, time, carom; from test_changing_bodies import Toy\n"

@@ -6,7 +6,6 @@ import errno
 import io
 import subprocess
 import sys
-import textwrap
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -481,11 +480,12 @@ def test_what_cannot_be_recorded_is_noted_once_and_the_loop_and_the_recording_go
     assert noted == [problem, "2 problems of recording in all."]
 
 
-def run_apart(code: str, folder: Path) -> subprocess.CompletedProcess[str]:
-    """Run a loop of a toy of two far bodies in another process; it prints "went on" when it has ended."""
-    toy = """
-import sys, shutil, resource, numpy as np, carom
+APART = """
+import resource, shutil, sys, threading, time
 from pathlib import Path
+import numpy as np
+import carom
+
 class Toy:
     model = carom.record.Model(engine="toy", mass=np.ones(300), radius=np.full(300, 0.1))
     position, velocity, time = np.arange(900.0).reshape(300, 3), np.ones((300, 3)), 0.0
@@ -494,50 +494,65 @@ class Toy:
         self.position = self.position + 0.1 * self.velocity
     def state(self):
         return carom.record.State(self.time, self.position, self.velocity)
+
 def run(recorder, steps, toy):
     for _ in range(steps):
         toy.step()
         recorder.frame()
+
+toy = Toy()
+resource.setrlimit(resource.RLIMIT_FSIZE, (9_000_000, 9_000_000))
+with carom.record.Recorder(toy, "full.rrd") as recorder:
+    run(recorder, 1000, toy)
+print("went on", recorder.frame(), round(toy.time))
+Path("gone").mkdir()
+with carom.record.Recorder(toy, "gone/run.rrd") as recorder:
+    run(recorder, 5, toy)
+    shutil.rmtree("gone")
+print("went on")
+Path("gone").mkdir()
+with carom.record.Recorder(toy, "gone/ring.rrd", last=3) as recorder:
+    run(recorder, 5, toy)
+    shutil.rmtree("gone")
+    print("went on", recorder.write())
+    toy.position[1, 1] = np.nan
+    recorder.frame()
+print("went on", len(recorder.faults), recorder.write("ring.rrd").frames)
+
+def loop(recorder, toy):
+    time.sleep(0.2)  # longer than the main thread
+    run(recorder, 7, toy)
+
+toys = [Toy(), Toy(), Toy()]
+run(carom.record.Recorder(toys[0], "without-context.rrd"), 5, toys[0])
+ring = carom.record.Recorder(toys[1], "ring-without-context.rrd", last=3)
+threading.Thread(target=loop, args=(carom.record.Recorder(toys[2], "thread.rrd"), toys[2])).start()
+run(ring, 5, toys[1])
+raise SystemError("in the loop")
 """
-    text = toy + textwrap.dedent(code)
-    return subprocess.run([sys.executable, "-c", text], cwd=folder, capture_output=True, text=True, check=False)
+Apart = tuple[subprocess.CompletedProcess[str], Path]
 
 
-def test_a_full_disk_and_a_folder_that_went_end_the_recording_and_not_the_run(tmp_path: Path) -> None:
-    done = run_apart(
-        """
-        toy = Toy()
-        resource.setrlimit(resource.RLIMIT_FSIZE, (9_000_000, 9_000_000))
-        with carom.record.Recorder(toy, "full.rrd") as recorder:
-            run(recorder, 1000, toy)
-        print("went on", recorder.frame(), round(toy.time))
-        Path("gone").mkdir()
-        with carom.record.Recorder(toy, "gone/run.rrd") as recorder:
-            run(recorder, 5, toy)
-            shutil.rmtree("gone")
-        print("went on")
-        Path("gone").mkdir()
-        with carom.record.Recorder(toy, "gone/ring.rrd", last=3) as recorder:
-            run(recorder, 5, toy)
-            shutil.rmtree("gone")
-            print("went on", recorder.write())
-            toy.position[1, 1] = np.nan
-            recorder.frame()
-        print("went on", len(recorder.faults), recorder.write("ring.rrd").frames)
-        """,
-        tmp_path,
-    )
-    assert done.returncode == 0, done.stderr
+@pytest.fixture(scope="module")
+def apart(tmp_path_factory: pytest.TempPathFactory) -> Apart:
+    """A process that records toys on a full disk, in folders that go, and without contexts; and its folder."""
+    folder = tmp_path_factory.mktemp("apart")
+    command = [sys.executable, "-c", APART]
+    return subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False), folder
+
+
+def test_a_full_disk_and_a_folder_that_went_end_the_recording_and_not_the_run(apart: Apart) -> None:
+    done, folder = apart
     assert done.stdout.splitlines() == [
         "went on False 100",
         "went on",
         "went on None",
         "went on 1 3",
     ]
-    recording = Recording.open(tmp_path / "full.rrd")
+    recording = Recording.open(folder / "full.rrd")
     assert 10 < recording.frames < 1000 and "no space left on the disk" in recording.outcome
-    said = done.stderr.splitlines()
-    assert said[0].startswith("carom: full.rrd: cannot write more of full.rrd") and "Traceback" not in done.stderr
+    said = done.stderr.partition("Traceback")[0].splitlines()
+    assert said[0].startswith("carom: full.rrd: cannot write more of full.rrd")
     assert [line.split(":")[1].strip() for line in said] == [
         "full.rrd",
         "gone/run.rrd",
@@ -546,24 +561,12 @@ def test_a_full_disk_and_a_folder_that_went_end_the_recording_and_not_the_run(tm
     ]
 
 
-def test_a_recorder_without_a_context_is_closed_when_the_program_ends(tmp_path: Path) -> None:
-    done = run_apart(
-        """
-        import threading, time
-        def loop(recorder, toy):
-            time.sleep(0.2)  # longer than the main thread
-            run(recorder, 7, toy)
-        toys = [Toy(), Toy(), Toy()]
-        run(carom.record.Recorder(toys[0], "run.rrd"), 5, toys[0])
-        ring = carom.record.Recorder(toys[1], "ring.rrd", last=3)
-        threading.Thread(target=loop, args=(carom.record.Recorder(toys[2], "thread.rrd"), toys[2])).start()
-        run(ring, 5, toys[1])
-        raise SystemError("in the loop")
-        """,
-        tmp_path,
-    )
+def test_a_recorder_without_a_context_is_closed_when_the_program_ends(apart: Apart) -> None:
+    done, folder = apart
     assert done.returncode == 1 and done.stderr.endswith("SystemError: in the loop\n")
-    recordings = [Recording.open(tmp_path / f"{name}.rrd") for name in ("run", "ring", "thread")]
+    assert done.stderr.count("Traceback") == 1
+    names = ("without-context", "ring-without-context", "thread")
+    recordings = [Recording.open(folder / f"{name}.rrd") for name in names]
     assert [recording.frames for recording in recordings] == [5, 3, 7]
     for recording in recordings:
         assert recording.outcome == "interrupted: the program ended before Recorder.finish"

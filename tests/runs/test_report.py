@@ -54,11 +54,8 @@ def test_a_report_has_all_that_its_reader_asks_for(rubble: Recording, made: Repo
         assert said in text, said
 
 
-def test_the_clip_in_a_report_replays_from_the_zip_itself(
-    rubble: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(reports, "try_to_render", lambda *_: "not now")
-    made = report(rubble, tmp_path / "rubble.zip")
+@pytest.mark.slow
+def test_the_clip_in_a_report_replays_from_the_zip_itself(rubble: Recording, made: Report) -> None:
     with bundle.opened(made.path) as path:
         clip = Recording.open(path)
         assert clip.frames == made.frames < rubble.frames

@@ -92,7 +92,7 @@ def test_a_heap_with_quick_sweeps_comes_to_rest_without_overlaps(timing: str) ->
     assert kinetic(space) <= 1e-3 * G * len(heap)  # of what lifts each sphere by its radius; some still roll
 
 
-@pytest.mark.parametrize("restitution", [0.0, 0.5, 1.0])
+@pytest.mark.parametrize("restitution", [0.0, pytest.param(0.5, marks=pytest.mark.slow), 1.0])
 def test_a_stack_of_twenty_stands(restitution: float) -> None:
     # It begins without impulses. Eight sweeps of the first kick leave a load unheld; what the stack sags by meanwhile
     # is a part of a step's fall, g dt² = 10⁻³ m. Then nothing moves, for ten times the 3 s that the top would fall for.

@@ -87,6 +87,7 @@ def call(package: Path, **options: Any) -> tuple[list[float], int, str]:
     return values, compiled, folder
 
 
+@pytest.mark.slow
 def test_an_interrupt_while_a_kernel_is_loaded_from_disk_is_raised_and_the_kernel_works(package: Path) -> None:
     call(package)
     assert call(package, program=INTERRUPTED) == ([2.0], 0, "interrupted")

@@ -493,6 +493,7 @@ def test_a_look_ahead_goes_on_while_steps_are_too_long_to_keep_an_accuracy_at_al
     assert space.energy().relative_error < accuracy
 
 
+@pytest.mark.slow
 def test_a_look_ahead_does_not_end_at_a_step_that_is_longer_than_it_needs_by_chance() -> None:
     balls = [(0.0, 1.0, 0.0), (0.05, 1.5, 0.0), (0.5, 0.5, -0.3)]  # they come to rest; runs of 2 and 4 differ by most
     scene = scene_of(

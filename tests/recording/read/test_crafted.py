@@ -105,7 +105,7 @@ def test_names_of_fewer_bodies_than_there_are_are_refused(run_file: Path) -> Non
 
 
 def test_chunks_that_unpack_to_far_more_than_the_file_do_not_stay_in_memory(run_file: Path) -> None:
-    rows = 1_000_000  # of 52 bytes
+    rows = 400_000  # of 52 bytes
 
     def bomb(batch: pa.RecordBatch) -> pa.RecordBatch:
         zeros = pa.ListArray.from_arrays(pa.array(np.arange(rows + 1, dtype=np.int32)), pa.array(np.zeros(rows)))

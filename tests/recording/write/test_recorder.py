@@ -377,6 +377,7 @@ def child(path: Path, before: str = "", each: str = "pass") -> "subprocess.Compl
     return subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=60, check=False)
 
 
+@pytest.mark.slow
 def test_a_killed_run_leaves_what_was_written(tmp_path: Path) -> None:
     path = tmp_path / "run.rrd"
     # Frames count before they are in the file: it gets a moment for those, since one torn in a message needs repair.
