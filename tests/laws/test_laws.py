@@ -138,12 +138,21 @@ def test_two_laws_share_a_contact() -> None:
         ('"viscoelastic"', [SLOWS.replace("0.8", "1.2")], "less than 1"),
         ('"restitution_table"', [TABLE.replace("[0, 1]", "[1, 0]")], "speeds must increase"),
         ('"restitution_table"', [TABLE.replace("[1, 0.5]", "[1, 0.5, 0.2]")], "2 speeds, 3 restitutions"),
+        ('"restitution_table"', [TABLE.replace("[1, 0.5]", "[0.5]")], "must have at least 2 of them"),
+        ('"restitution_table"', [TABLE.replace("[1, 0.5]", str([0.5] * 7))], "at most 6"),
     ],
 )
 def test_a_mistake_in_a_law_is_named(law: str, sections: list[str], says: str) -> None:
     with pytest.raises(SceneError) as refused:
         scene(law, *sections)
     assert says in str(refused.value)
+
+
+def test_a_coefficient_out_of_range_in_a_table_is_one_mistake() -> None:
+    with pytest.raises(SceneError) as refused:
+        scene('"restitution_table"', TABLE.replace("[1, 0.5]", "[1, -0.5]"))
+    assert "restitutions.1 = -0.5: must be at least 0" in str(refused.value)
+    assert "\n" not in str(refused.value)
 
 
 @pytest.mark.parametrize("module", [rolling_resistance, viscoelastic, restitution_table, walton])

@@ -132,11 +132,17 @@ def explain(detail: Any, path: KeyPath, places: KeyPlaces, data: Any, units: Uni
 
 
 def with_words(details: Sequence[Any]) -> Iterator[Any]:
-    """Yield the details of mistakes; for a key that accepts words or numbers, a single detail names both."""
+    """Yield the details of mistakes, one for each.
+
+    For a key that accepts words or numbers, a single detail names both.
+    """
     words = {detail["loc"][:-1]: detail for detail in details if detail["type"] == "literal_error"}
     numbers = {detail["loc"][:-1] for detail in details if "constrained-" in str(detail["loc"][-1:])}
+    members = {detail["loc"][:-1] for detail in details}
     for detail in details:
         key = detail["loc"][:-1]
+        if detail["type"] == "too_short" and detail["loc"] in members:
+            continue  # Pydantic does not count entries that are wrong
         if key not in words or key not in numbers:
             yield detail
         elif detail is not words[key]:
@@ -204,6 +210,10 @@ def _wrong(detail: Any, path: KeyPath) -> str:
             return f"must be {words}{kinds[detail['type'].split('_')[0]]}"
         case "literal_error":
             return f"must be {context['expected']}"
+        case "too_short" if _has_any_length(path):
+            return f"must have at least {context['min_length']} of them"
+        case "too_long" if _has_any_length(path):
+            return f"must have at most {context['max_length']} of them"
         case "too_short" | "too_long" | "tuple_type" | "missing":
             return f"must be {_list_at(path)}"
         case "model_type" | "model_attributes_type" | "dict_type":
@@ -212,11 +222,17 @@ def _wrong(detail: Any, path: KeyPath) -> str:
             return str(detail["msg"])
 
 
+def _has_any_length(path: KeyPath) -> bool:
+    """Return whether a key has a list of any length, within limits."""
+    field = _field(path)
+    return field is not None and members_of_list(field.annotation)[-1:] == (...,)
+
+
 def _list_at(path: KeyPath) -> str:
     field = _field(path)
     annotation = None if field is None else field.annotation
     members = members_of_list(annotation)
-    if members[-1:] == (...,):
+    if _has_any_length(path):
         return "a list" if model_in(annotation) is None else "a list of sections; write it in double brackets"
     if len(members) == 2:
         return "a list of two"
