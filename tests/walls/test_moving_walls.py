@@ -73,6 +73,16 @@ def test_a_rotating_drum_drags_a_ball_with_kinetic_friction() -> None:
     assert end.angular_velocity[0, 1] == pytest.approx(2.5 * MU * G * t / r, rel=2.0 * climbed / MU)
 
 
+@pytest.mark.slow  # kernels for walls are compiled for a minute
+def test_balls_side_by_side_in_a_drum_move_like_one() -> None:
+    # sixteen contacts that share no ball are solved in vectors of eight, a single one by itself
+    drum = {"contact": RUBS, "gravity": HEAVY, "wall": [rotating(DRUM)], "time": {"duration": 0.3, "fixed_dt": 0.002}}
+    row = [{"radius": r, "position": [0.0, 3.0 * r * k, BOTTOM[2]]} for k in range(16)]
+    alone, beside = (frames(Scene.from_dict(drum | {"body": balls}))[-1].velocity for balls in (row[:1], row))
+    # the line search sums over the balls, so its factor is rounded otherwise
+    assert beside == pytest.approx(np.repeat(alone, len(row), axis=0), rel=1e-11, abs=1e-13)
+
+
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 @pytest.mark.slow  # kernels for walls are compiled for a minute
 def test_a_rotating_disc_starts_to_drag_a_ball_along_its_surface(sign: float) -> None:

@@ -219,7 +219,7 @@ class SettingsRecord(Protocol):
 
 CONTACT = dtype_of(ContactRecord, size=2 * CACHE_LINE)
 ROLLING_CONTACT = dtype_of(RollingContactRecord, size=4 * CACHE_LINE)
-CONTACT_ON_MOVING_WALL = dtype_of(SlidingWallContactRecord, size=4 * CACHE_LINE)
+CONTACT_ON_MOVING_WALL = dtype_of(SlidingWallContactRecord, size=3 * CACHE_LINE)
 ROLLING_ON_MOVING_WALL = dtype_of(RollingWallContactRecord, size=4 * CACHE_LINE)
 CONTACT_STATE = dtype_of(ContactStateRecord, size=2 * CACHE_LINE)
 BODY_STATE = dtype_of(BodyStateRecord, size=2 * CACHE_LINE)

@@ -43,8 +43,10 @@ class SurfaceVelocity(Protocol):
     surface_z: float
 
 
-def slip_on_wall(contact: object, ux: float, uy: float, uz: float) -> tuple[float, float, float]:
+def slip_on_wall(contact: Any, ux: float, uy: float, uz: float) -> tuple[float, float, float]:
     """Return the slip u in m/s, given the slip on a wall at rest; it is called with vectors of doubles, too."""
+    if hasattr(contact, "surface_x"):
+        return ux + contact.surface_x, uy + contact.surface_y, uz + contact.surface_z
     return ux, uy, uz
 
 
@@ -221,14 +223,3 @@ def work_of_impacts(log: RecordArray[ImpactRecord], surface: Any, bodies: int) -
             lx, ly, lz = angular_impulse(entry)
             work -= lx * wall.motion_spin_x + ly * wall.motion_spin_y + lz * wall.motion_spin_z
     return work
-
-
-def has_surface_velocity(contact: object) -> bool:
-    """Return whether a contact has s; a constant in compiled kernels."""
-    raise NotImplementedError("only kernels call it")
-
-
-@chosen_by_type(has_surface_velocity)
-def _has_surface_velocity(contact: Any) -> Any:
-    moves = "surface_x" in contact.fields
-    return lambda contact: moves

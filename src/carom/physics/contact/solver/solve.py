@@ -41,6 +41,7 @@ import numpy as np
 from carom.physics.contact.constraints import (
     BODY_STATE,
     CONTACT,
+    CONTACT_ON_MOVING_WALL,
     BodyStateRecord,
     ConstraintSystem,
     ContactRecord,
@@ -49,7 +50,7 @@ from carom.physics.contact.constraints import (
     ends_of,
 )
 from carom.physics.contact.law import exerts_torque, lasting_friction, material_index, sliding_friction, sticks
-from carom.physics.contact.moving_walls import has_surface_velocity, slope_on_wall
+from carom.physics.contact.moving_walls import slope_on_wall
 from carom.physics.contact.rolling import (
     accumulate_angular_impulse,
     angular_impulse,
@@ -119,8 +120,7 @@ def solve(piece: int, system: ConstraintSystem, turning: tuple[()] | tuple[int])
         One element if impulses exert torques, otherwise empty. Its type makes Numba compile a kernel for each case.
     """
     lo, hi = system.pieces[piece, 0], system.pieces[piece, 1]  # with `contacts_of`, blocks would take 3 % longer
-    one_by_one = exerts_torque(system.materials[0]) or has_surface_velocity(system.contacts[0])
-    blocks = 0 if one_by_one else whole_blocks(piece, system)
+    blocks = 0 if exerts_torque(system.materials[0]) else whole_blocks(piece, system)
     totals = 0.0, np.inf, 0.0
     for block in range(blocks):
         totals = solve_block(system, lo + block * WIDTH, totals, turning)
@@ -265,7 +265,9 @@ class _Solution:
         """Change the impulses of the held contacts, and the velocities of their bodies."""
         block = self._block
         block.fetch_bodies_ahead("bodies", (VELOCITY, CHANGE))
-        contact = block.records("contacts", CONTACT, (0, 1))
+        on_moving_walls = "surface_x" in block.kind_of("contacts").dtype.fields
+        kind, lines = (CONTACT_ON_MOVING_WALL, (0, 1, 2)) if on_moving_walls else (CONTACT, (0, 1))
+        contact = block.records("contacts", kind, lines)
         bodies = a, b = block.bodies("bodies", BODY_STATE, (VELOCITY,))
         alpha = block.setting("alpha")
         vn, *u = in_lanes(relative_velocity)(contact, a, b)
@@ -275,13 +277,16 @@ class _Solution:
         more = normal - old
         contact.change(normal_impulse=normal, delta_normal=more)
         J, torque, largest = [more * contact.nx, more * contact.ny, more * contact.nz], None, abs(more)
+        slopes = [more * bias]
         if turns:
             d = self._rub(contact, in_lanes(slip)(contact, a, b, *u), alpha)
+            if on_moving_walls:  # see `slope_on_wall`
+                slopes.append(d[0] * contact.surface_x + d[1] * contact.surface_y + d[2] * contact.surface_z)
             largest = reduce(greater, map(abs, d), largest)
             J = [along + rubbing for along, rubbing in zip(J, d, strict=True)]
             torque = in_lanes(torque_of)(contact, *d)
         self._change = largest * (a.inverse_mass + b.inverse_mass)
-        self._normal, self._more, self._slope = normal, more, more * bias
+        self._normal, self._more, self._slopes = normal, more, slopes
         block.apply(contact, bodies, (VELOCITY, CHANGE), self._held, J, torque)
         contact.write(1, self._held)
 
@@ -294,7 +299,9 @@ class _Solution:
         pulling = -self._normal / self._more
         nearer = self._held & (self._more < 0.0) & (pulling < limit)
         limit = pulling.where(nearer, limit)
-        slope = added_in_order(self._builder, slope, self._slope.where(self._held, self._block.nothing))
+        slope = added_in_order(
+            self._builder, slope, *(each.where(self._held, self._block.nothing) for each in self._slopes)
+        )
         return [largest.largest(), self._builder.fneg((-limit).largest()), slope]
 
     def _bias(self, contact: RecordLanes, u: Vector) -> Lanes:
