@@ -91,6 +91,7 @@ def slope(position: FloatArray, length: int) -> float:
     return degrees(atan(-np.polyfit(surface[:, 0], surface[:, 2], 1)[0]))
 
 
+@pytest.mark.slow  # kernels for a law are compiled for 8 s
 @pytest.mark.parametrize("part", [0.9, 1.1])
 def test_a_sphere_on_an_incline_begins_to_roll_where_the_slope_is_the_rolling_friction(part: float) -> None:
     mu = 0.2
