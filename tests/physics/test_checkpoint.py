@@ -13,10 +13,9 @@ from hypothesis import strategies as st
 from carom.physics.frame import Frame
 from carom.physics.schedule import every
 from carom.physics.space import Space
-from carom.scene.scene_file import bundled_scenes
 from carom.scene.schema import Scene
 from scene_strategies import documents, scene_from
-from small_scenes import cloud, walls_as_slow
+from small_scenes import bundled, cloud
 
 STEPS = 40
 EXTREMES = ("stack-20", "mass-ratio-squeezed", "friction-ten", "overlapped")
@@ -51,7 +50,9 @@ def assert_same_run(once: list[Frame], again: list[Frame]) -> None:
             assert np.array_equal(getattr(one, name), getattr(other, name)) or getattr(one, name) is None
 
 
-@pytest.mark.parametrize("name", walls_as_slow([*bundled_scenes(), *(f"extremes/{name}" for name in EXTREMES)]))
+@pytest.mark.parametrize(
+    "name", [*bundled(quick=("asteroid-belt", "figure-eight", "incline")), *(f"extremes/{name}" for name in EXTREMES)]
+)
 def test_a_bundled_scene_goes_on_from_any_frame_with_the_same_bits(name: str) -> None:
     scene = Scene.load(name)
     run = run_of(scene, STEPS)

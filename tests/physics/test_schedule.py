@@ -35,7 +35,9 @@ def space_of(name: str, every: float | str) -> Space:
     return Space(scene_of(BOUNCING, time={"duration": 4.0, "integrator": name}, **sections), threads=1)
 
 
-@pytest.mark.parametrize("name", ["kicks and drifts", "free flight", "gauss-radau15"])
+@pytest.mark.parametrize(
+    "name", ["kicks and drifts", "free flight", pytest.param("gauss-radau15", marks=pytest.mark.slow)]
+)
 def test_a_verdict_does_not_depend_on_what_is_recorded(name: str) -> None:
     def seen(every: float | str) -> tuple[Any, ...]:
         space = space_of(name, every)

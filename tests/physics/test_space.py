@@ -94,7 +94,7 @@ def test_a_run_ends_at_its_duration_exactly() -> None:
 
 
 @pytest.mark.parametrize("stabilisation", ["split", "baumgarte", "none"])
-@pytest.mark.parametrize("colouring", ["contacts", "bodies"])
+@pytest.mark.parametrize("colouring", ["contacts", pytest.param("bodies", marks=pytest.mark.slow)])
 def test_momentum_and_angular_momentum_survive_a_collapse(stabilisation: str, colouring: str) -> None:
     space = Space(cloud(contact={"stabilisation": stabilisation, "colouring": colouring}))
     last(space)

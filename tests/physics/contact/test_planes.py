@@ -303,7 +303,7 @@ def test_the_step_counts_the_field_where_it_does_not_pull_all_alike() -> None:
     assert above.first_dt == pytest.approx(np.sqrt(2 * 0.01 / G), rel=1e-15)
 
 
-@pytest.mark.parametrize("colouring", ["contacts", "bodies"])
+@pytest.mark.parametrize("colouring", ["contacts", pytest.param("bodies", marks=pytest.mark.slow)])
 @pytest.mark.parametrize("stabilisation", ["split", "baumgarte", "none"])
 @pytest.mark.parametrize("solver", ["lasting", "staged"])
 def test_balls_poured_on_a_ramp_stay_above_it_with_every_switch(

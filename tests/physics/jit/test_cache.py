@@ -183,6 +183,7 @@ def doubled(package: Path, home: str) -> float:
     return float(called.stdout)
 
 
+@pytest.mark.slow
 def test_a_kernel_is_compiled_anew_when_a_named_tuple_that_it_takes_was_moved_or_reordered(package: Path) -> None:
     (package / "heavier.py").write_text(HEAVIER, encoding="utf-8")
     (package / "old.py").write_text(RECORD.format(first="mass", second="radius"), encoding="utf-8")
@@ -193,6 +194,7 @@ def test_a_kernel_is_compiled_anew_when_a_named_tuple_that_it_takes_was_moved_or
     assert doubled(package, "new") == 6.0, "the module"
 
 
+@pytest.mark.slow
 def test_the_quick_search_finds_the_imports_that_python_finds() -> None:
     """The search for imports is a quick one, by patterns: compare it with Python's own parser, for every file."""
     root = Path(carom.__file__).parent
@@ -306,7 +308,13 @@ def test_a_folder_of_another_user_is_not_used(root: Path) -> None:
     assert not any(cache._is_own(root / name) for name in ("theirs", "above/below", "group"))
 
 
-@pytest.mark.parametrize("fault", ["open to others", "of another user", "below a folder open to others"])
+@pytest.mark.parametrize(
+    "fault",
+    [
+        "open to others",
+        *(pytest.param(each, marks=pytest.mark.slow) for each in ("of another user", "below a folder open to others")),
+    ],
+)
 def test_a_cache_folder_that_is_not_the_users_own_is_not_used_though_it_was_asked_for(
     package: Path, tmp_path: Path, fault: str
 ) -> None:
