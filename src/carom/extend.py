@@ -65,7 +65,7 @@ if TYPE_CHECKING:
     from carom.plan.hierarchy import why_no_hierarchy as why_no_hierarchy
     from carom.recording.edit.bundle import is_bundle as is_bundle
     from carom.recording.edit.bundle import opened as opened
-    from carom.recording.export.export import Snapshot as Snapshot
+    from carom.recording.export import Snapshot as Snapshot
     from carom.recording.read.frame_rows import RecordedPositions as RecordedPositions
     from carom.recording.read.lookup import body_number as body_number
     from carom.recording.read.lookup import names_of as names_of
@@ -84,12 +84,12 @@ if TYPE_CHECKING:
     from carom.recording.schema.series import Plot as Plot
     from carom.recording.schema.series import Sample as Sample
     from carom.recording.schema.series import Series as Series
+    from carom.recording.source import SPHERE as SPHERE
+    from carom.recording.source import engine_package as engine_package
+    from carom.recording.source import named_version as named_version
+    from carom.recording.source import setup_of as setup_of
     from carom.recording.source.observer import Observer as Observer
     from carom.recording.source.observer import not_finite as not_finite
-    from carom.recording.source.source import SPHERE as SPHERE
-    from carom.recording.source.source import engine_package as engine_package
-    from carom.recording.source.source import named_version as named_version
-    from carom.recording.source.source import setup_of as setup_of
     from carom.recording.write.durable_sink import DiskReserve as DiskReserve
     from carom.recording.write.whole_file import is_link_of_another as is_link_of_another
     from carom.recording.write.whole_file import new_name as new_name
@@ -234,10 +234,10 @@ SECTIONS = {  # purpose → module → names
         "carom.scene.data.formats": "DataFormat DataTable Arrays",
     },
     "Export formats": {
-        "carom.recording.export.export": "Snapshot",
+        "carom.recording.export": "Snapshot",
     },
     "Engines": {
-        "carom.recording.source.source": "SPHERE setup_of engine_package named_version",
+        "carom.recording.source": "SPHERE setup_of engine_package named_version",
         "carom.scene.start": "InitialBodies HalfSpaces half_spaces names_of_solids",
         "carom.scene.schema": "Coefficients",
         "carom.scene.matter": "pair_coefficients",

@@ -14,9 +14,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from carom import registry
+from carom.recording.source import Model, Plane, Source, State, StateMemory
 from carom.recording.source.engine_contacts import CONTACT
 from carom.recording.source.law_audit import Fault, Tolerances
-from carom.recording.source.source import Model, Plane, Source, State, StateMemory
 from carom.runs.engine_recorder import Recorder
 
 if TYPE_CHECKING:

@@ -11,7 +11,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from carom.physics.placement import place
-from carom.recording.export.export import Snapshot, snapshots
+from carom.recording.export import Snapshot, snapshots
 from carom.recording.read.recording import Recording
 from carom.scene.data.body_columns import BodyColumns
 from carom.scene.schema import Scene

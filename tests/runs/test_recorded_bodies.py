@@ -17,7 +17,7 @@ from carom.lab.sweep.member_run import SweepTask, execute
 from carom.lab.sweep.plan import plan
 from carom.recording.edit.bundle import opened
 from carom.recording.edit.clip import clip
-from carom.recording.export.export import snapshots, write
+from carom.recording.export import snapshots, write
 from carom.recording.read.recorded_scene import recorded_scene
 from carom.recording.read.recording import Recording
 from carom.recording.schema import paths

@@ -7,7 +7,7 @@ import pytest
 
 import carom
 from carom.recording.edit.clip import clip
-from carom.recording.layout.blueprint import TRAILS, faint_bodies
+from carom.recording.layout import TRAILS, faint_bodies
 from carom.recording.layout.canvas import Canvas
 from carom.recording.read.recorded_scene import header_of_recording
 from carom.recording.read.recording import Recording

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import carom
-from carom.recording.layout.blueprint import FIELD
+from carom.recording.layout import FIELD
 from carom.recording.layout.camera import CameraFit, CameraMotion, View, free_corner
 from carom.recording.layout.canvas import LEGEND, Area, Canvas, views_of
 from carom.recording.layout.drawing import REACH, magnitude_at, part_of_longest

@@ -8,7 +8,7 @@ import pytest
 import rerun.blueprint as rrb
 
 import carom
-from carom.recording.layout.blueprint import blueprint
+from carom.recording.layout import blueprint
 from carom.recording.layout.camera import CameraFit
 from carom.recording.layout.canvas import Canvas, views_of
 from carom.recording.layout.plot_views import DECADES, CurveOutline, grows_by_decades

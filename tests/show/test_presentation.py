@@ -11,7 +11,7 @@ import carom
 from carom.contact_table import CONTACT_ROW
 from carom.errors import RecordingError
 from carom.recording.edit.clip import clip
-from carom.recording.layout.blueprint import TRAILS
+from carom.recording.layout import TRAILS
 from carom.recording.layout.camera import CameraFit, CameraMotion, View
 from carom.recording.layout.canvas import LEGEND, Area, Canvas, LensView, views_of
 from carom.recording.read.recorded_scene import header_of_recording

@@ -25,7 +25,7 @@ from carom.cli.movie import _ends
 from carom.cli.terminal import Terminal
 from carom.lab.diff.diff import diff
 from carom.recording.edit.clip import clip
-from carom.recording.layout.blueprint import ALL
+from carom.recording.layout import ALL
 from carom.recording.layout.canvas import Canvas
 from carom.recording.read.recording import Recording
 from carom.recording.rrd.framing import CHUNK

@@ -93,7 +93,7 @@ def contacts(
     """
     from carom.errors import RecordingError
     from carom.recording.edit.bundle import opened
-    from carom.recording.export.export import refuse_format
+    from carom.recording.export import refuse_format
     from carom.recording.read.recording import Recording
     from carom.recording.write.whole_file import refuse_output
 

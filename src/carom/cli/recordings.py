@@ -199,7 +199,7 @@ def export(
     from carom.cli.terminal import replaying
     from carom.errors import RecordingError
     from carom.recording.edit.bundle import opened
-    from carom.recording.export.export import VTK, refuse_format, refuse_series, series_of, snapshots, write
+    from carom.recording.export import VTK, refuse_format, refuse_series, series_of, snapshots, write
     from carom.recording.read.recording import Recording
     from carom.recording.write.whole_file import refuse_output
 

@@ -21,10 +21,9 @@ from carom.recording.read.frame_rows import BY_EVENT
 from carom.recording.read.recording import Recording
 from carom.recording.rrd.messages import Chunk
 from carom.recording.schema import paths
-from carom.recording.schema.header import Header
+from carom.recording.schema.header import Header, TimeScale
 from carom.recording.schema.paths import IMPACT, SIM_TIME, STEP
 from carom.recording.schema.series import SERIES, all_series
-from carom.recording.schema.time_scale import TimeScale
 from carom.recording.write.encoder import BatchEncoder
 from carom.recording.write.rows import Rows, any_values
 from carom.recording.write.static_entities import identity, recording_name, statics

@@ -19,10 +19,7 @@ from carom.arrays import IntArray
 from carom.errors import RecordingError
 from carom.recording.read.recording import Recording
 from carom.recording.schema.header import Scalar
-from carom.recording.source.law_audit import Fault, Tolerances
-from carom.recording.source.observer import Observer, header_of_source, not_finite
-from carom.recording.source.population import Population, ids_of
-from carom.recording.source.source import (
+from carom.recording.source import (
     Model,
     Setup,
     Source,
@@ -36,6 +33,9 @@ from carom.recording.source.source import (
     setup_of,
     time_of,
 )
+from carom.recording.source.law_audit import Fault, Tolerances
+from carom.recording.source.observer import Observer, header_of_source, not_finite
+from carom.recording.source.population import Population, ids_of
 from carom.recording.write.whole_file import claimed_output, refuse_name
 from carom.runs.environment import environment
 from carom.runs.snapshot_writer import SnapshotWriter, Unrecorded, sentence_of

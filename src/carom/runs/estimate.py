@@ -28,9 +28,8 @@ from carom.plan.auto import auto_interval, frame_interval, integrator, step_limi
 from carom.plan.checks import memory_estimate
 from carom.plan.features import Requirements
 from carom.private_folder import temporary_folder
-from carom.recording.schema.header import Header
+from carom.recording.schema.header import Header, TimeScale
 from carom.recording.schema.series import Content, contents
-from carom.recording.schema.time_scale import TimeScale
 from carom.recording.write.encoder import BatchEncoder
 from carom.recording.write.impact_plan import FILE_BYTES
 from carom.recording.write.recorder import CheckpointPlan

@@ -17,10 +17,9 @@ from carom.recording.read.frame_rows import RecordedRows, arrow_floors
 from carom.recording.read.recording import Recording
 from carom.recording.rrd.messages import Chunk
 from carom.recording.schema import paths
-from carom.recording.schema.header import Header
+from carom.recording.schema.header import Header, TimeScale
 from carom.recording.schema.paths import CLOSING, SIM_TIME, STEP
 from carom.recording.schema.series import Past, all_series
-from carom.recording.schema.time_scale import TimeScale
 from carom.recording.write.encoder import BatchEncoder
 from carom.recording.write.recorder import CheckpointPlan
 from carom.runs.comparison import Mismatch, checkpoints_of, different, rows_of, same

@@ -20,8 +20,8 @@ from carom.recording.read.recorded_impacts import RecordedImpacts, impacts_by_nu
 from carom.recording.read.recording import Recording
 from carom.recording.rrd.messages import Chunk
 from carom.recording.schema import paths
+from carom.recording.schema.header import TimeScale
 from carom.recording.schema.paths import IMPACT, SIM_TIME, STEP
-from carom.recording.schema.time_scale import TimeScale
 from carom.recording.write.encoder import BatchEncoder
 from carom.recording.write.impact_frames import instants
 from carom.recording.write.impact_plan import ImpactPlan, Kept, impact_rows, largest

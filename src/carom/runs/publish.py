@@ -17,7 +17,7 @@ import numpy as np
 import xxhash
 
 from carom.errors import RecordingError
-from carom.recording.layout.blueprint import CLOSE_UP
+from carom.recording.layout import CLOSE_UP
 from carom.recording.read.lookup import names_of
 from carom.recording.read.recorded_impacts import numbered_impacts
 from carom.recording.read.recording import Recording

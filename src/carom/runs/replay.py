@@ -20,8 +20,7 @@ from carom.recording.edit.bundle import opened
 from carom.recording.read.lookup import interval, tolerance
 from carom.recording.read.recorded_scene import recorded_scene
 from carom.recording.read.recording import Recording
-from carom.recording.schema.header import Header, Scalar
-from carom.recording.schema.time_scale import TimeScale
+from carom.recording.schema.header import Header, Scalar, TimeScale
 from carom.recording.write.recorder import FrameRecorder
 from carom.recording.write.whole_file import claimed_output, refuse_itself, refuse_output
 from carom.runs.comparison import Mismatch, StaticCheck, Value

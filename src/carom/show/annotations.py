@@ -8,7 +8,7 @@ import numpy as np
 import rerun as rr
 
 from carom.arrays import FloatArray
-from carom.recording.layout.blueprint import FIELD
+from carom.recording.layout import FIELD
 from carom.recording.layout.camera import View
 from carom.recording.layout.canvas import Area
 from carom.recording.layout.drawing import line_radii, shape, single

@@ -17,15 +17,14 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from carom.arrays import ColourArray, FloatArray, IntArray, SingleArray
-from carom.recording.layout import drawing
-from carom.recording.layout.blueprint import WINDOW
+from carom.recording.layout import WINDOW, drawing
 from carom.recording.layout.camera import FEW, CameraFit, CameraMotion, View
 from carom.recording.read.frame_rows import drawn_paths
 from carom.recording.read.recorded_scene import header_of_recording
 from carom.recording.read.recording import Recording
 from carom.recording.schema import palette, paths
+from carom.recording.schema.header import TimeScale
 from carom.recording.schema.paths import STEP
-from carom.recording.schema.time_scale import TimeScale
 from carom.recording.write.whole_file import Writer
 from carom.scene.units.dimension import IMPULSE
 from carom.show.body_colours import fixed_colours

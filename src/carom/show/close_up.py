@@ -18,7 +18,7 @@ from carom.arrays import FloatArray, SingleArray
 from carom.contact_table import IMPACT_MODE
 from carom.physics.frame import Frame
 from carom.physics.vector import minimum_images
-from carom.recording.layout.blueprint import faint_bodies
+from carom.recording.layout import faint_bodies
 from carom.recording.layout.camera import CORNERS, CameraFit, View, free_corner
 from carom.recording.layout.canvas import LEGEND, Area, spatial_view, surroundings
 from carom.recording.layout.drawing import line_radii, single

@@ -16,7 +16,7 @@ from carom.recording.layout.camera import CameraFit, CameraMotion, View
 from carom.recording.layout.plot_views import curve_style, whole_time
 from carom.recording.read.recording import Recording
 from carom.recording.schema import palette, paths
-from carom.recording.schema.time_scale import TimeScale
+from carom.recording.schema.header import TimeScale
 from carom.recording.write.whole_file import Writer
 from carom.scene.units.dimension import LENGTH
 from carom.scene.units.system import UnitSystem

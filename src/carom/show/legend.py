@@ -19,7 +19,7 @@ import rerun.blueprint as rrb
 
 from carom.arrays import ColourArray, FloatArray
 from carom.physics.frame import Frame
-from carom.recording.layout import blueprint, drawing
+from carom.recording.layout import OF_LATE, drawing
 from carom.recording.layout.camera import View
 from carom.recording.layout.canvas import LEGEND, Area
 from carom.recording.layout.drawing import REACH, magnitude_at, shape, single
@@ -333,7 +333,7 @@ def impact_marks(recording: Recording, header: Header, moment: float | None = No
     """Return points (k, 3) m around the points that views draw at impacts, at a time (s) or during the whole run."""
     if not header.records_contacts:
         return np.zeros((0, 3))
-    since = None if moment is None else max(0.0, moment - blueprint.OF_LATE * header.duration)
+    since = None if moment is None else max(0.0, moment - OF_LATE * header.duration)
     table = recording.impacts(since, moment)
     places = np.stack([table[axis].to_numpy() for axis in "xyz"], axis=1) - recording.origin
     reference = recording.arrow_references.get(paths.IMPACTS, 1.0)

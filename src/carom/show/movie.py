@@ -15,7 +15,7 @@ import numpy as np
 
 from carom.arrays import FloatArray
 from carom.errors import RecordingError
-from carom.recording.layout.blueprint import (
+from carom.recording.layout import (
     ALL,
     CLOSE_UP,
     as_happened,
@@ -30,8 +30,8 @@ from carom.recording.layout.canvas import Additions, Canvas
 from carom.recording.read.frame_rows import RecordedPositions
 from carom.recording.read.recorded_scene import header_of_recording, recorded_curves
 from carom.recording.read.recording import Recording
+from carom.recording.schema.header import TimeScale, viewer_time
 from carom.recording.schema.paths import STEP
-from carom.recording.schema.time_scale import TimeScale, viewer_time
 from carom.recording.write.static_entities import arrow_styles
 from carom.scene.units.dimension import TIME
 from carom.show.annotations import field_arrows

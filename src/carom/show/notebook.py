@@ -9,8 +9,8 @@ from carom.errors import RecordingError
 from carom.install import install_extra
 from carom.private_folder import temporary_folder
 from carom.recording.read.recording import Recording
+from carom.recording.schema.header import TimeScale
 from carom.recording.schema.paths import SIM_TIME
-from carom.recording.schema.time_scale import TimeScale
 from carom.recording.write.rerun_compat import send_to_notebook
 from carom.show.presentation import asked
 from carom.show.request import Request

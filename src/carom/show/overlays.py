@@ -17,16 +17,15 @@ from rerun.components import FillMode
 
 from carom.arrays import ColourArray, FloatArray
 from carom.physics.space import Space
-from carom.recording.layout.blueprint import WINDOW
+from carom.recording.layout import WINDOW
 from carom.recording.layout.camera import CameraFit, CameraMotion, View
 from carom.recording.layout.canvas import Area, spatial_view
 from carom.recording.layout.plot_views import curve_style, time_beside_legend, whole_time
 from carom.recording.read.recording import Recording
 from carom.recording.schema import palette, paths
-from carom.recording.schema.header import Scalar, ShownMaterials
+from carom.recording.schema.header import Scalar, ShownMaterials, TimeScale
 from carom.recording.schema.paths import SIM_TIME
 from carom.recording.schema.series import THICK, THIN
-from carom.recording.schema.time_scale import TimeScale
 from carom.recording.write.whole_file import Writer
 from carom.scene.units.dimension import ENERGY, LENGTH, Dimension
 from carom.scene.units.system import UnitSystem

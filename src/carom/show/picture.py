@@ -18,7 +18,7 @@ import rerun as rr
 
 from carom.errors import RecordingError
 from carom.private_folder import private_folder
-from carom.recording.layout.blueprint import ALL
+from carom.recording.layout import ALL
 from carom.recording.layout.canvas import Canvas
 from carom.recording.read.lookup import names_of
 from carom.recording.read.recording import Recording

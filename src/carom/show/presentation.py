@@ -10,7 +10,7 @@ import numpy as np
 from carom.arrays import FloatArray
 from carom.errors import RecordingError, SceneError
 from carom.physics.frame import Frame
-from carom.recording.layout.blueprint import (
+from carom.recording.layout import (
     ALL,
     CLOSE_UP,
     FIELD,
@@ -32,9 +32,8 @@ from carom.recording.read.lookup import tolerance
 from carom.recording.read.recorded_scene import header_of_recording, recorded_curves, recorded_scene
 from carom.recording.read.recording import Recording
 from carom.recording.schema import paths
-from carom.recording.schema.header import Header
+from carom.recording.schema.header import Header, TimeScale, viewer_time
 from carom.recording.schema.paths import STEP
-from carom.recording.schema.time_scale import TimeScale, viewer_time
 from carom.recording.write.encoder import BatchEncoder, state_rows
 from carom.recording.write.rows import NO_STEPS, Index, Rows
 from carom.recording.write.static_entities import arrow_styles

@@ -17,9 +17,8 @@ from carom.recording.read.frame_rows import RecordedPositions
 from carom.recording.read.lookup import frame_of, tolerance
 from carom.recording.read.recorded_contacts import rows_of_engine
 from carom.recording.read.recording import Recording
-from carom.recording.schema.header import Header
+from carom.recording.schema.header import Header, TimeScale
 from carom.recording.schema.paths import STEP
-from carom.recording.schema.time_scale import TimeScale
 from carom.recording.write.impact_frames import Instant, instants
 from carom.show.request import Pair
 

@@ -14,13 +14,12 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from carom.arrays import ColourArray, FloatArray, SingleArray
-from carom.recording.layout.blueprint import TRAILS
+from carom.recording.layout import TRAILS
 from carom.recording.layout.camera import FEW, CameraFit
 from carom.recording.read.frame_rows import drawn_paths
 from carom.recording.read.recording import Recording
-from carom.recording.schema.header import Header
+from carom.recording.schema.header import Header, TimeScale
 from carom.recording.schema.paths import STEP
-from carom.recording.schema.time_scale import TimeScale
 from carom.recording.write.durable_sink import FLUSH
 from carom.recording.write.rerun_compat import send_layout
 from carom.recording.write.rows import Index, Rows

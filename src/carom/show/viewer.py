@@ -22,8 +22,8 @@ from carom.errors import RecordingError
 from carom.install import install_packages
 from carom.private_folder import private_folder
 from carom.recording.read.recording import Recording
+from carom.recording.schema.header import TimeScale
 from carom.recording.schema.paths import SIM_TIME
-from carom.recording.schema.time_scale import TimeScale
 from carom.recording.write.rerun_compat import connect_viewer
 from carom.show import keeper
 from carom.show.keeper import HOST, has_screen, screen_is_remote

@@ -17,7 +17,7 @@ from carom.lab.engines.stepped import EngineSimulation, problem_of
 from carom.lab.engines.watched import watch
 from carom.lab.tradeoff.tradeoff import Study
 from carom.recording.read.recording import Recording
-from carom.recording.source.source import Model, Plane, State
+from carom.recording.source import Model, Plane, State
 from carom.scene.schema import Scene
 
 STAR = {"mass": 1.0, "radius": 0.01, "position": [0.0, 0.0, 0.0]}

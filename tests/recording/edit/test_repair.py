@@ -13,7 +13,7 @@ from carom.recording.read.recording import Recording
 from carom.recording.rrd.container import Container
 from carom.recording.rrd.framing import END, MESSAGE_HEADER, messages
 from carom.recording.schema import paths
-from carom.recording.schema.time_scale import TimeScale
+from carom.recording.schema.header import TimeScale
 from carom.recording.write.recorder import FrameRecorder
 from carom.recording.write.stream import Stream
 from carom.runs.replay import replay

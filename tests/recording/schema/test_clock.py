@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from carom.errors import RecordingError
-from carom.recording.schema.time_scale import TimeScale, viewer_time
+from carom.recording.schema.header import TimeScale, viewer_time
 from carom.scene.units.system import SI, UnitSystem
 
 

@@ -17,7 +17,7 @@ from carom.errors import RecordingError
 from carom.physics.space import Space
 from carom.recording.read.recording import Recording
 from carom.recording.rrd.container import Container
-from carom.recording.schema.time_scale import TimeScale
+from carom.recording.schema.header import TimeScale
 from carom.recording.write import stream
 from carom.recording.write.recorder import FrameRecorder
 from carom.recording.write.rows import Index, frame_rows, plain_column

@@ -14,7 +14,7 @@ import rerun.blueprint as rrb
 
 from carom.arrays import IntArray
 from carom.errors import DamageError, RecordingError
-from carom.recording.layout.blueprint import blueprint
+from carom.recording.layout import blueprint
 from carom.recording.layout.camera import CameraFit
 from carom.recording.read.entities import FINGERPRINTS, join_rows, reading
 from carom.recording.read.recorded_scene import header_of_recording, recorded_curves

@@ -13,7 +13,7 @@ import pyarrow.parquet as pq
 from carom.recording.read.tables import state_table
 
 if TYPE_CHECKING:
-    from carom.recording.export.export import Snapshot
+    from carom.recording.export import Snapshot
 
 
 def write_parquet(path: Path, first: Snapshot, others: Iterator[Snapshot]) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 from carom.scene.portable_math import ENDLESS
 
 if TYPE_CHECKING:
-    from carom.recording.export.export import Snapshot
+    from carom.recording.export import Snapshot
 
 
 # OVITO's names of the quantities

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 if TYPE_CHECKING:
-    from carom.recording.export.export import Snapshot
+    from carom.recording.export import Snapshot
 
 
 def write_npz(path: Path, first: Snapshot, others: Iterator[Snapshot]) -> None:

@@ -12,7 +12,7 @@ import numpy as np
 from carom.arrays import FloatArray, Int32Array
 
 if TYPE_CHECKING:
-    from carom.recording.export.export import Snapshot
+    from carom.recording.export import Snapshot
 
 
 def write_vtk(path: Path, snapshot: Snapshot) -> None:

@@ -1,1 +1,384 @@
-"""The layout that a recording opens with: blueprint, cameras, views and plots."""
+"""The layout that a recording opens with: 3D views, plots, phases, events and the scene's text."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
+from rerun.blueprint.api import VisualizerLike
+from rerun.encodings import EntityPathLike
+
+from carom.arrays import SingleArray
+from carom.errors import RecordingError
+from carom.recording.layout.camera import CameraFit, View
+from carom.recording.layout.canvas import LEGEND, NONE, Additions, Area, Canvas, spatial_view, surroundings, taken_from
+from carom.recording.layout.drawing import arrow_length, shape
+from carom.recording.layout.plot_views import Curves, energy_view, plot_views, time_axis
+from carom.recording.schema import palette, paths
+from carom.recording.schema.header import Header, TimeScale
+from carom.recording.schema.paths import SIM_TIME, STEP
+
+if TYPE_CHECKING:
+    from carom.show.body_plots import BodyPlots
+
+OF_LATE = 1 / 300  # fraction of the duration for which an impact stays visible
+
+
+def force_arrows(header: Header) -> list[str]:
+    """Return the entities of the impulse arrows in a recording."""
+    if not header.records_contacts:
+        return []
+    return [paths.FORCE_NORMAL, *([paths.FORCE_FRICTION] if header.has_friction else [])]
+
+
+def edges_by_impulse(header: Header, theme: str) -> Overrides:
+    """Draw the edges of the collision graph with widths and colours by impulse, as force chains.
+
+    On white paper the bright end of the colours would be invisible, so only the width shows the impulse.
+    """
+    if not header.records_contacts:
+        return plain_edges(header, theme)
+    widths = {"LineStrips3D:radii": "impulse_width"}
+    if theme == "light":
+        edges = rr.LineStrips3D.from_fields(colors=palette.VERMILION).visualizer(mappings=taken_from(widths))
+    else:
+        colours = {"LineStrips3D:colors": "impulse_colour"}
+        edges = rr.LineStrips3D.from_fields().visualizer(mappings=taken_from(colours | widths))
+    return {paths.CONTACTS: edges}
+
+
+def plain_edges(header: Header, theme: str) -> Overrides:
+    """Draw edges in one colour on white paper, where the yellow and white edges of some stages would be invisible."""
+    if theme == "dark" or not header.collides:
+        return {}
+    return {paths.CONTACTS: rr.LineStrips3D.from_fields(colors=palette.VERMILION)}
+
+
+def recent_impacts(header: Header) -> Overrides:
+    """Return overrides that show impacts for a short time; by default each stays visible until the next."""
+    if not header.records_contacts:
+        return {}
+    clock = TimeScale.fitting(header.duration, header.shortest_dt_hint)
+    start = rr.TimeRangeBoundary.cursor_relative(nanos=-int(1e9 * header.duration * OF_LATE / clock.scale))
+    end = rr.TimeRangeBoundary.cursor_relative()
+    return {paths.IMPACTS: rrb.VisibleTimeRanges(timeline=SIM_TIME, start=start, end=end)}
+
+
+TRAILS = "trails"
+FIELD = "field"  # the arrow of a uniform field, and axes
+
+
+def up_to_cursor() -> dict[EntityPathLike, VisualizerLike]:
+    """Return the override with which a view shows all pieces up to the cursor."""
+    start, end = rr.TimeRangeBoundary.infinite(), rr.TimeRangeBoundary.cursor_relative()
+    ranges = [rrb.VisibleTimeRange(timeline, start=start, end=end) for timeline in (SIM_TIME, STEP)]
+    return {TRAILS: rrb.VisibleTimeRanges(ranges)}
+
+
+# Overrides with which a view draws bodies: colours other than the recorded ones, and a minimum size on the screen.
+# Spheres have their true radii in metres. For bodies smaller than two points of the screen, the view also draws a dot
+# of fixed size at the recorded centre, so the file does not grow.
+
+LEAST = 2.0  # points of the screen, radius of a dot
+_HIDDEN = 1e-12  # of a body's radius; size of the dot if the body itself is large enough
+
+Overrides = dict[EntityPathLike, VisualizerLike | list[VisualizerLike]]
+
+
+def drawn_bodies(
+    header: Header, view: View, area: Area, recoloured: bool = False, named: tuple[str, ...] = ()
+) -> Overrides:
+    """Return overrides that add dots to small bodies and names to few, and apply the colours of a `Supplement`."""
+    apparent = header.radius / view.height() * area.height  # points
+    small = apparent < LEAST
+    if not (small.any() or recoloured or named):
+        return {}
+    # negative radii are in points of the screen (Rerun)
+    dots = np.where(small, -LEAST, _HIDDEN * header.radius).astype(np.float32)
+    sizes = np.where(small, -LEAST, header.radius).astype(np.float32)
+    match shape(header):
+        case "ellipsoids":
+            colours = "Points3D:colors" if recoloured else "Ellipsoids3D:colors"
+            names = rr.Ellipsoids3D.from_fields(show_labels=bool(named), labels=named or None)
+            spheres = names.visualizer(mappings=taken_from({"Ellipsoids3D:colors": colours}))
+            return {paths.BODIES: [spheres, *([_points(dots, "Ellipsoids3D:centers", colours)] if small.any() else [])]}
+        case "points":
+            colours = "Ellipsoids3D:colors" if recoloured else "Points3D:colors"
+            return {paths.BODIES: _points(sizes, "Points3D:positions", colours)}
+        case _ if recoloured:  # all instances of a mesh have the same colour
+            return {paths.BODIES: _points(sizes, "InstancePoses3D:translations", "Points3D:colors")}
+        case _:
+            return {}
+
+
+def _points(radii: SingleArray, centres: str, colours: str) -> VisualizerLike:
+    mappings = taken_from({"Points3D:positions": centres, "Points3D:colors": colours})
+    return rr.Points3D.from_fields(radii=radii).visualizer(mappings=mappings)
+
+
+def bodies_eye(camera: CameraFit, area: Area, added: Additions) -> View:
+    """Return the camera of `bodies_view`."""
+    return camera.view(
+        area.aspect,
+        narrow=area.rendered,
+        tips=added.marks,
+        inset=area.inset_share,
+        pictured=added.moment,
+    )
+
+
+def bodies_view(header: Header, camera: CameraFit, area: Area, added: Additions = NONE) -> rrb.Spatial3DView:
+    """Show bodies, contacts, planes, walls and the box."""
+    view = bodies_eye(camera, area, added)
+    name = "Bodies and contacts" if header.collides else "Bodies"
+    return spatial_view(
+        f"{name} ({view.outside} outside)" if area.rendered and view.outside else name,
+        view,
+        [
+            paths.BODIES,
+            *surroundings(header),
+            *([paths.CONTACTS] if header.collides else []),
+            *([TRAILS] if added.trails else []),
+            *([f"{FIELD}/**"] if added.field else []),
+            *([LEGEND] if area.inset[0] else []),
+            *([paths.IMPACTS] if header.records_contacts else []),
+            *([paths.IMPACT_SPINS] if header.records_contacts and header.spins else []),
+        ],
+        {
+            **drawn_bodies(header, view, area, added.recoloured, added.named),
+            **(up_to_cursor() if added.trails else {}),
+            **recent_impacts(header),
+            **plain_edges(header, area.theme),
+        },
+        theme=area.theme,
+    )
+
+
+_GHOST = 0x8A93A630  # a mesh behind arrows and edges
+
+
+def has_graph(header: Header) -> bool:
+    """Return whether there are contacts or torques to show."""
+    return header.collides or header.has_torque
+
+
+def graph_eye(header: Header, camera: CameraFit, area: Area, added: Additions) -> View:
+    """Return the camera of `graph_view`."""
+    # how far (m) arrows of medium length extend from the bodies
+    room = arrow_length(header, paths.ANGULAR_ACCELERATION) / 4 if header.has_torque else 0.0
+    return camera.view(
+        *(area.aspect, room),
+        narrow=area.rendered,
+        trails=False,
+        tips=added.tips,
+        moment=added.moment,
+        inset=area.inset_share,
+    )
+
+
+def graph_view(header: Header, camera: CameraFit, area: Area, added: Additions = NONE) -> rrb.Spatial3DView:
+    """Return the view; edges are drawn by their impulses if these are recorded."""
+    return spatial_view(
+        _name(header),
+        graph_eye(header, camera, area, added),
+        [
+            paths.BODIES,
+            *surroundings(header),
+            *([paths.CONTACTS] if header.collides else []),
+            *force_arrows(header),
+            *([paths.TORQUE, paths.ANGULAR_ACCELERATION] if header.has_torque else []),
+            *([LEGEND] if area.inset[0] else []),
+        ],
+        faint_bodies(header, added.recoloured) | edges_by_impulse(header, area.theme),
+        theme=area.theme,
+    )
+
+
+def _name(header: Header) -> str:
+    edges = "Impulses" if header.records_contacts else "Collision graph"
+    return f"{edges}, torques, angular accelerations" if header.has_torque else edges
+
+
+def faint_bodies(header: Header, recoloured: bool = False) -> Overrides:
+    """Draw bodies as thin wires in their own colours, so that they do not hide edges and arrows."""
+    match shape(header):
+        case "ellipsoids":
+            thin = rr.Ellipsoids3D.from_fields(fill_mode="MajorWireframe", line_radii=rr.Radius.ui_points(0.4))
+            colours = {"Ellipsoids3D:colors": "Points3D:colors"} if recoloured else {}
+            return {paths.BODIES: thin.visualizer(mappings=taken_from(colours))}
+        case "points":
+            dots = rr.Points3D.from_fields(radii=rr.Radius.ui_points(1.0))
+            colours = {"Points3D:colors": "Ellipsoids3D:colors"} if recoloured else {}
+            return {paths.BODIES: dots.visualizer(mappings=taken_from(colours))}
+        case _:
+            return {paths.BODIES: rr.Mesh3D.from_fields(albedo_factor=_GHOST)}
+
+
+WINDOW = Canvas()
+ALL = "all"
+PLOT = "plot"
+CLOSE_UP = "close-up"
+
+_ROWS = (5.0, 2.4, 1.7)  # heights of the 3D views, the plots and the texts
+
+
+def blueprint(
+    header: Header,
+    camera: CameraFit,
+    curves: Curves | None = None,
+    canvas: Canvas = WINDOW,
+    only: str = ALL,
+    added: Additions = NONE,
+) -> rrb.Blueprint:
+    """Lay out a recording of this scene, with the camera fitted if possible.
+
+    Parameters
+    ----------
+    header
+        The recording's header.
+    camera
+        The camera, fitted to the bodies.
+    curves
+        The recorded series; None during the run.
+    canvas
+        The window that the layout is for.
+    only
+        The view that fills the window: "bodies", "graph", "close-up", "energy", "plot", or `ALL`.
+    added
+        Parts that are not in the file.
+
+    Raises
+    ------
+    RecordingError
+        If the recording has nothing to show in the view.
+    """
+    header = as_happened(header, curves)
+    parts = header, camera, curves, canvas, added
+    if only == PLOT:
+        root: rrb.View | rrb.Container = _plot(added.plots, canvas)
+    else:
+        root = _all(*parts) if only == ALL else _single(*parts, only)
+    panel: Literal["collapsed", "hidden"] = "collapsed" if canvas.framed else "hidden"
+    return rrb.Blueprint(
+        root,
+        rrb.TopPanel(state="expanded" if canvas.framed else "hidden"),
+        rrb.BlueprintPanel(state=panel),
+        rrb.SelectionPanel(state=panel),
+        # without a play state the viewer starts playing
+        rrb.TimePanel(state=panel, timeline=SIM_TIME, play_state="paused"),
+        auto_views=False,
+        auto_layout=False,
+    )
+
+
+_TOUCHES = ("step/contacts", "step/impact_rate")
+
+
+def as_happened(header: Header, curves: Curves | None) -> Header:
+    """Return the header of a layout: without contacts and torques if the curves show that no bodies touched."""
+    if not header.collides or curves is None or any(path not in curves for path in _TOUCHES):
+        return header
+    if any(curves[path].largest > 0.0 for path in _TOUCHES):
+        return header
+    return replace(header, collides=False, has_torque=False, has_friction=False)
+
+
+def close_up_area(header: Header, canvas: Canvas, only: str) -> Area:
+    """Return the area of the close-up view in a layout."""
+    return _areas(canvas, _shares(header, True, True))[-2] if only == ALL else canvas.area()
+
+
+def bodies_area(header: Header, canvas: Canvas, only: str, close: bool) -> Area:
+    """Return the area of the view of the bodies in a layout with a legend."""
+    return _areas(canvas, _shares(header, close, True))[0] if only == ALL else canvas.area()
+
+
+def legend_area(header: Header, canvas: Canvas, close: bool) -> Area:
+    """Return the area of the legend in a layout of all views."""
+    return _areas(canvas, _shares(header, close, True))[-1]
+
+
+def _shares(header: Header, close: bool, legend: bool) -> list[float]:
+    """Return the widths of the 3D views and of the legend."""
+    return [3.0, *([2.2] if has_graph(header) else []), *([2.0] if close else []), *([1.7] if legend else [])]
+
+
+def _areas(canvas: Canvas, shares: list[float]) -> list[Area]:
+    return [canvas.area(share / sum(shares), _ROWS[0] / sum(_ROWS)) for share in shares]
+
+
+def _all(header: Header, camera: CameraFit, curves: Curves | None, canvas: Canvas, added: Additions) -> rrb.Container:
+    shares = _shares(header, added.close is not None, added.legend is not None)
+    areas = _areas(canvas, shares)
+    views: list[rrb.View] = [bodies_view(header, camera, areas[0], added)]
+    if has_graph(header):
+        views.append(graph_view(header, camera, areas[1], added))
+    if added.close:
+        views.append(added.close.view(header, added.recoloured))
+    if added.legend:
+        views.append(added.legend.view(areas[-1]))
+    heights = list(_ROWS)
+    if added.plots is not None:
+        heights.insert(1, _ROWS[1])
+    plots = canvas.area(1.0, _ROWS[1] / sum(heights))
+    return rrb.Vertical(
+        rrb.Horizontal(*views, column_shares=shares),
+        *([] if added.plots is None else [rrb.Horizontal(*added.plots.views(plots))]),
+        rrb.Horizontal(*plot_views(header, curves, plots, added)),
+        rrb.Horizontal(_texts(added), _states(canvas, added), column_shares=[3, 2]),
+        row_shares=heights,
+    )
+
+
+def _plot(bodies: BodyPlots | None, canvas: Canvas) -> rrb.View:
+    """Lay out the plot of single bodies alone; all have the same unit."""
+    if bodies is None:
+        raise RecordingError("there are no bodies to plot")
+    return bodies.view(bodies.units[0], canvas.area())
+
+
+def _single(
+    header: Header, camera: CameraFit, curves: Curves | None, canvas: Canvas, added: Additions, only: str
+) -> rrb.View:
+    match only:
+        case "bodies":
+            return bodies_view(header, camera, replace(canvas.area(), inset=added.inset), added)
+        case "graph" if has_graph(header):
+            return graph_view(header, camera, replace(canvas.area(), inset=added.inset), added)
+        case "graph":
+            raise RecordingError(
+                "there is no collision graph, since bodies neither touch nor have torques; use the view of bodies"
+            )
+        case "close-up" if added.close:
+            return added.close.view(header, added.recoloured)
+        case "close-up":
+            raise RecordingError("there is no known impact for a close-up; name two bodies")
+        case _:
+            return energy_view(header, curves, canvas.area(), added.span)
+
+
+def _texts(added: Additions) -> rrb.Container:
+    name = f"Events ({added.viewer_time})" if added.viewer_time else "Events"
+    return rrb.Tabs(
+        rrb.TextLogView(name=name, origin=paths.EVENTS, columns=_event_columns()),
+        rrb.TextDocumentView(name="Scene", origin=paths.SCENE, contents=[paths.SCENE]),
+        rrb.TextDocumentView(name="Scene file", origin=paths.SCENE_TOML),
+    )
+
+
+def _event_columns() -> rrb.TextLogColumns:
+    """Omit the column of the entity path, which is the same in each row."""
+    return rrb.TextLogColumns(text_log_columns=["LogLevel", "Body"])
+
+
+def _states(canvas: Canvas, added: Additions) -> rrb.View:
+    """Lay out the strips of events: impacts, if they are few enough, phases and limits."""
+    return rrb.StateTimelineView(
+        name="Impacts, phase, and what limits dt" if added.struck else "Phase, and what limits dt",
+        origin="/",
+        contents=[*([paths.IMPACTS] if added.struck else []), paths.PHASE, paths.DT_LIMIT],
+        time_view=time_axis(canvas.area(2.0 / 5.0), added.span),
+    )

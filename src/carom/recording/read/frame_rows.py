@@ -19,8 +19,8 @@ from carom.recording.read.recorded_impacts import RecordedImpacts, impacts_until
 from carom.recording.read.recording import Recording
 from carom.recording.rrd.messages import Chunk, Entry
 from carom.recording.schema import paths
+from carom.recording.schema.header import TimeScale
 from carom.recording.schema.paths import CLOSING, IMPACT, STEP, kind_of
-from carom.recording.schema.time_scale import TimeScale
 
 if TYPE_CHECKING:
     from carom.physics.checkpoint import Checkpoint

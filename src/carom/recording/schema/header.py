@@ -1,4 +1,4 @@
-"""The header of a recording, written before the first frame, and the recording properties with their valid values."""
+"""The header of a recording, written before the first frame, the recording properties, and the scale of time."""
 
 from __future__ import annotations
 
@@ -11,12 +11,13 @@ from fnmatch import fnmatchcase
 from typing import Any, Literal
 
 import numpy as np
+import rerun as rr
 from numpy.typing import NDArray
 
 from carom.arrays import BoolArray, ColourArray, FloatArray, IntArray
-from carom.errors import DamageError
+from carom.errors import DamageError, RecorderError
 from carom.recording.schema import palette
-from carom.recording.schema.paths import MOVING, SCHEMA_VERSION
+from carom.recording.schema.paths import IMPACT, MOVING, SCHEMA_VERSION, SIM_TIME, STEP
 from carom.scene.data.body_columns import BodyColumns
 from carom.scene.extensions import PROPERTY
 from carom.scene.forces import FORCES
@@ -27,7 +28,7 @@ from carom.scene.schema.motion import WallMotion
 from carom.scene.schema.shear import Shear
 from carom.scene.schema.wall import Wall
 from carom.scene.start import HalfSpaces
-from carom.scene.units.dimension import OF_UNIT
+from carom.scene.units.dimension import OF_UNIT, TIME
 from carom.scene.units.system import SI, UnitSystem
 
 
@@ -266,95 +267,64 @@ MOST_BODIES = 10_000_000
 LARGEST = 1e150  # largest coordinate or speed, so that squares do not overflow
 
 NOTES = re.compile(r"data_notes\.[0-9]{1,9}")  # keys of notes on data files, one for each [[bodies]] table
-_NUMBERS = re.compile(r"([0-9]{1,9}(,[0-9]{1,9})*)?")
 
 
-def _text(value: Any) -> bool:
-    return isinstance(value, str)
-
-
-def _flag(value: Any) -> bool:
-    return isinstance(value, bool)
-
-
-def _whole(value: Any) -> bool:
-    return isinstance(value, int) and not isinstance(value, bool)
-
-
-def _number(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool)
-
-
-def _positive(value: Any) -> bool:
-    return _number(value) and 0.0 < value < math.inf
-
-
-def _count(value: Any) -> bool:
-    return _whole(value) and 1 <= value <= MOST_BODIES
-
-
-def _vector(value: Any) -> bool:
-    return isinstance(value, list) and len(value) == 3 and all(_number(part) and math.isfinite(part) for part in value)
-
-
-def _bodies(value: Any) -> bool:
-    return all(_whole(body) and 0 <= body < MOST_BODIES for body in (value if isinstance(value, list) else [value]))
-
-
-def _numbers(value: Any) -> bool:
-    return isinstance(value, str) and _NUMBERS.fullmatch(value) is not None
-
-
-_WHAT: dict[Callable[[Any], bool], str] = {
-    _text: "a text",
-    _flag: "true or false",
-    _whole: "a whole number",
-    _number: "a number",
-    _positive: "a positive number",
-    _count: f"a number from 1 to {MOST_BODIES}",
-    _vector: "three finite numbers",
-    _bodies: "numbers of bodies",
-    _numbers: "numbers of bodies with commas between them",
+_TEXT, _FLAG, _WHOLE, _NUMBER, _POSITIVE = "a text", "true or false", "a whole number", "a number", "a positive number"
+_COUNT, _VECTOR = f"a number from 1 to {MOST_BODIES}", "three finite numbers"
+_BODIES, _NUMBERS = "numbers of bodies", "numbers of bodies with commas between them"
+_VALID: dict[str, Callable[[Any], bool]] = {
+    _TEXT: lambda value: isinstance(value, str),
+    _FLAG: lambda value: isinstance(value, bool),
+    _WHOLE: lambda value: isinstance(value, int) and not isinstance(value, bool),
+    _NUMBER: lambda value: isinstance(value, int | float) and not isinstance(value, bool),
+    _POSITIVE: lambda value: _VALID[_NUMBER](value) and 0.0 < value < math.inf,
+    _COUNT: lambda value: _VALID[_WHOLE](value) and 1 <= value <= MOST_BODIES,
+    _VECTOR: lambda value: (
+        isinstance(value, list) and len(value) == 3 and all(_VALID[_NUMBER](x) and math.isfinite(x) for x in value)
+    ),
+    _BODIES: lambda value: all(
+        _VALID[_WHOLE](body) and 0 <= body < MOST_BODIES for body in (value if isinstance(value, list) else [value])
+    ),
+    _NUMBERS: lambda value: isinstance(value, str) and re.fullmatch(r"([0-9]{1,9}(,[0-9]{1,9})*)?", value) is not None,
 }
-
-_KEYS: dict[str, dict[str, Callable[[Any], bool]]] = {
+_KEYS: dict[str, dict[str, str]] = {
     "carom": {
-        "title": _text,
-        **dict.fromkeys(("units", "units.*"), _text),
-        **dict.fromkeys(("colour_by", "drawn_as", "engine"), _text),
-        "plane_names": _text,
-        "data_notes.*": _text,
-        "bodies": _count,
-        **dict.fromkeys(("time_scale", "check_interval"), _positive),
-        "origin": _vector,
-        **dict.fromkeys(("box", "uniform_field"), _vector),
-        "schema_version": _whole,
-        "drawing_rules": _whole,
-        "seed": _whole,
-        "duration": _number,
-        "arrow_length.*": _number,
-        **dict.fromkeys(("spins", "has_*", "gravitates", "collides", "stabilises", "promises", "drives"), _flag),
-        **dict.fromkeys(("body_colouring", "records_contacts", "states_at_impacts"), _flag),
+        "title": _TEXT,
+        **dict.fromkeys(("units", "units.*"), _TEXT),
+        **dict.fromkeys(("colour_by", "drawn_as", "engine"), _TEXT),
+        "plane_names": _TEXT,
+        "data_notes.*": _TEXT,
+        "bodies": _COUNT,
+        **dict.fromkeys(("time_scale", "check_interval"), _POSITIVE),
+        "origin": _VECTOR,
+        **dict.fromkeys(("box", "uniform_field"), _VECTOR),
+        "schema_version": _WHOLE,
+        "drawing_rules": _WHOLE,
+        "seed": _WHOLE,
+        "duration": _NUMBER,
+        "arrow_length.*": _NUMBER,
+        **dict.fromkeys(("spins", "has_*", "gravitates", "collides", "stabilises", "promises", "drives"), _FLAG),
+        **dict.fromkeys(("body_colouring", "records_contacts", "states_at_impacts"), _FLAG),
     },
-    "run": {"version.*": _text, "command": _text, "git": _text, "platform": _text, "cpu": _text},
-    "arrows": {"*": _number},
-    "clip": {"source": _text, "recording_id": _text, "from": _number, "to": _number, "bodies": _bodies},
+    "run": {"version.*": _TEXT, "command": _TEXT, "git": _TEXT, "platform": _TEXT, "cpu": _TEXT},
+    "arrows": {"*": _NUMBER},
+    "clip": {"source": _TEXT, "recording_id": _TEXT, "from": _NUMBER, "to": _NUMBER, "bodies": _BODIES},
     "outcome": {
-        "outcome": _text,
-        **dict.fromkeys(("frames", "steps", "contacts.total", "contacts.impacts", "moments.*.step"), _whole),
-        **dict.fromkeys(("impacts.*", "audit.judged"), _whole),
+        "outcome": _TEXT,
+        **dict.fromkeys(("frames", "steps", "contacts.total", "contacts.impacts", "moments.*.step"), _WHOLE),
+        **dict.fromkeys(("impacts.*", "audit.judged"), _WHOLE),
         **dict.fromkeys(
-            ("sim_time", "wall_time", "energy.*", "momentum.*", "angular_momentum.*", "accuracy.*"), _number
+            ("sim_time", "wall_time", "energy.*", "momentum.*", "angular_momentum.*", "accuracy.*"), _NUMBER
         ),
-        **dict.fromkeys(("contacts.max_overlap", "moments.*.value", "moments.*.time", "profile.*"), _number),
-        **dict.fromkeys(("moments.*.bodies", "moments.*.planes"), _numbers),
-        "moments.*.between": _text,
-        "expect.*.bound": _text,
-        **dict.fromkeys(("laws.*.step", "laws.*.frames"), _whole),
-        "laws.*.time": _number,
-        "laws.*.text": _text,
-        **dict.fromkeys(("expect.*.limit", "expect.*.measured"), _number),
-        **dict.fromkeys(("expect.*.met", "expect.*.judged"), _flag),
+        **dict.fromkeys(("contacts.max_overlap", "moments.*.value", "moments.*.time", "profile.*"), _NUMBER),
+        **dict.fromkeys(("moments.*.bodies", "moments.*.planes"), _NUMBERS),
+        "moments.*.between": _TEXT,
+        "expect.*.bound": _TEXT,
+        **dict.fromkeys(("laws.*.step", "laws.*.frames"), _WHOLE),
+        "laws.*.time": _NUMBER,
+        "laws.*.text": _TEXT,
+        **dict.fromkeys(("expect.*.limit", "expect.*.measured"), _NUMBER),
+        **dict.fromkeys(("expect.*.met", "expect.*.judged"), _FLAG),
     },
 }
 _REQUIRED = {"carom": ("bodies", "time_scale"), "clip": ("source", "from", "to"), "outcome": ("outcome",)}
@@ -372,7 +342,79 @@ def checked(name: str, values: Mapping[str, Any]) -> dict[str, Any]:
         if key not in values:
             raise DamageError(f"its property {name} has no {key}")
     for key, value in values.items():
-        for pattern, is_right in _KEYS.get(name, {}).items():
-            if fnmatchcase(key, pattern) and not is_right(value):
-                raise DamageError(f"its property {name} has {key} = {str(value)[:40]!r} instead of {_WHAT[is_right]}")
+        for pattern, kind in _KEYS.get(name, {}).items():
+            if fnmatchcase(key, pattern) and not _VALID[kind](value):
+                raise DamageError(f"its property {name} has {key} = {str(value)[:40]!r} instead of {kind}")
     return dict(values)
+
+
+_LONGEST = 9.0e9  # s; 2⁶³ ns are 9.22e9 s, or 292 years
+_COARSEST = 1.0e-6  # s; with shorter steps, times of impact would have fewer than three digits
+_FINE = 1.0e-3  # s, shortest step after scaling, so that times within a step have six digits
+
+
+@dataclass(frozen=True, slots=True)
+class TimeScale:
+    """Converts simulated seconds to times on the timeline.
+
+    ``scale`` is a power of ten: one second on the timeline stands for ``scale`` seconds of simulated time.
+    """
+
+    scale: float = 1.0
+
+    @classmethod
+    def fitting(cls, duration: float, shortest_dt: float) -> TimeScale:
+        """Choose the scale: 1 if possible, above 1 for long scenes, below 1 for very short steps.
+
+        If a scene is long and has very short steps, the duration fits, and short steps are rounded.
+        """
+        least = math.ceil(math.log10(duration / _LONGEST)) if _VALID[_POSITIVE](duration) else -300
+        if least > 0:
+            return cls(10.0**least)
+        if _VALID[_POSITIVE](shortest_dt) and shortest_dt < _COARSEST:
+            wanted = math.floor(math.log10(shortest_dt / _FINE))
+            return cls(10.0 ** min(0, max(wanted, least)))
+        return cls()
+
+    def nanoseconds(self, times: Sequence[float] | FloatArray) -> IntArray:
+        """Convert simulated seconds to whole nanoseconds of the timeline, by rounding."""
+        shown = np.asarray(times, dtype=np.float64) / self.scale
+        if not bool(np.all(np.abs(shown) <= _LONGEST * 1.02)):
+            raise RecorderError(f"simulated time {np.max(np.abs(times)):g} does not fit the timeline")
+        return np.round(shown * 1e9).astype(np.int64)
+
+    def within(self, times: FloatArray, ends: FloatArray | None) -> IntArray:
+        """Convert seconds to nanoseconds that are earlier than those of the frames ``ends``; see `Index`."""
+        shown = self.nanoseconds(times)
+        return shown if ends is None or not len(ends) else np.minimum(shown, self.nanoseconds(ends) - 1)
+
+    def columns(
+        self,
+        steps: Sequence[int] | IntArray,
+        times: Sequence[float] | FloatArray,
+        impacts: Sequence[int] | IntArray = (),
+        ends: FloatArray | None = None,
+    ) -> list[rr.TimeColumn]:
+        """Return the time columns of a batch: step, time, number of the impact, or several of these."""
+        columns = [rr.TimeColumn(STEP, sequence=steps)] if len(steps) else []
+        if len(times):
+            shown = self.within(np.asarray(times), ends)
+            columns.append(rr.TimeColumn(SIM_TIME, duration=shown.astype("timedelta64[ns]")))
+        return [*columns, rr.TimeColumn(IMPACT, sequence=impacts)] if len(impacts) else columns
+
+
+_VIEWER_UNITS = (("d", 86400.0), ("h", 3600.0), ("min", 60.0), ("s", 1.0))
+
+
+def viewer_time(units: UnitSystem, clock: TimeScale) -> str:
+    """Relate the times that the viewer shows, in s, min, h and d, to those of a scene; empty if they are the same."""
+    if units.is_si and clock.scale == 1.0:
+        return ""
+    if units.own or units.is_si:
+        text = units.text(clock.scale, TIME, ".6g")
+        return f"+1s is {text if units.unit(TIME) else f'{text} unit of time'}"
+    name, length = units.unit(TIME), units.factor(TIME) / clock.scale  # s of the viewer
+    if name == "s" and clock.scale == 1.0:
+        return ""
+    unit, size = next((each for each in _VIEWER_UNITS if each[1] <= length), _VIEWER_UNITS[-1])
+    return f"1 {name} is +{length / size:.6g}{unit}"

@@ -1,1 +1,428 @@
-"""Runs of other engines: the states that they expose, and the audit of these states."""
+"""`Source`: the model and the states of another engine's run, in SI or other consistent units."""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from importlib.metadata import PackageNotFoundError, version
+from itertools import pairwise
+from typing import Any, NamedTuple, Protocol, runtime_checkable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carom.arrays import BoolArray, FloatArray
+from carom.errors import RecordingError
+from carom.recording.schema.header import LARGEST
+from carom.recording.source.engine_contacts import has_forces
+from carom.scene.start import HalfSpaces
+
+MASSLESS = 1e-30  # of the largest mass; it replaces the mass 0 of a test particle
+DRAWN_RADIUS = 0.01  # of the bodies' extent; it replaces the radius 0 of a point mass
+ROUGHLY = 0.01  # largest relative error of the length of a quaternion
+SPHERE = 0.4  # moment of inertia / (m r²)
+
+
+class Plane(NamedTuple):
+    """A static half-space; bodies are where ``normal · x > offset``."""
+
+    normal: tuple[float, float, float]
+    offset: float = 0.0  # m, along the normal of length 1
+    name: str = ""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Model:
+    """The constants of a run.
+
+    Parameters
+    ----------
+    engine
+        Name and version, such as ``mujoco 4.0.0``.
+    mass, radius
+        (n,) kg and m. A mass of 0 is a test particle, a radius of 0 a point mass, which nothing touches.
+    inertia
+        (n,) kg m², by default those of solid spheres.
+    names
+        (n,) of the bodies.
+    fixed
+        (n,) whether a body never moves; by default none.
+    judged
+        (n,) whether a body is a free sphere, whose laws the audit can check; by default all are. Other bodies are drawn
+        as spheres, and bodies that touch them are not judged.
+    gravity
+        (3,) m/s², a uniform field.
+    constant, softening
+        m³ kg⁻¹ s⁻² and m, of the bodies' own gravity.
+    planes
+        Static half-spaces.
+    box
+        (3,) m, the size of a periodic box.
+    collides
+        Whether bodies touch each other and the planes.
+    time_step
+        s, the shortest step to expect; 0 if unknown.
+    units
+        Units of all numbers, as in `Recorder`; empty for SI.
+    every
+        Calls of `Recorder.frame` per recorded frame, unless the recorder sets it; above 1 for engines whose states are
+        slow to copy.
+    """
+
+    engine: str
+    mass: Any
+    radius: Any
+    inertia: Any = None
+    names: Sequence[str] | None = None
+    fixed: Any = None
+    judged: Any = None
+    gravity: Sequence[float] = (0.0, 0.0, 0.0)
+    constant: float = 0.0
+    softening: float = 0.0
+    planes: Sequence[Plane] = field(default_factory=tuple)
+    box: Any = None
+    collides: bool = True
+    time_step: float = 0.0
+    units: str = ""
+    every: int = 1
+
+
+@dataclass(slots=True)
+class State:
+    """The state of a run at one moment. Arrays may be views of the engine's own memory: they are copied."""
+
+    time: float  # s
+    position: Any  # (n, 3) m
+    velocity: Any  # (n, 3) m/s
+    orientation: Any = None  # (n, 4) quaternions, xyzw; None if the engine has none
+    angular_velocity: Any = None  # (n, 3) rad/s, in the world frame; None if the engine has none
+    contacts: Any = None  # (m,) `CONTACT` with forces, or (m, 2) touching bodies, n + k for plane k; None: unknown
+    # where bodies come and go, (n,) whole numbers that identify the bodies of this state; None: the bodies of the first
+    ids: Any = None
+    mass: Any = None  # (n,) kg and m, with ids: needed in states with new bodies; a body whose mass or radius changes
+    radius: Any = None  # ends, and another begins
+    names: Any = None  # (n,) with ids, as in `Model`, or empty; these three are read for new bodies only
+    fixed: Any = None
+    judged: Any = None
+
+
+class Source(Protocol):
+    """A run of another engine."""
+
+    @property
+    def model(self) -> Model:
+        """The constants of the run."""
+
+    def state(self) -> State:
+        """Return the present state."""
+
+
+@runtime_checkable
+class SteppedSource(Protocol):
+    """A source that counts time itself, because its engine does not report it."""
+
+    def stepped(self) -> None:
+        """Count a call of `Recorder.frame` after the first, recorded or not."""
+
+
+@dataclass(frozen=True, slots=True)
+class Setup:
+    """A model whose arrays are complete and checked."""
+
+    engine: str
+    mass: FloatArray  # (n,) kg, positive
+    radius: FloatArray  # (n,) m, positive
+    inertia: FloatArray  # (n,) kg m², positive
+    names: list[str]
+    fixed: BoolArray  # (n,)
+    judged: BoolArray  # (n,)
+    gravity: FloatArray  # (3,) m/s²
+    constant: float
+    softening: float
+    planes: HalfSpaces
+    box: FloatArray  # (3,) m, zeros in open space
+    collides: bool
+    touches: BoolArray  # (n,), False for points
+    time_step: float
+    spins: bool
+    turns: bool  # whether orientations are known
+    forces: bool  # whether contacts have forces
+
+    def __len__(self) -> int:
+        return len(self.mass)
+
+
+def setup_of(model: Model, first: State) -> Setup:
+    """Check a model and its first state, and complete missing arrays.
+
+    Raises
+    ------
+    RecordingError
+        The message names the array and the body.
+    """
+    engine = model.engine
+    if not isinstance(engine, str) or not engine:
+        raise RecordingError(f'engine is {engine!r}; it must be a name, such as "mine 1.0"')
+    mass = _column(engine, "mass", model.mass)
+    n = len(mass)
+    if n == 0:
+        raise RecordingError(f"{engine} contains no body: add bodies before you create the recorder")
+    radius = _column(engine, "radius", model.radius, n)
+    position = array_of(engine, "position", first.position, (n, 3))
+    touches = radius > 0.0
+    if mass.max() == 0.0:
+        raise RecordingError(f"{engine}: all masses are 0, so that no energy or momentum can be computed")
+    extent = float(np.ptp(position, axis=0).max()) or float(np.abs(position).max()) or 1.0
+    drawn = np.where(radius > 0.0, radius, DRAWN_RADIUS * extent)
+    heavy = np.where(mass > 0.0, mass, MASSLESS * mass.max())
+    inertia = SPHERE * heavy * drawn**2 if model.inertia is None else _column(engine, "inertia", model.inertia, n)
+    inertia = np.where(inertia > 0.0, inertia, SPHERE * heavy * drawn**2)
+    names = [f"body {k}" for k in range(n)] if model.names is None else [str(name) for name in model.names]
+    if len(names) != n:
+        raise RecordingError(f"{engine}: names has {len(names)} entries for {n} bodies")
+    meets = n > 1 or len(model.planes) > 0 or first.ids is not None
+    collides = model.collides and bool(touches.any()) and meets
+    return Setup(
+        engine=engine,
+        mass=heavy,
+        radius=drawn,
+        inertia=np.maximum(inertia, np.finfo(np.float64).tiny),
+        names=names,
+        fixed=flags_of(engine, "fixed", model.fixed, n, False),
+        judged=flags_of(engine, "judged", model.judged, n, True),
+        gravity=array_of(engine, "gravity", model.gravity, (3,)),
+        constant=_not_negative(engine, "constant", model.constant),
+        softening=_not_negative(engine, "softening", model.softening),
+        planes=_planes(engine, model.planes),
+        box=_box(engine, model.box),
+        collides=collides,
+        touches=touches,
+        time_step=_not_negative(engine, "time_step", model.time_step),
+        spins=first.angular_velocity is not None,
+        turns=first.orientation is not None,
+        forces=collides and has_forces(first.contacts),
+    )
+
+
+def array_of(engine: str, name: str, values: Any, shape: tuple[int, ...]) -> FloatArray:
+    """Return a finite float64 array of a given shape. RecordingError names the first wrong number."""
+    array = _numbers(engine, name, values)
+    if array.shape != shape:
+        raise RecordingError(f"{engine}: {name} has the shape {array.shape} instead of {shape}")
+    if not np.isfinite(array).all():
+        row = np.argwhere(~np.isfinite(array))[0]
+        raise RecordingError(
+            f"{engine}: {name}[{', '.join(map(str, row))}] is {array[tuple(row)]}, which is not finite"
+        )
+    return array
+
+
+def time_of(state: State) -> float:
+    """Return the time (s) of a state. RecordingError quotes a value that is not a number."""
+    try:
+        return float(state.time)
+    except (TypeError, ValueError):
+        raise RecordingError(f"the time of the state is {state.time!r}; it must be a number") from None
+
+
+def refuse_no_rotation(engine: str, orientation: FloatArray) -> None:
+    """Refuse quaternions whose length is not 1, up to rounding in single precision."""
+    length = np.linalg.norm(orientation, axis=1)
+    wrong = np.flatnonzero(np.abs(length - 1.0) > ROUGHLY)
+    if len(wrong):
+        body = int(wrong[0])
+        raise RecordingError(
+            f"{engine}: orientation[{body}] has the length {length[body]:g}; it must be a quaternion of length 1, xyzw"
+        )
+
+
+def _numbers(engine: str, name: str, values: Any) -> FloatArray:
+    """Return an array of float64; RecordingError if these are no numbers."""
+    try:
+        return np.array(values, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise RecordingError(f"{engine}: {name} is no array of numbers: {error}") from None
+
+
+def _box(engine: str, size: Any) -> FloatArray:
+    """Return the size of the box, zeros in open space."""
+    if size is None:
+        return np.zeros(3)
+    box = array_of(engine, "box", size, (3,))
+    if not box.min() > 0.0:
+        raise RecordingError(f"{engine}: box is {box.tolist()}; all three sizes must be positive, or it must be None")
+    return box
+
+
+def _column(engine: str, name: str, values: Any, n: int | None = None) -> FloatArray:
+    """Return non-negative numbers, one for each body."""
+    array = np.atleast_1d(_numbers(engine, name, values))
+    array = array_of(engine, name, array, (len(array) if n is None else n,))
+    if len(array) and array.min() < 0.0:
+        raise RecordingError(f"{engine}: {name}[{int(array.argmin())}] is {array.min():g}; it cannot be negative")
+    return array
+
+
+def flags_of(engine: str, name: str, values: Any, n: int, default: bool) -> BoolArray:
+    """Return a flag for each body."""
+    if values is None:
+        return np.full(n, default)
+    given = np.array(values, dtype=object)
+    if given.shape != (n,):
+        raise RecordingError(f"{engine}: {name} has the shape {given.shape} instead of ({n},)")
+    for body, value in enumerate(given.tolist()):
+        if isinstance(value, (str, bytes)) or value not in (False, True):
+            raise RecordingError(f"{engine}: {name}[{body}] is {value!r}; it must be True or False")
+    return given.astype(np.bool_)
+
+
+def _not_negative(engine: str, name: str, value: float) -> float:
+    number = _numbers(engine, name, value)
+    if number.shape or not 0.0 <= number < np.inf:
+        shown = value if number.shape else f"{float(number):g}"
+        raise RecordingError(f"{engine}: {name} is {shown}; it must be a number that is not negative")
+    return float(number)
+
+
+def _planes(engine: str, planes: Sequence[Plane]) -> HalfSpaces:
+    try:
+        planes = [Plane(*plane) for plane in planes]
+    except TypeError:
+        raise RecordingError(f"{engine}: planes must be a list of carom.record.Plane") from None
+    count = len(planes)
+    normals = [plane.normal for plane in planes] if count else np.empty((0, 3))
+    normal = array_of(engine, "the normals of the planes", normals, (count, 3))
+    length = np.linalg.norm(normal, axis=1)
+    if not np.all(length > 0.0):
+        raise RecordingError(f"{engine}: the normal of a plane has length 0")
+    return HalfSpaces(
+        name=[plane.name or f"plane {k}" for k, plane in enumerate(planes)],
+        normal=normal / length[:, None],
+        offset=array_of(engine, "the offsets of the planes", [plane.offset for plane in planes], (count,)),
+    )
+
+
+_LEAST, _MOST = np.minimum.reduce, np.maximum.reduce  # the methods `min` and `max` would call Python code
+_WIDTHS = {"position": 3, "velocity": 3, "orientation": 4, "angular_velocity": 3}
+_ARRAYS = tuple(_WIDTHS)
+
+_Floats = NDArray[np.floating[Any]]
+
+
+class StateMemory:
+    """Memory that holds one state at a time.
+
+    The engine's thread fills it with few calls: one copy per array, and two passes over the block to check that all
+    numbers are finite.
+
+    Parameters
+    ----------
+    state
+        A state whose arrays are views of the block.
+    block
+        The array that holds all numbers of the state.
+    parts
+        Views of the block that a `BulkSource` fills.
+    """
+
+    def __init__(self, state: State, block: _Floats, parts: tuple[NDArray[Any], ...] = ()) -> None:
+        self.state, self.block, self.parts = state, block, parts
+        block.fill(0.0)  # otherwise the system would allocate the memory during the first copy
+
+    @classmethod
+    def like(cls, state: State) -> StateMemory:
+        """Return memory in float64 for states with the same arrays as a first one."""
+        there = [name for name in _ARRAYS if getattr(state, name) is not None]
+        shapes = [np.shape(getattr(state, name)) for name in there]
+        ends = np.cumsum([0, *(int(np.prod(shape)) for shape in shapes)])
+        block = np.empty(int(ends[-1]))
+        parts = [block[a:b].reshape(shape) for (a, b), shape in zip(pairwise(ends), shapes, strict=True)]
+        return cls(State(state.time, **dict(zip(there, parts, strict=True))), block)
+
+    def take(self, state: State) -> None:
+        """Copy a state. Raises RecordingError if its arrays have other shapes, or its time is no number."""
+        own = self.state
+        own.time = time_of(state)
+        if state.ids is not None:
+            self._take_bodies(state)
+        for name in _ARRAYS:
+            view = getattr(own, name)
+            if view is not None:
+                values = getattr(state, name)
+                if np.shape(values) != view.shape:  # otherwise NumPy would broadcast the rows
+                    raise RecordingError(
+                        f"{name} has the shape {np.shape(values)}, but had {view.shape}; where bodies come and go, "
+                        "give each state their ids"
+                    )
+                view[:] = values
+        own.contacts = None if state.contacts is None else np.array(state.contacts)
+
+    def _take_bodies(self, state: State) -> None:
+        """Copy the ids, sizes and names of a state's bodies, and fit the memory to their number."""
+        own = self.state
+        for name in ("ids", "mass", "radius", "names", "fixed", "judged"):
+            values = getattr(state, name)
+            setattr(own, name, None if values is None else np.array(values))
+        count = np.shape(state.position)[:1]
+        if count and count != own.position.shape[:1]:
+            there = [name for name in _ARRAYS if getattr(own, name) is not None]
+            like = {name: np.empty((*count, _WIDTHS[name])) for name in there}
+            other = StateMemory.like(State(own.time, **like))
+            self.block = other.block
+            for name in like:
+                setattr(own, name, getattr(other.state, name))
+
+    @property
+    def bounded(self) -> bool:
+        """Whether all numbers are finite and below the overflow bound."""
+        # with NaN both return NaN, which fails the comparison; Python floats are compared, since LARGEST exceeds
+        # float32
+        return (
+            -LARGEST <= self.state.time <= LARGEST
+            and (self.block.size == 0 or float(_LEAST(self.block, None)) >= -LARGEST)
+            and (self.block.size == 0 or float(_MOST(self.block, None)) <= LARGEST)
+        )
+
+
+@runtime_checkable
+class BulkSource(Protocol):
+    """A source that copies the engine's memory directly into a snapshot, without temporary arrays."""
+
+    def memory(self) -> StateMemory:
+        """Return memory that `read` can fill."""
+
+    def read(self, into: StateMemory) -> None:
+        """Copy the present state."""
+
+
+def memory_of(source: Source, like: State) -> Callable[[], StateMemory]:
+    """Return a function that allocates memory for the states of a source."""
+    return source.memory if isinstance(source, BulkSource) else lambda: StateMemory.like(like)
+
+
+def reader_of(source: Source) -> Callable[[StateMemory], None]:
+    """Return a function that copies the present state of a source into a snapshot."""
+    return source.read if isinstance(source, BulkSource) else lambda snapshot: snapshot.take(source.state())
+
+
+def engine_package(name: str, distribution: str | None = None) -> Any:
+    """Import an engine's package.
+
+    Raises
+    ------
+    RecordingError
+        If it is not installed; the message names the line that installs it.
+    """
+    try:
+        return importlib.import_module(name)
+    except ImportError:
+        raise RecordingError(f"the engine {name} is not installed: pip install {distribution or name}") from None
+
+
+def named_version(name: str, distribution: str | None = None) -> str:
+    """Return the name and the version of an engine."""
+    try:
+        return f"{name} {version(distribution or name)}"
+    except PackageNotFoundError:
+        return name

@@ -15,7 +15,7 @@ from carom.physics.contact.graph import CollisionGraph, empty_graph
 from carom.physics.vector import minimum_images
 
 if TYPE_CHECKING:
-    from carom.recording.source.source import Setup
+    from carom.recording.source import Setup
 
 CONTACT = np.dtype(
     [

@@ -22,8 +22,8 @@ from carom.errors import RecordingError
 from carom.event import Event
 from carom.physics.contact.islands import number_sets
 from carom.physics.diagnostics.energy import Energy
+from carom.recording.source import Setup
 from carom.recording.source.engine_contacts import EngineMoment, Near, lengths
-from carom.recording.source.source import Setup
 from carom.scene.units.dimension import ENERGY, VELOCITY
 from carom.scene.units.system import SI, UnitSystem
 from carom.scene.wording import Names, bodies_called

@@ -23,6 +23,7 @@ from carom.physics.diagnostics.run_monitor import Activity
 from carom.physics.forces.gravity.direct import DirectGravity
 from carom.physics.frame import Frame, FrameStore, copies
 from carom.recording.schema.header import LARGEST, Header, Scalar
+from carom.recording.source import Setup, State
 from carom.recording.source.engine_contacts import (
     EngineMoment,
     Proximity,
@@ -33,7 +34,6 @@ from carom.recording.source.engine_contacts import (
 )
 from carom.recording.source.law_audit import AuditFinding, Fault, LawAudit, Tolerances
 from carom.recording.source.population import Present
-from carom.recording.source.source import Setup, State
 from carom.scene.forces import GRAVITY, UNIFORM_FIELD
 from carom.scene.schema.settings import called
 from carom.scene.start import InitialBodies

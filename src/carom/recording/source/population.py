@@ -18,7 +18,7 @@ from carom.physics.checkpoint import fingerprint_of
 from carom.physics.contact.graph import empty_graph
 from carom.physics.frame import Frame
 from carom.recording.schema.checkpoint_columns import PartialCheckpoint
-from carom.recording.source.source import MASSLESS, SPHERE, Model, Setup, State, array_of, flags_of
+from carom.recording.source import MASSLESS, SPHERE, Model, Setup, State, array_of, flags_of
 from carom.scene.wording import Names, SomeNames
 
 FIRST_PLANE = 1 << 40  # number of the first plane while the number of bodies is not known yet

@@ -17,7 +17,7 @@ from carom.errors import RecorderError, RecordingError
 from carom.event import Event
 from carom.physics.bodies import Bodies
 from carom.physics.frame import Frame, FrameStore
-from carom.recording.layout.blueprint import blueprint
+from carom.recording.layout import blueprint
 from carom.recording.layout.camera import CameraFit
 from carom.recording.layout.canvas import Additions
 from carom.recording.read.frame_rows import Continuation
@@ -25,8 +25,7 @@ from carom.recording.read.recorded_impacts import RecordedImpacts
 from carom.recording.read.recorded_scene import recorded_curves
 from carom.recording.read.recording import Recording
 from carom.recording.schema.checkpoint_columns import size
-from carom.recording.schema.header import Header, Scalar
-from carom.recording.schema.time_scale import TimeScale, viewer_time
+from carom.recording.schema.header import Header, Scalar, TimeScale, viewer_time
 from carom.recording.source.population import Lives
 from carom.recording.write.durable_sink import AddressReserve
 from carom.recording.write.encoder import BatchEncoder

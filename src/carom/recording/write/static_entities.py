@@ -10,15 +10,14 @@ import rerun as rr
 from rerun.components import FillMode
 
 from carom.arrays import FloatArray, SingleArray
-from carom.recording.layout.blueprint import force_arrows
+from carom.recording.layout import force_arrows
 from carom.recording.layout.drawing import arrow_length, line_radii, shape, single
 from carom.recording.layout.plot_views import curve_style
 from carom.recording.read.statics import encode_bodies, encode_names
 from carom.recording.schema import palette, paths
-from carom.recording.schema.header import STATIC_COLOURS, Header, Scalar, scene_digest
+from carom.recording.schema.header import STATIC_COLOURS, Header, Scalar, TimeScale, scene_digest
 from carom.recording.schema.paths import ANGULAR_ACCELERATION, FORCE_NORMAL, TORQUE
 from carom.recording.schema.series import recorded
-from carom.recording.schema.time_scale import TimeScale
 from carom.scene.extensions import PROPERTY
 from carom.scene.forces import FORCES, GRAVITY, UNIFORM_FIELD
 from carom.scene.portable_math import ENDLESS

@@ -18,8 +18,7 @@ from carom.event import Event
 from carom.recording.read.frame_rows import Continuation
 from carom.recording.rrd.messages import release_memory
 from carom.recording.schema import checkpoint_columns, paths
-from carom.recording.schema.header import Header, Scalar, application_id
-from carom.recording.schema.time_scale import TimeScale
+from carom.recording.schema.header import Header, Scalar, TimeScale, application_id
 from carom.recording.source.population import Lives
 from carom.recording.write.durable_sink import FLUSH, DurableSink
 from carom.recording.write.encoder import event_rows

@@ -13,7 +13,7 @@ from pathlib import Path
 from carom.errors import RecordingError
 from carom.recording.edit.repair import new_layout
 from carom.recording.read.recording import Recording
-from carom.recording.schema.time_scale import TimeScale
+from carom.recording.schema.header import TimeScale
 from carom.recording.write.rerun_compat import StoredLayout
 from carom.show.supplement import Supplement
 from carom.show.viewer import binary

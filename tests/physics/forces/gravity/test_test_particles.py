@@ -19,7 +19,7 @@ from carom.physics.forces.gravity.tree import TreeGravity
 from carom.physics.placement import place
 from carom.physics.space import Space
 from carom.recording.edit.clip import clip
-from carom.recording.export.export import snapshots, write
+from carom.recording.export import snapshots, write
 from carom.recording.read.recording import Recording
 from carom.recording.schema import paths
 from carom.runs.replay import replay
