@@ -62,9 +62,23 @@ def test_a_key_like_no_other_is_answered_with_those_of_its_section() -> None:
     assert hint(("record", "xyzzy")) == "; known here: every, colour_by, impacts, check_every, energy_tolerance, series"
 
 
-def test_an_override_of_a_section_that_does_not_exist_is_answered_like_a_key() -> None:
-    with pytest.raises(SceneError, match=r'there is no sphere\.0 in the scene; did you mean "body"\?'):
-        scene_from_text(ONE_BODY, "x.toml", ["sphere.0.radius=2"])
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("[contact]\nrolling_friction = 0.1\n", 'did you mean "rolling_resistance.rolling_friction"?'),
+        (
+            "[[wall]]\nradius = 1.0\n",
+            'did you mean "cylinder.radius", "sphere.radius", "cone.radius" or "disc.radius"?',
+        ),
+        ("[[wall]]\ncylinder = { radius = 1.0, centre = [0, 0, 0] }\n", "known here: radius, point, axis"),
+        ("[[wall]]\ndisc.radius = 1.0\nmotion = { angular_velocity = 1.0 }\n", "known here: rotation, velocity, "),
+        ("[contact.rolling_resistance]\nmu_r = 0.1\n", "known here: rolling_friction, twisting_friction"),
+    ],
+)
+def test_laws_shapes_and_motions_name_their_own_keys(text: str, said: str) -> None:
+    with pytest.raises(SceneError) as caught:
+        scene_from_text(text + ONE_BODY, "x.toml")
+    assert said in str(caught.value)
 
 
 def test_a_section_like_no_other_is_answered_with_the_sections() -> None:

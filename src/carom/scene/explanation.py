@@ -58,6 +58,12 @@ def hint(path: KeyPath) -> str:
         return f"; give it to a [[material]] that the {path[0]} names, or to all by contact.{key}"
     if near := _near(key, here, ALIKE):
         return _meant([near])
+    choices = _chosen_by_few()
+    sections = {name: model_in(model.model_fields[name].annotation) for name in choices if name in here}
+    if inside := [f"{name}.{key}" for name, inner in sections.items() if inner and key in inner.model_fields]:
+        return _meant(inside)
+    if len(path) > 1 and (path[-2] == "motion" or path[-2] in choices):
+        return f"; known here: {', '.join(here)}"
     places, other = _places(Scene), OTHER_WORDS.get(key)
     if key in places and other not in here:
         return _meant(places[key])
@@ -80,17 +86,21 @@ def _meant(keys: list[str]) -> str:
     return f"; did you mean {', '.join(others)}{' or ' if others else ''}{last}?"
 
 
+def _chosen_by_few() -> list[str]:
+    """Return the names of shapes of walls and of contact laws, of which a scene has a few or none."""
+    return [*registry.names("walls"), *registry.names("contact_laws")]
+
+
 def _places(model: type[BaseModel], above: str = "") -> dict[str, list[str]]:
     """Return the dotted paths of all keys of a model and of nested models, by key; 0 stands for any index.
 
-    The keys of contact laws and of shapes of walls are omitted: few scenes choose one.
+    The keys of contact laws and of shapes of walls are omitted.
     """
     places: dict[str, list[str]] = {}
-    extensions = {*registry.names("contact_laws"), *registry.names("walls")}
     for key, field in model.model_fields.items():
         places.setdefault(key, []).append(f"{above}{key}")
         inner = model_in(field.annotation)
-        if inner is not None and key not in extensions:
+        if inner is not None and key not in _chosen_by_few():
             several = "0." if typing.get_origin(field.annotation) is tuple else ""
             for below, paths in _places(inner, f"{above}{key}.{several}").items():
                 places.setdefault(below, []).extend(paths)
