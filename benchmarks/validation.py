@@ -23,7 +23,7 @@ from published.test_two_body_bounce import APOCENTRES, AT_REST, BOUNCES, separat
 DOCS = Path(__file__).parent.parent / "docs"
 GAS_STEPS = ((0.1, 0.004), (0.2, 0.002), (0.3, 0.001), (0.4, 0.0007))  # packing, s; those of test_hard_sphere_gas.py
 COLLISIONS = 60_000
-GLASS, ACETATE = (0.97, 0.092), (0.83, 0.125)  # e and μ as measured by Foerster et al. (1994)
+GLASS, ACETATE = (0.97, 0.092), (0.87, 0.25)  # e and μ as measured by Foerster et al. (1994)
 TANGENTIAL_RESTITUTION = 0.44  # β₀ of the same spheres
 
 
@@ -78,7 +78,7 @@ def oblique_impact() -> None:
         ax.plot(psi, np.maximum(0.0, psi - switch), color=colour, linewidth=0.8)
         ax.plot(psi, np.maximum(-TANGENTIAL_RESTITUTION * psi, psi - switch), ":", color=colour)
     ax.plot([], [], "k-", linewidth=0.8, label="stick or slide, the rigid limit")
-    ax.plot([], [], "k:", label="with β₀ = 0.44 (Foerster 1994): not in carom")
+    ax.plot([], [], "k:", label='with β₀ = 0.44 (Foerster 1994): law = "walton"')
     ax.axhline(0.0, color="grey", linewidth=0.5)
     ax.set(
         xlabel="Ψ, slip before / speed of approach", ylabel="Ψ', slip after", title="Oblique impact of equal spheres"
