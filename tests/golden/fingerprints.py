@@ -200,6 +200,12 @@ def stored() -> dict[str, dict[str, Case]]:
     return found
 
 
+def usual_methods(name: str, cases: dict[str, dict[str, Case]]) -> list[str]:
+    """Return all methods for a scene that was made for these tests, and one third of them, in rotation, for others."""
+    methods = list(cases[name])
+    return methods if name.startswith("golden/") else methods[:1] + methods[1 + sorted(cases).index(name) % 3 :: 3]
+
+
 def moved(name: str, overrides: str, case: Case, threads: int, make: SpaceMaker = Space) -> str:
     """Run a stored case again; say which parts moved, or nothing."""
     try:

@@ -9,7 +9,7 @@ from collections.abc import Iterable
 
 import pytest
 
-from golden.fingerprints import change_of, golden_scenes, moved, stored
+from golden.fingerprints import change_of, golden_scenes, moved, stored, usual_methods
 from small_scenes import walls_as_slow
 
 THREADS = 2  # they were stored with one: the bits are the same on any number
@@ -20,18 +20,10 @@ def changes(name: str, chosen: Iterable[str]) -> str:
     return "\n".join(filter(None, (moved(name, each, STORED[name][each], THREADS) for each in chosen)))
 
 
-def usual(name: str) -> list[str]:
-    """Return all methods for a scene that was made for these tests, and one third of them, in rotation, for others.
-
-    A slow test of the impulse audit (test_impulse_audit.py) runs all of them, with the contacts recorded.
-    """
-    methods = list(STORED[name])
-    return methods if name.startswith("golden/") else methods[:1] + methods[1 + sorted(STORED).index(name) % 3 :: 3]
-
-
 @pytest.mark.parametrize("name", walls_as_slow(sorted(STORED)))
 def test_the_bits_of_a_scene_are_the_stored_ones_by_every_method(name: str) -> None:
-    assert not (differing := changes(name, usual(name))), differing
+    # a slow test (test_impulse_audit.py) runs the other methods, with the contacts recorded
+    assert not (differing := changes(name, usual_methods(name, STORED))), differing
 
 
 def test_every_scene_is_stored() -> None:
