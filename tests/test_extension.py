@@ -217,9 +217,17 @@ def test_an_integrator_of_a_package_has_its_order_and_replays(folder: Path, site
     assert without.returncode == 2 and 'the integrator "pefrl" of the package carom-example 0.1.0' in without.stderr
 
 
-def test_the_series_of_a_package_is_recorded_where_the_scene_asks_for_it(folder: Path, site: Path) -> None:
-    run(folder, site, "series.rrd")
-    script = "import carom; print(max(carom.Recording.open('series.rrd').steps()['fastest'].to_pylist()))"
+@pytest.fixture(scope="module")
+def recorded(folder: Path, site: Path) -> str:
+    """A recording of the scene, which tests read."""
+    run(folder, site, "recorded.rrd")
+    return "recorded.rrd"
+
+
+def test_the_series_of_a_package_is_recorded_where_the_scene_asks_for_it(
+    folder: Path, site: Path, recorded: str
+) -> None:
+    script = f"import carom; print(max(carom.Recording.open('{recorded}').steps()['fastest'].to_pylist()))"
     done = subprocess.run([sys.executable, "-c", script], cwd=folder, capture_output=True, text=True, check=True)
     # they meet at up to ω times 1 m, and the lighter one of masses 1 and 2 leaves an elastic impact with 5/3 of that
     assert 1.0 < float(done.stdout) < 5.0 / 3.0
@@ -341,8 +349,7 @@ def test_misspelt_keys_and_wrong_units_have_the_usual_messages(folder: Path, sit
     assert '"trap"' in schema
 
 
-def test_without_the_package_every_command_says_what_to_install(folder: Path, site: Path) -> None:
-    run(folder, site, "alone.rrd")
-    for code, _, message in ended(folder, None, *(f"{name} alone.rrd" for name in ("replay", "resume", "inspect"))):
+def test_without_the_package_every_command_says_what_to_install(folder: Path, recorded: str) -> None:
+    for code, _, message in ended(folder, None, *(f"{name} {recorded}" for name in ("replay", "resume", "inspect"))):
         assert code == 2 and len(message.splitlines()) == 1
         assert "pip install carom-example==0.1.0" in message
