@@ -42,6 +42,7 @@ def test_a_scene_runs_by_its_name_and_says_where_it_stands(tmp_path: Path) -> No
         carom.run("two-sphers", tmp_path / "other.rrd")
 
 
+@pytest.mark.slow
 def test_a_run_is_continued_and_replayed_by_its_path(tmp_path: Path) -> None:
     whole = carom.run("two-spheres", tmp_path / "whole.rrd")
     half = carom.run(carom.Scene.load("two-spheres", ["time.duration=2.0"]), tmp_path / "half.rrd")

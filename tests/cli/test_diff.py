@@ -100,6 +100,7 @@ class Toy:
         return record.State(time, position, [[1.0, 0.0, 0.0], [-1.0, 0.0, 0.0]])
 
 
+@pytest.mark.slow
 def test_against_another_engine_no_scene_is_compared(tmp_path: Path) -> None:
     # one line for all that the other recording lacks, not one for each key; positions are compared, not bits
     bodies = run(pair(time={"duration": 58 / 64, "fixed_dt": 1 / 64}), tmp_path / "carom.rrd").bodies

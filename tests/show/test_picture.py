@@ -76,6 +76,7 @@ def test_a_picture_of_another_command_is_not_replaced(tmp_path: Path) -> None:
         assert picture.size == (8, 8)
 
 
+@pytest.mark.slow
 @pytest.mark.needs(PICTURES)
 def test_spheres_of_every_group_fill_the_first_view(picture: Pixels) -> None:
     shown = bodies_view(picture)

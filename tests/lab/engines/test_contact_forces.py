@@ -270,7 +270,7 @@ def rest_in_newton(path: Path) -> float:
 @pytest.mark.parametrize(
     "rest",
     [
-        pytest.param(rest_in_box3d, id="box3d"),
+        pytest.param(rest_in_box3d, marks=pytest.mark.slow, id="box3d"),
         # Warp compiles its kernels for half a minute, once on a machine
         pytest.param(rest_in_newton, marks=[pytest.mark.needs("newton"), pytest.mark.slow], id="newton"),
     ],
@@ -290,6 +290,7 @@ def test_a_floor_holds_a_ball_by_its_weight_and_has_stopped_one_that_fell(
     assert account.by_field == pytest.approx([0.0, 0.0, -9.81 * 0.6], rel=1e-6)  # Newton computes in float32
 
 
+@pytest.mark.slow
 def test_impacts_in_box3d_have_the_impulses_that_changed_the_velocities(tmp_path: Path) -> None:
     robox3d = pytest.importorskip("robox3d")
     restitution, speed, mass = 0.5, 2.0, 1.0
