@@ -15,7 +15,7 @@ from typing import Any
 from carom.errors import ExperimentError
 from carom.lab.shrink.condition import condition_from
 from carom.lab.shrink.reducer import Reducer
-from carom.lab.shrink.result_file import commented
+from carom.lab.shrink.literal import commented
 from carom.scene.schema import Scene
 from planted_faults import FAULTS, Fault
 

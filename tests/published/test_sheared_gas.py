@@ -24,10 +24,9 @@ import pytest
 
 import carom
 from carom.errors import RecordingError
-from carom.lab.statistics.impact_statistics import measure_free_paths
 from carom.lab.statistics.interval import Interval
-from carom.lab.statistics.pair_correlation import measure_pair_correlation
-from carom.lab.statistics.velocity_statistics import measure_stress
+from carom.lab.statistics.motion_statistics import measure_free_paths, measure_stress
+from carom.lab.statistics.structure_statistics import measure_pair_correlation
 from carom.physics.placement.initial_state import place
 from carom.physics.space import Space
 from carom.scene.schema import Scene

@@ -16,10 +16,9 @@ import pytest
 import carom
 from carom.errors import RecordingError
 from carom.lab.diff.diff import diff
-from carom.lab.statistics.contact_statistics import measure_network
-from carom.lab.statistics.impact_statistics import measure_free_paths
 from carom.lab.statistics.interval import Interval
-from carom.lab.statistics.velocity_statistics import measure_velocities
+from carom.lab.statistics.motion_statistics import measure_free_paths, measure_velocities
+from carom.lab.statistics.structure_statistics import measure_network
 from carom.recording.edit.clip import clip
 from carom.recording.read.recording import Recording
 from carom_command import carom as command

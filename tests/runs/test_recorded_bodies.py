@@ -13,8 +13,8 @@ import carom
 from carom.errors import RecordingError, SceneError
 from carom.lab.diff.diff import diff
 from carom.lab.sweep.manifest import Folder, Manifest
-from carom.lab.sweep.member_run import SweepTask, execute
 from carom.lab.sweep.plan import plan
+from carom.lab.sweep.sweep import SweepTask, execute
 from carom.recording.edit.bundle import opened
 from carom.recording.edit.clip import clip
 from carom.recording.export import snapshots, write

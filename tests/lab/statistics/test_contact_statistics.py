@@ -10,18 +10,16 @@ import pytest
 
 import carom
 from carom import Recording
-from carom.lab.statistics.contact_statistics import (
+from carom.lab.statistics.interval import Histogram, Interval, Statistic
+from carom.lab.statistics.motion_statistics import measure_impacts, measure_stress
+from carom.lab.statistics.statistics_report import Statistics, draw
+from carom.lab.statistics.structure_statistics import (
     chains_of,
     contact_counts,
     held_bodies,
     measure_forces,
     measure_network,
 )
-from carom.lab.statistics.impact_statistics import measure_impacts
-from carom.lab.statistics.interval import Interval
-from carom.lab.statistics.statistic import Histogram, Statistic
-from carom.lab.statistics.statistics_report import Statistics, draw
-from carom.lab.statistics.velocity_statistics import measure_stress
 from carom.scene.units.dimension import VELOCITY
 from small_scenes import scene_of
 

@@ -7,8 +7,8 @@ from math import pi, sqrt
 import numpy as np
 import pytest
 
-from carom.lab.statistics.pair_correlation import NEAR, Distances, distances_of, value_at_contact
-from carom.lab.statistics.velocity_statistics import fourth_cumulant, peculiar
+from carom.lab.statistics.motion_statistics import fourth_cumulant, peculiar
+from carom.lab.statistics.structure_statistics import NEAR, Distances, distances_of, value_at_contact
 
 POINTS = 3000
 

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from carom.lab.sweep import member_run as made
+from carom.lab.sweep import sweep as made
 from carom.lab.sweep.manifest import Folder, put
-from carom.lab.sweep.member_run import SweepTask, execute
 from carom.lab.sweep.plan import plan
+from carom.lab.sweep.sweep import SweepTask, execute
 from carom.recording.read.recording import Recording
 from carom.runs.environment import versions
 from sweep_runs import write_scene

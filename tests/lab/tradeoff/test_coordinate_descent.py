@@ -7,8 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from carom.lab.tradeoff.setting_results import SettingResult
-from carom.lab.tradeoff.settings_grid import GridPoint, default_points, knobs, vary
+from carom.lab.tradeoff.settings_grid import GridPoint, SettingResult, default_points, knobs, vary
 from carom.lab.tradeoff.tradeoff import Study
 from carom.lab.tradeoff.tune import Tuning, excess, tuned
 from carom.plan.auto import integrator

@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from carom.lab.tradeoff.setting_results import pareto_front
+from carom.lab.tradeoff.settings_grid import pareto_front
 
 values = st.floats(0.01, 10.0) | st.just(float("nan")) | st.sampled_from([1.0, 2.0])
 points = st.lists(st.tuples(values, values), max_size=12)

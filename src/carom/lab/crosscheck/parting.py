@@ -19,7 +19,7 @@ from carom.errors import ExperimentError, RecordingError
 from carom.extend import TIME, Names, impacts_by_number, whole_file
 from carom.lab.compared_run import Trajectory
 from carom.lab.tradeoff.reference import Reference
-from carom.lab.tradeoff.setting_results import SettingResult
+from carom.lab.tradeoff.settings_grid import SettingResult
 from carom.lab.tradeoff.tradeoff_figure import FAINT, LEAST, styled
 
 if TYPE_CHECKING:

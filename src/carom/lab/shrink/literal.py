@@ -1,10 +1,19 @@
-"""The scene to shrink, read from a scene or a recording, as a document with every body written out."""
+"""The scene to shrink, as a document with all bodies: read from a scene or a recording, and written to a file.
+
+The file is TOML with comments; it bears a mark while the reduction is unfinished.
+"""
 
 from __future__ import annotations
 
+import hashlib
+import re
+import textwrap
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, cast
+from typing import TYPE_CHECKING, Any, cast
+
+import tomlkit
+from tomlkit.items import Array
 
 from carom import Frame, Recording, Scene
 from carom.arrays import FloatArray
@@ -15,13 +24,19 @@ from carom.extend import (
     InitialBodies,
     body_materials,
     checkpoint_before,
+    counted,
     half_spaces,
     is_bundle,
     opened,
     place,
     recorded_scene,
     start_of,
+    versions,
+    write_whole,
 )
+
+if TYPE_CHECKING:
+    from carom.lab.shrink.reducer import Reduction, Stage
 
 Document = dict[str, Any]  # a scene, as `Scene.from_dict` takes it
 KeyPath = tuple[str | int, ...]  # of keys and places in lists
@@ -30,6 +45,10 @@ BODIES = "body"
 ORIGIN = [0.0, 0.0, 0.0]  # the default of every vector of a body, which is left out
 _NOT_COPIED = {"body", "bodies", "group", "sweep", "promise", "description", "units"}  # of a scene
 _FACTOR = 0.4  # moment of inertia of a solid sphere over m r²
+_MARK = re.compile(
+    r"^# shrink ([0-9a-f]{12}) of (\d{1,9}) bodies and (\d{1,9}) steps, (unfinished|minimal)$", re.MULTILINE
+)
+_HEAD = 10_000  # characters at the beginning of a file that are searched for the mark
 
 
 @dataclass(frozen=True, slots=True)
@@ -200,3 +219,133 @@ def is_recording(path: Path) -> bool:
         return False
     with path.open("rb") as file:
         return file.read(len(RECORDED)) == RECORDED or is_bundle(path)
+
+
+def key_of(scene_toml: str, condition: str) -> str:
+    """Return a digest (48 bits) of a scene and a condition."""
+    return hashlib.sha256(f"{scene_toml}\0{condition}".encode()).hexdigest()[:12]
+
+
+@dataclass(frozen=True, slots=True)
+class Earlier:
+    """The result of an earlier reduction."""
+
+    finished: bool
+    before: tuple[int, int]  # of the scene before the reduction: bodies, and steps up to the failure
+
+
+def earlier(path: Path, key: str) -> Earlier | None:
+    """Return the earlier result in a file; None if it is the result of another reduction."""
+    try:
+        with path.open(encoding="utf-8") as file:
+            found = _MARK.search(file.read(_HEAD))
+    except (OSError, UnicodeDecodeError):
+        return None
+    if found is None or found[1] != key:
+        return None
+    return Earlier(found[4] == "minimal", (int(found[2]), int(found[3])))
+
+
+def unfinished_text(
+    document: Document, asked: str, said: str, before: tuple[int, int], key: str, command: str, why: str = ""
+) -> str:
+    """Return the text of the smallest scene so far, from which the same command continues."""
+    comments = [command, f"Asked for: {asked}", f"Shown here: {said}"]
+    comments.append(f"Not finished ({why or 'still at work'}): the same command continues from here.")
+    return commented(document, [*comments, _mark(key, before, "unfinished")])
+
+
+def text_of(reduction: Reduction, asked: str, key: str, command: str) -> str:
+    """Return the text of a reduced scene with its comments."""
+    made, before = reduction.document, reduction.before
+    if not reduction.minimal:
+        return unfinished_text(made, asked, reduction.said, before, key, command, reduction.stopped)
+    comments = [command, f"Asked for: {asked}", f"Failure: {reduction.said}", *_history(reduction)]
+    return commented(made, [*comments, _mark(key, before, "minimal")])
+
+
+def _mark(key: str, before: tuple[int, int], state: str) -> str:
+    return f"shrink {key} of {before[0]} bodies and {before[1]} steps, {state}"
+
+
+def _history(reduction: Reduction) -> list[str]:
+    bodies, steps = reduction.before
+    taken = f"{counted(reduction.steps, 'step')} of {steps}"
+    if reduction.steps > steps:  # steps may change with fewer bodies
+        taken = f"{counted(reduction.steps, 'step')}, instead of {steps} in the original scene"
+    left = f"Left: {counted(reduction.bodies, 'body')} of {bodies}, {taken}."
+    found = "; ".join(
+        f"{stage.name}, {counted(stage.bodies, 'body')}, {counted(stage.steps, 'step')}"
+        for stage in _turns(reduction.stages)
+    )
+    how = f"Found by carom {versions()['carom']} with {reduction.candidates} candidates in {reduction.seconds:.3g} s"
+    return [f"{left} Without any one body, key or digit, the failure disappears.", f"{how}: {found}."]
+
+
+def _turns(stages: list[Stage]) -> list[Stage]:
+    """Return the first stage of each name, and all stages that changed the number of bodies or steps."""
+    told: list[Stage] = []
+    for stage in stages:
+        known = any(stage.name == other.name for other in told)
+        if not known or (stage.bodies, stage.steps) != (told[-1].bodies, told[-1].steps):
+            told.append(stage)
+    return told
+
+
+def write(path: Path, text: str) -> None:
+    """Replace a file atomically, so that an interrupt leaves a whole one.
+
+    Raises
+    ------
+    RecordingError
+        If it cannot be written.
+    """
+    try:
+        write_whole(path, text)
+    except OSError as error:
+        raise RecordingError(f"cannot write {path}: {error.strerror}") from None
+
+
+WIDTH = 110  # characters of a comment
+
+
+def commented(document: Document, comments: list[str]) -> str:
+    """Return the text of a scene with comments above it and one line for each body.
+
+    Parameters
+    ----------
+    document
+        The scene.
+    comments
+        Paragraphs.
+    """
+    written = tomlkit.document()
+    for paragraph in comments:
+        for line in textwrap.wrap(paragraph, WIDTH, break_long_words=False, break_on_hyphens=False):
+            written.add(tomlkit.comment(line))
+    written.add(tomlkit.nl())
+    for key in [key for key, value in document.items() if not isinstance(value, dict | list)]:
+        written.add(key, document[key])
+    for key in [BODIES, *(key for key, value in document.items() if isinstance(value, list) and key != BODIES)]:
+        written.add(key, _rows(document[key]))
+    for key, value in document.items():
+        if isinstance(value, dict):
+            written.add(key, _table(value))
+    return tomlkit.dumps(written)
+
+
+def _table(values: dict[str, Any]) -> tomlkit.items.Table:
+    table = tomlkit.table()
+    for key, value in values.items():
+        table.add(key, value)
+    return table
+
+
+def _rows(tables: list[dict[str, Any]]) -> Array:
+    """Write tables as one line each."""
+    rows = tomlkit.array()
+    for values in tables:
+        row = tomlkit.inline_table()
+        row.update(values)
+        rows.append(row)
+    return rows.multiline(True)

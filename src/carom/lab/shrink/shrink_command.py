@@ -77,8 +77,7 @@ def shrink(
 
     from carom.extend import refuse_output, refuse_scene_output
     from carom.lab.shrink.condition import condition_from
-    from carom.lab.shrink.literal import source_of
-    from carom.lab.shrink.result_file import earlier, key_of
+    from carom.lab.shrink.literal import earlier, key_of, source_of
     from carom.lab.shrink.whole_run import CommandShows
 
     if condition is not None and while_command is not None:
@@ -120,7 +119,7 @@ def _reducer(asked: Any, seconds: float | None, workers: int | None) -> Reducer:
 
 def _reduced(reducer: Reducer, given: SceneWithBodies, path: Path, key: str, command: str, *, quiet: bool) -> Reduction:
     """Reduce, print the progress, and keep the smallest scene so far in the file."""
-    from carom.lab.shrink.result_file import text_of, unfinished_text, write
+    from carom.lab.shrink.literal import text_of, unfinished_text, write
 
     asked = reducer.condition.text
 

@@ -13,12 +13,14 @@ from rich.table import Table
 from carom import Recording
 from carom.errors import RecordingError
 from carom.extend import UnitSystem, counted, needing, print_whole, say, whole_file
-from carom.lab.statistics.contact_statistics import measure_forces, measure_network
-from carom.lab.statistics.impact_statistics import measure_free_paths, measure_impacts
-from carom.lab.statistics.interval import Interval, Watcher
-from carom.lab.statistics.pair_correlation import measure_pair_correlation
-from carom.lab.statistics.statistic import Histogram, MeasuredValue, Statistic
-from carom.lab.statistics.velocity_statistics import measure_stress, measure_velocities
+from carom.lab.statistics.interval import Histogram, Interval, MeasuredValue, Statistic, Watcher
+from carom.lab.statistics.motion_statistics import (
+    measure_free_paths,
+    measure_impacts,
+    measure_stress,
+    measure_velocities,
+)
+from carom.lab.statistics.structure_statistics import measure_forces, measure_network, measure_pair_correlation
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -17,7 +17,7 @@ from distributed import Client, Future, KilledWorker
 
 from carom.errors import ExperimentError
 from carom.extend import Ended, TaskDroppedError, WorkerDiedError
-from carom.lab.sweep.member_run import unfit
+from carom.lab.sweep.sweep import unfit
 
 _CONNECT = 20.0  # s
 _ANSWER = 60.0  # s within which a scheduler must answer

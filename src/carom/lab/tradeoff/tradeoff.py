@@ -35,15 +35,15 @@ from carom.lab.compared_run import (
 )
 from carom.lab.engines.engine import engine_called
 from carom.lab.tradeoff.reference import BUDGET, COMPARED, NAMES, Reference, fineness, make_reference
-from carom.lab.tradeoff.setting_results import (
+from carom.lab.tradeoff.settings_grid import (
     SettingResult,
     pareto_front,
     reference_entry,
     reference_of,
+    refusal,
     result_entry,
     result_of,
 )
-from carom.lab.tradeoff.settings_grid import refusal
 
 
 # The cost of a setting: the time of one run.

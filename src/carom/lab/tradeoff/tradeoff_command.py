@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     from carom.extend import UnitSystem
     from carom.lab.compared_run import Setting
-    from carom.lab.tradeoff.setting_results import SettingResult
+    from carom.lab.tradeoff.settings_grid import SettingResult
     from carom.lab.tradeoff.tradeoff import Study, Teller
     from carom.lab.tradeoff.tune import Tuning
 

@@ -17,7 +17,7 @@ from carom.errors import ExperimentError
 from carom.extend import SI, TIME, UnitSystem, overlays, whole_file
 from carom.install import install_extra
 from carom.lab.compared_run import AS_WRITTEN
-from carom.lab.tradeoff.setting_results import pareto_front
+from carom.lab.tradeoff.settings_grid import pareto_front
 from carom.lab.tradeoff.tradeoff import Study
 
 if TYPE_CHECKING:

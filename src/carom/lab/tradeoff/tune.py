@@ -20,8 +20,7 @@ from carom.errors import ExperimentError, SceneError
 from carom.extend import TIME, auto, finite, require, suggestion, toml_for, write_whole
 from carom.lab.compared_run import AS_WRITTEN, Setting
 from carom.lab.tradeoff.reference import COMPARED, NAMES
-from carom.lab.tradeoff.setting_results import SettingResult, result_entry
-from carom.lab.tradeoff.settings_grid import GridPoint, default_points, knobs
+from carom.lab.tradeoff.settings_grid import GridPoint, SettingResult, default_points, knobs, result_entry
 from carom.lab.tradeoff.tradeoff import Study, Teller
 
 FRAMES_KEPT = 0.95  # of the frames in a recording of the scene; a longer step would make it jerky

@@ -17,8 +17,7 @@ from carom.errors import ExperimentError, RecordingError
 from carom.extend import STEP, TIME, tolerance
 from carom.lab.why.account import Account, impacts_by_step, impulses_on
 from carom.lab.why.cone import Cone, Edge, Link, chain_of
-from carom.lab.why.history import History, Question, Step, Watcher
-from carom.lab.why.recorded_history import recorded_history
+from carom.lab.why.history import History, Question, Step, Watcher, recorded_history
 
 
 @dataclass(frozen=True, slots=True)
