@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from carom.arrays import FloatArray
 from carom.errors import SceneError
 from carom.scene.data.body_columns import BodyColumns
-from carom.scene.data.mpc_tables import julian_date
+from carom.scene.data.orbit_tables import julian_date
 from carom.scene.schema import Scene
 from data_scenes import refusal, scene_of
 

@@ -1,9 +1,16 @@
-"""Tables that pyarrow reads: CSV, Parquet, and Arrow or Feather files."""
+"""Tables that pyarrow reads: CSV, Parquet, and Arrow or Feather files.
+
+A text table has a dialect: separators, decimal commas, comments, and the line that names the columns.
+"""
 
 from __future__ import annotations
 
+import csv
+import io
+import mmap
 import re
-from collections.abc import Callable, Sequence, Set
+from collections.abc import Callable, Iterable, Iterator, Sequence, Set
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -18,31 +25,233 @@ from carom.arrow_claims import claims, columns, unpacked_bytes
 from carom.errors import SceneError
 from carom.scene.data.formats import (
     BODY,
+    MOST_COLUMNS,
     NUMBER,
     STEP,
     DataFormat,
     DataTable,
     Raw,
+    number_in,
     refuse_bomb,
     refuse_large,
     refuse_many_columns,
     refuse_many_rows,
 )
 from carom.scene.data.mapping import printable
-from carom.scene.data.text_dialect import dialect_of, refuse_uneven
+from carom.scene.wording import counted
 
+_HEAD = 1_000_000  # bytes from which a file is recognised; no line is longer
+_SAMPLE = 50  # lines of these bytes
+_LARGEST = 500_000_000  # bytes of a file that must be rewritten in memory
+_COMMENTS = ("#", "%", "!", "//")
+_SEPARATORS = {";": "semicolons", "\t": "tabs", ",": "commas", " ": "blanks"}
+_USUAL = {".csv": ",", ".tsv": "\t"}  # by suffix, if no separator divides all lines alike
+_COMMA = re.compile(r"[+-]?\d*,\d+(?:[eEdD][+-]?\d+)?")  # a number with a decimal comma
+_YADE = re.compile(r"#\s*format\s+(\S+)")  # columns in YADE's text export, such as x_y_z_r
+_UNIT = re.compile(r"\s+(?=[\[(])")  # blanks before the unit of a name
 _STREAM_IN_FILE = 8  # bytes before the stream in an Arrow file
 _SIGNS = {
     b"$$SOE": "horizons",
     b"ITEM: TIMESTEP": "dump",
     b"Des'n": "mpcorb",
 }  # in text files of any format, whatever their suffix
-_HEAD = 1_000_000  # bytes in which these are searched for
 _PARQUET_END = 8  # bytes of the length of a footer and of the mark after it
 _FOOTER_HEAD = 32  # bytes of a footer that have the number of its elements
 _FOOTER = re.compile(rb"\x15[\x80-\xff]*[\x00-\x7f]\x19\xfc([\x80-\xff]*[\x00-\x7f])", re.S)  # of 15 or more elements
 _ELEMENTS = 4  # of a schema for each column: a list has three
 _Read = Callable[[list[str], Sequence[str]], pa.Table]
+
+
+@dataclass
+class TextDialect:
+    """The dialect of a text file.
+
+    Attributes
+    ----------
+    names
+        Names of the columns; empty if no line has them.
+    columns
+        Number of columns.
+    separator
+        Character between values.
+    skipped
+        Number of lines before the first row, in a file that pyarrow reads unchanged.
+    rows
+        The rows as plain CSV, if the file must be rewritten.
+    note
+        What was recognised; empty for plain tables.
+    """
+
+    names: list[str]
+    columns: int
+    separator: str
+    skipped: int
+    rows: bytes | None = None
+    note: str = ""
+
+
+def dialect_of(path: Path, called: str) -> TextDialect:
+    """Recognise the dialect of a text file.
+
+    Raises
+    ------
+    SceneError
+        The message names the first line that is not a row of the table.
+    """
+    with path.open("rb") as file:
+        head = file.read(_HEAD)
+    if not head.strip():
+        raise SceneError(f"{called}: not a table of values: it is empty")
+    encoding = "utf-16" if head[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-8-sig"
+    if max(map(len, head.split(b"\n", MOST_COLUMNS))) >= _HEAD:
+        raise SceneError(f"{called}: not a table of values: a line has more than {_HEAD} characters")
+    text = head[: head.rfind(b"\n") + 1 or None].decode(encoding, "replace")
+    if text.partition("\n")[0].count('"') % 2:  # a quoted name that continues in the next line
+        separator = _USUAL.get(path.suffix.lower(), ",")
+        reader = csv.reader(io.StringIO(text), delimiter=separator)
+        names = next(reader)
+        return TextDialect(names, len(names), separator, reader.line_num)
+    lines = _Lines(io.StringIO(text))
+    sample = [text for text, _ in zip(lines, range(_SAMPLE), strict=False)]
+    if not sample:
+        raise SceneError(f"{called}: not a table of values: it has only comments")
+    separator, comma = _separator(sample, _USUAL.get(path.suffix.lower(), " "))
+    first = _cells(sample[0], separator)
+    has_header = not any(number_in(_with_point(cell) if comma else cell) is not None for cell in first)
+    columns = len(first)
+    names = first if has_header else _names_in(lines.comments_before, columns, separator)
+    if has_header and separator == " ":
+        names = _words(sample[0])
+        columns = len(names)
+    refuse_many_columns(called, columns)
+    named = lines.first if has_header else 0
+    plain = (
+        not head.startswith((b"\xff\xfe", b"\xfe\xff", b"\xef\xbb\xbf"))
+        and separator in (",", "\t")
+        and not any(line.endswith(separator) for line in sample)
+        and not comma
+        and not lines.comments
+        and lines.first == 1
+        and not _has_comments(path)
+    )
+    dialect = TextDialect(names, columns, separator, int(has_header))
+    if plain:
+        return dialect
+    if path.stat().st_size > _LARGEST:
+        raise SceneError(
+            f"{called}: {path.stat().st_size} bytes are too many for its dialect; write plain CSV or Parquet"
+        )
+    with path.open(encoding=encoding, errors="surrogateescape", newline="") as file:
+        lines = _Lines(file)
+        dialect.rows = _rewritten(lines, dialect, comma, named, called)
+    details = [f"values separated by {_SEPARATORS[separator]}"]
+    details += ["decimal commas"] if comma else []
+    details += [f"names in line {named}" if named else "names in a comment" if names else "no line with names"]
+    details += [f"{counted(lines.comments, 'line')} of comments"] if lines.comments else []
+    dialect.note = f"{called}: read with {', '.join(details)}"
+    return dialect
+
+
+def refuse_uneven(path: Path, dialect: TextDialect, called: str) -> None:
+    """Refuse a plain table if a line has another number of values than the first."""
+    with path.open(encoding="utf-8-sig", errors="surrogateescape", newline="") as file:
+        _rewritten(_Lines(file), dialect, False, dialect.skipped, called)
+
+
+class _Lines(Iterator[str]):
+    """The lines of a text that are neither empty nor comments."""
+
+    def __init__(self, file: Iterable[str]) -> None:
+        self._lines = iter(file)
+        self.number = 0  # number of the last line
+        self.first = 0  # number of the first line that is not a comment
+        self.comments = 0
+        self.comments_before = list[str]()
+
+    def __next__(self) -> str:
+        while True:
+            text = next(self._lines).strip("\r\n ")
+            self.number += 1
+            if not text or (self.number == 1 and text.startswith("sep=")):  # Excel's hint of the separator
+                continue
+            if text.startswith(_COMMENTS):
+                self.comments += 1
+                if not self.first:
+                    self.comments_before = [*self.comments_before[-_SAMPLE:], text]
+                continue
+            self.first = self.first or self.number
+            return text
+
+
+def _separator(sample: Sequence[str], usual: str) -> tuple[str, bool]:
+    """Return the separator that divides most numbers, the same in all lines, and whether decimals follow a comma."""
+    body, best = sample[1:] or sample, (0, usual, False)
+    for separator in _SEPARATORS:
+        rows = [_cells(line, separator, whole=True) for line in body]
+        if len(set(map(len, rows))) > 1 or len(rows[0]) < 2:
+            continue
+        cells = [cell for row in rows for cell in row]
+        comma = separator != "," and any(map(_COMMA.fullmatch, cells))
+        count = sum(number_in(_with_point(cell) if comma else cell) is not None for cell in cells)
+        best = max(best, (count, separator, comma), key=lambda each: each[0])
+    return best[1], best[2]
+
+
+def _cells(line: str, separator: str, whole: bool = False) -> list[str]:
+    """Divide a line; a separator at its end is ignored, unless ``whole``."""
+    if separator == " ":
+        line = line.replace("\t", " ").strip()
+    found = next(csv.reader([line], delimiter=separator, skipinitialspace=True), [])
+    cells = [cell.strip() for cell in found]
+    return cells[:-1] if len(cells) > 1 and not cells[-1] and not whole else cells
+
+
+def _words(line: str) -> list[str]:
+    """Divide names at blanks, each with its unit in brackets."""
+    return [word.replace("\0", " ") for word in _cells(_UNIT.sub("\0", line.replace("\t", " ")), " ")]
+
+
+def _with_point(cell: str) -> str:
+    return cell.replace(",", ".") if _COMMA.fullmatch(cell) else cell
+
+
+def _names_in(comments: Sequence[str], columns: int, separator: str) -> list[str]:
+    """Return the column names in the last comment with as many names as values; empty if there is none."""
+    for comment in reversed(comments):
+        if yade := _YADE.match(comment):
+            names = yade[1].split("_")
+        else:
+            text = comment.lstrip("".join(_COMMENTS)).strip()
+            used = next((each for each in (separator, ",") if each != " " and each in text), " ")
+            names = _words(text) if used == " " else _cells(text, used)
+        if len(names) == columns and not any(number_in(name) is not None for name in names):
+            return names
+    return []
+
+
+def _has_comments(path: Path) -> bool:
+    with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:
+        return any(content.find(b"\n" + sign.encode()) >= 0 for sign in _COMMENTS)
+
+
+def _rewritten(lines: _Lines, dialect: TextDialect, comma: bool, named: int, called: str) -> bytes:
+    """Write the rows as plain CSV."""
+    buffer = io.StringIO()
+    write = csv.writer(buffer, lineterminator="\n").writerow
+    for line in lines:
+        if lines.number == named:
+            continue
+        cells = _cells(line, dialect.separator)
+        if len(cells) == dialect.columns - 1 and line.endswith(dialect.separator):  # an empty last value
+            cells.append("")
+        if len(cells) != dialect.columns:
+            where = f"line {named} names" if named else "the first row has"
+            raise SceneError(
+                f"{called}: line {lines.number} has {counted(len(cells), 'value')} ({printable(line)}), and {where} "
+                f"{dialect.columns}"
+            )
+        write([_with_point(cell) for cell in cells] if comma else cells)
+    return buffer.getvalue().encode("utf-8", "surrogateescape")
 
 
 def open_csv(path: Path, called: str, snapshot: int) -> DataTable:

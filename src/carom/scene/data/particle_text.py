@@ -1,17 +1,22 @@
-"""Text files of LAMMPS and LIGGGHTS: dumps (dump custom) and data files (write_data).
+"""Particles in text files: dumps and data files of LAMMPS and LIGGGHTS, and XYZ files, plain and extended.
 
-carom reads them itself: lammpsio omits the radii, spins and densities of spheres.
+An XYZ file has a block of text for each step; `carom export` writes the extended form. carom reads files of LAMMPS
+itself, since lammpsio omits the radii, spins and densities of spheres.
 """
 
 from __future__ import annotations
 
+import io
+import itertools
 import mmap
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import IO, NamedTuple
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.csv
 
 from carom.arrays import FloatArray
 from carom.errors import SceneError
@@ -23,11 +28,11 @@ from carom.scene.data.formats import (
     numbers_of,
     periodic_note,
     refuse_large,
+    refuse_many_columns,
     refuse_many_rows,
     step_at,
 )
 from carom.scene.data.mapping import printable
-from carom.scene.data.text_rows import TextRows
 
 _STEP = b"ITEM: TIMESTEP"
 _UNITS = {"si": "m, s, kg", "cgs": "cm, s, g"}  # names of units in LAMMPS and in carom
@@ -35,6 +40,48 @@ _MOST_STEPS = 10_000_000
 _COUNT = re.compile(rb"^\s*([0-9]{1,18})\s+atoms\b", re.MULTILINE)  # in the header of a data file
 _HEAD = 10_000  # bytes of a data file that have its header
 _LINES = 20  # lines of a data file per atom, with bonds, angles and dihedrals
+_LONGEST = 1_000_000  # characters in a line
+_PROPERTIES = re.compile(r'\bProperties="?([^\s"]+)"?', re.IGNORECASE)
+_PERIODIC = re.compile(r'\bpbc="?[^"]*T', re.IGNORECASE)
+_OWN = {"velo": "velocity"}  # names of quantities in OVITO and in carom
+_NAMED = {3: ("x", "y", "z"), 4: ("x", "y", "z", "w")}
+_AXES = {"pos": "{}", "velocity": "v{}", "vel": "v{}", "omega": "w{}", "orientation": "q{}"}
+
+
+class TextRows(DataTable):
+    """A table of rows separated by blanks; each row is checked."""
+
+    def __init__(self, called: str, names: Sequence[str], lines: Iterable[str], first: int) -> None:
+        """Read rows, of which each must have a value for each name; ``first`` is the line number of the first row."""
+        refuse_many_columns(called, len(names))
+        self.called, self.names = called, list(names)
+        buffer = io.StringIO()
+        self.rows = 0
+        for number, line in enumerate(lines, start=first):
+            values = line.split()
+            if len(values) != len(names):
+                raise SceneError(
+                    f"{called}: line {number} has {len(values)} values ({printable(line.strip())}), but there are "
+                    f"{len(names)} columns"
+                )
+            buffer.write("\t".join(values) + "\n")
+            self.rows += 1
+        self._content = buffer.getvalue().encode("utf-8", "surrogateescape")
+
+    def read(self, names: Sequence[str], texts: Sequence[str] = ()) -> dict[str, Raw]:
+        """Read columns by their names."""
+        if not self.rows:
+            return {name: np.empty(0) for name in names}
+        convert = pyarrow.csv.ConvertOptions(
+            include_columns=list(dict.fromkeys(names)), column_types=dict.fromkeys(texts, pa.string())
+        )
+        table = pyarrow.csv.read_csv(
+            pa.BufferReader(self._content),
+            pyarrow.csv.ReadOptions(column_names=self.names),
+            parse_options=pyarrow.csv.ParseOptions(delimiter="\t", quote_char=False),
+            convert_options=convert,
+        )
+        return {name: np.asarray(table[name].to_numpy()) for name in names}
 
 
 def open_dump(path: Path, called: str, snapshot: int) -> DataTable:
@@ -219,3 +266,67 @@ def _rows(called: str, names: Sequence[str], section: _Section, optional: Sequen
 
 DUMP = DataFormat("a dump of LAMMPS", open_dump)
 DATA = DataFormat("a data file of LAMMPS", open_data)
+
+
+def open_xyz(path: Path, called: str, snapshot: int) -> DataTable:
+    """Open an XYZ file at one of its steps."""
+    with path.open(encoding="utf-8", errors="surrogateescape", newline="\n") as file:
+        places = list[tuple[int, int, int]]()  # of each step: offset, line, number of rows
+        line = 1
+        while True:
+            offset = file.tell()
+            first = file.readline(_LONGEST)
+            if not first.strip():
+                break
+            if not first.strip().isdecimal() or len(first) > 20:
+                raise SceneError(
+                    f"{called}: line {line} is {printable(first.strip())}, but the number of rows is needed"
+                )
+            count = int(first)
+            refuse_many_rows(called, count)
+            places.append((offset, line, count))
+            skipped = _skip(file, count + 1)
+            if skipped < count + 1:
+                raise SceneError(
+                    f"{called}: the step from line {line} on has {max(0, skipped - 1)} of its {count} rows"
+                )
+            line += count + 2
+        offset, line, count = places[step_at(called, snapshot, len(places))]
+        file.seek(offset)
+        file.readline()
+        comment = file.readline(_LONGEST)
+        rows = [file.readline(_LONGEST) for _ in range(count)]
+    names = _names(called, comment, rows)
+    table = TextRows(called, names, rows, line + 2)
+    if _PERIODIC.search(comment):
+        table.notes = (periodic_note(called),)
+    return table
+
+
+def _skip(file: IO[str], lines: int) -> int:
+    """Skip lines; return the number skipped."""
+    return next((k for k in range(lines) if not file.readline(_LONGEST)), lines)
+
+
+def _names(called: str, comment: str, rows: list[str]) -> list[str]:
+    """Return the names of the columns: those of the extended form, or a species and three coordinates."""
+    found = _PROPERTIES.search(comment)
+    if found is None:
+        columns = len(rows[0].split()) if rows else 4
+        return ["species", "x", "y", "z", *(f"column {k}" for k in range(5, columns + 1))][: max(4, columns)]
+    parts = found[1].split(":")
+    names = list[str]()
+    for name, kind, width in itertools.zip_longest(parts[::3], parts[1::3], parts[2::3]):
+        if kind not in ("S", "R", "I", "L") or not str(width).isdecimal() or not 1 <= int(width) <= 100:
+            raise SceneError(f"{called}: Properties={printable(found[1])} does not name columns, such as pos:R:3")
+        plain = _OWN.get(name, name)
+        if int(width) == 1:
+            names.append(plain)
+        elif plain in _AXES and int(width) in _NAMED:
+            names += [_AXES[plain].format(axis) for axis in _NAMED[int(width)]]
+        else:
+            names += [f"{plain} {k}" for k in range(int(width))]
+    return names
+
+
+XYZ = DataFormat("an XYZ file", open_xyz)
