@@ -9,7 +9,7 @@ import pytest
 
 from carom import registry
 from carom.errors import SceneError
-from carom.scene.extensions import extensions_of, missing
+from carom.scene.parts import extensions_of, missing
 from carom.scene.schema import Scene
 
 PAIR = {"body": [{"radius": 1.0, "position": [3.0 * k, 0, 0]} for k in range(2)]}

@@ -57,12 +57,12 @@ if TYPE_CHECKING:
     from carom.physics.simulation import StepStatus as StepStatus
     from carom.physics.vector import minimum_images as minimum_images
     from carom.plan import auto as auto
-    from carom.plan.acting_forces import damping as damping
-    from carom.plan.acting_forces import further as further
     from carom.plan.features import Requirements as Requirements
     from carom.plan.features import require as require
     from carom.plan.hierarchy import DOMINANT as DOMINANT
     from carom.plan.hierarchy import why_no_hierarchy as why_no_hierarchy
+    from carom.plan.interactions import damping as damping
+    from carom.plan.interactions import further as further
     from carom.recording.edit.bundle import is_bundle as is_bundle
     from carom.recording.edit.bundle import opened as opened
     from carom.recording.export import Snapshot as Snapshot
@@ -145,6 +145,8 @@ if TYPE_CHECKING:
     from carom.scene.parts import PARTS as PARTS
     from carom.scene.scene_file import RECORDED as RECORDED
     from carom.scene.scene_file import bundled_folders as bundled_folders
+    from carom.scene.scene_file import toml_for as toml_for
+    from carom.scene.scene_file import toml_text as toml_text
     from carom.scene.schema import Coefficients as Coefficients
     from carom.scene.schema.contact import DEFAULT as DEFAULT
     from carom.scene.schema.promise import Expect as Expect
@@ -158,8 +160,6 @@ if TYPE_CHECKING:
     from carom.scene.start import InitialBodies as InitialBodies
     from carom.scene.start import half_spaces as half_spaces
     from carom.scene.start import names_of_solids as names_of_solids
-    from carom.scene.toml_text import toml_for as toml_for
-    from carom.scene.toml_text import toml_text as toml_text
     from carom.scene.units.dimension import ACCELERATION as ACCELERATION
     from carom.scene.units.dimension import ANGULAR_VELOCITY as ANGULAR_VELOCITY
     from carom.scene.units.dimension import BASE as BASE
@@ -174,13 +174,13 @@ if TYPE_CHECKING:
     from carom.scene.units.dimension import TORQUE as TORQUE
     from carom.scene.units.dimension import VELOCITY as VELOCITY
     from carom.scene.units.dimension import Dimension as Dimension
+    from carom.scene.units.dimension import Physical as Physical
+    from carom.scene.units.dimension import nearest_float as nearest_float
+    from carom.scene.units.dimension import physical as physical
     from carom.scene.units.system import SI as SI
     from carom.scene.units.system import WITHOUT as WITHOUT
     from carom.scene.units.system import UnitSystem as UnitSystem
     from carom.scene.units.system import units_of_rebound as units_of_rebound
-    from carom.scene.units.unit import Physical as Physical
-    from carom.scene.units.unit import nearest_float as nearest_float
-    from carom.scene.units.unit import physical as physical
     from carom.scene.wall_shapes import Mesh as Mesh
     from carom.scene.wall_shapes import WallShape as WallShape
     from carom.scene.wall_shapes import across as across
@@ -243,7 +243,7 @@ SECTIONS = {  # purpose → module → names
         "carom.scene.matter": "pair_coefficients",
         "carom.physics.placement": "place",
         "carom.plan.features": "require",
-        "carom.plan.acting_forces": "further",
+        "carom.plan.interactions": "further",
         "carom.plan.hierarchy": "DOMINANT",
         "carom.scene.contact_laws": "DEFAULT_LAW",
         "carom.recording.source.observer": "Observer not_finite",
@@ -263,22 +263,20 @@ SECTIONS = {  # purpose → module → names
         "carom.recording.edit.bundle": "opened is_bundle",
     },
     "Tools: scenes and what they require": {
-        "carom.scene.units.dimension": "BASE",
         "carom.scene.schema.contact": "DEFAULT",
         "carom.scene.data.body_sources": "DataFiles HeldBodies",
         "carom.scene.schema.promise": "Expect",
         "carom.scene.integrators": "INTEGRATORS integrator_called",
         "carom.scene.parts": "PARTS",
-        "carom.scene.units.unit": "Physical nearest_float physical",
-        "carom.scene.scene_file": "RECORDED bundled_folders",
+        "carom.scene.units.dimension": "BASE Physical nearest_float physical",
+        "carom.scene.scene_file": "RECORDED bundled_folders toml_for toml_text",
         "carom.plan.features": "Requirements",
         "carom.plan": "auto",
         "carom.scene.matter": "body_materials",
         "carom.scene.conversion": "converted rescaled",
-        "carom.plan.acting_forces": "damping",
+        "carom.plan.interactions": "damping",
         "carom.scene": "key_places variation",
         "carom.scene.load": "scene_from_text",
-        "carom.scene.toml_text": "toml_for toml_text",
         "carom.plan.hierarchy": "why_no_hierarchy",
     },
     "Tools: running scenes": {

@@ -9,7 +9,7 @@ import pytest
 
 from carom.errors import SceneError
 from carom.physics.space import Space
-from carom.plan import acting_forces
+from carom.plan import interactions
 from carom.plan.auto import (
     TREES,
     cfl,
@@ -321,7 +321,7 @@ def test_a_force_that_differs_between_bodies_at_rest_lets_them_meet_and_press(mo
     scene = scene_of(RESTING, gravity={"constant": 0})
     assert not require(scene).contact.modelled
     trap = ForceKind("gravity-well", lambda scene: (True, "of this test"), differs=True)
-    monkeypatch.setattr(acting_forces, "kinds_of", lambda scene: (*FORCES, trap))
+    monkeypatch.setattr(interactions, "kinds_of", lambda scene: (*FORCES, trap))
     needs = require(scene)
     assert needs.contact.modelled and needs.resting.modelled
     assert needs.resting.why.startswith("well presses")
@@ -330,7 +330,7 @@ def test_a_force_that_differs_between_bodies_at_rest_lets_them_meet_and_press(mo
 
 def test_a_second_force_that_depends_on_velocities_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     brake = ForceKind("brake", lambda scene: (True, "of this test"), loss="brake", damps=True)
-    monkeypatch.setattr(acting_forces, "kinds_of", lambda scene: (*FORCES, brake))
+    monkeypatch.setattr(interactions, "kinds_of", lambda scene: (*FORCES, brake))
     refuse_impossible(pair())
     with pytest.raises(SceneError, match=r"^\[drag\] and \[brake\]: a scene has at most one force"):
         refuse_impossible(pair(drag={"relaxation_time": 2.0}))

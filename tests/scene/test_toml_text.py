@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from carom.scene.toml_text import toml_text
+from carom.scene.scene_file import toml_text
 
 text = st.text(st.characters(exclude_categories=["Cs"]), max_size=10)
 scalar = st.booleans() | st.integers(-(2**63), 2**63 - 1) | st.floats(allow_nan=False) | text

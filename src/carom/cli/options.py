@@ -25,7 +25,7 @@ class Seconds(float):
 
 def seconds(text: str) -> float:
     """Read a time: a plain number, or one with a unit, which becomes `Seconds`. NaN is refused."""
-    from carom.scene.units.unit import UnitError, nearest_float, quantity
+    from carom.scene.units.dimension import UnitError, nearest_float, quantity
 
     try:
         value = float(text)

@@ -6,9 +6,9 @@ import math
 from dataclasses import dataclass
 from typing import Literal
 
-from carom.plan import acting_forces, contact_parts
-from carom.plan.contact_parts import forced_parts
+from carom.plan import interactions
 from carom.plan.hierarchy import FEWEST_ORBITS, far_apart, orbits_often
+from carom.plan.interactions import forced_parts
 from carom.scene.forces import MOST_RELAXATIONS
 from carom.scene.integrators import AUTO, INTEGRATORS, Integrator, integrator_called
 from carom.scene.matter import body_mass, made_of, mean_mass
@@ -59,7 +59,7 @@ def gravity_method(scene: Scene) -> Literal["direct", "tree", "fast-multipole", 
     `TREE_FROM`. Below that, a tree saves milliseconds at most, and the direct sum conserves momentum to round-off.
     """
     method = scene.gravity.method
-    if method == "none" or not (acting_forces.gravity(scene).modelled or "gravity" in forced_parts(scene)):
+    if method == "none" or not (interactions.gravity(scene).modelled or "gravity" in forced_parts(scene)):
         return "none"
     if method == "auto":
         return "direct" if scene.count < TREE_FROM else "tree"
@@ -85,7 +85,7 @@ def why_late(scene: Scene) -> str:
     asked, chosen = scene.contact.timing, integrator(scene)
     if asked != "auto":
         return f'contact.timing = "{asked}"' if asked == "end-of-step" else ""
-    if not contact_parts.contact(scene).modelled:
+    if not interactions.contact(scene).modelled:
         return "no contact is possible"
     # with an accuracy, `limits` refuses any other integrator
     if chosen.locates_impacts or scene.time.accuracy is not None:
@@ -101,14 +101,14 @@ def inexact_impacts(scene: Scene) -> str:
     speed.
     """
     chosen = integrator(scene)
-    if not contact_parts.contact(scene).modelled or chosen.ends_steps_at_impacts or scene.time.accuracy is not None:
+    if not interactions.contact(scene).modelled or chosen.ends_steps_at_impacts or scene.time.accuracy is not None:
         return ""
     if why_late(scene):
         return f"impacts are detected up to a step late, with an overlap: {why_late(scene)}"
     second_order = "approach speeds of impacts are accurate to second order in the step"
-    if force := acting_forces.further(scene):
+    if force := interactions.further(scene):
         return f"{force} changes during a step: {second_order}"
-    if scene.domain.boundary == "periodic" and scene.anchored and acting_forces.pushing(scene):
+    if scene.domain.boundary == "periodic" and scene.anchored and interactions.pushing(scene):
         return f"paths are straight within a step in a periodic box: with fixed bodies, {second_order}"
     if scene.drag and (scene.time.fixed_dt or largest_step(scene)) > MOST_RELAXATIONS * scene.drag.relaxation_time:
         longest = scene.unit_system.text(MOST_RELAXATIONS * scene.drag.relaxation_time, TIME, "g")
@@ -116,7 +116,7 @@ def inexact_impacts(scene: Scene) -> str:
             f"steps may exceed {MOST_RELAXATIONS:g} relaxation times of the drag, and impacts in such steps are "
             f"accurate only to first order; set time.max_dt = {longest} for exact impacts"
         )
-    if not acting_forces.gravity(scene).modelled:
+    if not interactions.gravity(scene).modelled:
         return ""
     error = _error_by_gravity(scene)
     if error <= EXACT_IMPACT:
@@ -127,9 +127,9 @@ def inexact_impacts(scene: Scene) -> str:
 
 def ended_bounces(scene: Scene) -> str:
     """Return a sentence about bounces that become resting contacts; empty if there are none."""
-    contact = contact_parts.contact(scene)
-    bounces = contact_parts.restitution(scene, contact).modelled and not integrator(scene).ends_steps_at_impacts
-    if not (bounces and contact_parts.resting(scene, contact).modelled):
+    contact = interactions.contact(scene)
+    bounces = interactions.restitution(scene, contact).modelled and not integrator(scene).ends_steps_at_impacts
+    if not (bounces and interactions.resting(scene, contact).modelled):
         return ""
     if why_late(scene) or scene.contact.solver == "staged":
         return "contacts with a closing speed below about 2 a dt do not bounce"
@@ -186,20 +186,20 @@ def _meets_seldom(scene: Scene) -> bool:
     With leapfrog's steps of at most a second, eighty years of a comet took hours. Gauss–Radau takes a second.
     """
     if not (
-        contact_parts.contact(scene).modelled and acting_forces.gravity(scene).modelled and _bounces_on_curves(scene)
+        interactions.contact(scene).modelled and interactions.gravity(scene).modelled and _bounces_on_curves(scene)
     ):
         return False
-    alone = scene.domain.boundary == "open" and not (scene.plane or scene.wall) and not acting_forces.pushing(scene)
+    alone = scene.domain.boundary == "open" and not (scene.plane or scene.wall) and not interactions.pushing(scene)
     as_usual = scene.contact.timing == "auto" and scene.contact.sleep is None
-    drifts = contact_parts.moves_relatively(scene)  # bodies that start at rest fall towards each other
+    drifts = interactions.moves_relatively(scene)  # bodies that start at rest fall towards each other
     return alone and as_usual and drifts and _leaves_step_free(scene) and far_apart(scene)
 
 
 def _accurate(scene: Scene) -> str:
     """Return the integrator with the lowest cost for an accuracy, before a look-ahead may find a cheaper one."""
-    if contact_parts.contact(scene).modelled:
+    if interactions.contact(scene).modelled:
         return "gauss-radau15" if _bounces_on_curves(scene) else "leapfrog"
-    if acting_forces.damping(scene) or not acting_forces.differing(scene) or scene.domain.is_periodic:
+    if interactions.damping(scene) or not interactions.differing(scene) or scene.domain.is_periodic:
         return "leapfrog"
     by_pairs = scene.gravity.method not in TREES and scene.count < TREE_FROM
     return "gauss-radau15" if by_pairs else "yoshida4"
@@ -207,7 +207,7 @@ def _accurate(scene: Scene) -> str:
 
 def _bounces_on_curves(scene: Scene) -> bool:
     """Return whether a few colliding bodies move on curves, so that a high order between impacts is worthwhile."""
-    bent = contact_parts.load(scene) != "" and not acting_forces.damping(scene)
+    bent = interactions.load(scene) != "" and not interactions.damping(scene)
     open_space = not scene.domain.is_periodic and not scene.contact.allow_overlap
     return bent and open_space and scene.gravity.method not in TREES and scene.count <= BOUNCES_UP_TO
 
@@ -229,7 +229,7 @@ def _leaves_step_free(scene: Scene) -> bool:
 
 
 def _is_smooth(scene: Scene) -> bool:
-    if not acting_forces.differing(scene) or contact_parts.contact(scene).modelled or acting_forces.damping(scene):
+    if not interactions.differing(scene) or interactions.contact(scene).modelled or interactions.damping(scene):
         return False
     resolved = scene.time.fixed_dt is None and pull_fraction(scene) is not None  # a step that resolves each encounter
     return scene.count <= (PAIRS_UP_TO if resolved else SMOOTH_UP_TO)
@@ -256,8 +256,8 @@ def target_dx(scene: Scene) -> float | None:
     """
     if scene.time.target_dx != "auto":
         return scene.time.target_dx
-    if not contact_parts.contact(scene).modelled and (
-        acting_forces.gravity(scene).modelled or not acting_forces.differing(scene)
+    if not interactions.contact(scene).modelled and (
+        interactions.gravity(scene).modelled or not interactions.differing(scene)
     ):
         return None
     return auto_step(scene) ** 2 * smallest_radius(scene)
@@ -271,8 +271,8 @@ def held_dx(scene: Scene) -> float | None:
     """
     if scene.time.target_dx != "auto" or scene.count >= STEP_GROWS_UP_TO or scene.contact.solver != "lasting":
         return None
-    contact = contact_parts.contact(scene)
-    if not contact_parts.resting(scene, contact).modelled:
+    contact = interactions.contact(scene)
+    if not interactions.resting(scene, contact).modelled:
         return None
     return (STEP_PER_BODY * STEP_GROWS_UP_TO) ** 2 * smallest_radius(scene)
 
@@ -281,9 +281,9 @@ def cfl(scene: Scene) -> float | None:
     """Return the fraction of its own radius that a body may move in a step; None for no limit."""
     if scene.time.cfl != "auto":
         return scene.time.cfl
-    if not contact_parts.contact(scene).modelled:
+    if not interactions.contact(scene).modelled:
         return None
-    return FREE_CFL if timing(scene) == "time-of-impact" and not contact_parts.load(scene) else LATE_CFL
+    return FREE_CFL if timing(scene) == "time-of-impact" and not interactions.load(scene) else LATE_CFL
 
 
 def pull_fraction(scene: Scene) -> float | None:
@@ -291,11 +291,11 @@ def pull_fraction(scene: Scene) -> float | None:
 
     By default it replaces the limits by radius in scenes without contacts, unless the scene sets ``target_dx``.
     """
-    if not acting_forces.gravity(scene).modelled:
+    if not interactions.gravity(scene).modelled:
         return None
     if scene.time.pull_fraction != "auto":
         return scene.time.pull_fraction
-    if contact_parts.contact(scene).modelled or scene.time.target_dx != "auto":
+    if interactions.contact(scene).modelled or scene.time.target_dx != "auto":
         return None
     return PAIR_FRACTION if scene.count <= PAIRS_UP_TO else PULL_FRACTION
 

@@ -8,10 +8,10 @@ from typing import NamedTuple
 
 from carom import registry
 from carom.errors import SceneError
-from carom.plan.acting_forces import dampings, differing, pushing
 from carom.plan.auto import gravity_method, integrator, uses_tree
 from carom.plan.features import require
 from carom.plan.hierarchy import why_no_hierarchy
+from carom.plan.interactions import dampings, differing, pushing
 from carom.scene.forces import DRAG, BodyForce, PairForce, force_called
 from carom.scene.integrators import ENCOUNTERS_BY
 from carom.scene.key_places import KeyPath, naming_places

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from carom.errors import SceneError
-from carom.plan import acting_forces, contact_parts
+from carom.plan import interactions
 from carom.plan.auto import (
     BOUNCES_UP_TO,
     PAIRS_UP_TO,
@@ -29,8 +29,8 @@ from carom.plan.auto import (
     uses_tree,
     why_late,
 )
-from carom.plan.contact_parts import forced_parts
 from carom.plan.hierarchy import heaviest, orbits_often
+from carom.plan.interactions import forced_parts
 from carom.scene.forces import GRAVITY, UNIFORM_FIELD, kinds_of
 from carom.scene.integrators import AUTO
 from carom.scene.parts import Part, in_order
@@ -127,10 +127,10 @@ def _decide(scene: Scene, forced: Mapping[str, str]) -> Requirements:
             raise SceneError(f"model.force: {forced[part.name]} cannot be forced on: {contradiction}")
         return Part(part.name, True, part.why)
 
-    forces = {kind.name: decide(acting_forces.part(kind, scene)) for kind in kinds_of(scene)}
-    contact = decide(contact_parts.contact(scene))
-    friction = decide(contact_parts.friction(scene, contact))
-    torque = decide(contact_parts.torque(friction))
+    forces = {kind.name: decide(interactions.part(kind, scene)) for kind in kinds_of(scene)}
+    contact = decide(interactions.contact(scene))
+    friction = decide(interactions.friction(scene, contact))
+    torque = decide(interactions.torque(friction))
     return Requirements(
         warm_up=decide(_warm_up(scene)),
         adaptive_step=decide(_adaptive_step(scene)),
@@ -139,16 +139,16 @@ def _decide(scene: Scene, forced: Mapping[str, str]) -> Requirements:
         spin=decide(_spin(scene, friction)),
         orientation=decide(_orientation(scene, friction)),
         contact=contact,
-        broad_phase=decide(contact_parts.broad_phase(scene, contact)),
-        narrow_phase=decide(contact_parts.narrow_phase(contact)),
+        broad_phase=decide(interactions.broad_phase(scene, contact)),
+        narrow_phase=decide(interactions.narrow_phase(contact)),
         impact_time=decide(_impact_time(scene, contact)),
-        colouring=decide(contact_parts.colouring(scene, contact)),
-        stabilisation=decide(contact_parts.stabilisation(scene, contact)),
+        colouring=decide(interactions.colouring(scene, contact)),
+        stabilisation=decide(interactions.stabilisation(scene, contact)),
         forces=forces,
         tree=decide(_tree(scene)),
         potential=decide(_potential(scene, forces[GRAVITY.name])),
-        resting=decide(contact_parts.resting(scene, contact)),
-        restitution=decide(contact_parts.restitution(scene, contact)),
+        resting=decide(interactions.resting(scene, contact)),
+        restitution=decide(interactions.restitution(scene, contact)),
         friction=friction,
         torque=torque,
         energy=Part("energy", True, f"checked every {scene.record.check_every} steps and {_times(scene)}; the ledger"),
@@ -204,13 +204,13 @@ def _times(scene: Scene) -> str:
 def _impact_time(scene: Scene, contact: Part) -> Part:
     name, late, chosen = "time-of-impact", why_late(scene), integrator(scene)
     if chosen.ends_steps_at_impacts:
-        return contact_parts.where_bodies_meet(name, contact, f"steps of {chosen.name} end at impacts")
+        return interactions.where_bodies_meet(name, contact, f"steps of {chosen.name} end at impacts")
     if contact.modelled and late:
         return Part(name, False, f"{late}: impacts are resolved up to a step late")
     why = "impacts are resolved at their exact times within a step"
     if scene.contact.timing == "time-of-impact":
         why = f'contact.timing = "time-of-impact": {why}'
-    return contact_parts.where_bodies_meet(name, contact, why)
+    return interactions.where_bodies_meet(name, contact, why)
 
 
 def _spin(scene: Scene, friction: Part) -> Part:
@@ -243,9 +243,9 @@ def _integrator(scene: Scene) -> Part:
         heavy, fraction = heaviest(scene)
         turns = f"the innermost body completes {orbits_often(scene):.3g} orbits"
         return Part(name, True, f"{chosen}: {heavy} has {100.0 * fraction:.5g} % of the mass, and {turns}")
-    if scene.time.accuracy is not None and (chosen != "leapfrog" or contact_parts.load(scene)):
+    if scene.time.accuracy is not None and (chosen != "leapfrog" or interactions.load(scene)):
         return Part(name, True, f"{chosen}: {_why_accurate(scene, chosen)}")
-    if chosen == "gauss-radau15" and contact_parts.contact(scene).modelled:
+    if chosen == "gauss-radau15" and interactions.contact(scene).modelled:
         why = f"{scene.count} bodies start far apart and seldom collide; impacts end its steps"
         return Part(name, True, f"{chosen}: {why}")
     if chosen == "gauss-radau15":
@@ -253,11 +253,11 @@ def _integrator(scene: Scene) -> Part:
         return Part(name, True, f"{chosen}: {why}")
     if chosen == "yoshida4":
         return Part(name, True, f"yoshida4: {scene.count} bodies attract each other, and no contact is modelled")
-    if force := acting_forces.damping(scene):
+    if force := interactions.damping(scene):
         why = f"the only integrator that supports {force.name}"
-    elif not acting_forces.differing(scene):
+    elif not interactions.differing(scene):
         why = "exact between impacts, since bodies do not attract each other"
-    elif contact_parts.contact(scene).modelled:
+    elif interactions.contact(scene).modelled:
         late = timing(scene) == "end-of-step"
         why = f"contacts are detected {'at the end' if late else 'in the single drift'} of a step"
     else:
@@ -271,11 +271,11 @@ def _why_accurate(scene: Scene, chosen: str) -> str:
         return f"the accuracy, and {_not_by_pairs(scene)}"
     if chosen == "wisdom-holman":
         return "the bodies orbit a dominant one, and it is cheaper than gauss-radau15 at this accuracy"
-    if chosen == "gauss-radau15" and contact_parts.contact(scene).modelled:
+    if chosen == "gauss-radau15" and interactions.contact(scene).modelled:
         return "its steps end at impacts and have only rounding errors; leapfrog takes over when contacts come to rest"
     if chosen == "gauss-radau15":
         return "cheapest for the accuracy, and no contact is modelled"
-    if force := acting_forces.damping(scene):
+    if force := interactions.damping(scene):
         return f"the only integrator that supports {force.name}"
     if scene.count > BOUNCES_UP_TO:
         return f"{scene.count} bodies, more than {BOUNCES_UP_TO}, which gauss-radau15 would stop at each impact"

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from carom.plan import acting_forces, contact_parts
+from carom.plan import interactions
 from carom.scene.matter import body_mass, made_of, mean_mass
 from carom.scene.schema import Scene
 from carom.scene.units.dimension import LENGTH
@@ -71,7 +71,7 @@ def heaviest(scene: Scene) -> Heaviest:
 def why_no_hierarchy(scene: Scene) -> str:
     """Return why the bodies do not orbit a dominant one, and the remedy; empty if they do."""
     gravity = scene.gravity
-    if not acting_forces.gravity(scene).modelled:
+    if not interactions.gravity(scene).modelled:
         return 'without gravity between bodies; use "auto"'
     if gravity.softening > 0.0:
         soft = f"gravity.softening = {scene.unit_system.text(gravity.softening, LENGTH)}"
@@ -95,7 +95,7 @@ def orbits_often(scene: Scene, hill_radii: float = HILL_RADII_APART) -> float:
     """Return the number of revolutions of the innermost body about a dominant one; 0 if orbits are too close."""
     if scene.group or not 3 <= scene.count <= MOST_BODIES:
         return 0.0
-    if contact_parts.contact(scene).modelled or acting_forces.damping(scene) or why_no_hierarchy(scene):
+    if interactions.contact(scene).modelled or interactions.damping(scene) or why_no_hierarchy(scene):
         return 0.0
     orbits = _orbits(scene)
     if orbits is None or not all(

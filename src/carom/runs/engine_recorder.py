@@ -39,9 +39,8 @@ from carom.recording.source.population import Population, ids_of
 from carom.recording.write.whole_file import claimed_output, refuse_name
 from carom.runs.environment import environment
 from carom.runs.snapshot_writer import SnapshotWriter, Unrecorded, sentence_of
-from carom.scene.units.dimension import TIME
+from carom.scene.units.dimension import TIME, UnitError
 from carom.scene.units.system import SI, UnitSystem
-from carom.scene.units.unit import UnitError
 
 COMPLETED = "completed"
 

@@ -31,7 +31,7 @@ from carom.runs.outcome import (
     value_shown,
 )
 from carom.runs.replay import Replay, replay
-from carom.scene.extensions import stamped
+from carom.scene.parts import stamped
 from carom.scene.units.dimension import ENERGY, TIME
 from carom.scene.units.system import UnitSystem
 from carom.scene.wording import command, counted, escaped

@@ -28,7 +28,7 @@ from carom.recording.write.recorder import FrameRecorder
 from carom.recording.write.whole_file import Claim, claimed_output, default_output, refuse_name
 from carom.runs.environment import Interrupts, environment, garbage_sought_seldom
 from carom.runs.outcome import EACH, ONCE_A_STEP, Verdict, closing_of, description, judge
-from carom.scene.extensions import extensions_of
+from carom.scene.parts import extensions_of
 from carom.scene.schema import Scene
 from carom.scene.schema.settings import LARGEST_ACCURACY
 from carom.scene.start import planes_of

@@ -14,9 +14,8 @@ from pydantic import BaseModel
 
 from carom.scene.key_places import KeyPath
 from carom.scene.schema import Gravity, Scene
-from carom.scene.units.dimension import GRAVITATIONAL_CONSTANT, NAMED, Dimension
+from carom.scene.units.dimension import GRAVITATIONAL_CONSTANT, NAMED, Dimension, UnitError, unit_of
 from carom.scene.units.system import SI, UnitSystem
-from carom.scene.units.unit import UnitError, unit_of
 from carom.scene.wording import suggestion
 
 _NUMBERS = {float, int}

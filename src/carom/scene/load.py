@@ -34,12 +34,11 @@ from carom.scene.overrides import (
     old_names,
     other_name,
 )
-from carom.scene.scene_file import LARGEST_FILE, read_text, scene_path
+from carom.scene.scene_file import LARGEST_FILE, read_text, scene_path, toml_text
 from carom.scene.schema import Scene
 from carom.scene.schema.body import BodyData
 from carom.scene.schema.contact import Material
 from carom.scene.schema.scene import know_installed_parts
-from carom.scene.toml_text import toml_text
 from carom.scene.units.system import UnitSystem
 
 _LARGEST_BESIDES_BODIES = 4_000_000  # characters

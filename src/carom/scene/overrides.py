@@ -11,9 +11,9 @@ import tomlkit
 from carom.errors import SceneError
 from carom.scene.explanation import hint
 from carom.scene.key_places import DEEPEST, KeyPath
+from carom.scene.scene_file import parse_value
 from carom.scene.schema import Scene, Time
 from carom.scene.schema.promise import ABOUT_THE_END
-from carom.scene.toml_text import parse_value
 
 RENAMED: dict[KeyPath, KeyPath] = {("record", "log_freq"): ("record", "check_every")}  # old name to new name
 

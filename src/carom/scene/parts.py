@@ -1,12 +1,21 @@
-"""The parts of the model, by the names that `carom explain` prints and `model.force` accepts."""
+"""The parts of the model by name, and the parts of installed packages that a scene uses.
+
+`carom explain` prints the names of parts and `model.force` accepts them. The properties of a recording name the parts
+of installed packages.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
+from carom import registry
 from carom.scene.forces import FORCES, GRAVITY
 from carom.scene.wording import suggestion
+
+if TYPE_CHECKING:
+    from carom.scene.schema import Scene
 
 PARTS = (  # in the order in which a step uses them
     "warm-up",
@@ -31,6 +40,7 @@ PARTS = (  # in the order in which a step uses them
     "torque",
     "energy",
 )
+PROPERTY = "extension."  # before kind.name, in the properties of a recording that state the package and its version
 
 
 @dataclass(frozen=True)
@@ -52,3 +62,43 @@ def in_order(names: Iterable[str]) -> tuple[str, ...]:
 def unknown(name: str) -> str:
     """Return the message about an unknown part, with the nearest known name."""
     return f'no part "{name}"; {suggestion(name, PARTS)}'
+
+
+def extensions_of(scene: Scene) -> dict[str, str]:
+    """Return the package and version of each part that a scene uses from installed packages, by kind.name."""
+    found = ((f"{kind}.{name}", registry.origin(kind, name)) for kind, name in _used(scene))
+    return {key: f"{origin.package} {origin.version}" for key, origin in found if origin}
+
+
+def _used(scene: Scene) -> Iterator[tuple[str, str]]:
+    yield from (("forces", name) for name in scene.forces.given)
+    yield from (("contact_laws", name) for name in scene.contact.laws)
+    yield from (("walls", wall.shape) for wall in scene.wall)
+    yield from (("series", name) for name in scene.record.series)
+    if scene.time.integrator in registry.installed("integrators"):
+        yield "integrators", scene.time.integrator
+
+
+def stamped(properties: Mapping[str, Any]) -> dict[str, str]:
+    """Return `extensions_of` the scene of a recording, from its properties."""
+    known = {key.removeprefix(PROPERTY): str(value) for key, value in properties.items() if key.startswith(PROPERTY)}
+    return dict(sorted(known.items()))
+
+
+def names_of(kind: str, extensions: Mapping[str, str]) -> list[str]:
+    """Return the names of the parts of a kind."""
+    return [key.removeprefix(f"{kind}.") for key in extensions if key.startswith(f"{kind}.")]
+
+
+def missing(extensions: Mapping[str, str]) -> str:
+    """Return a sentence with the packages to install for missing parts of a recording; empty if none is missing."""
+    lost: dict[str, list[str]] = {}
+    for key, package in extensions.items():
+        kind, _, name = key.partition(".")
+        if kind in registry.KINDS and name not in registry.installed(kind):
+            lost.setdefault(package, []).append(f'the {registry.KINDS[kind]} "{name}"')
+    return "; ".join(
+        f"it uses {' and '.join(parts)} of the package {package}, which is not installed: "
+        f"pip install {package.replace(' ', '==')}"
+        for package, parts in lost.items()
+    )

@@ -10,7 +10,7 @@ from typing import Any
 
 import tomlkit
 
-from carom.scene.toml_text import parse_value
+from carom.scene.scene_file import parse_value
 
 Values = tuple[Any, ...]  # TOML values: numbers, strings, booleans, lists
 

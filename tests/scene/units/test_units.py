@@ -12,9 +12,20 @@ import pytest
 from carom.errors import SceneError
 from carom.scene.load import scene_from_text
 from carom.scene.schema import Scene
-from carom.scene.units.dimension import DIMENSIONS, ENERGY, LENGTH, TIME, Dimension
+from carom.scene.units.dimension import (
+    DIMENSIONS,
+    ENERGY,
+    LENGTH,
+    TIME,
+    Dimension,
+    UnitError,
+    _joined,
+    _with_signs,
+    names,
+    quantity,
+    unit,
+)
 from carom.scene.units.system import SI, UnitSystem
-from carom.scene.units.unit import UnitError, _joined, _with_signs, names, quantity, unit
 from carom.scene.variation import texts_of, values_of
 
 ONE_BODY = "[[body]]\nradius = 1.0\n"

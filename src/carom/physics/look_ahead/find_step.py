@@ -49,7 +49,7 @@ from carom.physics.look_ahead.error_growth import (
 from carom.physics.look_ahead.orbits import look_at_orbits
 from carom.physics.look_ahead.trial_run import LEAST, TrialRun, Watcher, WorkBudget, radau_work
 from carom.physics.placement import place
-from carom.plan import acting_forces
+from carom.plan import interactions
 from carom.plan.auto import auto_interval, integrator, largest_step
 from carom.plan.features import require
 from carom.plan.hierarchy import orbits_often
@@ -183,7 +183,7 @@ class _LookAhead:
     def _is_exact(self) -> bool:
         """Whether steps of any length are exact: without contacts, and with uniform fields and drag only."""
         needs = require(self._scene)
-        return not (needs.contact.modelled or acting_forces.differing(self._scene))
+        return not (needs.contact.modelled or interactions.differing(self._scene))
 
     @property
     def _is_rough(self) -> bool:

@@ -20,9 +20,9 @@ from carom.recording.schema.header import COLOUR_BY, Header, ShownMaterials, mot
 from carom.recording.schema.paths import ENERGY, SIM_TIME, STEP, STEPS
 from carom.recording.schema.series import all_series
 from carom.scene.data.body_sources import SourcedBodies, Wanted
-from carom.scene.extensions import missing, names_of, stamped
 from carom.scene.forces import FORCES
 from carom.scene.load import longest_text, scene_from_text
+from carom.scene.parts import missing, names_of, stamped
 from carom.scene.schema import Scene
 from carom.scene.schema.motion import WallMotion
 from carom.scene.schema.wall import Wall

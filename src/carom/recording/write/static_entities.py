@@ -18,8 +18,8 @@ from carom.recording.schema import palette, paths
 from carom.recording.schema.header import STATIC_COLOURS, Header, Scalar, TimeScale, scene_digest
 from carom.recording.schema.paths import ANGULAR_ACCELERATION, FORCE_NORMAL, TORQUE
 from carom.recording.schema.series import recorded
-from carom.scene.extensions import PROPERTY
 from carom.scene.forces import FORCES, GRAVITY, UNIFORM_FIELD
+from carom.scene.parts import PROPERTY
 from carom.scene.portable_math import ENDLESS
 from carom.scene.units.dimension import LENGTH, MASS, RATE, TIME
 from carom.scene.wall_shapes import SIDES, Mesh, shape_called

@@ -11,9 +11,8 @@ from carom.errors import SceneError
 from carom.scene.data.formats import BODY, STEP
 from carom.scene.schema.body import BodyData
 from carom.scene.schema.contact import Material
-from carom.scene.units.dimension import BASE, Dimension
+from carom.scene.units.dimension import BASE, Dimension, UnitError, nearest_float, unit, unit_of
 from carom.scene.units.system import UnitSystem
-from carom.scene.units.unit import UnitError, nearest_float, unit, unit_of
 from carom.scene.wording import suggestion
 
 QUANTITIES = (

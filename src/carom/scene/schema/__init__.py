@@ -8,8 +8,7 @@ import warnings
 from typing import Any
 
 from carom.scene.schema.body import Body, BodyData, BodyGroup, RadiusRange, Region, SolidPlane, Spin, Velocity
-from carom.scene.schema.contact import Coefficients, ContactSettings, Material, MaterialPair
-from carom.scene.schema.force_settings import Drag, Gravity
+from carom.scene.schema.contact import Coefficients, ContactSettings, Drag, Gravity, Material, MaterialPair
 from carom.scene.schema.promise import Expect, Promise, Sweep
 from carom.scene.schema.quantity import LARGEST
 from carom.scene.schema.scene import Scene

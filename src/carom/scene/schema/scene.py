@@ -13,12 +13,13 @@ from carom.scene.schema.body import Body, BodyData, BodyGroup, SolidPlane
 from carom.scene.schema.contact import (
     DEFAULT,
     ContactSettings,
+    Forces,
     Material,
     MaterialPair,
     know_contact_laws,
+    know_installed_forces,
     law_sections,
 )
-from carom.scene.schema.force_settings import Forces, know_installed_forces
 from carom.scene.schema.promise import Expect, Promise, Sweep
 from carom.scene.schema.quantity import SectionError
 from carom.scene.schema.settings import Domain, ForcedParts, Heading, Record

@@ -9,8 +9,7 @@ from pydantic import Field, model_validator
 from pydantic.fields import FieldInfo
 
 from carom import registry
-from carom.scene.schema.contact import Surface
-from carom.scene.schema.force_settings import section_of
+from carom.scene.schema.contact import Surface, section_of
 from carom.scene.schema.motion import WallMotion
 from carom.scene.schema.quantity import Section
 from carom.scene.wall_shapes import shape_called

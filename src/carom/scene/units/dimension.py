@@ -1,16 +1,73 @@
-"""The dimensions of the quantities in a scene and in the output of carom, each with its SI unit."""
+"""The dimensions of quantities with their SI units, and all units: names, sizes in SI, and texts such as "3 km".
+
+This is the only module that imports pint. The definitions of units are carom's own and exact (`definitions.txt`). A
+conversion is a product of fractions that is rounded once, with the same bits for every version of pint and on every
+machine. pint takes a quarter of a second to import, so it is imported when the first unit is read. Prefixes are
+accepted only where they are customary: with all prefixes, typing errors such as "12 hh" would be valid units
+(hectohours).
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import difflib
+import re
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
+from fractions import Fraction
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+if TYPE_CHECKING:
+    from pint import UnitRegistry
 
 BASE = ("length", "time", "mass", "angle")
 
 _QUANTITY = r"^\s*[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?\s*\D"  # a number and the beginning of a unit
 
 Exponents = tuple[int, int, int, int]  # powers of the dimensions in `BASE`
+_SYMBOLS = tuple("qryzafpnµμumkMGTPEZY")
+_PREFIX_WORDS = (
+    "quecto",
+    "ronto",
+    "yocto",
+    "zepto",
+    "atto",
+    "femto",
+    "pico",
+    "nano",
+    "micro",
+    "milli",
+    "kilo",
+    "mega",
+    "giga",
+    "tera",
+    "peta",
+    "exa",
+    "zetta",
+    "yotta",
+)
+_FEW = ("n", "µ", "μ", "u", "m")
+_MANY = ("k", "M", "G", "T")
+
+# The prefixes of each unit. Symbols combine with symbols, words with words.
+_TAKEN: dict[str, Iterable[str]] = {
+    **dict.fromkeys(("m", "g", "L"), ("c", "d", "h", *_SYMBOLS)),
+    **dict.fromkeys(("s", "J", "N", "W", "Hz", "eV"), _SYMBOLS),
+    "Pa": ("h", *_SYMBOLS),
+    **dict.fromkeys(("pc", "yr", "ly", "t"), _MANY),
+    **dict.fromkeys(("rad", "arcsec", "sec"), _FEW),
+    "cal": ("k",),
+    **dict.fromkeys(("metre", "meter", "gram", "litre", "liter"), ("centi", "deci", "hecto", *_PREFIX_WORDS)),
+    **dict.fromkeys(
+        ("second", "joule", "newton", "watt", "hertz", "electron_volt", "radian", "arcsecond"), _PREFIX_WORDS
+    ),
+    "pascal": ("hecto", *_PREFIX_WORDS),
+    **dict.fromkeys(("parsec", "year", "tonne"), ("kilo", "mega", "giga", "tera")),
+    "calorie": ("kilo",),
+}
+_IRREGULAR = ("s", "x", "z", "i", "ch", "y", "foot", "feet")  # endings of words that take no plural s
+_SHORT = ("day", "deg", "erg", "hr", "lb", "min", "rev", "sec", "yr")  # exceptions with a plural s
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,3 +137,224 @@ NAMED = {dimension.plain: dimension for dimension in DIMENSIONS if dimension.pla
 OF_UNIT = {dimension.unit: dimension for dimension in DIMENSIONS}  # by SI unit
 # torque is excluded: it has the exponents of an energy
 OF_EXPONENTS = {dimension.exponents: dimension for dimension in DIMENSIONS}
+
+
+def written_names(defined: Iterable[str]) -> Iterator[str]:
+    """Yield all names of the defined units: their own, with prefixes, and in the plural."""
+    for name in defined:
+        takes_s = name in _SHORT or (len(name) > 3 and name.islower() and not name.endswith(_IRREGULAR))
+        for prefixed in (name, *(f"{prefix}{name}" for prefix in _TAKEN.get(name, ()))):
+            yield prefixed
+            if takes_s:
+                yield f"{prefixed}s"
+
+
+LONGEST = 80  # characters of a text that are read
+DEFINITIONS = Path(__file__).with_name("definitions.txt")
+
+_SUPERSCRIPTS = str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "-0123456789")
+_NAME = r"(?:[^\W\d]+|°)"
+_POWER = r"(?:\s*(?:\^|\*\*)\s*|(?<=[^\W\d°)]))[+-]?\d(?!\d)"  # one digit, so that no power takes long to compute
+_POWERS = re.compile(rf"({_NAME}|\)){_POWER.replace('[+-]', '([+-]').replace('(?!', ')(?!')}")
+_ONE = rf"{_NAME}(?:{_POWER})?"
+_TIMES = r"(?:\s*[*/·]\s*|\s+)"
+_GROUP = rf"(?:{_ONE}|\(\s*{_ONE}(?:{_TIMES}{_ONE})*\s*\)(?:{_POWER})?)"
+_UNIT = re.compile(rf"{_GROUP}(?:{_TIMES}{_GROUP})*")  # products and powers of names
+_WORDS = re.compile(r"([^\W\d]+) (?=([^\W\d]+))")
+_NAMES = re.compile(_NAME)
+_BESIDE = re.compile(r"(?<=[\w°)])\s+(?=[^\W\d]|[°(])")  # the space between two factors
+
+
+class UnitError(ValueError):
+    """A text is not the name of a unit, or of a unit of another dimension."""
+
+
+class UnknownUnitError(UnitError):
+    """A name is not a unit."""
+
+    def __init__(self, name: str, known: Iterable[str]) -> None:
+        near = _nearest(name, known)
+        # the usual form of a name of several words; symbols with capitals are unchanged
+        hint = f' (did you mean "{near.replace("_", " ") if near.islower() else near}"?)' if near else ""
+        super().__init__(f'there is no unit "{name}"{hint}')
+        self.name = name
+
+
+@dataclass(frozen=True, slots=True)
+class Unit:
+    """A unit: its exact size in SI, and its dimension."""
+
+    size: Fraction  # in SI units
+    exponents: Exponents
+
+    @property
+    def dimension(self) -> Dimension | None:
+        """Its dimension, if it is one of the quantities in a scene."""
+        return OF_EXPONENTS.get(self.exponents)
+
+
+@cache
+def unit(text: str) -> Unit:
+    """Read a unit such as "km", "g/cm^3", "m s⁻²" or "solar mass".
+
+    Raises
+    ------
+    UnitError
+        If the text is not a unit; the message names the most similar one.
+    """
+    written = _joined(text.strip().translate(_SUPERSCRIPTS)) if len(text) <= LONGEST else ""
+    if not _UNIT.fullmatch(written):
+        raise UnitError(f'"{text[:LONGEST]}" is not a unit')
+    for name in _NAMES.findall(written):
+        if name not in _written():
+            raise UnknownUnitError(name, _written())
+    known: Any = registry()
+    try:
+        size, base = known.get_root_units(_with_signs(written))
+        dimensions = known.get_dimensionality(base)
+    except Exception:  # from another package's parser: a user's text must never cause a traceback
+        raise UnitError(f'"{text}" is not a unit') from None
+    exponents = tuple(int(dimensions.get(f"[{name}]", 0)) for name in BASE)
+    return Unit(
+        Fraction(size) / Fraction(1000) ** exponents[2], (exponents[0], exponents[1], exponents[2], exponents[3])
+    )
+
+
+def unit_of(text: str, dimension: Dimension) -> Unit:
+    """Read a unit of a dimension.
+
+    Raises
+    ------
+    UnitError
+        If the text is not a unit, or one of another dimension.
+    """
+    try:
+        known = unit(text)
+    except UnknownUnitError as error:
+        if error.name != text.strip():  # a unit in a product, which may have any dimension
+            raise
+        alike = set(written_names(name for name in names() if unit(name).exponents == dimension.exponents))
+        raise UnknownUnitError(error.name, alike if _nearest(error.name, alike) else _written()) from None
+    if known.exponents != dimension.exponents:
+        what = f"{known.dimension.called}, not" if known.dimension else "not"
+        raise UnitError(f'"{text.strip()}" is {what} {dimension.called}')
+    return known
+
+
+@cache
+def registry() -> UnitRegistry[Any]:
+    """Return the registry of the units that carom knows."""
+    from pint import UnitRegistry  # noqa: PLC0415 - slow to import, and most scenes need none
+
+    units: UnitRegistry[Any] = UnitRegistry(None, non_int_type=Fraction)
+    for line in DEFINITIONS.read_text(encoding="utf-8").splitlines():
+        if line and not line.startswith("#"):
+            units.define(line)
+    return units
+
+
+def names() -> Iterator[str]:
+    """Return the names of all units, in the order of their definitions."""
+    for line in DEFINITIONS.read_text(encoding="utf-8").splitlines():
+        first, *others = (part.strip() for part in line.split("="))
+        if line and not line.startswith("#") and not first.endswith("-"):
+            yield from (first, *(other for other in others[1:] if other != "_"))
+
+
+def _with_signs(written: str) -> str:
+    """Write products and powers with signs: pint 0.26 reads "m (km/s)^2" as (m km/s)²."""
+    powers = _POWERS.sub(r"\1**\2", written).replace("·", "*")
+    return _BESIDE.sub("*", powers)
+
+
+def _joined(text: str) -> str:
+    """Join words that form one name, such as "solar mass", by an underscore."""
+    known = set(names())
+    return _WORDS.sub(lambda pair: f"{pair[1]}{'_' if f'{pair[1]}_{pair[2]}' in known else ' '}", text)
+
+
+@cache
+def _written() -> frozenset[str]:
+    """Return all accepted names of units, with prefixes and in the plural."""
+    return frozenset(written_names(names()))
+
+
+def _nearest(name: str, known: Iterable[str]) -> str:
+    """Return the most similar of some names, ignoring case; empty if none is similar."""
+    by_lower: dict[str, list[str]] = {}
+    for word in sorted(known):
+        by_lower.setdefault(word.lower(), []).append(word)
+    near = difflib.get_close_matches(name.lower(), by_lower, n=1, cutoff=0.6)
+    return max(by_lower[near[0]], key=lambda word: difflib.SequenceMatcher(None, name, word).ratio()) if near else ""
+
+
+_NUMBER_WITH_UNIT = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d{1,3})?)(.*)", re.DOTALL)
+
+_THOUSANDS = re.compile(r"\s*[+-]?\d{1,3},\d{3}(,\d{3})+(?![\d,.])")
+_DECIMAL_COMMA, _POINT = re.compile(r"\s*([+-]?\d+),(?=\d)"), r"\1."
+
+
+def quantity(text: str, dimension: Dimension) -> Fraction:
+    """Read a quantity of a dimension; return it exactly, in SI.
+
+    Raises
+    ------
+    UnitError
+        If the text is not a number with a unit of that dimension. The message names a valid form.
+    """
+    parts = _parts(text)
+    if text.lstrip().startswith("["):
+        raise UnitError(f"a list, in which each text needs quotes{_such_as(dimension)}")
+    if _THOUSANDS.match(text):
+        raise UnitError(f'commas between thousands; write "{text.replace(",", "").strip()}"')
+    if text.count(",") > 1:
+        raise UnitError(f"several numbers need brackets: [{text.strip()[:LONGEST]}]")
+    if not parts:
+        raise UnitError(f"expected a number, or a text with a unit{_such_as(dimension)}")
+    if _DECIMAL_COMMA.match(text):
+        raise UnitError(f'a decimal comma; write "{_DECIMAL_COMMA.sub(_POINT, text).strip()}"')
+    if not parts[2].strip():
+        raise UnitError(
+            f"a text needs a unit{_such_as(dimension)}; for {dimension.unit} write the number without quotes"
+        )
+    try:
+        return Fraction(parts[1]) * unit_of(parts[2], dimension).size
+    except UnitError as error:
+        raise UnitError(f"{error}; expected {dimension.called}{_such_as(dimension)}") from None
+
+
+def _parts(text: str) -> re.Match[str] | None:
+    """Split a text into a number and a unit; None if it does not begin with a number."""
+    return _NUMBER_WITH_UNIT.fullmatch(text) if len(text) <= LONGEST else None
+
+
+class Physical(NamedTuple):
+    """A quantity of any dimension."""
+
+    size: Fraction  # in SI
+    unit: Unit
+    unit_text: str  # as written
+
+
+def physical(text: str) -> Physical | None:
+    """Read a quantity of any dimension; None if the text is not one."""
+    parts = _parts(text)
+    if not parts or not parts[2].strip():
+        return None
+    try:
+        of = unit(parts[2])
+    except UnitError:
+        return None
+    return Physical(Fraction(parts[1]) * of.size, of, parts[2].strip())
+
+
+def nearest_float(value: Fraction) -> float:
+    """Return the nearest double; infinity beyond the largest, which a scene refuses like any other infinity."""
+    try:
+        return float(value)
+    except OverflowError:
+        return float("inf") if value > 0 else float("-inf")
+
+
+def _such_as(dimension: Dimension) -> str:
+    return f', such as "{dimension.example}"'

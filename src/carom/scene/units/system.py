@@ -7,8 +7,20 @@ from dataclasses import dataclass, field
 from fractions import Fraction
 from functools import cached_property
 
-from carom.scene.units.dimension import BASE, LENGTH, MASS, NAMED, OF_UNIT, TIME, Dimension
-from carom.scene.units.unit import UnitError, nearest_float, quantity, unit, unit_of
+from carom.scene.units.dimension import (
+    BASE,
+    LENGTH,
+    MASS,
+    NAMED,
+    OF_UNIT,
+    TIME,
+    Dimension,
+    UnitError,
+    nearest_float,
+    quantity,
+    unit,
+    unit_of,
+)
 
 OWN = (LENGTH, TIME, MASS)  # the dimensions in ``units = "au, day, solar mass"``
 WITHOUT = "dimensionless"  # value of ``units`` for a scene without units
@@ -227,8 +239,6 @@ def _not_wanted(kind: Dimension | None, given: Mapping[str, str]) -> str:
 
 
 SI = UnitSystem()
-
-
 _NAMES = {  # carom's names of units, by REBOUND's names
     **dict.fromkeys(("m", "cm", "km", "pc", "s", "yr", "kyr", "kg", "g"), ""),
     **{"au": "au", "aus": "au", "parsec": "pc", "hr": "h", "d": "day", "day": "day", "days": "day"},
