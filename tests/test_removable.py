@@ -24,7 +24,7 @@ from carom_command import carom_together, with_paths
 pytestmark = pytest.mark.slow
 
 HOUSE = Path(carom.__file__).parent
-ROWS = ("cli/commands.py", "registry.py")  # where an optional part may have its rows
+ROWS = ("cli/main.py", "registry.py")  # where an optional part may have its rows
 ENGINES = ("rebound", "mujoco", "box3d", "pybullet", "newton")
 TOOLS = ("crosscheck", "diff", "fork", "hunt", "shrink", "sweep", "tradeoff", "why")
 

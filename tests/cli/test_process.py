@@ -16,7 +16,7 @@ from pathlib import Path
 import pytest
 
 import dense_heap
-from carom.cli.commands import COMMANDS
+from carom.cli.main import COMMANDS
 from carom.recording.read.recording import Recording
 from carom_command import carom, carom_process
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from carom.cli.commands import COMMANDS
+from carom.cli.main import COMMANDS
 from main_paths import EXTRAS, FIRST, PATHS, fault_of, without_screen_and_driver
 
 

@@ -8,7 +8,7 @@ import pytest
 
 from carom.recording.layout.canvas import Area
 from carom.recording.schema import palette
-from carom.show.cause_graph import MOST_NODES, CauseGraph, GraphEdge
+from carom.show.causes import MOST_NODES, CauseGraph, GraphEdge
 
 AREA = Area(640.0, 530.0)
 CHAIN = [(k + 1, k) for k in range(MOST_NODES - 1)]

@@ -17,11 +17,11 @@ from carom.recording.read.recording import Recording
 from carom.recording.schema import palette, paths
 from carom.scene.schema import Scene
 from carom.show import close_up, movie
-from carom.show.annotations import field_arrows, names_that_fit
 from carom.show.legend import impact_marks
 from carom.show.presentation import Presentation, asked
 from carom.show.request import Request
 from carom.show.shown_step import shown_step
+from carom.show.staging import field_arrows, names_that_fit
 
 
 @pytest.fixture(scope="module")

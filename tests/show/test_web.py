@@ -29,8 +29,8 @@ from carom.scene.schema import Scene
 from carom.show.keeper import free_port
 from carom.show.presentation import presentation
 from carom.show.viewer import binary
-from carom.show.web import server, site
-from carom.show.web.server import Hosted, hosted
+from carom.show.web import site
+from carom.show.web.site import Hosted, hosted
 from needs import BROWSER
 from other_user import as_root, run_as_nobody
 
@@ -175,7 +175,7 @@ def test_where_users_cannot_be_told_apart_a_private_file_leads_to_the_link(
     recorded: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(site, "_copy_web_viewer", lambda folder: None)
-    monkeypatch.setattr(server, "is_ours", lambda *_: False)
+    monkeypatch.setattr(site, "is_ours", lambda *_: False)
     with hosted(Recording.open(recorded), 1.0) as page:
         file = Path(urlsplit(page.command_line).path)
         assert file.parent.stat().st_mode & 0o077 == 0

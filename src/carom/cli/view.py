@@ -143,7 +143,7 @@ def _view_in_browser(file: Path, request: Request, port: int) -> None:
     from carom.recording.read.recording import Recording
     from carom.show.keeper import has_screen
     from carom.show.presentation import asked
-    from carom.show.web.server import hosted
+    from carom.show.web.site import hosted
 
     recording = Recording.open(file)
     if recording.is_overlay:
