@@ -35,6 +35,7 @@ SUBSTEPS = 4  # of Box3D
 WARM_UP = 1000  # bodies of a heap that loads the kernels and is not measured
 SETTINGS: dict[str, dict[str, Any]] = {  # sections [contact] of carom's runs
     "carom": {},
+    "converged": {"sweeps": "converged"},
     "as needed": {"sweeps": "as-needed"},
     "as needed, impacts at the end": {"timing": "end-of-step", "sweeps": "as-needed"},
     "asleep": {"sweeps": "as-needed", "sleep": {"speed": 0.02}},

@@ -350,6 +350,7 @@ def header_of(space: Space) -> Header:
         collides=needs.contact.modelled,
         stabilises=needs.stabilisation.modelled,
         body_colouring=scene.contact.colouring == "bodies",
+        contact_rules=scene.contact_rules,
         duration=scene.time.duration,
         units=scene.unit_system,
         check_interval=space.check_interval,

@@ -69,7 +69,7 @@ def test_balls_dropped_on_each_other_overlap_by_less_than_a_tenth_of_a_radius(co
 @settings(max_examples=12, deadline=None, derandomize=True)
 @given(
     masses=st.lists(st.floats(-3, 6).map(lambda power: 10.0**power), min_size=2, max_size=7),
-    sweeps=st.one_of(st.sampled_from(["auto", "as-needed", "quick"]), st.integers(1, 12)),
+    sweeps=st.one_of(st.sampled_from(["auto", "converged", "as-needed", "quick"]), st.integers(1, 12)),
     max_dt=st.sampled_from([1.0, 0.01, 0.002]),
 )
 def test_no_number_of_sweeps_gains_energy_from_contacts(masses: list[float], sweeps: int | str, max_dt: float) -> None:

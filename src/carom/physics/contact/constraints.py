@@ -16,6 +16,11 @@ from carom.physics.jit.decorators import inline
 from carom.physics.jit.instructions import from_front
 from carom.scene.schema import Coefficients
 
+# Overlap, relative to the sum of radii, that needs no further position correction: of contacts whose impulses converge
+# to rounding, and of those whose iterations end with small changes. The remainder is pushed in the next step.
+ENOUGH = 1e-9
+ENOUGH_AS_NEEDED = 1e-5
+
 BODIES_PER_BLOCK = 1024
 CONTACTS_PER_BLOCK = 1024
 SHARED_FROM = 2048  # contacts; with fewer, threads cost as much time as they save
@@ -155,6 +160,7 @@ class PieceResultsRecord(Protocol):
 
     residual: float  # m/s, the largest change or violation; for position corrections, 1 if another iteration is needed
     residual_norm: float  # r·z, of conjugate gradients
+    exact_norm: float  # the same of contacts that are to converge to rounding
     largest_push: float  # N s, the largest impulses of either sign
     largest_pull: float
     slope: float  # J, s·c of the line search
@@ -208,9 +214,11 @@ class SettingsRecord(Protocol):
     any_rests: bool  # whether a contact was at rest before them
     spins: bool  # whether impulses exert torques
     impacts_only: bool  # whether resting contacts are skipped
+    solved: float  # of r·z at the start of a round of conjugate gradients, at which its iterations end
     refines: bool  # whether conjugate gradients follow the iterations
-    as_needed: bool  # whether small changes and small overlaps end the iterations
     keeps_iterating: bool  # whether iterations follow conjugate gradients that did not converge
+    spares_meshed: bool  # whether these iterations ignore the contacts of meshed islands
+    ignores_meshed: bool  # whether they do so now
     keeps_sliding: bool  # whether contacts that slid may not stick again
     islands_known: bool  # whether the bodies' islands are found
     measures: bool  # whether the audit writes `MEASURED`
@@ -258,6 +266,7 @@ class ConstraintSystem(NamedTuple):
     edges: IntArray  # (s + 1,) first piece of each colour, and k
     contacts: RecordArray[ContactRecord]  # (m,), or ROLLING_CONTACT if the law resists rolling
     held: BoolArray  # (m,) whether each contact is held; impacts and open gaps are not
+    enough: FloatArray  # (m,) `ENOUGH`, or `ENOUGH_AS_NEEDED` where small changes end the iterations
     small_change: FloatArray  # (m,) m/s, a smaller change of a contact's velocities needs no further iteration
     states: RecordArray[ContactStateRecord]  # (m,)
     search: RecordArray[SearchRecord]  # (m,)

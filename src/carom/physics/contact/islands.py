@@ -16,7 +16,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from carom.arrays import BoolArray, FloatArray, IntArray, RecordArray
-from carom.physics.contact.constraints import MIN_PER_TASK, ConstraintSystem, ContactStateRecord, ends_of
+from carom.physics.contact.constraints import (
+    ENOUGH_AS_NEEDED,
+    MIN_PER_TASK,
+    ConstraintSystem,
+    ContactStateRecord,
+    ends_of,
+)
 from carom.physics.contact.geometry import are_near
 from carom.physics.jit.decorators import inline, inner, kernel, long_kernel, unowned
 from carom.physics.jit.instructions import atomic_load, atomic_max, atomic_replace, from_front
@@ -25,6 +31,9 @@ from carom.physics.vector import between, sizes
 
 if TYPE_CHECKING:
     from carom.physics.contact.events.trajectories import Trajectories
+
+MESHED = 1.5  # contacts per body of a meshed island; a column or an arch has about one, a heap two to three
+MOST_EXACT = 1024  # contacts; smaller islands converge in every step
 
 UNEQUAL, PRESSES = range(2)  # flags: accelerations of bodies differ; some contact has a rest speed
 
@@ -92,6 +101,40 @@ class Islands:
         joined = bool(flags[UNEQUAL])
         team.divide(len(pairs), MIN_PER_TASK, _write_speeds, pairs, inverse_mass, tables, joined, dt, states)
         return bool(flags[PRESSES])
+
+
+@kernel
+def mark_meshed(
+    pairs: IntArray, active: IntArray, inverse_mass: FloatArray, parent: IntArray, counts: IntArray, enough: FloatArray
+) -> None:
+    """Write `ENOUGH_AS_NEEDED` for the contacts of large islands with many contacts per body.
+
+    Their load has many paths, so sweeps converge fast, and forces at the contacts have no unique solution.
+
+    Parameters
+    ----------
+    pairs, active, inverse_mass
+        As in `ConstraintSystem`.
+    parent, counts
+        (n + p,) and (n + p, 2), workspaces: the tree of each island, and the bodies and contacts at its root.
+    enough
+        (m,) of the other contacts, see `ConstraintSystem`.
+    """
+    for k in range(len(active)):
+        parent[active[k]] = active[k]
+        counts[active[k], 0] = counts[active[k], 1] = 0
+    join_islands(pairs, inverse_mass, parent)
+    for k in range(len(active)):
+        if inverse_mass[active[k]] > 0.0:
+            counts[root_of(parent, active[k]), 0] += 1
+    for c in range(len(pairs)):
+        i, j = ends_of(pairs, c)
+        counts[root_of(parent, i if inverse_mass[i] > 0.0 else j), 1] += 1
+    for c in range(len(pairs)):
+        i, j = ends_of(pairs, c)
+        root = root_of(parent, i if inverse_mass[i] > 0.0 else j)
+        if counts[root, 1] > MOST_EXACT and counts[root, 1] >= MESHED * counts[root, 0]:
+            enough[c] = ENOUGH_AS_NEEDED
 
 
 IslandTables = tuple[IntArray, FloatArray, BoolArray]

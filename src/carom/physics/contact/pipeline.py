@@ -54,7 +54,7 @@ if TYPE_CHECKING:
 # Iterations for each `contact.sweeps` that is not a number. A step of a falling heap with "quick" takes 1.24 ms with
 # four iterations, 1.36 with five, and 1.32 with three, which leave four times the overlap after 3 s
 # (benchmarks/heap.py, 1000 spheres).
-MOST_SWEEPS: dict[Sweeps, int] = {"auto": 8, "as-needed": 8, "quick": 4}
+MOST_SWEEPS: dict[Sweeps, int] = {"auto": 8, "converged": 8, "as-needed": 8, "quick": 4}
 NO_ENTRIES: FloatArray = np.zeros((0, 3))
 
 
@@ -128,7 +128,9 @@ class ContactPipeline:
             self._translation = WallTranslation(planes.records, planes.before, bodies.ends, planes.motions)
         self._span = 0.0, 0.0  # s, times before and after the step
         friction = requirements.friction.modelled
-        self.solver = ContactSolver(bodies, planes, materials, box, friction, team, records, contact.sweeps)
+        # islands are of interest only where contacts last
+        sweeps = contact.sweeps if self._lasts or contact.sweeps != "auto" else "converged"
+        self.solver = ContactSolver(bodies, planes, materials, box, friction, team, records, sweeps)
         self._torques = Torques(bodies, team)
         self.contacts = OrderedContacts.of(empty_graph().pairs, bodies, contact.colouring)  # the contacts of the step
         self._snapshots = SnapshotSource(self.solver, bodies.ends.inverse_mass)

@@ -307,7 +307,7 @@ def limits_of(
         )
         reached.append(("WARN", text))
     if deepest > DEEP_OVERLAP and not contact.allow_overlap:
-        more = " or more sweeps (contact.sweeps)" if contact.sweeps != "auto" else ""
+        more = " or more sweeps (contact.sweeps)" if contact.sweeps not in ("auto", "converged") else ""
         text = f"{OVERLAPS}; try a shorter step (time.fixed_dt, time.cfl){more}."
         reached.append(("WARN", text))
     return reached

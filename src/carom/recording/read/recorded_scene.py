@@ -67,6 +67,7 @@ def recorded_scene(recording: Recording, overrides: list[str] | None = None) -> 
     scene = scene_from_text(text, source, bodies=RecordedBodies(recording))
     if overrides:
         scene = scene_from_text(text, source, overrides, scene.held)
+    scene = scene.by_contact_rules(recording.contact_rules)
     if scene.count != len(recording.bodies.mass):
         raise RecordingError(
             f"{recording.path} has {len(recording.bodies.mass)} bodies, but its scene has {scene.count}: it is damaged"
@@ -176,6 +177,7 @@ def header_of_recording(recording: Recording) -> Header:
         engine=recording.engine,
         uniform_field=recording.uniform_field,
         drawing_rules=recording.drawing_rules,
+        contact_rules=recording.contact_rules,
         drawn_as=str(info.get("drawn_as", "")),
     )
 

@@ -151,6 +151,11 @@ class Statics:
         return int(self.info.get("drawing_rules", 1))
 
     @property
+    def contact_rules(self) -> int:
+        """The version of the meaning of `contact.sweeps`, see `Scene.contact_rules`."""
+        return int(self.info.get("contact_rules", 1))
+
+    @property
     def versions(self) -> dict[str, str]:
         """Versions of the packages that recorded it."""
         stamped = ((key.partition("version."), value) for key, value in self.properties.items())

@@ -166,6 +166,7 @@ class Header:
     drawn_as: str = ""  # the shape of drawn bodies, where it does not follow from their number
     extensions: Mapping[str, str] = field(default_factory=dict)  # versions by name, see `extensions_of`
     drawing_rules: int = 4  # version of the rules of drawing (docs/recording.md); 1 in the first recordings
+    contact_rules: int = 1  # version of the meaning of `contact.sweeps`, see `Scene.contact_rules`
 
     def models(self, part: str) -> bool:
         """Return whether the scene requires a part of the model, by its name in `carom explain`."""
@@ -300,6 +301,7 @@ _KEYS: dict[str, dict[str, str]] = {
         **dict.fromkeys(("box", "uniform_field"), _VECTOR),
         "schema_version": _WHOLE,
         "drawing_rules": _WHOLE,
+        "contact_rules": _WHOLE,
         "seed": _WHOLE,
         "duration": _NUMBER,
         "arrow_length.*": _NUMBER,

@@ -106,6 +106,8 @@ def identity(header: Header, clock: TimeScale, origin: FloatArray) -> dict[str, 
         properties["check_interval"] = header.check_interval
     if header.drawing_rules > 1:
         properties["drawing_rules"] = header.drawing_rules
+    if header.collides and header.contact_rules > 1:
+        properties["contact_rules"] = header.contact_rules
     if header.promises:
         properties["promises"] = True
     if header.drives:

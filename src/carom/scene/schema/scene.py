@@ -11,6 +11,7 @@ from pydantic import Field, PrivateAttr, model_validator
 
 from carom.scene.schema.body import Body, BodyData, BodyGroup, SolidPlane
 from carom.scene.schema.contact import (
+    CONTACT_RULES,
     DEFAULT,
     ContactSettings,
     Forces,
@@ -65,6 +66,7 @@ class Scene(Forces, Heading):
     promise: Promise | None = Field(None, description="how a run keeps time.accuracy; written by carom, not by hand")
 
     _toml: str = PrivateAttr("")
+    _contact_rules: int = PrivateAttr(CONTACT_RULES)
     _unit_system: UnitSystem = PrivateAttr(SI)
     _held: HeldBodies | None = PrivateAttr(None)
     _places: KeyPlaces | None = PrivateAttr(None)
@@ -85,6 +87,12 @@ class Scene(Forces, Heading):
         """The places of its keys; None if it was not read from a text."""
         places: KeyPlaces | None = self._private("_places")
         return places
+
+    @property
+    def contact_rules(self) -> int:
+        """The version of the meaning of `contact.sweeps`; older recordings run again by theirs."""
+        rules: int = self._private("_contact_rules")
+        return rules
 
     @property
     def refinement(self) -> float:
@@ -246,7 +254,16 @@ class Scene(Forces, Heading):
 
         if isinstance(overrides, str | Mapping):  # it would be read letter by letter, or key by key
             raise TypeError(f'overrides: expected a list of texts such as ["time.duration=5"], got {overrides!r}')
-        return scene_from_text(self.toml, self.title, overrides, self._held)
+        return scene_from_text(self.toml, self.title, overrides, self._held).by_contact_rules(self.contact_rules)
+
+    def by_contact_rules(self, rules: int) -> Scene:
+        """Return this scene with the meaning that `contact.sweeps` has in a version of the rules."""
+        contact = self.contact
+        if rules < 2 and contact.sweeps == "auto":
+            contact = contact.model_copy(update={"sweeps": "converged"})
+        scene = self.model_copy(update={"contact": contact})
+        scene._contact_rules = rules
+        return scene
 
     def promising(self, promise: Promise) -> Scene:
         """Return this scene with a promise, also in its text."""

@@ -16,6 +16,8 @@ from carom.physics.contact.constraints import (
     CONTACT,
     CONTACT_ON_MOVING_WALL,
     CONTACT_STATE,
+    ENOUGH,
+    ENOUGH_AS_NEEDED,
     ISLAND,
     MEASURED,
     MIN_PER_TASK,
@@ -36,7 +38,7 @@ from carom.physics.contact.constraints import (
 )
 from carom.physics.contact.geometry import update_geometry
 from carom.physics.contact.graph import SolveOrder, solve_order_of
-from carom.physics.contact.islands import Islands
+from carom.physics.contact.islands import MOST_EXACT, Islands, mark_meshed
 from carom.physics.contact.law import Materials, has_torque
 from carom.physics.contact.solids import add_arc_speeds
 from carom.physics.contact.solver.body_state import active_bodies, gather, scatter
@@ -58,8 +60,12 @@ from carom.physics.jit.team import ALONE, Team
 from carom.scene.schema.contact import Sweeps
 from carom.scene.start import HalfSpaces
 
-REFINED: tuple[Sweeps, ...] = ("auto", "as-needed")  # values of `contact.sweeps` after which conjugate gradients follow
+# Fraction of r·z at the start of a round of conjugate gradients at which its iterations end, by `contact.sweeps`; with
+# other values none follow. After a round, contacts are released, so a more exact solution is one of other equations. In
+# a falling heap of 1000 (benchmarks/heap.py), 0.3 takes a fifth of the iterations of 10⁻³ and leaves the same overlaps.
+SOLVED: dict[Sweeps | int, float] = {"auto": 0.3, "converged": 1e-3, "as-needed": 1e-3}
 AS_NEEDED: tuple[Sweeps, ...] = ("as-needed", "quick")  # values with which small changes end the iterations
+MOST_TOUCHING = 8  # contacts per body of an island, about the most
 
 
 class ContactSolver:
@@ -112,9 +118,16 @@ class ContactSolver:
         self._counts: IntArray | None = None  # (n + p,) number of contacts of each end, once needed
         self._settings = np.zeros(1, SETTINGS)
         self._settings["spins"] = friction
-        self._settings["refines"], self._settings["as_needed"] = sweeps in REFINED, sweeps in AS_NEEDED
+        self._settings["refines"], self._settings["solved"] = sweeps in SOLVED, SOLVED.get(sweeps, 0.0)
+        self._enough = np.zeros(0)
+        self._default_enough = ENOUGH_AS_NEEDED if sweeps in AS_NEEDED else ENOUGH
+        # with "auto", small changes end the iterations in meshed islands only
+        self._finds_meshed = sweeps == "auto" and len(bodies) > MOST_EXACT // MOST_TOUCHING
+        ends = len(bodies.ends.velocity) if self._finds_meshed else 0
+        self._tree, self._members = np.empty(ends, dtype=np.int64), np.empty((ends, 2), dtype=np.int64)
         alternates = bool((materials.rows["kinetic_friction"] < materials.rows["static_friction"]).any())
-        self._settings["keeps_iterating"] = sweeps == "auto" or alternates
+        self._settings["keeps_iterating"] = sweeps in ("auto", "converged") or alternates
+        self._settings["spares_meshed"] = not alternates
         self.code = PhaseCode(friction)
         self._run: Callable[..., int] | None = None  # `work`, compiled for this solver's systems
 
@@ -133,9 +146,13 @@ class ContactSolver:
         if order is not self.order:
             self._active = active_bodies(order.pairs, len(self._bodies.ends.velocity))
             self._counts = None
+            self._enough = np.full(len(order.pairs), self._default_enough)
+            if self._finds_meshed:
+                joined = order.pairs, self._active, self._bodies.ends.inverse_mass
+                mark_meshed(*joined, self._tree, self._members, self._enough)
         self.order = order
         self._settings["independent"], self._settings["islands_known"] = order.independent, False
-        self._system = self._workspace.system(order, self._active, self._settings, keep)
+        self._system = self._workspace.system(order, self._active, self._enough, self._settings, keep)
         self.found_normals = self._normals.take(len(order.pairs))
         begun = *self._geometry(), rounding, self.found_normals
         self._team.divide(len(order.pairs), MIN_PER_TASK, begin_contacts, *begun)
@@ -415,6 +432,7 @@ class Workspace:
         self,
         order: SolveOrder,
         active: IntArray,
+        enough: FloatArray,
         settings: RecordArray[SettingsRecord],
         keep: RecordArray[ContactRecord] | None = None,
     ) -> ConstraintSystem:
@@ -424,7 +442,7 @@ class Workspace:
         ----------
         order
             The contacts in the order of solving.
-        active, settings
+        active, enough, settings
             As in `ConstraintSystem`.
         keep
             ``contacts`` of an earlier system, not to be overwritten.
@@ -439,6 +457,7 @@ class Workspace:
             edges=order.edges,
             contacts=contacts.take(m),
             held=self._held.take(m),
+            enough=enough,
             small_change=self._small_change.take(m),
             states=self._states.take(m),
             search=self._search.take(m),

@@ -48,7 +48,7 @@ MAX_ITERATIONS = 100  # in a round
 MAX_FURTHER_ITERATIONS = 256  # Gauss-Seidel iterations after the last round
 GROWN = 1e6  # growth of the largest impulse in a search; more shows that there is no solution
 MOST_LEFT = 0.5  # fraction of the previous violation; a round that leaves more is the last one
-SOLVED = 1e-3  # fraction of r·z at the start of a round, at which its iterations end
+SOLVED = 1e-3  # fraction of r·z at the start of a round, at which its iterations end, where contacts are to converge
 
 
 class Phases(NamedTuple):
@@ -201,12 +201,13 @@ def _iterate_on(board: IntArray, phases: Phases) -> int:
     """
     pieces, settings, iterations = len(phases.piece_results), phases.settings[0], 0
     settings.keeps_sliding, settings.tolerance = True, INTOLERABLE
+    settings.ignores_meshed = settings.spares_meshed
     _share(board, phases, MEASURE_VIOLATION, 0, pieces, True)
     while _largest_residual(phases) > 0.0 and iterations < MAX_FURTHER_ITERATIONS:
         _iterate(board, phases, True)
         iterations += 1
         _share(board, phases, MEASURE_VIOLATION, 0, pieces, True)
-    settings.keeps_sliding = False
+    settings.keeps_sliding = settings.ignores_meshed = False
     return iterations
 
 
@@ -219,9 +220,10 @@ def _conjugate_gradients(board: IntArray, phases: Phases) -> int:
     settings.iteration = 0
     _share(board, phases, CONJUGATE_STEP, 0, pieces, True)
     first = rho = _residual_norm(phases)
+    first_exact = exact = _exact_norm(phases)
     largest = _largest_impulses(phases)[0]
     iterations, push, pull = 0, 0.0, 0.0
-    while rho > SOLVED * first and iterations < MAX_ITERATIONS:
+    while (exact > SOLVED * first_exact or rho > settings.solved * first) and iterations < MAX_ITERATIONS:
         _share_colours(board, phases, CONJUGATE_DIRECTION)
         _share(board, phases, LINE_SEARCH, 0, len(phases.sums), True)
         curvature = 0.0
@@ -233,6 +235,7 @@ def _conjugate_gradients(board: IntArray, phases: Phases) -> int:
         settings.alpha, settings.iteration = rho / curvature, iterations
         _share(board, phases, CONJUGATE_STEP, 0, pieces, True)
         before, rho = rho, _residual_norm(phases)
+        exact = _exact_norm(phases)
         settings.beta = rho / before
         push, pull = _largest_impulses(phases)
         _forget_changes(board, phases)
@@ -298,4 +301,12 @@ def _residual_norm(phases: Phases) -> float:
     norm = 0.0
     for k in range(len(phases.piece_results)):
         norm += phases.piece_results[k].residual_norm
+    return norm
+
+
+@leading(inner)
+def _exact_norm(phases: Phases) -> float:
+    norm = 0.0
+    for k in range(len(phases.piece_results)):
+        norm += phases.piece_results[k].exact_norm
     return norm

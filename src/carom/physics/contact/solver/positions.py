@@ -45,7 +45,7 @@ from carom.physics.contact.solver.block import Block, whole_blocks
 from carom.physics.contact.solver.body_state import prefetch_ends, velocity_along
 from carom.physics.jit.decorators import inline, kernel, long_kernel, unowned
 from carom.physics.jit.instructions import Code, from_front, instruction
-from carom.physics.jit.vectors import DOUBLE, WIDTH, WORD, Lanes, Mask, at_least, gathered, in_lanes, spread
+from carom.physics.jit.vectors import DOUBLE, WIDTH, WORD, Lanes, Mask, at_least, gathered, in_lanes, read_doubles
 from carom.physics.vector import is_periodic, nearest_image, vector, write
 from carom.scene.schema import Coefficients
 
@@ -54,8 +54,6 @@ BAUMGARTE = 0.2  # fraction of the overlap that the bias removes in a step
 # Of the rest speed; contacts that separate faster are not pushed. With 1, slow rebounds would be pushed (10 times the
 # energy error in the worst step); with 0, a pile would keep overlaps (a quarter of a radius while it forms).
 MAX_SEPARATION = 0.1
-ENOUGH = 1e-9  # of the sum of radii; a smaller overlap needs no further iteration
-ENOUGH_AS_NEEDED = 1e-5  # the same with sweeps as needed or quick; the remainder is pushed in the next step
 
 NEVER = -2  # "iteration" of a body that was not pushed; less than any iteration minus 1
 AMOUNTS = 1  # line of `CONTACT_STATE` with the ledger, the pushes and the flags
@@ -147,7 +145,7 @@ def _push_apart(c: int, system: ConstraintSystem) -> float:
         if mj > 0.0:
             _accelerate(b, mj * sigma, tx, ty, tz)
         _book(c, reduced, sigma, tx, ty, tz, system)
-    return 1.0 if overlap > _enough(system) * radii else 0.0
+    return 1.0 if overlap > system.enough[c] * radii else 0.0
 
 
 @inline
@@ -159,12 +157,6 @@ def _book(c: int, reduced: float, sigma: float, tx: float, ty: float, tz: float,
         given.correction_x += reduced * sigma * tx
         given.correction_y += reduced * sigma * ty
         given.correction_z += reduced * sigma * tz
-
-
-@inline
-def _enough(system: ConstraintSystem) -> float:
-    """Return the overlap that needs no further iteration, relative to the sum of radii."""
-    return ENOUGH_AS_NEEDED if system.settings[0].as_needed else ENOUGH
 
 
 @inline
@@ -396,9 +388,7 @@ class _Correction:
     @property
     def _enough(self) -> Lanes:
         """The overlap that needs no further iteration, relative to the sum of radii."""
-        builder = self._builder
-        as_needed, by_rounding = (DOUBLE(part) for part in (ENOUGH_AS_NEEDED, ENOUGH))
-        return spread(builder, builder.select(self._block.flag("as_needed"), as_needed, by_rounding))
+        return read_doubles(self._builder, self._block.address("enough", self._block.places[0]))
 
 
 def _restitution_of_one(material: Coefficients, approach: float, rest_speed: float) -> float:

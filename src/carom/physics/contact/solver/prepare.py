@@ -18,6 +18,7 @@ from carom.arrays import BoolArray, FloatArray, IntArray, RecordArray
 from carom.physics.aligned import columns
 from carom.physics.contact.constraints import (
     CONTACT,
+    ENOUGH,
     MIN_PER_TASK,
     ROLLING_CONTACT,
     ConstraintSystem,
@@ -159,7 +160,7 @@ def prepare(first: int, end: int, system: ConstraintSystem) -> None:
             meets = is_open and not (system.pressed[i] or system.pressed[j])
             system.held[c] = not (meets or -vn > fastest)
             negligible = min(SMALL_OF_REST * rest_speed, SMALL_OF_RADIUS * smaller_arm(contact) / dt)
-            system.small_change[c] = negligible if settings.as_needed else 0.0
+            system.small_change[c] = negligible if system.enough[c] > ENOUGH else 0.0
             if system.held[c]:
                 opening = -(vn + bias) if drift > 0.0 else 0.0  # along a wall that curves towards the body, bias < 0
                 largest = max(largest, -vn, opening, LOADED * contact.normal_impulse * Kn)

@@ -37,6 +37,7 @@ from carom.physics.aligned import CACHE_LINE
 from carom.physics.contact.constraints import (
     BODIES_PER_BLOCK,
     BODY_STATE,
+    ENOUGH,
     BlockSumsRecord,
     BodyStateRecord,
     ConstraintSystem,
@@ -161,7 +162,7 @@ def _violation(piece: int, system: ConstraintSystem) -> float:
     count = body_count(system)
     excess = 0.0
     for c in range(lo, hi):
-        if not system.held[c]:
+        if not system.held[c] or (settings.ignores_meshed and system.enough[c] > ENOUGH):
             continue
         i, j = ends_of(system.pairs, c)
         contact, state = system.contacts[c], system.states[c]
@@ -206,7 +207,7 @@ def conjugate_step(first: int, end: int, system: ConstraintSystem) -> None:
     alpha = settings.alpha
     for piece in range(first, end):
         lo, hi = contacts_of(piece, piece + 1, system)
-        norm, most, least = 0.0, 0.0, 0.0
+        norm, exact_norm, most, least = 0.0, 0.0, 0.0, 0.0
         for c in range(lo, hi):
             search, contact = system.search[c], system.contacts[c]
             if not (search.free_normal or search.free_tangent):
@@ -226,11 +227,17 @@ def conjugate_step(first: int, end: int, system: ConstraintSystem) -> None:
                     search.residual_z -= alpha * pz
             impulse = contact.normal_impulse + search.step_normal
             most, least = max(most, impulse), min(least, impulse)
-            norm += search.residual_normal * search.residual_normal * contact.normal_mass
             rx, ry, rz = search.residual_x, search.residual_y, search.residual_z
-            norm += (rx * rx + ry * ry + rz * rz) * contact.tangent_mass
+            of_normal = search.residual_normal * search.residual_normal * contact.normal_mass
+            of_tangent = (rx * rx + ry * ry + rz * rz) * contact.tangent_mass
+            norm += of_normal
+            norm += of_tangent
+            if system.enough[c] <= ENOUGH:
+                exact_norm += of_normal
+                exact_norm += of_tangent
         results = system.piece_results[piece]
-        results.residual_norm, results.largest_push, results.largest_pull = norm, most, -least
+        results.residual_norm, results.exact_norm = norm, exact_norm
+        results.largest_push, results.largest_pull = most, -least
 
 
 @unowned

@@ -1,0 +1,52 @@
+"""Which contacts need not converge to rounding: those of large islands with many contacts per body."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from carom.arrays import BoolArray, IntArray
+from carom.physics.contact.constraints import ENOUGH, ENOUGH_AS_NEEDED
+from carom.physics.contact.islands import MOST_EXACT, mark_meshed
+
+SIDE = 8
+
+
+def crystal() -> IntArray:
+    """Return the pairs of touching balls in a simple cubic lattice, (m, 2)."""
+    number = np.arange(SIDE**3).reshape(SIDE, SIDE, SIDE)
+    along = [(np.delete(number, -1, axis), np.delete(number, 0, axis)) for axis in range(3)]
+    return np.concatenate([np.column_stack((low.ravel(), high.ravel())) for low, high in along])
+
+
+def column(count: int, first: int) -> IntArray:
+    return first + np.column_stack((np.arange(count - 1), np.arange(1, count)))
+
+
+def meshed(pairs: IntArray, fixed: int | None = None) -> BoolArray:
+    ends = int(pairs.max()) + 1
+    inverse_mass = np.ones(ends)
+    if fixed is not None:
+        inverse_mass[fixed] = 0.0
+    enough = np.full(len(pairs), ENOUGH)
+    workspaces = np.empty(ends, dtype=np.int64), np.empty((ends, 2), dtype=np.int64)
+    mark_meshed(pairs, np.unique(pairs), inverse_mass, *workspaces, enough)
+    return np.asarray(enough == ENOUGH_AS_NEEDED)
+
+
+def test_a_column_beside_a_heap_converges_as_if_it_stood_alone() -> None:
+    # A column carries its load along one path, so a small error of each contact adds up over its height.
+    heap, tower = crystal(), column(2000, SIDE**3)
+    assert len(heap) > MOST_EXACT
+    found = meshed(np.concatenate((heap, tower)))
+    assert found[: len(heap)].all() and not found[len(heap) :].any()
+
+
+def test_small_heaps_converge() -> None:
+    assert not meshed(crystal()[: MOST_EXACT // 2]).any()
+
+
+def test_a_floor_joins_no_islands() -> None:
+    # Many short columns on one floor are islands of their own, however many there are.
+    balls, floor = np.arange(3000), 3000
+    pairs = np.concatenate((column(3000, 0)[::2], np.column_stack((balls, np.full(3000, floor)))))
+    assert not meshed(pairs, floor).any()

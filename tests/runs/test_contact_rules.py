@@ -1,0 +1,74 @@
+"""The meaning of `contact.sweeps = "auto"` has a version: recordings of the first one run again with their bits."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import carom
+from carom.recording.read.recorded_scene import recorded_scene
+from carom.recording.read.recording import Recording
+from carom.runs.replay import replay
+from carom.runs.resume import resume
+from carom.scene.schema import Scene
+from small_scenes import scene_of
+
+# Balls in a crystal on a floor that begin to press on each other without impulses. They are an island with 1408
+# contacts, 2.75 a ball, so that the rules differ.
+SIDE = 8
+BALLS = [{"position": [2.0 * i, 2.0 * j, 1.0 + 2.0 * k]} for i, j, k in np.ndindex(SIDE, SIDE, SIDE)]
+
+
+def crystal(duration: float, **contact: str) -> Scene:
+    return scene_of(
+        BALLS,
+        plane=[{}],
+        gravity={"constant": 0.0, "uniform": [0.0, 0.0, -9.81]},
+        contact={"restitution": 0.0, **contact},
+        time={"duration": duration, "max_dt": 0.01},
+    )
+
+
+def bits(recording: Recording) -> list[int]:
+    found: list[int] = recording.fingerprints()["fingerprint"].to_pylist()
+    return found
+
+
+@pytest.fixture(scope="module")
+def old(tmp_path_factory: pytest.TempPathFactory) -> Recording:
+    """A recording as earlier versions wrote it."""
+    return carom.run(crystal(0.05).by_contact_rules(1), tmp_path_factory.mktemp("old") / "old.rrd")
+
+
+def test_a_recording_of_today_names_its_rules_and_one_that_does_not_has_the_first_ones(
+    old: Recording, tmp_path: Path
+) -> None:
+    new = carom.run(crystal(0.05), tmp_path / "new.rrd")
+    assert (new.info["contact_rules"], recorded_scene(new).contact_rules) == (2, 2)
+    assert "contact_rules" not in old.info
+    assert recorded_scene(old).contact_rules == 1
+    assert new.scene_toml == old.scene_toml
+    assert bits(new) != bits(old)
+
+
+def test_an_older_recording_replays_with_its_bits_which_sweeps_converged_asks_for(
+    old: Recording, tmp_path: Path
+) -> None:
+    result = replay(old)
+    assert result.same and result.not_compared == []
+    assert bits(carom.run(crystal(0.05, sweeps="converged"), tmp_path / "converged.rrd")) == bits(old)
+
+
+def test_an_older_recording_is_continued_by_its_rules(old: Recording, tmp_path: Path) -> None:
+    whole = carom.run(crystal(0.1).by_contact_rules(1), tmp_path / "whole.rrd")
+    longer = resume(old, 0.1, tmp_path / "longer.rrd")
+    assert "contact_rules" not in longer.info
+    assert bits(longer) == bits(whole)
+
+
+def test_a_scene_of_earlier_rules_keeps_them_if_other_keys_change(old: Recording) -> None:
+    changed = recorded_scene(old).changed(["time.duration=0.02"])
+    assert (changed.contact_rules, changed.contact.sweeps) == (1, "converged")
+    assert changed.toml.count("sweeps") == 0
