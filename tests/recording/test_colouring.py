@@ -6,7 +6,8 @@ import pytest
 import carom
 from carom.errors import RecordingError
 from carom.recording.layout import drawing
-from carom.recording.layout.camera import ASPECT, CameraFit, CameraMotion
+from carom.recording.layout.camera import ASPECT, CameraFit
+from carom.recording.layout.canvas import CameraMotion
 from carom.recording.read.recorded_scene import header_of_recording
 from carom.recording.read.recording import Recording
 from carom.recording.schema import palette, paths

@@ -9,8 +9,8 @@ import pytest
 
 import carom
 from carom.recording.layout import FIELD
-from carom.recording.layout.camera import CameraFit, CameraMotion, View, free_corner
-from carom.recording.layout.canvas import LEGEND, Area, Canvas, views_of
+from carom.recording.layout.camera import CameraFit
+from carom.recording.layout.canvas import LEGEND, Area, CameraMotion, Canvas, View, free_corner, views_of
 from carom.recording.layout.drawing import REACH, magnitude_at, part_of_longest
 from carom.recording.read.recorded_scene import header_of_recording
 from carom.recording.read.recording import Recording

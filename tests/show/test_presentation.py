@@ -12,8 +12,8 @@ from carom.contact_table import CONTACT_ROW
 from carom.errors import RecordingError
 from carom.recording.edit.clip import clip
 from carom.recording.layout import TRAILS
-from carom.recording.layout.camera import CameraFit, CameraMotion, View
-from carom.recording.layout.canvas import LEGEND, Area, Canvas, LensView, views_of
+from carom.recording.layout.camera import CameraFit
+from carom.recording.layout.canvas import LEGEND, Area, CameraMotion, Canvas, LensView, View, views_of
 from carom.recording.read.recorded_scene import header_of_recording
 from carom.recording.read.recording import Recording
 from carom.recording.schema import paths

@@ -84,7 +84,7 @@ def movie(
     from carom.cli.printing import bytes_text
     from carom.cli.terminal import MovieProgress
     from carom.install import needing
-    from carom.recording.layout.camera import CameraMotion
+    from carom.recording.layout.canvas import CameraMotion
     from carom.recording.read.recording import Recording
     from carom.recording.write.whole_file import claimed_output
 

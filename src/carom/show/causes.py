@@ -23,8 +23,8 @@ import rerun.blueprint as rrb
 
 from carom.arrays import ColourArray, FloatArray, IntArray, SingleArray
 from carom.recording.layout import WINDOW, drawing
-from carom.recording.layout.camera import FEW, CameraFit, CameraMotion, View
-from carom.recording.layout.canvas import Area
+from carom.recording.layout.camera import FEW, CameraFit
+from carom.recording.layout.canvas import Area, CameraMotion, View
 from carom.recording.read.frame_rows import drawn_paths
 from carom.recording.read.recorded_scene import header_of_recording
 from carom.recording.read.recording import Recording

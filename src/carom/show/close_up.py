@@ -19,8 +19,8 @@ from carom.contact_table import IMPACT_MODE
 from carom.physics.frame import Frame
 from carom.physics.vector import minimum_images
 from carom.recording.layout import faint_bodies
-from carom.recording.layout.camera import CORNERS, CameraFit, View, free_corner
-from carom.recording.layout.canvas import LEGEND, Area, spatial_view, surroundings
+from carom.recording.layout.camera import CameraFit
+from carom.recording.layout.canvas import CORNERS, LEGEND, Area, View, free_corner, spatial_view, surroundings
 from carom.recording.layout.drawing import line_radii, single
 from carom.recording.read.frame_rows import DrawnPaths, drawn_paths
 from carom.recording.read.lookup import names_of

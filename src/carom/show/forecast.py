@@ -12,7 +12,8 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from carom.arrays import ColourArray, FloatArray
-from carom.recording.layout.camera import CameraFit, CameraMotion, View
+from carom.recording.layout.camera import CameraFit
+from carom.recording.layout.canvas import CameraMotion, View
 from carom.recording.layout.plot_views import curve_style, whole_time
 from carom.recording.read.recording import Recording
 from carom.recording.schema import palette, paths

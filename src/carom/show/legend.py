@@ -20,8 +20,7 @@ import rerun.blueprint as rrb
 from carom.arrays import ColourArray, FloatArray
 from carom.physics.frame import Frame
 from carom.recording.layout import OF_LATE, drawing
-from carom.recording.layout.camera import View
-from carom.recording.layout.canvas import LEGEND, Area
+from carom.recording.layout.canvas import LEGEND, Area, View
 from carom.recording.layout.drawing import REACH, magnitude_at, shape, single
 from carom.recording.read.recording import Recording
 from carom.recording.schema import palette, paths

@@ -34,8 +34,8 @@ from carom.recording.layout import (
     graph_eye,
     legend_area,
 )
-from carom.recording.layout.camera import CORNERS, FEW, CameraMotion, free_corner
-from carom.recording.layout.canvas import Additions, Canvas
+from carom.recording.layout.camera import FEW
+from carom.recording.layout.canvas import CORNERS, Additions, CameraMotion, Canvas, free_corner
 from carom.recording.read.frame_rows import RecordedPositions
 from carom.recording.read.recorded_scene import header_of_recording, recorded_curves
 from carom.recording.read.recording import Recording

@@ -18,8 +18,8 @@ from rerun.components import FillMode
 from carom.arrays import ColourArray, FloatArray
 from carom.physics.space import Space
 from carom.recording.layout import WINDOW
-from carom.recording.layout.camera import CameraFit, CameraMotion, View
-from carom.recording.layout.canvas import Area, spatial_view
+from carom.recording.layout.camera import CameraFit
+from carom.recording.layout.canvas import Area, CameraMotion, View, spatial_view
 from carom.recording.layout.plot_views import curve_style, time_beside_legend, whole_time
 from carom.recording.read.recording import Recording
 from carom.recording.schema import palette, paths

@@ -24,8 +24,8 @@ from carom.recording.layout import (
     graph_eye,
     legend_area,
 )
-from carom.recording.layout.camera import CORNERS, FEW, CameraMotion, free_corner
-from carom.recording.layout.canvas import Additions, Canvas
+from carom.recording.layout.camera import FEW
+from carom.recording.layout.canvas import CORNERS, Additions, CameraMotion, Canvas, free_corner
 from carom.recording.layout.plot_views import CurveOutline
 from carom.recording.read.frame_rows import arrow_floors
 from carom.recording.read.lookup import tolerance

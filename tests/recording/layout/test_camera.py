@@ -9,7 +9,8 @@ from hypothesis.extra.numpy import arrays
 from numpy.typing import NDArray
 
 from carom.recording.layout import camera
-from carom.recording.layout.camera import CameraFit, CameraMotion, View, corners_of, turned
+from carom.recording.layout.camera import CameraFit, corners_of, turned
+from carom.recording.layout.canvas import CameraMotion, View
 from carom.recording.schema.header import Header
 from carom.scene.start import HalfSpaces
 from scripted_run import ScriptedRun

@@ -8,8 +8,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 from rerun.chunk import RrdReader
 
-from carom.recording.layout.camera import CameraMotion, View
-from carom.recording.layout.canvas import NEAREST, scale, space, spatial_view
+from carom.recording.layout.canvas import NEAREST, CameraMotion, View, scale, space, spatial_view
 from carom.recording.write.whole_file import Writer
 
 

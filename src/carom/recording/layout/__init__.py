@@ -13,8 +13,18 @@ from rerun.encodings import EntityPathLike
 
 from carom.arrays import SingleArray
 from carom.errors import RecordingError
-from carom.recording.layout.camera import CameraFit, View
-from carom.recording.layout.canvas import LEGEND, NONE, Additions, Area, Canvas, spatial_view, surroundings, taken_from
+from carom.recording.layout.camera import CameraFit
+from carom.recording.layout.canvas import (
+    LEGEND,
+    NONE,
+    Additions,
+    Area,
+    Canvas,
+    View,
+    spatial_view,
+    surroundings,
+    taken_from,
+)
 from carom.recording.layout.drawing import arrow_length, shape
 from carom.recording.layout.plot_views import Curves, energy_view, plot_views, time_axis
 from carom.recording.schema import palette, paths

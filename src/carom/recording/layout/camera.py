@@ -15,14 +15,14 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
-from enum import StrEnum
+from dataclasses import dataclass, replace
 from itertools import product
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from carom.arrays import BoolArray, FloatArray, IntArray
+from carom.recording.layout.canvas import SLOPE, STEEP, UP, CameraMotion, View, free_corner, screen
 from carom.recording.schema.header import Header
 from carom.scene.forces import UNIFORM_FIELD
 
@@ -31,7 +31,6 @@ if TYPE_CHECKING:
 
 
 ASPECT = 1.25  # width over height of a 3D view, unless the layout gives another
-SLOPE = float(np.tan(np.radians(55.0 / 2)))  # of the picture's upper border: Rerun's field of view is 55° high
 _NARROW_SLOPE = float(np.tan(np.radians(1.0)))
 _DEPTHS = 25.0  # smallest distance of a narrow lens, in depths of the scene: equal spheres then differ by at most 4 %
 
@@ -48,10 +47,8 @@ _MOST = 20_000  # number of bodies above which only every k-th and the `_LARGEST
 _LARGEST = 1000
 _MOST_SPHERES = 4000  # stored spheres of all moments; of more, only the outermost in each of many directions are stored
 
-_UP = np.array([0.0, 0.0, 1.0])
 _USUAL = np.array([0.75, -1.0, 0.55]) / np.linalg.norm([0.75, -1.0, 0.55])  # towards the eye
 _PREFERENCE = 0.15  # weight of the usual direction if principal axes are similar, as a fraction of the variance
-_STEEP = 1e-6  # sine of the angle to the vertical below which a direction has no azimuth
 _LOWEST, _HIGHEST = np.radians(15.0), np.radians(60.0)  # elevations of the eye
 _SLOPE = float(np.sin(np.radians(3.0)))  # sine of the smallest angle of a slope to a floor and to a wall
 _ALONG = 0.1  # largest fraction of the motion along the line of sight, if a slope is seen edge-on
@@ -63,57 +60,6 @@ _BESIDE = 0.25  # of the width of the motion; walls that are farther away may li
 _TURNS = 12  # directions from which an orbiting camera is fitted
 
 _HUGE = np.errstate(over="ignore", invalid="ignore")  # squares of lengths beyond 10¹⁵⁴ m are infinite: handled below
-
-
-class CameraMotion(StrEnum):
-    """How the camera moves while time passes."""
-
-    STILL = "still"
-    FOLLOW = "follow"
-    ORBIT = "orbit"
-
-
-@dataclass(frozen=True, slots=True)
-class View:
-    """Position of the camera, and how it moves."""
-
-    target: FloatArray  # (3,) m
-    distance: float  # m, of the eye from the target
-    motion: CameraMotion
-    to_eye: FloatArray  # (3,) unit vector
-    up: FloatArray = field(default_factory=_UP.copy)  # (3,) unit vector that is vertical on the screen
-    slope: float = SLOPE  # half the picture's height at unit distance
-    whole: bool = True  # whether all measured motion is inside the picture
-    outside: int = 0  # bodies that are not wholly inside the picture at the first moment
-
-    @property
-    def eye(self) -> FloatArray:
-        """Position of the eye (m)."""
-        return np.asarray(self.target + self.distance * self.to_eye)
-
-    def axes(self) -> FloatArray:
-        """Return the unit vectors to the right and up on the screen, (2, 3)."""
-        return screen(self.to_eye, self.up)[:2]
-
-    def height(self) -> float:
-        """Return the height (m) of the picture at the target."""
-        return 2.0 * self.slope * self.distance
-
-    def on_screen(self, position: FloatArray) -> FloatArray:
-        """Project positions (..., 3) m; the picture's upper and lower border are at ±1, and x has the same scale."""
-        across, up, nearer = np.moveaxis((position - self.target) @ screen(self.to_eye, self.up).T, -1, 0)
-        return np.asarray(np.stack([across, up], axis=-1) / (self.slope * (self.distance - nearer))[..., None])
-
-    def radius_on_screen(self, position: FloatArray, radius: FloatArray) -> FloatArray:
-        """Return the radii (...,) of spheres on the screen, in half heights of the picture."""
-        nearer = (position - self.target) @ self.to_eye
-        return np.asarray(radius / (self.slope * (self.distance - nearer)))
-
-    def holds(self, position: FloatArray, radius: FloatArray, aspect: float) -> BoolArray:
-        """Return which spheres (...,) are wholly inside a picture of this width over height."""
-        beyond = np.abs(self.on_screen(position)) + self.radius_on_screen(position, radius)[..., None]
-        inside: BoolArray = np.all(beyond <= [aspect, 1.0], axis=-1)
-        return inside
 
 
 @dataclass(frozen=True, slots=True)
@@ -158,7 +104,7 @@ class CameraFit:
         first: FloatArray,
         corners: FloatArray | None = None,
         to_eye: FloatArray | None = None,
-        up: FloatArray = _UP,
+        up: FloatArray = UP,
         motion: CameraMotion | None = None,
         edge_on: FloatArray | None = None,
     ) -> None:
@@ -167,7 +113,7 @@ class CameraFit:
         first, radius = first[self._shown], radius[self._shown]
         near = _near(first)
         self._begin, self._edge_on = first, edge_on
-        self._radius, self._count = radius, len(radius)
+        self._radius = radius
         self._first, self._first_radius = first[near], radius[near]
         self._corners = np.zeros((0, 3)) if corners is None else corners
         self._to_eye, self.up, self.motion = to_eye, up, motion
@@ -183,11 +129,7 @@ class CameraFit:
 
     @classmethod
     def of_scene(
-        cls,
-        header: Header,
-        origin: FloatArray,
-        first: FloatArray,
-        motion: CameraMotion | None = None,
+        cls, header: Header, origin: FloatArray, first: FloatArray, motion: CameraMotion | None = None
     ) -> CameraFit:
         """Start with the first positions (n, 3) of a run, in m from the recording's origin.
 
@@ -196,14 +138,19 @@ class CameraFit:
         grounded = any(part is not None for part in (header.planes, header.walls, header.shapes, header.box))
         if motion is None and (grounded or UNIFORM_FIELD.name in header.forces):
             motion = CameraMotion.STILL
-        up = _against_gravity(header)
-        edge_on = _edge_on(header, up)
-        return cls(header.radius, first, corners_of(header, origin), up=up, motion=motion, edge_on=edge_on)
+        up = UP  # or against the uniform field of the scene
+        if UNIFORM_FIELD.name in header.forces and header.scene_toml:
+            gravity = tomllib.loads(header.scene_toml).get("gravity", {})
+            acceleration = np.asarray(gravity.get("uniform", -UP), dtype=np.float64)
+            size = float(np.linalg.norm(acceleration))
+            up = -acceleration / size if 0.0 < size < np.inf else UP
+        corners, edge_on = corners_of(header, origin), _edge_on(header, up)
+        return cls(header.radius, first, corners, up=up, motion=motion, edge_on=edge_on)
 
     @property
     def is_few(self) -> bool:
         """Whether the bodies are so few that each frame should be measured."""
-        return self._count <= FEW
+        return len(self._radius) <= FEW
 
     def see(self, batch: Sequence[Frame], origin: FloatArray) -> None:
         """Measure the frames of a batch; of many bodies, only the last."""
@@ -234,7 +181,12 @@ class CameraFit:
             bodies = np.flatnonzero(shown)
             if not self.is_few and len(bodies):
                 bodies = bodies[_outermost(moment[bodies] - centre, self._radius[bodies])]
-            self._keep(moment[bodies], self._radius[bodies], centre)
+            rows = np.column_stack([moment[bodies], self._radius[bodies], np.broadcast_to(centre, (len(bodies), 3))])
+            self._spheres = np.concatenate([self._spheres, rows])
+            if len(self._spheres) > _MOST_SPHERES:
+                centred = self._spheres[:, :3] - self._centre, self._spheres[:, :3] - self._spheres[:, 4:]
+                outer = [np.argmax(place @ _ALL_ROUND.T + self._spheres[:, 3:4], axis=0) for place in centred]
+                self._spheres = self._spheres[np.unique(np.concatenate(outer))]
 
     def offset(self, position: FloatArray) -> FloatArray:
         """Return how far (m) the middle of the bodies (n, 3) has moved since the first moment."""
@@ -280,9 +232,8 @@ class CameraFit:
         """
         has_paths = trails and self.is_few
         ends = tips if tips is not None and self.is_few else np.zeros((0, 3))
-        frame = _Frame(
-            aspect, room, narrow, has_paths, ends, moment and not has_paths, inset, pictured and not has_paths
-        )
+        alone, now = moment and not has_paths, pictured and not has_paths
+        frame = _Frame(aspect, room, narrow, has_paths, ends, alone, inset, now)
         if self.motion is not None:
             return self._view(frame, self.motion)
         view = self._view(frame, CameraMotion.STILL)
@@ -382,51 +333,11 @@ class CameraFit:
             radius = np.tile(radius, _TURNS)
         return position, radius
 
-    def _keep(self, position: FloatArray, radius: FloatArray, middle: FloatArray) -> None:
-        rows = np.column_stack([position, radius, np.broadcast_to(middle, position.shape)])
-        self._spheres = np.concatenate([self._spheres, rows])
-        if len(self._spheres) > _MOST_SPHERES:
-            centred = self._spheres[:, :3] - self._centre, self._spheres[:, :3] - self._spheres[:, 4:]
-            outer = [np.argmax(place @ _ALL_ROUND.T + self._spheres[:, 3:4], axis=0) for place in centred]
-            self._spheres = self._spheres[np.unique(np.concatenate(outer))]
-
 
 def corners_of(header: Header, origin: FloatArray) -> FloatArray | None:
     """Return the drawn corners (8, 3) of the walls or of the periodic box; None if there is neither."""
     size = header.walls if header.walls is not None else header.drawn_box
     return None if size is None else np.array(list(product((-0.5, 0.5), repeat=3))) * size - origin
-
-
-def screen(to_eye: FloatArray, up: FloatArray = _UP) -> FloatArray:
-    """Return the axes of the screen, (3, 3): to the right, up and towards the eye."""
-    right = np.cross(up, to_eye)
-    if float(np.linalg.norm(right)) < _STEEP:  # straight from above or below
-        right = np.cross(np.eye(3)[int(np.argmin(np.abs(to_eye)))], to_eye)
-    right = right / np.linalg.norm(right)
-    return np.array([right, np.cross(to_eye, right), to_eye])
-
-
-CORNERS = ((1, 1), (-1, 1), (1, -1), (-1, -1))  # right and up are positive
-
-
-def free_corner(
-    view: View, aspect: float, inset: tuple[float, float], position: FloatArray, radius: FloatArray
-) -> tuple[int, int] | None:
-    """Return a corner of a picture in which a legend covers no sphere; None without any.
-
-    Parameters
-    ----------
-    inset
-        Width and height of the legend, as fractions of those of the picture.
-    position, radius
-        (k, 3) and (k,) m, of the spheres.
-    """
-    places, sizes = view.on_screen(position), view.radius_on_screen(position, radius)[:, None]
-    half, whole = np.array([inset[0] * aspect, inset[1]]), np.array([aspect, 1.0])
-    for corner in CORNERS:
-        if not np.any(np.all(np.abs(places - corner * (whole - half)) < half + sizes, axis=1)):
-            return corner
-    return None
 
 
 def turned(vector: FloatArray, axis: FloatArray, angle: float) -> FloatArray:
@@ -452,7 +363,7 @@ def _direction(moments: FloatArray, up: FloatArray) -> FloatArray:
         chosen = np.linalg.eigh(covariance / total - _PREFERENCE * np.outer(usual, usual))[1][:, 0]
         chosen = chosen if chosen @ usual >= 0.0 else -chosen
     level = chosen - (chosen @ up) * up
-    if float(np.linalg.norm(level)) < _STEEP:
+    if float(np.linalg.norm(level)) < STEEP:
         level = usual - (usual @ up) * up
     elevation = np.clip(np.arcsin(np.clip(chosen @ up, -1.0, 1.0)), _LOWEST, _HIGHEST)
     return np.asarray(np.cos(elevation) * level / np.linalg.norm(level) + np.sin(elevation) * up)
@@ -460,21 +371,11 @@ def _direction(moments: FloatArray, up: FloatArray) -> FloatArray:
 
 def _upright(up: FloatArray) -> FloatArray:
     """Return axes (3, 3), the last of which points up: the axes of the scene, unless gravity points elsewhere."""
-    if float(up @ _UP) > 1.0 - _STEEP:
+    if float(up @ UP) > 1.0 - STEEP:
         return np.eye(3)
     across = np.cross(up, np.eye(3)[int(np.argmin(np.abs(up)))])
     across = across / np.linalg.norm(across)
     return np.array([across, np.cross(up, across), up])
-
-
-def _against_gravity(header: Header) -> FloatArray:
-    """Return the unit vector against the scene's uniform field; without any, along z."""
-    if UNIFORM_FIELD.name not in header.forces or not header.scene_toml:
-        return _UP
-    gravity = tomllib.loads(header.scene_toml).get("gravity", {})
-    acceleration = np.asarray(gravity.get("uniform", -_UP), dtype=np.float64)
-    size = float(np.linalg.norm(acceleration))
-    return -acceleration / size if 0.0 < size < np.inf else _UP
 
 
 def _edge_on(header: Header, up: FloatArray) -> FloatArray | None:
@@ -532,23 +433,18 @@ def _near(position: FloatArray) -> BoolArray:
         return finite
     out = np.full(len(position), np.inf)
     out[finite] = np.linalg.norm(position[finite] - np.median(position[finite], axis=0), axis=1)
-    near: BoolArray = np.less_equal(out, _FAR * float(np.median(out[finite])))
-    return near
+    return np.asarray(out <= _FAR * float(np.median(out[finite])))
 
 
 def _middle(moments: FloatArray, near: BoolArray, radius: FloatArray) -> FloatArray:
     """Return the middle (k, 3) of the bodies that must be inside the view at each moment."""
     if len(radius) <= FEW:
-        shown = near[..., None]
-        low = np.where(shown, moments - radius[:, None], np.inf).min(axis=1)
-        high = np.where(shown, moments + radius[:, None], -np.inf).max(axis=1)
+        low = np.where(near[..., None], moments - radius[:, None], np.inf).min(axis=1)
+        high = np.where(near[..., None], moments + radius[:, None], -np.inf).max(axis=1)
         there = np.isfinite(low)
         return np.where(there, (np.where(there, low, 0.0) + np.where(there, high, 0.0)) / 2, 0.0)
-    return np.array([_middle_of_many(moment[kept], radius[kept]) for moment, kept in zip(moments, near, strict=True)])
-
-
-def _middle_of_many(position: FloatArray, radius: FloatArray) -> FloatArray:
-    if not len(position):
-        return np.zeros(3)
-    ends = [(_largest(position[:, k], radius), -_largest(-position[:, k], radius)) for k in range(3)]
-    return np.asarray(np.mean(ends, axis=1))
+    middles = np.zeros((len(moments), 3))
+    for k, kept in enumerate(near):
+        x, sizes = moments[k][kept].T, radius[kept]
+        middles[k] = [(_largest(along, sizes) - _largest(-along, sizes)) / 2 for along in x] if kept.any() else 0.0
+    return middles

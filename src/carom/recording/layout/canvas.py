@@ -1,10 +1,11 @@
-"""Common parts of a layout's views: screen sizes, additions, magnified spaces, and the frame of 3D views."""
+"""Common parts of a layout's views: cameras, screen sizes, additions, magnified spaces, and the frame of 3D views."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from enum import StrEnum
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -14,8 +15,7 @@ from rerun.blueprint.api import VisualizerLike
 from rerun.blueprint.encodings import ComponentSourceKind, VisualizerComponentMapping
 from rerun.encodings import EntityPathLike
 
-from carom.arrays import FloatArray, IntArray
-from carom.recording.layout.camera import SLOPE, CameraMotion, View, screen
+from carom.arrays import BoolArray, FloatArray, IntArray
 from carom.recording.schema import palette, paths
 from carom.recording.schema.header import Header
 from carom.recording.schema.paths import MOVING, PERIODIC_BOX, PLANES, SHAPES, WALLS
@@ -25,6 +25,94 @@ if TYPE_CHECKING:
     from carom.show.body_plots import BodyPlots
     from carom.show.close_up import CloseUp
     from carom.show.legend import Legend
+
+
+SLOPE = float(np.tan(np.radians(55.0 / 2)))  # of the picture's upper border: Rerun's field of view is 55° high
+UP = np.array([0.0, 0.0, 1.0])
+STEEP = 1e-6  # sine of the angle to the vertical below which a direction has no azimuth
+
+
+class CameraMotion(StrEnum):
+    """How the camera moves while time passes."""
+
+    STILL = "still"
+    FOLLOW = "follow"
+    ORBIT = "orbit"
+
+
+@dataclass(frozen=True, slots=True)
+class View:
+    """Position of the camera, and how it moves."""
+
+    target: FloatArray  # (3,) m
+    distance: float  # m, of the eye from the target
+    motion: CameraMotion
+    to_eye: FloatArray  # (3,) unit vector
+    up: FloatArray = field(default_factory=UP.copy)  # (3,) unit vector that is vertical on the screen
+    slope: float = SLOPE  # half the picture's height at unit distance
+    whole: bool = True  # whether all measured motion is inside the picture
+    outside: int = 0  # bodies that are not wholly inside the picture at the first moment
+
+    @property
+    def eye(self) -> FloatArray:
+        """Position of the eye (m)."""
+        return np.asarray(self.target + self.distance * self.to_eye)
+
+    def axes(self) -> FloatArray:
+        """Return the unit vectors to the right and up on the screen, (2, 3)."""
+        return screen(self.to_eye, self.up)[:2]
+
+    def height(self) -> float:
+        """Return the height (m) of the picture at the target."""
+        return 2.0 * self.slope * self.distance
+
+    def on_screen(self, position: FloatArray) -> FloatArray:
+        """Project positions (..., 3) m; the picture's upper and lower border are at ±1, and x has the same scale."""
+        across, up, nearer = np.moveaxis((position - self.target) @ screen(self.to_eye, self.up).T, -1, 0)
+        return np.asarray(np.stack([across, up], axis=-1) / (self.slope * (self.distance - nearer))[..., None])
+
+    def radius_on_screen(self, position: FloatArray, radius: FloatArray) -> FloatArray:
+        """Return the radii (...,) of spheres on the screen, in half heights of the picture."""
+        nearer = (position - self.target) @ self.to_eye
+        return np.asarray(radius / (self.slope * (self.distance - nearer)))
+
+    def holds(self, position: FloatArray, radius: FloatArray, aspect: float) -> BoolArray:
+        """Return which spheres (...,) are wholly inside a picture of this width over height."""
+        beyond = np.abs(self.on_screen(position)) + self.radius_on_screen(position, radius)[..., None]
+        inside: BoolArray = np.all(beyond <= [aspect, 1.0], axis=-1)
+        return inside
+
+
+def screen(to_eye: FloatArray, up: FloatArray = UP) -> FloatArray:
+    """Return the axes of the screen, (3, 3): to the right, up and towards the eye."""
+    right = np.cross(up, to_eye)
+    if float(np.linalg.norm(right)) < STEEP:  # straight from above or below
+        right = np.cross(np.eye(3)[int(np.argmin(np.abs(to_eye)))], to_eye)
+    right = right / np.linalg.norm(right)
+    return np.array([right, np.cross(to_eye, right), to_eye])
+
+
+CORNERS = ((1, 1), (-1, 1), (1, -1), (-1, -1))  # right and up are positive
+
+
+def free_corner(
+    view: View, aspect: float, inset: tuple[float, float], position: FloatArray, radius: FloatArray
+) -> tuple[int, int] | None:
+    """Return a corner of a picture in which a legend covers no sphere; None without any.
+
+    Parameters
+    ----------
+    inset
+        Width and height of the legend, as fractions of those of the picture.
+    position, radius
+        (k, 3) and (k,) m, of the spheres.
+    """
+    places, sizes = view.on_screen(position), view.radius_on_screen(position, radius)[:, None]
+    half, whole = np.array([inset[0] * aspect, inset[1]]), np.array([aspect, 1.0])
+    for corner in CORNERS:
+        if not np.any(np.all(np.abs(places - corner * (whole - half)) < half + sizes, axis=1)):
+            return corner
+    return None
 
 
 _TITLE = 24  # points, of a view's title bar
