@@ -128,11 +128,11 @@ if TYPE_CHECKING:
     from carom.scene.contact_laws import ContactLaw as ContactLaw
     from carom.scene.conversion import converted as converted
     from carom.scene.conversion import rescaled as rescaled
+    from carom.scene.data import Arrays as Arrays
+    from carom.scene.data import DataFormat as DataFormat
+    from carom.scene.data import DataTable as DataTable
     from carom.scene.data.body_sources import DataFiles as DataFiles
     from carom.scene.data.body_sources import HeldBodies as HeldBodies
-    from carom.scene.data.formats import Arrays as Arrays
-    from carom.scene.data.formats import DataFormat as DataFormat
-    from carom.scene.data.formats import DataTable as DataTable
     from carom.scene.forces import BodyForce as BodyForce
     from carom.scene.forces import PairForce as PairForce
     from carom.scene.integrators import INTEGRATORS as INTEGRATORS
@@ -231,7 +231,7 @@ SECTIONS = {  # purpose → module → names
         "carom.recording.schema.palette": "LINES",
     },
     "Data formats": {
-        "carom.scene.data.formats": "DataFormat DataTable Arrays",
+        "carom.scene.data": "DataFormat DataTable Arrays",
     },
     "Export formats": {
         "carom.recording.export": "Snapshot",

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from carom.lab.crosscheck.crosscheck import Crosscheck, CrosscheckTask, Followed, Runs
-from carom.lab.engines.engine import engines_called
+from carom.lab.engines import engines_called
 from carom.recording.read.recording import Recording
 from carom.scene.scene_file import crosscheck_scenes
 from carom.scene.schema import Scene

@@ -24,7 +24,7 @@ import pytest
 
 import carom
 from carom.errors import RecordingError
-from carom.lab.statistics.interval import Interval
+from carom.lab.statistics import Interval
 from carom.lab.statistics.motion_statistics import measure_free_paths, measure_stress
 from carom.lab.statistics.structure_statistics import measure_pair_correlation
 from carom.physics.placement.initial_state import place

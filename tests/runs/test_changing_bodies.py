@@ -16,7 +16,7 @@ import pytest
 import carom
 from carom.errors import RecordingError
 from carom.lab.diff.diff import diff
-from carom.lab.statistics.interval import Interval
+from carom.lab.statistics import Interval
 from carom.lab.statistics.motion_statistics import measure_free_paths, measure_velocities
 from carom.lab.statistics.structure_statistics import measure_network
 from carom.recording.edit.clip import clip

@@ -11,7 +11,7 @@ import pytest
 
 from carom.errors import ExperimentError
 from carom.lab.compared_run import sample_times
-from carom.lab.engines.engine import EngineSimulation, engine_called, problem_of
+from carom.lab.engines import EngineSimulation, engine_called, problem_of
 from carom.lab.engines.rebound import shortest_period
 from carom.lab.engines.watched import watch
 from carom.lab.tradeoff.tradeoff import Study

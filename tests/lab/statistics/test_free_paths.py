@@ -11,7 +11,7 @@ import pytest
 import carom
 from carom import Recording
 from carom.errors import RecordingError
-from carom.lab.statistics.interval import Interval
+from carom.lab.statistics import Interval
 from carom.lab.statistics.motion_statistics import measure_free_paths, paths_of
 from carom.scene.schema import Scene
 from small_scenes import scene_of

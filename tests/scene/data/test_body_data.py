@@ -21,7 +21,7 @@ from carom.errors import SceneError
 from carom.physics.placement import place
 from carom.plan.features import require
 from carom.plan.hierarchy import heaviest
-from carom.scene.data import formats as table
+from carom.scene import data as table
 from carom.scene.matter import pair_coefficients
 from carom.scene.schema import Scene
 from carom.scene.wording import JoinedNames, NumberedNames

@@ -82,7 +82,7 @@ def crosscheck(
     from carom.errors import ExperimentError
     from carom.extend import bundled_folders
     from carom.lab.crosscheck.crosscheck import Crosscheck, Runs
-    from carom.lab.engines.engine import engines_called
+    from carom.lab.engines import engines_called
     from carom.lab.tradeoff.tradeoff_command import STOPPED, ran
 
     chosen, known = engines_called(engines), bundled_folders()

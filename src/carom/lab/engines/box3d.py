@@ -23,7 +23,7 @@ from carom.arrays import FloatArray, IntArray, Records, SingleArray
 from carom.errors import RecordingError
 from carom.extend import engine_package, named_version
 from carom.lab.compared_run import Setting
-from carom.lab.engines.engine import EngineSimulation, SteppedEngine, dt_of, problem_of, refuse
+from carom.lab.engines import EngineSimulation, SteppedEngine, dt_of, problem_of, refuse
 from carom.record import CONTACT, Model, Plane, State, StateMemory
 
 PACKAGE = "robox3d"

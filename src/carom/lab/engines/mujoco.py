@@ -20,7 +20,7 @@ from carom.arrays import FloatArray, IntArray, Records
 from carom.errors import RecordingError
 from carom.extend import Coefficients, engine_package, named_version
 from carom.lab.compared_run import Setting
-from carom.lab.engines.engine import EngineSimulation, SteppedEngine, dt_of, problem_of
+from carom.lab.engines import EngineSimulation, SteppedEngine, dt_of, problem_of
 from carom.record import CONTACT, Model, Plane, Source, State
 
 WORLD = 0  # the body that owns everything static

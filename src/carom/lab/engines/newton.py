@@ -21,7 +21,7 @@ from carom.arrays import FloatArray, Records, SingleArray
 from carom.errors import RecordingError
 from carom.extend import Coefficients, engine_package, named_version
 from carom.lab.compared_run import Setting
-from carom.lab.engines.engine import EngineSimulation, SteppedEngine, dt_of, problem_of
+from carom.lab.engines import EngineSimulation, SteppedEngine, dt_of, problem_of
 from carom.record import CONTACT, Model, Plane, State
 
 WORLD = -1  # the body that owns static shapes

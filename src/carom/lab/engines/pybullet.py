@@ -23,7 +23,7 @@ from carom.arrays import FloatArray, Records
 from carom.errors import RecordingError
 from carom.extend import SPHERE, engine_package, named_version
 from carom.lab.compared_run import Setting
-from carom.lab.engines.engine import EngineSimulation, SteppedEngine, dt_of, problem_of, refuse
+from carom.lab.engines import EngineSimulation, SteppedEngine, dt_of, problem_of, refuse
 from carom.record import CONTACT, Model, Plane, State
 
 BASE = -1  # the number of a body's first link

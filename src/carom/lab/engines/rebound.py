@@ -34,7 +34,7 @@ from carom.extend import (
     units_of_rebound,
 )
 from carom.lab.compared_run import STEPS, RunStoppedError, Setting, Trajectory
-from carom.lab.engines.engine import FINER, EngineSimulation, refuse
+from carom.lab.engines import FINER, EngineSimulation, refuse
 from carom.lab.engines.watched import watch
 from carom.record import Model, Source, State, StateMemory
 

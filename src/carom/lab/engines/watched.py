@@ -19,7 +19,7 @@ from carom.lab.compared_run import RunStoppedError, Trajectory, between
 from carom.record import Fault, State, Tolerances
 
 if TYPE_CHECKING:
-    from carom.lab.engines.engine import EngineSimulation
+    from carom.lab.engines import EngineSimulation
 
 ROUNDING = 1e-9  # of the duration, by which the sum of the steps may fall short
 COMPLETED = "completed"

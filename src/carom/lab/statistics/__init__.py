@@ -1,1 +1,437 @@
-"""`carom contacts --statistics`: statistics of the impacts, contacts and velocities of a recording."""
+"""The data of the statistics, from the frames of an interval, and the form of their results.
+
+The interval begins and ends with a frame, so that the time in which impacts are counted is exact. Impacts, contacts and
+drawn positions are read from the recording. Velocities are known at checkpoints only. With ``replay``, impacts,
+contacts and velocities are computed again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+
+from carom import Recording, Scene
+from carom.arrays import BoolArray, FloatArray, IntArray, Records
+from carom.contact_table import CONTACT_ROW
+from carom.errors import RecordingError, SceneError
+from carom.extend import (
+    STEP,
+    TIME,
+    Dimension,
+    RecordedPositions,
+    StepStatus,
+    UnitSystem,
+    closing_speeds,
+    count_at,
+    recorded_scene,
+    rows_by_frame,
+    start_of,
+    tolerance,
+)
+
+Watcher = Callable[[StepStatus], None]
+
+_POINT, _NORMAL, _VELOCITY = ("x", "y", "z"), ("nx", "ny", "nz"), ("vx", "vy", "vz")  # columns of tables
+MOST_STATES = 64  # exact states whose velocities are used
+MOST_CONTACT_FRAMES = 32
+MOST_VELOCITIES = 2_000_000  # in memory, summed over these states
+MOST_CONTACTS = 2_000_000  # bodies, summed over the frames whose contacts are used
+NUMBER = Dimension("number", "", (0, 0, 0, 0), "3")
+MOST_BINS = 40  # of a histogram
+TAIL = 0.995  # fraction of the values in a histogram; the largest values would stretch the axis
+
+
+class NothingThereError(RecordingError):
+    """An interval without impacts, or without lasting contacts."""
+
+
+class ContactColumns(NamedTuple):
+    """The lasting contacts that carry an impulse, in the steps of some frames."""
+
+    moving: BoolArray  # (f, n) mask of the bodies that exist in each frame and are not fixed
+    elapsed: float  # s, the length of these steps in all
+    frame: IntArray  # (k,) index of the frame, from 0
+    i: IntArray  # (k,) i < j
+    j: IntArray  # (k,) from n on: planes and walls
+    normal: FloatArray  # (k, 3) from i to j
+    impulse: FloatArray  # (k,) N s, along the normal
+    force: FloatArray  # (k,) N, along the normal
+    friction: FloatArray  # (k,) N
+
+
+class ImpactColumns(NamedTuple):
+    """The impacts of an interval, in order of time."""
+
+    step: IntArray  # (k,)
+    time: FloatArray  # (k,) s
+    i: IntArray  # (k,) i < j
+    j: IntArray  # (k,) from n on: planes and walls
+    point: FloatArray  # (k, 3) m
+    normal: FloatArray  # (k, 3) from i to j
+    speed: FloatArray  # (k,) m/s, of approach
+    impulse: FloatArray  # (k,) N s, along the normal
+
+
+@dataclass(frozen=True)
+class Interval:
+    """An interval of a recording, which begins and ends with a frame."""
+
+    recording: Recording
+    step: IntArray  # (f,) of the frames
+    time: FloatArray  # (f,) s
+    replay: bool
+    watch: Watcher
+
+    @classmethod
+    def of(cls, recording: Recording, start: float | None, end: float | None, replay: bool, watch: Watcher) -> Interval:
+        """Choose the frames from one time to another (s), both included; by default all.
+
+        Raises
+        ------
+        RecordingError
+            If there is no frame, or the recording shows only some of its bodies.
+        """
+        recording.refuse_some_bodies()
+        recording.require_frames()
+        first, last = -np.inf if start is None else start, np.inf if end is None else end
+        frames = recording.fingerprints()
+        time = frames["time"].to_numpy()
+        inside = (time >= first - tolerance(first)) & (time <= last + tolerance(last))
+        if not inside.any():
+            raise RecordingError(f"{recording.path} has no frame from {recording.units.span(first, last, TIME, 'g')}")
+        return cls(recording, frames[STEP].to_numpy()[inside], time[inside], replay, watch)
+
+    @property
+    def bodies(self) -> int:
+        """Number of bodies."""
+        return len(self.recording.bodies.mass)
+
+    @property
+    def duration(self) -> float:
+        """Length of the interval, s."""
+        return float(self.time[-1] - self.time[0])
+
+    @property
+    def text(self) -> str:
+        """The first and the last time of the interval, in the unit of the scene."""
+        return self.recording.units.span(self.time[0], self.time[-1], TIME)
+
+    @cached_property
+    def box(self) -> FloatArray | None:
+        """Size of the periodic box, (3,) m; None without one."""
+        box = self.recording.info.get("box")
+        return None if box is None else np.asarray(box, dtype=np.float64)
+
+    def refuse_shear(self, what: str) -> None:
+        """Raise RecordingError in a sheared box."""
+        if self.recording.shear is not None:
+            raise RecordingError(f"{what} in a sheared box cannot be measured yet, since its images move")
+
+    def _relative_to_flow(self, velocity: FloatArray, position: FloatArray) -> FloatArray:
+        """Return velocities relative to the flow of a sheared box, (n, 3) m/s; without shear they are unchanged."""
+        shear = self.recording.shear
+        if shear is None:
+            return velocity
+        (flow, gradient), relative = shear.axes, velocity.copy()
+        relative[:, flow] -= shear.rate * position[:, gradient]
+        return relative
+
+    @cached_property
+    def moving(self) -> BoolArray:
+        """Mask (n,) of the bodies that are not fixed."""
+        first = next(iter(self.recording.checkpoint_times), None)
+        if self.scene is None or first is None:
+            return np.asarray(~self.recording.fixed)
+        return ~start_of(self.recording, self.scene, self.recording.checkpoint(first)).fixed
+
+    def moving_at(self, step: int) -> BoolArray:
+        """Return a mask (n,) of the bodies that exist in a step and are not fixed."""
+        return np.asarray(self.moving & self.recording.present(step))
+
+    @cached_property
+    def scene(self) -> Scene | None:
+        """The scene; None if another engine made the run, or this version cannot read it."""
+        try:
+            return recorded_scene(self.recording)
+        except (RecordingError, SceneError):
+            return None
+
+    @cached_property
+    def positions(self) -> RecordedPositions:
+        """Positions of the frames."""
+        return RecordedPositions(self.recording)
+
+    def require_contacts(self) -> None:
+        """Raise RecordingError if no bodies can touch."""
+        if not self.recording.info["collides"]:
+            raise RecordingError("no bodies of this run can touch, so there are no contacts to measure")
+
+    @cached_property
+    def _impact_table(self) -> pa.Table:
+        self.require_contacts()
+        self._require_frames()
+        return self.recording.impacts(self.time[0], self.time[-1], replay=self.replay, watch=self.watch)
+
+    def _require_frames(self) -> None:
+        if self.duration == 0.0:
+            raise RecordingError("impacts are counted between frames, and the interval has only one")
+
+    @cached_property
+    def impacts(self) -> ImpactColumns:
+        """The impacts after the first frame.
+
+        Raises
+        ------
+        RecordingError
+            If there are none.
+        """
+        if self.recording.engine:
+            return self._impacts_of_engine()
+        table = self._impact_table
+        step = table[STEP].to_numpy()
+        table = table.filter(pa.array((step > self.step[0]) & (step <= self.step[-1])))
+        if table.num_rows == 0:
+            raise NothingThereError(f"there are no impacts from {self.text}")
+        point, normal = _vectors(table, _POINT), _vectors(table, _NORMAL)
+        step, time, i, j, speed, impulse = (
+            table[name].to_numpy() for name in (STEP, "time", "i", "j", "approach_speed", "normal_impulse")
+        )
+        return ImpactColumns(step, time, i, j, point, normal, speed, impulse)
+
+    def _impacts_of_engine(self) -> ImpactColumns:
+        """Return the impacts in a recording of another engine: contacts that begin, between bodies that close.
+
+        A contact begins in a frame if its pair has none in the frame before. Its approach speed is that of the exact
+        states of the frame before, since another engine may resolve an impact over several steps.
+        """
+        self.require_contacts()
+        self._require_frames()
+        recording, steps = self.recording, self.step.tolist()
+        if not recording.records_contacts:
+            raise RecordingError(
+                f"forces of contacts, which show impacts, are not in this recording of {recording.engine}"
+            )
+        if not set(steps) <= set(recording.checkpoint_times):
+            raise RecordingError(
+                "impacts in another engine need the exact state of every frame; record with exact=True"
+            )
+        none = np.empty(0, CONTACT_ROW)
+        rows = {step: rows for step, _, rows in rows_by_frame(recording, steps[0], steps[-1])}
+        found, speeds, touching = [none], [np.empty(0)], _pairs(rows.get(steps[0], none))
+        states = recording.checkpoints(steps)
+        before = next(states)
+        for after in states:
+            contacts = rows.get(after.step, none)
+            speed = closing_speeds(contacts, before)
+            pairs = _pairs(contacts)
+            begins = ~np.isin(pairs, touching) & (contacts["normal_impulse"] > 0.0) & (speed > 0.0)
+            _, first = np.unique(pairs[begins], return_index=True)  # a pair may have several points of contact
+            kept = np.flatnonzero(begins)[np.sort(first)]
+            found.append(contacts[kept])
+            speeds.append(speed[kept])
+            touching, before = pairs, after
+        table, step = np.concatenate(found), np.repeat(steps, [len(each) for each in found])
+        if len(table) == 0:
+            raise NothingThereError(f"there are no impacts from {self.text}")
+        point, normal = _vectors(table, _POINT), _vectors(table, _NORMAL)
+        pair = table["i"].astype(np.int64), table["j"].astype(np.int64)
+        impulse = table["normal_impulse"].astype(np.float64)
+        return ImpactColumns(step, table["time"], *pair, point, normal, np.concatenate(speeds), impulse)
+
+    @cached_property
+    def impacts_left_out(self) -> int:
+        """Number of impacts of the interval that are not in `impacts`."""
+        if self.recording.engine:
+            return 0
+        if self.replay or not self.recording.records_contacts:
+            return int((self._impact_table.schema.metadata or {}).get(b"left_out", b"0"))
+        first, last = (count_at(self.recording, int(step)) for step in self.step[[0, -1]])
+        return max(0, last - first - len(self.impacts.step))
+
+    @property
+    def contacts(self) -> ContactColumns:
+        """The lasting contacts of some frames, without impacts.
+
+        Raises
+        ------
+        RecordingError
+            If there are none.
+        """
+        self.require_contacts()
+        if self.recording.engine and not self.recording.records_contacts:
+            raise RecordingError(f"forces of contacts are not in this recording of {self.recording.engine}")
+        if not len(self._contacts.i):
+            raise NothingThereError(f"there are no lasting contacts from {self.text}")
+        return self._contacts
+
+    @cached_property
+    def _contacts(self) -> ContactColumns:
+        rows = self.chosen(max(1, min(MOST_CONTACT_FRAMES, MOST_CONTACTS // self.bodies)))
+        times = self.time[rows].tolist()
+        if self.replay or not self.recording.records_contacts:
+            window = self.recording.rerun(times[0], contacts=True, watch=self.watch)
+            tables = [window.contacts(time) for time in times]
+        else:
+            tables = [self.recording.contacts(time) for time in times]
+        table = pa.concat_tables(
+            [each.append_column("frame", pa.array(np.full(each.num_rows, k))) for k, each in enumerate(tables)]
+        )
+        table = table.filter(pc.and_(pc.is_valid(table["normal_force"]), pc.greater(table["normal_impulse"], 0.0)))
+        normal = _vectors(table, _NORMAL)
+        names = ("normal_impulse", "normal_force", "tangential_force")
+        impulse, force, friction = (table[name].to_numpy() for name in names)
+        frame, i, j = (table[name].to_numpy() for name in ("frame", "i", "j"))
+        steps = self.recording.steps("dt")
+        dt = steps["dt"].to_numpy()[np.isin(steps[STEP].to_numpy(), self.step[rows])]
+        held = np.ones(len(rows)) if self.scene is None or self.scene.drag is None else self._held_fraction(dt)
+        force, friction = force / held[frame], friction / held[frame]
+        moving = np.stack([self.moving_at(int(step)) for step in self.step[rows]])
+        return ContactColumns(moving, float((dt * held).sum()), frame, i, j, normal, impulse, force, friction)
+
+    def _held_fraction(self, dt: FloatArray) -> FloatArray:
+        """Return the impulse that balances a constant force F in a step under drag, over F dt.
+
+        It is (h φ₂ + k₂)/h of docs/physics.md, section 6: drag removes a part of the momentum of the first kick.
+        """
+        assert self.scene is not None and self.scene.drag is not None
+        z = dt / self.scene.drag.relaxation_time
+        decay = np.exp(-z)
+        phi1 = -np.expm1(-z) / z
+        phi2 = (1 - phi1) / z
+        return np.asarray(phi2 + phi1 - decay * phi2 / phi1)
+
+    def groups(self, among: BoolArray | None = None) -> list[tuple[str, BoolArray]]:
+        """Return the name of each group of bodies, and a mask of its members among all bodies or some.
+
+        A group is named by the common beginning of its bodies' names, such as "molecule" for "molecule 17".
+        """
+        among = np.ones(self.bodies, dtype=bool) if among is None else among
+        group, names = self.recording.bodies.group, self.recording.bodies.name
+        found = []
+        for number in np.unique(group[among]).tolist():
+            own = np.flatnonzero(group == number)
+            first, last = names[int(own[0])], names[int(own[-1])]
+            name = first if len(own) == 1 else first.rstrip(" 0123456789")
+            if not name or not last.startswith(name):
+                name = "other bodies" if number < 0 else f"group {number}"
+            found.append((name, (group == number)[among]))
+        return found
+
+    @cached_property
+    def volume(self) -> float | None:
+        """Volume of the periodic box or of the walls, m³; None if space is open along an axis."""
+        if self.scene is None:
+            return None if self.box is None else float(np.prod(self.box))
+        size = None if "open" in self.scene.domain.axes else self.scene.domain.size
+        return None if size is None else float(np.prod(size))
+
+    def chosen(self, count: int) -> IntArray:
+        """Return evenly spaced rows of the frames, the last one among them; frame 0 only if it is the only one."""
+        rows = np.flatnonzero(self.step > 0) if self.step[-1] > 0 else np.zeros(1, np.int64)
+        places = np.linspace(len(rows) - 1, 0, min(count, len(rows))).round().astype(np.int64)
+        return np.asarray(rows[places[::-1]])
+
+    @cached_property
+    def velocities(self) -> FloatArray:
+        """Exact velocities of some moments of the interval, (k, n, 3) m/s; NaN of bodies that do not exist.
+
+        In a sheared box they are relative to the flow.
+        """
+        most = max(1, min(MOST_STATES, MOST_VELOCITIES // self.bodies))
+        if self.replay:
+            window = self.recording.rerun(float(self.time[0]), watch=self.watch)
+            states = window.states(self.step[self.chosen(most)].tolist())
+            return np.stack([self._relative_to_flow(state.velocity, state.position) for state in states])
+        known = [step for step in self.recording.checkpoint_times if self.step[0] <= step <= self.step[-1]]
+        known = [step for step in known if step > 0] or known
+        if not known:
+            state = self.recording.bodies(float(self.time[-1]))
+            return self._relative_to_flow(_vectors(state, _VELOCITY), _vectors(state, _POINT))[None]
+        places = np.unique(np.linspace(0, len(known) - 1, min(most, len(known))).round().astype(np.int64))
+        kept = self.recording.checkpoints(np.array(known)[places].tolist())
+        return np.stack([self._relative_to_flow(state.velocity, state.position) for state in kept])
+
+
+def _vectors(table: pa.Table | Records, names: tuple[str, str, str]) -> FloatArray:
+    """Return three columns of a table as vectors, (k, 3)."""
+    return np.stack([np.asarray(table[name], dtype=np.float64) for name in names], axis=1)
+
+
+def _pairs(rows: Records) -> IntArray:
+    """Return a number for the pair of each contact, (k,)."""
+    return np.asarray(rows["i"].astype(np.int64) << 32 | rows["j"].astype(np.int64))
+
+
+@dataclass(frozen=True)
+class MeasuredValue:
+    """A number, a vector or a matrix."""
+
+    label: str
+    value: int | float | FloatArray
+    dimension: Dimension = NUMBER
+    error: float | None = None  # one standard error; None if it is not known
+
+    def document(self, units: UnitSystem) -> dict[str, Any]:
+        """Return it as JSON, in the units of the recording."""
+        value = self.value.tolist() if isinstance(self.value, np.ndarray) else self.value
+        return {"value": value, "error": self.error, "unit": units.recorded_unit(self.dimension.unit or "1")}
+
+
+@dataclass(frozen=True)
+class Histogram:
+    """The distribution of a quantity, or a function of a distance: values between edges."""
+
+    label: str  # of the quantity, at the edges
+    edges: FloatArray  # (b + 1,)
+    values: FloatArray  # (b,) the density of the distribution, in 1/dimension; or the function
+    dimension: Dimension = NUMBER  # of the edges
+    function: str = ""  # label of the values; empty for a density
+    expected: FloatArray | None = None  # (b,) the values in theory
+    theory: str = ""  # the name of the theory
+    falls: bool = False  # whether the values decay about exponentially; a figure then has a logarithmic axis
+
+    @classmethod
+    def of(cls, label: str, values: FloatArray, dimension: Dimension = NUMBER, *, falls: bool = False) -> Histogram:
+        """Return the density of values from 0 to the largest ones."""
+        high = float(np.quantile(values, TAIL)) if len(values) else 1.0
+        bins = max(1, min(MOST_BINS, round(2 * len(values) ** (1 / 3))))  # Rice's rule
+        edges = np.linspace(0.0, high if high > 0.0 else 1.0, bins + 1)
+        counts = np.histogram(values, edges)[0]
+        return cls(label, edges, counts / (max(1, len(values)) * np.diff(edges)), dimension, falls=falls)
+
+    def document(self, units: UnitSystem) -> dict[str, Any]:
+        """Return it as JSON, in the units of the recording."""
+        values = "values" if self.function else "density"
+        theory = {} if self.expected is None else {"expected": self.expected.tolist(), "theory": self.theory}
+        unit = units.recorded_unit(self.dimension.unit or "1")
+        return {"edges": self.edges.tolist(), values: self.values.tolist(), **theory, "unit": unit}
+
+
+@dataclass(frozen=True)
+class Statistic:
+    """All results of one kind of statistic."""
+
+    values: Mapping[str, MeasuredValue] = field(default_factory=dict)
+    histograms: Mapping[str, Histogram] = field(default_factory=dict)
+    rows: Sequence[Mapping[str, Any]] = ()  # of a table; its values are texts or `MeasuredValue`
+    note: str = ""  # a sentence about the limits of the values
+    missing: str = ""  # a sentence with the reason why there are no values
+
+    def document(self, units: UnitSystem) -> dict[str, Any]:
+        """Return it as JSON, in the units of the recording."""
+        if self.missing:
+            return {"missing": self.missing}
+        document: dict[str, Any] = {name: value.document(units) for name, value in self.values.items()}
+        document |= {name: histogram.document(units) for name, histogram in self.histograms.items()}
+        if self.rows:
+            document["rows"] = [
+                {key: v.document(units) if isinstance(v, MeasuredValue) else v for key, v in row.items()}
+                for row in self.rows
+            ]
+        return document | ({"note": self.note} if self.note else {})

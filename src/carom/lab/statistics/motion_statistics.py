@@ -34,12 +34,10 @@ import numpy as np
 from carom.arrays import FloatArray, IntArray
 from carom.errors import RecordingError
 from carom.extend import ENERGY, LENGTH, RATE, TIME, VELOCITY, Dimension, minimum_images
-from carom.lab.statistics.interval import Histogram, Interval, MeasuredValue, NothingThereError, Statistic
+from carom.lab.statistics import Histogram, Interval, MeasuredValue, NothingThereError, Statistic
 
 _BEFORE, _IMPACT, _AFTER = range(3)  # kinds of vertices of a path, in order
 PLANES = "planes"  # the group of planes and walls
-
-
 WIDTH = 5.0  # standard deviations of a histogram of velocities, to each side
 BINS = 50
 PRESSURE = Dimension("pressure", "Pa", (-1, -2, 1, 0), "3 kPa")

@@ -13,7 +13,7 @@ from rich.table import Table
 from carom import Recording
 from carom.errors import RecordingError
 from carom.extend import UnitSystem, counted, needing, print_whole, say, whole_file
-from carom.lab.statistics.interval import Histogram, Interval, MeasuredValue, Statistic, Watcher
+from carom.lab.statistics import Histogram, Interval, MeasuredValue, Statistic, Watcher
 from carom.lab.statistics.motion_statistics import (
     measure_free_paths,
     measure_impacts,

@@ -32,13 +32,11 @@ from scipy.spatial import cKDTree
 from carom.arrays import BoolArray, FloatArray, IntArray
 from carom.errors import RecordingError
 from carom.extend import FORCE
-from carom.lab.statistics.interval import Histogram, Interval, MeasuredValue, Statistic
+from carom.lab.statistics import Histogram, Interval, MeasuredValue, Statistic
 
 HOLDING = {False: 4, True: 2}  # smallest number of contacts that hold a sphere, without and with friction
 ALONG = 1 / sqrt(2)  # cos 45°
 SHORTEST = 3  # bodies of a chain
-
-
 SHELLS = 80
 RANGE = 4.0  # largest distance, in diameters of the largest body
 SPACINGS = 3.0  # largest distance in a dilute system, in mean distances of neighbours

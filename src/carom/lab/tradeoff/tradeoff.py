@@ -33,7 +33,7 @@ from carom.lab.compared_run import (
     sample_times,
     write_document,
 )
-from carom.lab.engines.engine import engine_called
+from carom.lab.engines import engine_called
 from carom.lab.tradeoff.reference import BUDGET, COMPARED, NAMES, Reference, fineness, make_reference
 from carom.lab.tradeoff.settings_grid import (
     SettingResult,

@@ -89,7 +89,7 @@ def tradeoff(
 
     Measurements are kept; the same command continues where it stopped.
     """
-    from carom.lab.engines.engine import engines_called
+    from carom.lab.engines import engines_called
     from carom.lab.tradeoff.settings_grid import default_settings
 
     others = engines_called(engines or ())

@@ -1,1 +1,301 @@
-"""Bodies from data files and arrays: a module for each family of formats, the mapping of columns, and the checks."""
+"""Formats of data files: the interface of tables, their limits, and the formats by suffix."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carom import registry
+from carom.arrays import BoolArray, FloatArray
+from carom.errors import SceneError
+from carom.scene.wording import suggestion
+
+MOST_ROWS = 50_000_000  # a run takes 1 kB per body
+MOST_BYTES = 100 * MOST_ROWS  # of one column as an array
+
+MOST_COLUMNS = 10_000
+
+ROOMY = 200_000_000  # bytes to which any file may decompress, such as 3 million identical bodies
+NUMBER = 8  # bytes of a number in memory
+MOST_TIMES = 100  # largest ratio of the decompressed size to the size of the file; distinct positions hardly compress
+
+STEP, BODY = "step", "body"  # columns written by `carom export`; a file with both may hold several steps
+
+_FORTRAN = re.compile(r"([+-]?\d*\.?\d*)[dD]?([+-]?\d+)")  # 1.0D-01, or 1.0-101 where the exponent has three digits
+_LONGEST_NUMBER = 60  # characters
+_EXACT = 2**53  # whole numbers below this are represented exactly by floats
+
+Raw = NDArray[Any]  # (n,) or (n, 3), with steps first if there are several
+
+
+class MotionLaw(NamedTuple):
+    """The law of motion of the simulation in a file; its numbers are in the units of the table."""
+
+    constant: float  # gravitational constant; 0 without gravity
+    softening: float
+    box: tuple[float, float, float] | None  # size of its periodic box; None if space is open
+    collides: bool
+    integrated: str = ""  # its integrator and step, in words
+    integrator: str = ""  # the same method in carom, if there is one
+    ghosts: tuple[int, int, int] = (0, 0, 0)  # images of its box on each side along x, y and z
+
+
+class DataTable:
+    """The columns of a file; only requested columns are read."""
+
+    called: str  # its name in messages
+    names: Sequence[str]  # names of its columns
+    hidden: Sequence[str] = ()  # names of further columns, read only if the scene names them
+    unnamed: int = 0  # number of its columns if they have no names
+    units: str = ""  # units of length, time and mass, such as "au, day, M_sun"; empty if unknown
+    law: MotionLaw | None = None  # None if unknown
+    notes: tuple[str, ...] = ()  # notes on columns that are unused or reinterpreted
+
+    def read(self, names: Sequence[str], texts: Sequence[str] = ()) -> dict[str, Raw]:
+        """Read columns by their names. A format without types reads the columns in ``texts`` as texts."""
+        raise NotImplementedError
+
+    def rename(self, names: Sequence[str]) -> None:
+        """Name all columns, for a text file without a header."""
+        raise SceneError(
+            f"{self.called}: columns = […] names all columns of a text file, but this format has names; write columns "
+            "= { position = … } for those that differ"
+        )
+
+
+class DataFormat(NamedTuple):
+    """A format of data files, registered in `carom.registry` under the suffix of its files."""
+
+    called: str  # a file of this format in messages: "an Arrow file"
+    open: Callable[[Path, str, int], DataTable]  # opens a path, given its name in messages and the index of a step
+    # times of the steps of a path, ascending, in the units of its numbers; None if the format states none
+    times: Callable[[Path, str], Sequence[float]] | None = None
+
+
+class Arrays(DataTable):
+    """Columns that a Python program gives as arrays, or that another package has read."""
+
+    def __init__(self, arrays: Mapping[str, Raw], called: str = "the arrays") -> None:
+        self.called = called
+        self.names = list(arrays)
+        self._arrays = arrays
+
+    def read(self, names: Sequence[str], texts: Sequence[str] = ()) -> dict[str, Raw]:
+        """Return arrays by their names."""
+        return {name: self._arrays[name] for name in names}
+
+
+def refuse_many_rows(called: str, rows: int) -> None:
+    """Refuse a table before much memory is allocated for it."""
+    if rows > MOST_ROWS:
+        raise SceneError(f"{called}: {rows} rows are too many; at most {MOST_ROWS}")
+
+
+def refuse_many_columns(called: str, columns: int, each: int = 1) -> None:
+    """Refuse a table with more columns, or parts of columns of which one has some, than any table of bodies has."""
+    if columns > each * MOST_COLUMNS:
+        raise SceneError(f"{called}: {columns} columns are too many; at most {MOST_COLUMNS}")
+
+
+def refuse_large(called: str, column: str, size: int) -> None:
+    """Refuse a column that is too large."""
+    if size > MOST_BYTES:
+        raise SceneError(f"{called}: column {column} has {size} bytes, which are too many; at most {MOST_BYTES}")
+
+
+def step_at(called: str, snapshot: int, steps: int, whose: str = "it") -> int:
+    """Return the index of a snapshot among several steps; a negative number counts from the last.
+
+    Raises
+    ------
+    SceneError
+        If there is no such step.
+    """
+    if not -steps <= snapshot < steps:
+        raise SceneError(f"{called}: there is no snapshot {snapshot}: {whose} has {steps}")
+    return snapshot % steps
+
+
+def periodic_note(called: str, size: Sequence[float] = (), axes: str = "xyz") -> str:
+    """Return the note that a file's box, periodic along some axes, is ignored, with its size if known."""
+    shown = f" of {' × '.join(f'{length:g}' for length in size)}" if len(size) else ""
+    along, wanted = "", '"periodic"'
+    if axes != "xyz":
+        along = f" along {' and '.join(axes)}"
+        wanted = str(["periodic" if axis in axes else "open" for axis in "xyz"]).replace("'", '"')
+    return f"{called}: its box{shown} is periodic{along}, which is ignored; set domain.boundary = {wanted} for that"
+
+
+def refuse_bomb(called: str, claimed: int, stored: int) -> None:
+    """Refuse a file whose columns would take far more memory than the file, before they are read."""
+    if claimed > max(ROOMY, MOST_TIMES * stored):
+        raise SceneError(
+            f"{called}: its {stored} bytes would take {claimed} bytes of memory: it is damaged, or a decompression bomb"
+        )
+
+
+def numbers_of(called: str, column: str, raw: Raw, with_gaps: bool = False) -> FloatArray:
+    """Return a column as float64; values that are missing are NaN if it may have gaps.
+
+    Raises
+    ------
+    SceneError
+        The message names the first row that is not a number.
+    """
+    if raw.dtype.kind in "fiu":
+        return raw.astype(np.float64)
+    if raw.dtype.kind not in "OSU":
+        raise SceneError(f"{called}: column {column} holds values of type {raw.dtype} instead of numbers")
+    numbers = np.empty(raw.size)
+    for row, value in enumerate(raw.ravel().tolist()):
+        number = math.nan if with_gaps and value in (None, "", b"") else number_in(value)
+        if number is None:
+            raise SceneError(f"{called}: column {column}, row {row}: {_shown(value)} is not a number")
+        numbers[row] = number
+    return numbers.reshape(raw.shape)
+
+
+def number_in(value: Any) -> float | None:
+    """Return a value as a number, also in Fortran's form (1.0D-01); None if it is not a number."""
+    try:
+        return float(value)
+    except (TypeError, ValueError):
+        text = value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value)
+    fortran = _FORTRAN.fullmatch(text.strip()) if len(text) <= _LONGEST_NUMBER else None
+    try:
+        return float(f"{fortran[1]}E{fortran[2]}") if fortran else None
+    except ValueError:
+        return None
+
+
+def flags_of(called: str, column: str, raw: Raw) -> BoolArray:
+    """Return a column of true and false, or of 1 and 0."""
+    if raw.dtype.kind == "b":
+        return raw.astype(np.bool_)
+    if raw.dtype.kind in "fiu":
+        wrong = (raw != 0) & (raw != 1)
+    else:  # an array of objects, which occurs if a row is empty
+        wrong = np.array([not isinstance(value, bool) for value in raw.tolist()])
+    if wrong.any():
+        row = int(np.argmax(wrong))
+        raise SceneError(
+            f"{called}: column {column}, row {row}: {_shown(raw.tolist()[row])} is neither true nor false (1 or 0)"
+        )
+    return raw.astype(np.bool_)
+
+
+def texts_of(raw: Raw) -> list[str]:
+    """Return a column as texts; missing ones are empty."""
+    return [_text(value) for value in raw.tolist()]
+
+
+def _text(value: Any) -> str:
+    if value is None or (isinstance(value, float) and math.isnan(value)):  # pandas' mark of a missing value
+        return ""
+    # pandas' form of 5 in a column with a gap
+    if isinstance(value, float) and value.is_integer() and abs(value) < _EXACT:
+        return str(int(value))
+    return value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value)
+
+
+def _shown(value: Any) -> str:
+    return "empty, which" if value is None or value == "" else repr(value)[:60]
+
+
+_ROUNDED = 1e-8  # relative error of a time that was printed and typed again
+_LONGEST_REASON = 200  # characters of a library's message
+
+
+def open_table(
+    path: Path, called: str, snapshot: int, header: Sequence[str] | None = None, time: float | None = None
+) -> DataTable:
+    """Open a data file.
+
+    Parameters
+    ----------
+    path
+        The file; its suffix names the format.
+    called
+        Its name in messages.
+    snapshot
+        Index of the step in a file with several steps.
+    header
+        The names of all columns of a text file, if the scene gives them.
+    time
+        Selects the snapshot that is nearest in time, in place of ``snapshot``; in the units of the scene.
+
+    Raises
+    ------
+    SceneError
+        If the format is unknown, its package is missing, or the file is not of this format.
+    """
+    ending = path.suffix.lower()
+    known = [f".{name}" for name in registry.names("data_formats")]
+    if ending not in known:
+        raise SceneError(f'{called}: no format has the suffix "{path.suffix}"; {suggestion(path.suffix, known)}')
+    form: DataFormat = registry.load("data_formats", ending[1:])
+    with _reading(called, form):
+        if time is not None:
+            snapshot = _nearest(form, path, called, time)
+        table = form.open(path, called, snapshot)
+        if header is not None:
+            table.rename(header)
+        if table.unnamed:
+            raise SceneError(
+                f"{called}: no line names its {table.unnamed} columns; name them all, such as "
+                'columns = ["x", "y", "z", "radius", …]'
+            )
+        refuse_many_columns(called, len(table.names))
+        return _Guarded(table, form)
+
+
+def _nearest(form: DataFormat, path: Path, called: str, time: float) -> int:
+    """Return the index of the snapshot that is nearest to a time."""
+    if form.times is None:
+        raise SceneError(
+            f"{called}: carom reads no times of snapshots in {form.called}; choose one with snapshot = 0, 1 …"
+        )
+    times = np.asarray(form.times(path, called), dtype=np.float64)
+    rounding = _ROUNDED * float(np.abs(times).max())
+    if not times.min() - rounding <= time <= times.max() + rounding:
+        raise SceneError(
+            f"{called}: snapshot_time = {time:g} is outside of its {len(times)} snapshots, from t = {times.min():g} to "
+            f"{times.max():g}"
+        )
+    return int(np.argmin(np.abs(times - time)))
+
+
+class _Guarded(DataTable):
+    """A table that raises only `SceneError`."""
+
+    def __init__(self, table: DataTable, form: DataFormat) -> None:
+        self._table = table
+        self._form = form
+        self.called, self.names, self.units = table.called, table.names, table.units
+        self.law, self.notes, self.hidden = table.law, table.notes, table.hidden
+
+    def read(self, names: Sequence[str], texts: Sequence[str] = ()) -> dict[str, Raw]:
+        """Read columns by their names."""
+        with _reading(self.called, self._form):
+            return self._table.read(names, texts)
+
+
+@contextlib.contextmanager
+def _reading(called: str, form: DataFormat) -> Iterator[None]:
+    """Convert any exception of a library about a damaged file to one sentence."""
+    try:
+        yield
+    except SceneError:
+        raise
+    except MemoryError:
+        raise SceneError(f"{called}: too large for the memory of this machine") from None
+    except Exception as error:
+        reason = (str(error).strip().splitlines() or [type(error).__name__])[0][:_LONGEST_REASON]
+        raise SceneError(f"{called}: not {form.called}, or damaged: {reason}") from None

@@ -18,7 +18,7 @@ from numpy.lib import format as npy
 
 from carom.errors import SceneError
 from carom.install import install_extra
-from carom.scene.data.formats import (
+from carom.scene.data import (
     NUMBER,
     DataFormat,
     DataTable,

@@ -23,7 +23,7 @@ import pyarrow.parquet as pq
 from carom import registry
 from carom.arrow_claims import claims, columns, unpacked_bytes
 from carom.errors import SceneError
-from carom.scene.data.formats import (
+from carom.scene.data import (
     BODY,
     MOST_COLUMNS,
     NUMBER,

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from carom.arrays import BoolArray, FloatArray
 from carom.errors import SceneError
-from carom.scene.data.formats import Arrays, DataTable, Raw, flags_of, numbers_of, step_at, texts_of
+from carom.scene.data import Arrays, DataTable, Raw, flags_of, numbers_of, step_at, texts_of
 from carom.scene.data.mapping import (
     VECTORS,
     ColumnMapping,

@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 from carom.errors import SceneError
+from carom.scene.data import MotionLaw, open_table
 from carom.scene.data.body_columns import BodyColumns, read_columns
-from carom.scene.data.formats import MotionLaw, open_table
 from carom.scene.schema.body import BodyData
 from carom.scene.schema.contact import Material
 from carom.scene.units.dimension import GRAVITATIONAL_CONSTANT, LENGTH, TIME

@@ -9,7 +9,7 @@ import numpy as np
 
 from carom.errors import SceneError
 from carom.install import install_extra
-from carom.scene.data.formats import (
+from carom.scene.data import (
     Arrays,
     DataFormat,
     DataTable,

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from functools import lru_cache
 
 from carom.errors import SceneError
-from carom.scene.data.formats import BODY, STEP
+from carom.scene.data import BODY, STEP
 from carom.scene.schema.body import BodyData
 from carom.scene.schema.contact import Material
 from carom.scene.units.dimension import BASE, Dimension, UnitError, nearest_float, unit, unit_of

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from carom.errors import SceneError
-from carom.scene.data.formats import Arrays, DataFormat, DataTable, Raw, number_in, refuse_large, step_at
+from carom.scene.data import Arrays, DataFormat, DataTable, Raw, number_in, refuse_large, step_at
 from carom.scene.data.mapping import printable
 
 _BEGIN, _END = "$$SOE", "$$EOE"

@@ -23,7 +23,7 @@ import numpy as np
 
 from carom.arrays import FloatArray
 from carom.errors import SceneError
-from carom.scene.data.formats import DataTable, Raw, numbers_of, texts_of
+from carom.scene.data import DataTable, Raw, numbers_of, texts_of
 from carom.scene.data.mapping import ELEMENTS, ORIENTED, column_factor, elements_in, printable, unit_in
 from carom.scene.portable_math import cosine_and_sine, cube_root
 from carom.scene.schema.body import KeplerianOrbits

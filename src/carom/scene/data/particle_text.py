@@ -20,7 +20,7 @@ import pyarrow.csv
 
 from carom.arrays import FloatArray
 from carom.errors import SceneError
-from carom.scene.data.formats import (
+from carom.scene.data import (
     Arrays,
     DataFormat,
     DataTable,

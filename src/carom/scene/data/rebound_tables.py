@@ -11,7 +11,7 @@ import numpy as np
 from carom.arrays import FloatArray
 from carom.errors import SceneError
 from carom.install import install_extra
-from carom.scene.data.formats import Arrays, DataFormat, DataTable, MotionLaw, Raw, refuse_many_rows
+from carom.scene.data import Arrays, DataFormat, DataTable, MotionLaw, Raw, refuse_many_rows
 from carom.scene.data.mapping import printable
 from carom.scene.units.system import units_of_rebound
 from carom.scene.wording import counted

@@ -17,7 +17,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from carom.errors import SceneError
-from carom.scene.data.formats import (
+from carom.scene.data import (
     Arrays,
     DataFormat,
     DataTable,
