@@ -87,6 +87,8 @@ def why_late(scene: Scene) -> str:
         return f'contact.timing = "{asked}"' if asked == "end-of-step" else ""
     if not interactions.contact(scene).modelled:
         return "no contact is possible"
+    if scene.has_piston:
+        return "each impact with a [plane.piston] would change all paths"
     # with an accuracy, `limits` refuses any other integrator
     if chosen.locates_impacts or scene.time.accuracy is not None:
         return ""

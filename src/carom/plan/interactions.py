@@ -121,7 +121,9 @@ def load(scene: Scene) -> str:
     """Return the force that presses contacts together; empty without one, when every contact is an impact."""
     if force := differing(scene):
         return force
-    return f"the {pushing(scene)}" if field_presses(scene) else ""
+    if field_presses(scene):
+        return f"the {pushing(scene)}"
+    return "the piston" if scene.has_piston else ""
 
 
 def field_presses(scene: Scene) -> bool:

@@ -30,6 +30,7 @@ from carom.runs.environment import Interrupts, environment, garbage_sought_seldo
 from carom.runs.outcome import EACH, ONCE_A_STEP, Verdict, closing_of, description, judge
 from carom.scene.parts import extensions_of
 from carom.scene.schema import Scene
+from carom.scene.schema.piston import piston_of
 from carom.scene.schema.settings import LARGEST_ACCURACY
 from carom.scene.start import planes_of
 from carom.scene.units.dimension import TIME
@@ -357,6 +358,7 @@ def header_of(space: Space) -> Header:
         promises=scene.promise is not None,
         drives=bool(scene.translating) or any(wall.moves for wall in scene.wall),
         motions=motions_of(scene),
+        piston=None if (piston := piston_of(scene)) is None else piston[0],
         has_driving_field=any(scene.driving_field),
         shear=scene.domain.shear,
         shortest_dt_hint=space.first_dt,

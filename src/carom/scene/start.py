@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -91,6 +92,11 @@ class HalfSpaces:
     def largest_acceleration(self) -> float:
         """The largest acceleration of one of them at any time, in m/s²."""
         return 0.0
+
+    @property
+    def piston(self) -> Any:
+        """The one of them that contacts move; None if there is none."""
+        return None
 
     @property
     def spin(self) -> FloatArray:

@@ -91,6 +91,9 @@ def knobs(scene: Scene) -> dict[str, tuple[str, ...]]:
                 found["gravity.quadrupoles"] = ("true", "false")
         else:
             found["gravity.method"] = ("tree",)
+    if scene.has_piston:  # other values are refused
+        for key in ("time.integrator", "contact.solver", "contact.timing"):
+            found.pop(key, None)
     own = _in_effect(scene)
     return {key: tuple(value for value in values if value != own[key]) for key, values in found.items()}
 

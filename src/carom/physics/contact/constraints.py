@@ -11,6 +11,7 @@ from typing import NamedTuple, Protocol
 from carom.arrays import BoolArray, FloatArray, IntArray, RecordArray, dtype_of
 from carom.physics.aligned import CACHE_LINE
 from carom.physics.contact.moving_walls import SurfaceVelocity
+from carom.physics.contact.piston import Guide
 from carom.physics.contact.rolling import AngularImpulse, RollingFields
 from carom.physics.jit.decorators import inline
 from carom.physics.jit.instructions import from_front
@@ -104,6 +105,10 @@ class BodyStateRecord(Protocol):
     dwz: float
     mass: float  # kg; 0 if fixed
     inertia: float  # kg m²; 0 if fixed
+
+
+class GuidedBodyRecord(Guide, BodyStateRecord, Protocol):
+    """A body in a scene with a piston."""
 
 
 class PushedBodyRecord(Protocol):
@@ -231,6 +236,7 @@ CONTACT_ON_MOVING_WALL = dtype_of(SlidingWallContactRecord, size=3 * CACHE_LINE)
 ROLLING_ON_MOVING_WALL = dtype_of(RollingWallContactRecord, size=4 * CACHE_LINE)
 CONTACT_STATE = dtype_of(ContactStateRecord, size=2 * CACHE_LINE)
 BODY_STATE = dtype_of(BodyStateRecord, size=2 * CACHE_LINE)
+GUIDED_BODY = dtype_of(GuidedBodyRecord, size=4 * CACHE_LINE)
 PUSHED_BODY = dtype_of(PushedBodyRecord, size=CACHE_LINE)
 SEARCH = dtype_of(SearchRecord, size=2 * CACHE_LINE)
 RECORDED = dtype_of(ImpulseRecord, size=CACHE_LINE)

@@ -31,6 +31,8 @@ class ContactCheckpoint:
     impulse: FloatArray  # (k, 4) N s: λ_n, λ_t; (k, 7) where the law resists rolling, with Λ in N m s
     kick: float  # s, length of that kick
     sleep: SleepCheckpoint | None = None  # None where no body can sleep
+    # (3,) of the piston: displacement in m, velocity in m/s, impulse of the bodies on it in N s; None without one
+    piston: FloatArray | None = None
 
     @property
     def highest(self) -> int:

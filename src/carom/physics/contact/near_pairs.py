@@ -62,6 +62,7 @@ class NearPairs:
         self.has_statics = len(planes) > 0 or bool((bodies.ends.inverse_mass[: len(bodies)] == 0.0).any())
         self._smallest = float(bodies.radius.min())
         self._lift = planes.largest_acceleration
+        self._presses = abs(planes.piston.acceleration) if planes.piston else 0.0  # m/s², which moves the piston
         self.rounding = 0.0  # m, of the coordinates
         self.loading = 1.0  # by which walls multiply the acceleration that presses contacts together, at most
 
@@ -78,7 +79,7 @@ class NearPairs:
             return 1.0, 0.0
         bodies = self._bodies
         square, coordinate = largest_values(bodies.acceleration, self._field, bodies.position, self._team)
-        own = np.sqrt(square)
+        own = max(np.sqrt(square), self._presses)
         fall = (own + self._lift) * dt * dt
         self.loading = 1.0 + self._lift / own if own > 0.0 else 1.0
         if own == 0.0 or fall == 0.0:  # all contacts are impacts, which need no near pairs

@@ -30,6 +30,7 @@ from carom.physics.contact.impact_log import NO_IMPACTS, Impacts
 from carom.physics.contact.law import Materials
 from carom.physics.contact.moving_walls import set_velocities_in_drift, work_of_contacts, work_of_impacts
 from carom.physics.contact.near_pairs import NearPairs
+from carom.physics.contact.piston import PistonMotion
 from carom.physics.contact.reactions import Torques, supported_acceleration
 from carom.physics.contact.snapshot import ContactSnapshot, SnapshotSource
 from carom.physics.contact.solids import SolidsWithWalls
@@ -124,8 +125,11 @@ class ContactPipeline:
         self._was_crossed = False  # whether a body was put back in front of a plane in this step
         self.warned: set[str] = set()  # texts of the limits reported so far
         self._translation: WallTranslation | None = None
+        self._piston: PistonMotion | None = None
         if isinstance(planes, SolidsWithWalls) and planes.translates:
-            self._translation = WallTranslation(planes.records, planes.before, bodies.ends, planes.motions)
+            moving = planes.records, planes.before, bodies.ends, planes.motions
+            self._piston = PistonMotion(*moving, planes.piston, float(bodies.radius.min())) if planes.piston else None
+            self._translation = self._piston or WallTranslation(*moving)
         self._span = 0.0, 0.0  # s, times before and after the step
         friction = requirements.friction.modelled
         # islands are of interest only where contacts last
@@ -165,6 +169,8 @@ class ContactPipeline:
         self.statistics = NO_CONTACTS  # of the step's contacts
         self.counts_impacts = True  # whether they include impacts during the drift; a look-ahead needs no statistics
         self._snapshots.forget()
+        if self._piston:
+            self._piston.forget()
         if self.tap:
             self.tap.forget()
 
@@ -177,7 +183,8 @@ class ContactPipeline:
         pairs, rest_speed = self.contacts.pairs, self.solver.rest_speeds_by_pair()
         impulse = hold.impulse_of(self.solver.contacts)
         if sleepers is None:
-            return ContactCheckpoint(pairs, rest_speed, self._dt, hold.pairs, impulse, hold.kick)
+            piston = self._piston.state.copy() if self._piston else None
+            return ContactCheckpoint(pairs, rest_speed, self._dt, hold.pairs, impulse, hold.kick, piston=piston)
         awake, held = sleepers.have_awake_end(pairs), sleepers.have_awake_end(hold.pairs)
         kept = pairs[awake], rest_speed[awake], self._dt, hold.pairs[held], impulse[held], hold.kick
         return ContactCheckpoint(*kept, sleepers.memory)
@@ -199,6 +206,8 @@ class ContactPipeline:
         if memory is not None:
             if memory.highest >= len(self._bodies.ends.radius):
                 raise PhysicsError("the checkpoint has contacts of bodies that are not in the scene")
+            if self._piston and memory.piston is not None:
+                self._piston.recall(memory.piston)
             if self._sleepers:
                 self._sleepers.recall(memory.sleep)
                 self._slept = self._sleepers.contacts
@@ -219,6 +228,11 @@ class ContactPipeline:
     def next_change_of_walls(self, time: float) -> float:
         """Return when the velocity of a wall jumps next after a time, both in s; infinite if none does."""
         return self._translation.next_change(time) if self._translation else np.inf
+
+    @property
+    def longest_step_of_piston(self) -> float:
+        """The longest step (s) that the motion of the piston allows; infinite without one."""
+        return self._piston.longest_step if self._piston else np.inf
 
     def begin_step(self, before: float, time: float) -> None:
         """Note the times (s) before and after the step, by which walls translate."""
@@ -379,7 +393,9 @@ class ContactPipeline:
         self._order_contacts(pairs, dt)
         profile.mark("colouring")
         if self._pushes and len(pairs):
-            self.solver.correct_positions(self.most_sweeps)
+            pushed = self.solver.correct_positions(self.most_sweeps)
+            if self._piston:
+                self._piston.push(pushed)
             if self._guard:
                 self._guard.stop()
         profile.mark("stabilisation")
@@ -402,6 +418,8 @@ class ContactPipeline:
             self._resolve(dt, kick, profile)
         else:
             self._impulses = ImpulseCache.empty()
+        if self._piston:
+            self.work_of_walls += self._piston.settle()
         self._snapshots.set_step(self.contacts, self._slept, self.impacts, dt)
         self.statistics = self.solver.statistics() if len(self.contacts) else NO_CONTACTS
         if self._slept:
@@ -452,7 +470,7 @@ class ContactPipeline:
         """Return the limits of the method first reached in this step: level, `WARN` or `INFO`, and text."""
         reached = limits_of(
             self.settings,
-            serial_stage=self.contacts.overflows,
+            serial_stage=self.contacts.overflows and self._piston is None,  # each of its contacts has a colour
             too_few_sweeps=self._too_few_sweeps,
             exhausted=self.event_drift is not None and self.event_drift.is_exhausted,
             crossed=self._was_crossed,

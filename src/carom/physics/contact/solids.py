@@ -19,6 +19,7 @@ from carom import registry
 from carom.arrays import BoolArray, FloatArray, IntArray, RecordArray, Records
 from carom.physics.contact.constraints import ContactStateRecord, ends_of
 from carom.physics.contact.moving_walls import MOTION
+from carom.physics.contact.piston import Piston
 from carom.physics.contact.translating_walls import TRANSLATION, in_frame_of_wall, place, translation_of
 from carom.physics.jit.decorators import chosen_by_type, identity_of, inline, kernel, leaf, long_kernel
 from carom.physics.jit.instructions import from_front
@@ -43,6 +44,12 @@ class SolidsWithWalls(HalfSpaces):
     records: Records  # (p,)
     before: Records  # (p,) the records as the step began, if walls translate
     motions: Sequence[WallMotion | None]  # (p,)
+    moved: Piston | None = None  # the plane that contacts move
+
+    @property
+    def piston(self) -> Piston | None:
+        """The plane that contacts move; None if there is none."""
+        return self.moved
 
     @property
     def rotates(self) -> bool:
@@ -104,7 +111,8 @@ def solids_of(scene: Scene) -> HalfSpaces:
     flat = half_spaces(scene)
     motions = [*(plane.motion for plane in scene.plane), *[None] * (len(flat) - len(scene.plane))]
     motions += [wall.motion for wall in scene.wall]
-    translates = any(motion is not None and motion.translates for motion in motions)
+    piston = Piston.of(scene, flat.normal)
+    translates = piston is not None or any(motion is not None and motion.translates for motion in motions)
     if not (scene.wall or translates):
         return flat
     shapes = sorted({*registry.HOUSE["walls"], *(wall.shape for wall in scene.wall)})
@@ -136,6 +144,7 @@ def solids_of(scene: Scene) -> HalfSpaces:
         records=records,
         before=records.copy() if translates else records,
         motions=motions,
+        moved=piston,
     )
 
 

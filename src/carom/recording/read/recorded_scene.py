@@ -167,6 +167,7 @@ def header_of_recording(recording: Recording) -> Header:
         promises=bool(info.get("promises", False)),
         drives=bool(info.get("drives", False)),
         motions=_motions(recording),
+        piston=int(info["piston"]) if "piston" in info else None,
         has_driving_field=bool(info.get("has_driving_field", False)),
         shear=recording.shear,
         record_impacts="auto" if recording.records_contacts else "none",

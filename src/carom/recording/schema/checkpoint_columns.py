@@ -217,6 +217,7 @@ def _contacts_of(memory: ContactCheckpoint) -> dict[str, Values]:
         **({"held_angular": memory.impulse[:, 4:].ravel()} if memory.impulse.shape[1] > 4 else {}),
         "held_kick": np.array([memory.kick]),
         **({} if memory.sleep is None else _sleep_of(memory.sleep)),
+        **({} if memory.piston is None else {"piston": memory.piston}),
     }
 
 
@@ -345,6 +346,7 @@ class _Row:
             impulse=np.concatenate((impulse.reshape(-1, 4), angular), axis=1),
             kick=self.number("held_kick"),
             sleep=self.sleep() if "sleep_calm" in self._stored else None,
+            piston=self._finite("piston", 3) if "piston" in self._stored else None,
         )
 
     def sleep(self) -> SleepCheckpoint:

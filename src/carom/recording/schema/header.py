@@ -85,6 +85,7 @@ _FLAGS = {
     "friction": "has_friction",
     "record.impacts": "records_contacts",  # not a part of the model, but required by series of contacts
     "wall.motion": "drives",  # not a part of the model, but required by the work of moving walls
+    "piston": "has_piston",  # not a part of the model, but required by the motion of a piston
     "driving-field": "has_driving_field",  # not a part of the model, but required by its work along periodic axes
     "shear": "shears",  # not a part of the model, but required by the work of a sheared box
     "spin": "spins",
@@ -143,6 +144,7 @@ class Header:
     promises: bool = False  # whether it promises an accuracy
     drives: bool = False  # whether a wall moves
     motions: Mapping[str, WallMotion] = field(default_factory=dict)  # of walls that move, by their entities
+    piston: int | None = None  # number of the plane that contacts move
     has_driving_field: bool = False  # whether a uniform field has a component along a periodic axis
     shear: Shear | None = None  # of a periodic domain
     record_impacts: Literal["auto", "all", "none"] = "none"  # applies to the contact table, too
@@ -205,6 +207,11 @@ class Header:
         if by == "material" and self.materials:
             return self.materials.body_colours()
         return palette.body_colours(self.group)
+
+    @property
+    def has_piston(self) -> bool:
+        """Whether contacts move a plane."""
+        return self.piston is not None
 
     @property
     def shears(self) -> bool:
@@ -302,7 +309,7 @@ _KEYS: dict[str, dict[str, str]] = {
         "schema_version": _WHOLE,
         "drawing_rules": _WHOLE,
         "contact_rules": _WHOLE,
-        "seed": _WHOLE,
+        **dict.fromkeys(("seed", "piston"), _WHOLE),
         "duration": _NUMBER,
         "arrow_length.*": _NUMBER,
         **dict.fromkeys(("spins", "has_*", "gravitates", "collides", "stabilises", "promises", "drives"), _FLAG),

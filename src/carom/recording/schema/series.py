@@ -25,6 +25,7 @@ from carom.scene.parts import names_of
 
 if TYPE_CHECKING:
     from carom.physics.checkpoint import Checkpoint
+    from carom.physics.contact.contact_checkpoint import ContactCheckpoint
     from carom.physics.diagnostics.energy import Energy
     from carom.physics.frame import Frame
 
@@ -52,11 +53,12 @@ PLOTS = (  # from left to right; the plots of a column are tabs
     (Plot("Energy", "J"),),
     (Plot("Energy taken out", "J"), Plot("Relative error", "1")),
     (Plot("Contacts", "1"), Plot("Contact force", "N"), Plot("Impacts", "1/s"), Plot("Solver", "1")),
-    (Plot("Overlap / radius", "1"), Plot("dt", "s")),
+    (Plot("Overlap / radius", "1"), Plot("dt", "s"), Plot("Piston", "m")),
 )
-(_ENERGY,), (_TAKEN, _ERROR), (CONTACTS, _FORCE, _IMPACTS, _SOLVER), (_OVERLAP, _DT) = PLOTS
+(_ENERGY,), (_TAKEN, _ERROR), (CONTACTS, _FORCE, _IMPACTS, _SOLVER), (_OVERLAP, _DT, _PISTON) = PLOTS
 _TABLE = "record.impacts"  # key of the scene, which must not be "none", for series of the contact table
-_DRIVES = ("wall.motion", "driving-field", "shear")  # what does recorded work on the bodies; not parts of the model
+# what does recorded work on the bodies; not parts of the model
+_DRIVES = ("wall.motion", "piston", "driving-field", "shear")
 # Component of a series or impact: the value in the unit of its plot. The viewer cannot scale a curve (Rerun 0.41), so
 # the scaled values are recorded, too, if the scene has a section [units].
 IN_PLOT = "in_plot"
@@ -157,6 +159,21 @@ def _loss(kind: ForceKind) -> Series:
     )
 
 
+def _piston(state: Frame | Checkpoint) -> FloatArray:
+    """Return `PistonMotion.state`."""
+    memory: ContactCheckpoint | None = getattr(state, "memory" if hasattr(state, "memory") else "contacts")
+    assert memory is not None and memory.piston is not None, "the scene has a piston"
+    return memory.piston
+
+
+def _force_on_piston(sample: Sample) -> float:
+    """Return the mean force (N) of the bodies on the piston since the previous frame."""
+    frame, before = sample.frame, sample.before
+    if before is None or frame.time <= before.time:
+        return 0.0
+    return float(_piston(frame)[2] - _piston(before)[2]) / (frame.time - before.time)
+
+
 # A table, two lines a series: its name and style; its value, meaning, part of the model and dependence on earlier
 # steps.
 # fmt: off
@@ -211,6 +228,13 @@ SERIES = (
            lambda s: s.overlap, "deepest overlap of a contact", "contact", Past.STEP),
     Series("step/relative_overlap", "1", "deepest overlap / smaller radius", PURPLE, _OVERLAP,
            lambda s: s.relative_overlap, "largest overlap over the smaller radius of the pair", "contact", Past.STEP),
+    Series("step/piston_position", "m", "piston", BLUE, _PISTON,
+           lambda s: float(_piston(s.frame)[0]), "displacement of the piston along its normal", "piston"),
+    Series("step/piston_velocity", "m/s", "piston", BLUE, None,
+           lambda s: float(_piston(s.frame)[1]), "velocity of the piston along its normal", "piston"),
+    Series("step/piston_force", "N", "on the piston", ORANGE, _FORCE,
+           _force_on_piston, "mean force of the bodies on the piston since the previous frame", "piston",
+           Past.INTERVAL),
 )
 # fmt: on
 

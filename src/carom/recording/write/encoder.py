@@ -59,7 +59,7 @@ from carom.recording.write.rows import (
     plain_column,
     vector_column,
 )
-from carom.recording.write.wall_places import moving_walls, wall_rows
+from carom.recording.write.wall_places import moving_walls, piston_rows, wall_rows
 
 SPEED = "speed"  # in the property `arrows`: the speed (m/s) in the middle of the colours
 
@@ -132,6 +132,7 @@ class BatchEncoder:
         encoding.cast_positions(position, self.origin, points)
         yield self._bodies(index, batch, store, points)
         yield from wall_rows(self._walls, index, self.origin)
+        yield from piston_rows(self.header, index, batch)
         if self.header.has_torque:
             yield from self._arrows(index, batch, store, points)
         extremes = np.zeros((len(batch), 3))

@@ -112,6 +112,8 @@ def identity(header: Header, clock: TimeScale, origin: FloatArray) -> dict[str, 
         properties["promises"] = True
     if header.drives:
         properties["drives"] = True
+    if header.piston is not None:
+        properties |= {"has_piston": True, "piston": header.piston}
     if header.has_driving_field:
         properties["has_driving_field"] = True
     if header.shear:

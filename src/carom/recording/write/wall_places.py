@@ -6,15 +6,17 @@ of the velocities of a plane, only the component along the normal is drawn, but 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import rerun as rr
 
 from carom.arrays import FloatArray
+from carom.physics.frame import Frame
 from carom.recording.layout.drawing import single
 from carom.recording.schema.header import Header
+from carom.recording.schema.paths import MOVING
 from carom.recording.write.rows import Index, Rows, array_bytes, vector_column
 from carom.scene.portable_math import cosine_and_sine
 from carom.scene.schema.motion import WallMotion
@@ -50,6 +52,17 @@ def moving_walls(header: Header) -> Mapping[str, MovingWall]:
             rotates = motion.rotation != 0.0 and axis is not None and wall is not None
             found[path] = MovingWall(motion, axis=axis(wall.section) if rotates and axis and wall else None)
     return found
+
+
+def piston_rows(header: Header, index: Index, frames: Sequence[Frame]) -> Iterable[Rows]:
+    """Yield the transform of the piston, if there is one, in some frames."""
+    if header.piston is None or header.planes is None:
+        return
+    states = [frame.memory.piston for frame in frames if frame.memory is not None]
+    displacement = np.array([0.0 if state is None else state[0] for state in states])
+    places = single(displacement[:, None] * header.planes.normal[header.piston])
+    column = vector_column(rr.Transform3D.descriptor_translation(), places)
+    yield Rows(f"{MOVING}/plane-{header.piston}", index, [column], array_bytes(places))
 
 
 def wall_rows(walls: Mapping[str, MovingWall], index: Index, origin: FloatArray) -> Iterable[Rows]:

@@ -9,6 +9,7 @@ from pydantic import BeforeValidator, Field, model_validator
 
 from carom.scene.schema.contact import Surface
 from carom.scene.schema.motion import WallMotion
+from carom.scene.schema.piston import Piston
 from carom.scene.schema.quantity import ORIGIN, AnyReal, Count, NonNegative, Positive, Real, Section, Vector
 from carom.scene.units.dimension import ANGULAR_VELOCITY, DENSITY, LENGTH, MASS, TIME, VELOCITY
 
@@ -359,11 +360,12 @@ class SolidPlane(Surface):
     )
     material: str | None = Field(None, description="name of a [[material]], instead of coefficients")
     motion: WallMotion | None = Field(None, description="a prescribed motion; at rest by default")
+    piston: Piston | None = Field(None, description="a mass and a force that move it, instead of a prescribed motion")
 
     @property
     def translates(self) -> bool:
         """Whether it moves."""
-        return self.motion is not None and self.motion.translates
+        return self.piston is not None or (self.motion is not None and self.motion.translates)
 
     @model_validator(mode="after")
     def _has_a_direction(self) -> Self:
@@ -373,4 +375,6 @@ class SolidPlane(Surface):
             )
         if self.motion is not None and self.motion.rotation:
             raise ValueError("motion.rotation of a plane, which has no axis; use a [[wall]] with a disc, or remove it")
+        if self.motion is not None and self.piston is not None:
+            raise ValueError("motion and piston are both given; leave one out")
         return self

@@ -21,6 +21,7 @@ from carom.scene.schema.contact import (
     know_installed_forces,
     law_sections,
 )
+from carom.scene.schema.piston import piston_of, refuse_what_has_no_piston
 from carom.scene.schema.promise import Expect, Promise, Sweep
 from carom.scene.schema.quantity import SectionError
 from carom.scene.schema.settings import Domain, ForcedParts, Heading, Record
@@ -155,6 +156,11 @@ class Scene(Forces, Heading):
         """The planes and walls that change their place."""
         solids: tuple[SolidPlane | Wall, ...] = (*self.plane, *self.wall)
         return tuple(solid for solid in solids if solid.translates)
+
+    @property
+    def has_piston(self) -> bool:
+        """Whether a plane is a piston."""
+        return piston_of(self) is not None
 
     @property
     def wall_names(self) -> list[str]:
@@ -343,6 +349,11 @@ class Scene(Forces, Heading):
     @model_validator(mode="after")
     def _shears_what_it_can(self) -> Self:
         refuse_what_is_not_sheared(self)
+        return self
+
+    @model_validator(mode="after")
+    def _has_a_piston_where_it_can(self) -> Self:
+        refuse_what_has_no_piston(self)
         return self
 
     @model_validator(mode="after")

@@ -113,6 +113,7 @@ ANGULAR_IMPULSE = Dimension("angular impulse", "N m s", (2, -1, 1, 0), "3 N m s"
 FORCE = Dimension("force", "N", (1, -2, 1, 0), "3 N")
 TORQUE = Dimension("torque", "N m", (2, -2, 1, 0), "3 N m")
 ANGULAR_ACCELERATION = Dimension("angular acceleration", "rad/s²", (0, -2, 0, 1), "3 rad/s^2")
+PRESSURE = Dimension("pressure", "Pa", (-1, -2, 1, 0), "100 kPa")
 ENERGY = Dimension("energy", "J", (2, -2, 1, 0), "3 kJ", "energy")
 
 DIMENSIONS: Sequence[Dimension] = (
@@ -131,6 +132,7 @@ DIMENSIONS: Sequence[Dimension] = (
     FORCE,
     TORQUE,
     ANGULAR_ACCELERATION,
+    PRESSURE,
     ENERGY,
 )
 NAMED = {dimension.plain: dimension for dimension in DIMENSIONS if dimension.plain}  # by the key of [units]

@@ -16,6 +16,7 @@ import numpy as np
 from carom.arrays import BoolArray, FloatArray, IntArray, RecordArray
 from carom.physics.contact.constraints import BodyStateRecord, ContactRecord, ends_of
 from carom.physics.contact.moving_walls import slip_on_wall
+from carom.physics.contact.piston import along_guide
 from carom.physics.jit.decorators import inline, kernel, long_kernel
 from carom.physics.jit.instructions import AHEAD, from_front, prefetch_record
 from carom.physics.jit.vectors import where
@@ -149,6 +150,7 @@ def push(a: BodyStateRecord, b: BodyStateRecord, Jx: float, Jy: float, Jz: float
         a.vy -= Jy * mi
         a.vz -= Jz * mi
     if mj > 0.0:
+        Jx, Jy, Jz = along_guide(b, Jx, Jy, Jz)
         b.vx += Jx * mj
         b.vy += Jy * mj
         b.vz += Jz * mj
@@ -185,6 +187,7 @@ def accumulate_push(a: BodyStateRecord, b: BodyStateRecord, Jx: float, Jy: float
         a.dvy -= Jy * mi
         a.dvz -= Jz * mi
     if mj > 0.0:
+        Jx, Jy, Jz = along_guide(b, Jx, Jy, Jz)
         b.dvx += Jx * mj
         b.dvy += Jy * mj
         b.dvz += Jz * mj

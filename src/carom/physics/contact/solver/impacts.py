@@ -41,6 +41,7 @@ from carom.physics.contact.law import (
     restitution_at_depth,
     restitution_of_impact,
 )
+from carom.physics.contact.piston import tangent_inverse_mass
 from carom.physics.contact.rolling import (
     angular_impulse,
     angular_impulse_of_impact,
@@ -110,8 +111,9 @@ def resolve_impacts(first: int, end: int, system: ConstraintSystem) -> None:
                 system.recorded[c].normal_impulse += Jn
             if spins:
                 ux, uy, uz = slip(contact, body_i, body_j, tx, ty, tz)
+                K = tangent_inverse_mass(Kn, body_i, body_j)
                 Kt = inverse_tangent_mass(
-                    Kn, contact.arm_i, contact.arm_j, body_i.inverse_inertia, body_j.inverse_inertia
+                    K, contact.arm_i, contact.arm_j, body_i.inverse_inertia, body_j.inverse_inertia
                 )
                 tx, ty, tz, dissipated = friction_of_impact(material, Jn, ux, uy, uz, Kt)
                 state.friction_loss += dissipated

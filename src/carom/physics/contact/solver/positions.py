@@ -40,6 +40,7 @@ from carom.physics.contact.constraints import (
 )
 from carom.physics.contact.geometry import normal_and_distance
 from carom.physics.contact.law import material_index, restitution
+from carom.physics.contact.piston import pushed_rise
 from carom.physics.contact.solids import tangent_plane
 from carom.physics.contact.solver.block import Block, whole_blocks
 from carom.physics.contact.solver.body_state import prefetch_ends, velocity_along
@@ -180,7 +181,8 @@ def _geometry(
     box = system.box
     if plane >= 0:
         sx, sy, sz, offset = tangent_plane(system.surface, system.offset, plane, a.x, a.y, a.z)
-        return -sx, -sy, -sz, sx * a.x + sy * a.y + sz * a.z - offset, a.radius
+        rise = pushed_rise(system.bodies[body_count(system) + plane], b, (sx, sy, sz))
+        return -sx, -sy, -sz, sx * a.x + sy * a.y + sz * a.z - offset - rise, a.radius
     dx, dy, dz = b.x - a.x, b.y - a.y, b.z - a.z
     dx, dy, dz = nearest_image(dx, dy, dz, box)
     nx, ny, nz, d = normal_and_distance(dx, dy, dz)

@@ -51,6 +51,7 @@ from carom.physics.contact.constraints import (
 )
 from carom.physics.contact.law import exerts_torque, lasting_friction, material_index, sliding_friction, sticks
 from carom.physics.contact.moving_walls import slope_on_wall
+from carom.physics.contact.piston import is_guided
 from carom.physics.contact.rolling import (
     accumulate_angular_impulse,
     angular_impulse,
@@ -120,7 +121,8 @@ def solve(piece: int, system: ConstraintSystem, turning: tuple[()] | tuple[int])
         One element if impulses exert torques, otherwise empty. Its type makes Numba compile a kernel for each case.
     """
     lo, hi = system.pieces[piece, 0], system.pieces[piece, 1]  # with `contacts_of`, blocks would take 3 % longer
-    blocks = 0 if exerts_torque(system.materials[0]) else whole_blocks(piece, system)
+    one_by_one = exerts_torque(system.materials[0]) or is_guided(system.bodies[0])
+    blocks = 0 if one_by_one else whole_blocks(piece, system)
     totals = 0.0, np.inf, 0.0
     for block in range(blocks):
         totals = solve_block(system, lo + block * WIDTH, totals, turning)

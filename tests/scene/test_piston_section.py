@@ -1,0 +1,55 @@
+"""What a scene with a piston may contain, and the force of a pressure."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from carom import Scene
+from carom.errors import SceneError
+from carom.scene.schema.piston import force_of
+
+BALL = {"radius": 0.1, "position": [0.0, 0.0, 0.3]}
+DOWN = {"point": [0.0, 0.0, 0.5], "normal": [0.0, 0.0, -1.0]}
+
+
+def scene(piston: dict[str, Any], **others: Any) -> Scene:
+    """Return a ball between a floor and a piston."""
+    return Scene.from_dict({"body": [BALL], "plane": [{}, DOWN | {"piston": piston}]} | others)
+
+
+REFUSED: dict[str, tuple[dict[str, Any], str]] = {
+    "impacts within a step": ({"contact": {"timing": "time-of-impact"}}, 'set "end-of-step", or remove it'),
+    "no lasting contacts": ({"contact": {"solver": "staged"}}, 'set "lasting"'),
+    "no contacts": ({"contact": {"enabled": False}}, "contact.enabled = false"),
+    "sleep": ({"contact": {"sleep": {"speed": 0.1}}}, "contact.sleep"),
+    "drag": ({"drag": {"relaxation_time": 1.0}}, "a [drag]"),
+    "an accuracy": ({"time": {"duration": 1.0, "accuracy": 1e-3}}, "time.accuracy"),
+    "several drifts": ({"time": {"duration": 1.0, "integrator": "yoshida4"}}, 'set "leapfrog"'),
+    "a forced part": ({"model": {"force": ["time-of-impact"]}}, 'remove "time-of-impact" from it'),
+    "two pistons": ({"plane": [DOWN | {"piston": {"mass": 1.0}}] * 2}, "a second piston"),
+    "a motion": ({"plane": [DOWN | {"piston": {"mass": 1.0}, "motion": {"velocity": [0, 0, 1]}}]}, "leave one out"),
+}
+
+
+@pytest.mark.parametrize("what", REFUSED)
+def test_a_piston_is_refused_with_what_does_not_support_it(what: str) -> None:
+    others, said = REFUSED[what]
+    with pytest.raises(SceneError) as refused:
+        scene({"mass": 1.0}, **others)
+    assert said in str(refused.value) and "piston" in str(refused.value)
+
+
+def test_a_pressure_acts_on_the_face_of_the_box() -> None:
+    assert (
+        force_of(scene({"mass": 1.0, "pressure": 10.0}, domain={"size": [2.0, 3.0, 4.0], "boundary": "walls"})) == 60.0
+    )
+    assert force_of(scene({"mass": 1.0, "force": 7.0})) == 7.0
+    assert force_of(scene({"mass": 1.0})) == 0.0
+    with pytest.raises(SceneError, match=r"needs domain.size, for the area on which it acts; give the force instead"):
+        scene({"mass": 1.0, "pressure": 10.0})
+    with pytest.raises(SceneError, match="leave one out"):
+        scene({"mass": 1.0, "pressure": 10.0, "force": 1.0})
+    with pytest.raises(SceneError, match="mass"):
+        scene({"mass": 0.0})

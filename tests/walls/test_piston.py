@@ -1,0 +1,183 @@
+"""A piston: a plane with a mass that contacts move, under a constant force or pressure."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import carom
+from carom import Frame, Recording, Scene, Space
+from carom.extend import every
+
+r, m = 0.05, 0.5  # m and kg, of a ball
+G = 9.81  # m/s²
+HEAVY = {"constant": 0.0, "uniform": [0.0, 0.0, -G]}
+FLOOR, PISTON = 0, 1  # numbers of the planes
+pytestmark = pytest.mark.slow  # kernels for a piston are compiled for a minute
+
+
+def scene(piston: dict[str, Any], height: float, duration: float, **others: Any) -> Scene:
+    """Return a floor and, above it at a height in m, a piston that presses down."""
+    lid = {"name": "lid", "point": [0.0, 0.0, height], "normal": [0.0, 0.0, -1.0], "piston": piston}
+    return Scene.from_dict(
+        {"gravity": {"constant": 0.0}, "time": {"duration": duration}, "plane": [{"name": "floor"}, lid]} | others
+    )
+
+
+def frames(of: Scene) -> list[Frame]:
+    """Return all steps of a run."""
+    return list(Space(of, record_contacts=True).run(schedule=every(0.0)))
+
+
+def state(frame: Frame) -> tuple[float, float, float]:
+    """Return displacement (m) and velocity (m/s) of the piston towards the floor, and the impulse on it (N s)."""
+    assert frame.memory is not None and frame.memory.piston is not None
+    displacement, velocity, impulse = frame.memory.piston.tolist()
+    return displacement, velocity, impulse
+
+
+def ball(**body: Any) -> dict[str, Any]:
+    """Return the section of a ball."""
+    return {"body": [{"radius": r, "mass": m, "position": [0.0, 0.0, 0.2]} | body]}
+
+
+def test_an_elastic_ball_and_a_free_piston_exchange_momentum_and_energy_as_two_bodies_do() -> None:
+    M, v, smooth = 2.0, 3.0, {"restitution": 1.0, "static_friction": 0.0, "kinetic_friction": 0.0}
+    last = frames(scene({"mass": M}, 0.5, 0.1, contact=smooth, **ball(velocity=[1.0, 0.0, v])))[-1]
+    assert last.velocity[0] == pytest.approx([1.0, 0.0, v * (m - M) / (m + M)], abs=1e-14)
+    assert state(last)[1] == pytest.approx(-2.0 * m * v / (m + M), abs=1e-14)
+    assert state(last)[2] == pytest.approx(2.0 * m * M * v / (m + M), rel=1e-14)
+
+
+def test_friction_at_a_piston_has_an_effective_mass_without_that_of_the_piston() -> None:
+    # an impact without rebound that stops the slip of a solid sphere: the rest is 5/7 of its tangential velocity
+    sticky = {"restitution": 0.0, "static_friction": 10.0, "kinetic_friction": 10.0}
+    last = frames(scene({"mass": m}, 0.5, 0.2, contact=sticky, **ball(velocity=[1.0, 0.0, 3.0])))[-1]
+    assert last.velocity[0, 0] == pytest.approx(5.0 / 7.0, rel=1e-12)
+    # nothing presses: sequences of impacts end within 10⁻⁹ of the first change
+    assert state(last)[1] == pytest.approx(-last.velocity[0, 2], abs=1e-8)
+
+
+def test_energy_and_impulses_are_exact_over_many_bounces_between_a_floor_and_a_loaded_piston() -> None:
+    elastic = {"restitution": 1.0, "static_friction": 0.0, "kinetic_friction": 0.0}
+    M, F = 2.0, 30.0
+    time = {"duration": 10.0, "fixed_dt": 1e-3}
+    others = {"gravity": HEAVY, "contact": elastic, "time": time}
+    run = frames(scene({"mass": M, "force": F}, 0.5, 10.0, **others, **ball(velocity=[0.1, 0.0, 5.0])))
+    impacts = run[-1].books.moments.impacts
+    assert impacts > 100
+    scale = run[0].energy.total + M * G * 0.5 + F * 0.5
+    losses = run[-1].energy.ledger
+    # every impact and step rounds; slow impacts, at the end of a step, do not rebound
+    assert max(abs(frame.energy.integration_error) for frame in run) < 1e-15 * (impacts + len(run)) * scale
+    assert losses.friction == 0.0
+    # the ledger's walls have the energy of the piston
+    s, u, J = state(run[-1])
+    assert dict(losses.forces)["walls"] == pytest.approx(0.5 * M * u * u - (F + M * G) * s, abs=1e-12 * scale)
+    assert pytest.approx((F + M * G) * run[-1].time - M * u, rel=1e-12) == J
+
+
+def packing(count: int, piston: dict[str, Any], duration: float, gravity: dict[str, Any], **contact: Any) -> Scene:
+    """Return spheres on a floor, in a box that repeats along x and y, under a piston."""
+    L, height = 8.0 * r, 0.028 * count
+    region = {"shape": "box", "size": [L, L, height], "centre": [0.0, 0.0, 0.5 * height + 0.01]}
+    return scene(
+        piston,
+        height + 0.02,
+        duration,
+        gravity=gravity,
+        contact=contact,
+        domain={"size": [L, L, 4.0 * height + 1.0], "boundary": ["periodic", "periodic", "open"]},
+        group=[{"count": count, "radius": r, "mass": m, "region": region}],
+    )
+
+
+def forces(run: list[Frame], count: int) -> tuple[float, float]:
+    """Return the mean forces (N) on the floor and on the piston, from the impulses of contacts."""
+    given, duration = np.zeros(2), sum(frame.dt for frame in run)
+    for frame in run:
+        assert frame.contact_rows is not None
+        for plane in (FLOOR, PISTON):
+            given[plane] += frame.contact_rows["normal_impulse"][frame.contact_rows["j"] == count + plane].sum()
+    return float(given[FLOOR] / duration), float(given[PISTON] / duration)
+
+
+def test_a_packing_at_rest_carries_its_weight_that_of_the_piston_and_the_force() -> None:
+    count = 40
+    weight = count * m * G
+    M, F = 5.0 * weight / G, 5.0 * weight  # together, ten times the weight of the spheres
+    smooth = {"restitution": 0.0, "static_friction": 0.0, "kinetic_friction": 0.0}
+    run = frames(packing(count, {"mass": M, "force": F}, 1.2, HEAVY, **smooth))
+    late = [frame for frame in run if frame.time > 1.0]
+    on_floor, on_piston = forces(late, count)
+    # the solver leaves 3 × 10⁻⁵ r/dt of closing velocities, some 10⁻³ of the change of velocity by a kick
+    assert on_piston == pytest.approx(M * G + F, rel=1e-3)
+    assert on_floor == pytest.approx(weight + M * G + F, rel=1e-3)
+    times, impulses = [late[0].time, late[-1].time], [state(late[0])[2], state(late[-1])[2]]
+    assert float(np.diff(impulses)[0] / np.diff(times)[0]) == pytest.approx(M * G + F, rel=1e-3)
+    kept = max(abs(frame.energy.integration_error) for frame in run)
+    assert kept < 1e-12 * run[-1].energy.ledger.restitution  # which has the energy that the piston lost
+
+
+def test_a_pressure_is_kept_while_friction_compresses_a_packing_without_gravity() -> None:
+    count, pressure = 40, 5e3  # Pa
+    rough = {"restitution": 0.3, "static_friction": 0.3, "kinetic_friction": 0.3}
+    of = packing(count, {"mass": 20.0, "pressure": pressure}, 1.0, {"constant": 0.0}, **rough)
+    run = [frame for frame in frames(of) if frame.time > 0.7]
+    on_floor, on_piston = forces(run, count)
+    force = pressure * (8.0 * r) ** 2
+    assert on_piston == pytest.approx(force, rel=0.01)
+    assert on_floor == pytest.approx(on_piston, rel=0.01)  # without gravity, the floor carries what the piston presses
+    assert max(abs(state(frame)[1]) for frame in run) < 0.01  # m/s: at rest
+
+
+def test_a_gas_under_a_piston_has_the_volume_of_its_equation_of_state() -> None:
+    N, side, L, M = 36, 8.0, 20.0, 3.0  # in diameters and masses of the spheres
+    F = N / (L - 1.0)
+    elastic = {"restitution": 1.0, "static_friction": 0.0, "kinetic_friction": 0.0, "stabilisation": "none"}
+    region = {"shape": "box", "size": [side, side, L], "centre": [0.0, 0.0, 0.5 * L]}
+    of = scene(
+        {"mass": M, "force": F},
+        L,
+        800.0,
+        contact=elastic,
+        time={"duration": 800.0, "fixed_dt": 0.05},
+        domain={"size": [side, side, 3.0 * L], "boundary": ["periodic", "periodic", "open"]},
+        group=[{"count": N, "radius": 0.5, "mass": 1.0, "velocity": {"dispersion": 1.0}, "region": region}],
+    )
+    run = [frame for frame in Space(of).run(schedule=every(0.2)) if frame.time > 80.0]
+    assert abs(run[-1].energy.integration_error) < 1e-12 * run[-1].energy.scale
+    length = L - np.mean([state(frame)[0] for frame in run])
+    temperature = np.mean([2.0 * frame.energy.translational / (3.0 * N) for frame in run])
+    # walls attract: centres within a diameter miss the neighbours behind them, to first order π n² d⁴/4 at each wall
+    density = N / side**2 / (length - 1.0)
+    for _ in range(10):
+        density = (N / side**2 - 2.0 * density**2 * math.pi / 4.0) / (length - 1.0)
+    phi = density * math.pi / 6.0
+    compressibility = (1.0 + phi + phi**2 - phi**3) / (1.0 - phi) ** 3  # Carnahan & Starling 1969
+    # the quarters of the run differ by 2 % (rms); impacts up to 0.05 late change the pressure by 1 %
+    assert density * temperature * compressibility * side**2 == pytest.approx(F, rel=0.04)
+
+
+def test_a_run_continues_from_a_checkpoint_and_a_recording_has_the_motion_of_the_piston(tmp_path: Path) -> None:
+    rough = {"restitution": 0.5, "static_friction": 0.3, "kinetic_friction": 0.3}
+    of = packing(12, {"mass": 5.0, "force": 10.0, "velocity": 0.5}, 0.3, HEAVY, **rough)
+    space = Space(of)
+    run = list(space.run(schedule=every(0.0)))
+    middle = run[len(run) // 2].checkpoint
+    space.restore(middle)
+    again = list(space.run(schedule=every(0.0)))
+    assert again[-1].fingerprint == run[-1].fingerprint and state(again[-1]) == state(run[-1])
+    path = tmp_path / "piston.rrd"
+    carom.run(of, path)
+    recording = Recording.open(path)
+    steps = recording.steps()
+    assert steps["piston_position"].to_numpy()[-1] == state(run[-1])[0]
+    assert steps["piston_velocity"].to_numpy()[0] == 0.5
+    time, force = steps["time"].to_numpy(), steps["piston_force"].to_numpy()
+    assert (force[1:] * np.diff(time)).sum() == pytest.approx(state(run[-1])[2], rel=1e-12)
+    assert carom.replay(path).same
