@@ -11,7 +11,7 @@ from typing import NamedTuple, Protocol
 from carom.arrays import BoolArray, FloatArray, IntArray, RecordArray, dtype_of
 from carom.physics.aligned import CACHE_LINE
 from carom.physics.contact.moving_walls import SurfaceVelocity
-from carom.physics.contact.piston import Guide
+from carom.physics.contact.piston_motion import Guide
 from carom.physics.contact.rolling import AngularImpulse, RollingFields
 from carom.physics.jit.decorators import inline
 from carom.physics.jit.instructions import from_front

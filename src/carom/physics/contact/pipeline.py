@@ -30,7 +30,7 @@ from carom.physics.contact.impact_log import NO_IMPACTS, Impacts
 from carom.physics.contact.law import Materials
 from carom.physics.contact.moving_walls import set_velocities_in_drift, work_of_contacts, work_of_impacts
 from carom.physics.contact.near_pairs import NearPairs
-from carom.physics.contact.piston import PistonMotion
+from carom.physics.contact.piston_motion import PistonMotion
 from carom.physics.contact.reactions import Torques, supported_acceleration
 from carom.physics.contact.snapshot import ContactSnapshot, SnapshotSource
 from carom.physics.contact.solids import SolidsWithWalls

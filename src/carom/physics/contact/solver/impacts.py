@@ -41,7 +41,7 @@ from carom.physics.contact.law import (
     restitution_at_depth,
     restitution_of_impact,
 )
-from carom.physics.contact.piston import tangent_inverse_mass
+from carom.physics.contact.piston_motion import tangent_inverse_mass
 from carom.physics.contact.rolling import (
     angular_impulse,
     angular_impulse_of_impact,

@@ -40,7 +40,7 @@ from carom.physics.contact.constraints import (
 )
 from carom.physics.contact.geometry import normal_and_distance
 from carom.physics.contact.law import material_index, restitution
-from carom.physics.contact.piston import pushed_rise
+from carom.physics.contact.piston_motion import pushed_rise
 from carom.physics.contact.solids import tangent_plane
 from carom.physics.contact.solver.block import Block, whole_blocks
 from carom.physics.contact.solver.body_state import prefetch_ends, velocity_along

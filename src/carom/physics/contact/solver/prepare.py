@@ -40,7 +40,7 @@ from carom.physics.contact.law import (
     inverse_tangent_mass,
 )
 from carom.physics.contact.moving_walls import clear_surface_velocity
-from carom.physics.contact.piston import tangent_inverse_mass, without_overlap
+from carom.physics.contact.piston_motion import tangent_inverse_mass, without_overlap
 from carom.physics.contact.rolling import (
     angular_impulse,
     angular_impulses_of,

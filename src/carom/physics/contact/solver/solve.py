@@ -51,7 +51,7 @@ from carom.physics.contact.constraints import (
 )
 from carom.physics.contact.law import exerts_torque, lasting_friction, material_index, sliding_friction, sticks
 from carom.physics.contact.moving_walls import slope_on_wall
-from carom.physics.contact.piston import is_guided
+from carom.physics.contact.piston_motion import is_guided
 from carom.physics.contact.rolling import (
     accumulate_angular_impulse,
     angular_impulse,

@@ -49,7 +49,7 @@ class Guide(Protocol):
     axis_z: float
 
 
-class Piston(NamedTuple):
+class PistonPlane(NamedTuple):
     """The piston of a scene."""
 
     row: int  # its number among the solids
@@ -59,7 +59,7 @@ class Piston(NamedTuple):
     velocity: float  # m/s, at the start
 
     @classmethod
-    def of(cls, scene: Scene, normals: FloatArray) -> Piston | None:
+    def of(cls, scene: Scene, normals: FloatArray) -> PistonPlane | None:
         """Return the piston of a scene, given the normals of its planes; None if it has none."""
         found = piston_of(scene)
         if found is None:
@@ -94,7 +94,7 @@ class PistonMotion(WallTranslation):
         before: Records,
         ends: Ends,
         motions: Sequence[WallMotion | None],
-        piston: Piston,
+        piston: PistonPlane,
         smallest: float,
     ) -> None:
         self._piston, self._smallest = piston, smallest
