@@ -198,7 +198,7 @@ def test_the_recorder_of_an_engine_can_be_removed(engine: str, monkeypatch: pyte
 
 def test_tools_statistics_movies_the_web_viewer_laws_and_walls_can_be_removed(without: Callable[..., Carom]) -> None:
     tools = (f"lab/{tool}" for tool in TOOLS)
-    run = without(*tools, "lab/statistics", "show/movie.py", "show/web", "laws", "walls")
+    run = without(*tools, "lab/statistics", "show/movie.py", "show/movie_file.py", "show/web", "laws", "walls")
     works = (
         *("--help", "run two-spheres -o run.rrd", "inspect run.rrd", "contacts run.rrd --impacts"),
         "explain two-spheres",

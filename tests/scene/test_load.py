@@ -119,7 +119,7 @@ MISTAKES = {
     "neither one of the words nor a number": (
         "[contact]\nsweeps = 2.5\n[record]\nevery = 'often'\n[time]\ncfl = 'small'\n" + ONE_BODY,
         [
-            "contact.sweeps = 2.5: must be 'auto', 'as-needed' or 'quick', or a whole number",
+            "contact.sweeps = 2.5: must be 'auto', 'converged', 'as-needed' or 'quick', or a whole number",
             "record.every = 'often': must be 'auto' or 'step', or a number",
             "time.cfl = 'small': must be 'auto', or a number",
         ],

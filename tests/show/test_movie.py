@@ -28,7 +28,7 @@ from picture_pixels import largest_piece
 from scripted_run import ScriptedRun
 
 imageio_ffmpeg = pytest.importorskip("imageio_ffmpeg")
-from carom.show.movie import delays_of, require_encoder, write_movie  # noqa: E402 - it imports the encoder
+from carom.show.movie_file import delays_of, require_encoder, write_movie  # noqa: E402 - it imports the encoder
 
 pytestmark = pytest.mark.needs("imageio_ffmpeg")
 
@@ -105,7 +105,7 @@ def test_without_the_extra_one_sentence_names_it(
     recorded: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
-    monkeypatch.delitem(sys.modules, "carom.show.movie", raising=False)
+    monkeypatch.delitem(sys.modules, "carom.show.movie_file", raising=False)
     done = carom("movie", str(recorded), "-o", "movie.mp4", cwd=tmp_path)
     assert done.returncode == 2 and "pip install 'imageio-ffmpeg>=" in done.stderr and " 'pillow>=" in done.stderr
 

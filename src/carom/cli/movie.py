@@ -87,14 +87,15 @@ def movie(
     from carom.recording.layout.canvas import CameraMotion
     from carom.recording.read.recording import Recording
     from carom.recording.write.whole_file import claimed_output
-
-    with needing("movie", "carom movie", "imageio_ffmpeg", "PIL"):
-        from carom.show.movie import frame_times, pictures, require_encoder, write_movie
+    from carom.show.movie import frame_times, pictures
 
     path = output or file.with_suffix(".mp4")
     pixels, rate = pixels_of(size), fps if fps is not None else GIF_FPS if path.suffix == ".gif" else MP4_FPS
     _check(path, pixels, length, rate)
     _check_view(view, event, bodies, camera)
+    with needing("movie", "carom movie", "imageio_ffmpeg", "PIL"):
+        from carom.show.movie_file import require_encoder, write_movie
+
     recording = Recording.open(file)
     first, last = _ends(recording, *(simulated_or_none(time, recording.units) for time in (start, end)))
     times = frame_times(recording, first, last, max(2, round(length * rate)))

@@ -10,6 +10,7 @@ from carom.arrays import FloatArray
 from carom.errors import PhysicsError
 from carom.physics.bodies import Bodies
 from carom.physics.contact.law import materials_of
+from carom.physics.contact.near_pairs import ContactWorld
 from carom.physics.contact.pipeline import ContactPipeline
 from carom.physics.contact.solids import solids_of
 from carom.physics.diagnostics.run_monitor import Profile, remedies_of
@@ -124,8 +125,8 @@ class World:
         contact = None
         if needs.contact.modelled:
             materials = materials_of(pair_coefficients(scene))
-            ends = bodies, planes, materials
-            contact = ContactPipeline(scene.contact, *ends, needs, box, falling, bending, team, records_contacts, shear)
+            world = ContactWorld(planes, materials, box, falling, bending, shear)
+            contact = ContactPipeline(scene.contact, bodies, world, needs, team, records_contacts)
         return cls(
             scene=scene,
             needs=needs,

@@ -1,26 +1,17 @@
-"""A movie of a recording: its pictures at many times, written to .mp4 by ffmpeg or to .gif by Pillow.
-
-Needs `carom[movie]`.
-"""
+"""The pictures of a movie: a recording at many times."""
 
 from __future__ import annotations
 
-import contextlib
-import io
 import os
 import time
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import replace
-from itertools import cycle, pairwise
-from pathlib import Path
-from typing import Any
+from itertools import cycle
 
-import imageio_ffmpeg
 import numpy as np
-from PIL import Image
 
 from carom.arrays import FloatArray
 from carom.errors import RecordingError
@@ -42,7 +33,6 @@ from carom.recording.read.recording import Recording
 from carom.recording.schema.header import TimeScale, viewer_time
 from carom.recording.schema.paths import STEP
 from carom.recording.write.static_entities import arrow_styles
-from carom.recording.write.whole_file import whole_file
 from carom.scene.units.dimension import TIME
 from carom.show.body_colours import body_colours, change_with_time, redrawn_for, trail_colours
 from carom.show.legend import GRAPH, LegendContents, drawn_during, impact_marks, legend
@@ -59,9 +49,6 @@ _MOST_VIEWERS = 4
 _FRAMES_EACH = 20  # pictures for which starting another viewer, which takes seconds, pays
 _LOOKS = 50  # frames among which a legend finds a free corner
 _LIMIT = 60.0  # s, in which a picture must settle
-# thin lines on a dark background remain legible
-_QUALITY = ("-crf", "18", "-preset", "medium", "-movflags", "+faststart")
-_HUNDREDTHS = 100  # of a second: the unit of time of a GIF
 
 
 def frame_times(recording: Recording, start: float, end: float, count: int) -> FloatArray:
@@ -284,89 +271,3 @@ def _layout(
 def _extent(position: FloatArray) -> float:
     """Return the median distance (m) from the middle, which a few distant bodies do not change."""
     return float(np.median(np.linalg.norm(position - np.median(position, axis=0), axis=1)))
-
-
-def write_movie(path: Path, pictures: Iterable[bytes], count: int, size: tuple[int, int], fps: float) -> None:
-    """Write PNGs of one size into a movie; an incomplete file is removed.
-
-    Parameters
-    ----------
-    path
-        Ends in .mp4 or .gif.
-    pictures
-        PNGs, in order.
-    count
-        Number of pictures.
-    size
-        Width and height in pixels, both even for .mp4.
-    fps
-        Pictures per second.
-
-    Raises
-    ------
-    RecordingError
-        If there is no ffmpeg, or the file cannot be written.
-    """
-    try:
-        with whole_file(path) as part:
-            if path.suffix == ".gif":
-                _write_gif(part, map(_pixels, pictures), delays_of(count, fps))
-            else:
-                _write_mp4(part, map(_pixels, pictures), size, fps)
-    except OSError as error:
-        raise RecordingError(f"cannot write {path}: {error.strerror or error}") from error
-
-
-def require_encoder(path: Path) -> None:
-    """Raise RecordingError if the movie needs ffmpeg and there is none."""
-    if path.suffix == ".gif":
-        return
-    try:
-        imageio_ffmpeg.get_ffmpeg_exe()
-    except RuntimeError:
-        raise RecordingError(
-            f"{path}: an .mp4 needs ffmpeg, which is not installed; install it (apt-get install ffmpeg), name it in "
-            "IMAGEIO_FFMPEG_EXE, or write a .gif"
-        ) from None
-
-
-def _pixels(png: bytes) -> Image.Image:
-    return Image.open(io.BytesIO(png)).convert("RGB")
-
-
-def _write_mp4(path: Path, images: Iterable[Image.Image], size: tuple[int, int], fps: float) -> None:
-    with _encoder(path, size, fps) as send:
-        for image in images:
-            send(image.tobytes())
-
-
-@contextlib.contextmanager
-def _encoder(path: Path, size: tuple[int, int], fps: float) -> Iterator[Callable[[bytes], Any]]:
-    """Start ffmpeg; yield the function that writes the pixels of a picture."""
-    writer = imageio_ffmpeg.write_frames(
-        str(path),
-        size,
-        fps=fps,
-        codec="libx264",
-        quality=None,
-        macro_block_size=2,  # of yuv420p; the default, 16, would scale the pictures
-        output_params=list(_QUALITY),
-        ffmpeg_log_level="error",
-    )
-    try:
-        writer.send(None)
-        yield writer.send
-    finally:
-        writer.close()
-
-
-def _write_gif(path: Path, images: Iterator[Image.Image], delays: list[int]) -> None:
-    """Write a GIF; each picture has its own palette."""
-    few = (image.quantize(colors=256, method=Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE) for image in images)
-    next(few).save(path, save_all=True, append_images=few, duration=delays, loop=0, format="GIF")
-
-
-def delays_of(count: int, fps: float) -> list[int]:
-    """Return the duration (ms) of each picture of a GIF: whole hundredths of a second with the correct sum."""
-    ends = [round(_HUNDREDTHS * number / fps) for number in range(count + 1)]
-    return [10 * (end - start) for start, end in pairwise(ends)]

@@ -7,6 +7,8 @@ next step, and a pile would never come to rest: 300 bodies kept 5 × 10⁻⁴ of
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from carom.arrays import FloatArray, IntArray
@@ -14,10 +16,12 @@ from carom.physics.bodies import Bodies
 from carom.physics.contact.broad_phase.pairs import search_by
 from carom.physics.contact.broad_phase.planes import PlaneSearch
 from carom.physics.contact.islands import excess_square
+from carom.physics.contact.law import Materials
 from carom.physics.contact.solver.prepare import TOUCHING
 from carom.physics.jit.decorators import long_kernel
 from carom.physics.jit.instructions import atomic_max
 from carom.physics.jit.team import SOLO, Team
+from carom.physics.sheared_box import ShearedBox
 from carom.scene.schema import ContactSettings
 from carom.scene.start import HalfSpaces
 
@@ -27,6 +31,18 @@ MIN_BODIES_PER_TASK = 4000  # about 10 µs of work
 SQUARE, COORDINATE = range(2)  # indices into the array of largest values
 
 
+@dataclass(frozen=True, slots=True)
+class ContactWorld:
+    """What the contacts of a scene depend on beside its bodies."""
+
+    planes: HalfSpaces
+    materials: Materials  # coefficients of the contact law
+    box: FloatArray  # (3,) m, size of the periodic box; zeros in open space
+    field: FloatArray  # (3,) m/s², the uniform field if it accelerates everything alike; zeros if something is fixed
+    bending: FloatArray  # (3,) m/s², the uniform field if something is fixed; zeros if it accelerates everything alike
+    shear: ShearedBox | None  # images of a sheared box, where all contacts are impacts during the drift
+
+
 class NearPairs:
     """Finds the near pairs, of spheres and of spheres and planes.
 
@@ -34,12 +50,8 @@ class NearPairs:
     ----------
     contact
         The scene's section.
-    bodies, planes
-        The possible ends of a pair.
-    box
-        Size of the periodic box, (3,) m; zeros in open space.
-    field
-        (3,) m/s², the uniform field if it accelerates everything alike; zeros if something is fixed.
+    bodies, world
+        The bodies, and the planes that they may touch.
     lasting
         Whether contacts may last.
     team
@@ -50,14 +62,13 @@ class NearPairs:
         self,
         contact: ContactSettings,
         bodies: Bodies,
-        planes: HalfSpaces,
-        box: FloatArray,
-        field: FloatArray,
+        world: ContactWorld,
         lasting: bool,
         team: Team,
     ) -> None:
-        self._bodies, self._field, self._lasting, self._team = bodies, field, lasting, team
-        self.search = search_by(contact.search, bodies.radius, box, team)
+        self._bodies, self._field, self._lasting, self._team = bodies, world.field, lasting, team
+        planes = world.planes
+        self.search = search_by(contact.search, bodies.radius, world.box, team)
         self._planes = PlaneSearch(bodies.radius, bodies.ends.inverse_mass, planes, team)
         self.has_statics = len(planes) > 0 or bool((bodies.ends.inverse_mass[: len(bodies)] == 0.0).any())
         self._smallest = float(bodies.radius.min())

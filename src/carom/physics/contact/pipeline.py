@@ -27,9 +27,8 @@ from carom.physics.contact.contact_checkpoint import ContactCheckpoint
 from carom.physics.contact.contact_tap import ContactTap, Impulses
 from carom.physics.contact.graph import OrderedContacts, empty_graph
 from carom.physics.contact.impact_log import NO_IMPACTS, Impacts
-from carom.physics.contact.law import Materials
 from carom.physics.contact.moving_walls import set_velocities_in_drift, work_of_contacts, work_of_impacts
-from carom.physics.contact.near_pairs import NearPairs
+from carom.physics.contact.near_pairs import ContactWorld, NearPairs
 from carom.physics.contact.piston_motion import PistonMotion
 from carom.physics.contact.reactions import Torques, supported_acceleration
 from carom.physics.contact.snapshot import ContactSnapshot, SnapshotSource
@@ -41,12 +40,10 @@ from carom.physics.contact.statistics import NO_CONTACTS, limits_of, still_closi
 from carom.physics.contact.translating_walls import WallTranslation, work_at_velocities, work_in_drift
 from carom.physics.diagnostics.run_monitor import Profile
 from carom.physics.jit.team import Team
-from carom.physics.sheared_box import ShearedBox
 from carom.plan.features import Requirements
 from carom.registry import load
 from carom.scene.schema import ContactSettings
 from carom.scene.schema.contact import Sweeps
-from carom.scene.start import HalfSpaces
 
 if TYPE_CHECKING:
     from carom.physics.contact.events.drift import EventDrivenDrift
@@ -66,24 +63,14 @@ class ContactPipeline:
     ----------
     contact
         The scene's section.
-    bodies, planes
-        The possible ends of a contact.
-    materials
-        Coefficients of the contact law.
+    bodies, world
+        The bodies, and the planes that they may touch.
     requirements
         Which parts of the model the scene requires.
-    box
-        Size of the periodic box, (3,) m; zeros in open space.
-    field
-        (3,) m/s², the uniform field if it accelerates everything alike; zeros if something is fixed.
-    bending
-        (3,) m/s², the uniform field if something is fixed; zeros if it accelerates everything alike.
     team
         Threads that share the work.
     records
         Whether `tap` collects the impulses of each contact.
-    shear
-        The images of a sheared box, where all contacts are impacts during the drift; None without shear.
 
     Attributes
     ----------
@@ -101,24 +88,20 @@ class ContactPipeline:
         self,
         contact: ContactSettings,
         bodies: Bodies,
-        planes: HalfSpaces,
-        materials: Materials,
+        world: ContactWorld,
         requirements: Requirements,
-        box: FloatArray,
-        field: FloatArray,
-        bending: FloatArray,
         team: Team,
         records: bool = False,
-        shear: ShearedBox | None = None,
     ) -> None:
+        planes, materials, box = world.planes, world.materials, world.box
         sleep = load("model", "sleep") if contact.sleep else None
         self.settings = contact
         self._bodies, self._solids = bodies, planes
-        self._field = field
-        self._team, self._is_sheared = team, shear is not None
+        self._field = world.field
+        self._team, self._is_sheared = team, world.shear is not None
         self._needs = requirements
         self._lasts = contact.solver == "lasting" and requirements.resting.modelled
-        self._near = NearPairs(contact, bodies, planes, box, field, self._lasts, team)
+        self._near = NearPairs(contact, bodies, world, self._lasts, team)
         self.most_sweeps = contact.sweeps if isinstance(contact.sweeps, int) else MOST_SWEEPS[contact.sweeps]
         self._pushes = contact.stabilisation == "split"
         self._guard = PlaneGuard(bodies, planes, team) if len(planes) else None
@@ -142,9 +125,7 @@ class ContactPipeline:
         if requirements.impact_time.modelled:
             event_driven = load("model", "time-of-impact")
             drift = (friction, self._near.has_statics, requirements.resting.modelled)
-            self.event_drift = event_driven(
-                bodies, planes, materials, box, field, bending, *drift, self._near.search, team, shear
-            )
+            self.event_drift = event_driven(bodies, world, *drift, self._near.search, team)
         self.tap = ContactTap(bodies, materials, box, friction) if records else None
         self._sleepers: Sleepers | None = None
         if sleep and self._lasts:

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from carom.arrays import BoolArray, FloatArray, IntArray, RecordArray, Records
+from carom.arrays import BoolArray, IntArray, RecordArray, Records
 from carom.physics.bodies import Bodies
 from carom.physics.contact.broad_phase.grid import HierarchicalGrid
 from carom.physics.contact.broad_phase.pairs import Search
@@ -45,14 +45,13 @@ from carom.physics.contact.events.trajectories import (
 )
 from carom.physics.contact.impact_log import IMPACT, NO_IMPACTS, ROLLING_IMPACT, ROUNDING, ImpactRecord, Impacts
 from carom.physics.contact.islands import island_rest_speeds
-from carom.physics.contact.law import Materials, dissipates, has_torque, material_index
+from carom.physics.contact.law import dissipates, has_torque, material_index
+from carom.physics.contact.near_pairs import ContactWorld
 from carom.physics.contact.solver.prepare import ImpulseCache
 from carom.physics.integrators.kick_drift import MIN_BODIES_PER_TASK, drift
 from carom.physics.jit.decorators import entry_of, inline, kernel, long_kernel
 from carom.physics.jit.team import Team
-from carom.physics.sheared_box import ShearedBox
 from carom.physics.vector import between, vector
-from carom.scene.start import HalfSpaces
 
 LOG_ROWS = 4096  # largest number of impacts in one call
 MOST_TOUCHING = 16  # contacts per body at one moment, on average
@@ -88,22 +87,12 @@ class EventDrivenDrift:
 
     Parameters
     ----------
-    bodies, planes
-        The bodies and planes that may meet.
-    materials
-        Coefficients of the contact law.
-    box
-        Size of the periodic box, (3,) m; zeros in open space.
-    field
-        (3,) m/s², the uniform field if it accelerates all bodies alike; otherwise zeros.
-    bending
-        (3,) m/s², the uniform field if it accelerates bodies towards something fixed; otherwise zeros.
+    bodies, world
+        The bodies, and the planes that they may meet.
     friction, anchored, forces
         Whether impulses change spins, whether something is fixed, and whether a force presses contacts together.
     search, team
         The broad phase, and the threads that share the work.
-    shear
-        The images of a sheared box; None without shear.
 
     Attributes
     ----------
@@ -116,23 +105,19 @@ class EventDrivenDrift:
     def __init__(
         self,
         bodies: Bodies,
-        planes: HalfSpaces,
-        materials: Materials,
-        box: FloatArray,
-        field: FloatArray,
-        bending: FloatArray,
+        world: ContactWorld,
         friction: bool,
         anchored: bool,
         forces: bool,
         search: Search,
         team: Team,
-        shear: ShearedBox | None = None,
     ) -> None:
+        planes, materials, shear = world.planes, world.materials, world.shear
         n, ends = len(bodies), bodies.ends
         spin = slice(None) if friction else slice(0)
-        self._bodies, self.field, self.anchored, self._forces = bodies, field, anchored, forces
-        self._search, self._team, self._box, self._shear = search, team, box, shear
-        self.bending = bending
+        self._bodies, self.anchored, self._forces = bodies, anchored, forces
+        self._search, self._team, self._box, self._shear = search, team, world.box, shear
+        self.field, self.bending = world.field, world.bending
         self.log = np.empty(LOG_ROWS, dtype=ROLLING_IMPACT if has_torque(materials.rows.dtype) else IMPACT)
         zeros = np.zeros(n, dtype=np.int64)
         self.trajectories = Trajectories(
@@ -147,7 +132,7 @@ class EventDrivenDrift:
             inverse_inertia=ends.inverse_inertia,
             radius=ends.radius,
             rest_speed=np.zeros(len(ends.radius)),
-            box=shear.at(0.0) if shear else box,
+            box=shear.at(0.0) if shear else world.box,
             surface=planes.surface,
             offset=planes.offset,
             materials=materials.rows,
