@@ -306,6 +306,7 @@ class Visits(Toy):
         self.steps += 1
 
 
+@pytest.mark.filterwarnings("error::RuntimeWarning")
 def test_a_run_may_begin_and_end_without_bodies_and_have_none_in_between(tmp_path: Path) -> None:
     visits = Visits()
     visits.model = replace(visits.model, mass=[], radius=[])

@@ -263,7 +263,7 @@ class FrameAlignment:
             floor=floor,
             energy=np.array([self._energy(k) for k in range(len(self))]),
             differs=np.array([self._differs(k) for k in range(len(self))]) if self._of_bits else rms > floor,
-            size=max(_rms(first - first.mean(axis=0)), self._a.radius),
+            size=max(_rms(first - first.mean(axis=0)) if len(first) else 0.0, self._a.radius),
             reach=reach,
             of_bits=self._of_bits,
         )
