@@ -401,7 +401,7 @@ def assert_ended_by_a_full_disk(run: "subprocess.CompletedProcess[str]", path: P
     assert "no space left on the disk" in recording.outcome
     assert recording.frames > 10
     assert recording.checkpoint(recording.checkpoint_steps[-1]).step == recording.frames - 1
-    assert recording.events()["text"].to_pylist()[-1].startswith("end: cannot write more")
+    assert recording.events()["text"].to_pylist()[-1].startswith("end: disk: cannot write more")
 
 
 @pytest.mark.slow  # not for its time: mounting a disk needs root, which CI is; the limit below is for everybody
