@@ -14,6 +14,7 @@ from carom.lab import compared_run as trajectory
 from carom.lab.tradeoff import tradeoff
 from carom.lab.tradeoff.settings_grid import default_settings, vary
 from carom.lab.tradeoff.tradeoff import Study
+from carom.lab.tradeoff.tradeoff_command import _legend
 from carom.lab.tradeoff.tradeoff_figure import draw, record
 from carom.recording.read.recording import Recording
 from carom.scene.schema import Scene
@@ -287,6 +288,21 @@ def test_the_default_settings_are_about_a_dozen_and_all_different(name: str) -> 
     settings = default_settings(scene)
     assert 10 <= len(settings) <= 17, "two of them are accuracies"
     assert len({setting.overrides for setting in settings}) == len(settings)
+
+
+def test_the_legend_of_a_table_states_the_noise_of_the_costs() -> None:
+    assert "or 5% where that is more" in _legend(0.05)
+
+
+def test_default_settings_of_a_piston_leave_out_what_it_refuses() -> None:
+    falling, piston = {"position": [0.0, 0.0, 1.0]}, {"point": [0, 0, 5], "normal": [0, 0, -1], "piston": {"mass": 1.0}}
+    scene = Scene.from_dict(
+        {"body": [falling], "plane": [{}, piston], "gravity": {"uniform": [0, 0, -9.81]}, "time": {"duration": 1.0}}
+    )
+    settings = default_settings(scene)
+    assert len(settings) > 4
+    for setting in settings:
+        assert scene.changed(list(setting.overrides)).has_piston
 
 
 def test_a_scene_whose_accuracy_chooses_the_step_has_no_default_settings() -> None:

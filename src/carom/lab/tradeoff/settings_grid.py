@@ -149,7 +149,7 @@ def default_points(scene: Scene) -> list[GridPoint]:
     points = [GridPoint(step) for step in steps]
     points += [GridPoint().having(key, value) for key, values in other.items() if key != TIMING for value in values]
     otherwise = [2.0] if forces else [1.0, 0.25] if located else [8.0, 1.0]
-    return points + [GridPoint(step).having(TIMING, value) for value in other[TIMING] for step in otherwise]
+    return points + [GridPoint(step).having(TIMING, value) for value in other.get(TIMING, ()) for step in otherwise]
 
 
 def _controls_error(scene: Scene, point: GridPoint) -> bool:

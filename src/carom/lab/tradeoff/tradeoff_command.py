@@ -207,7 +207,7 @@ def _legend(noise: float) -> str:
     return (
         "[bold]●[/bold] no other setting is as accurate and as cheap; ○ another may be, within the noise of the costs "
         "or the uncertainty of the reference; no mark: another one is. Costs are medians ± half their range; their "
-        "noise is half the range, or {noise:.0%} where that is more."
+        f"noise is half the range, or {noise:.0%} where that is more."
     )
 
 
