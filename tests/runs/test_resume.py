@@ -102,6 +102,24 @@ def test_a_run_that_was_stopped_goes_on_to_what_an_uninterrupted_run_gives(name:
     assert sorted(path.name for path in tmp_path.iterdir()) == ["part.rrd", "whole.rrd"]
 
 
+@pytest.mark.slow
+def test_a_stopped_run_with_a_piston_goes_on_with_the_force_since_its_last_frame(tmp_path: Path) -> None:
+    piston = {"point": [0, 0, 3.5], "normal": [0, 0, -1], "piston": {"mass": 2.0, "force": 5.0}}
+    scene = Scene.from_dict(
+        {
+            "title": "A ball under a piston",
+            "body": [{"position": [0.0, 0.0, 1.2], "radius": 1.0, "mass": 1.0}],
+            "plane": [{}, piston],
+            "gravity": {"constant": 0.0, "uniform": [0.0, 0.0, -9.81]},
+            "contact": {"restitution": 0.3},
+            "time": {"duration": 2.0, "max_dt": 0.01},
+        }
+    )
+    whole = carom.run(scene, tmp_path / "whole.rrd")
+    run = resumable_run(stopped(scene, tmp_path / "part.rrd", 1.2))
+    assert_same_recording(whole, Recording.open(continue_run(run, run.space(threads=1)).path))
+
+
 def test_a_finished_run_goes_on_without_the_step_that_was_cut_short(tmp_path: Path) -> None:
     short = carom.run(cloud(time={"duration": 1.503}, record={"every": 0.02}), tmp_path / "short.rrd")
     long = carom.run(cloud(time={"duration": 2.0}, record={"every": 0.02}), tmp_path / "long.rrd")

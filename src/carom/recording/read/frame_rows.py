@@ -227,7 +227,8 @@ class Continuation:
     def last(self) -> Checkpoint:
         """Read the values on which the rows of the next frame depend."""
         found = self.recording.checkpoint(self.step)
-        return replace(found, acceleration=found.acceleration[:0].copy(), contacts=None, integrator=None)
+        contacts = found.contacts if found.contacts is not None and found.contacts.piston is not None else None
+        return replace(found, acceleration=found.acceleration[:0].copy(), contacts=contacts, integrator=None)
 
     def first_position(self) -> FloatArray:
         """Positions of the bodies at the first checkpoint, (n, 3) m."""
