@@ -45,9 +45,7 @@ class SurfaceVelocity(Protocol):
 
 def slip_on_wall(contact: Any, ux: float, uy: float, uz: float) -> tuple[float, float, float]:
     """Return the slip u in m/s, given the slip on a wall at rest; it is called with vectors of doubles, too."""
-    if hasattr(contact, "surface_x"):
-        return ux + contact.surface_x, uy + contact.surface_y, uz + contact.surface_z
-    return ux, uy, uz
+    return _with_surface_velocity(contact, ux, uy, uz) if hasattr(contact, "surface_x") else (ux, uy, uz)
 
 
 def slope_on_wall(contact: object, slope: float, tx: float, ty: float, tz: float) -> float:
@@ -84,16 +82,24 @@ def slip_at_wall(surface: FloatArray, solid: int, time: float, point: Vector, sl
 def _slip_on_wall(contact: Any, ux: Any, uy: Any, uz: Any) -> Any:
     if "surface_x" not in contact.fields:
         return lambda contact, ux, uy, uz: (ux, uy, uz)
-    return lambda contact, ux, uy, uz: (ux + contact.surface_x, uy + contact.surface_y, uz + contact.surface_z)
+    return _with_surface_velocity
+
+
+def _with_surface_velocity(contact: Any, ux: float, uy: float, uz: float) -> tuple[float, float, float]:
+    return ux + contact.surface_x, uy + contact.surface_y, uz + contact.surface_z
+
+
+@inline
+def along_surface_velocity(contact: SurfaceVelocity, tx: float, ty: float, tz: float) -> float:
+    """Return λ_t·s in J."""
+    return tx * contact.surface_x + ty * contact.surface_y + tz * contact.surface_z
 
 
 @chosen_by_type(slope_on_wall)
 def _slope_on_wall(contact: Any, slope: Any, tx: Any, ty: Any, tz: Any) -> Any:
     if "surface_x" not in contact.fields:
         return lambda contact, slope, tx, ty, tz: slope
-    return lambda contact, slope, tx, ty, tz: (
-        slope + (tx * contact.surface_x + ty * contact.surface_y + tz * contact.surface_z)
-    )
+    return lambda contact, slope, tx, ty, tz: slope + along_surface_velocity(contact, tx, ty, tz)
 
 
 @chosen_by_type(set_surface_velocity)

@@ -10,8 +10,8 @@ Kicks change its velocity u by a h, with a = F/M + g·N, and drifts its displace
 are resolved at the end of a step, where it is one of the bodies that meet. Within a drift, each impact of a body with
 the piston would change the paths of all others relative to it.
 
-The bodies give it the energy ½ M u² - M a s, whose change the ledger books as its entry of walls. The impulse of the
-bodies on it, which a load cell between the piston and its drive would not show but one on its face would, is
+The bodies give it the energy ½ M u² - M a s, whose change the ledger books in its entry for walls. The impulse of the
+bodies on its face, which a load cell there would measure, is
 
     ∫ P dt = M a t - M Δu
 

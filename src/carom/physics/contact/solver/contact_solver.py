@@ -45,7 +45,7 @@ from carom.physics.contact.solids import add_arc_speeds
 from carom.physics.contact.solver.body_state import active_bodies, gather, scatter
 from carom.physics.contact.solver.impacts import CONVERGED, check_closing
 from carom.physics.contact.solver.phase_code import IMPACTS, POSITIONS, RESTING, PhaseCode
-from carom.physics.contact.solver.phases import work
+from carom.physics.contact.solver.phases import SOLVED, work
 from carom.physics.contact.solver.positions import (
     audit_corrections,
     count_contacts,
@@ -64,9 +64,9 @@ from carom.scene.start import HalfSpaces
 # Fraction of r·z at the start of a round of conjugate gradients at which its iterations end, by `contact.sweeps`; with
 # other values none follow. After a round, contacts are released, so a more exact solution is one of other equations. In
 # a falling heap of 1000 (benchmarks/heap.py), 0.3 takes a fifth of the iterations of 10⁻³ and leaves the same overlaps.
-SOLVED: dict[Sweeps | int, float] = {"auto": 0.3, "converged": 1e-3, "as-needed": 1e-3}
+SOLVED_BY_SWEEPS: dict[Sweeps | int, float] = {"auto": 0.3, "converged": SOLVED, "as-needed": SOLVED}
 AS_NEEDED: tuple[Sweeps, ...] = ("as-needed", "quick")  # values with which small changes end the iterations
-MOST_TOUCHING = 8  # contacts per body of an island, about the most
+CONTACTS_PER_BODY = 8  # contacts per body of an island, about the most
 
 
 class ContactSolver:
@@ -119,11 +119,12 @@ class ContactSolver:
         self._counts: IntArray | None = None  # (n + p,) number of contacts of each end, once needed
         self._settings = np.zeros(1, SETTINGS)
         self._settings["spins"] = friction
-        self._settings["refines"], self._settings["solved"] = sweeps in SOLVED, SOLVED.get(sweeps, 0.0)
+        self._settings["refines"] = sweeps in SOLVED_BY_SWEEPS
+        self._settings["solved"] = SOLVED_BY_SWEEPS.get(sweeps, 0.0)
         self._enough = np.zeros(0)
         self._default_enough = ENOUGH_AS_NEEDED if sweeps in AS_NEEDED else ENOUGH
         # with "auto", small changes end the iterations in meshed islands only
-        self._finds_meshed = sweeps == "auto" and len(bodies) > MOST_EXACT // MOST_TOUCHING
+        self._finds_meshed = sweeps == "auto" and len(bodies) > MOST_EXACT // CONTACTS_PER_BODY
         ends = len(bodies.ends.velocity) if self._finds_meshed else 0
         self._tree, self._members = np.empty(ends, dtype=np.int64), np.empty((ends, 2), dtype=np.int64)
         alternates = bool((materials.rows["kinetic_friction"] < materials.rows["static_friction"]).any())
@@ -264,7 +265,7 @@ class ContactSolver:
         moving = bodies.position, ends.velocity
         gathered = (*moving, ends.radius, ends.inverse_mass), system.pushed, system.pushed_in
         piston, end = self._planes.piston, len(bodies) + (self._planes.piston.row if self._planes.piston else 0)
-        if piston:
+        if piston:  # also where nothing touches it, since the displacement is returned
             for axis in ("x", "y", "z"):
                 system.pushed[axis][end] = 0.0
         team.divide(len(active), MIN_PER_TASK, gather_positions, active, *gathered)

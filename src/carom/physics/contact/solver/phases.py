@@ -219,8 +219,7 @@ def _conjugate_gradients(board: IntArray, phases: Phases) -> int:
     _forget_changes(board, phases)
     settings.iteration = 0
     _share(board, phases, CONJUGATE_STEP, 0, pieces, True)
-    first = rho = _residual_norm(phases)
-    first_exact = exact = _exact_norm(phases)
+    first, first_exact = rho, exact = _residual_norms(phases)
     largest = _largest_impulses(phases)[0]
     iterations, push, pull = 0, 0.0, 0.0
     while (exact > SOLVED * first_exact or rho > settings.solved * first) and iterations < MAX_ITERATIONS:
@@ -234,8 +233,8 @@ def _conjugate_gradients(board: IntArray, phases: Phases) -> int:
         iterations += 1
         settings.alpha, settings.iteration = rho / curvature, iterations
         _share(board, phases, CONJUGATE_STEP, 0, pieces, True)
-        before, rho = rho, _residual_norm(phases)
-        exact = _exact_norm(phases)
+        before = rho
+        rho, exact = _residual_norms(phases)
         settings.beta = rho / before
         push, pull = _largest_impulses(phases)
         _forget_changes(board, phases)
@@ -297,16 +296,10 @@ def _largest_residual(phases: Phases) -> float:
 
 
 @leading(inner)
-def _residual_norm(phases: Phases) -> float:
-    norm = 0.0
+def _residual_norms(phases: Phases) -> tuple[float, float]:
+    """Return r·z of all contacts, and of those that are to converge to rounding."""
+    norm, exact_norm = 0.0, 0.0
     for k in range(len(phases.piece_results)):
         norm += phases.piece_results[k].residual_norm
-    return norm
-
-
-@leading(inner)
-def _exact_norm(phases: Phases) -> float:
-    norm = 0.0
-    for k in range(len(phases.piece_results)):
-        norm += phases.piece_results[k].exact_norm
-    return norm
+        exact_norm += phases.piece_results[k].exact_norm
+    return norm, exact_norm

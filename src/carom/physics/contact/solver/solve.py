@@ -50,7 +50,7 @@ from carom.physics.contact.constraints import (
     ends_of,
 )
 from carom.physics.contact.law import exerts_torque, lasting_friction, material_index, sliding_friction, sticks
-from carom.physics.contact.moving_walls import slope_on_wall
+from carom.physics.contact.moving_walls import along_surface_velocity, slope_on_wall
 from carom.physics.contact.piston_motion import is_guided
 from carom.physics.contact.rolling import (
     accumulate_angular_impulse,
@@ -282,8 +282,8 @@ class _Solution:
         slopes = [more * bias]
         if turns:
             d = self._rub(contact, in_lanes(slip)(contact, a, b, *u), alpha)
-            if on_moving_walls:  # see `slope_on_wall`
-                slopes.append(d[0] * contact.surface_x + d[1] * contact.surface_y + d[2] * contact.surface_z)
+            if on_moving_walls:
+                slopes.append(in_lanes(along_surface_velocity)(contact, *d))
             largest = reduce(greater, map(abs, d), largest)
             J = [along + rubbing for along, rubbing in zip(J, d, strict=True)]
             torque = in_lanes(torque_of)(contact, *d)
