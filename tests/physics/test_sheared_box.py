@@ -289,7 +289,6 @@ def test_a_sheared_gas_has_the_same_bits_on_any_number_of_threads_after_resuming
         ({"drag": {"relaxation_time": 1.0}}, "domain.shear with a [drag]"),
         ({"time": {"duration": 1.0, "accuracy": 1e-6}}, "domain.shear with time.accuracy"),
         ({"time": {"duration": 1.0, "integrator": "yoshida4"}}, 'set "leapfrog"'),
-        ({"contact": {"timing": "end-of-step"}}, 'set "time-of-impact"'),
         ({"contact": {"sleep": {"speed": 0.1}}}, "domain.shear with contact.sleep"),
         ({"contact": {"allow_overlap": True}}, "domain.shear with contact.allow_overlap"),
         ({"model": {"force": ["spin"]}}, "domain.shear with model.force"),

@@ -23,7 +23,13 @@ wrapping is added to the expected one. In coordinates that the shear carries alo
 the images form a grid at rest, and bodies move only relative to the flow. The broad phase searches there, within
 distances that are longer by the largest stretch of x ↦ x', and of the flow within a step (`ShearedBox.stretch`).
 
-Numba compiles the functions below by the type of the box: an array of sizes, or the record of a sheared box.
+Contacts that last are resolved at the end of a step, at the places of the images there. Records of contacts then have
+a field for w, so that the solver finds impulses by velocities relative to the image, and their work is booked as that
+of an impact. A packing in the flow is never at rest: the velocity of two neighbours, γ d for centres at a distance d,
+changes by γ d per 1/γ, which gives contacts an acceleration γ² d with which they may close and still be at rest.
+
+Numba compiles the functions below by the type of the box: an array of sizes, or the record of a sheared box; and by
+that of a contact: with or without w.
 """
 
 from __future__ import annotations
@@ -34,7 +40,7 @@ from typing import TYPE_CHECKING, Any, Protocol, cast
 import numpy as np
 
 from carom.arrays import FloatArray, RecordArray, dtype_of
-from carom.physics.jit.decorators import chosen_by_type, inner, kernel
+from carom.physics.jit.decorators import chosen_by_type, inline, inner, kernel
 from carom.physics.vector import Vector, minimum_image, nearest_image
 from carom.scene.portable_math import ENDLESS
 
@@ -53,7 +59,7 @@ class ShearedBoxRecord(Protocol):
     rate: float  # 1/s, γ
     depth: float  # m, size of the box along the gradient
     speed: float  # m/s, velocity of the next image along the gradient
-    shift: float  # m, its displacement along the flow as the step begins
+    shift: float  # m, its displacement along the flow as the step begins, or when its contacts are found
     period_x: float  # m, size along the other axes, `ENDLESS` along the gradient
     period_y: float
     period_z: float
@@ -61,6 +67,14 @@ class ShearedBoxRecord(Protocol):
 
 
 SHEARED_BOX = dtype_of(ShearedBoxRecord)
+
+
+class ImageVelocity(Protocol):
+    """Fields of lasting contacts in a sheared box."""
+
+    image_x: float  # m/s, w: the velocity of the image of j that touches i, relative to j
+    image_y: float
+    image_z: float
 
 
 class ShearedBox:
@@ -90,12 +104,17 @@ class ShearedBox:
         self._work = 0.0  # J, by wrapping
 
     def begin(self, time: float) -> None:
-        """Begin a step at a time in seconds."""
+        """Place the images at a time (s), as a step begins or as its contacts are found."""
         self.record["shift"] = self._shear.shift(self._size, time)
 
     def at(self, time: float) -> FloatArray:
         """Return the record of a time (s), for kernels that accept any box."""
         self.begin(time)
+        return self.at_present
+
+    @property
+    def at_present(self) -> FloatArray:
+        """The record of the present time, for kernels that accept any box."""
         return cast(FloatArray, self.record)
 
     def relative(self, velocity: FloatArray, position: FloatArray) -> FloatArray:
@@ -109,6 +128,18 @@ class ShearedBox:
         carried = position.copy()
         carried[:, self._flow] -= self._slope * position[:, self._gradient]
         return carried
+
+    def acceleration(self, diameter: float) -> float:
+        """Return the acceleration (m/s²) of two bodies in the flow relative to each other, at a distance in m."""
+        return self.rate * self.rate * diameter
+
+    def add_work(self, contacts: RecordArray[Any], impulses: RecordArray[Any]) -> None:
+        """Book the work of the shear by impulses of contacts; both (m,), maybe the same records."""
+        self._work += _work_of_contacts(contacts, impulses)
+
+    def add_work_of_corrections(self, contacts: RecordArray[Any], impulses: RecordArray[Any]) -> None:
+        """Book the work of the shear by the changes of momentum that the correction of overlaps has recorded."""
+        self._work += _work_of_corrections(contacts, impulses)
 
     def stretch(self, dt: float) -> float:
         """Return a factor of search distances: of the distance of x' and the way of the flow in a step of dt s."""
@@ -161,6 +192,30 @@ def _wrap(
     return work, impulse
 
 
+@kernel
+def _work_of_contacts(contacts: RecordArray[Any], impulses: RecordArray[Any]) -> float:
+    """Return -Σ J·w in J."""
+    work = 0.0
+    for c in range(len(contacts)):
+        contact, given = contacts[c], impulses[c]
+        J = given.normal_impulse
+        work -= (J * contact.nx + given.friction_x) * contact.image_x
+        work -= (J * contact.ny + given.friction_y) * contact.image_y
+        work -= (J * contact.nz + given.friction_z) * contact.image_z
+    return work
+
+
+@kernel
+def _work_of_corrections(contacts: RecordArray[Any], impulses: RecordArray[Any]) -> float:
+    work = 0.0
+    for c in range(len(contacts)):
+        contact, given = contacts[c], impulses[c]
+        work -= given.correction_x * contact.image_x
+        work -= given.correction_y * contact.image_y
+        work -= given.correction_z * contact.image_z
+    return work
+
+
 @inner
 def _image(d: float, depth: float) -> float:
     """Return the number of the box that a coordinate along the gradient is in."""
@@ -197,6 +252,21 @@ def flow_in_drift(box: Any, x: float, y: float, z: float, dt: float) -> Vector:
 
 def add_work(box: Any, work: float) -> None:
     """Add work (J) of the shear."""
+    raise NotImplementedError("only kernels call it")
+
+
+def seen_in_image(contact: Any, ux: float, uy: float, uz: float) -> Vector:
+    """Return the velocity (m/s) of the image of j relative to i, given that of j; it is called with lanes, too."""
+    return _with_image(contact, ux, uy, uz) if hasattr(contact, "image_x") else (ux, uy, uz)
+
+
+def slope_of_image(contact: object, slope: float, Jx: float, Jy: float, Jz: float) -> float:
+    """Add J·w to a sum of impulses times velocities in J; the velocities of bodies do not contain w."""
+    raise NotImplementedError("only kernels call it")
+
+
+def set_image_velocity(contact: object, dx: float, dy: float, dz: float, box: Any) -> None:
+    """Set w of a contact, if it has this field, given the separation (m) of its bodies in the box."""
     raise NotImplementedError("only kernels call it")
 
 
@@ -239,6 +309,43 @@ def _add_work(box: Any, work: Any) -> Any:
         box[0].work += work
 
     return add if is_record_of_shear(box) else lambda box, work: None
+
+
+def _has_image(contact: Any) -> bool:
+    return "image_x" in contact.fields
+
+
+@chosen_by_type(seen_in_image)
+def _seen_in_image(contact: Any, ux: Any, uy: Any, uz: Any) -> Any:
+    return _with_image if _has_image(contact) else lambda contact, ux, uy, uz: (ux, uy, uz)
+
+
+@chosen_by_type(slope_of_image)
+def _slope_of_image(contact: Any, slope: Any, Jx: Any, Jy: Any, Jz: Any) -> Any:
+    if not _has_image(contact):
+        return lambda contact, slope, Jx, Jy, Jz: slope
+    return lambda contact, slope, Jx, Jy, Jz: slope + along_image(contact, Jx, Jy, Jz)
+
+
+@chosen_by_type(set_image_velocity)
+def _set_image_velocity(contact: Any, dx: Any, dy: Any, dz: Any, box: Any) -> Any:
+    if not _has_image(contact):
+        return lambda contact, dx, dy, dz, box: None
+
+    def put(contact: Any, dx: float, dy: float, dz: float, box: Any) -> None:
+        contact.image_x, contact.image_y, contact.image_z = velocity_of_image(dx, dy, dz, box)
+
+    return put
+
+
+def _with_image(contact: Any, ux: float, uy: float, uz: float) -> Vector:
+    return ux + contact.image_x, uy + contact.image_y, uz + contact.image_z
+
+
+@inline
+def along_image(contact: ImageVelocity, Jx: float, Jy: float, Jz: float) -> float:
+    """Return J·w in J."""
+    return Jx * contact.image_x + Jy * contact.image_y + Jz * contact.image_z
 
 
 def _nearest(dx: float, dy: float, dz: float, box: Any, clock: float) -> Vector:

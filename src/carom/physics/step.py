@@ -99,6 +99,8 @@ class KickDriftStepper:
         world = self._world
         if world.needs.adaptive_step.modelled:
             self.timestep.previous = self.timestep.target(world.bodies)[0]
+        if world.shear:
+            world.shear.begin(world.clock.time)
         if world.contact:
             world.contact.place_walls(world.clock.time)
             world.contact.begin(self.first_dt)
@@ -106,6 +108,8 @@ class KickDriftStepper:
     def restore(self, checkpoint: Checkpoint) -> None:
         """Continue from a checkpoint."""
         self.timestep.previous = checkpoint.previous_dt
+        if self._world.shear:
+            self._world.shear.begin(self._world.clock.time)
         if self._world.contact:
             self._world.contact.place_walls(self._world.clock.time)
             self._world.contact.recall(checkpoint.contacts)
@@ -219,6 +223,8 @@ class KickDriftStepper:
             for work in world.forces.path_works:
                 work.begin()
             self._drift(substep.drift * dt, booked, damped)
+            if world.shear:  # contacts are resolved where the images are at the end of the step
+                world.shear.begin(world.clock.time)
             if is_last and contact:
                 self._find(contact, dt)
             for work in world.forces.path_works:

@@ -89,6 +89,8 @@ def why_late(scene: Scene) -> str:
         return "no contact is possible"
     if scene.has_piston:
         return "each impact with a [plane.piston] would change all paths"
+    if interactions.flow_presses(scene):
+        return f"domain.shear with a packing fraction above {interactions.DENSE:g}: contacts last"
     # with an accuracy, `limits` refuses any other integrator
     if chosen.locates_impacts or scene.time.accuracy is not None:
         return ""

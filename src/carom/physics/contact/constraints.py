@@ -15,6 +15,7 @@ from carom.physics.contact.piston_motion import Guide
 from carom.physics.contact.rolling import AngularImpulse, RollingFields
 from carom.physics.jit.decorators import inline
 from carom.physics.jit.instructions import from_front
+from carom.physics.sheared_box import ImageVelocity
 from carom.scene.schema import Coefficients
 
 # Overlap, relative to the sum of radii, that needs no further position correction: of contacts whose impulses converge
@@ -61,6 +62,14 @@ class SlidingWallContactRecord(SurfaceVelocity, ContactRecord, Protocol):
 
 class RollingWallContactRecord(SurfaceVelocity, RollingContactRecord, Protocol):
     """A contact in a scene with moving walls, whose law resists rolling."""
+
+
+class ImageContactRecord(ImageVelocity, ContactRecord, Protocol):
+    """A contact in a sheared box."""
+
+
+class RollingImageContactRecord(ImageVelocity, RollingContactRecord, Protocol):
+    """A contact in a sheared box, whose law resists rolling."""
 
 
 class ContactStateRecord(Protocol):
@@ -234,6 +243,8 @@ CONTACT = dtype_of(ContactRecord, size=2 * CACHE_LINE)
 ROLLING_CONTACT = dtype_of(RollingContactRecord, size=4 * CACHE_LINE)
 CONTACT_ON_MOVING_WALL = dtype_of(SlidingWallContactRecord, size=3 * CACHE_LINE)
 ROLLING_ON_MOVING_WALL = dtype_of(RollingWallContactRecord, size=4 * CACHE_LINE)
+CONTACT_OF_IMAGE = dtype_of(ImageContactRecord, size=3 * CACHE_LINE)
+ROLLING_CONTACT_OF_IMAGE = dtype_of(RollingImageContactRecord, size=4 * CACHE_LINE)
 CONTACT_STATE = dtype_of(ContactStateRecord, size=2 * CACHE_LINE)
 BODY_STATE = dtype_of(BodyStateRecord, size=2 * CACHE_LINE)
 GUIDED_BODY = dtype_of(GuidedBodyRecord, size=4 * CACHE_LINE)
@@ -282,7 +293,7 @@ class ConstraintSystem(NamedTuple):
     spin: FloatArray  # (n + p, 3) rad/s; no rows without friction
     acceleration: FloatArray  # (n + p, 3) m/s²
     inverse_mass: FloatArray  # (n + p,) 1/kg
-    box: FloatArray  # (3,) m, zeros in open space
+    box: FloatArray  # (3,) m, zeros in open space; or the record of a sheared box
     position: FloatArray  # (n, 3) m
     surface: FloatArray  # (p, 3) normals of the planes, or records of planes and walls: see `solids`
     offset: FloatArray  # (p,) m

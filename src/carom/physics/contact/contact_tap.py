@@ -28,7 +28,7 @@ from carom.physics.contact.rolling import ContactGeometry, angular_impulses_of
 from carom.physics.contact.solver.contact_solver import ContactSolver
 from carom.physics.diagnostics.ledger import FRICTION, RESTITUTION, STABILISATION
 from carom.physics.jit.decorators import inline, kernel, long_kernel
-from carom.physics.vector import nearest_image
+from carom.physics.sheared_box import nearest_in_drift
 from carom.scene.schema import Coefficients
 
 if TYPE_CHECKING:
@@ -67,7 +67,7 @@ class RowData(NamedTuple):
     """The data of bodies and materials from which the rows are computed."""
 
     position: FloatArray  # (n, 3) m
-    box: FloatArray  # (3,) m, zeros in open space
+    box: FloatArray  # as in `ConstraintSystem`
     materials: Materials
     friction: bool
 
@@ -104,7 +104,7 @@ class ContactTap:
     materials
         Coefficients of the contact law.
     box
-        Size of the periodic box, (3,) m; zeros in open space.
+        As in `ConstraintSystem`.
     friction
         Whether friction is modelled.
     """
@@ -379,7 +379,7 @@ def _write_log(
         entry, row = log[k], rows[k]
         _begin(row, step, min(began + entry.time, ended), entry.i, entry.j)
         row.nx, row.ny, row.nz = entry.nx, entry.ny, entry.nz
-        row.x, row.y, row.z = nearest_image(entry.x, entry.y, entry.z, box)
+        row.x, row.y, row.z = nearest_in_drift(entry.x, entry.y, entry.z, box, 0.0)
         _add(row, entry)
         _add_losses(row, entry.restitution_loss, entry.friction_loss, entry.stabilisation_gain)
         row.approach_speed = entry.approach
@@ -413,7 +413,7 @@ def _place(row: ContactRow, contact: ContactGeometry, position: FloatArray, box:
     nx, ny, nz = contact.nx, contact.ny, contact.nz
     row.nx, row.ny, row.nz = nx, ny, nz
     x, y, z = position[i, 0] + arm * nx, position[i, 1] + arm * ny, position[i, 2] + arm * nz
-    row.x, row.y, row.z = nearest_image(x, y, z, box)
+    row.x, row.y, row.z = nearest_in_drift(x, y, z, box, 0.0)
 
 
 @inline

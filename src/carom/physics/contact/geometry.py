@@ -17,12 +17,13 @@ from carom.physics.contact.solids import tangent_plane
 from carom.physics.jit.decorators import inline, long_kernel
 from carom.physics.jit.instructions import from_front
 from carom.physics.jit.vectors import where
+from carom.physics.sheared_box import nearest_in_drift, set_image_velocity
 from carom.physics.vector import Vector, between, nearest_image, vector
 
 # Arguments of kernels that belong together. Where Python calls a kernel in each step, they are plain tuples: Numba
 # takes 5 µs for a named tuple, 0.5 µs for a plain one. With named ones, a step of `heap` took 1.09 times as long.
 Shapes = tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]
-"""Positions (n, 3) m and radii (n,) m; box (3,) m, zeros in open space; normals (p, 3) and offsets (p,) m of planes."""
+"""Positions (n, 3) m and radii (n,) m; box, as in `ConstraintSystem`; normals (p, 3) and offsets (p,) m of planes."""
 
 SearchedSpheres = tuple[FloatArray, FloatArray, FloatArray, float, float]
 """Positions (n, 3) m and radii (n,) m; box (3,) m; scale and skin (m) of the largest distance, see `are_near`."""
@@ -95,7 +96,8 @@ def update_geometry(
             set_surface_velocity(contact, surface, p, (px - height * nx, py - height * ny, pz - height * nz))
             continue
         dx, dy, dz = between(x, i, j)
-        dx, dy, dz = nearest_image(dx, dy, dz, box)
+        set_image_velocity(contact, dx, dy, dz, box)
+        dx, dy, dz = nearest_in_drift(dx, dy, dz, box, 0.0)
         contact.nx, contact.ny, contact.nz, d = normal_and_distance(dx, dy, dz)
         ratio = d / (radius[i] + radius[j])
         contact.arm_i, contact.arm_j = ratio * radius[i], ratio * radius[j]

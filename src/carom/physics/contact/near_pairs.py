@@ -11,17 +11,20 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from carom.arrays import FloatArray, IntArray
+from carom.arrays import BoolArray, FloatArray, IntArray
 from carom.physics.bodies import Bodies
 from carom.physics.contact.broad_phase.pairs import search_by
 from carom.physics.contact.broad_phase.planes import PlaneSearch
+from carom.physics.contact.constraints import ends_of
+from carom.physics.contact.geometry import SearchedSpheres, are_near
 from carom.physics.contact.islands import excess_square
 from carom.physics.contact.law import Materials
 from carom.physics.contact.solver.prepare import TOUCHING
 from carom.physics.jit.decorators import long_kernel
 from carom.physics.jit.instructions import atomic_max
 from carom.physics.jit.team import SOLO, Team
-from carom.physics.sheared_box import ShearedBox
+from carom.physics.sheared_box import ShearedBox, nearest_in_drift
+from carom.physics.vector import between
 from carom.scene.schema import ContactSettings
 from carom.scene.start import HalfSpaces
 
@@ -40,7 +43,14 @@ class ContactWorld:
     box: FloatArray  # (3,) m, size of the periodic box; zeros in open space
     field: FloatArray  # (3,) m/s², the uniform field if it accelerates everything alike; zeros if something is fixed
     bending: FloatArray  # (3,) m/s², the uniform field if something is fixed; zeros if it accelerates everything alike
-    shear: ShearedBox | None  # images of a sheared box, where all contacts are impacts during the drift
+    shear: ShearedBox | None  # images of a sheared box
+
+    def flow(self, largest: float) -> float:
+        """Return the acceleration (m/s²) with which the flow of a sheared box may close contacts.
+
+        ``largest`` is the radius of the largest body in m.
+        """
+        return self.shear.acceleration(2.0 * largest) if self.shear else 0.0
 
 
 class NearPairs:
@@ -73,7 +83,9 @@ class NearPairs:
         self.has_statics = len(planes) > 0 or bool((bodies.ends.inverse_mass[: len(bodies)] == 0.0).any())
         self._smallest = float(bodies.radius.min())
         self._lift = planes.largest_acceleration
-        self._presses = abs(planes.piston.acceleration) if planes.piston else 0.0  # m/s², which moves the piston
+        self._shear = world.shear
+        # m/s², which moves the piston, or with which a flow closes contacts
+        self._presses = abs(planes.piston.acceleration) if planes.piston else world.flow(float(bodies.radius.max()))
         self.rounding = 0.0  # m, of the coordinates
         self.loading = 1.0  # by which walls multiply the acceleration that presses contacts together, at most
 
@@ -81,6 +93,12 @@ class NearPairs:
         """Return the near pairs of a step of dt s, (m, 2), sorted."""
         position = self._bodies.position
         scale, skin = self.margins(dt)
+        if self._shear:  # the grid finds pairs that may be near their images
+            stretch = self._shear.stretch(0.0)
+            pairs = self.search.pairs(self._shear.carried(position), stretch * scale, stretch * skin)
+            near = np.empty(len(pairs), dtype=np.bool_)
+            _find_near(pairs, (position, self._bodies.radius, self._shear.at_present, scale, skin), near)
+            return pairs[near]
         pairs = self.search.pairs(position, scale, skin)
         return self._planes.merged(pairs, position, scale, skin) if self.has_statics else pairs
 
@@ -98,6 +116,17 @@ class NearPairs:
             return 1.0, 0.0
         self.rounding = ROUNDING * float(np.spacing(coordinate))
         return 1.0 + TOUCHING, self.rounding + min(fall, LARGEST_SKIN * self._smallest)
+
+
+@long_kernel
+def _find_near(pairs: IntArray, spheres: SearchedSpheres, near: BoolArray) -> None:
+    """Find out which pairs are near in a sheared box."""
+    position, radius, box, scale, skin = spheres
+    for c in range(len(pairs)):
+        i, j = ends_of(pairs, c)
+        dx, dy, dz = between(position, i, j)
+        dx, dy, dz = nearest_in_drift(dx, dy, dz, box, 0.0)
+        near[c] = are_near(dx, dy, dz, radius[i] + radius[j], (0.0, 0.0, 0.0), scale, skin)
 
 
 def largest_values(

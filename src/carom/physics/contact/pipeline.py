@@ -93,12 +93,17 @@ class ContactPipeline:
         team: Team,
         records: bool = False,
     ) -> None:
-        planes, materials, box = world.planes, world.materials, world.box
+        planes, materials = world.planes, world.materials
+        # in a sheared box, contacts either last or are impacts during the drift
+        self._shear = None if requirements.impact_time.modelled else world.shear
+        self._skips_end = world.shear is not None and self._shear is None
+        self._flow = world.flow(float(bodies.radius.max()))  # m/s²
+        box = self._shear.at_present if self._shear else world.box
         sleep = load("model", "sleep") if contact.sleep else None
         self.settings = contact
         self._bodies, self._solids = bodies, planes
         self._field = world.field
-        self._team, self._is_sheared = team, world.shear is not None
+        self._team = team
         self._needs = requirements
         self._lasts = contact.solver == "lasting" and requirements.resting.modelled
         self._near = NearPairs(contact, bodies, world, self._lasts, team)
@@ -261,7 +266,7 @@ class ContactPipeline:
                 self.solver.ledger[:] = 0.0
             self._hold_contacts(self._dt, kick, dt, 0.0, booked, against)
             self.ledger_apart = self.solver.audited
-            self._add_work_of_walls(self.solver.contacts, begun)
+            self._add_work(self.solver.contacts, begun)
             if self.tap:
                 self.tap.add_hold(self.contacts.pairs, self.solver)
         if self._translation:
@@ -354,7 +359,7 @@ class ContactPipeline:
         """Find the contacts at the present positions, colour them, and correct the overlaps of resting ones."""
         if self._translation:
             self._translation.arrive(self._span[1])
-        if self._is_sheared:  # nothing presses bodies together, so none is in contact for longer than an impact
+        if self._skips_end:
             return
         self._was_crossed = self._guard is not None and self._guard.stop()
         sleepers = self._sleepers
@@ -377,6 +382,8 @@ class ContactPipeline:
             pushed = self.solver.correct_positions(self.most_sweeps)
             if self._piston:
                 self._piston.push(pushed)
+            if self._shear:
+                self._shear.add_work_of_corrections(self.solver.contacts, self.solver.recorded)
             if self._guard:
                 self._guard.stop()
         profile.mark("stabilisation")
@@ -477,6 +484,10 @@ class ContactPipeline:
         self.solver.lay(self.contacts.order, self._impulses.contacts, self._near.rounding)
         loaded = self._near.loading * dt
         self._presses = self._needs.resting.modelled and self.solver.find_rest_speeds(self._field, loaded)
+        if self._shear and self._needs.resting.modelled:
+            closing = 2.0 * self._flow * dt  # m/s, see `Islands.write_rest_speeds`
+            np.maximum(self.solver.rest_speed, closing, out=self.solver.rest_speed)
+            self._presses = self._presses or (closing > 0.0 and len(pairs) > 0)
         self._dt = dt  # s
         self.sweeps = 0
         self._too_few_sweeps = False
@@ -499,16 +510,16 @@ class ContactPipeline:
             profile.mark("resting")
         else:
             self._impulses = ImpulseCache.empty()
-        self._add_work_of_walls(solver.recorded, velocity)
-        self._add_work_of_walls(solver.contacts, velocity)
+        self._add_work(solver.recorded, velocity)
+        self._add_work(solver.contacts, velocity)
         if self._translation:
             self._translation.rest()
         if self.sweeps >= self.most_sweeps and still_closing(contact) not in self.warned:
             self._too_few_sweeps = solver.is_closing(dt)
         profile.mark("response")
 
-    def _add_work_of_walls(self, impulses: RecordArray[Any], velocity: FloatArray) -> None:
-        """Add the work of moving walls by the impulses of the present contacts.
+    def _add_work(self, impulses: RecordArray[Any], velocity: FloatArray) -> None:
+        """Add the work of moving walls, or of the shear, by the impulses of the present contacts.
 
         Parameters
         ----------
@@ -517,6 +528,8 @@ class ContactPipeline:
         velocity
             (p, 3) m/s, of solids that translate, as they do the work.
         """
+        if self._shear:
+            self._shear.add_work(self.solver.contacts, impulses)
         if not self._solids.moves:
             return
         pairs, contacts, n = self.solver.system.pairs, cast(RecordArray[Any], self.solver.contacts), len(self._bodies)
@@ -567,6 +580,8 @@ class ContactPipeline:
         self.forget()
         if self._pushes:
             self.solver.correct_positions(1)
+            if self._shear:
+                self._shear.add_work_of_corrections(self.solver.contacts, self.solver.recorded)
         self._resolve(1.0, 1.0, Profile())
         self.solver.is_closing(1.0)
         self.solver.statistics()

@@ -61,8 +61,8 @@ class Shear(Section):
 def refuse_what_is_not_sheared(scene: Scene) -> None:
     """Refuse sheared boxes with parts of the model that need forces, or the velocity of something at rest.
 
-    Without forces, all contacts are impacts at their own times, which know the images. Nothing can be fixed in a
-    sheared box, since its images would move.
+    Nothing can be fixed in a sheared box, since its images would move. A body that overlaps another one may be pushed
+    away only where contacts last.
 
     Raises
     ------
@@ -79,9 +79,11 @@ def refuse_what_is_not_sheared(scene: Scene) -> None:
         "a fixed body": ("set fixed = false", scene.has_fixed_bodies),
         "time.accuracy": ("remove it", time.accuracy is not None),
         f'time.integrator = "{time.integrator}"': ('set "leapfrog"', time.integrator not in (AUTO, "leapfrog")),
-        'contact.timing = "end-of-step"': ('set "time-of-impact"', contact.timing == "end-of-step"),
         "contact.sleep": ("remove it", contact.sleep is not None),
-        "contact.allow_overlap": ("set it to false", contact.allow_overlap),
+        "contact.allow_overlap": (
+            'set it to false, or timing to "end-of-step"',
+            contact.allow_overlap and contact.timing != "end-of-step",
+        ),
         "model.force": ("remove it", bool(scene.model.force)),
     }
     for what, (remedy, given) in remedies.items():

@@ -20,6 +20,7 @@ from carom.physics.contact.piston_motion import along_guide
 from carom.physics.jit.decorators import inline, kernel, long_kernel
 from carom.physics.jit.instructions import AHEAD, from_front, prefetch_record
 from carom.physics.jit.vectors import where
+from carom.physics.sheared_box import seen_in_image
 from carom.physics.vector import Vector
 
 
@@ -215,13 +216,21 @@ def relative_velocity(
     contact: ContactRecord, a: BodyStateRecord, b: BodyStateRecord
 ) -> tuple[float, float, float, float]:
     """Return v_n and v_t of two bodies, in m/s."""
-    return velocity_along(contact.nx, contact.ny, contact.nz, a, b)
+    ux, uy, uz = seen_in_image(contact, b.vx - a.vx, b.vy - a.vy, b.vz - a.vz)
+    return along_and_across(contact.nx, contact.ny, contact.nz, ux, uy, uz)
 
 
 @inline
 def velocity_along(nx: float, ny: float, nz: float, a: Moving, b: Moving) -> tuple[float, float, float, float]:
     """Return v_n and v_t of two bodies in m/s, for a normal from a to b."""
-    ux, uy, uz = b.vx - a.vx, b.vy - a.vy, b.vz - a.vz
+    return along_and_across(nx, ny, nz, b.vx - a.vx, b.vy - a.vy, b.vz - a.vz)
+
+
+@inline
+def along_and_across(
+    nx: float, ny: float, nz: float, ux: float, uy: float, uz: float
+) -> tuple[float, float, float, float]:
+    """Return v_n and v_t of a relative velocity in m/s."""
     vn = ux * nx + uy * ny + uz * nz
     return vn, ux - vn * nx, uy - vn * ny, uz - vn * nz
 

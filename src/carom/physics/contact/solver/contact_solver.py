@@ -14,6 +14,7 @@ from carom.physics.contact.constraints import (
     BODIES_PER_BLOCK,
     BODY_STATE,
     CONTACT,
+    CONTACT_OF_IMAGE,
     CONTACT_ON_MOVING_WALL,
     CONTACT_STATE,
     ENOUGH,
@@ -26,6 +27,7 @@ from carom.physics.contact.constraints import (
     PUSHED_BODY,
     RECORDED,
     ROLLING_CONTACT,
+    ROLLING_CONTACT_OF_IMAGE,
     ROLLING_ON_MOVING_WALL,
     ROLLING_RECORDED,
     SEARCH,
@@ -58,6 +60,7 @@ from carom.physics.contact.statistics import ContactStatistics
 from carom.physics.diagnostics.ledger import terms_of
 from carom.physics.jit.decorators import entry_of, kernel
 from carom.physics.jit.team import ALONE, Team
+from carom.physics.sheared_box import SHEARED_BOX
 from carom.scene.schema.contact import Sweeps
 from carom.scene.start import HalfSpaces
 
@@ -79,7 +82,7 @@ class ContactSolver:
     materials
         Coefficients of the contact law.
     box
-        Size of the periodic box, (3,) m; zeros in open space.
+        Size of the periodic box, (3,) m; zeros in open space; or the record of a sheared box.
     friction
         Whether impulses exert torques.
     team
@@ -402,11 +405,11 @@ class Workspace:
     materials
         Coefficients of the contact law.
     box
-        Size of the periodic box, (3,) m; zeros in open space.
+        Size of the periodic box, (3,) m; zeros in open space; or the record of a sheared box.
     spin
         As in `ConstraintSystem`.
     records
-        Whether to keep the impulses of impacts; the work of moving walls needs them.
+        Whether to keep the impulses of impacts; the work of moving walls and of shear needs them.
     """
 
     def __init__(
@@ -425,6 +428,9 @@ class Workspace:
         contact = ROLLING_CONTACT if rolls else CONTACT
         if planes.rotates:
             contact = ROLLING_ON_MOVING_WALL if rolls else CONTACT_ON_MOVING_WALL
+        if box.dtype == SHEARED_BOX:
+            contact = ROLLING_CONTACT_OF_IMAGE if rolls else CONTACT_OF_IMAGE
+            self._records = True
         self._contacts = Buffer(contact), Buffer(contact)
         self._held = Buffer(np.bool_)
         self._small_change = Buffer(np.float64)

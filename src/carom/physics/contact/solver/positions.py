@@ -43,11 +43,12 @@ from carom.physics.contact.law import material_index, restitution
 from carom.physics.contact.piston_motion import pushed_rise
 from carom.physics.contact.solids import tangent_plane
 from carom.physics.contact.solver.block import Block, whole_blocks
-from carom.physics.contact.solver.body_state import prefetch_ends, velocity_along
+from carom.physics.contact.solver.body_state import along_and_across, prefetch_ends, velocity_along
 from carom.physics.jit.decorators import inline, kernel, long_kernel, unowned
 from carom.physics.jit.instructions import Code, from_front, instruction
 from carom.physics.jit.vectors import DOUBLE, WIDTH, WORD, Lanes, Mask, at_least, gathered, in_lanes, read_doubles
-from carom.physics.vector import is_periodic, nearest_image, vector, write
+from carom.physics.sheared_box import nearest_in_drift, periods, seen_in_image
+from carom.physics.vector import is_periodic, vector, write
 from carom.scene.schema import Coefficients
 
 BAUMGARTE = 0.2  # fraction of the overlap that the bias removes in a step
@@ -98,7 +99,7 @@ def correct_positions(first: int, end: int, system: ConstraintSystem) -> None:
     n = body_count(system)
     for piece in range(first, end):
         lo, hi = contacts_of(piece, piece + 1, system)
-        blocks = whole_blocks(piece, system) if not is_periodic(system.box) else 0
+        blocks = whole_blocks(piece, system) if not is_periodic(periods(system.box)) else 0
         c, one_by_one, again = lo, lo + blocks * WIDTH, 0.0
         while c < hi:
             if c < one_by_one and (c - lo) % WIDTH == 0:
@@ -125,7 +126,8 @@ def _push_apart(c: int, system: ConstraintSystem) -> float:
     overlap = radii - d
     if overlap <= 0.0:
         return 0.0
-    vn, tx, ty, tz = velocity_along(nx, ny, nz, a, b)
+    ux, uy, uz = seen_in_image(system.contacts[c], b.vx - a.vx, b.vy - a.vy, b.vz - a.vz)
+    vn, tx, ty, tz = along_and_across(nx, ny, nz, ux, uy, uz)
     material = system.materials[material_index(i, j, n, system.places)]
     if separates(vn, state.rest_speed, restitution(material, -vn, state.rest_speed)):
         return 0.0
@@ -184,7 +186,7 @@ def _geometry(
         rise = pushed_rise(system.bodies[body_count(system) + plane], b, (sx, sy, sz))
         return -sx, -sy, -sz, sx * a.x + sy * a.y + sz * a.z - offset - rise, a.radius
     dx, dy, dz = b.x - a.x, b.y - a.y, b.z - a.z
-    dx, dy, dz = nearest_image(dx, dy, dz, box)
+    dx, dy, dz = nearest_in_drift(dx, dy, dz, box, 0.0)
     nx, ny, nz, d = normal_and_distance(dx, dy, dz)
     return nx, ny, nz, d, a.radius + b.radius
 

@@ -61,6 +61,7 @@ from carom.physics.contact.solver.body_state import (
 from carom.physics.jit.decorators import inline, kernel, unowned
 from carom.physics.jit.instructions import Code, from_front, instruction
 from carom.physics.jit.vectors import BIT, DOUBLE, WIDTH, Lanes, line_of, mask_of, spread
+from carom.physics.sheared_box import slope_of_image
 
 MOTION = 6  # fields of each line: v and ω, or p and t; masses and inertias follow
 
@@ -315,6 +316,8 @@ def _project(piece: int, system: ConstraintSystem) -> None:
             body_i, body_j = system.bodies[i], system.bodies[j]
             tx, ty, tz = contact.delta_x, contact.delta_y, contact.delta_z
             slope = slope_on_wall(contact, slope, tx, ty, tz)
+            nx, ny, nz = contact.nx, contact.ny, contact.nz
+            slope = slope_of_image(contact, slope, normal * nx + tx, normal * ny + ty, normal * nz + tz)
             accumulate_impulse(contact, body_i, body_j, spins, normal, tx, ty, tz)
     results = system.piece_results[piece]
     results.step_limit, results.slope = 1.0, slope

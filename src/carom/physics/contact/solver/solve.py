@@ -41,6 +41,7 @@ import numpy as np
 from carom.physics.contact.constraints import (
     BODY_STATE,
     CONTACT,
+    CONTACT_OF_IMAGE,
     CONTACT_ON_MOVING_WALL,
     BodyStateRecord,
     ConstraintSystem,
@@ -89,6 +90,7 @@ from carom.physics.jit.vectors import (
     read_doubles,
     spread,
 )
+from carom.physics.sheared_box import along_image, slope_of_image
 from carom.scene.schema import Coefficients
 
 HOLD_CONVERGED = 1e-8  # of the largest velocity that a contact removes; smaller changes end the iterations
@@ -178,6 +180,7 @@ def _solve_each(
             Jx, Jy, Jz = Jx + dx, Jy + dy, Jz + dz
             turn(contact, body_i, body_j, dx, dy, dz)
             accumulate_turn(contact, body_i, body_j, dx, dy, dz)
+        slope = slope_of_image(contact, slope, Jx, Jy, Jz)
         largest *= body_i.inverse_mass + body_j.inverse_mass
         if spins and exerts_torque(system.materials[0]):
             material = system.materials[material_index(i, j, count, places)]
@@ -267,8 +270,11 @@ class _Solution:
         """Change the impulses of the held contacts, and the velocities of their bodies."""
         block = self._block
         block.fetch_bodies_ahead("bodies", (VELOCITY, CHANGE))
-        on_moving_walls = "surface_x" in block.kind_of("contacts").dtype.fields
+        fields = block.kind_of("contacts").dtype.fields
+        on_moving_walls, of_images = "surface_x" in fields, "image_x" in fields
         kind, lines = (CONTACT_ON_MOVING_WALL, (0, 1, 2)) if on_moving_walls else (CONTACT, (0, 1))
+        if of_images:
+            kind, lines = CONTACT_OF_IMAGE, (0, 1, 2)
         contact = block.records("contacts", kind, lines)
         bodies = a, b = block.bodies("bodies", BODY_STATE, (VELOCITY,))
         alpha = block.setting("alpha")
@@ -287,6 +293,8 @@ class _Solution:
             largest = reduce(greater, map(abs, d), largest)
             J = [along + rubbing for along, rubbing in zip(J, d, strict=True)]
             torque = in_lanes(torque_of)(contact, *d)
+        if of_images:
+            slopes.append(in_lanes(along_image)(contact, *J))
         self._change = largest * (a.inverse_mass + b.inverse_mass)
         self._normal, self._more, self._slopes = normal, more, slopes
         block.apply(contact, bodies, (VELOCITY, CHANGE), self._held, J, torque)
