@@ -347,6 +347,19 @@ def test_help_imports_neither_the_compiler_nor_the_viewer(tmp_path: Path) -> Non
     assert done.stdout.strip().endswith("[]")
 
 
+def test_a_process_of_carom_imports_pandas_only_where_it_is_asked_for() -> None:
+    pytest.importorskip("pandas")
+    code = (
+        "import sys, pyarrow as pa\n"
+        "from carom.runs.environment import leave_pandas_out\n"
+        "leave_pandas_out()\n"
+        "table = pa.table({'x': [1.0, None]})\n"
+        "print('pandas' in sys.modules, table.to_pandas()['x'].isna().sum())"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == ["False", "1"]
+
+
 def test_a_recording_given_as_a_scene_is_answered_with_what_can_be_done_with_it(run_file: Path, tmp_path: Path) -> None:
     named = run_file.rename(tmp_path / "my run.rrd")
     done = carom("run", named.name, cwd=tmp_path)

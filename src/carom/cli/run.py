@@ -73,8 +73,10 @@ def run(
 
     with claimed_output(path, force) as claim:
         from carom.cli.progress import RunProgress, preparing, watch_look_ahead
+        from carom.runs.environment import leave_pandas_out
         from carom.runs.run import recording_space, simulate
 
+        leave_pandas_out()
         progress = RunProgress(loaded, quiet=as_json)
         announce_compilation(progress.say, helped, loaded)
         with preparing(loaded, progress) as patience:
@@ -153,11 +155,13 @@ def resume(
     from carom.cli.compiling import announce_compilation
     from carom.cli.progress import RunProgress
     from carom.recording.read.recording import Recording
+    from carom.runs.environment import leave_pandas_out
     from carom.runs.resume import claimed_target, resumable_run, under_way
     from carom.runs.resume import continue_run as go_on
 
     if until is not None and not 0.0 < until < float("inf"):
         raise typer.BadParameter(f"{until:g}: expected a time later than the start", param_hint="--until")
+    leave_pandas_out()
     with claimed_target(file, output, force) as claim:
         recording = Recording.open(file)
         run = resumable_run(recording, simulated_or_none(until, recording.units))

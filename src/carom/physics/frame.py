@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -54,7 +55,7 @@ class FrameStore:
             self.torque,
             self.angular_acceleration,
         )
-        self.contact_rows = [Buffer(CONTACT_ROW) for _ in range(slots)]
+        self.contact_rows = defaultdict[int, Buffer](lambda: Buffer(CONTACT_ROW))  # by slot
         self._bodies = bodies
         self._views: list[tuple[FloatArray, ...] | None] = [None] * slots
         self._next = 0

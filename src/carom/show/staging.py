@@ -14,8 +14,8 @@ import rerun.blueprint as rrb
 
 from carom.arrays import ColourArray, FloatArray, IntArray
 from carom.recording.layout import FIELD
-from carom.recording.layout.camera import CameraFit, turned
-from carom.recording.layout.canvas import Area, CameraMotion, LensView, View, views_of
+from carom.recording.layout.camera import CameraFit
+from carom.recording.layout.canvas import Area, CameraMotion, LensView, View, turned, views_of
 from carom.recording.layout.drawing import line_radii, shape, single
 from carom.recording.layout.plot_views import DECADES, CurveOutline, Curves, curve_style, grows_by_decades, shown_series
 from carom.recording.read.frame_rows import RecordedPositions

@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
+from itertools import product
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -90,6 +91,28 @@ def screen(to_eye: FloatArray, up: FloatArray = UP) -> FloatArray:
         right = np.cross(np.eye(3)[int(np.argmin(np.abs(to_eye)))], to_eye)
     right = right / np.linalg.norm(right)
     return np.array([right, np.cross(to_eye, right), to_eye])
+
+
+def turned(vector: FloatArray, axis: FloatArray, angle: float) -> FloatArray:
+    """Rotate vectors (..., 3) about a unit vector by an angle (rad)."""
+    along = (vector @ axis)[..., None] * axis
+    aside = vector - along
+    return np.asarray(along + np.cos(angle) * aside + np.sin(angle) * np.cross(axis, aside))
+
+
+def corners_of(header: Header, origin: FloatArray) -> FloatArray | None:
+    """Return the drawn corners (8, 3) of the walls or of the periodic box; None if there is neither."""
+    size = header.walls if header.walls is not None else header.drawn_box
+    return None if size is None else np.array(list(product((-0.5, 0.5), repeat=3))) * size - origin
+
+
+def upright(up: FloatArray) -> FloatArray:
+    """Return axes (3, 3), the last of which points up: the axes of the scene, unless gravity points elsewhere."""
+    if float(up @ UP) > 1.0 - STEEP:
+        return np.eye(3)
+    across = np.cross(up, np.eye(3)[int(np.argmin(np.abs(up)))])
+    across = across / np.linalg.norm(across)
+    return np.array([across, np.cross(up, across), up])
 
 
 CORNERS = ((1, 1), (-1, 1), (1, -1), (-1, -1))  # right and up are positive

@@ -144,13 +144,26 @@ class _Jumps:
     def _gains(self, header: Header) -> FloatArray:
         """Return the increase of the rotational energy in each impact, (k,) J."""
         assert self._kicks is not None
-        gains = np.zeros(len(self._time))
-        for body in np.unique(self._pairs[self._pairs < header.bodies]).tolist():
-            for k, side in np.argwhere((self._pairs == body) & (self._kicks != 0.0).any(axis=2)).tolist():
-                past = np.arange(len(self._time)) < k
-                spin, kick = self._spin(body, past, self._time[k]), self._kicks[k, side]
-                # a sum of products: the bits of a matrix product depend on the processor
-                gains[k] += header.inertia[body] * float(((spin + 0.5 * kick) * kick).sum())
+        assert self._before.angular_velocity is not None and self._after.angular_velocity is not None
+        body = self._pairs.ravel()
+        order = np.argsort(body, kind="stable")  # by body, then in order of time
+        order = order[body[order] < header.bodies]
+        body, kick, impact = body[order], self._kicks.reshape(-1, 3)[order], order // 2
+        bodies, first, which, count = np.unique(body, return_index=True, return_inverse=True, return_counts=True)
+        # the earlier kicks of each body, added one by one: the bits of `_spin`
+        earlier, rank = np.zeros_like(kick), np.arange(len(body)) - first[which]
+        for k in range(1, int(count.max(initial=0))):
+            later = np.flatnonzero(rank == k)
+            earlier[later] = earlier[later - 1] + kick[later - 1]
+        ends = first + count - 1
+        start, last = self._before.angular_velocity[bodies], self._after.angular_velocity[bodies]
+        last = last - (earlier[ends] + kick[ends])
+        parts = np.array([self._part(time) for time in self._time.tolist()])[impact, None]
+        spin = _between(parts, start[which], last[which]) + earlier
+        gains, kicked = np.zeros(len(self._time)), (kick != 0.0).any(axis=1)
+        # a sum of products: the bits of a matrix product depend on the processor
+        gain = header.inertia[body] * ((spin + 0.5 * kick) * kick).sum(axis=1)
+        np.add.at(gains, impact[kicked], gain[kicked])
         return gains
 
     def _part(self, time: float) -> float:
@@ -169,7 +182,7 @@ def _kicks(header: Header, before: Frame | Checkpoint, frame: Frame, impacts: Re
     return np.asarray(torque[:, None] * per_torque[ends][:, :, None])
 
 
-def _between(part: float, first: FloatArray, last: FloatArray) -> FloatArray:
+def _between(part: float | FloatArray, first: FloatArray, last: FloatArray) -> FloatArray:
     return first + part * (last - first)
 
 
