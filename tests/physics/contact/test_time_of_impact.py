@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 import event_driven_oracle
+from carom.physics.contact.events.time_of_impact import stay_apart, time_of_impact, time_of_impact_on_parabola
 from carom.physics.contact.graph import OVERFLOW, CollisionGraph
 from carom.physics.frame import Frame
 from carom.physics.schedule import every
@@ -235,6 +236,29 @@ def _apart(random: np.random.Generator, n: int) -> FloatArray:
         if all(np.linalg.norm(point - other) > 1.01 for other in points):
             points.append(point)
     return np.array(points)
+
+
+def test_bodies_that_stay_apart_by_the_bound_have_no_impact_on_lines_or_parabolas() -> None:
+    """Gaps of 10⁻⁷ to 10³ radii, of which the motion closes none or up to one and a half."""
+    random, span, rejected = np.random.default_rng(0), 0.1, 0
+    for _ in range(4000):
+        R, normal = 10.0 ** random.uniform(-3.0, 1.0), random.normal(size=3)
+        normal /= np.linalg.norm(normal)
+        gap, aside = R * 10.0 ** random.uniform(-7.0, 3.0), np.cross(normal, random.normal(size=3))
+        d, v = (
+            (R + gap) * normal,
+            (random.choice([0.0, 0.01, 1.0]) * aside - random.uniform(0.0, 1.5) * normal) * gap / span,
+        )
+        field = random.normal(size=3)
+        bow = 0.125 * span * span * np.linalg.norm(field)
+        apart, still = tuple(d.tolist()), (0.0, 0.0, 0.0)
+        if stay_apart(apart, tuple(v.tolist()), R, span):
+            rejected += 1
+            assert time_of_impact(apart, tuple(v.tolist()), still, R, span, 0.0, 0.0) == np.inf
+        if stay_apart(apart, tuple(v.tolist()), R + bow, span):  # the chord of the parabola
+            start = tuple((v - 0.5 * span * field).tolist())
+            assert time_of_impact_on_parabola(apart, start, tuple(field.tolist()), 0.0, R, span) == np.inf
+    assert 1000 < rejected < 3000  # the bound is sharp where the gap is small
 
 
 def test_a_rolling_start_turns_bodies_piece_by_piece() -> None:

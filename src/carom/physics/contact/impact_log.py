@@ -6,7 +6,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Protocol
+from functools import cached_property
+from typing import Any, Protocol, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -58,40 +59,56 @@ IMPACT = dtype_of(ImpactRecord)
 ROLLING_IMPACT = dtype_of(RollingImpactRecord)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Impacts:
-    """The impacts of a drift, in the order of time."""
+    """The impacts of a drift, in the order of time.
 
-    pairs: IntArray  # (k, 2), i < j
-    time: FloatArray  # (k,) s from the beginning of the drift
-    normal: FloatArray  # (k, 3) from i to j
-    approach: FloatArray  # (k,) m/s
-    rest_speed: FloatArray  # (k,) m/s, of each impact
-    ledger: FloatArray  # (k, 3) J
-    after: FloatArray  # (k, 2, 3) m/s, velocities of both bodies right after it
-    log: Records  # (k,) `IMPACT`, the records from which the other fields were read
+    Most steps need only the log, so arrays with several columns are made on demand.
+    """
+
+    log: Records  # (k,) `IMPACT`
 
     def __len__(self) -> int:
-        return len(self.pairs)
+        return len(self.log)
 
     def followed_by(self, later: Impacts) -> Impacts:
         """Add later impacts."""
-        return Impacts.of(np.concatenate((self.log, later.log))) if len(self) else later
+        return Impacts(np.concatenate((self.log, later.log))) if len(self) else later
 
-    @classmethod
-    def of(cls, log: Records) -> Impacts:
-        """Read a log, (k,) `IMPACT`."""
-        after = _columns(log, "vix", "viy", "viz", "vjx", "vjy", "vjz")
-        return cls(
-            pairs=_columns(log, "i", "j"),
-            time=log["time"],
-            normal=_columns(log, "nx", "ny", "nz"),
-            approach=log["approach"],
-            rest_speed=log["rest_speed"],
-            ledger=terms_of(log),
-            after=after.reshape(-1, 2, 3),
-            log=log,
-        )
+    @cached_property
+    def pairs(self) -> IntArray:
+        """(k, 2), i < j."""
+        return _columns(self.log, "i", "j")
+
+    @property
+    def time(self) -> FloatArray:
+        """(k,) s from the beginning of the drift."""
+        return cast(FloatArray, self.log["time"])
+
+    @cached_property
+    def normal(self) -> FloatArray:
+        """(k, 3) from i to j."""
+        return _columns(self.log, "nx", "ny", "nz")
+
+    @property
+    def approach(self) -> FloatArray:
+        """(k,) m/s."""
+        return cast(FloatArray, self.log["approach"])
+
+    @property
+    def rest_speed(self) -> FloatArray:
+        """(k,) m/s, of each impact."""
+        return cast(FloatArray, self.log["rest_speed"])
+
+    @property
+    def ledger(self) -> FloatArray:
+        """(k, 3) J."""
+        return terms_of(self.log)
+
+    @cached_property
+    def after(self) -> FloatArray:
+        """(k, 2, 3) m/s, velocities of both bodies right after the impact."""
+        return _columns(self.log, "vix", "viy", "viz", "vjx", "vjy", "vjz").reshape(-1, 2, 3)
 
 
 def _columns(records: Records, *names: str) -> NDArray[Any]:
@@ -99,4 +116,4 @@ def _columns(records: Records, *names: str) -> NDArray[Any]:
     return np.stack([records[name] for name in names], axis=-1)
 
 
-NO_IMPACTS = Impacts.of(np.empty(0, dtype=IMPACT))
+NO_IMPACTS = Impacts(np.empty(0, dtype=IMPACT))

@@ -586,8 +586,9 @@ class ContactPipeline:
         self.solver.is_closing(1.0)
         self.solver.statistics()
         if self.event_drift:
+            self.impacts = Impacts(self.event_drift.log[:0])
             self._count_impacts()
-            self._work_of_impacts(self.event_drift.log[:0])
+            self._work_of_impacts(self.impacts.log)
         if self._lasts:
             for drift in (1.0, 0.0):
                 self._hold_contacts(1.0, 1.0, drift, 0.0, 1.0)

@@ -6,7 +6,7 @@ built only on demand (`snapshot`).
 
 from __future__ import annotations
 
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, cast
 
 import numpy as np
 
@@ -14,7 +14,7 @@ from carom.arrays import FloatArray, IntArray, RecordArray, dtype_of
 from carom.physics.bodies import Ends
 from carom.physics.contact.constraints import CONTACTS_PER_BLOCK, ContactRecord, ContactStateRecord, ends_of
 from carom.physics.contact.graph import OVERFLOW, OrderedContacts, comes_before, first_of
-from carom.physics.contact.impact_log import Impacts
+from carom.physics.contact.impact_log import ImpactRecord, Impacts
 from carom.physics.diagnostics.ledger import LedgerRecord, clear_terms, terms_of
 from carom.physics.jit.decorators import inline, kernel, long_kernel
 from carom.physics.jit.instructions import from_front
@@ -107,15 +107,17 @@ class ContactStatistics(NamedTuple):
         inverse_mass
             (n + p,) 1/kg
         """
-        order = np.lexsort((-impacts.approach, impacts.pairs[:, 1], impacts.pairs[:, 0]))
-        by_pair = (impacts.pairs[order], impacts.approach[order], impacts.rest_speed[order])
-        place = ordered.order.place
-        further, energy, hardest, i, j = _add_impacts(*by_pair, ordered.pairs, place, contacts, states, inverse_mass)
+        log, place = impacts.log, ordered.order.place
+        order = np.argsort(log["i"] * len(inverse_mass) + log["j"], kind="stable")
+        further, energy, hardest, i, j = _add_impacts(
+            cast(RecordArray[ImpactRecord], log), order, ordered.pairs, place, contacts, states, inverse_mass
+        )
         mine, theirs = (self.hardest, self.hardest_pair), (hardest, (i, j))
         first = max(mine, theirs, key=lambda impact: (impact[0], -impact[1][0], -impact[1][1]))
-        touching, deepest_pair = [(i, j) for i, j in by_pair[0][:1].tolist()], self.deepest_pair  # no overlap
-        if self.deepest == 0.0 and touching and (self.contacts == 0 or touching[0] < deepest_pair):
-            deepest_pair = touching[0]
+        deepest_pair = self.deepest_pair
+        if self.deepest == 0.0 and len(log) > 0:  # the first pair that touched, without an overlap
+            touching = int(log["i"][order[0]]), int(log["j"][order[0]])
+            deepest_pair = touching if self.contacts == 0 else min(touching, deepest_pair)
         return self._replace(
             work=np.concatenate((impacts.ledger, self.work)),
             contacts=self.contacts + further,
@@ -168,16 +170,15 @@ def count_block(
 
 @kernel
 def _add_impacts(
-    pairs: IntArray,
-    approach: FloatArray,
-    rest_speed: FloatArray,
+    log: RecordArray[ImpactRecord],
+    order: IntArray,
     known: IntArray,
     place: IntArray,
     contacts: RecordArray[ContactRecord],
     states: RecordArray[ContactStateRecord],
     inverse_mass: FloatArray,
 ) -> tuple[int, float, float, int, int]:
-    """Add impacts in the order of their pairs, the hardest of each pair first.
+    """Add impacts, of which ``order`` has the indices in the order of their pairs, and of time for each pair.
 
     Returns
     -------
@@ -189,11 +190,13 @@ def _add_impacts(
         J, of the hardest impact, and its ends.
     """
     further, energy, hardest, hardest_i, hardest_j = 0, 0.0, 0.0, 0, 0
-    for row in range(len(pairs)):
-        i, j = ends_of(pairs, row)
-        if row > 0 and pairs[row - 1, 0] == i and pairs[row - 1, 1] == j:
-            continue
-        speed, limit, counted = approach[row], rest_speed[row], 0.0
+    row = 0
+    while row < len(order):
+        i, j, first = from_front(log[order[row]].i), from_front(log[order[row]].j), row
+        while row < len(order) and log[order[row]].i == i and log[order[row]].j == j:
+            first = row if log[order[row]].approach > log[order[first]].approach else first
+            row += 1
+        speed, limit, counted = log[order[first]].approach, log[order[first]].rest_speed, 0.0
         twice = 2.0 * (inverse_mass[i] + inverse_mass[j])
         c = first_of(i, known)
         while c < len(known) and known[c, 0] == i and known[c, 1] < j:

@@ -99,7 +99,7 @@ class EventDrivenDrift:
     trajectories
         The bodies and planes of a drift.
     log
-        Buffer for the impacts of a call.
+        Buffer for the impacts of a call; it grows with the number of impacts in a step.
     """
 
     def __init__(
@@ -232,7 +232,7 @@ class EventDrivenDrift:
         pairs = np.empty((MOST_TOUCHING * len(bodies) + 1 if pair else 0, 2), dtype=np.int64)
         pairs[:1] = pair or 0
         count = resolve_touching(T, pairs, self.log)
-        return Impacts.of(self.log[:count].copy())
+        return Impacts(self.log[:count].copy())
 
     def step_by_impacts(self, span: float) -> float:
         """Return the longest step (s) that the next impact allows; infinite if there is none within a span (s)."""
@@ -275,7 +275,10 @@ class EventDrivenDrift:
             logs.append(self.log[:count].copy())
             if count + MOST_CONTACTS <= len(self.log):  # not because the log is full: a body is exhausted
                 step, held = resolve, np.empty(MOST_BODIES, dtype=np.int64)
-        return Impacts.of(logs[0] if len(logs) == 1 else np.concatenate(logs))
+        total = sum(map(len, logs))
+        if total > len(self.log):  # the next step may have as many impacts
+            self.log = np.empty(2 * total, dtype=self.log.dtype)
+        return Impacts(logs[0] if len(logs) == 1 else np.concatenate(logs))
 
 
 @kernel

@@ -21,6 +21,7 @@ from carom.arrays import IntArray, RecordArray
 from carom.physics.contact.events.held_group import MOST_CONTACTS, hold_group
 from carom.physics.contact.events.time_of_impact import (
     first_of_images,
+    stay_apart,
     time_of_impact,
     time_of_impact_in_box,
     time_of_impact_on_parabola,
@@ -61,7 +62,8 @@ from carom.physics.contact.rolling import angular_impulse_of_impact, set_angular
 from carom.physics.contact.solver.body_state import slip_velocity
 from carom.physics.contact.translating_walls import velocity_in_drift, walls_translate
 from carom.physics.exponential import exponentials
-from carom.physics.jit.decorators import chosen_by_type, inline, inner, long_kernel
+from carom.physics.jit.decorators import borrowing, chosen_by_type, inline, long_kernel, unowned
+from carom.physics.jit.instructions import from_front
 from carom.physics.rotation import rotate_one
 from carom.physics.sheared_box import add_work, is_sheared, nearest_in_drift, periods
 from carom.physics.vector import Vector, add, along, between, is_periodic, nearest_image, vector
@@ -82,7 +84,7 @@ MAX_IN_COLLAPSE = 100  # with e < 1, where no force presses
 MAX_ELASTIC = 10_000
 
 
-@long_kernel
+@borrowing
 def predict(lo: int, hi: int, neighbours: Neighbours, T: Trajectories) -> None:
     """Predict the first impact of each body in [lo, hi) with planes and its neighbours."""
     predict_with_solids(lo, hi, T)
@@ -124,7 +126,7 @@ def resolve(neighbours: Neighbours, T: Trajectories, log: RecordArray[ImpactReco
     return row
 
 
-@inner
+@unowned
 def _go_to_next(neighbours: Neighbours, T: Trajectories) -> int:
     """Move the bodies of the next impact to it; return the body that predicted it, or -1 if there is none.
 
@@ -145,7 +147,7 @@ def _go_to_next(neighbours: Neighbours, T: Trajectories) -> int:
     return -1
 
 
-@inner
+@unowned
 def _count_impact(i: int, lossy: bool, T: Trajectories) -> None:
     """Count an impact of a body; record whether it is now exhausted, and whether its path leaves its search radius."""
     if T.inverse_mass[i] == 0.0:
@@ -167,7 +169,7 @@ def _count_impact(i: int, lossy: bool, T: Trajectories) -> None:
         T.strays.last[:] = drift.strays
 
 
-@inner
+@unowned
 def _predict_again(i: int, neighbours: Neighbours, T: Trajectories) -> None:
     """Predict a body's next impact on its remaining path, and update the event queue."""
     body, drift = T.body[i], T.drift[0]
@@ -182,27 +184,29 @@ def _predict_again(i: int, neighbours: Neighbours, T: Trajectories) -> None:
     drift.queued = put(i, drift.queued, T.queue, T.body)
 
 
-@inner
+@unowned
 def _predict(lo: int, hi: int, neighbours: Neighbours, T: Trajectories) -> None:
     """Predict each body's next impact with its neighbours, for [lo, hi), and keep it if it is before the stored one."""
     box, drift = periods(T.box), T.drift[0]
     clock = drift.clock
     span, since_kick = drift.dt - clock, clock - drift.kick
+    far, height = not is_periodic(box), _largest_lag(T)  # elsewhere, other images may be near
     for i in range(lo, hi):
         one, own = T.body[i], rest_speed(i, T)
+        xi, yi, zi = along(T.x, T.v, i, clock - one.now)
         for m in range(neighbours.first[i], neighbours.last[i]):
-            j = neighbours.bodies[m]
+            j = from_front(neighbours.bodies[m])
             other = T.body[j]
+            xj, yj, zj = along(T.x, T.v, j, clock - other.now)
+            d, v = (xj - xi, yj - yi, zj - zi), between(T.v, i, j)
+            R = T.radius[i] + T.radius[j]
+            if far and stay_apart(d, v, R if one.is_straight == other.is_straight else R + height, span):
+                continue
             if j == i or T.inverse_mass[i] + T.inverse_mass[j] == 0.0:
                 continue
             if one.holds >= MOST_HOLDS and other.holds >= MOST_HOLDS:
                 continue
-            s, t = clock - one.now, clock - other.now
-            xi, yi, zi = along(T.x, T.v, i, s)
-            xj, yj, zj = along(T.x, T.v, j, t)
-            d, v = (xj - xi, yj - yi, zj - zi), between(T.v, i, j)
             a = _acceleration(i, j, v, T)
-            R = T.radius[i] + T.radius[j]
             slow = drift.slow * max(own, 0.0 if other.is_free else T.rest_speed[j])
             slow += one.negligible_speed + other.negligible_speed
             # on a parabola only the nearest image is tested, so a body must not come halfway to another image
@@ -220,13 +224,21 @@ def _predict(lo: int, hi: int, neighbours: Neighbours, T: Trajectories) -> None:
 
 
 @inline
+def _largest_lag(T: Trajectories) -> float:
+    """Return the largest distance (m) of a parabola from its straight line in the drift; infinite with drag."""
+    drift = T.drift[0]
+    gx, gy, gz = drift.field_x, drift.field_y, drift.field_z
+    return float(0.125 * drift.dt * drift.dt * np.sqrt(gx * gx + gy * gy + gz * gz)) if drift.damping == 0.0 else np.inf
+
+
+@inline
 def _passes_images(v: Vector, span: float, box: Vector) -> bool:
     """Return whether a body moves by a quarter of the periodic box along an axis."""
     (vx, vy, vz), (Lx, Ly, Lz) = v, box
     return bool(abs(vx) * span > 0.25 * Lx or abs(vy) * span > 0.25 * Ly or abs(vz) * span > 0.25 * Lz)
 
 
-@inner
+@unowned
 def _acceleration(i: int, j: int, v: Vector, T: Trajectories) -> Vector:
     """Return the acceleration of j relative to i, with drag, in m/s²; v is their relative velocity in the drift."""
     (vx, vy, vz), (ax, ay, az) = v, between(T.a, i, j)
@@ -234,7 +246,7 @@ def _acceleration(i: int, j: int, v: Vector, T: Trajectories) -> Vector:
     return ax - damping * vx, ay - damping * vy, az - damping * vz
 
 
-@inner
+@unowned
 def _time_on_parabola(i: int, j: int, d: Vector, v: Vector, slow: float, T: Trajectories) -> float:
     """Return the time (s) until two bodies meet, if the field bends the path of one; infinite if they do not.
 
@@ -312,7 +324,7 @@ def _by_solids(lo: Any, hi: Any, T: Any) -> Any:
     return predict_with_walls if has_walls(T) else _predict_with_planes
 
 
-@inner
+@unowned
 def _time_to_plane(gap: float, rate: float, bend: float) -> float:
     """Return the first time (s) at which gap + rate t + ½ bend t² reaches 0 from above; 0 if closed and closing."""
     if rate < 0.0 and gap <= 0.0:
@@ -326,7 +338,7 @@ def _time_to_plane(gap: float, rate: float, bend: float) -> float:
     return 2.0 * gap / (root - rate) if rate < 0.0 else (rate + root) / -bend
 
 
-@inner
+@unowned
 def collide(i: int, j: int, log: RecordArray[ImpactRecord], row: int, T: Trajectories) -> None:
     """Resolve one impact with the velocities at its time, and write it into a row of the log.
 
@@ -396,7 +408,7 @@ def collide(i: int, j: int, log: RecordArray[ImpactRecord], row: int, T: Traject
     entry.vjx, entry.vjy, entry.vjz = velocity(j, T)
 
 
-@inner
+@unowned
 def _landing_velocity(i: int, j: int, nx: float, ny: float, nz: float, an: float, T: Trajectories) -> float:
     """Return the normal velocity at which two bodies must separate to touch again only at the end of the drift.
 
@@ -422,7 +434,7 @@ def _landing_velocity(i: int, j: int, nx: float, ny: float, nz: float, an: float
     return landing
 
 
-@inner
+@unowned
 def _spin_up(i: int, arm: float, tx: float, ty: float, tz: float, T: Trajectories) -> None:
     """Change a body's spin by the torque of an impulse, and its orientation at the end of the drift accordingly.
 

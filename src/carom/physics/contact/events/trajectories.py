@@ -35,7 +35,7 @@ from carom.physics.contact.solids import tangent_plane
 from carom.physics.contact.translating_walls import displacement_in_drift, velocity_in_drift, walls_translate
 from carom.physics.diagnostics.momentum import centre_velocity
 from carom.physics.exponential import log_remainder
-from carom.physics.jit.decorators import inline, inner, kernel, long_kernel
+from carom.physics.jit.decorators import borrowing, inline, kernel, unowned
 from carom.physics.sheared_box import flow_in_drift, is_sheared, nearest_in_drift, velocity_of_image
 from carom.physics.vector import Vector, add, along, between, vector
 from carom.scene.schema import Coefficients
@@ -194,7 +194,7 @@ def begin(T: Trajectories, dt: float, kick: float, damping: float, bends: bool, 
         arrive(i, T)
 
 
-@inner
+@unowned
 def arrive(i: int, T: Trajectories) -> None:
     """Begin the path of a body at the present time, without impacts so far."""
     body = T.body[i]
@@ -214,7 +214,7 @@ def straighten(
                     body[pairs[c, end]].is_straight, body[pairs[c, end]].is_free = True, False
 
 
-@inner
+@unowned
 def advance(i: int, T: Trajectories) -> None:
     """Move a body along its path to the present time."""
     clock = T.drift[0].clock
@@ -224,7 +224,7 @@ def advance(i: int, T: Trajectories) -> None:
     T.body[i].now = clock
 
 
-@inner
+@unowned
 def elapsed(T: Trajectories) -> float:
     """Return the time in s since the beginning of the drift."""
     drift = T.drift[0]
@@ -234,14 +234,14 @@ def elapsed(T: Trajectories) -> float:
     return float(min(drift.dt, (y + y * y * log_remainder(y)) / drift.damping))
 
 
-@inner
+@unowned
 def slowing(T: Trajectories) -> float:
     """Return the ratio of velocities at the present time to those of the straight path; 1 without drag."""
     drift = T.drift[0]
     return float(1.0 - drift.damping * (drift.clock - drift.kick))
 
 
-@inner
+@unowned
 def velocity(i: int, T: Trajectories) -> Vector:
     """Return the velocity of a body at the present time, in m/s."""
     f, s = slowing(T), T.drift[0].clock - T.drift[0].kick
@@ -286,7 +286,7 @@ def mean_velocity_of_wall(j: int, T: Trajectories) -> Vector:
     return (ex - x) / remaining, (ey - y) / remaining, (ez - z) / remaining
 
 
-@inner
+@unowned
 def lag(T: Trajectories) -> float:
     """Return the lag of a path behind its straight line at the present time, per unit of the field, in s²."""
     drift = T.drift[0]
@@ -297,7 +297,7 @@ def lag(T: Trajectories) -> float:
     return float(drift.clock * phi1 * (drift.kick - done * log_remainder(drift.damping * done)))
 
 
-@inner
+@unowned
 def centre(i: int, T: Trajectories) -> tuple[float, float, float]:
     """Return the position (m) of a body on its parabola at the present time."""
     x, y, z = vector(T.x, i)
@@ -307,13 +307,13 @@ def centre(i: int, T: Trajectories) -> tuple[float, float, float]:
     return x - behind * drift.field_x, y - behind * drift.field_y, z - behind * drift.field_z
 
 
-@inner
+@unowned
 def rest_speed(i: int, T: Trajectories) -> float:
     """Return the closing speed (m/s) up to which contacts of a body are at rest: 0 if it has touched nothing."""
     return 0.0 if T.body[i].is_free else T.rest_speed[i]
 
 
-@inner
+@unowned
 def contact_geometry(i: int, j: int, T: Trajectories) -> tuple[float, float, float, float, float]:
     """Return the normal from i to j, and both lever arms in m; see `geometry.update_geometry`.
 
@@ -338,7 +338,7 @@ def contact_geometry(i: int, j: int, T: Trajectories) -> tuple[float, float, flo
     return nx, ny, nz, ratio * T.radius[i], ratio * T.radius[j]
 
 
-@inner
+@unowned
 def leaves_search_radius(i: int, T: Trajectories) -> bool:
     """Return whether a body leaves its search radius before the end of the drift."""
     body, drift = T.body[i], T.drift[0]
@@ -353,7 +353,7 @@ def leaves_search_radius(i: int, T: Trajectories) -> bool:
     return bool(x * x + y * y + z * z > body.search_radius * body.search_radius)
 
 
-@long_kernel
+@borrowing
 def finish(lo: int, hi: int, T: Trajectories) -> None:
     """Move the bodies [lo, hi) to the end of the drift."""
     dt = T.drift[0].dt
@@ -377,7 +377,7 @@ def both_ways(pairs: IntArray, ends: IntArray, others: IntArray) -> None:
             others[ends[i]] = pairs[c, 1 - end]
 
 
-@kernel
+@unowned
 def is_sooner(i: int, j: int, body: RecordArray[QueuedRecord]) -> bool:
     """Return whether body i's next impact comes before body j's."""
     one, other = body[i], body[j]
@@ -389,7 +389,7 @@ def is_sooner(i: int, j: int, body: RecordArray[QueuedRecord]) -> bool:
     return bool(max(i, one.partner) < max(j, other.partner))
 
 
-@kernel
+@unowned
 def put(i: int, size: int, queue: IntArray, body: RecordArray[QueuedRecord]) -> int:
     """Update the place of body i after its next impact has changed; remove it if there is none.
 

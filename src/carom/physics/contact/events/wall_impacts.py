@@ -23,7 +23,7 @@ from carom.physics.contact.translating_walls import (
     velocity_in_drift,
     walls_translate,
 )
-from carom.physics.jit.decorators import inner
+from carom.physics.jit.decorators import unowned
 from carom.physics.vector import Vector, along, vector
 
 FOCAL_PART = 0.5  # fraction of the focal distance by which a body may move in a pass
@@ -85,7 +85,7 @@ def predict_with_walls(lo: int, hi: int, T: Trajectories) -> None:
                 body.impact_time, body.partner, body.partner_impacts = when, n + solid, 0
 
 
-@inner
+@unowned
 def _time_to_wall(
     solid: int,
     position: Vector,
@@ -143,7 +143,7 @@ def _time_to_wall(
     return np.inf  # a grazing pass
 
 
-@inner
+@unowned
 def _until_path(length: float, speed: float, bend: float) -> float:
     """Return the shortest time (s) in which a body can cover a path of a length in m."""
     if not length > 0.0:
