@@ -22,7 +22,10 @@ OF_WALLS = {  # compiled for scenes with a [[wall]], as the kernels of a contact
     *("moving_walls.set_velocities_in_drift", "moving_walls.work_of_contacts", "moving_walls.work_of_impacts"),
     *(f"translating_walls.{name}" for name in ("mean_velocities", "place", "work_at_velocities", "work_in_drift")),
 }
-OF_SHEAR = {f"sheared_box.{name}" for name in ("_image", "_wrap", "along_gradient", "in_axes")}  # of sheared boxes
+OF_SHEAR = {  # compiled for sheared boxes
+    *(f"sheared_box.{name}" for name in ("_image", "_wrap", "along_gradient", "in_axes")),
+    *("sheared_box._work_of_contacts", "sheared_box._work_of_corrections", "near_pairs._find_near"),
+}
 OF_PACKAGES = {  # compiled for the forces and laws of each package that calls them
     *("kernel_forces._add", "kernel_forces._energy"),
     *("exponential.exponential", "exponential.logarithm", "exponential.power"),

@@ -56,6 +56,7 @@ OTHER_STEPS = {  # more until something touches, fewer where a step takes millis
     "billiards": 120,
     "drum": 45,
     "hopper": 50,
+    "piston": 230,
     "shaker": 110,
     "shear-cell": 8,
     "rack-break": 450,

@@ -44,6 +44,7 @@ SHORT = {
     "hopper": 0.2,
     "kepler-orbits": 0.1,
     "marbles-in-a-box": 0.1,
+    "piston": 0.15,  # it has met the first balls
     "planet-with-gravel": 0.1,
     "rubble-collision": 0.15,
     "shaker": 0.15,  # two periods of the floor

@@ -24,9 +24,9 @@ FloatArray = NDArray[np.float64]
 
 
 def walls_as_slow(names: Iterable[str]) -> list[Any]:
-    """Return scenes as parameters; those with walls, motions or shear, which compile for a minute, are slow."""
+    """Return scenes as parameters; those with walls, motions, pistons or shear, which compile for long, are slow."""
     texts = {name: path.read_text(encoding="utf-8") for name, path in bundled_scenes().items()}
-    parts = "[[wall]]", "motion = ", "shear = "
+    parts = "[[wall]]", "motion = ", "piston = ", "shear = "
     walled = {name for name, text in texts.items() if any(part in text for part in parts)}
     return [pytest.param(name, marks=pytest.mark.slow if name in walled else ()) for name in names]
 

@@ -12,6 +12,7 @@ import pytest
 import carom
 from carom import Frame, Recording, Scene, Space
 from carom.extend import every
+from carom.recording.read.recorded_scene import header_of_recording
 
 r, m = 0.05, 0.5  # m and kg, of a ball
 G = 9.81  # m/s²
@@ -181,3 +182,6 @@ def test_a_run_continues_from_a_checkpoint_and_a_recording_has_the_motion_of_the
     time, force = steps["time"].to_numpy(), steps["piston_force"].to_numpy()
     assert (force[1:] * np.diff(time)).sum() == pytest.approx(state(run[-1])[2], rel=1e-12)
     assert carom.replay(path).same
+    planes = header_of_recording(recording).planes  # a picture of it repeats steps, and draws where the piston is then
+    assert planes is not None
+    np.testing.assert_array_equal(planes.normal[PISTON], [0.0, 0.0, -1.0])

@@ -6,6 +6,7 @@ A recording may come from a stranger, so everything is checked before use.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -26,7 +27,7 @@ from carom.scene.parts import missing, names_of, stamped
 from carom.scene.schema import Scene
 from carom.scene.schema.motion import WallMotion
 from carom.scene.schema.wall import Wall
-from carom.scene.start import InitialBodies
+from carom.scene.start import HalfSpaces, InitialBodies, planes_of
 
 if TYPE_CHECKING:
     from carom.physics.checkpoint import Checkpoint
@@ -174,7 +175,7 @@ def header_of_recording(recording: Recording) -> Header:
         box=np.asarray(info["box"]) if "box" in info else None,
         walls=recording.drawn_box(paths.WALLS) if paths.WALLS in static else None,
         shapes=_shapes(recording) if paths.SHAPES in static else None,
-        planes=recording.drawn_planes() if paths.PLANES in static else None,
+        planes=_planes(recording) if paths.PLANES in static else None,
         engine=recording.engine,
         uniform_field=recording.uniform_field,
         drawing_rules=recording.drawing_rules,
@@ -191,6 +192,14 @@ def _motions(recording: Recording) -> dict[str, WallMotion]:
         return motions_of(recorded_scene(recording))
     except (RecordingError, SceneError):
         return {}
+
+
+def _planes(recording: Recording) -> HalfSpaces:
+    """Return its planes: as drawn, without sides, unless a piston moves along its normal."""
+    if "piston" in recording.info:
+        with suppress(RecordingError, SceneError):
+            return planes_of(recorded_scene(recording))
+    return recording.drawn_planes()
 
 
 def _shapes(recording: Recording) -> Sequence[Wall]:
