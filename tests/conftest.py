@@ -27,7 +27,7 @@ from collections.abc import Generator
 
 import pytest
 
-from carom.cli.compiling import start_on_a_new_installation
+from carom.cli.run import start_on_a_new_installation
 from carom.extend import cores
 from needs import missing_though_required, need
 from other_processor import other_processor  # noqa: F401 - a fixture

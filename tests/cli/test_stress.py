@@ -104,6 +104,6 @@ def test_an_extreme_is_a_scene_like_any_other(tmp_path: Path) -> None:
 
 def test_without_a_name_all_extremes_are_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     few = {name: path for name, path in extreme_scenes().items() if name.endswith(("touching", "never-meet"))}
-    monkeypatch.setattr("carom.runs.stress.extreme_scenes", lambda: few)  # tests/runs/test_stress.py runs each
+    monkeypatch.setattr("carom.cli.stress.extreme_scenes", lambda: few)  # tests/runs/test_stress.py runs each
     done = carom("stress", cwd=tmp_path)
     assert "2 of 2 extremes met their criteria." in done.stdout

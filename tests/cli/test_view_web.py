@@ -10,7 +10,7 @@ from urllib.parse import urlsplit
 import pytest
 
 from carom.recording.write.recorder import FrameRecorder
-from carom.show.web import site
+from carom.show import web
 from carom_command import carom
 from scripted_run import ScriptedRun
 
@@ -27,7 +27,7 @@ def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         for frame in scripted.frames(3):
             recorder.put(frame)
         recorder.finish("completed")
-    monkeypatch.setattr(site, "write_viewer", lambda recording, folder: None)
+    monkeypatch.setattr(web, "write_viewer", lambda recording, folder: None)
     monkeypatch.setattr("carom.cli.view.sleep", interrupt)
     for name in ("DISPLAY", "WAYLAND_DISPLAY", "WAYLAND_SOCKET"):
         monkeypatch.delenv(name, raising=False)

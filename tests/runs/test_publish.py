@@ -20,8 +20,8 @@ from browser import chromium, settled, wait_until_loaded
 from carom.recording.read.recording import Recording
 from carom.recording.write.recorder import FrameRecorder
 from carom.runs import publish as publishing
+from carom.show import web
 from carom.show.picture import Shot
-from carom.show.web import index_page, site
 from carom_command import carom
 from needs import BROWSER, PICTURES
 from scripted_run import ScriptedRun
@@ -57,7 +57,7 @@ def draw(recording: Recording, shots: Sequence[Shot], size: tuple[int, int]) -> 
 def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A recording, with pictures and a viewer that cost nothing."""
     monkeypatch.setattr(publishing, "try_to_render", draw)
-    monkeypatch.setattr(site, "_copy_web_viewer", lambda folder: None)
+    monkeypatch.setattr(web, "_copy_web_viewer", lambda folder: None)
     return record(tmp_path / "my run.rrd")
 
 
@@ -276,7 +276,7 @@ def test_a_publication_that_fails_leaves_the_old_folder(
 
     carom("publish", run.name, "-o", "out", cwd=run.parent)
     before = {path.name: path.read_bytes() for path in (run.parent / "out").iterdir()}
-    monkeypatch.setattr(index_page, "write_page", fail)
+    monkeypatch.setattr(web, "write_page", fail)
     assert carom("publish", run.name, "-o", "out", "--force", cwd=run.parent).returncode != 0
     assert {path.name: path.read_bytes() for path in (run.parent / "out").iterdir()} == before
     assert sorted(path.name for path in run.parent.iterdir()) == ["my run.rrd", "out"]

@@ -63,7 +63,7 @@ def test_a_row_opens_in_the_viewer(tmp_path: Path) -> None:
 CATALOGUE = """
 import sys
 from pathlib import Path
-from carom.lab.sweep import sweep_command  # before libraries that start threads, as the command does
+from carom.lab.sweep import serve  # before libraries that start threads, as the command does
 import carom.show.keeper as keeper
 
 isolate = keeper.isolate
@@ -89,7 +89,7 @@ def checked():
     return alone
 
 keeper.isolate = checked
-sweep_command.serve(Path())
+serve(Path())
 """
 
 

@@ -19,8 +19,7 @@ from carom.scene.schema import Scene
 from carom.show import close_up, movie
 from carom.show.legend import impact_marks
 from carom.show.presentation import Presentation, asked
-from carom.show.request import Request
-from carom.show.shown_step import shown_step
+from carom.show.request import Request, shown_step
 from carom.show.staging import field_arrows, names_that_fit
 
 

@@ -19,7 +19,7 @@ from carom.recording.read.recording import Recording
 from carom.recording.schema import paths
 from carom.recording.write.rows import Rows
 from carom.scene.schema import Scene
-from carom.show import close_up, shown_step
+from carom.show import close_up, request
 from carom.show.presentation import _steps, asked, presentation
 from carom.show.request import NamedEvent, Pair, Request, hardest_pair, named_event, named_pair, pair_of_step
 from carom.show.supplement import Trails
@@ -45,7 +45,7 @@ def values_of(path: str, component: str, shown: list[Rows]) -> list[Any]:
 
 
 def test_a_moment_between_two_frames_shows_the_step_itself(bounce: Recording) -> None:
-    step = shown_step.shown_step(bounce, bounce.moment())
+    step = request.shown_step(bounce, bounce.moment())
     assert step.step == bounce.closing["moments.impact.step"]
     assert step.step not in bounce.fingerprints()["step"].to_pylist()
     assert step.frame is not None and len(step.frame.contacts) == 1
@@ -68,7 +68,7 @@ def test_an_impact_at_the_beginning_of_a_step_is_shown_in_the_step_that_it_belon
 
 
 def test_a_window_onto_a_moment_has_every_step_up_to_the_next_frame(bounce: Recording) -> None:
-    step = shown_step.shown_step(bounce, bounce.moment(), dense=True)
+    step = request.shown_step(bounce, bounce.moment(), dense=True)
     steps = [frame.step for frame in step.added]
     recorded = bounce.fingerprints()["step"].to_pylist()
     assert steps == list(range(steps[0], steps[-1] + 1))
@@ -98,7 +98,7 @@ def test_the_phase_of_a_step_that_is_run_again_lasts_until_the_next_frame(bounce
 
 def test_steps_that_are_run_again_leave_the_magnitudes_of_arrows_as_they_were_given(bounce: Recording) -> None:
     given, header = dict[str, float](), header_of_recording(bounce)
-    rows, known = _steps(bounce, header, shown_step.shown_step(bounce, bounce.moment(None)), given)
+    rows, known = _steps(bounce, header, request.shown_step(bounce, bounce.moment(None)), given)
     assert rows and known and not given, "as in a file whose frames have no arrow"
 
 
@@ -115,7 +115,7 @@ def test_a_step_that_a_clip_of_some_bodies_does_not_have_is_replaced_with_the_re
     bounce: Recording, tmp_path: Path
 ) -> None:
     clip(bounce.path, tmp_path / "clip.rrd", 1.0, 2.0, bodies=[1])
-    step = shown_step.shown_step(Recording.open(tmp_path / "clip.rrd"), bounce.moment())
+    step = request.shown_step(Recording.open(tmp_path / "clip.rrd"), bounce.moment())
     assert step.time == pytest.approx(1.5, abs=1e-12)
     assert step.missing == "the clip shows only some of the bodies"
 
@@ -133,7 +133,7 @@ def test_a_floor_is_drawn_under_the_bodies_that_are_shown(tmp_path: Path) -> Non
     shown = presentation(recording, 2.0)
     grid = dict(shown.supplement.statics)[paths.PLANES]
     lines = cast(Any, grid).strips.as_arrow_array().flatten().flatten().to_numpy().reshape(-1, 3)
-    place = shown_step.shown_step(recording, 2.0).position[0]
+    place = request.shown_step(recording, 2.0).position[0]
     assert place[0] > 5.0, "far from where it began"
     np.testing.assert_allclose(lines[:, 2], -recording.origin[2], atol=1e-5)  # float32
     first = np.array(ball["position"]) - recording.origin
@@ -352,7 +352,7 @@ def test_an_impact_is_found_by_its_number_on_the_timeline(bounce: Recording) -> 
 
 
 def test_the_pair_of_a_step_is_that_of_the_largest_impulse(bounce: Recording) -> None:
-    frame = shown_step.shown_step(bounce, bounce.moment()).frame
+    frame = request.shown_step(bounce, bounce.moment()).frame
     assert frame is not None
     rows = np.zeros(2, CONTACT_ROW)
     rows["i"], rows["j"], rows["normal_impulse"] = [0, 1], [1, 2], [1.0, 3.0]

@@ -26,11 +26,11 @@ from browser import LOADED, chromium, pixels_of, settled, wait_until_loaded
 from carom.errors import RecordingError
 from carom.recording.read.recording import Recording
 from carom.scene.schema import Scene
+from carom.show import web
 from carom.show.keeper import free_port
 from carom.show.presentation import presentation
 from carom.show.viewer import binary
-from carom.show.web import site
-from carom.show.web.site import Hosted, hosted
+from carom.show.web import Hosted, hosted
 from needs import BROWSER
 from other_user import as_root, run_as_nobody
 
@@ -72,11 +72,11 @@ def test_a_hosted_recording_is_listened_for_on_loopback_only(recorded: Path) -> 
 
 
 def test_the_page_comes_with_the_recording_its_layout_and_all_of_the_viewer(link: str, recorded: Path) -> None:
-    assert answer(link, site.RECORDING) == (200, recorded.read_bytes())
+    assert answer(link, web.RECORDING) == (200, recorded.read_bytes())
     assert answer(link, "moment.rbl")[1].startswith(b"RRF") and answer(link, "moment.rrd")[1].startswith(b"RRF")
     assert gzip.decompress(answer(link, "re_viewer.wasm.gz")[1]).startswith(b"\0asm")
-    assert b"<title>A merry-go-round</title>" in answer(link, site.PAGE)[1]
-    for name in site.FILES:
+    assert b"<title>A merry-go-round</title>" in answer(link, web.PAGE)[1]
+    for name in web.FILES:
         assert answer(link, name)[0] == 200
 
 
@@ -88,7 +88,7 @@ def test_the_viewer_of_a_page_comes_from_the_installed_package_and_through_no_po
 
     monkeypatch.setattr(socket.socket, "connect", refuse)
     monkeypatch.setattr(subprocess, "Popen", refuse)
-    site._copy_web_viewer(tmp_path)
+    web._copy_web_viewer(tmp_path)
     script = (tmp_path / "re_viewer.js").read_bytes()
     code = gzip.decompress((tmp_path / "re_viewer.wasm.gz").read_bytes())
     with Path(binary()).open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as program:
@@ -98,7 +98,7 @@ def test_the_viewer_of_a_page_comes_from_the_installed_package_and_through_no_po
 
 @pytest.mark.slow
 def test_the_viewer_of_a_page_is_the_one_that_rerun_serves(tmp_path: Path) -> None:
-    site._copy_web_viewer(tmp_path)
+    web._copy_web_viewer(tmp_path)
     served = {}
     command = [binary(), "--serve-web", "--bind", "127.0.0.1", "--web-viewer-port", str(free_port())]
     with subprocess.Popen([*command, "http://127.0.0.1/none.rrd"], stderr=subprocess.DEVNULL) as process:
@@ -137,13 +137,13 @@ def test_only_the_files_of_the_page_are_served(link: str, name: str) -> None:
 def test_nothing_is_served_without_the_secret_of_the_link(link: str) -> None:
     secret = urlsplit(link).path.split("/")[1]
     assert len(secret) >= 20
-    assert answer(link.replace(secret, "x" * len(secret)), site.PAGE)[0] == 404
+    assert answer(link.replace(secret, "x" * len(secret)), web.PAGE)[0] == 404
 
 
 @pytest.fixture
 def unfinished(recorded: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Hosted]:
     """A hosted page without the viewer, which takes seconds to copy."""
-    monkeypatch.setattr(site, "_copy_web_viewer", lambda folder: None)
+    monkeypatch.setattr(web, "_copy_web_viewer", lambda folder: None)
     with hosted(Recording.open(recorded), 1.0) as page:
         yield page
 
@@ -174,8 +174,8 @@ print(connection.makefile("rb").read())
 def test_where_users_cannot_be_told_apart_a_private_file_leads_to_the_link(
     recorded: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(site, "_copy_web_viewer", lambda folder: None)
-    monkeypatch.setattr(site, "is_ours", lambda *_: False)
+    monkeypatch.setattr(web, "_copy_web_viewer", lambda folder: None)
+    monkeypatch.setattr(web, "is_ours", lambda *_: False)
     with hosted(Recording.open(recorded), 1.0) as page:
         file = Path(urlsplit(page.command_line).path)
         assert file.parent.stat().st_mode & 0o077 == 0
@@ -184,8 +184,8 @@ def test_where_users_cannot_be_told_apart_a_private_file_leads_to_the_link(
 
 
 def test_a_page_of_another_name_that_leads_here_is_refused(link: str) -> None:
-    assert answer(link, site.PAGE, "evil.example")[0] == 403
-    assert answer(link, site.PAGE, "localhost:8000")[0] == 200
+    assert answer(link, web.PAGE, "evil.example")[0] == 403
+    assert answer(link, web.PAGE, "localhost:8000")[0] == 200
 
 
 def test_a_port_in_use_is_named(recorded: Path, link: str) -> None:

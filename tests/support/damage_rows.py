@@ -21,7 +21,6 @@ import pyarrow as pa
 
 from carom.cli.contacts import _json, _print
 from carom.cli.inspect import _moments, _overview, _profile
-from carom.cli.movie import _ends
 from carom.cli.terminal import Terminal
 from carom.lab.diff.diff import diff
 from carom.recording.edit.clip import clip
@@ -122,7 +121,7 @@ def pictured(path: Path) -> None:
 def filmed(path: Path) -> None:
     """Plan a movie."""
     recording = Recording.open(path)
-    times = frame_times(recording, *_ends(recording, None, None), 20)
+    times = frame_times(recording, None, None, 20)
     _layout(recording, times.tolist(), Canvas(800, 500), ALL)
 
 

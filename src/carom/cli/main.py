@@ -34,25 +34,25 @@ COMMANDS: dict[str, dict[str, str]] = {  # panel → name → module:function, i
         "new": "carom.cli.scenes:new",
         "explain": "carom.cli.scenes:explain",
         "resume": "carom.cli.run:resume",
-        "sweep": "carom.lab.sweep.sweep_command:sweep",
-        "warmup": "carom.cli.compiling:warmup",
+        "sweep": "carom.lab.sweep:sweep_command",
+        "warmup": "carom.cli.run:warmup",
     },
-    "Look": {"view": "carom.cli.view:view", "picture": "carom.cli.view:picture", "movie": "carom.cli.movie:movie"},
+    "Look": {"view": "carom.cli.view:view", "picture": "carom.cli.view:picture", "movie": "carom.cli.view:movie"},
     "Ask": {
         "inspect": "carom.cli.inspect:inspect",
         "contacts": "carom.cli.contacts:contacts",
-        "why": "carom.lab.why.why_command:why",
+        "why": "carom.lab.why:why_command",
         "replay": "carom.cli.run:replay",
-        "diff": "carom.lab.diff.diff_command:diff",
-        "fork": "carom.lab.fork.fork_command:fork",
-        "shrink": "carom.lab.shrink.shrink_command:shrink",
+        "diff": "carom.lab.diff:diff_command",
+        "fork": "carom.lab.fork:fork_command",
+        "shrink": "carom.lab.shrink:shrink_command",
     },
     "Measure": {
-        "tradeoff": "carom.lab.tradeoff.tradeoff_command:tradeoff",
-        "tune": "carom.lab.tradeoff.tradeoff_command:tune",
+        "tradeoff": "carom.lab.tradeoff:tradeoff_command",
+        "tune": "carom.lab.tradeoff:tune_command",
         "stress": "carom.cli.stress:stress",
-        "hunt": "carom.lab.hunt.hunt_command:hunt",
-        "crosscheck": "carom.lab.crosscheck.crosscheck_command:crosscheck",
+        "hunt": "carom.lab.hunt:hunt_command",
+        "crosscheck": "carom.lab.crosscheck:crosscheck_command",
     },
     "Keep and share": {
         "clip": "carom.cli.recordings:clip",
@@ -222,8 +222,8 @@ def _say_old_names_once() -> None:
     show, said = warnings.showwarning, set[str]()
 
     def say_once(message: Warning | str, category: type[Warning], *place: Any, **more: Any) -> None:
-        from carom.cli.printing import say
-        from carom.scene.overrides import OldNameWarning
+        from carom.cli.terminal import say
+        from carom.scene.load import OldNameWarning
 
         if not issubclass(category, OldNameWarning):
             show(message, category, *place, **more)
@@ -241,7 +241,7 @@ def run_command() -> None:
     code 1. Neither prints a traceback.
     """
     # imported now: at the limit of open files, imports fail
-    from carom.cli.printing import say
+    from carom.cli.terminal import say
     from carom.errors import ExistsError, ExperimentError, PhysicsError, RecordingError, SceneError
 
     keep_freed_memory()

@@ -17,7 +17,7 @@ from carom.cli.options import (
     seconds,
     simulated_or_none,
 )
-from carom.cli.printing import say, say_json
+from carom.cli.terminal import say, say_json
 from carom.scene.units.dimension import TIME
 from carom.scene.wording import counted
 
@@ -60,7 +60,7 @@ def clip(
     """
     from dataclasses import asdict
 
-    from carom.cli.printing import bytes_text
+    from carom.cli.terminal import bytes_text
     from carom.recording.edit.bundle import opened
     from carom.recording.edit.clip import clip as cut
     from carom.recording.read.recording import Recording
@@ -242,8 +242,8 @@ def report(
     """Pack a bug report into a zip of less than 10 MB: clip, scene, picture, versions and a summary to paste."""
     from dataclasses import asdict
 
-    from carom.cli.compiling import announce_compilation
-    from carom.cli.printing import bytes_text
+    from carom.cli.run import announce_compilation
+    from carom.cli.terminal import bytes_text
     from carom.recording.read.recording import Recording
     from carom.recording.write.whole_file import refuse_output
     from carom.runs.report import report as make

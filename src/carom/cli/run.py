@@ -1,9 +1,16 @@
-"""Commands that simulate: `carom run`, `carom resume` and `carom replay`, which compares the bits of a run."""
+"""Commands that simulate: `carom run`, `resume`, `replay`, and `warmup`, which compiles the kernels ahead.
+
+This module loads neither Numba nor the physics at its import: on a new installation, a second process, which compiles
+kernels, starts before the run loads them.
+"""
 
 from __future__ import annotations
 
+import os
+import subprocess
 import sys
-from collections.abc import Iterator
+import threading
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -23,7 +30,9 @@ from carom.cli.options import (
     simulated,
     simulated_or_none,
 )
-from carom.cli.printing import duration_text, say, say_json
+from carom.cli.terminal import duration_text, say, say_json
+from carom.physics import jit
+from carom.physics.jit import cores
 from carom.scene.units.dimension import TIME
 from carom.scene.wording import command
 
@@ -31,6 +40,7 @@ if TYPE_CHECKING:
     from carom.cli.progress import RunProgress
     from carom.runs.replay import Replay
     from carom.runs.run import Outcome
+    from carom.scene.schema import Scene
     from carom.scene.units.system import UnitSystem
 
 ASKS_ABOVE = 60.0  # s; a longer replay requires consent
@@ -56,8 +66,6 @@ def run(
     as_json: JsonOption = False,
 ) -> None:
     """Simulate a scene and record it to an .rrd file."""
-    from carom.cli.compiling import start_on_a_new_installation
-
     helped = start_on_a_new_installation() is not None
     from carom.scene.schema import Scene
 
@@ -66,7 +74,6 @@ def run(
         changes.append(f"record.check_every={check_every}")
     loaded = Scene.load(scene, changes)
 
-    from carom.cli.compiling import announce_compilation
     from carom.recording.write.whole_file import claimed_output, default_output
 
     path = output or default_output(Path(scene).stem)
@@ -152,7 +159,6 @@ def resume(
     as_json: JsonOption = False,
 ) -> None:
     """Continue a run that was interrupted, killed or has ended; results are the same as without interruption."""
-    from carom.cli.compiling import announce_compilation
     from carom.cli.progress import RunProgress
     from carom.recording.read.recording import Recording
     from carom.runs.environment import leave_pandas_out
@@ -209,7 +215,6 @@ def replay(
 
     FILE may be the zip that `carom report` made.
     """
-    from carom.cli.compiling import announce_compilation
     from carom.errors import PhysicsError
     from carom.recording.edit.bundle import opened
     from carom.recording.read.recording import Recording
@@ -287,3 +292,85 @@ def _document(result: Replay, units: UnitSystem) -> dict[str, Any]:
     if result.difference:
         found["difference"]["unit"] = units.recorded_unit(result.difference.unit)
     return found
+
+
+NO_CACHE = "no cache folder is writable; set NUMBA_CACHE_DIR to a folder of your own"
+
+
+def start_compiling() -> subprocess.Popen[bytes] | None:
+    """Start a second process that compiles kernels beside the first run; return None on one core.
+
+    It ends with this process and leaves no files except the kernels.
+    """
+    if cores() < 2:
+        return None
+    try:
+        helper = subprocess.Popen(
+            [sys.executable, "-P", "-m", "carom.runs.warmup"],
+            stdin=subprocess.PIPE,  # closed when this process ends
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+        )
+    except OSError:
+        return None
+    threading.Thread(target=helper.wait, name="compile-ahead", daemon=True).start()  # prevents a zombie process
+    return helper
+
+
+def start_on_a_new_installation() -> subprocess.Popen[bytes] | None:
+    """Start the second process if no kernel has been compiled since the installation; otherwise return None.
+
+    It then compiles while the run loads its modules. Only the default cache folder is checked; with another folder, the
+    second process starts at the first compilation.
+    """
+    folder = Path(jit.__file__).parent / "__pycache__"
+    new = "NUMBA_CACHE_DIR" not in os.environ and os.access(folder, os.W_OK) and not any(folder.glob("*.nbc"))
+    return start_compiling() if new else None
+
+
+def announce_compilation(
+    say: Callable[[str], None] | None = None, helped: bool = False, scene: Scene | None = None
+) -> None:
+    """Announce the first compilation of a kernel, and start a second process that compiles others.
+
+    Parameters
+    ----------
+    say
+        Prints the announcement; by default it goes to stderr.
+    helped
+        Whether the second process has already been started.
+    scene
+        The scene, if it is known. Walls and contact laws need further kernels, which take longer to compile.
+    """
+    from carom.physics.jit.decorators import cache_folder, on_compilation
+
+    takes = "one or two minutes" if scene and (scene.wall or scene.contact.laws) else "about 15 s"
+    text = f"Compiling kernels, once on this machine ({takes}) …"
+    if not cache_folder():
+        text = f"Compiling kernels ({takes}), at every start: {NO_CACHE} …"
+
+    def announce() -> None:
+        if say:
+            say(text)
+        else:
+            typer.echo(text, err=True)
+        if not helped and cache_folder():
+            start_compiling()
+
+    on_compilation(announce)
+
+
+def warmup(as_json: JsonOption = False) -> None:
+    """Compile all kernels now, so that later runs start at once."""
+    from dataclasses import asdict
+
+    from carom.runs.warmup import warm_up
+
+    if not as_json:
+        typer.echo("Compiling the kernels that are not in the cache …", err=True)
+    warmth = warm_up()
+    if as_json:
+        say_json(asdict(warmth))
+    else:
+        where = f"cache: {warmth.cache}" if warmth.cache else NO_CACHE
+        typer.echo(f"{warmth.compiled} kernels compiled in {duration_text(warmth.seconds)}; {where}")

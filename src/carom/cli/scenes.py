@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from carom.cli.options import ForceOption, JsonOption, SceneArgument, SetOption
-from carom.cli.printing import say_json
+from carom.cli.terminal import say_json
 from carom.scene.units.dimension import TIME
 from carom.scene.wording import command, counted
 
@@ -110,10 +110,9 @@ def explain(
     """Show what parts of the model a scene needs and why, and estimate the cost of the run and the size of its file."""
     from dataclasses import asdict
 
-    from carom.cli.compiling import announce_compilation
-    from carom.cli.printing import bytes_text, simulated_text
     from carom.cli.progress import notes_on, preparing, watch_look_ahead
-    from carom.cli.terminal import LiveLine, Patience
+    from carom.cli.run import announce_compilation
+    from carom.cli.terminal import LiveLine, Patience, bytes_text, simulated_text
     from carom.recording.schema.header import ShownMaterials
     from carom.runs.estimate import estimate
 
@@ -133,8 +132,7 @@ def explain(
             document["notes"] = notes
         say_json(document)
         return
-    from carom.cli.printing import materials_table
-    from carom.cli.terminal import Terminal
+    from carom.cli.terminal import Terminal, materials_table
 
     console, cost = Terminal(), found.cost
     console.print(loaded.title, style="bold", end="")
@@ -163,7 +161,7 @@ def explain(
 
 def _steps(cost: Cost, scene: Scene) -> str:
     """Describe the number of steps, their limits, and how to make them longer."""
-    from carom.cli.printing import count_text, duration_text
+    from carom.cli.terminal import count_text, duration_text
     from carom.physics.diagnostics.run_monitor import remedies_of
 
     seconds = cost.seconds / cost.steps

@@ -2,24 +2,97 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from carom.cli.options import SetOption
-from carom.cli.printing import say_json
+from carom.cli.terminal import say_json
+from carom.errors import SceneError
+from carom.scene.scene_file import EXTREMES, extreme_scenes
 from carom.scene.units.dimension import TIME
-from carom.scene.wording import command
+from carom.scene.wording import command, suggestion
 
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from carom.runs.stress import Trial
+    from carom.physics.diagnostics.extremes import Extreme
+    from carom.runs.outcome import Verdict
+    from carom.runs.run import Outcome, Watcher
     from carom.scene.schema import Scene
     from carom.scene.units.system import UnitSystem
 
 PIPE_WIDTH = 140  # characters of the table where the output is not a terminal
+
+
+@dataclass(frozen=True, slots=True)
+class Trial:
+    """An extreme scene and the result of its run."""
+
+    name: str
+    title: str  # of the scene
+    outcome: Outcome | None  # None if the scene was refused before the run
+    refusal: str = ""
+
+    @property
+    def met(self) -> bool:
+        """Whether the run completed and met every criterion."""
+        return self.outcome is not None and self.outcome.ok
+
+    @property
+    def status(self) -> str:
+        """The outcome, in a word or two."""
+        return self.outcome.status if self.outcome else "refused"
+
+    @property
+    def reason(self) -> str:
+        """Why it did not complete or meet a criterion; empty if it met all."""
+        return self.outcome.reason if self.outcome else self.refusal
+
+    @property
+    def verdicts(self) -> list[Verdict]:
+        """Each criterion and its measured value."""
+        return self.outcome.verdicts if self.outcome else []
+
+    @property
+    def worst(self) -> dict[str, Extreme]:
+        """The worst times by missed criterion; for an incomplete run, its end."""
+        from carom.physics.diagnostics.extremes import Extreme
+
+        extremes = {verdict.name: verdict.worst for verdict in self.verdicts if not verdict.met and verdict.worst}
+        if self.outcome and self.status == "failed":
+            extremes["the end"] = Extreme(self.outcome.sim_time, self.outcome.steps, self.outcome.sim_time)
+        return extremes
+
+
+def extremes(name: str | None = None) -> dict[str, Path]:
+    """Return the scene files of all extremes by their short names, or of the one named.
+
+    SceneError if the name is unknown.
+    """
+    known = {full.removeprefix(f"{EXTREMES}/"): path for full, path in extreme_scenes().items()}
+    if name is None:
+        return known
+    short = name.removeprefix(f"{EXTREMES}/")
+    if short in known:
+        return {short: known[short]}
+    raise SceneError(f"{name}: no extreme of that name; {suggestion(short, known)}")
+
+
+def attempt(name: str, scene: Scene, folder: Path, *, watch: Watcher | None = None) -> Trial:
+    """Run an extreme and record it, replacing an earlier recording.
+
+    ``name`` is the short name, as in `extremes`, and the name of the recording.
+    """
+    from carom.runs.run import recording_space, simulate
+
+    try:
+        space = recording_space(scene)
+    except SceneError as error:
+        return Trial(name, scene.title, None, str(error))
+    return Trial(name, scene.title, simulate(space, folder / f"{name}.rrd", force=True, watch=watch))
 
 
 def stress(
@@ -31,10 +104,9 @@ def stress(
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
 ) -> None:
     """Run the scenes at the limits of the method and compare each with its criteria; exit with 1 on a miss."""
-    from carom.cli.compiling import announce_compilation
     from carom.cli.progress import RunProgress
+    from carom.cli.run import announce_compilation
     from carom.recording.write.whole_file import output_folder
-    from carom.runs.stress import attempt, extremes
     from carom.scene.schema import Scene
 
     scenes = {short: Scene.load(path, overrides) for short, path in extremes(name).items()}
@@ -85,7 +157,7 @@ def _table(trials: list[Trial]) -> Table:
     from rich.markup import escape
     from rich.table import Table
 
-    from carom.cli.printing import duration_text
+    from carom.cli.terminal import duration_text
     from carom.runs.outcome import in_words
 
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False, show_lines=True)

@@ -1,4 +1,4 @@
-"""Commands that show a recording: `carom view`, `carom picture` and `carom publish`."""
+"""Commands that show a recording: `carom view`, `picture`, `movie` and `publish`."""
 
 from __future__ import annotations
 
@@ -9,14 +9,21 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from carom.cli.options import JsonOption, RecordingArgument, RecordingsArgument, seconds, simulated
-from carom.cli.printing import say, say_json
+from carom.cli.options import (
+    ForceOption,
+    JsonOption,
+    RecordingArgument,
+    RecordingsArgument,
+    seconds,
+    simulated,
+    simulated_or_none,
+)
+from carom.cli.terminal import say, say_json
 from carom.scene.units.dimension import TIME
 from carom.scene.wording import counted
 
 if TYPE_CHECKING:
     from carom.show.request import Request
-
 
 AtOption = Annotated[
     float | None,
@@ -116,7 +123,7 @@ def view(
     """
     if port and not web:
         raise typer.BadParameter("--port needs --web")
-    from carom.cli.compiling import announce_compilation
+    from carom.cli.run import announce_compilation
     from carom.recording.edit.bundle import opened
     from carom.show.request import Request
     from carom.show.viewer import open_window
@@ -139,11 +146,11 @@ def _view_in_browser(file: Path, request: Request, port: int) -> None:
     import webbrowser
     from urllib.parse import urlsplit
 
-    from carom.cli.printing import say
+    from carom.cli.terminal import say
     from carom.recording.read.recording import Recording
     from carom.show.keeper import has_screen
     from carom.show.presentation import asked
-    from carom.show.web.site import hosted
+    from carom.show.web import hosted
 
     recording = Recording.open(file)
     if recording.is_overlay:
@@ -195,7 +202,7 @@ def picture(
 
     FILE may be the zip that `carom report` made. Earlier pictures are replaced.
     """
-    from carom.cli.compiling import announce_compilation
+    from carom.cli.run import announce_compilation
     from carom.recording.edit.bundle import opened
     from carom.recording.read.recording import Recording
     from carom.recording.write.whole_file import refuse_output
@@ -225,9 +232,9 @@ def _simulated(file: Path, at: float | None) -> float | None:
 
 def _announce_replay(file: Path, plot: str | None, *, alone: bool = False) -> None:
     """Note that a plot of velocities takes as long as the run did."""
-    from carom.cli.printing import duration_text
+    from carom.cli.terminal import duration_text
     from carom.recording.read.recording import Recording
-    from carom.show.body_plots import asked_quantities, needs_replay
+    from carom.show.supplement import asked_quantities, needs_replay
 
     if plot is None:
         return
@@ -283,8 +290,8 @@ def publish(
     from contextlib import ExitStack
     from dataclasses import asdict
 
-    from carom.cli.compiling import announce_compilation
-    from carom.cli.printing import bytes_text
+    from carom.cli.run import announce_compilation
+    from carom.cli.terminal import bytes_text
     from carom.recording.edit.bundle import opened
     from carom.recording.read.recording import Recording
     from carom.runs.publish import publish as make
@@ -308,3 +315,108 @@ def publish(
         say(f"Without pictures: {made.picture}", err=True)
     say("Upload it to any web host. To view it locally, run this command and open http://127.0.0.1:8000:")
     say(f"    python3 -m http.server --bind 127.0.0.1 -d {shlex.quote(str(folder))}")
+
+
+LONGEST = 3600.0  # s, of a movie
+FASTEST = 120.0  # pictures a second
+GIF_FPS, MP4_FPS = 20.0, 30.0  # many viewers slow down faster GIFs
+
+
+class Camera(StrEnum):
+    """How a movie's camera moves."""
+
+    STILL = "still"
+    FOLLOW = "follow"
+    ORBIT = "orbit"
+
+
+class MovieView(StrEnum):
+    """What a movie shows."""
+
+    BODIES = "bodies"
+    GRAPH = "graph"
+    CLOSE_UP = "close-up"
+    ENERGY = "energy"
+    ALL = "all"
+
+
+def movie(
+    file: RecordingArgument,
+    start: Annotated[
+        float | None, typer.Option("--from", parser=seconds, metavar="T", help="Start at this simulated time.")
+    ] = None,
+    end: Annotated[
+        float | None, typer.Option("--to", parser=seconds, metavar="T", help="End at this simulated time.")
+    ] = None,
+    length: Annotated[
+        float, typer.Option("--seconds", parser=seconds, metavar="S", help="Length of the movie in seconds.")
+    ] = 10.0,
+    fps: Annotated[
+        float | None,
+        typer.Option("--fps", parser=seconds, metavar="N", help="Frames per second. Default: 30, or 20 for a GIF."),
+    ] = None,
+    view: Annotated[MovieView, typer.Option("--view", help="View to render.")] = MovieView.BODIES,
+    event: Annotated[
+        str | None,
+        typer.Option("--event", metavar="NAME", help="Event whose bodies a close-up follows, such as impact:3."),
+    ] = None,
+    bodies: BodiesOption = None,
+    camera: Annotated[
+        Camera | None,
+        typer.Option(
+            "--camera",
+            help="Keep the camera still, follow the centre of the bodies, or orbit it once. Default: still with a "
+            "plane, a wall or a field; otherwise follow bodies that move away.",
+        ),
+    ] = None,
+    theme: Annotated[
+        Theme,
+        typer.Option(
+            "--theme", help="Theme of the viewer. The light theme needs Xvfb, as do names in non-Latin scripts."
+        ),
+    ] = Theme.DARK,
+    size: Annotated[str, typer.Option("--size", metavar="WxH", help="Width and height in pixels.")] = "1280x720",
+    output: Annotated[
+        Path | None,
+        typer.Option("-o", "--output", metavar="FILE", help="Movie to write, .mp4 or .gif. Default: FILE with .mp4."),
+    ] = None,
+    force: ForceOption = False,
+) -> None:
+    """Make a movie of a recording; needs no screen."""
+    from carom.cli.terminal import MovieProgress, bytes_text
+    from carom.errors import RecordingError, needing
+    from carom.recording.layout.canvas import CameraMotion
+    from carom.recording.read.recording import Recording
+    from carom.recording.write.whole_file import claimed_output
+    from carom.show.movie import FORMATS, frame_times, pictures
+
+    path = output or file.with_suffix(".mp4")
+    pixels, rate = pixels_of(size), fps if fps is not None else GIF_FPS if path.suffix == ".gif" else MP4_FPS
+    if path.suffix not in FORMATS:
+        raise RecordingError(f"{path}: a movie is a {' or a '.join(FORMATS)}")
+    if path.suffix == ".mp4" and (pixels[0] % 2 or pixels[1] % 2):
+        raise RecordingError(f"--size {pixels[0]}x{pixels[1]}: width and height of an .mp4 must be even numbers")
+    if not 0.0 < length <= LONGEST:
+        raise RecordingError(f"--seconds {length:g}: expected more than 0 and at most {LONGEST:g}")
+    if not 0.0 < rate <= FASTEST:
+        raise RecordingError(f"--fps {rate:g}: expected more than 0 and at most {FASTEST:g}")
+    for option, given in (("--event", event), ("--bodies", bodies)):
+        if given is not None and view != MovieView.CLOSE_UP:
+            raise RecordingError(f"{option} {given}: selects the bodies of a close-up; add --view close-up")
+    if camera is not None and view in (MovieView.CLOSE_UP, MovieView.ENERGY):
+        raise RecordingError(f"--camera {camera}: has no effect on --view {view}; remove one of the two options")
+    with needing("movie", "carom movie", "imageio_ffmpeg", "PIL"):
+        from carom.show.movie_file import require_encoder, write_movie
+
+    recording = Recording.open(file)
+    first, last = (simulated_or_none(time, recording.units) for time in (start, end))
+    times = frame_times(recording, first, last, max(2, round(length * rate)))
+    with claimed_output(path, force):
+        require_encoder(path)
+        motion = None if camera is None else CameraMotion(camera.value)
+        shots = pictures(
+            recording, times, pixels, view.value, theme=theme.value, event=event, bodies=bodies, camera=motion
+        )
+        with MovieProgress(path, times, recording.units) as progress:
+            write_movie(path, progress.watched(shots), len(times), pixels, rate)
+        say(f"{path} written, {bytes_text(path.stat().st_size)}: {progress.summary()}.")

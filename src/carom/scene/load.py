@@ -1,4 +1,7 @@
-"""Scenes from TOML, from dictionaries and from arrays, with errors that name file, line and key."""
+"""Scenes from TOML, from dictionaries and from arrays, with errors that name file, line and key.
+
+Also overrides of keys, as in ``--set key=value``, and keys that were renamed.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +9,7 @@ import copy
 import re
 import tomllib
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -20,24 +23,14 @@ from carom.errors import SceneError
 from carom.scene.conversion import converted, members_of_list, unit_system
 from carom.scene.data.body_columns import columns_of_arrays
 from carom.scene.data.body_sources import LAW, BodySource, DataFiles, HeldBodies, SourcedBodies, Wanted, take_over_laws
-from carom.scene.explanation import explain, is_known, not_a_quantity, with_words, written_path
+from carom.scene.explanation import explain, hint, is_known, not_a_quantity, with_words, written_path
 from carom.scene.key_places import DEEPEST, KeyPath, KeyPlaces, is_too_deep, line_of_long_key
 from carom.scene.matter import material_called
-from carom.scene.overrides import (
-    RENAMED,
-    OldNameWarning,
-    advice,
-    apply_override,
-    forget_digest,
-    keep_promised_duration,
-    key_path,
-    old_names,
-    other_name,
-)
-from carom.scene.scene_file import LARGEST_FILE, read_text, scene_path, toml_text
-from carom.scene.schema import Scene
+from carom.scene.scene_file import LARGEST_FILE, parse_value, read_text, scene_path, toml_text
+from carom.scene.schema import Scene, Time
 from carom.scene.schema.body import BodyData
 from carom.scene.schema.contact import Material
+from carom.scene.schema.promise import ABOUT_THE_END
 from carom.scene.schema.scene import know_installed_parts
 from carom.scene.units.system import UnitSystem
 
@@ -325,3 +318,98 @@ def _scene(
         units,
     )
     return scene_from_dict({**data, "bodies": [*kept, section]}, held)
+
+
+RENAMED: dict[KeyPath, KeyPath] = {("record", "log_freq"): ("record", "check_every")}  # old name to new name
+
+
+class OldNameWarning(FutureWarning):
+    """A scene uses the old name of a key."""
+
+
+def other_name(path: KeyPath) -> KeyPath | None:
+    """Return the new name of an old key, or the old name of a new key; None for any other key."""
+    return RENAMED.get(path) or next((old for old, new in RENAMED.items() if new == path), None)
+
+
+def old_names(scene: Mapping[str, Any]) -> Iterator[KeyPath]:
+    """Return the old names among the keys of a scene."""
+    for old in RENAMED:
+        node: Any = scene
+        for key in old:
+            node = node.get(key) if isinstance(node, Mapping) else None
+        if node is not None:
+            yield old
+
+
+def advice(old: KeyPath) -> str:
+    """Return the advice to use the new name."""
+    return f"{'.'.join(map(str, old))} is now called {'.'.join(map(str, RENAMED[old]))}; the old name still works"
+
+
+TEXTS = ("title", "description", "name")  # keys that may be empty; for other keys, an empty value removes the key
+_INDEX = re.compile(r"[0-9]{1,9}")
+
+
+def apply_override(document: Any, override: str) -> KeyPath:
+    """Set one key of a document, keeping its comments; return its path."""
+    dotted, separator, text = override.partition("=")
+    keys = key_path(override)
+    if not separator or not all(key != "" for key in keys):
+        raise SceneError(f"the override {override}: expected key=value, such as contact.restitution=0.8")
+    if len(keys) > DEEPEST:
+        raise SceneError(f"the override {override[:80]} …: a key of more than {DEEPEST} parts")
+    node: Any = document
+    for depth, key in enumerate(keys[:-1]):
+        try:
+            if isinstance(key, str) and key not in node:
+                node[key] = tomlkit.table()
+            node = node[key]
+        except (KeyError, IndexError, TypeError):
+            where = ".".join(map(str, keys[: depth + 1]))
+            unknown = hint(keys[:1]) if keys[0] not in Scene.model_fields else ""
+            raise SceneError(f"the override {override}: there is no {where} in the scene{unknown}") from None
+        if not isinstance(node, (dict, list)):
+            where = ".".join(map(str, keys[: depth + 1]))
+            raise SceneError(f"the override {override}: {where} is a value, not a section")
+    try:
+        if not text.strip() and keys[-1] not in TEXTS:
+            node.pop(keys[-1])
+        else:
+            node[keys[-1]] = parse_value(text.strip())
+        if other := other_name(keys):
+            node.pop(other[-1], None)
+    except (KeyError, IndexError, TypeError, ValueError):
+        raise SceneError(f"the override {override}: there is no {dotted.strip()} in the scene") from None
+    return keys
+
+
+def key_path(override: str) -> KeyPath:
+    """Return the path of the key that an override sets."""
+    dotted = override.partition("=")[0].strip()
+    return tuple(int(key) if _INDEX.fullmatch(key) else key for key in dotted.split("."))
+
+
+def forget_digest(document: Any, path: KeyPath) -> None:
+    """Remove the digest and count of the previous file if an override names another file of bodies."""
+    if len(path) > 2 and path[0] == "bodies" and path[2] in ("file", "snapshot", "snapshot_time"):
+        for key in ("count", *(("sha256",) if path[2] == "file" else ())):
+            document["bodies"][path[1]].pop(key, None)
+
+
+def keep_promised_duration(document: Any, before: dict[str, Any], overridden: Collection[KeyPath]) -> None:
+    """If an override changes the duration, store the original one, to which promises about the end refer."""
+    expect, duration = before.get("expect"), _duration(before)
+    if ("expect",) in overridden or not isinstance(expect, dict) or "duration" in document["expect"]:
+        return
+    promises = {("expect", name) for name in ABOUT_THE_END if name in expect}
+    if promises.difference(overridden) and duration is not None and duration != _duration(document):
+        document["expect"]["duration"] = duration
+
+
+def _duration(document: Any) -> float | str | None:
+    """Return the duration as written; None if it is neither a number nor a text."""
+    time = document.get("time", {})
+    default = f"{Time().duration!r} s" if isinstance(document.get("units"), dict) else Time().duration
+    duration = time.get("duration", default) if isinstance(time, dict) else None
+    return duration if isinstance(duration, int | float | str) else None

@@ -25,7 +25,7 @@ from carom.recording.schema.header import STATIC_COLOURS, Header
 from carom.recording.schema.paths import STEP
 from carom.recording.write.encoder import graph_colours
 from carom.recording.write.rows import Index, Rows
-from carom.show.shown_step import ShownStep
+from carom.show.request import ShownStep
 
 _MOST = 30_000_000  # bodies times frames
 _CONTACT_ENDS = "LineStrips3D:strips"

@@ -33,8 +33,7 @@ from carom.scene.units import dimension
 from carom.scene.units.system import UnitSystem
 from carom.show.body_colours import BodyColours
 from carom.show.legend import Legend, LegendLine
-from carom.show.request import Pair
-from carom.show.shown_step import ShownStep
+from carom.show.request import Pair, ShownStep
 from carom.show.supplement import Static
 
 ROOT = "close_up"

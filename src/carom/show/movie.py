@@ -51,20 +51,25 @@ _LOOKS = 50  # frames among which a legend finds a free corner
 _LIMIT = 60.0  # s, in which a picture must settle
 
 
-def frame_times(recording: Recording, start: float, end: float, count: int) -> FloatArray:
+def frame_times(recording: Recording, start: float | None, end: float | None, count: int) -> FloatArray:
     """Return the times (s) of recorded frames for ``count`` pictures, equally spaced from start to end (s).
 
     Raises
     ------
     RecordingError
-        If there is no frame, or the interval is not in the recording.
+        If there are fewer than two frames, or the interval is not in the recording.
     """
+    times = recording.fingerprints()["time"].to_numpy()
+    if len(times) < 2:
+        raise RecordingError(
+            f"{recording.path} has {len(times)} frames, too few for a movie; `carom picture` renders a single frame"
+        )
+    start, end = float(times[0]) if start is None else start, float(times[-1]) if end is None else end
     recording.moment(start)
     recording.moment(end)
     if not start < end:
         first, last = (recording.units.text(time, TIME, ".9g") for time in (start, end))
         raise RecordingError(f"from {first} to {last}: a movie goes from an earlier time to a later one")
-    times = recording.fingerprints()["time"].to_numpy()
     wanted = np.linspace(start, end, count)
     rows = np.searchsorted(times, wanted * (1.0 + 1e-12), side="right") - 1
     return np.asarray(times[np.maximum(rows, 0)])

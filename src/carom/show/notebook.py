@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 from rerun.notebook import RecordingOpenEvent, TimelineChangeEvent, Viewer, ViewerEvent
 
-from carom.errors import RecordingError
-from carom.install import install_extra
+from carom.errors import RecordingError, install_extra
 from carom.private_folder import temporary_folder
 from carom.recording.read.recording import Recording
 from carom.recording.schema.header import TimeScale

@@ -24,8 +24,7 @@ from carom.recording.read.lookup import names_of
 from carom.recording.read.recording import Recording
 from carom.recording.write.whole_file import whole_file
 from carom.show.presentation import asked
-from carom.show.request import Request
-from carom.show.shown_step import Watcher
+from carom.show.request import Request, Watcher
 from carom.show.viewer import Viewer, virtual_screen
 
 # The characters that the viewer can draw with its own font, Inter, as shipped with Rerun 0.41.

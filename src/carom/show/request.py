@@ -1,17 +1,29 @@
-"""The request for a view of a recording: a moment, an event by its name, the two ends of a contact."""
+"""The request for a view of a recording: a moment, an event by its name, the two ends of a contact.
+
+`ShownStep` is the step that contains the moment. It is repeated if it has no frame, or for data that frames lack.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import time as clock
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from carom.errors import RecordingError
+from carom.arrays import FloatArray, IntArray
+from carom.errors import PhysicsError, RecordingError
+from carom.physics.contact.graph import CollisionGraph
 from carom.physics.frame import Frame
-from carom.recording.read.lookup import shown_body, split_at_commas
+from carom.physics.simulation import StepStatus
+from carom.recording.read.frame_rows import RecordedPositions
+from carom.recording.read.lookup import frame_of, shown_body, split_at_commas, tolerance
+from carom.recording.read.recorded_contacts import rows_of_engine
 from carom.recording.read.recorded_impacts import numbered_impact
 from carom.recording.read.recording import Recording
+from carom.recording.schema.header import Header, TimeScale
 from carom.recording.schema.paths import SIM_TIME, STEP
+from carom.recording.write.impact_frames import Instant, instants
 
 
 @dataclass(frozen=True, slots=True)
@@ -182,3 +194,203 @@ def _impact(recording: Recording, text: str) -> NamedEvent:
     time, step, i, j = numbered_impact(recording, int(text))
     bodies = int(recording.info["bodies"])
     return NamedEvent(time, Pair(i, j) if j < bodies else Pair(i, None, j - bodies), step, is_impact=True)
+
+
+Watcher = Callable[[StepStatus], None]
+
+PATIENCE = 60.0  # s of repeated steps, for a step without a frame
+IMPATIENCE = 10.0  # s of repeated steps, for a step with a frame
+_MOST_BYTES = 50_000_000  # of the frames between two recorded ones
+_BODY_BYTES = 300  # of a frame
+
+
+@dataclass(frozen=True, slots=True)
+class ShownStep:
+    """A step of a recording, as shown."""
+
+    step: int
+    time: float  # s, at its end
+    position: FloatArray  # (n, 3) m, from the recording's origin, of the bodies that it shows
+    frame: Frame | None = None  # the step, if it was repeated
+    before: Frame | None = None  # the frame before those in `added`
+    added: Sequence[Frame] = ()  # repeated steps: this one, those between recorded frames, and the frame after them
+    state: Instant | None = None  # of an instant within the step: energies and spins before and after
+    missing: str = ""  # why the step could not be repeated, if the recording has no frame of it
+
+
+def shown_step(
+    recording: Recording,
+    at: float,
+    within: int | None = None,
+    *,
+    dense: bool = False,
+    watch: Watcher = lambda _: None,
+) -> ShownStep:
+    """Find the step that contains a time (s), and repeat it if that takes no more than a minute.
+
+    Parameters
+    ----------
+    recording
+        The recording to show.
+    at
+        s.
+    within
+        The step to show if the time is the end of one step and the start of the next; by default the former.
+    dense
+        Whether to add all steps up to the next recorded frame.
+    watch
+        Called while steps are repeated.
+
+    Raises
+    ------
+    RecordingError
+        If there is no frame.
+    """
+    table = recording.fingerprints()
+    times, steps = table["time"].to_numpy(), table[STEP].to_numpy()
+    recording.require_frames()
+    row, goal = frame_of(recording, at), at - tolerance(at)
+    if row is not None and within is not None and steps[row] < within:
+        row, goal = _row_of(within, steps), float(np.nextafter(times[row], np.inf))
+    if row is not None:
+        goal = float(times[row])
+    last = row if row is not None else max(0, int(np.searchsorted(times, goal)) - 1)
+    position = RecordedPositions(recording).drawn(int(steps[last])) - recording.origin
+    drawn = ShownStep(int(steps[last]), float(times[last]), position)
+    if not recording.shows_all:
+        return drawn if row is not None else replace(drawn, missing="the clip shows only some of the bodies")
+    if recording.engine and recording.records_contacts and row is not None:
+        return replace(drawn, frame=_frame_of_engine(recording, row))
+    try:
+        limit = IMPATIENCE if row is not None else PATIENCE
+        found = _run(recording, goal, times, within if row is None else None, limit, dense, watch)
+    except (RecordingError, PhysicsError) as error:
+        missing = str(error)
+    else:
+        if found is not None:
+            return found
+        missing = f"rerunning it takes more than {PATIENCE:.0f} s"
+    return drawn if row is not None else replace(drawn, missing=missing)
+
+
+def _frame_of_engine(recording: Recording, row: int) -> Frame | None:
+    """Return a frame of another engine with its state and its contacts; None if it has no exact state."""
+    step = int(recording.fingerprints()[STEP][row].as_py())
+    if step not in recording.checkpoint_times:
+        return None
+    state = recording.checkpoint(step)
+    rows, dt = rows_of_engine(recording, row)
+    pairs = np.stack([rows["i"], rows["j"]], axis=1)
+    normals = np.stack([rows["nx"], rows["ny"], rows["nz"]], axis=1)
+    return Frame(
+        step=step,
+        time=state.time,
+        dt=dt,
+        dt_limit="",
+        position=state.position,
+        velocity=state.velocity,
+        acceleration=state.acceleration,
+        orientation=state.orientation,
+        angular_velocity=state.angular_velocity,
+        torque=None,
+        angular_acceleration=None,
+        contacts=CollisionGraph(pairs, normals, np.zeros(len(rows)), np.zeros(len(rows), dtype=np.int64)),
+        energy=state.energy,
+        momentum=np.zeros(3),
+        angular_momentum=np.zeros(3),
+        sweeps=0,
+        phase="",
+        events=(),
+        previous_dt=dt,
+        memory=None,
+        books=state.books,
+        contact_rows=rows,
+    )
+
+
+def at_impact(
+    step: ShownStep, pair: Pair, header: Header, origin: FloatArray, near: float, clock: TimeScale
+) -> ShownStep | None:
+    """Return the instant of an impact within a repeated step; None if the pair has none before its end.
+
+    Its frame holds the positions and contacts of the instant, and its state the quantities that jump there.
+
+    Parameters
+    ----------
+    step
+        The step.
+    pair
+        The two ends of the impact. Of several impacts, the nearest in time is chosen, then the fastest.
+    header, origin
+        Of the recording; origin (3,) m.
+    near
+        s.
+    clock
+        Of the recording. An impact within a nanosecond of the end of the step is shown at its end.
+    """
+    frame, n = step.frame, header.bodies
+    earlier = [one for one in (step.before, *step.added) if one is not None and one.step < step.step]
+    if frame is None or frame.impacts is None or not earlier:
+        return None
+    before, impacts = earlier[-1], frame.impacts
+    j = pair.j if pair.j is not None else None if pair.plane is None else n + pair.plane
+    partner = impacts["j"] >= n if j is None else impacts["j"] == j
+    is_within = clock.nanoseconds(impacts["time"]) < clock.nanoseconds([frame.time])
+    own = np.flatnonzero((impacts["i"] == pair.i) & partner & is_within)
+    if not len(own):
+        return None
+    off = np.abs(impacts["time"][own] - near)
+    off[off <= tolerance(near)] = 0.0
+    k = own[np.lexsort((-impacts["approach_speed"][own], off))[:1]]
+    (state,) = instants(header, before, frame, impacts, k, np.ones(1, np.int64))
+    position = np.asarray(state.frame.position - origin)
+    return ShownStep(step.step, state.frame.time, position, state.frame, step.before, step.added, state=state)
+
+
+def _row_of(step: int, steps: IntArray) -> int | None:
+    """Return the row of a step's frame; None if it has none."""
+    row = int(np.searchsorted(steps, step))
+    return row if row < len(steps) and steps[row] == step else None
+
+
+def _run(
+    recording: Recording,
+    goal: float,
+    times: FloatArray,
+    within: int | None,
+    limit: float,
+    dense: bool,
+    watch: Watcher,
+) -> ShownStep | None:
+    """Repeat the steps up to the one that contains a time (s), or to the next frame; None if that takes too long.
+
+    At the end of one step and the start of the next, ``within`` is the number of the one that is meant.
+    """
+    own = int(np.searchsorted(times, goal))
+    earlier = float(times[max(0, own - 1)])
+    until = float(times[own]) if dense and own < len(times) else goal
+    most = max(2, _MOST_BYTES // (_BODY_BYTES * len(recording.shown)))
+    added: list[Frame] = []
+    before, shown = None, None
+    started: float | None = None
+    window = recording.rerun(goal, watch=watch, contacts=True)
+    for frame in window.frames(earlier):
+        started = clock.monotonic() if started is None else started
+        if clock.monotonic() - started > limit:
+            return None
+        if frame.time <= earlier and frame.time < goal:
+            before = frame
+            continue
+        if len(added) == most:  # only the last ones are kept
+            before = added.pop(0)
+        added.append(frame)
+        if shown is None and frame.time >= goal and (within is None or frame.step >= within):
+            shown = frame
+        if shown is not None and frame.time >= until:
+            break
+    if window.differs is not None:
+        raise RecordingError(f"when rerun, it has other bits from step {window.differs} on")
+    if shown is None:
+        return None
+    position = np.asarray(shown.position - recording.origin)
+    return ShownStep(shown.step, shown.time, position, shown, before, added)

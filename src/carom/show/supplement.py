@@ -1,28 +1,41 @@
 """`Supplement`: rows and a layout that a viewer gets in addition to a recording; the file does not change.
 
-Among them are trails, the paths of a few bodies up to the moment that is shown.
+Among them are trails, the paths of a few bodies up to the moment that is shown, and plots of single bodies: position,
+velocity and spin over time, requested as ``top.z, top.omega``.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-from carom.arrays import ColourArray, FloatArray, SingleArray
+from carom.arrays import ColourArray, FloatArray, IntArray, SingleArray
+from carom.errors import RecordingError
 from carom.recording.layout import TRAILS
 from carom.recording.layout.camera import FEW, CameraFit
+from carom.recording.layout.canvas import Area
+from carom.recording.layout.plot_views import CurveOutline, curve_style, time_series_view
 from carom.recording.read.frame_rows import drawn_paths
+from carom.recording.read.lookup import body_number, split_at_commas
 from carom.recording.read.recording import Recording
+from carom.recording.schema import palette
 from carom.recording.schema.header import Header, TimeScale
 from carom.recording.schema.paths import STEP
 from carom.recording.write.durable_sink import FLUSH
 from carom.recording.write.rerun_compat import send_layout
 from carom.recording.write.rows import Index, Rows
+from carom.scene.units.dimension import OF_UNIT
+from carom.scene.units.system import SI, UnitSystem
+from carom.scene.wording import body_called
+
+if TYPE_CHECKING:
+    from carom.physics.simulation import StepStatus
 
 Static = tuple[str, rr.AsComponents]
 
@@ -126,3 +139,240 @@ class Trails:
 def has_trails(recording: Recording) -> bool:
     """Return whether a recording has few enough bodies for their paths to be legible."""
     return len(recording.shown) <= FEW and recording.frames > 1
+
+
+MOST = 12  # curves that can be distinguished
+
+
+@dataclass(frozen=True, slots=True)
+class Quantity:
+    """A number that a body has at every frame."""
+
+    name: str
+    unit: str
+    vector: str  # vector of the state
+    axis: int | None  # its component; None for its length
+
+    def of(self, vectors: FloatArray) -> FloatArray:
+        """Compute it from the vectors of all frames, (k, 3)."""
+        return vectors[:, self.axis] if self.axis is not None else np.sqrt(np.einsum("ki,ki->k", vectors, vectors))
+
+
+_VECTORS = (
+    ("position", "m", ("x", "y", "z"), ""),
+    ("velocity", "m/s", ("vx", "vy", "vz"), "speed"),
+    ("angular_velocity", "rad/s", ("wx", "wy", "wz"), "omega"),
+)
+QUANTITIES = {
+    name: Quantity(name, unit, vector, axis)
+    for vector, unit, axes, length in _VECTORS
+    for name, axis in (*((each, k) for k, each in enumerate(axes)), *([(length, None)] if length else []))
+}
+
+
+@dataclass(frozen=True, slots=True)
+class BodySeries:
+    """A quantity of a body over the frames of a recording."""
+
+    body: int
+    name: str  # of the body
+    quantity: Quantity
+    step: IntArray  # (k,)
+    time: FloatArray  # (k,) s
+    value: FloatArray  # (k,) in the unit of the quantity
+
+
+def asked_quantities(recording: Recording, text: str, *, one_unit: bool = False) -> list[tuple[int, Quantity]]:
+    """Read the requested quantities of bodies.
+
+    Parameters
+    ----------
+    recording
+        The recording that contains the bodies.
+    text
+        ``BODY.QUANTITY``, separated by commas; a body is given by its number or its name.
+    one_unit
+        Whether all must have the same unit.
+
+    Raises
+    ------
+    RecordingError
+        If there is no such body or quantity, or the units differ.
+    """
+    asked: dict[tuple[int, Quantity], None] = {}
+    with_commas = [body for body in recording.bodies.name if "," in body]
+    for part in split_at_commas(text, (f"{body}.{name}" for body in with_commas for name in QUANTITIES)):
+        body, _, name = part.rpartition(".")
+        if not body:
+            raise RecordingError(f'plot {text}: expected BODY.QUANTITY, such as 0.speed; "{part}" is not')
+        if name not in QUANTITIES:
+            raise RecordingError(f'plot {text}: there is no quantity "{name}"; there are {_all_quantities()}')
+        asked[body_number(recording, body), QUANTITIES[name]] = None
+    if any(quantity.vector == "angular_velocity" for _, quantity in asked) and not recording.info["spins"]:
+        raise RecordingError(f"plot {text}: the bodies of {recording.path} do not spin")
+    if len(asked) > MOST:
+        raise RecordingError(f"plot: {len(asked)} curves are more than {MOST}; request fewer")
+    units = dict.fromkeys(quantity.unit for _, quantity in asked)
+    if one_unit and len(units) > 1:
+        raise RecordingError(
+            f"a view of plots shows one unit, but plot requests {' and '.join(units)}; request quantities of one "
+            "unit, or use the view of all, which has a plot for each"
+        )
+    return list(asked)
+
+
+def needs_replay(asked: Sequence[tuple[int, Quantity]]) -> bool:
+    """Return whether the run must be repeated: positions are recorded at every frame, velocities are not."""
+    return any(quantity.vector != "position" for _, quantity in asked)
+
+
+def body_series(
+    recording: Recording, asked: Sequence[tuple[int, Quantity]], watch: Callable[[StepStatus], None] = lambda _: None
+) -> list[BodySeries]:
+    """Return the requested series.
+
+    Parameters
+    ----------
+    recording, asked
+        As from `asked_quantities`.
+    watch
+        Called after every frame if the run is repeated.
+
+    Raises
+    ------
+    RecordingError
+        If the run must be repeated and cannot be, or its bits differ.
+    """
+    bodies = sorted({body for body, _ in asked})
+    read = _replayed(recording, bodies, watch) if needs_replay(asked) else _recorded(recording, bodies)
+    names = recording.bodies.name
+    return [
+        BodySeries(body, names[body] or body_called(body, ""), quantity, step, time, quantity.of(vectors))
+        for body, quantity in asked
+        for step, time, vectors in [read(body, quantity.vector)]
+    ]
+
+
+_Read = Callable[[int, str], tuple[IntArray, FloatArray, FloatArray]]  # body, vector → steps, times, (k, 3)
+
+
+def _recorded(recording: Recording, bodies: Sequence[int]) -> _Read:
+    tables = {body: recording.trajectory(body) for body in bodies}
+
+    def read(body: int, vector: str) -> tuple[IntArray, FloatArray, FloatArray]:
+        table = tables[body]
+        position = np.stack([np.asarray(table[axis].to_numpy()) for axis in "xyz"], axis=1)
+        return table[STEP].to_numpy(), table["time"].to_numpy(), position
+
+    return read
+
+
+def _replayed(recording: Recording, bodies: Sequence[int], watch: Callable[[StepStatus], None]) -> _Read:
+    frames = recording.fingerprints()
+    steps, times = frames[STEP].to_numpy(), frames["time"].to_numpy()
+    window, wanted = recording.rerun(float(times[0]), watch=watch), set(steps.tolist())
+    found: dict[str, list[FloatArray]] = {vector: [] for vector, *_ in _VECTORS}
+    for frame in window.frames(np.inf):
+        if frame.step in wanted:
+            for vector, rows in found.items():
+                values = getattr(frame, vector)
+                if values is not None and len(values):
+                    rows.append(values[bodies])
+        if frame.step >= steps[-1] or window.differs is not None:
+            break
+    if window.differs is not None or len(found["position"]) < len(steps):
+        where = "ends earlier" if window.differs is None else f"has other bits from step {window.differs} on"
+        raise RecordingError(f"{recording.path}, run again, {where}; only positions (x, y, z) can be plotted")
+    stacked = {vector: np.stack(rows) for vector, rows in found.items() if rows}
+    return lambda body, vector: (steps, times, stacked[vector][:, bodies.index(body)])
+
+
+def _all_quantities() -> str:
+    """List the quantities by their units."""
+    groups = [
+        f"{', '.join(quantity.name for quantity in QUANTITIES.values() if quantity.unit == unit)} ({unit})"
+        for _, unit, *_ in _VECTORS
+    ]
+    return f"{', '.join(groups[:-1])} and {groups[-1]}"
+
+
+TITLES = {"m": "Position", "m/s": "Velocity", "rad/s": "Spin"}
+
+
+@dataclass(frozen=True, slots=True)
+class BodyPlots:
+    """The series to plot."""
+
+    series: Sequence[BodySeries]
+    system: UnitSystem = SI  # of the recording
+    colours: Mapping[int, int] = field(default_factory=dict)  # of the bodies, if they are constant in time
+    alone: bool = False  # whether a plot fills the picture, which then has no title, since the legend suffices
+
+    @property
+    def units(self) -> list[str]:
+        """The units of the plots, from left to right."""
+        return [unit for unit in TITLES if any(each.quantity.unit == unit for each in self.series)]
+
+    def rows(self) -> Iterator[Rows]:
+        """Yield the values."""
+        for each in self.series:
+            columns = rr.Scalars.columns(scalars=self._shown(each))
+            yield Rows(_path(each), Index(each.step, each.time), columns, each.value.nbytes)
+
+    def statics(self) -> Iterator[tuple[str, rr.AsComponents]]:
+        """Yield the styles of the curves."""
+        for unit in self.units:
+            series = self._of(unit)
+            for each, colour in zip(series, self._curve_colours(series), strict=True):
+                yield _path(each), curve_style(self._legend(each), colour)
+
+    def _curve_colours(self, series: Sequence[BodySeries]) -> list[int]:
+        """Return the colours of the curves of a plot: those of their bodies, if these distinguish the curves.
+
+        If a body has two curves, or two bodies have similar colours, each curve gets another colour.
+        """
+        own = palette.legible(self.colours.get(each.body, 0) for each in series).tolist()
+        lines = list(palette.LINES.values())
+        known = all(each.body in self.colours for each in series)
+        return own if known and len(set(own)) == len(own) else [lines[k % len(lines)] for k in range(len(series))]
+
+    def views(self, row: Area) -> list[rrb.View]:
+        """Lay out a plot for each unit, side by side in a row."""
+        area = Area(row.width / max(1, len(self.units)), row.height)
+        return [self.view(unit, area) for unit in self.units]
+
+    def view(self, unit: str, area: Area) -> rrb.View:
+        """Lay out the plot of a unit."""
+        series = self._of(unit)
+        legends = [self._legend(each) for each in series]
+        title = _named(series[0]) if len(series) == 1 else TITLES[unit]
+        curves = [CurveOutline.of(each.time, self._shown(each)) for each in series]
+        return time_series_view(
+            self._titled(title, unit),
+            [_path(each) for each in series],
+            legends if self.alone or len(legends) > 1 else [],
+            curves,
+            area,
+        )
+
+    def _legend(self, series: BodySeries) -> str:
+        return self._titled(_named(series), series.quantity.unit) if self.alone else _named(series)
+
+    def _titled(self, title: str, unit: str) -> str:
+        """Return a title with the scene's unit for an SI unit."""
+        return self.system.labelled(title, OF_UNIT[unit])
+
+    def _shown(self, series: BodySeries) -> FloatArray:
+        """Return the values in the scene's unit."""
+        return series.value / self.system.factor(OF_UNIT[series.quantity.unit])
+
+    def _of(self, unit: str) -> list[BodySeries]:
+        return [each for each in self.series if each.quantity.unit == unit]
+
+
+def _path(series: BodySeries) -> str:
+    return f"plot/body{series.body}/{series.quantity.name}"
+
+
+def _named(series: BodySeries) -> str:
+    return f"{series.name} {series.quantity.name}"

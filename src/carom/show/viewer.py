@@ -18,8 +18,7 @@ from typing import Self, TypeVar
 
 import numpy as np
 
-from carom.errors import RecordingError
-from carom.install import install_packages
+from carom.errors import RecordingError, install_packages
 from carom.private_folder import private_folder
 from carom.recording.read.recording import Recording
 from carom.recording.schema.header import TimeScale

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from carom.errors import RecordingError
+from carom.lab.diff import _short
 from carom.lab.diff.diff import Diff, _nearest_in_order, diff, differing, impact_divergence, overlay
-from carom.lab.diff.diff_command import _short
 from carom.recording.edit.clip import clip
 from carom.recording.read.entities import Entities
 from carom.recording.read.recording import Recording

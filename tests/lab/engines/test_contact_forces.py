@@ -18,8 +18,7 @@ from carom.recording.read.recorded_contacts import rows_of_engine
 from carom.recording.read.recorded_scene import header_of_recording
 from carom.recording.read.recording import Recording
 from carom.show.close_up import close_up
-from carom.show.request import Pair
-from carom.show.shown_step import shown_step
+from carom.show.request import Pair, shown_step
 from carom_command import carom as command
 
 G = np.array([0.0, 0.0, -9.81])

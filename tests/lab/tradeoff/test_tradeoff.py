@@ -11,10 +11,9 @@ import pytest
 
 from carom.errors import ExperimentError, PhysicsError, RecordingError, SceneError
 from carom.lab import compared_run as trajectory
-from carom.lab.tradeoff import tradeoff
+from carom.lab.tradeoff import _legend, tradeoff
 from carom.lab.tradeoff.settings_grid import default_settings, vary
 from carom.lab.tradeoff.tradeoff import Study
-from carom.lab.tradeoff.tradeoff_command import _legend
 from carom.lab.tradeoff.tradeoff_figure import draw, record
 from carom.recording.read.recording import Recording
 from carom.scene.schema import Scene

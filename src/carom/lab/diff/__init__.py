@@ -1,1 +1,266 @@
-"""Comparison of two recordings."""
+"""`carom diff`: where and how two recordings differ."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from carom.extend import (
+    ENERGY,
+    FORCE,
+    IMPULSE,
+    LENGTH,
+    TIME,
+    VELOCITY,
+    ForceOption,
+    JsonOption,
+    bodies_called,
+    command,
+    counted,
+    not_a_folder,
+    recording_option,
+    say_json,
+)
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from carom import Recording
+    from carom.extend import Names, UnitSystem
+    from carom.lab.diff.diff import Diff, Impact, ImpactDivergence, ImpactPair
+    from carom.lab.diff.divergence import FirstBits
+
+ROWS = 12  # rows in the table of the growing difference
+KEYS = 50  # largest number of different keys of the scene that are printed; --json has all
+
+FirstArgument = Annotated[
+    Path, typer.Argument(metavar="A", help="A recording (.rrd), or the zip of `carom report`.", callback=not_a_folder)
+]
+SecondArgument = Annotated[Path, typer.Argument(metavar="B", help="Another one.", callback=not_a_folder)]
+
+
+def diff_command(
+    a: FirstArgument,
+    b: SecondArgument,
+    output: Annotated[Path | None, recording_option("Write both recordings into one .rrd for the viewer.")] = None,
+    force: ForceOption = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Compare two recordings: where they differ first, and whether chaos explains it. Exit with 1 if they differ.
+
+    Impacts of the same bodies are compared in their order.
+    """
+    from dataclasses import replace
+
+    from carom import Recording
+    from carom.extend import names_of, opened, refuse_itself, refuse_output
+    from carom.lab.diff.diff import diff as compare
+    from carom.lab.diff.diff import overlay
+
+    if output is not None:
+        for path in (a, b):
+            refuse_itself(output, path)
+        refuse_output(output, force)
+    with opened(a) as one, opened(b) as other:
+        recordings = Recording.open(one), Recording.open(other)
+        found = replace(compare(*recordings), paths=(a, b))
+        if output is not None:
+            overlay(*recordings, found, output)
+        names = names_of(max(recordings, key=lambda recording: len(recording.bodies.name)))
+        if as_json:
+            say_json(_document(found, names, recordings[0].units))
+        else:
+            _print(found, names, recordings, output)
+    if not found.same:
+        raise typer.Exit(1)
+
+
+def _document(found: Diff, names: Names, units: UnitSystem) -> dict[str, Any]:
+    """Return the result as a document."""
+    from dataclasses import asdict
+
+    curve, verdict = found.curve, found.verdict
+    first = verdict.first
+    keys = ("step", "time", "rms", "floor", "energy")
+    rows = zip(*(getattr(curve, key).tolist() for key in keys), strict=True)
+    return {
+        "a": str(found.paths[0]),
+        "b": str(found.paths[1]),
+        "units": units.recorded,
+        "same_bits": found.same,
+        "verdict": {"kind": verdict.kind, "text": verdict.text, "jump": verdict.jump, "allowed": verdict.allowed},
+        "scene": {key: list(values) for key, values in found.scene.items()},
+        "defaults": {key: found.defaults[key] for key in found.scene if key in found.defaults},
+        "environment": {key: list(values) for key, values in found.environment.items()},
+        "frames": {
+            "a": found.frames[0],
+            "b": found.frames[1],
+            "common": len(curve.step),
+            "matched_by": found.matched_by,
+        },
+        "engines": list(found.engines),
+        "first_difference": None if first is None else {"step": int(curve.step[first]), "time": curve.time[first]},
+        "first_bits": None if found.first_bits is None else _bits_document(found.first_bits, names),
+        "impacts": None if found.impacts is None else _impacts_document(found.impacts, names),
+        **({"lives": [asdict(life) for life in found.lives]} if found.lives else {}),
+        "growth": None if found.divergence is None else asdict(found.divergence),
+        "size": curve.size,
+        "curve": [dict(zip(keys, row, strict=True)) for row in rows],
+    }
+
+
+def _bits_document(found: FirstBits, names: Names) -> dict[str, Any]:
+    from dataclasses import asdict
+
+    contact = None if found.contact is None else asdict(found.contact) | {"between": names.pair(found.contact.ends)}
+    return asdict(found) | {"names": [names.of(body) for body in found.bodies], "contact": contact}
+
+
+def _impacts_document(found: ImpactDivergence, names: Names) -> dict[str, Any]:
+    def nested(pair: ImpactPair | None) -> dict[str, Any] | None:
+        return None if pair is None else {"a": of(pair.a), "b": of(pair.b)}
+
+    def of(impact: Impact | None) -> dict[str, Any] | None:
+        if impact is None:
+            return None
+        return {
+            "number": impact.number,
+            "bodies": list(impact.bodies),
+            "between": names.pair(impact.bodies),
+            "time": impact.time,
+            "approach_speed": impact.approach_speed,
+            "normal_impulse": impact.normal_impulse,
+            "mode": impact.mode,
+        }
+
+    return {
+        "counts": None if found.counts is None else list(found.counts),
+        "compared": found.compared,
+        "first_difference": nested(found.first),
+        "first_in_one_only": nested(found.alone),
+    }
+
+
+def _print(found: Diff, names: Names, recordings: tuple[Recording, Recording], output: Path | None) -> None:
+    from carom.extend import Terminal
+
+    console, units = Terminal(soft_wrap=True), recordings[0].units
+    table = _overview(found, names, units)
+    for k, life in enumerate(found.lives[:KEYS]):
+        table.add_row("" if k else "bodies", life.text(units))
+    if len(found.lives) > KEYS:
+        table.add_row("", f"… and {len(found.lives) - KEYS} more")
+    console.print(table)
+    if not found.same:
+        console.print()
+        console.print(_curve(found, units))
+    console.print()
+    console.print(f"{found.verdict.text[0].upper()}{found.verdict.text[1:]}.", style="bold")
+    if output is not None:
+        console.print(f"{output} written, with both recordings overlaid; {command('view', output)}")
+
+
+def _overview(found: Diff, names: Names, units: UnitSystem) -> Table:
+    from rich.table import Table
+
+    table = Table.grid(padding=(0, 2))
+    table.add_row("A", f"{found.paths[0]}, {counted(found.frames[0], 'frame')}")
+    table.add_row("B", f"{found.paths[1]}, {counted(found.frames[1], 'frame')}")
+    for name, differing in (("scene", found.scene), ("environment", found.environment)):
+        if name == "scene" and any(found.engines):
+            recorded = zip("AB", found.engines, strict=True)
+            known = [f"{which} was recorded from {engine}" for which, engine in recorded if engine]
+            table.add_row(name, f"not compared: {', '.join(known)}")
+        elif not differing:
+            table.add_row(name, "the same")
+        for k, (key, (one, other)) in enumerate(list(differing.items())[:KEYS]):
+            default = found.defaults.get(key) if name == "scene" else None
+            in_a, in_b = _short(one, default), _short(other, default)
+            table.add_row("" if k else name, f"{key}: {in_a} in A, {in_b} in B")
+        if len(differing) > KEYS:
+            table.add_row("", f"… and {len(differing) - KEYS} more keys")
+    table.add_row("in common", f"{counted(len(found.curve.step), 'frame')}, matched by {found.matched_by}")
+    if found.first_bits is not None:
+        for k, line in enumerate(_bits_lines(found.first_bits, names, units)):
+            table.add_row("" if k else "first bits", line)
+    for k, line in enumerate(_impact_lines(found.impacts, names, units)):
+        table.add_row("" if k else "impacts", line)
+    return table
+
+
+def _bits_lines(found: FirstBits, names: Names, units: UnitSystem) -> Iterator[str]:
+    """Describe the first bodies whose bits differ, their contact and the laws that were broken there."""
+    who, when = bodies_called(found.bodies, names.bodies), units.text(found.time, TIME, ".9g")
+    yield f"step {found.step}, t = {when}: {', '.join(found.arrays)} of {who}"
+    if found.contact is not None:
+        one, other = ("none" if force is None else units.text(force, FORCE, ".9g") for force in found.contact.forces)
+        yield f"contact of {names.pair(found.contact.ends)}: normal force {one} in A, {other} in B"
+    yield from found.laws
+
+
+def _impact_lines(found: ImpactDivergence | None, names: Names, units: UnitSystem) -> Iterator[str]:
+    """Describe where the impacts differ, and by how much."""
+    if found is None:
+        yield "not compared, not recorded in both"
+        return
+    if found.counts is not None:
+        yield f"{found.counts[0]} in A, {found.counts[1]} in B, up to the same time"
+    if found.first is None:
+        yield f"all {found.compared} recorded in both are the same" if found.compared else "none recorded in both"
+    different = [pair for pair in (found.first, found.alone) if pair is not None]
+    for pair in sorted(different, key=lambda pair: pair.time):
+        yield _called(pair, names, units)
+
+
+def _called(pair: ImpactPair, names: Names, units: UnitSystem) -> str:
+    """Describe an impact: its numbers in both runs, and the differences between them."""
+    a, b = pair.a, pair.b
+    one = a or b
+    assert one is not None, "only one has it"
+    what = f"{names.pair(one.bodies)}, t = {units.text(one.time, TIME, '.9g')}"
+    if a is None or b is None:
+        return f"first in {'B' if a is None else 'A'} only: impact {one.number}, {what}"
+    number = f"{a.number}" if a.number == b.number else f"{a.number} in A, {b.number} in B"
+    return f"first different: impact {number}, {what}: {_by_how_much(a, b, units)}"
+
+
+def _by_how_much(a: Impact, b: Impact, units: UnitSystem) -> str:
+    """List the differences of an impact, B - A."""
+    differences = (
+        (b.time - a.time, TIME, "time"),
+        (b.approach_speed - a.approach_speed, VELOCITY, "approach speed"),
+        (b.normal_impulse - a.normal_impulse, IMPULSE, "impulse"),
+    )
+    parts = [f"{units.text(value, dimension, '+.2e')} in {what}" for value, dimension, what in differences if value]
+    parts += [f"{a.mode} in A, {b.mode} in B"] if a.mode != b.mode else []
+    return f"{', '.join(parts)} (B - A)" if parts else "in direction, friction or energy loss"
+
+
+def _curve(found: Diff, units: UnitSystem) -> Table:
+    """Show a dozen frames from the first difference on."""
+    import numpy as np
+    from rich.table import Table
+
+    curve, first = found.curve, found.verdict.first or 0
+    measured = (("t", TIME), ("rms distance", LENGTH), ("energy, B - A", ENERGY))
+    table = Table("step", *(units.labelled(*each) for each in measured), box=None, pad_edge=False)
+    for column in table.columns:
+        column.justify = "right"
+    chosen = np.unique(np.linspace(first, len(curve.step) - 1, ROWS).astype(int))
+    for k in chosen:
+        seen = curve.rms[k] > curve.floor[k]
+        limit = max(curve.floor[k], curve.rms[k])
+        rms = f"{units.shown(curve.rms[k], LENGTH):.2e}" if seen else f"below {units.shown(limit, LENGTH):.0e}"
+        time, energy = units.shown(curve.time[k], TIME), units.shown(curve.energy[k], ENERGY)
+        table.add_row(str(curve.step[k]), f"{time:.6g}", rms, f"{energy:+.2e}")
+    return table
+
+
+def _short(value: Any, default: Any = None) -> str:
+    text = str(value)
+    if value is None:
+        text = "nothing" if default is None else f"{default} by default"
+    return text if len(text) <= 60 else text[:57] + "…"

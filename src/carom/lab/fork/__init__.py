@@ -1,1 +1,281 @@
-"""Forks of a recorded run: its continuation under other parameters, or from a state that differs in the last bits."""
+"""`carom fork`: continues from a moment of a recording, with other parameters or from a slightly different state."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from carom.extend import (
+    ForceOption,
+    JsonOption,
+    LiveLine,
+    RecordingArgument,
+    SetOption,
+    bar,
+    command,
+    recording_option,
+    say,
+    say_json,
+    seconds,
+    simulated,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from carom.lab.fork.branch import Branch, ForkStart
+    from carom.lab.fork.fork import Ensemble, Fork, Inevitable
+
+MOST_SEEDS, MOST_TIMES = 100_000, 1000
+DEFAULT_TIMES = 8
+
+
+def fork_command(
+    file: RecordingArgument,
+    at: Annotated[float, typer.Option("--at", parser=seconds, metavar="T", help="Simulated time of the fork.")],
+    overrides: SetOption = None,
+    perturb: Annotated[
+        str | None,
+        typer.Option(
+            "--perturb", metavar="ULPS", help="Change every coordinate by some units in the last place, such as 1ulp."
+        ),
+    ] = None,
+    seeds: Annotated[
+        int, typer.Option("--seeds", metavar="N", min=1, max=MOST_SEEDS, help="Number of perturbed forks.")
+    ] = 1,
+    outcome: Annotated[
+        str | None,
+        typer.Option(
+            "--outcome",
+            metavar="CONDITION",
+            help="Count the forks that satisfy this condition at their end, such as 'x_3 > 1'. Names: x_3, speed_3, "
+            "or those of `carom inspect --json`.",
+        ),
+    ] = None,
+    times: Annotated[
+        int | None,
+        typer.Option(
+            "--times",
+            metavar="N",
+            min=1,
+            max=MOST_TIMES,
+            help="Fork at N times from T on, to show how the probability of the --outcome depends on the time. "
+            f"Default: {DEFAULT_TIMES}.",
+        ),
+    ] = None,
+    when: Annotated[
+        bool, typer.Option("--inevitable", help="Find the moment from which the --outcome was inevitable.")
+    ] = False,
+    output: Annotated[Path | None, recording_option("File for the viewer. Default: FILE-fork.rrd.")] = None,
+    force: ForceOption = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Continue from a moment of a recording, under other parameters or from a state that differs in the last bits.
+
+    Only the steps after the moment are run. One file contains both runs and their difference; with --seeds, it contains
+    the band that all forks span.
+    """
+    from carom import Recording
+    from carom.errors import ExperimentError
+    from carom.extend import opened, refuse_itself, refuse_output
+    from carom.lab.fork.branch import Branch, start_of
+
+    ulps = _ulps(perturb)
+    if overrides is None and perturb is None:
+        raise ExperimentError("nothing to change: give --set KEY=VALUE or --perturb 1ulp")
+    if perturb is None and (seeds > 1 or when):
+        raise ExperimentError("without --perturb all forks have the same bits; add --perturb 1ulp")
+    if when and outcome is None:
+        raise ExperimentError('--inevitable needs an --outcome, such as "x_0 < 0"')
+    if times is not None and outcome is None:
+        raise ExperimentError('--times needs an --outcome, such as "x_0 < 0"')
+    if outcome is not None and seeds == 1:
+        raise ExperimentError("--outcome counts forks: add --perturb 1ulp --seeds 100")
+    target = output or file.with_name(f"{file.stem}-fork.rrd")
+    refuse_output(target, force)
+    with opened(file) as path:
+        refuse_itself(target, path)
+        branch = Branch(path, simulated(at, Recording.open(path).units), tuple(overrides or ()))
+        start = start_of(branch)
+        if seeds == 1:
+            document, lines, early = _one(start, target, None if perturb is None else 1, ulps)
+        else:
+            document, lines = _many(start, branch, target, seeds, ulps, outcome, times or DEFAULT_TIMES, when)
+            early = False
+    if as_json:
+        say_json(document)
+    else:
+        for line in [*lines, f"{target} written; {command('view', target)}"]:
+            say(line)
+    if early:
+        raise typer.Exit(1)
+
+
+def _ulps(text: str | None) -> int:
+    """Read ``1ulp`` or ``3 ulps``."""
+    if text is None:
+        return 0
+    match = re.fullmatch(r"\s*(\d{1,9})\s*(ulps?)?\s*", text)
+    if match is None or int(match[1]) == 0:
+        raise typer.BadParameter(f"{text}: expected a number of units in the last place, such as 1ulp")
+    return int(match[1])
+
+
+def _one(start: ForkStart, target: Path, shift: int | None, ulps: int) -> tuple[dict[str, Any], list[str], bool]:
+    """Make one fork; return its document, its description, and whether it ended early."""
+    from carom.lab.diff.divergence import rate_text
+    from carom.lab.fork.fork import ended_early, text_of
+    from carom.lab.fork.fork import fork as go_on
+
+    found: Fork = go_on(start, target, shift, ulps)
+    text = text_of(start, found.diff)
+    document = {
+        "units": start.scene.unit_system.recorded,
+        "at": start.checkpoint.time,
+        "step": start.checkpoint.step,
+        "end": found.outcome.sim_time,
+        "steps": found.outcome.steps,
+        "status": found.outcome.status,
+        "scene": {key: list(values) for key, values in found.diff.scene.items()},
+        "text": text,
+        "rms": float(found.diff.curve.rms[-1]),
+        "floor": float(found.diff.curve.floor[-1]),
+    }
+    lines = [f"{text[0].upper()}{text[1:]}."]
+    early = ended_early(found.outcome)
+    if early:
+        lines.append(early)
+    elif not found.outcome.ok:
+        lines.append(f"The fork missed a promise of its scene: {found.outcome.reason}.")
+    if found.diff.divergence is not None and found.diff.divergence.is_exponential:
+        rate, error = found.diff.divergence.rate, found.diff.divergence.standard_error
+        lines.append(f"The distance grows as e^(λt), λ = {rate_text(rate, error, start.scene.unit_system)}.")
+    return document, lines, bool(early)
+
+
+def _many(
+    start: ForkStart, branch: Branch, target: Path, seeds: int, ulps: int, outcome: str | None, times: int, when: bool
+) -> tuple[dict[str, Any], list[str]]:
+    from dataclasses import replace
+
+    from carom.extend import TIME, LocalWorkers, cores
+    from carom.lab.fork.branch import PerturbedTask, by_seed, outcome_of, results_of
+    from carom.lab.fork.fork import Chance, chances, ensemble, inevitable, write_ensemble
+
+    units = start.scene.unit_system
+    expression = None if outcome is None else outcome_of(start, outcome)  # before the workers start
+
+    class Line(LiveLine):
+        def update(self, done: int, at: float = start.checkpoint.time) -> None:
+            self._show(lambda now: f"{bar(done / seeds)} {done} of {seeds} forks at t = {units.text(at, TIME)}")
+
+    with LocalWorkers(min(cores(), seeds)) as workers, Line() as line:
+
+        def draw(time: float) -> Iterator[bool]:
+            tasks = [PerturbedTask(replace(branch, at=time), seed, ulps, outcome) for seed in range(1, seeds + 1)]
+            for done, result in enumerate(by_seed(results_of(tasks, workers)), 1):
+                line.update(done, time)
+                yield bool(result.outcome)
+
+        found = ensemble(start, branch, seeds, ulps, lambda tasks: results_of(tasks, workers), expression, line.update)
+        begin, end, moment = start.checkpoint.time, start.scene.time.duration, None
+        if outcome is not None:
+            here = Chance(begin, sum(found.outcomes), len(found.outcomes))
+            steps = start.recording.steps("dt")
+            last = float(steps["time"][-1].as_py() - steps["dt"][-1].as_py())  # s, at which the last step begins
+            found = replace(found, chances=[here, *chances(draw, begin, end, times, last)])
+        if when:
+            came = bool(found.reference_outcome)
+            moment = inevitable(lambda time: (hit == came for hit in draw(time)), begin, end)
+    document = _document(start, found, outcome, moment)
+    lines = list(_lines(start, found, outcome, moment))
+    write_ensemble(start, found, "\n\n".join(lines), target)
+    return document, lines
+
+
+def _document(start: ForkStart, found: Ensemble, outcome: str | None, moment: Inevitable | None) -> dict[str, Any]:
+    from dataclasses import asdict
+
+    return {
+        "units": start.scene.unit_system.recorded,
+        "at": start.checkpoint.time,
+        "step": start.checkpoint.step,
+        "seeds": len(found.rms),
+        "time": found.time.tolist(),
+        "low": found.band[0].tolist(),
+        "median": found.band[1].tolist(),
+        "high": found.band[2].tolist(),
+        "growth": None if found.growth is None else asdict(found.growth),
+        "rates": {"count": len(found.rates), "median": _median(found), "spread": found.rate_error},
+        "spread": found.spread[-1].tolist() if len(found.spread) else [],
+        "outcome": None
+        if outcome is None
+        else {
+            "condition": outcome,
+            "unperturbed": found.reference_outcome,
+            "forks": len(found.outcomes),
+            "hits": sum(found.outcomes),
+            "chances": [
+                {"time": c.time, "hits": c.hits, "forks": c.forks, "probability": c.probability, "band": list(c.band)}
+                for c in found.chances
+            ],
+            "inevitable": None if moment is None else asdict(moment),
+        },
+    }
+
+
+def _median(found: Ensemble) -> float | None:
+    import numpy as np
+
+    return float(np.median(found.rates)) if len(found.rates) else None
+
+
+def _lines(start: ForkStart, found: Ensemble, outcome: str | None, moment: Inevitable | None) -> Iterator[str]:
+    import numpy as np
+
+    from carom.extend import LENGTH, TIME
+    from carom.lab.diff.divergence import rate_text
+
+    units = start.scene.unit_system
+
+    def at(time: float) -> str:
+        return f"t = {units.text(time, TIME, '.9g')}"
+
+    low, median, high = found.band[:, -1].tolist()
+    radius = start.recording.bodies.radius
+    begin, end = at(start.checkpoint.time), at(found.time[-1])
+    yield f"{len(found.rms)} forks at step {start.checkpoint.step}, {begin}, up to {end}."
+    yield (
+        f"At {end} bodies are {units.text(median, LENGTH, '.3g')} apart (rms, median); "
+        f"5 to 95 %: {units.span(low, high, LENGTH, '.3g')}."
+    )
+    lost = int(np.count_nonzero(found.spread[-1] > radius))
+    yield f"{lost} of {len(radius)} bodies can no longer be predicted to within their radius."
+    if len(found.rates):
+        rate = float(np.median(found.rates))
+        yield (
+            f"The distance grows as e^(λt), λ = {rate_text(rate, found.rate_error, units)}, and doubles every "
+            f"{units.text(np.log(2.0) / rate, TIME, '.3g')}."
+        )
+    else:
+        yield "The distance does not grow exponentially."
+    if outcome is not None:
+        hits, forks = sum(found.outcomes), len(found.outcomes)
+        known = "holds" if found.reference_outcome else "does not hold"
+        yield f"{outcome}: in {hits} of {forks} forks, {hits / forks:.0%}; without perturbation it {known}."
+        for chance in found.chances[1:]:
+            low, high = chance.band
+            yield f"  forked at {at(chance.time)}: {chance.probability:.0%} ({low:.0%} to {high:.0%})"
+    if moment is not None:
+        state = "was" if found.reference_outcome else "was not"
+        for tested in moment.tested:
+            yield f"  forked at {at(tested.time)}: {tested.hits} of {tested.forks} have the same outcome"
+        if moment.always:
+            yield f"That it {state} so was inevitable at {at(moment.latest)} already; fork earlier."
+        else:
+            yield (
+                f"That it {state} so was inevitable from {at(moment.latest)} on, and not yet at {at(moment.earliest)}."
+            )

@@ -1,1 +1,95 @@
-"""Search for scenes that break the laws of physics or carom's own promises."""
+"""`carom hunt`: search for scenes that break a law."""
+
+from __future__ import annotations
+
+from contextlib import nullcontext
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from carom.extend import JsonOption, counted, say, say_json, work_time
+
+if TYPE_CHECKING:
+    from carom.lab.hunt.hunt import Hunt, Miss, Tally
+
+
+def hunt_command(
+    seconds: Annotated[
+        float,
+        typer.Option(
+            "--budget",
+            parser=work_time,
+            metavar="TIME",
+            help="How long to hunt, such as 60s or 2h. Default: 10min.",
+            show_default=False,
+        ),
+    ] = 600.0,
+    seed: Annotated[
+        int | None,
+        typer.Option(
+            "--seed", metavar="N", help="Random seed; the same seed draws the same scenes. Default: a new one.", min=0
+        ),
+    ] = None,
+    first: Annotated[int, typer.Option("--from", metavar="N", help="Number of the first scene.", min=0)] = 0,
+    scenes: Annotated[int | None, typer.Option("--scenes", metavar="N", help="Check at most N scenes.", min=1)] = None,
+    folder: Annotated[
+        Path, typer.Option("-o", "--output", metavar="DIR", help="Folder for the scenes and recordings of violations.")
+    ] = Path("recordings/hunt"),
+    as_json: JsonOption = False,
+) -> None:
+    """Draw random scenes and check each against the laws: ledger, momenta, impulses, replay, stated errors.
+
+    The first violation of each law is shrunk and saved as a scene with its recording. Exit with 1 after a violation.
+    """
+    import secrets
+
+    from carom.lab.hunt.hunt import Hunt, as_document
+
+    chosen = secrets.randbelow(2**32) if seed is None else seed
+    hunting = Hunt(chosen, folder, seconds, first, scenes)
+    if not as_json:
+        say(f"seed {chosen}")
+    tally = _watched(hunting, quiet=as_json)
+    if as_json:
+        say_json(as_document(tally))
+    else:
+        _print(tally)
+    if tally.misses:
+        raise typer.Exit(1)
+
+
+def _watched(hunt: Hunt, *, quiet: bool) -> Tally:
+    from carom.extend import Terminal, announce_compilation
+
+    console = Terminal(stderr=True, quiet=quiet)
+    if not quiet:
+        announce_compilation()
+    with console.status("hunting") if console.is_terminal else nullcontext() as status:
+        told = 0
+
+        def watch(tally: Tally) -> None:
+            nonlocal told
+            for miss in tally.misses[told:]:  # at once, since a hunt may take hours
+                console.print(_said(tally, miss), soft_wrap=True)
+            told = len(tally.misses)
+            if status:
+                status.update(f"{counted(tally.scenes, 'scene')}, {counted(told, 'miss')}, {tally.seconds:.0f} s")
+
+        hunt.watch = watch
+        return hunt.hunt()
+
+
+def _print(tally: Tally) -> None:
+    whole = tally.scenes - tally.refused - tally.stated - tally.given_up
+    ends = f"{tally.refused} refused, {tally.stated} ended with an error, {tally.given_up} abandoned as too long"
+    say(f"{counted(tally.scenes, 'scene')} in {tally.seconds:.3g} s: {whole} ran to the end, {ends}.")
+    if not tally.misses:
+        say("No law was broken.")
+    for miss in tally.misses:
+        say(_said(tally, miss))
+
+
+def _said(tally: Tally, miss: Miss) -> str:
+    where = f"{miss.path}, {counted(miss.bodies, 'body')}" if miss.path else "not saved, since this law already is"
+    return f"{miss.law}: scene {miss.index} of seed {tally.seed}: {miss.said}: {where}"

@@ -1,1 +1,188 @@
-"""Reduces a scene that fails to the smallest one that still fails in the same way."""
+"""`carom shrink`: the smallest scene that still fails in the same way."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from carom.extend import ForceOption, JsonOption, SetOption, command, counted, say, say_json, work_time
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from carom.lab.shrink.literal import SceneWithBodies
+    from carom.lab.shrink.reducer import Reducer, ReducerProgress, Reduction
+
+EVERY = 10.0  # s between lines of progress without a terminal
+
+
+def shrink_command(
+    source: Annotated[
+        str, typer.Argument(metavar="SCENE|FILE", help="A scene, a recording (.rrd) or a report (.zip).")
+    ],
+    condition: Annotated[
+        str | None,
+        typer.Option(
+            "--while",
+            metavar="CONDITION",
+            help="The failure to keep. Default: the error that ends the run, or the broken promise of "
+            '\\[expect]. Other values: expect.NAME, PhysicsError, crash, "not finite", "replay differs", '
+            '"invariance NAME", "impact of A and B", "warning KIND", or an expression such as '
+            '"energy.max_error > 1e-3" over the numbers of `carom inspect --json`.',
+        ),
+    ] = None,
+    while_command: Annotated[
+        str | None,
+        typer.Option(
+            "--while-command",
+            metavar="COMMAND",
+            help="A shell command that exits with 0 if the scene shows the failure. {} stands for the path of the "
+            "scene, which is otherwise appended.",
+        ),
+    ] = None,
+    output: Annotated[
+        Path | None,
+        typer.Option("-o", "--output", metavar="FILE", help="Scene file to write. Default: SCENE-small.toml."),
+    ] = None,
+    seconds: Annotated[
+        float | None,
+        typer.Option(
+            "--budget",
+            parser=work_time,
+            metavar="TIME",
+            help="Stop after this time, such as 60s or 10min. Default: none.",
+        ),
+    ] = None,
+    workers: Annotated[
+        int | None,
+        typer.Option(
+            "--workers",
+            metavar="N",
+            min=1,
+            help="Number of processes for slow scenes. Default: one per core, or 1 with --while-command.",
+        ),
+    ] = None,
+    overrides: SetOption = None,
+    force: ForceOption = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Find the smallest scene that still fails in the same way, and write it as a scene file.
+
+    It removes time, bodies, parts of the model, keys and digits, as long as the failure remains. After Ctrl-C or the
+    end of the budget, the file contains the smallest scene so far; the same command continues from it.
+    """
+    from dataclasses import asdict
+
+    from carom.extend import refuse_output, refuse_scene_output
+    from carom.lab.shrink.condition import condition_from
+    from carom.lab.shrink.literal import earlier, key_of, source_of
+    from carom.lab.shrink.whole_run import CommandShows
+
+    if condition is not None and while_command is not None:
+        raise typer.BadParameter("give either --while or --while-command", param_hint="--while-command")
+    asked = condition_from(condition) if while_command is None else CommandShows(while_command)
+    path = output or Path(f"{Path(source).stem}-small.toml")
+    refuse_scene_output(path, source, force=True)
+    given = source_of(source, list(overrides or []))
+    key = key_of(given.scene.toml, asked.text)
+    known = None if force else earlier(path, key)
+    if known and known.finished:
+        if as_json:
+            say_json({"file": str(path), "condition": asked.text, "minimal": True, "before": known.before})
+        else:
+            say(f"{path} is already the smallest scene; search again with --force.")
+        return
+    if while_command is not None and workers is None:
+        workers = 1  # concurrent commands might interfere
+    reducer = _reducer(asked, seconds, workers)
+    if known:
+        given, reducer.before = source_of(str(path), []), known.before
+    else:
+        refuse_output(path, force)
+    result = _reduced(reducer, given, path, key, _command(source, condition, while_command, overrides), quiet=as_json)
+    if as_json:
+        document = asdict(result) | {"file": str(path), "condition": asked.text, "minimal": result.minimal}
+        say_json(document)
+    else:
+        _print(result, path)
+
+
+def _reducer(asked: Any, seconds: float | None, workers: int | None) -> Reducer:
+    from math import inf
+
+    from carom.lab.shrink.reducer import Reducer
+
+    return Reducer(asked, inf if seconds is None else seconds, workers=workers)
+
+
+def _reduced(reducer: Reducer, given: SceneWithBodies, path: Path, key: str, command: str, *, quiet: bool) -> Reduction:
+    """Reduce, print the progress, and keep the smallest scene so far in the file."""
+    from carom.lab.shrink.literal import text_of, unfinished_text, write
+
+    asked = reducer.condition.text
+
+    def keep(document: dict[str, Any], said: str) -> None:
+        assert reducer.before is not None, "the first run of the scene"
+        write(path, unfinished_text(document, asked, said, reducer.before, key, command))
+
+    reducer.keep = keep
+    if quiet:
+        result = reducer.reduce(given.scene, given.start)
+    else:
+        result = _watched(reducer, lambda: reducer.reduce(given.scene, given.start))
+    write(path, text_of(result, asked, key, command))
+    return result
+
+
+def _watched(reducer: Reducer, work: Callable[[], Reduction]) -> Reduction:
+    """Show the progress on a terminal, or a line for each stage elsewhere."""
+    from carom.extend import Terminal, announce_compilation
+
+    console = Terminal(stderr=True)
+    announce_compilation()
+    if console.is_terminal:
+        with console.status("running the scene") as status:
+            reducer.watch = lambda progress: status.update(_line(progress))
+            return work()
+    said, since = "", 0.0
+
+    def watch(progress: ReducerProgress) -> None:
+        nonlocal said, since
+        if said != progress.stage or progress.seconds >= since + EVERY:
+            said, since = progress.stage, progress.seconds
+            console.print(_line(progress), soft_wrap=True)
+
+    reducer.watch = watch
+    return work()
+
+
+def _line(progress: ReducerProgress) -> str:
+    return (
+        f"{progress.stage}: {counted(progress.bodies, 'body')}, {counted(progress.steps, 'step')}; "
+        f"{counted(progress.candidates, 'candidate')}, {progress.kept} kept, {progress.seconds:.1f} s"
+    )
+
+
+def _print(result: Reduction, path: Path) -> None:
+    bodies, steps = result.before
+    left = f"{result.bodies} of {counted(bodies, 'body')} and {result.steps} of {counted(steps, 'step')} are left"
+    if result.steps > steps:  # steps may change with fewer bodies
+        left = (
+            f"{result.bodies} of {counted(bodies, 'body')} are left, and {counted(steps, 'step')} became {result.steps}"
+        )
+    say(f"{left}: {result.said}")
+    if result.stopped:
+        say(f"Not finished: {result.stopped}. Run the same command to continue.")
+    effort = f"{counted(result.candidates, 'candidate')}, {result.kept} kept, in {result.seconds:.3g} s"
+    say(f"Written to {path} after {effort}; {command('run', path)}")
+
+
+def _command(source: str, condition: str | None, while_command: str | None, overrides: list[str] | None) -> str:
+    """Write the command line for the comments of the result."""
+    words = ["shrink", source, *(["--while", condition] if condition else [])]
+    words += ["--while-command", while_command] if while_command else []
+    for override in overrides or []:
+        words += ["--set", override]
+    return command(*words)

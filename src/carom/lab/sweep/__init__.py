@@ -1,1 +1,372 @@
-"""Sweeps: many runs of one scene with varied values and seeds."""
+"""`carom sweep`: many runs of one scene, and their table."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from carom.extend import LiveLine, SetOption, bar, bundled, command, duration_text, needing, say_json
+
+if TYPE_CHECKING:
+    from carom.lab.sweep.manifest import SweepRun
+    from carom.lab.sweep.sweep import SweepEnding
+    from carom.lab.sweep.sweep_table import Row
+
+
+class SweepProgress(LiveLine):
+    """The numbers of completed and failed runs, the time left, and a permanent line for each failure."""
+
+    def __init__(self, title: str, runs: int, quiet: bool = False) -> None:
+        super().__init__(quiet)
+        self._title = title
+        self._runs = runs
+        self._found = 0
+        self._ended = 0
+        self._failed = 0
+        self._first: float | None = None  # end of the first run, before which the workers were starting
+
+    def begin(self, found: int) -> None:
+        """Describe the task."""
+        self._found = found
+        self._restart()
+        there = f", {found} already done" if found else ""
+        self.say(f"{self._title}: {self._runs} runs{there}")
+
+    def ended(self, run: SweepRun) -> None:
+        """Count a run; report it if it failed."""
+        self._ended += 1
+        self._first = self._first or time.perf_counter()
+        if not run.ok:
+            self._failed += 1
+            self.say(f"{run.name}: {run.outcome}: {' '.join(run.reason.split())}")
+
+    def tick(self) -> None:
+        """Show the progress of the sweep."""
+        self._show(self._line)
+
+    def _line(self, now: float) -> str:
+        done = self._found + self._ended
+        failed = f"  {self._failed} failed" if self._failed else ""
+        return f"{bar(done / max(1, self._runs))} {done} of {self._runs} runs{failed}  {self._left(now)}"
+
+    def _left(self, now: float) -> str:
+        """Estimate the time left from the runs after the first, which waits for workers and kernels."""
+        spent, ended = (now - self._first, self._ended - 1) if self._first else (0.0, 0)
+        if ended < 1 or spent <= 0.0:
+            return f"{duration_text(now - self._began)} so far"
+        left = spent / ended * (self._runs - self._found - self._ended)
+        return f"{ended / spent:.2g} runs/s  {duration_text(left)} left"
+
+
+SWEEPS = Path("recordings")
+PlotOption = Annotated[
+    tuple[str, str] | None,
+    typer.Option(
+        "--plot",
+        metavar="x=KEY y=KEY",
+        help="Plot column y against column x; the figure goes to the folder of the sweep.",
+    ),
+]
+
+
+def sweep_command(
+    scene: Annotated[
+        str | None,
+        typer.Argument(
+            metavar="SCENE", help="A scene file (.toml), or the name of a bundled scene.", autocompletion=bundled
+        ),
+    ] = None,
+    vary: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--vary",
+            metavar="KEY=VALUES",
+            help="Values: a list a,b,c; first:last:count, evenly spaced; or first:last:count followed by log, in equal "
+            "ratios, such as 1e-3:1:4log. Repeatable. Default: \\[sweep] of the scene.",
+        ),
+    ] = None,
+    seeds: Annotated[
+        int | None,
+        typer.Option(
+            "--seeds",
+            metavar="N",
+            help="Run each combination N times, with consecutive seeds from the seed of the scene.",
+            min=1,
+        ),
+    ] = None,
+    zipped: Annotated[
+        bool | None,
+        typer.Option(
+            "--zip/--cross",
+            help="Pair the values of all keys one by one, or combine every value with every other (default).",
+        ),
+    ] = None,
+    overrides: SetOption = None,
+    output: Annotated[
+        Path | None,
+        typer.Option("-o", "--output", metavar="DIR", help="Folder to write. Default: recordings/SCENE-sweep."),
+    ] = None,
+    workers: Annotated[
+        int | None,
+        typer.Option(
+            "--workers", metavar="N", help="Number of processes on this machine. Default: one per core.", min=1
+        ),
+    ] = None,
+    cluster: Annotated[
+        str | None,
+        typer.Option("--cluster", metavar="ADDRESS", help="Run on this Dask scheduler, such as tcp://host:8786."),
+    ] = None,
+    force: Annotated[bool, typer.Option("--force", help="Remove the sweep in the folder and start over.")] = False,
+    table: Annotated[
+        Path | None,
+        typer.Option("--table", metavar="DIR", help="Print the table of a sweep; run nothing.", rich_help_panel="Look"),
+    ] = None,
+    sort: Annotated[
+        str | None,
+        typer.Option(
+            "--sort",
+            metavar="KEY",
+            help="Sort the table by this column; -KEY for descending order.",
+            rich_help_panel="Look",
+        ),
+    ] = None,
+    conditions: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--filter",
+            metavar="CONDITION",
+            help='Show rows that satisfy a condition, such as "energy.final<0". Repeatable; rows must satisfy all.',
+            rich_help_panel="Look",
+        ),
+    ] = None,
+    columns: Annotated[
+        str | None,
+        typer.Option(
+            "--columns",
+            metavar="KEY,KEY",
+            help="Show these columns in addition to the varied keys.",
+            rich_help_panel="Look",
+        ),
+    ] = None,
+    plot: PlotOption = None,
+    catalog: Annotated[
+        Path | None,
+        typer.Option(
+            "--catalog",
+            metavar="DIR",
+            help="Show the recordings of a sweep as a table in the Rerun viewer.",
+            rich_help_panel="Look",
+        ),
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+) -> None:
+    """Run a scene many times with different values and seeds, here or on a Dask cluster; continue where it stopped."""
+    from carom.errors import ExperimentError
+
+    if (scene is not None) + (table is not None) + (catalog is not None) != 1:
+        raise ExperimentError("give one of SCENE, --table DIR and --catalog DIR; see carom sweep --help")
+    if catalog is not None:
+        serve(catalog)
+        return
+    folder = table
+    ending = None
+    if scene is not None:
+        if plot is not None:
+            refuse_plot(plot)
+        folder = output or SWEEPS / f"{Path(scene).stem}-sweep"
+        ending = _run(scene, folder, vary or [], overrides or [], seeds, zipped, workers, cluster, force, as_json)
+    assert folder is not None
+    figure = draw(folder, plot, conditions or []) if plot is not None else None
+    if ending is not None:
+        _tell(ending, folder, figure, as_json)
+        if not ending.ok:
+            raise typer.Exit(1)
+    elif as_json:
+        print_json(folder, conditions or [], sort, columns)
+    elif figure is not None:
+        typer.echo(f"{figure} written.")
+    else:
+        show(folder, conditions or [], sort, columns)
+
+
+def _run(
+    scene: str,
+    folder: Path,
+    vary: list[str],
+    overrides: list[str],
+    seeds: int | None,
+    zipped: bool | None,
+    workers: int | None,
+    cluster: str | None,
+    force: bool,
+    quiet: bool,
+) -> SweepEnding:
+    from carom.extend import command_line, needing
+    from carom.lab.sweep.plan import plan
+    from carom.lab.sweep.sweep import sweep as make
+
+    if cluster is not None:
+        with needing("cluster", "carom sweep --cluster", "distributed", "dask"):
+            import carom.lab.sweep.cluster  # noqa: F401
+    planned = plan(scene, overrides, vary, seeds, zipped)
+    with SweepProgress(planned.title, len(planned.points), quiet) as progress:
+        return make(planned, folder, progress, address=cluster, workers=workers, force=force, command=command_line())
+
+
+def _tell(ending: SweepEnding, folder: Path, figure: Path | None, as_json: bool) -> None:
+    """Describe how a sweep ended."""
+    if ending.untabled:
+        typer.echo(f"carom: {ending.untabled}", err=True)
+    if as_json:
+        say_json(_document(ending, figure))
+        return
+    runs = ending.manifest.asked
+    done = len(runs) - len(ending.failed) - ending.left
+    there = f", {ending.found} of them before" if ending.found else ""
+    typer.echo(f"{done} of {len(runs)} runs done{there}; {folder / 'manifest.json'}")
+    for what, count in (("failed", len(ending.failed)), ("missed a promise", len(ending.missed))):
+        if count:
+            typer.echo(f"{count} {what}")
+    if figure is not None:
+        typer.echo(f"{figure} written.")
+    if ending.left:
+        why = f"{ending.stopped}: " if ending.stopped else ""
+        typer.echo(f"carom: {why}{ending.left} runs remain; run the same command again to continue", err=True)
+    typer.echo(f"next: {command('sweep', '--table', folder)}")
+
+
+def _document(ending: SweepEnding, figure: Path | None) -> dict[str, Any]:
+    from dataclasses import asdict
+
+    return {
+        "ok": ending.ok,
+        "runs": len(ending.manifest.asked),
+        "found": ending.found,
+        "failed": [run.name for run in ending.failed],
+        "missed": [run.name for run in ending.missed],
+        "left": ending.left,
+        "stopped": ending.stopped,
+        "units": ending.manifest.plan.units,
+        "folder": str(ending.manifest.folder.root),
+        "figure": str(figure) if figure else None,
+        "entries": [asdict(run) for run in ending.manifest.asked],
+    }
+
+
+PIPE_WIDTH = 160  # characters of the table where the output is not a terminal
+SHOWN = ("energy.final", "energy.max_error", "contacts.total", "contacts.max_overlap", "wall_time")
+
+
+def show(folder: Path, conditions: list[str], sort: str | None, columns: str | None) -> None:
+    """Print the table of a sweep."""
+    from rich import box
+    from rich.markup import escape
+    from rich.table import Table
+
+    from carom.extend import Terminal
+    from carom.lab.sweep.sweep_table import chosen
+
+    rows, stored = _rows(folder)
+    keys = _keys(rows, stored, sort, columns or ",".join(key for key in SHOWN if key in rows[0]))
+    found = chosen(rows, conditions, sort)
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
+    for key in keys:
+        table.add_column(key, justify="right" if _is_numeric(rows, key) else "left", overflow="fold")
+    for row in found:
+        table.add_row(*(escape(_cell(row, key)) for key in keys), style=None if row["status"] == "done" else "red")
+    console = Terminal(markup=True)
+    if not console.is_terminal:
+        console.width = PIPE_WIDTH
+    console.print(escape(stored["title"]))
+    console.print(table)
+    counts = f"{len(found)} of {len(rows)} runs" if len(found) < len(rows) else f"{len(rows)} runs"
+    console.print(f"{counts}; recordings in {folder / 'runs'}, all columns in {folder / 'table.csv'}", soft_wrap=True)
+
+
+def print_json(folder: Path, conditions: list[str], sort: str | None, columns: str | None) -> None:
+    """Print the rows of a sweep as JSON, with all columns or with those of the table."""
+    from carom.lab.sweep.sweep_table import chosen
+
+    rows, stored = _rows(folder)
+    found = chosen(rows, conditions, sort)
+    if columns:
+        keys = _keys(rows, stored, sort, columns)
+        found = [{key: row[key] for key in keys} for row in found]
+    say_json({"title": stored["title"], "units": stored.get("units"), "varied": stored["varied"], "rows": found})
+
+
+def _keys(rows: list[Row], stored: dict[str, Any], sort: str | None, columns: str) -> list[str]:
+    """Return the columns of a table: varied keys, requested columns, the sort key, and the outcome."""
+    from carom.lab.sweep.sweep_table import known
+
+    wanted = [known(key, rows) for key in columns.split(",") if key]
+    sorted_by = [known(sort.removeprefix("-"), rows)] if sort else []
+    return list(dict.fromkeys([*stored["varied"], *wanted, *sorted_by, "outcome"]))
+
+
+def refuse_plot(plot: tuple[str, str]) -> None:
+    """Refuse an impossible figure before anything is computed."""
+    _axes(plot)
+    with needing("plot", "carom sweep --plot", "matplotlib"):
+        import matplotlib  # noqa: F401
+
+
+def draw(folder: Path, plot: tuple[str, str], conditions: list[str]) -> Path:
+    """Draw a figure into the sweep's folder; return its path."""
+    from carom.lab.sweep.sweep_table import chosen, figure, known
+
+    x, y = _axes(plot)
+    rows, stored = _rows(folder)
+    path = folder / f"{y}-over-{x}.png"
+    with needing("plot", "carom sweep --plot", "matplotlib"):
+        figure(chosen(rows, conditions, None), known(x, rows), known(y, rows), stored["varied"], stored["title"], path)
+    return path
+
+
+def serve(folder: Path) -> None:
+    """Serve a sweep's recordings to the viewer until the user closes it or presses Ctrl-C.
+
+    Rerun's server has no password. Before libraries start threads, this process and its viewer therefore move into a
+    network namespace that other users of the machine cannot reach. Without a screen, the server accepts viewers
+    elsewhere.
+    """
+    from carom.extend import keeper
+
+    alone = keeper.has_screen() and not keeper.screen_is_remote() and keeper.isolate()
+    from carom.lab.sweep.manifest import Folder, stored_runs
+
+    with needing("catalog", "carom sweep --catalog", "datafusion", "pandas"):
+        from carom.extend import serve_catalog
+    paths = [folder / run.file for run in stored_runs(Folder(folder)) if run.file.startswith("runs/")]
+    serve_catalog(folder.resolve().name, paths, typer.echo, alone)
+
+
+def _rows(folder: Path) -> tuple[list[Row], dict[str, Any]]:
+    """Return the rows of a sweep, and its manifest."""
+    from carom.lab.sweep.manifest import Folder, read, stored_runs
+    from carom.lab.sweep.sweep_table import rows_of
+
+    return rows_of(stored_runs(Folder(folder))), read(Folder(folder))
+
+
+def _axes(plot: tuple[str, str]) -> tuple[str, str]:
+    from carom.errors import ExperimentError
+
+    given = dict(part.partition("=")[::2] for part in plot)
+    if set(given) != {"x", "y"} or not all(given.values()):
+        raise ExperimentError(f"--plot {' '.join(plot)}: expected x=KEY y=KEY, as x=contact.restitution y=energy.final")
+    return given["x"], given["y"]
+
+
+def _is_numeric(rows: list[Row], key: str) -> bool:
+    return all(isinstance(row[key], (int, float)) for row in rows if row[key] is not None)
+
+
+def _cell(row: Row, key: str) -> str:
+    value: Any = row[key]
+    if value is None:
+        return ""
+    return f"{value:.6g}" if isinstance(value, float) else str(value)

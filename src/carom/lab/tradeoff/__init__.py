@@ -1,1 +1,370 @@
-"""Accuracy against cost: measuring and searching the settings of a scene."""
+"""`carom tradeoff`: the measured cost of accuracy in a scene; `carom tune`: the cheapest setting within limits."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Collection
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from carom.extend import TIME, SceneArgument, SetOption, ThreadsOption, command, say, say_json
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from carom.extend import UnitSystem
+    from carom.lab.compared_run import Setting
+    from carom.lab.tradeoff.settings_grid import SettingResult
+    from carom.lab.tradeoff.tradeoff import Study, Teller
+    from carom.lab.tradeoff.tune import Tuning
+
+VaryOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--vary",
+        metavar="KEY=A,B,C",
+        help="Values of a scene key (list or range, as for `carom sweep`), of `step` (a factor on the step) or of "
+        "`threads`. Repeat it for combinations. Default: about a dozen settings that matter for the scene.",
+    ),
+]
+RepeatsOption = Annotated[int, typer.Option("--repeats", metavar="N", help="Time each setting N times.", min=1)]
+EngineOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--engine",
+        metavar="A,B,C",
+        help="Compare with other engines on the same scene: rebound, mujoco, box3d, pybullet, newton. Needs their "
+        "packages.",
+    ),
+]
+LimitOption = Annotated[
+    float | None,
+    typer.Option(
+        "--limit",
+        metavar="SECONDS",
+        help="Limit of the CPU time of each run, and of the time of a reference, in seconds. Default: none; settings "
+        "not chosen with --vary stop after about 10⁶ steps.",
+        min=0.0,
+    ),
+]
+COLUMNS = {
+    "position": "position",
+    "velocity": "velocity",
+    "impact": "impact time",
+    "missed": "missed",
+    "energy": "energy",
+    "energy_gain": "gain",
+    "momentum": "momentum",
+    "overlap": "overlap",
+    "sinking": "sinking",
+    "impacts": "impact count",
+    "size": "size",
+    "dispersion": "dispersion",
+}
+TO_THE_HORIZON = ("position", "velocity", "impact", "missed")  # errors that are compared only up to the horizon
+STATISTICS = ("size", "dispersion")  # errors that are compared to the end of the reference
+STOPPED = "carom: stopped; the measurements are kept, and the same command continues"
+PIPE_WIDTH = 320  # characters of the table where the output is not a terminal
+ADVICE = "start over with --new-study, or choose another folder with --study"
+
+
+def tradeoff_command(
+    scene: SceneArgument,
+    vary: VaryOption = None,
+    engines: EngineOption = None,
+    repeats: RepeatsOption = 3,
+    limit: LimitOption = None,
+    folder: Annotated[
+        Path | None,
+        typer.Option("-o", "--output", metavar="DIR", help="Folder of the study. Default: recordings/tradeoff/SCENE."),
+    ] = None,
+    overrides: SetOption = None,
+    threads: ThreadsOption = None,
+    force: Annotated[bool, typer.Option("--force", help="Start over and replace the existing study.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+) -> None:
+    """Measure cost and errors of a scene's settings, and show which settings no other beats.
+
+    Measurements are kept; the same command continues where it stopped.
+    """
+    from carom.lab.engines import engines_called
+    from carom.lab.tradeoff.settings_grid import default_settings
+
+    others = engines_called(engines or ())
+    study, settings = opened(scene, vary, folder, overrides, threads, force, limit)
+    wanted = default_settings(study.scene) if settings is None else settings
+    wanted += [setting for engine in others for setting in engine.settings(study.scene)]
+    finished = ran(lambda tell: study.measure(wanted, repeats, tell), quiet=as_json)
+    if as_json:
+        say_json(study.document())
+    else:
+        _show(study)
+    _draw(study, quiet=as_json)
+    if not finished:
+        say(STOPPED, err=True)
+        raise typer.Exit(1)
+
+
+def opened(
+    source: str,
+    vary: list[str] | None,
+    folder: Path | None,
+    overrides: list[str] | None,
+    threads: int | None,
+    anew: bool,
+    limit: float | None,
+    advice: str | None = None,
+) -> tuple[Study, list[Setting] | None]:
+    """Open or begin the study of a scene; return it with the settings of ``--vary`` (None without)."""
+    from carom import Scene
+    from carom.lab.tradeoff.settings_grid import vary as grid
+    from carom.lab.tradeoff.tradeoff import ADVICE, Study
+
+    scene = Scene.load(source, overrides)
+    settings = grid(scene, vary) if vary else None
+    where = folder or Path("recordings/tradeoff") / Path(source).stem
+    most = math.inf if limit is None else limit
+    study = Study(
+        scene, where, threads=threads, force=anew, advice=advice or ADVICE, limit=most, bounded=settings is None
+    )
+    return study, settings
+
+
+def ran(measure: Callable[[Teller], object], *, quiet: bool) -> bool:
+    """Measure, and print the progress; return False if the interrupt key stopped it."""
+    from rich.markup import escape
+
+    from carom.extend import Terminal, announce_compilation
+
+    if not quiet:
+        announce_compilation()
+    console = Terminal(stderr=True, quiet=quiet, markup=True)
+    try:
+        if console.is_terminal:
+            with console.status("") as status:
+                measure(lambda text: status.update(escape(text)))
+        else:
+            measure(lambda text: console.print(escape(text), soft_wrap=True))
+    except KeyboardInterrupt:
+        return False
+    return True
+
+
+def _draw(study: Study, quiet: bool) -> None:
+    """Write the figure and the recording beside the document; print their paths, or why there is none."""
+    from carom.errors import ExperimentError
+    from carom.lab.tradeoff.tradeoff import DOCUMENT, FIGURE, OVERLAY
+    from carom.lab.tradeoff.tradeoff_figure import draw, record
+
+    if not any(result.complete for result in study.results):
+        return
+    said = [str(study.folder / DOCUMENT)]
+    figure, recording = study.folder / FIGURE, study.folder / OVERLAY
+    try:
+        draw(study.document(), figure, study.scene.unit_system)
+        said.append(str(figure))
+    except ExperimentError as error:
+        said.append(f"no figure: {error}")
+    record(study, recording)
+    if not quiet:
+        say("  ".join([*said, command("view", recording)]))
+
+
+def _show(study: Study) -> None:
+    from rich.markup import escape
+
+    from carom.extend import Terminal
+
+    console = Terminal(markup=True)
+    if not console.is_terminal:
+        console.width = PIPE_WIDTH
+    console.print(table_of(study))
+    reference = study.reference
+    if reference is None:
+        return
+    console.print(f"Reference, {escape(reference.text)}.", soft_wrap=True)
+    end, horizon, units = study.scene.time.duration, reference.horizon, study.scene.unit_system
+    console.print(
+        f"Positions are compared up to the horizon, {units.text(horizon, TIME)} of {units.text(end, TIME)}, where it "
+        f"is certain to {study.floor('position'):.1e} of the size and {study.floor('velocity'):.1e} of the speed.",
+        soft_wrap=True,
+    )
+    console.print(_legend(study.noise), soft_wrap=True)
+    for result in study.results:
+        if result.reason:
+            status = "" if result.status == "stopped" else f"{result.status}: "
+            console.print(f"{escape(result.setting.name)}: {status}{escape(result.reason)}", soft_wrap=True)
+
+
+def _legend(noise: float) -> str:
+    if not noise:
+        return (
+            "[bold]●[/bold] no other setting is as accurate and cheaper. Each was run once, so the noise of the costs "
+            "is unknown."
+        )
+    return (
+        "[bold]●[/bold] no other setting is as accurate and as cheap; ○ another may be, within the noise of the costs "
+        "or the uncertainty of the reference; no mark: another one is. Costs are medians ± half their range; their "
+        f"noise is half the range, or {noise:.0%} where that is more."
+    )
+
+
+def table_of(study: Study, errors: Collection[str] = tuple(COLUMNS)) -> Table:
+    """Make the table of a study, cheapest first, with a column for each of some errors."""
+    from rich import box
+    from rich.markup import escape
+    from rich.table import Table
+
+    from carom.lab.tradeoff.reference import NAMES
+
+    done = sorted((r for r in study.results if r.errors is not None), key=lambda r: (math.isnan(r.cost), r.cost))
+    shown = [
+        e for e in NAMES if e in COLUMNS and e in errors and any(not math.isnan(getattr(r.errors, e)) for r in done)
+    ]
+    marks = {error: study.marks(error) for error in shown}
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
+    for heading in ("setting", "cost / s", "±", "steps", *(_heading(study, error) for error in shown)):
+        table.add_column(heading, no_wrap=True, justify="left" if heading == "setting" else "right")
+    for result in done:
+        name = result.setting.name
+        cells = [_cell(result, error, marks[error].get(name, ""), study.scene.unit_system) for error in shown]
+        cost = (f"{result.cost:.3g}", f"{result.spread:.0%}") if result.costs else ("", "")
+        table.add_row(escape(name), *cost, str(result.steps), *cells)
+    for result in study.results:
+        if result.errors is None:
+            steps = str(result.steps) if result.status == "stopped" else ""
+            table.add_row(escape(result.setting.name), result.status, "", steps)
+    return table
+
+
+def _heading(study: Study, error: str) -> str:
+    """Return the heading of a column, with its unit and the time up to which positions are compared."""
+    units, reference = study.scene.unit_system, study.reference
+    unit = units.unit(TIME) if error == "impact" else ""
+    heading = f"{COLUMNS[error]} / {unit}" if unit else COLUMNS[error]
+    if reference is not None and not reference.is_complete and error in TO_THE_HORIZON:
+        heading += f" up to {units.text(reference.horizon, TIME)}"
+    if reference is not None and not reference.whole and error in STATISTICS:
+        heading += f" up to {units.text(float(reference.trajectory.time[-1]), TIME)}"
+    return heading
+
+
+def _cell(result: SettingResult, error: str, mark: str, units: UnitSystem) -> str:
+    value = getattr(result.errors, error)
+    value = units.shown(value, TIME) if error == "impact" else value
+    if math.isnan(value):
+        return ""
+    text = f"{value:.0f}" if error == "missed" else f"{value:.1e}" if value else "0"
+    return f"[bold]{text} ●[/bold]" if mark == "front" else f"{text} {'○' if mark == 'near' else ' '}"
+
+
+def tune_command(
+    scene: SceneArgument,
+    error: Annotated[
+        list[str],
+        typer.Option(
+            "--error", metavar="NAME=LIMIT", help="Limit of an error, such as energy=1e-4 or position=1e-3. Repeatable."
+        ),
+    ],
+    output: Annotated[
+        Path | None,
+        typer.Option("-o", "--output", metavar="FILE", help="Scene file to write. Default: SCENE-tuned.toml."),
+    ] = None,
+    vary: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--vary",
+            metavar="KEY=A,B,C",
+            help="Measure only these values and their combinations, as for `carom tradeoff`. Default: search for the "
+            "cheapest setting, the step and one key after the other.",
+        ),
+    ] = None,
+    repeats: RepeatsOption = 3,
+    limit: LimitOption = None,
+    folder: Annotated[
+        Path | None,
+        typer.Option("--study", metavar="DIR", help="Folder of the measurements, as for `carom tradeoff`."),
+    ] = None,
+    overrides: SetOption = None,
+    threads: ThreadsOption = None,
+    force: Annotated[bool, typer.Option("--force", help="Replace an existing FILE; keep the study.")] = False,
+    new_study: Annotated[
+        bool, typer.Option("--new-study", help="Measure everything again and replace the existing study.")
+    ] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+) -> None:
+    """Find the cheapest setting that keeps every error limit, and write it as a scene file.
+
+    The search starts from about a dozen settings. It then changes the step, and one key at a time, until nothing
+    improves. It leaves out settings whose recording would have fewer frames. Measurements are kept; the same command
+    continues where it stopped.
+    """
+    from carom.extend import refuse_scene_output
+    from carom.lab.tradeoff.tune import limits, stopped, tuned, write
+
+    asked = limits(error)
+    path = output or Path(f"{Path(scene).stem}-tuned.toml")
+    refuse_scene_output(path, scene, force)
+    study, settings = opened(scene, vary, folder, overrides, threads, new_study, limit, ADVICE)
+    found: list[Tuning] = []
+    finished = ran(lambda tell: found.append(tuned(study, asked, repeats, tell, settings)), quiet=as_json)
+    if not as_json:
+        _show_tuning(study, asked)
+    if not finished:
+        if as_json:
+            say_json(stopped(study, asked))
+        say(STOPPED, err=True)
+        raise typer.Exit(1)
+    (tuning,) = found
+    if tuning.best is not None:
+        write(tuning, path)
+    if as_json:
+        document = tuning.document() | {"file": str(path) if tuning.best else None}
+        say_json(document)
+    elif tuning.best is not None:
+        say("\n".join([*_tuning_lines(tuning), f"Written to {path}. The measurements stay in {study.folder}."]))
+    if tuning.best is None:
+        said = f"none of the {len(tuning.tried)} settings tried keeps {', '.join(error)}: {tuning.why_none()}"
+        say(f"carom: {said}", err=True)
+        raise typer.Exit(1)
+
+
+def _show_tuning(study: Study, limits: Collection[str]) -> None:
+    from carom.extend import Terminal
+
+    console = Terminal(markup=True)
+    if not console.is_terminal:
+        console.width = PIPE_WIDTH
+    console.print(table_of(study, limits))
+
+
+def _extent(tuning: Tuning, errors: Collection[str]) -> str:
+    """Return the time up to which errors are compared with the reference, if it is not the end of the scene."""
+    reference, units = tuning.study.reference, tuning.study.scene.unit_system
+    compared = {*TO_THE_HORIZON, *(() if reference is None or reference.whole else STATISTICS)}
+    if reference is None or reference.is_complete or not compared & set(errors):
+        return ""
+    return f" (compared with the reference up to t = {units.text(reference.horizon, TIME)} only)"
+
+
+def _tuning_lines(tuning: Tuning) -> list[str]:
+    """Describe the best settings: their gain in speed over the scene as written, and what they make worse."""
+    best, written = tuning.best, tuning.written
+    assert best is not None and best.errors is not None, "something was found"
+    lines = [f"The cheapest of {len(tuning.tried)} settings tried: {best.setting.name}, {best.cost:.3g} s."]
+    if written.costs and best is not written:
+        missed = tuning.misses(written)
+        but = f", which misses {', '.join(missed)}" if missed else ""
+        lines.append(f"It is {tuning.speed:.2g} times as fast as the original scene ({written.cost:.3g} s{but}).")
+    kept = [f"{name} {getattr(best.errors, name):.2g} (limit {limit:.2g})" for name, limit in tuning.limits.items()]
+    lines.append(f"It keeps {', '.join(kept)}{_extent(tuning, tuning.limits)}.")
+    changes = tuning.worse()
+    worse = [f"{COLUMNS.get(name, name)} {after:.2g} (was {before:.2g})" for name, (before, after) in changes.items()]
+    if worse:
+        lines.append(f"Worse than the original scene: {', '.join(worse)}{_extent(tuning, changes)}.")
+    if (passed := tuning.passed_over) is not None:
+        frames = f"a recording would have {', '.join(tuning.misses(passed))}"
+        lines.append(f"Cheaper, but rejected: {passed.setting.name}, {passed.cost:.3g} s; {frames}.")
+    return lines

@@ -13,9 +13,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from carom import Space
-from carom.errors import ExperimentError
+from carom.errors import ExperimentError, install_extra
 from carom.extend import SI, TIME, UnitSystem, overlays, whole_file
-from carom.install import install_extra
 from carom.lab.compared_run import AS_WRITTEN
 from carom.lab.tradeoff.settings_grid import pareto_front
 from carom.lab.tradeoff.tradeoff import Study

@@ -1,1 +1,385 @@
-"""Why a body moves as it does: the impacts, contacts and forces that caused its velocity, from a rerun window."""
+"""`carom why`: the impacts, contacts and forces that gave a body its velocity, and their causes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import numpy as np
+import typer
+
+from carom.extend import (
+    ENERGY,
+    IMPULSE,
+    TIME,
+    VELOCITY,
+    ForceOption,
+    JsonOption,
+    OptionalTime,
+    RecordingArgument,
+    command,
+    counted,
+    recording_option,
+    say,
+    say_json,
+    seconds,
+    simulated_or_none,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from carom import Recording
+    from carom.arrays import FloatArray
+    from carom.extend import Names, UnitSystem
+    from carom.lab.why.account import Account, Cause
+    from carom.lab.why.why import Answer
+
+
+MOST_CAUSES = 12  # printed causes of a body; --json has all
+MOST_EDGES = 8
+_ROUNDED = 1e-3  # of the largest change of velocity in an account: smaller parts that no contact explains are rounding
+_OF_ENGINE = (
+    "Impulses are the engine's contact forces times the time between frames; what they leave of a velocity's change"
+)
+
+
+def why_command(
+    file: RecordingArgument,
+    body: Annotated[
+        str | None, typer.Option("--body", metavar="N|NAME", help="The body whose velocity is in question.")
+    ] = None,
+    at: Annotated[
+        OptionalTime,
+        typer.Option("--at", parser=seconds, metavar="T", help="Time of the question. Default: the end."),
+    ] = None,
+    event: Annotated[
+        str | None,
+        typer.Option(
+            "--event",
+            metavar="EVENT",
+            help="Explain why two bodies touch: an event that `carom inspect` lists, or impact:N for the Nth impact.",
+        ),
+    ] = None,
+    start: Annotated[
+        OptionalTime,
+        typer.Option(
+            "--from",
+            parser=seconds,
+            metavar="T",
+            help="Trace causes back to this time. Default: as far as a few seconds of computing allow.",
+        ),
+    ] = None,
+    output: Annotated[Path | None, recording_option("Write a recording of the causes for the viewer.")] = None,
+    force: ForceOption = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Explain why a body moves as it does, or why two bodies touch: the chain of causes, backwards.
+
+    The steps before the moment are run again, so any recording will do; one of another engine needs the forces of its
+    contacts. FILE may be the zip of `carom report`.
+    """
+    from carom import Recording
+    from carom.extend import names_of, opened, refuse_itself, refuse_output, replaying
+    from carom.lab.why.history import question_of
+    from carom.lab.why.why import why as answer_to
+
+    if output is not None:
+        refuse_itself(output, file)
+        refuse_output(output, force)
+    with opened(file) as path:
+        recording = Recording.open(path)
+        recording.refuse_overlay()
+        units = recording.units
+        question = question_of(recording, body, simulated_or_none(at, units), event)
+        with replaying(recording) as watch:
+            answer = answer_to(recording, question, simulated_or_none(start, units), watch)
+        names = names_of(recording)
+        if output is not None:
+            write_answer(output, recording, answer, _markdown(answer, names, units))
+        if as_json:
+            say_json(_document(answer, names, units))
+        else:
+            _print(answer, names, units, file, next(iter(recording.checkpoint_times)))
+            if output is not None:
+                say(f"{output} written; {command('view', output)}")
+
+
+def _document(answer: Answer, names: Names, units: UnitSystem) -> dict[str, Any]:
+    question, cone = answer.question, answer.cone
+    return {
+        "units": units.recorded,
+        "question": {
+            "text": question.text,
+            "bodies": list(question.bodies),
+            "ends": None if question.ends is None else list(question.ends),
+            "event": question.event,
+            "time": answer.time,
+            "step": answer.step,
+        },
+        "window": {"begin": answer.begin, "begin_step": answer.begin_step, "source": answer.source},
+        "answer": answer.kind,
+        "accounts": [_account_document(account, names, answer.knows_field) for account in answer.accounts],
+        "chain": [
+            {
+                "time": link.time,
+                "step": link.step,
+                "body": link.body,
+                "by": link.by,
+                "between": [names.of(link.by), names.of(link.body)],
+                "impulse": link.impulse,
+                "share": link.share,
+            }
+            for link in answer.chain
+        ],
+        "first_cause": {"body": answer.first_cause, "name": names.of(answer.first_cause)},
+        "cone": {
+            "closed": answer.closed.tolist(),
+            "bodies": [
+                {
+                    "body": int(b),
+                    "since": float(cone.since[b]),
+                    "start_share": float(cone.shares[b]),
+                    "forces_share": float(cone.from_forces[b]),
+                }
+                for b in answer.bodies
+            ],
+            "edges": [
+                {
+                    "i": edge.i,
+                    "j": edge.j,
+                    "first": edge.first,
+                    "last": edge.last,
+                    "impulse": edge.impulse,
+                    "impulses": edge.count,
+                    "share": edge.share,
+                }
+                for edge in answer.edges
+            ],
+        },
+    }
+
+
+def _account_document(account: Account, names: Names, knows_field: bool) -> dict[str, Any]:
+    return {
+        "body": account.body,
+        "name": names.of(account.body),
+        "mass": account.mass,
+        "velocity": account.velocity.tolist(),
+        "start_velocity": account.start_velocity.tolist(),
+        "by_contacts": account.by_contacts.tolist(),
+        "by_forces": account.by_forces.tolist(),
+        "unexplained": account.unexplained,
+        "rests": account.rests,
+        "start_share": account.start_share,
+        "forces_share": account.forces_share,
+        **({"by_gravity": account.by_field.tolist(), "gravity_share": account.field_share} if knows_field else {}),
+        "causes": [
+            {
+                "with": cause.partner,
+                "name": names.of(cause.partner),
+                "kind": cause.kind,
+                "first": cause.first,
+                "last": cause.last,
+                "step": cause.step,
+                "moment": cause.moment,
+                "impulse": cause.impulse.tolist(),
+                "impulse_size": cause.size,
+                "work": cause.work,
+                "share": cause.share,
+                "approach_speed": cause.approach_speed,
+                "energy_lost": cause.energy_lost,
+            }
+            for cause in account.causes
+        ],
+    }
+
+
+def _print(answer: Answer, names: Names, units: UnitSystem, file: Path, oldest: int) -> None:
+    """Print an answer; the recording's first checkpoint is of the step ``oldest``."""
+    from carom.extend import Terminal, tolerance
+
+    console = Terminal(soft_wrap=True)
+    console.print(answer.question.text, style="bold")
+    if answer.question.ends is None and abs(answer.time - answer.question.time) > tolerance(answer.question.time):
+        where = "between two exact states" if answer.engine else "within a step"
+        which = "the nearest one that is recorded" if answer.engine else "its end"
+        say(f"That is {where}; the answer is about {which}, t = {units.text(answer.time, TIME, '.9g')}.")
+    for account in answer.accounts:
+        say("")
+        for line in _summary(account, answer, names, units):
+            say(line)
+        _print_causes(account, names, units)
+    say("")
+    for line in _behind(answer, names, units):
+        say(line)
+    say(f"From t = {units.text(answer.begin, TIME, '.9g')} on, {answer.source}.")
+    if answer.engine:
+        also = ", without that of its uniform field," if answer.knows_field else ""
+        say(f"{_OF_ENGINE}{also} is due to forces, or to contacts that the engine does not report.")
+    if answer.begin_step > oldest:
+        say("Earlier causes were not examined; --from 0 goes back to the beginning.")
+    best = _to_look_at(answer)
+    if best is not None:
+        time, ends = best
+        pair = f"--bodies {ends[0]},{ends[1]}" if max(ends) < len(names.bodies) else ""
+        say(f"Look: {command('view', file, '--at', f'{units.shown(time, TIME):.9g}', *pair.split())}")
+
+
+def _summary(account: Account, answer: Answer, names: Names, units: UnitSystem) -> Iterator[str]:
+    """Describe the velocity and the terms of its sum."""
+    at, since = (units.text(time, TIME, ".9g") for time in (answer.time, answer.begin))
+    yield f"{names.of(account.body)}: {_speed(account.velocity, units)} at t = {at}, which is"
+    kinds = [cause.kind for cause in account.causes]
+    contacts = ", ".join(counted(kinds.count(kind), kind) for kind in ("impact", "stop", "contact") if kind in kinds)
+    forces = [(account.by_forces, account.forces_share, "no contact explains" if answer.engine else "forces gave it")]
+    if answer.knows_field:
+        rest, share = account.by_forces - account.by_field, account.forces_share - account.field_share
+        forces = [(account.by_field, account.field_share, "gravity gave it")]
+        if np.linalg.norm(rest) > _ROUNDED * account.fastest or share > _ROUNDED:
+            forces.append((rest, share, "no contact explains"))
+    parts = (
+        (account.start_velocity, account.start_share, f"it had at t = {since}"),
+        *forces,
+        (account.by_contacts, sum(cause.share for cause in account.causes), f"{contacts} gave it"),
+    )
+    for velocity, share, text in parts:
+        if velocity.any() or share:
+            yield f"  {_speed(velocity, units)}  {'' if account.rests else f'{share:5.0%}  '}{text}"
+
+
+def _speed(velocity: FloatArray, units: UnitSystem) -> str:
+    x, y, z = (units.shown(part, VELOCITY) for part in velocity.tolist())
+    unit = f" {units.unit(VELOCITY)}" if units.unit(VELOCITY) else ""
+    return f"{(x * x + y * y + z * z) ** 0.5:.4g}{unit} ({x:.3g}, {y:.3g}, {z:.3g})"
+
+
+def _print_causes(account: Account, names: Names, units: UnitSystem) -> None:
+    from rich.table import Table
+
+    from carom.extend import print_whole
+
+    if not account.causes:
+        return
+    table = Table(box=None, padding=(0, 1), header_style="bold")
+    table.add_column(units.labelled("look at t", TIME), justify="right", no_wrap=True)
+    table.add_column("with", no_wrap=True)
+    table.add_column("kind", no_wrap=True)
+    knows_losses = all(cause.energy_lost is not None for cause in account.causes)
+    measured = (("impulse", IMPULSE), ("work", ENERGY), *([("lost", ENERGY)] if knows_losses else []))
+    for column in (*(units.labelled(*each) for each in measured), *([] if account.rests else ["of the speed"])):
+        table.add_column(column, justify="right", no_wrap=True)
+    for cause in account.largest[:MOST_CAUSES]:
+        impulse, work = units.shown(cause.size, IMPULSE), units.shown(cause.work, ENERGY)
+        numbers = [f"{impulse:.4g}", f"{work:+.4g}"]
+        if cause.energy_lost is not None:
+            numbers.append(f"{units.shown(cause.energy_lost, ENERGY):.4g}")
+        numbers += [] if account.rests else [f"{cause.share:.1%}"]
+        time = f"{units.shown(cause.moment, TIME):.9g}"
+        table.add_row(time, names.of(cause.partner), _kind(cause, units), *numbers)
+    print_whole(table)
+    if len(account.causes) > MOST_CAUSES:
+        say(f"  … and {len(account.causes) - MOST_CAUSES} more; for all, use --json.")
+
+
+def _markdown(answer: Answer, names: Names, units: UnitSystem) -> str:
+    """Write the answer for the viewer."""
+    lines = [f"## {answer.question.text}", ""]
+    for account in answer.accounts:
+        lines += [f"{line}  " for line in _summary(account, answer, names, units)]
+        lines.append("")
+        for cause in account.largest[:MOST_EDGES]:
+            lines.append(
+                f"- {'' if account.rests else f'{cause.share:.1%}: '}{_kind(cause, units)}, {names.of(cause.partner)}, "
+                f"{units.text(cause.size, IMPULSE, '.3g')}, t = {units.text(cause.moment, TIME, '.9g')}"
+            )
+        lines.append("")
+    return "\n".join([*lines, *(f"{line}  " for line in _behind(answer, names, units))])
+
+
+def _kind(cause: Cause, units: UnitSystem) -> str:
+    if cause.last == cause.first and (cause.lasts or not cause.holds):
+        return cause.kind
+    return f"{cause.kind} for {units.text(cause.last - cause.first, TIME, '.3g')}"
+
+
+def _behind(answer: Answer, names: Names, units: UnitSystem) -> Iterator[str]:
+    """Describe the causes of the impulses: a chain of impacts, a flow over contacts, or neither."""
+    cone = answer.cone
+    others = len(answer.bodies) - len(answer.question.bodies)
+    resting = [account for account in answer.accounts if account.rests]
+    if answer.is_flow:
+        at_rest = f"hold {' and '.join(names.of(account.body) for account in resting)} still"
+        yield (
+            f"Contacts {at_rest if resting else 'at rest gave it more than impacts'}, so no single impact is the "
+            "cause; the answer is a flow of impulse over contacts."
+        )
+        edges = sorted(answer.edges, key=lambda edge: -edge.impulse) if resting else answer.edges
+        for edge in edges[:MOST_EDGES]:
+            between = names.pair((edge.i, edge.j))
+            impulse = units.text(edge.impulse, IMPULSE, ".4g")
+            share = "" if resting else f"{edge.share:6.1%}  "
+            yield f"  {share}{between}: {impulse} in {counted(edge.count, 'impulse')}"
+    elif answer.chain:
+        yield "The chain of causes, backwards:"
+        what = "the velocity" if len(answer.question.bodies) == 1 else "both velocities"
+        for link in answer.chain:
+            yield (
+                f"  t = {units.text(link.time, TIME, '.9g')}: {names.of(link.by)} hits {names.of(link.body)}, "
+                f"{units.text(link.impulse, IMPULSE, '.4g')}; {link.share:.1%} of {what} came this way"
+            )
+        first = answer.first_cause
+        given = "already had its velocity, or gained it from forces"
+        yield f"  {names.of(first)} {given}: it is the first cause."
+    else:
+        passed = cone.passed_to(answer.question.bodies)
+        each = f", none of them more than {max(passed):.1%}" if len(passed) > 1 else ""
+        yield (
+            f"There is no chain of causes: {counted(len(passed), 'impact')} passed on {sum(passed):.1%} of the "
+            f"velocity from other bodies{each}."
+        )
+    forces = float(cone.from_forces.sum())
+    left = float(cone.shares.sum())
+    bodies = f"{counted(others, 'other body')} of {cone.count - 1}" if others else "no other body"
+    yield f"In all, {bodies} could have had an effect through contacts."
+    since = units.text(answer.begin, TIME, ".9g")
+    if len(resting) == len(answer.accounts):
+        return
+    further = "what no contact explains" if answer.engine else "forces since then"
+    if answer.knows_field:
+        further = f"gravity and {further}"
+    yield f"Overall contributions: velocities at t = {since} {left:.0%}, {further} {forces:.0%}."
+
+
+def _to_look_at(answer: Answer) -> tuple[float, tuple[int, int]] | None:
+    causes = [(cause, account) for account in answer.accounts for cause in account.causes]
+    if not causes:
+        return None
+    cause, account = max(causes, key=lambda found: found[0].share)
+    low, high = sorted((account.body, cause.partner))
+    return cause.moment, (low, high)
+
+
+def write_answer(out: Path, recording: Recording, answer: Answer, text: str) -> None:
+    """Write the bodies and contacts behind an answer. Raises RecordingError if they cannot be written."""
+    from carom.extend import CauseEdge, Causes, write_causes
+
+    cone = answer.cone
+    edges = [
+        CauseEdge(edge.i, edge.j, edge.first, edge.share, edge.impulse, edge.last)
+        for edge in answer.edges
+        if edge.j < cone.count
+    ]
+    write_causes(
+        out,
+        recording,
+        Causes(
+            title=answer.question.text,
+            text=text,
+            begin=answer.begin,
+            end=answer.time,
+            asked=answer.question.bodies,
+            share=cone.shares + cone.from_forces,
+            edges=edges,
+        ),
+    )

@@ -32,7 +32,7 @@ from carom.recording.schema.header import Header, TimeScale
 from carom.recording.schema.paths import SIM_TIME, STEP
 
 if TYPE_CHECKING:
-    from carom.show.body_plots import BodyPlots
+    from carom.show.supplement import BodyPlots
 
 OF_LATE = 1 / 300  # fraction of the duration for which an impact stays visible
 

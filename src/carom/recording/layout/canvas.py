@@ -23,9 +23,9 @@ from carom.recording.schema.paths import MOVING, PERIODIC_BOX, PLANES, SHAPES, W
 
 if TYPE_CHECKING:
     from carom.recording.layout.plot_views import Curves
-    from carom.show.body_plots import BodyPlots
     from carom.show.close_up import CloseUp
     from carom.show.legend import Legend
+    from carom.show.supplement import BodyPlots
 
 
 SLOPE = float(np.tan(np.radians(55.0 / 2)))  # of the picture's upper border: Rerun's field of view is 55° high

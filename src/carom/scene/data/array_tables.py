@@ -1,13 +1,15 @@
-"""Files of named arrays: HDF5, read by h5py, and NumPy's .npz.
+"""Binary files of arrays: HDF5, NumPy's .npz, GSD of HOOMD-blue, and Simulationarchives of REBOUND.
 
-In HDF5, datasets may be anywhere in the file and are named by their names or full paths; Gadget snapshots are known. An
-.npz is only data: pickled objects are refused.
+The packages h5py, gsd and rebound read them. In HDF5, datasets may be anywhere in the file and are named by their names
+or full paths; Gadget snapshots are known. An .npz is only data: pickled objects are refused. A Simulationarchive also
+has the law of motion of its particles.
 """
 
 from __future__ import annotations
 
 import math
 import re
+import warnings
 import zipfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -16,18 +18,24 @@ from typing import IO, Any
 import numpy as np
 from numpy.lib import format as npy
 
-from carom.errors import SceneError
-from carom.install import install_extra
+from carom.arrays import FloatArray
+from carom.errors import SceneError, install_extra
 from carom.scene.data import (
     NUMBER,
+    Arrays,
     DataFormat,
     DataTable,
+    MotionLaw,
     Raw,
     periodic_note,
     refuse_bomb,
     refuse_large,
     refuse_many_rows,
+    step_at,
 )
+from carom.scene.data.mapping import printable
+from carom.scene.units.system import units_of_rebound
+from carom.scene.wording import counted
 
 _MOST_DATASETS = 10_000
 _MOST_NODES = 20_000  # groups and datasets; looking through them takes half a second
@@ -210,3 +218,182 @@ def _header(member: IO[bytes]) -> tuple[tuple[int, ...], np.dtype[Any]]:
 
 
 NPZ = DataFormat("an .npz file", open_npz)
+
+
+_CHUNKS = ("position", "velocity", "mass", "diameter", "angmom", "moment_inertia", "typeid", "charge", "orientation")
+
+
+def open_gsd(path: Path, called: str, snapshot: int) -> DataTable:
+    """Open a GSD file at one of its frames.
+
+    HOOMD omits data equal to the first frame's, and defaults: a mass or a diameter of 1, which the scene must state.
+    """
+    try:
+        from gsd import fl  # noqa: PLC0415 - an extra
+    except ModuleNotFoundError:
+        raise SceneError(f"{called}: GSD needs gsd: {install_extra('gsd')}") from None
+    with fl.open(str(path), "r") as file:
+        frames = int(file.nframes)
+        if file.schema != "hoomd":
+            raise SceneError(f'{called}: a GSD file of the schema "{file.schema[:40]}"; "hoomd" is needed')
+        frame = step_at(called, snapshot, frames)
+
+        def chunk(name: str) -> Any:
+            which = next((each for each in (frame, 0) if file.chunk_exists(each, name)), None)
+            return None if which is None else np.asarray(file.read_chunk(which, name))
+
+        count = chunk("particles/N")
+        if count is None:
+            raise SceneError(f"{called}: frame {frame} has no particles")
+        refuse_many_rows(called, int(count[0]))
+        refuse_bomb(called, 12 * int(count[0]), path.stat().st_size)
+        arrays: dict[str, Raw] = {
+            name: values for name in _CHUNKS if (values := chunk(f"particles/{name}")) is not None
+        }
+        box, step = chunk("configuration/box"), chunk("configuration/step")
+    table = Arrays(arrays, called)
+    table.notes = (
+        f"{called}: frame {frame} of HOOMD, step {0 if step is None else int(step[0])}, in single precision",
+        *(() if box is None else (periodic_note(called, box[:3].tolist()),)),
+    )
+    return table
+
+
+GSD = DataFormat("a GSD file", open_gsd)
+
+
+_GRAVITY = ("basic", "compensated", "tree", "jacobi", "mercurius", "trace")  # methods of summing the same forces
+_INTEGRATORS = {  # of REBOUND, by the names of the same methods
+    "ias15": "gauss-radau15",
+    "leapfrog": "leapfrog-dkd",
+    "whfast": "wisdom-holman",
+}
+_CHOOSING = ("ias15", "bs", "none")  # integrators without a fixed step
+_FUNCTIONS = "function pointers"  # in the warning about an archive of a simulation with functions of its program
+_DAMAGED = "corrupted"  # in the warning about a truncated archive
+_KNOWN = (
+    "test particle (type 0) has finite mass",
+    "might not be synchronized",
+)  # warnings about cases that are handled here
+
+
+def open_rebound(path: Path, called: str, snapshot: int) -> DataTable:
+    """Open a Simulationarchive at one of its snapshots."""
+    rebound = _package(called)
+    with warnings.catch_warnings(record=True) as given:
+        warnings.simplefilter("always")
+        archive = rebound.Simulationarchive(str(path))
+        count = len(archive)
+        if not -count <= snapshot < count:
+            span = f"from t = {archive.tmin:g} to {archive.tmax:g}" if count > 1 else f"of t = {archive.tmin:g}"
+            raise SceneError(f"{called}: there is no snapshot {snapshot}; the file has {count}, {span}")
+        simulation = archive[snapshot % count]
+        simulation.synchronize()  # between outputs, symplectic maps hold positions and velocities of different times
+    texts = list(dict.fromkeys(str(warning.message) for warning in given))
+    notes = [
+        f"REBOUND warns: {text.splitlines()[0]}"
+        for text in texts
+        if not any(known in text for known in (_DAMAGED, _FUNCTIONS, *_KNOWN))
+    ]
+    if count > 1:
+        notes.append(f"snapshot {snapshot % count} of {count} (from 0), t = {simulation.t:g}, is read")
+    if any(_FUNCTIONS in text for text in texts):
+        notes.append(
+            "functions of its program (additional_forces, collision_resolve, REBOUNDx …) are not in an archive: what "
+            "they do is missing here"
+        )
+    if any(_DAMAGED in text for text in texts):
+        which = f"of {counted(count, 'intact snapshot')} number {snapshot % count}, t = {simulation.t:g}, is read"
+        notes.insert(0, f"the file is damaged or ends early; {which}")
+    if simulation.gravity not in (*_GRAVITY, "none"):
+        raise SceneError(f'{called}: its gravity is "{printable(str(simulation.gravity))}", which carom lacks')
+    if simulation.boundary not in ("none", "open", "periodic"):
+        raise SceneError(f'{called}: its boundary is "{printable(str(simulation.boundary))}", which carom lacks')
+    if simulation.boundary == "open":
+        notes.append('boundary = "open": REBOUND removes bodies that leave its box, but carom keeps them')
+    refuse_many_rows(called, simulation.N)
+    if simulation.N_var:
+        notes.append(f"{counted(simulation.N_var, 'variational particle')} not used")
+    particles = len(simulation.particles)  # without variational particles, which N includes before version 5
+    table = Arrays(_arrays(simulation, particles, called, notes), called)
+    table.units = units_of_rebound(simulation.units)
+    table.law = MotionLaw(
+        constant=0.0 if simulation.gravity == "none" else float(simulation.G),
+        softening=float(simulation.softening),
+        box=_box(simulation),
+        collides=simulation.collision != "none",
+        integrated=_integrated(simulation),
+        integrator=_INTEGRATORS.get(str(simulation.integrator), ""),
+        ghosts=(int(simulation.N_ghost_x), int(simulation.N_ghost_y), int(simulation.N_ghost_z)),
+    )
+    table.notes = tuple(f"{called}: {note}" for note in notes)
+    return table
+
+
+def times_of(path: Path, called: str) -> list[float]:
+    """Return the times of the snapshots, in the units of the simulation."""
+    rebound = _package(called)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        archive = rebound.Simulationarchive(str(path))
+        return [float(archive.t[k]) for k in range(len(archive))]
+
+
+def _package(called: str) -> Any:
+    try:
+        import rebound  # noqa: PLC0415 - an extra
+    except ModuleNotFoundError:
+        raise SceneError(f"{called}: a Simulationarchive needs rebound: {install_extra('rebound')}") from None
+    return rebound
+
+
+def _box(simulation: Any) -> tuple[float, float, float] | None:
+    """Return the size of the periodic box; None if space is open."""
+    if simulation.boundary != "periodic":
+        return None
+    x, y, z = (float(simulation.root_size) * getattr(simulation, f"N_root_{axis}") for axis in "xyz")
+    return x, y, z
+
+
+def _integrated(simulation: Any) -> str:
+    """Return the integrator and its step in words."""
+    name = printable(str(simulation.integrator))
+    step = "" if name in _CHOOSING else f" with dt = {simulation.dt:g}"
+    return f'integrator = "{name}"{step}'
+
+
+def _arrays(simulation: Any, n: int, called: str, notes: list[str]) -> dict[str, Raw]:
+    """Return the particles, without radii or masses if these are all 0."""
+    everything = simulation.N
+    position, velocity = np.zeros((everything, 3)), np.zeros((everything, 3))
+    mass, radius = np.zeros(everything), np.zeros(everything)
+    simulation.serialize_particle_data(xyz=position, vxvyvz=velocity, m=mass, r=radius)
+    unnamed = getattr(simulation, "_N_name_list", 1) == 0  # REBOUND has names from version 5 on
+    names = [] if unnamed else [getattr(simulation.particles[k], "name", None) or "" for k in range(n)]
+    arrays: dict[str, Raw] = {"position": position[:n], "velocity": velocity[:n]}
+    arrays |= {"mass": _attracting(simulation, mass[:n], called, notes), "radius": radius[:n]}
+    there = {name: array for name, array in arrays.items() if array.any() or name == "position"}
+    return there | ({"name": np.array(names, dtype=object)} if any(names) else {})
+
+
+def _attracting(simulation: Any, mass: FloatArray, called: str, notes: list[str]) -> FloatArray:
+    """Return the attracting masses: those of REBOUND's test particles attract nothing."""
+    n, active = len(mass), int(simulation.N_active)
+    light = (
+        mass[active:] if 0 <= active < n else mass[n:]
+    )  # by default all are active: N_active is -1 or the largest integer
+    if not light.any():
+        return mass
+    if simulation.testparticle_type == 0:
+        few = counted(len(light), "test particle")
+        notes.append(f"N_active = {active}: {few}, whose masses do not attract, have mass 0 here")
+        return np.concatenate((mass[:active], np.zeros_like(light)))
+    if len(light) > 1:
+        raise SceneError(
+            f"{called}: testparticle_type = 1 with N_active = {active}: {len(light)} bodies attract the others but "
+            "not each other, which carom does not support; set N_active = -1 or testparticle_type = 0 in REBOUND"
+        )
+    return mass
+
+
+REBOUND = DataFormat("a Simulationarchive of REBOUND", open_rebound, times_of)

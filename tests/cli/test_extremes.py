@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from carom.cli.stress import attempt, extremes
 from carom.errors import SceneError
 from carom.physics.simulation import StepStatus
 from carom.physics.space import Space
 from carom.runs.outcome import judge
-from carom.runs.stress import attempt, extremes
 from carom.scene.schema import Scene
 from small_scenes import cloud
 
