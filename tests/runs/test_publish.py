@@ -276,7 +276,7 @@ def test_a_publication_that_fails_leaves_the_old_folder(
 
     carom("publish", run.name, "-o", "out", cwd=run.parent)
     before = {path.name: path.read_bytes() for path in (run.parent / "out").iterdir()}
-    monkeypatch.setattr(web, "write_page", fail)
+    monkeypatch.setattr("carom.runs.publish.write_page", fail)
     assert carom("publish", run.name, "-o", "out", "--force", cwd=run.parent).returncode != 0
     assert {path.name: path.read_bytes() for path in (run.parent / "out").iterdir()} == before
     assert sorted(path.name for path in run.parent.iterdir()) == ["my run.rrd", "out"]

@@ -13,7 +13,7 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -248,7 +248,13 @@ def replay(
         say(f"carom: the replay failed: {error}", err=True)
         raise typer.Exit(1) from None
     if as_json:
-        say_json(_document(result, units))
+        from dataclasses import asdict
+
+        written = None if result.dense is None else str(result.dense)
+        found = {"units": units.recorded, **asdict(result), "dense": written, "same": result.same}
+        if result.difference:
+            found["difference"]["unit"] = units.recorded_unit(result.difference.unit)
+        say_json(found)
     else:
         _print(result, units)
     if not result.same:
@@ -282,16 +288,6 @@ def _print(result: Replay, units: UnitSystem) -> None:
             say(f"{when} with {', '.join(f'{name} {version}' for name, version in sorted(packages.items()))}")
     if result.dense:
         say(f"Every step: {result.dense}")
-
-
-def _document(result: Replay, units: UnitSystem) -> dict[str, Any]:
-    from dataclasses import asdict
-
-    dense = None if result.dense is None else str(result.dense)
-    found = {"units": units.recorded, **asdict(result), "dense": dense, "same": result.same}
-    if result.difference:
-        found["difference"]["unit"] = units.recorded_unit(result.difference.unit)
-    return found
 
 
 NO_CACHE = "no cache folder is writable; set NUMBA_CACHE_DIR to a folder of your own"

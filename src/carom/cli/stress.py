@@ -123,7 +123,16 @@ def stress(
     except KeyboardInterrupt:  # between two runs; an interrupted run reports its own end
         pass
     if as_json:
-        say_json(_document(trials, scenes))
+        from carom.runs.environment import versions
+
+        say_json(
+            {
+                "met": sum(trial.met for trial in trials),
+                "asked": len(scenes),
+                "versions": versions(),
+                "extremes": [_entry(trial, scenes[trial.name].unit_system) for trial in trials],
+            }
+        )
     else:
         _show(trials, scenes)
     if sum(trial.met for trial in trials) < len(scenes):
@@ -195,17 +204,6 @@ def _worst(trial: Trial, units: UnitSystem) -> Table:
         when = f"t = {units.text(moment.time, TIME)}"
         table.add_row(f"  {what}", f"step {moment.step}", when, escape(moment.between), escape(look))
     return table
-
-
-def _document(trials: list[Trial], scenes: dict[str, Scene]) -> dict[str, Any]:
-    from carom.runs.environment import versions
-
-    return {
-        "met": sum(trial.met for trial in trials),
-        "asked": len(scenes),
-        "versions": versions(),
-        "extremes": [_entry(trial, scenes[trial.name].unit_system) for trial in trials],
-    }
 
 
 def _entry(trial: Trial, units: UnitSystem) -> dict[str, Any]:

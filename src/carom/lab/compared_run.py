@@ -303,7 +303,12 @@ class _Watch:
         if len(self.position) >= LATE * len(self._times):
             self._overlaps.append(graph.overlaps / self._space.state.ends.radius[graph.pairs].min(axis=1))
         if self._space.has_solution:
-            self._sample_solution(frame)
+            # the integrator's own solution within its last step
+            while len(self.position) < len(self._times) and self._times[len(self.position)] <= frame.time:
+                solution = self._space.between(float(self._times[len(self.position)]))
+                assert solution is not None
+                self.position.append(solution[0])
+                self.velocity.append(solution[1])
             return
         begin, x, v, a = self._before
         dt = frame.time - begin
@@ -329,14 +334,6 @@ class _Watch:
                 moved, velocity = way, frame.velocity
             self.position.append(x + moved)
             self.velocity.append(velocity)
-
-    def _sample_solution(self, frame: Frame) -> None:
-        """Evaluate the samples by the integrator's own solution within its last step."""
-        while len(self.position) < len(self._times) and self._times[len(self.position)] <= frame.time:
-            solution = self._space.between(float(self._times[len(self.position)]))
-            assert solution is not None
-            self.position.append(solution[0])
-            self.velocity.append(solution[1])
 
 
 class _Flight:

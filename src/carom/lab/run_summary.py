@@ -284,7 +284,15 @@ class Observation:
     def summary(self) -> dict[str, Any]:
         """The numbers that `carom inspect --json` prints, without those about the file."""
         space = self.space
-        closing = _nested(closing_summary(space, space.named_extremes(), self.verdicts))
+        # nest entries by the dots in their keys
+        properties = closing_summary(space, space.named_extremes(), self.verdicts)
+        closing: dict[str, Any] = {}
+        for key, value in properties.items():
+            *path, last = key.split(".")
+            node = closing
+            for name in path:
+                node = node.setdefault(name, {})
+            node[last] = value
         for moment in closing.get("moments", {}).values():
             for ends in ("bodies", "planes"):
                 moment[ends] = [int(number) for number in moment[ends].split(",") if number]
@@ -314,15 +322,3 @@ class Observation:
 def said_by(error: Exception) -> str:
     """Return the message of a PhysicsError; for any other exception, with its type."""
     return str(error) if isinstance(error, PhysicsError) else f"{type(error).__name__}: {error}"
-
-
-def _nested(properties: Mapping[str, Any]) -> dict[str, Any]:
-    """Nest entries by the dots in their keys."""
-    found: dict[str, Any] = {}
-    for key, value in properties.items():
-        *path, last = key.split(".")
-        node = found
-        for name in path:
-            node = node.setdefault(name, {})
-        node[last] = value
-    return found

@@ -146,28 +146,20 @@ def _error_by_gravity(scene: Scene) -> float:
     The acceleration a at a contact is at most G M / r², with M the mass of two of the heaviest bodies. A step is at
     most κ r/v by the velocity limit, and short enough that a body falls less than Δx from rest.
     """
-    r, slowest = smallest_radius(scene), _relative_speed(scene)
-    a = 2.0 * scene.gravity.constant * _largest_mass(scene) / (r * r)
-    by_fall = 2.0 * (target_dx(scene) or math.inf) / r  # a dt² / r
-    by_speed = (cfl(scene) or math.inf) ** 2 * a * r / slowest**2 if slowest > 0.0 else math.inf
-    step = scene.time.fixed_dt or largest_step(scene)
-    return min(by_fall, by_speed, a * step * step / r)
-
-
-def _relative_speed(scene: Scene) -> float:
-    """Estimate the largest relative speed (m/s) of two bodies at the start; 0 if all have the same velocity."""
+    # the largest relative speed of two bodies at the start; 0 if all have the same velocity
     velocities = [body.velocity for body in scene.body] + [group.velocity.mean for group in scene.group]
     for columns in scene.data:
         velocities += [tuple(columns.velocity.min(axis=0)), tuple(columns.velocity.max(axis=0))]
     size = math.hypot(*(max(along) - min(along) for along in zip(*velocities, strict=True)))
-    return max([size, *(group.velocity.dispersion for group in scene.group)])
-
-
-def _largest_mass(scene: Scene) -> float:
-    """Return the largest mass (kg) of a body, or of the mean body of a group."""
+    r, slowest = smallest_radius(scene), max([size, *(group.velocity.dispersion for group in scene.group)])
+    # of a body, or of the mean body of a group
     masses = [body_mass(made_of(scene, body)) for body in scene.body]
     masses += [mean_mass(made_of(scene, group)) for group in scene.group]
-    return max(masses + [float(columns.mass.max()) for columns in scene.data])
+    a = 2.0 * scene.gravity.constant * max(masses + [float(columns.mass.max()) for columns in scene.data]) / (r * r)
+    by_fall = 2.0 * (target_dx(scene) or math.inf) / r  # a dt² / r
+    by_speed = (cfl(scene) or math.inf) ** 2 * a * r / slowest**2 if slowest > 0.0 else math.inf
+    step = scene.time.fixed_dt or largest_step(scene)
+    return min(by_fall, by_speed, a * step * step / r)
 
 
 def integrator(scene: Scene) -> Integrator:

@@ -128,7 +128,13 @@ def estimate(scene: Scene, watch_look_ahead: Watcher | None = None) -> Estimate:
         If the scene cannot run.
     """
     space = recording_space(scene, None, watch_look_ahead)
-    _load_kernels(space)
+    # a few steps first, so that the compilation and loading of kernels are not measured
+    start = space.frame().checkpoint
+    for step in range(1, LOADING_STEPS + 1):
+        if space.time < space.scene.time.duration:
+            space.compute_dynamics(step)
+    space.restore(start)
+    space.profile.clear()
     start, compiled = space.frame().checkpoint, 1
     while compiled:  # repeat without compilations, such as of the kernels of the first impact
         space.restore(start)
@@ -168,16 +174,6 @@ def estimate(scene: Scene, watch_look_ahead: Watcher | None = None) -> Estimate:
         accuracy=kept_accuracy(space.scene),
         shortfall=shortfall_text(space.scene),
     )
-
-
-def _load_kernels(space: Space) -> None:
-    """Make a few steps and restore the state, so that the compilation and loading of kernels are not measured."""
-    start = space.frame().checkpoint
-    for step in range(1, LOADING_STEPS + 1):
-        if space.time < space.scene.time.duration:
-            space.compute_dynamics(step)
-    space.restore(start)
-    space.profile.clear()
 
 
 def _first_frames(space: Space) -> list[Frame]:

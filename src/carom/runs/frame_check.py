@@ -257,7 +257,15 @@ class FrameCheck:
             count = len(recorded.batch[_ARROWS][0].values)
             if (room := self._impacts.arrows.get(step, count)) != count:
                 return Mismatch(step, f"arrows of /{path}", count, room)
-            replayed = _as_many(replayed, recorded.batch)
+            # only as many values of each list as were recorded: the first ones, which have the largest impulses
+            columns = {}
+            for name in replayed.schema.names:
+                column = replayed[name]
+                if pa.types.is_list(column.type) and name in recorded.batch.schema.names:
+                    kept = column[0].values[: len(recorded.batch[name][0].values)]
+                    column = pa.ListArray.from_arrays(pa.array([0, len(kept)], pa.int32()), kept, type=column.type)
+                columns[name] = column
+            replayed = pa.record_batch(list(columns.values()), schema=replayed.schema)
         times = [int(batch[SIM_TIME].cast(pa.int64())[0].as_py()) for batch in (recorded.batch, replayed)]
         if times[0] != times[1]:
             return Mismatch(step, f"sim_time of /{path} (ns)", times[0], times[1])
@@ -323,18 +331,6 @@ def _same_but_words(recorded: list[Told], replayed: list[Told]) -> bool:
 def is_whole(recording: Recording) -> bool:
     """Return whether a recording has all frames of one run: neither resumed, which restarts counts, nor repaired."""
     return "resumed.step" not in recording.properties and REPAIRED not in recording.outcome
-
-
-def _as_many(replayed: pa.RecordBatch, recorded: pa.RecordBatch) -> pa.RecordBatch:
-    """Keep only as many values of each list as were recorded: the first ones, which have the largest impulses."""
-    columns = {}
-    for name in replayed.schema.names:
-        column = replayed[name]
-        if pa.types.is_list(column.type) and name in recorded.schema.names:
-            kept = column[0].values[: len(recorded[name][0].values)]
-            column = pa.ListArray.from_arrays(pa.array([0, len(kept)], pa.int32()), kept, type=column.type)
-        columns[name] = column
-    return pa.record_batch(list(columns.values()), schema=replayed.schema)
 
 
 @dataclass(frozen=True, slots=True)

@@ -207,7 +207,11 @@ class ImpactCheck:
                     return Mismatch(int(steps[0]), f"{name} of /{replayed.entity_path}", "nothing", "values")
                 one, other = _whole(recorded[name]), _whole(replayed.batch[name])
                 if not same(one, other):
-                    return _first_that_differs(steps, replayed.entity_path, name, one, other)
+                    for row, step in enumerate(steps.tolist()):
+                        found = different(step, replayed.entity_path, name, one.slice(row, 1), other.slice(row, 1))
+                        if found:
+                            return found
+                    return None
         return None
 
     def _stray(self, step: int, count: int) -> Mismatch | None:
@@ -266,13 +270,3 @@ def _other_choice(step: int, path: str, recorded: IntArray, expected: IntArray) 
 def _whole(column: pa.Array | pa.ChunkedArray) -> pa.Array:
     whole = column.combine_chunks() if isinstance(column, pa.ChunkedArray) else column
     return whole.cast(pa.int64()) if pa.types.is_duration(whole.type) else whole
-
-
-def _first_that_differs(
-    steps: IntArray, path: str, name: str, recorded: pa.Array, replayed: pa.Array
-) -> Mismatch | None:
-    for row, step in enumerate(steps.tolist()):
-        found = different(step, path, name, recorded.slice(row, 1), replayed.slice(row, 1))
-        if found:
-            return found
-    return None

@@ -27,12 +27,24 @@ from carom.runs.outcome import FAILURES, Moment, description, headline, moments,
 from carom.runs.report import ENERGY_ERROR, worst_moment
 from carom.scene.units.dimension import ANGULAR_IMPULSE, ENERGY, IMPULSE, TIME, VELOCITY
 from carom.scene.wording import counted
-from carom.show import web
 from carom.show.picture import Shot, try_to_render
 from carom.show.presentation import asked
 from carom.show.request import Request
 from carom.show.supplement import has_trails
-from carom.show.web import About, Card, Figure, PageNames
+from carom.show.web import (
+    ONLY,
+    SIZE,
+    About,
+    Card,
+    Figure,
+    PageNames,
+    write_cards,
+    write_layout,
+    write_moment,
+    write_page,
+    write_style,
+    write_viewer,
+)
 
 LIST = "carom-page.json"  # lists the files of a publication with their digests
 WHAT = "files of a page that carom published; `carom publish --force` replaces these and no others"
@@ -76,23 +88,23 @@ def publish(recordings: Sequence[Recording], folder: Path, watch: Callable[[str]
         If a recording has no frame, or the folder cannot be written.
     """
     several = len(recordings) > 1
-    all_names = _all_names(recordings) if several else [web.ONLY]
+    all_names = _all_names(recordings) if several else [ONLY]
     title = counted(len(recordings), "recording") if several else recordings[0].title
     cards: list[Card] = []
     missing = ""
     with Claim(folder), _replacing(folder) as part:
         watch("the viewer")
-        web.write_viewer(part, title)
+        write_viewer(part, title)
         for recording, names in zip(recordings, all_names, strict=True):
             about = _write_recording(recording, part, names, missing, watch)
             missing = missing or about.missing
-            web.write_page(part / names.page, about, back=several)
+            write_page(part / names.page, about, back=several)
             pictures = [figure.pictures[0] for figure in about.figures if figure.pictures]
             impacts = [figure.pictures[0] for figure in about.figures if len(figure.pictures) > 1]
             cards.append(Card(names.page, about, next(iter([*impacts, *pictures[-1:]]), "")))
         if several:
-            web.write_cards(part, title, cards)
-        web.write_style(part)
+            write_cards(part, title, cards)
+        write_style(part)
         size = sum(file.stat().st_size for file in part.iterdir())
     moments = sum(len(card.about.figures) for card in cards)
     return Published(folder, size, moments, missing, [names.page for names in all_names])
@@ -115,18 +127,18 @@ def _write_recording(
     name, units = recording.path.name, recording.units
     watch(name)
     shutil.copyfile(recording.path, folder / names.recording)
-    web.write_layout(recording, folder / names.layout)
+    write_layout(recording, folder / names.layout)
     moments, shots, links = telling_moments(recording), list[Shot](), list[str]()
     for number, moment in enumerate(moments, 1):
         shown = asked(recording, moment.request)
-        web.write_moment(recording, shown.supplement, folder, names.moment(number))
+        write_moment(recording, shown.supplement, folder, names.moment(number))
         links.append(names.viewer(recording, shown.time, names.moment(number)))
         views = (_BODIES, CLOSE_UP) if moment.close else (_BODIES,)
         shots += [Shot(moment.request, view, folder / f"{names.moment(number)}-{view}.png") for view in views]
     shots.append(Shot(moments[-1].request, _ENERGY, folder / f"{names.moment(len(moments))}-{_ENERGY}.png"))
     if not missing:
         watch(f"{counted(len(shots), 'picture')} of {name}")
-        missing = try_to_render(recording, shots, web.SIZE)
+        missing = try_to_render(recording, shots, SIZE)
     made = [shot.out_png for shot in shots if shot.out_png.exists()]
     figures = [
         Figure(

@@ -30,7 +30,7 @@ from carom.runs.outcome import (
     promise_text,
     value_shown,
 )
-from carom.runs.replay import Replay, replay
+from carom.runs.replay import replay
 from carom.scene.parts import stamped
 from carom.scene.units.dimension import ENERGY, TIME
 from carom.scene.units.system import UnitSystem
@@ -144,7 +144,9 @@ def worst_moment(recording: Recording) -> tuple[float, str]:
         return event.time, event.text.splitlines()[0].rstrip(".")
     for name, verdict in summary["expect"].items():
         if verdict.get("judged", True) and not verdict["met"]:
-            return _missed(name, verdict, moments, last)
+            worst = verdict if "time" in verdict else moments.get(name.removeprefix("max_"), {})  # older recordings
+            between = f", {worst['between']}" if worst.get("between") else ""
+            return worst.get("time", last), f"the promise {name} was broken: {promise_text(verdict)}{between}"
     for event in sorted(warnings, key=lambda event: event.kind == "pace"):  # a change of pace is the least harmful
         deepest = moments.get("overlap")
         if event.text.startswith(OVERLAPS) and deepest:
@@ -159,13 +161,6 @@ def worst_moment(recording: Recording) -> tuple[float, str]:
             return moments[name]["time"], _extreme(name, moments, recording.units)
     moment = recording.moment()
     return moment, "the last frame" if moment == last else "the frame with the largest effect of contacts"
-
-
-def _missed(name: str, verdict: dict[str, Any], moments: dict[str, Any], last: float) -> tuple[float, str]:
-    """Return the time (s) at which a promise was missed worst, and a description."""
-    worst = verdict if "time" in verdict else moments.get(name.removeprefix("max_"), {})  # older recordings
-    between = f", {worst['between']}" if worst.get("between") else ""
-    return worst.get("time", last), f"the promise {name} was broken: {promise_text(verdict)}{between}"
 
 
 def _extreme(name: str, moments: dict[str, Any], units: UnitSystem) -> str:
@@ -186,16 +181,12 @@ def _replay(recording: Recording) -> str:
         result = replay(recording, consent=lambda seconds: seconds <= REPLAY_AT_MOST)
     except (SceneError, RecordingError, PhysicsError) as error:
         return f"It could not be replayed: {_literal(str(error))}"
-    return _in_words(result, recording.units)
-
-
-def _in_words(result: Replay, units: UnitSystem) -> str:
     if result.same:
         return f"Replayed from step {result.begin}: {result.compared} of {result.frames} frames, same bits."
     if result.difference is None:
         done = f"{result.compared} of {result.frames} frames"
         return f"Not replayed to its end: {result.ended} after {done} with the same bits."
-    return f"Replayed from step {result.begin}, **it differs** at {_literal(result.difference.text(units))}."
+    return f"Replayed from step {result.begin}, **it differs** at {_literal(result.difference.text(recording.units))}."
 
 
 def _summary(
@@ -205,6 +196,7 @@ def _summary(
     times, units = clip.fingerprints()["time"].to_numpy(), recording.units
     span = units.span(times[0], times[-1], TIME, ".9g")
     repeat = f"{command('replay', name)}    # are the bits the same on your machine?"
+    lines = description(recording.scene_toml).splitlines()
     return "\n".join(
         [
             f"# {_literal(recording.title)}",
@@ -223,7 +215,7 @@ def _summary(
             "",
             f"The clip: {counted(clip.frames, 'frame')} from {span}. {replayed}",
             "",
-            *_description(recording),
+            *([*(f"> {_literal(line)}".rstrip() for line in lines), ""] if lines else []),
             "| | |",
             "|---|---|",
             *(
@@ -250,12 +242,6 @@ def _ledger(clip: Recording) -> list[str]:
     shown = [(name.replace("_", " "), what, clip.units.text(v[-1] - v[0], ENERGY, "+.4g")) for name, what, v in changes]
     table = [f"| {name} | {what} | {change} |" for name, what, change in shown]
     return ["## Where energy went in the clip", "", "| | | |", "|---|---|---|", *table, ""]
-
-
-def _description(recording: Recording) -> list[str]:
-    """Quote the description of the scene."""
-    lines = description(recording.scene_toml).splitlines()
-    return [*(f"> {_literal(line)}".rstrip() for line in lines), ""] if lines else []
 
 
 def _warned(recording: Recording) -> list[str]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -14,7 +14,6 @@ from carom.plan.auto import frame_interval, integrator
 from carom.recording.read.frame_rows import Continuation
 from carom.recording.read.recorded_scene import recorded_scene
 from carom.recording.read.recording import Recording
-from carom.recording.schema.header import Scalar
 from carom.recording.write.whole_file import Claim, claimed_output, refuse_name, refuse_output
 from carom.runs.environment import environment
 from carom.runs.replay import replay
@@ -212,6 +211,8 @@ def _resume(
     run: ResumableRun, space: Space, target: Path, force: bool, live: str | None, watch: Watcher | None
 ) -> Outcome:
     source, part = run.recording.path, under_way(target)
+    first = {key: value for key, value in run.recording.properties.items() if isinstance(value, str | int | float)}
+    now = {f"resumed.{key}": value for key, value in environment(space.threads).items()}
     outcome = simulate(
         space,
         part,
@@ -219,7 +220,7 @@ def _resume(
         live=live,
         watch=watch,
         continued=Continuation(run.recording, run.step),
-        properties=_properties(run, space.threads),
+        properties=(first | now | {"resumed.step": run.step, "resumed.time": run.time}),
     )
     if outcome.frames <= run.recording.frames:
         part.unlink(missing_ok=True)
@@ -249,13 +250,6 @@ def _refuse_altered(run: ResumableRun, threads: int) -> None:
 def under_way(target: Path) -> Path:
     """Return the path to which a resumed run is recorded until it is complete."""
     return target.with_name(target.stem + UNDER_WAY)
-
-
-def _properties(run: ResumableRun, threads: int) -> Mapping[str, Scalar]:
-    """Return properties about the environments of both parts of the run."""
-    first = {key: value for key, value in run.recording.properties.items() if isinstance(value, str | int | float)}
-    now = {f"resumed.{key}": value for key, value in environment(threads).items()}
-    return first | now | {"resumed.step": run.step, "resumed.time": run.time}
 
 
 def continued_scene(recording: Recording, scene: Scene, overrides: list[str]) -> Scene:

@@ -215,7 +215,17 @@ def _simulate(
     recorder = FrameRecorder(path, header, live=live, continued=continued)
     physics = _Physics(space, recorder, continued)
     try:
-        _wait(physics, watch, interrupts)
+        # watch the run until it ends, or end it on request
+        while not physics.wait(POLL):
+            if interrupts.count:
+                physics.space.stop()
+            try:
+                if watch:
+                    watch(physics.space.status)
+            except KeyboardInterrupt:  # raised by the calling program's own signal handler
+                if interrupts.count:
+                    raise
+                interrupts.count = 1
         status, reason = physics.ending(interrupts)
     except Exception as error:
         physics.stop()
@@ -313,20 +323,6 @@ class _Physics:
                     self.warnings += [event for event in frame.events if event.level == "WARN"]
         except Exception as error:
             self._error = error
-
-
-def _wait(physics: _Physics, watch: Watcher | None, interrupts: Interrupts) -> None:
-    """Watch the run until it ends, or end it on request."""
-    while not physics.wait(POLL):
-        if interrupts.count:
-            physics.space.stop()
-        try:
-            if watch:
-                watch(physics.space.status)
-        except KeyboardInterrupt:  # raised by the calling program's own signal handler
-            if interrupts.count:
-                raise
-            interrupts.count = 1
 
 
 def header_of(space: Space) -> Header:

@@ -180,7 +180,14 @@ class SnapshotWriter:
         self._put(frame)
 
     def _put(self, frame: Frame) -> None:
-        notes = self._notes_until(frame)
+        # notes since the last frame; those before the first frame get its time
+        found: list[Event] = []
+        for event in self._unrecorded.events[self._noted :]:
+            if event.step > frame.step:
+                break
+            found.append(replace(event, step=frame.step, time=frame.time))
+        self._noted += len(found)
+        notes = found
         try:
             self._recorder.put(replace(frame, events=(*notes, *frame.events)) if notes else frame)
             self._last = (frame.step, frame.time)
@@ -211,16 +218,6 @@ class SnapshotWriter:
                 self._observer = self._observer.continued(present, state)
             self._present = present
         return present
-
-    def _notes_until(self, frame: Frame) -> list[Event]:
-        """Return the notes since the last frame; those before the first frame get its time."""
-        found: list[Event] = []
-        for event in self._unrecorded.events[self._noted :]:
-            if event.step > frame.step:
-                break
-            found.append(replace(event, step=frame.step, time=frame.time))
-        self._noted += len(found)
-        return found
 
 
 def observed_totals(observer: Observer, steps: int, time: float) -> dict[str, Scalar]:

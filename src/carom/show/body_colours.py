@@ -191,7 +191,15 @@ def _by_contacts(recording: Recording, n: int, by: str, step: ShownStep) -> Iter
     colours_of = graph_colours if by == "graph" else drawing.island_colours
     drawn = drawn_paths(recording, range(n))
     steps, times = _times(recording, drawn.steps)
-    ends = _contact_ends(recording)
+    ends: dict[int, SingleArray] = {}  # of the drawn edges, (m, 2, 3), by step
+    entries = [e for e in recording.store.entries if e.entity_path == paths.CONTACTS and e.first_step is not None]
+    for chunk in recording.chunks(entries):
+        if _CONTACT_ENDS not in chunk.components:
+            continue
+        column = chunk.batch[_CONTACT_ENDS]
+        for row, number in enumerate(chunk.batch[STEP].to_pylist()):
+            values = column[row].values.flatten().flatten()
+            ends[number] = np.asarray(values.to_numpy(), dtype=np.float32).reshape(-1, 2, 3)
     for number, time, position in zip(steps, times, drawn.position, strict=True):
         yield number, time, colours_of(_pairs(ends.get(number), position), n)
     for frame in step.added:
@@ -203,20 +211,6 @@ def _times(recording: Recording, steps: IntArray) -> tuple[list[int], list[float
     rows = np.searchsorted(table[STEP].to_numpy(), steps)
     times = table["time"].to_numpy()[np.minimum(rows, table.num_rows - 1)]
     return steps.tolist(), times.tolist()
-
-
-def _contact_ends(recording: Recording) -> dict[int, SingleArray]:
-    """Return the ends of the drawn edges, (m, 2, 3), by step."""
-    found: dict[int, SingleArray] = {}
-    entries = [e for e in recording.store.entries if e.entity_path == paths.CONTACTS and e.first_step is not None]
-    for chunk in recording.chunks(entries):
-        if _CONTACT_ENDS not in chunk.components:
-            continue
-        column = chunk.batch[_CONTACT_ENDS]
-        for row, number in enumerate(chunk.batch[STEP].to_pylist()):
-            values = column[row].values.flatten().flatten()
-            found[number] = np.asarray(values.to_numpy(), dtype=np.float32).reshape(-1, 2, 3)
-    return found
 
 
 def _pairs(ends: SingleArray | None, position: SingleArray) -> IntArray:

@@ -220,7 +220,9 @@ def write_causes(out: Path, recording: Recording, causes: Causes) -> None:
     radius, clock = recording.bodies.radius, TimeScale(float(recording.info["time_scale"]))
     recording.refuse_some_bodies()
     steps, times, position = _frames(recording, causes)
-    inside = _shown(causes)
+    ends = [end for edge in causes.edges if edge.share >= _SHOWN for end in (edge.i, edge.j)]
+    large = np.flatnonzero(causes.share >= _SHOWN).tolist()
+    inside = np.array(sorted({*causes.asked, *large, *ends}), dtype=np.int64)
     outside, colours = np.setdiff1d(np.arange(len(radius)), inside), fixed_colours(recording)
     camera = CameraFit(radius[inside], position[-1, inside].astype(np.float64), motion=CameraMotion.STILL)
     camera.look(position[:, inside].astype(np.float64))
@@ -262,13 +264,6 @@ def _frames(recording: Recording, causes: Causes) -> tuple[list[int], list[float
     first = max(0, int(np.searchsorted(times, causes.begin, side="right")) - 1)
     last = min(len(times), int(np.searchsorted(times, causes.end)) + 1)
     return drawn.steps[first:last].tolist(), times[first:last].tolist(), drawn.position[first:last]
-
-
-def _shown(causes: Causes) -> IntArray:
-    """Return the bodies to draw as solids: those in question, and those with a share of at least 1 %."""
-    ends = [end for edge in causes.edges if edge.share >= _SHOWN for end in (edge.i, edge.j)]
-    large = np.flatnonzero(causes.share >= _SHOWN).tolist()
-    return np.array(sorted({*causes.asked, *large, *ends}), dtype=np.int64)
 
 
 def _bodies(

@@ -46,7 +46,10 @@ def write_movie(path: Path, pictures: Iterable[bytes], count: int, size: tuple[i
             if path.suffix == ".gif":
                 _write_gif(part, map(_pixels, pictures), delays_of(count, fps))
             else:
-                _write_mp4(part, map(_pixels, pictures), size, fps)
+                images = map(_pixels, pictures)
+                with _encoder(part, size, fps) as send:
+                    for image in images:
+                        send(image.tobytes())
     except OSError as error:
         raise RecordingError(f"cannot write {path}: {error.strerror or error}") from error
 
@@ -66,12 +69,6 @@ def require_encoder(path: Path) -> None:
 
 def _pixels(png: bytes) -> Image.Image:
     return Image.open(io.BytesIO(png)).convert("RGB")
-
-
-def _write_mp4(path: Path, images: Iterable[Image.Image], size: tuple[int, int], fps: float) -> None:
-    with _encoder(path, size, fps) as send:
-        for image in images:
-            send(image.tobytes())
 
 
 @contextlib.contextmanager

@@ -19,7 +19,7 @@ from carom.arrays import ColourArray, FloatArray
 from carom.physics.space import Space
 from carom.recording.layout import WINDOW
 from carom.recording.layout.camera import CameraFit
-from carom.recording.layout.canvas import Area, CameraMotion, View, spatial_view
+from carom.recording.layout.canvas import CameraMotion, View, spatial_view
 from carom.recording.layout.plot_views import curve_style, time_beside_legend, whole_time
 from carom.recording.read.recording import Recording
 from carom.recording.schema import palette, paths
@@ -104,7 +104,17 @@ def write_overlay(
     extent: CameraFit | None = None
     with Writer(out, f"carom-{paths.SCHEMA_VERSION}-{layout}", str(uuid.uuid4())) as writer:
         writer.log(paths.WORLD, rr.ViewCoordinates.RIGHT_HAND_Z_UP)
-        writer.log(_TEXT, rr.TextDocument(_document(a, b, text, every), media_type=rr.MediaType.MARKDOWN))
+        lines = [
+            f"# {a.title}: two runs",
+            text,
+            f"- Solid: **A**, {a.path.name}",
+            f"- Wires, drawn {_HALO - 1:.0%} larger: **B**, {b.path.name}",
+            "- A body has the same colour in both.",
+            f"- Red lines connect counterparts that are further apart than {_SEEN:.0%} of the median radius.",
+            "- The plots are logarithms: a difference that grows exponentially is a straight line.",
+            f"- Every {every}th frame is shown." if every > 1 else "",
+        ]
+        writer.log(_TEXT, rr.TextDocument("\n".join(lines) + "\n", media_type=rr.MediaType.MARKDOWN))
         colours = fixed_colours(a)[: len(radius)]
         writer.log(_A, _spheres(radius, colours, names, FillMode.Solid))
         writer.log(_B, _spheres(_HALO * radius, colours, names, FillMode.MajorWireframe))
@@ -170,19 +180,6 @@ def _spheres(radius: FloatArray, colours: ColourArray, names: list[str], fill: F
     )
 
 
-def _document(a: Recording, b: Recording, text: str, every: int) -> str:
-    lines = [
-        f"# {a.title}: two runs",
-        text,
-        f"- Solid: **A**, {a.path.name}",
-        f"- Wires, drawn {_HALO - 1:.0%} larger: **B**, {b.path.name}",
-        "- A body has the same colour in both.",
-        f"- Red lines connect counterparts that are further apart than {_SEEN:.0%} of the median radius.",
-        "- The plots are logarithms: a difference that grows exponentially is a straight line.",
-    ]
-    return "\n".join([*lines, f"- Every {every}th frame is shown." if every > 1 else ""]) + "\n"
-
-
 def _heading(what: str, dimension: Dimension, units: UnitSystem) -> str:
     return units.labelled(f"log₁₀ of {what}", dimension)
 
@@ -246,7 +243,15 @@ def write_trajectories(path: Path, space: Space, time: FloatArray, trajectories:
     clock = TimeScale.fitting(float(time[-1]), float(time[0]))
     origin = trajectories[0].position[0].mean(axis=0)
     layout = hashlib.sha256("\n".join(("tradeoff", title, *(each.name for each in trajectories))).encode()).hexdigest()
-    colours, widths = _styles(trajectories)
+    # the colour of each run, and the width of its curve
+    hues = [colour for name, colour in palette.LINES.items() if name != "grey"]
+    families: dict[str, int] = {}
+    colours, widths = [palette.LINES["grey"]], [THIN]
+    for run in trajectories[1:]:
+        number = families.setdefault(run.family or run.name, len(families))
+        colour = hues[number % len(hues)]
+        widths.append(THIN if colour in colours else THICK)
+        colours.append(colour)
     names = [f"{number:02d}-{_entity(trajectory.name)}" for number, trajectory in enumerate(trajectories)]
     with Writer(path, f"carom-{paths.SCHEMA_VERSION}-{layout[:12]}", str(uuid.uuid4())) as writer:
         writer.log(paths.WORLD, rr.ViewCoordinates.RIGHT_HAND_Z_UP)
@@ -264,7 +269,12 @@ def write_trajectories(path: Path, space: Space, time: FloatArray, trajectories:
         frames = rr.AnyValues.columns(True, time=pa.array(time), fingerprint=pa.array([0] * len(time), pa.uint64()))
         writer.send_columns(paths.FINGERPRINT, index, frames)
         legends = [trajectory.name for trajectory in trajectories if len(trajectory.distance)]
-        views = _views(radius, trajectories[0].position - origin)
+        # all positions are in the picture, above the curves and beside them
+        position = trajectories[0].position - origin
+        camera = CameraFit(radius, position[0], motion=CameraMotion.STILL)
+        camera.look(position)
+        areas = WINDOW.area(down=_ROWS[0] / sum(_ROWS)), WINDOW.area(across=_COLUMNS[0] / sum(_COLUMNS))
+        views = [(camera.view(area.aspect), area) for area in areas]
         shown = [area.height / view.height() for view, area in views]  # px a metre
         beside = shown[1] > shown[0]
         width = WINDOW.width * (_COLUMNS[1] / sum(_COLUMNS) if beside else 1.0)
@@ -288,19 +298,6 @@ def _own_colours(space: Space) -> ColourArray:
     """Return the colours (n,) of the bodies of a scene, those of materials or of groups."""
     materials = ShownMaterials.of(space.scene)
     return materials.body_colours() if materials and materials.has_colours else palette.body_colours(space.groups)
-
-
-def _styles(trajectories: list[ComparedTrajectory]) -> tuple[list[int], list[float]]:
-    """Return the colour of each run, and the width of its curve."""
-    hues = [colour for name, colour in palette.LINES.items() if name != "grey"]
-    families: dict[str, int] = {}
-    colours, widths = [palette.LINES["grey"]], [THIN]
-    for run in trajectories[1:]:
-        number = families.setdefault(run.family or run.name, len(families))
-        colour = hues[number % len(hues)]
-        widths.append(THIN if colour in colours else THICK)
-        colours.append(colour)
-    return colours, widths
 
 
 def _send_trajectories(
@@ -334,14 +331,6 @@ def _send_trajectories(
         decades = np.log10(np.maximum(trajectory.distance, SMALLEST))
         shown = clock.columns(list(range(1, len(decades) + 1)), time[: len(decades)].tolist())
         writer.send_columns(f"distance/{name}", shown, rr.Scalars.columns(scalars=decades))
-
-
-def _views(radius: FloatArray, position: FloatArray) -> list[tuple[View, Area]]:
-    """Place the camera so that all positions, (K, n, 3) m, are in the picture, above the curves and beside them."""
-    camera = CameraFit(radius, position[0], motion=CameraMotion.STILL)
-    camera.look(position)
-    areas = WINDOW.area(down=_ROWS[0] / sum(_ROWS)), WINDOW.area(across=_COLUMNS[0] / sum(_COLUMNS))
-    return [(camera.view(area.aspect), area) for area in areas]
 
 
 def _decades(runs: list[ComparedTrajectory]) -> rrb.ScalarAxis | None:

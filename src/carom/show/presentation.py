@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -26,7 +26,6 @@ from carom.recording.layout import (
 )
 from carom.recording.layout.camera import FEW
 from carom.recording.layout.canvas import CORNERS, Additions, CameraMotion, Canvas, free_corner
-from carom.recording.layout.plot_views import CurveOutline
 from carom.recording.read.frame_rows import arrow_floors
 from carom.recording.read.lookup import tolerance
 from carom.recording.read.recorded_scene import header_of_recording, recorded_curves, recorded_scene
@@ -207,7 +206,12 @@ def presentation(
         statics += plots.statics()
     if recoloured:
         rows.append(colours.rows(header))
-    curves = _curves(recording, repeated)
+    # with repeated steps, so that peaks between frames fit in
+    curves = recorded_curves(recording)
+    for series in repeated:
+        if series.path in curves:
+            column, *_ = series.columns
+            curves[series.path].insert(series.index.times, column.as_arrow_array().flatten().to_numpy())
     laid_out = as_happened(header, curves)
     has_trails = staging.trails is not None
     marks = impact_marks(recording, header, paused.time)
@@ -283,16 +287,6 @@ def _pair(recording: Recording, header: Header, step: ShownStep) -> Pair | None:
     if step.frame is None or recording.closing.get("moments.impact.step") == step.step:
         return hardest
     return pair_of_step(step.frame, header.bodies) or hardest
-
-
-def _curves(recording: Recording, repeated: Sequence[Rows]) -> dict[str, CurveOutline]:
-    """Return the outlines of the plotted series including repeated steps, so that peaks between frames fit in."""
-    curves = recorded_curves(recording)
-    for series in repeated:
-        if series.path in curves:
-            column, *_ = series.columns
-            curves[series.path].insert(series.index.times, column.as_arrow_array().flatten().to_numpy())
-    return curves
 
 
 _References = dict[str, float]

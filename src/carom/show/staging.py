@@ -78,7 +78,8 @@ class Staging:
         trails = Trails(recording, header, colours) if has_trails(recording) else None
         if trails is not None:
             trails.show(camera, until)
-            if not _meet(recording, header):  # orbits of bodies that may all be near their pericentres
+            # where nothing touches, orbits of bodies that may all be near their pericentres
+            if not header.collides or recording.closing.get("contacts.total") == 0:
                 camera.show_all()
         elif recording.frames > 1:
             drawn, table = RecordedPositions(recording), recording.fingerprints()
@@ -117,11 +118,6 @@ class Staging:
                 angles = np.linspace(0.0, 2.0 * np.pi, len(steps))
                 poses = [replace(view, to_eye=turned(view.to_eye, view.up, angle)) for angle in angles]
             yield Rows(shown.lens.path, Index(steps, times), shown.lens.poses(poses), 100 * len(poses))
-
-
-def _meet(recording: Recording, header: Header) -> bool:
-    """Return whether bodies touched, or may have touched in a killed run, whose contacts were not counted."""
-    return header.collides and recording.closing.get("contacts.total") != 0
 
 
 def impact_strip(recording: Recording) -> tuple[Curves, list[Rows], list[Static]]:

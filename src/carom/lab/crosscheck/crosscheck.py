@@ -334,19 +334,15 @@ class Crosscheck:
         """Return the examination of a measured run."""
         setting = result.setting
         if not setting.engine:
-            return self._own(result)
+            try:
+                outcome = simulate(recording_space(self.scene, self.threads), self._recording(OWN), force=True)
+            except (PhysicsError, RecordingError) as error:
+                raise ExperimentError(f"carom: {error}") from error
+            broken = [(event.time, event.kind) for event in outcome.warnings]
+            return examined_own(OWN.name, outcome, self._parting(result, broken, 0.0))
         seen = self._seen.pop(setting.name, None) or self.runs.result(self._task(setting)).watched
         parting = self._parting(result, seen.broken, seen.dt)
         return examined_other(setting.name, self.scene, seen, parting, self._recording(setting))
-
-    def _own(self, result: SettingResult) -> Examination:
-        """Run carom and record it."""
-        try:
-            outcome = simulate(recording_space(self.scene, self.threads), self._recording(OWN), force=True)
-        except (PhysicsError, RecordingError) as error:
-            raise ExperimentError(f"carom: {error}") from error
-        broken = [(event.time, event.kind) for event in outcome.warnings]
-        return examined_own(OWN.name, outcome, self._parting(result, broken, 0.0))
 
     def _recording(self, setting: Setting) -> Path:
         kept = "".join(letter if letter.isalnum() or letter == "." else "-" for letter in setting.name)

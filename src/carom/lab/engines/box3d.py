@@ -69,10 +69,14 @@ class Box3DSource:
         judged = [size is not None and not size[1] and not jointed for size in known]
         self._forces = Box3DForces(self._backend, world, chosen, judged, planes) if contacts else None
         mass = np.array([body.mass for body in chosen])
+        # drawn as a sphere of water with the mass of the body
         self.model = Model(
             engine=_version(),
             mass=np.where(moves, mass, 1.0),
-            radius=[_drawn(body) if size is None else size[0] for body, size in zip(chosen, known, strict=True)],
+            radius=[
+                float((3.0 * max(body.mass, 1e-9) / (4.0e3 * np.pi)) ** (1.0 / 3.0)) if size is None else size[0]
+                for body, size in zip(chosen, known, strict=True)
+            ],
             names=[body.name or f"body {k}" for k, body in enumerate(chosen)],
             fixed=~moves,
             judged=judged,
@@ -317,11 +321,6 @@ def _sphere_of(backend: Any, body: Any) -> tuple[float, bool] | None:
         return None
     centre = spheres[0].center
     return float(spheres[0].radius), count > 1 or any((centre.x, centre.y, centre.z))
-
-
-def _drawn(body: Any) -> float:
-    """Return the radius (m) with which a body is drawn: a sphere of water with the mass of the body."""
-    return float((3.0 * max(body.mass, 1e-9) / (4.0e3 * np.pi)) ** (1.0 / 3.0))
 
 
 SUBSTEPS = 4  # in a step, the default

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from carom import Scene
-from carom.arrays import FloatArray, IntArray, Records
+from carom.arrays import IntArray, Records
 from carom.errors import RecordingError
 from carom.extend import Coefficients, engine_package, named_version
 from carom.lab.compared_run import Setting
@@ -68,7 +68,14 @@ class MuJoCoSource:
         radius = np.array([_reach(model, data, b, geoms) for b, geoms in zip(moving, own, strict=True)])
         self._simple = bool(free.all())
         self._joint = model.body_jntadr[self._moving]
-        self._end_of = _ends(model, moving, still, planes)
+        # the end of each shape: a body, a plane (from n on), or -1 for none
+        ends = np.full(model.ngeom, -1)
+        of_body = {body: k for k, body in enumerate(moving)}
+        for geom in range(model.ngeom):
+            ends[geom] = of_body.get(int(model.geom_bodyid[geom]), -1)
+        for k, geom in enumerate([*still, *planes]):
+            ends[geom] = len(moving) + k
+        self._end_of = ends
         self._forces, self._wrench = contacts, np.empty(6)
         self._velocity = np.empty(6)
         n = len(moving) + len(still)
@@ -102,7 +109,10 @@ class MuJoCoSource:
             self._position[:k] = places[:, :3]
             self._turn[:k, :3], self._turn[:k, 3] = places[:, 4:], places[:, 3]
             self._speed[:k] = rates[:, :3]
-            self._spin[:k] = _turned(places[:, 3:], rates[:, 3:])
+            # from the frames of the bodies into the frame of the world; quaternions are wxyz
+            local, w, axis = rates[:, 3:], places[:, 3:4], places[:, 4:]
+            twice = 2.0 * np.cross(axis, local)
+            self._spin[:k] = local + w * twice + np.cross(axis, twice)
         else:
             self._of_any_bodies(k)
         forces = self.forces() if self._forces else None
@@ -165,28 +175,10 @@ def _reach(model: Any, data: Any, body: int, geoms: IntArray) -> float:
     return float((away + model.geom_rbound[geoms]).max())
 
 
-def _ends(model: Any, moving: list[int], still: list[int], planes: list[int]) -> IntArray:
-    """Return the end of each shape: a body, a plane (from n on), or -1 for none."""
-    ends = np.full(model.ngeom, -1)
-    of_body = {body: k for k, body in enumerate(moving)}
-    for geom in range(model.ngeom):
-        ends[geom] = of_body.get(int(model.geom_bodyid[geom]), -1)
-    for k, geom in enumerate([*still, *planes]):
-        ends[geom] = len(moving) + k
-    return ends
-
-
 def _plane(model: Any, data: Any, geom: int) -> Plane:
     normal = data.geom_xmat[geom].reshape(3, 3)[:, 2]
     x, y, z = (float(v) for v in normal)
     return Plane((x, y, z), float(normal @ data.geom_xpos[geom]), model.geom(geom).name)
-
-
-def _turned(quaternion: FloatArray, local: FloatArray) -> FloatArray:
-    """Rotate vectors (n, 3) from the frames of the bodies into the frame of the world; quaternions are wxyz."""
-    w, axis = quaternion[:, :1], quaternion[:, 1:]
-    twice = 2.0 * np.cross(axis, local)
-    return np.asarray(local + w * twice + np.cross(axis, twice))
 
 
 def _named(name: str, number: int) -> str:

@@ -199,6 +199,8 @@ def _many(
 def _document(start: ForkStart, found: Ensemble, outcome: str | None, moment: Inevitable | None) -> dict[str, Any]:
     from dataclasses import asdict
 
+    import numpy as np
+
     return {
         "units": start.scene.unit_system.recorded,
         "at": start.checkpoint.time,
@@ -209,7 +211,11 @@ def _document(start: ForkStart, found: Ensemble, outcome: str | None, moment: In
         "median": found.band[1].tolist(),
         "high": found.band[2].tolist(),
         "growth": None if found.growth is None else asdict(found.growth),
-        "rates": {"count": len(found.rates), "median": _median(found), "spread": found.rate_error},
+        "rates": {
+            "count": len(found.rates),
+            "median": float(np.median(found.rates)) if len(found.rates) else None,
+            "spread": found.rate_error,
+        },
         "spread": found.spread[-1].tolist() if len(found.spread) else [],
         "outcome": None
         if outcome is None
@@ -225,12 +231,6 @@ def _document(start: ForkStart, found: Ensemble, outcome: str | None, moment: In
             "inevitable": None if moment is None else asdict(moment),
         },
     }
-
-
-def _median(found: Ensemble) -> float | None:
-    import numpy as np
-
-    return float(np.median(found.rates)) if len(found.rates) else None
 
 
 def _lines(start: ForkStart, found: Ensemble, outcome: str | None, moment: Inevitable | None) -> Iterator[str]:

@@ -88,7 +88,17 @@ def start_of(branch: Branch) -> ForkStart:
     recording.refuse_overlay()
     recording.refuse_some_bodies()
     original = recorded_scene(recording)
-    _refuse_state(branch.overrides)
+    # keys that only set the initial state, or the domain
+    for override in branch.overrides:
+        key = override.partition("=")[0].strip()
+        section = key.partition(".")[0]
+        if section in _BODIES:
+            raise ExperimentError(
+                f"--set {override}: a fork uses the bodies of the checkpoint, so {key} has no effect; change "
+                "parameters of forces, contacts or steps, or run the scene from the start"
+            )
+        if section in _STATE:
+            raise ExperimentError(f"--set {override}: {key} cannot change in the middle of a run: {_STATE[section]}")
     scene = continued_scene(recording, original, list(branch.overrides)) if branch.overrides else original
     checkpoint = _checkpoint_at(recording, original, recording.moment(branch.at))
     _refuse_other_state(branch, original, scene)
@@ -112,20 +122,6 @@ def _checkpoint_at(recording: Recording, scene: Scene, time: float) -> Checkpoin
         if frame.time >= goal:
             return frame.checkpoint
     raise RecordingError(f"{recording.path} ends before {scene.unit_system.text(time, TIME, '.9g')} when it is rerun")
-
-
-def _refuse_state(overrides: tuple[str, ...]) -> None:
-    """Refuse overrides of keys that only set the initial state, or the domain."""
-    for override in overrides:
-        key = override.partition("=")[0].strip()
-        section = key.partition(".")[0]
-        if section in _BODIES:
-            raise ExperimentError(
-                f"--set {override}: a fork uses the bodies of the checkpoint, so {key} has no effect; change "
-                "parameters of forces, contacts or steps, or run the scene from the start"
-            )
-        if section in _STATE:
-            raise ExperimentError(f"--set {override}: {key} cannot change in the middle of a run: {_STATE[section]}")
 
 
 def _refuse_other_state(branch: Branch, original: Scene, scene: Scene) -> None:
@@ -190,7 +186,14 @@ def path_of(
     """
     interval = interval_of(start)
     space = start.space(threads, shift, ulps)
-    time = _times(start.checkpoint.time, start.scene.time.duration, interval)
+    # multiples of the interval, and the end
+    first, last = (
+        int(np.floor(time / interval * (1.0 + _MULTIPLE)))
+        for time in (start.checkpoint.time, start.scene.time.duration)
+    )
+    time = interval * np.arange(first + 1, last + 1).astype(np.float64)
+    if not len(time) or time[-1] * (1.0 + _MULTIPLE) < start.scene.time.duration:
+        time = np.append(time, start.scene.time.duration)
     position = np.full((len(time), *space.state.position.shape), np.nan)
     seen, initial, count, filled = Touches(space), space.status.energy.total, 0, 0
     for frame in space.run(schedule=Every(interval)):
@@ -237,13 +240,6 @@ def _explained(outcome: Expression, name: str, summary: Mapping[str, Any], bodie
         body = name.partition("_")[2]
         return f"{OPTION} {outcome.text}: there is no body {body} for {name}; the last is {bodies - 1}"
     return outcome.explain_unknown(name, summary)
-
-
-def _times(origin: float, end: float, interval: float) -> FloatArray:
-    """Return the multiples of an interval after a time, and the end (s)."""
-    first, last = (int(np.floor(time / interval * (1.0 + _MULTIPLE))) for time in (origin, end))
-    time = interval * np.arange(first + 1, last + 1).astype(np.float64)
-    return time if len(time) and time[-1] * (1.0 + _MULTIPLE) >= end else np.append(time, end)
 
 
 def _of_bodies(outcome: Expression, position: FloatArray, velocity: FloatArray) -> dict[str, float]:

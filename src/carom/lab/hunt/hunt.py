@@ -241,7 +241,17 @@ class Hunt:
             self.tally.refused += 1
             return []
         try:
-            return self._broken(laws, index, scene, budget)
+            seen = observe(Space(scene, threads=1), budget, steps=STEPS)
+            if seen is None:
+                self.tally.given_up += 1
+                return []
+            self.tally.stated += bool(seen.error)
+            conditions = [(law, law.broken()) for law in laws]
+            return [
+                Finding(law, condition, index, scene, scene.count, condition.said(seen))
+                for law, condition in conditions
+                if condition.holds(seen)
+            ]
         except (OutOfTime, ExperimentError):
             raise
         except SceneError:
@@ -252,20 +262,6 @@ class Hunt:
             return []
         except Exception as error:  # an error before the first step counts as well
             return [Finding(ERROR, ERROR.broken(), index, scene, scene.count, said_by(error))]
-
-    def _broken(self, laws: list[HuntedLaw], index: int, scene: Scene, budget: Budget) -> list[Finding]:
-        """Run a scene, and return the violated laws."""
-        seen = observe(Space(scene, threads=1), budget, steps=STEPS)
-        if seen is None:
-            self.tally.given_up += 1
-            return []
-        self.tally.stated += bool(seen.error)
-        conditions = [(law, law.broken()) for law in laws]
-        return [
-            Finding(law, condition, index, scene, scene.count, condition.said(seen))
-            for law, condition in conditions
-            if condition.holds(seen)
-        ]
 
     def _file(self, finding: Finding) -> None:
         """Shrink a scene that violates a law, record it, and add it to the misses."""

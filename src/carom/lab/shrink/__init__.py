@@ -96,25 +96,26 @@ def shrink_command(
         return
     if while_command is not None and workers is None:
         workers = 1  # concurrent commands might interfere
-    reducer = _reducer(asked, seconds, workers)
+    from math import inf
+
+    from carom.lab.shrink.reducer import Reducer
+
+    reducer = Reducer(asked, inf if seconds is None else seconds, workers=workers)
     if known:
         given, reducer.before = source_of(str(path), []), known.before
     else:
         refuse_output(path, force)
-    result = _reduced(reducer, given, path, key, _command(source, condition, while_command, overrides), quiet=as_json)
+    # the command line, for the comments of the result
+    words = ["shrink", source, *(["--while", condition] if condition else [])]
+    words += ["--while-command", while_command] if while_command else []
+    for override in overrides or []:
+        words += ["--set", override]
+    result = _reduced(reducer, given, path, key, command(*words), quiet=as_json)
     if as_json:
         document = asdict(result) | {"file": str(path), "condition": asked.text, "minimal": result.minimal}
         say_json(document)
     else:
         _print(result, path)
-
-
-def _reducer(asked: Any, seconds: float | None, workers: int | None) -> Reducer:
-    from math import inf
-
-    from carom.lab.shrink.reducer import Reducer
-
-    return Reducer(asked, inf if seconds is None else seconds, workers=workers)
 
 
 def _reduced(reducer: Reducer, given: SceneWithBodies, path: Path, key: str, command: str, *, quiet: bool) -> Reduction:
@@ -177,12 +178,3 @@ def _print(result: Reduction, path: Path) -> None:
         say(f"Not finished: {result.stopped}. Run the same command to continue.")
     effort = f"{counted(result.candidates, 'candidate')}, {result.kept} kept, in {result.seconds:.3g} s"
     say(f"Written to {path} after {effort}; {command('run', path)}")
-
-
-def _command(source: str, condition: str | None, while_command: str | None, overrides: list[str] | None) -> str:
-    """Write the command line for the comments of the result."""
-    words = ["shrink", source, *(["--while", condition] if condition else [])]
-    words += ["--while-command", while_command] if while_command else []
-    for override in overrides or []:
-        words += ["--set", override]
-    return command(*words)

@@ -280,13 +280,11 @@ def _move_frame(smallest: Smallest) -> bool:
         bodies = smallest.document[BODIES]
         origin = bodies[0].get(key, ORIGIN)
         if any(origin) and not any(body.get("fixed") for body in bodies):
-            moved = [body | {key: _difference(body.get(key, ORIGIN), origin)} for body in bodies]
+            moved = [
+                body | {key: [a - b for a, b in zip(body.get(key, ORIGIN), origin, strict=True)]} for body in bodies
+            ]
             changed |= smallest.takes_as_short(_tidy(smallest.document | {BODIES: moved}))
     return changed
-
-
-def _difference(one: list[float], other: list[float]) -> list[float]:
-    return [a - b for a, b in zip(one, other, strict=True)]
 
 
 def _tidy(document: Document) -> Document:

@@ -86,18 +86,14 @@ def literal(scene: Scene, start: InitialBodies) -> Document:
         wall["name"] = name
     document[BODIES] = [_body(start, k) for k in range(len(start.name))]
     if scene.material:
-        _name_materials(document, scene, start)
+        # a moment of inertia may follow from the material
+        materials = body_materials(scene)
+        for k, body in enumerate(document[BODIES]):
+            name = materials.names[materials.index[k]]
+            if name != DEFAULT:
+                body["material"] = name
+                body["inertia_factor"] = _inertia_factor(start, k)
     return document
-
-
-def _name_materials(document: Document, scene: Scene, start: InitialBodies) -> None:
-    """Add to each body the name of its material, and its moment of inertia, which may follow from the material."""
-    materials = body_materials(scene)
-    for k, body in enumerate(document[BODIES]):
-        name = materials.names[materials.index[k]]
-        if name != DEFAULT:
-            body["material"] = name
-            body["inertia_factor"] = _inertia_factor(start, k)
 
 
 def at_moment(document: Document, moment: BodyStates, duration: float) -> Document:
@@ -260,15 +256,6 @@ def text_of(reduction: Reduction, asked: str, key: str, command: str) -> str:
     made, before = reduction.document, reduction.before
     if not reduction.minimal:
         return unfinished_text(made, asked, reduction.said, before, key, command, reduction.stopped)
-    comments = [command, f"Asked for: {asked}", f"Failure: {reduction.said}", *_history(reduction)]
-    return commented(made, [*comments, _mark(key, before, "minimal")])
-
-
-def _mark(key: str, before: tuple[int, int], state: str) -> str:
-    return f"shrink {key} of {before[0]} bodies and {before[1]} steps, {state}"
-
-
-def _history(reduction: Reduction) -> list[str]:
     bodies, steps = reduction.before
     taken = f"{counted(reduction.steps, 'step')} of {steps}"
     if reduction.steps > steps:  # steps may change with fewer bodies
@@ -279,7 +266,19 @@ def _history(reduction: Reduction) -> list[str]:
         for stage in _turns(reduction.stages)
     )
     how = f"Found by carom {versions()['carom']} with {reduction.candidates} candidates in {reduction.seconds:.3g} s"
-    return [f"{left} Without any one body, key or digit, the failure disappears.", f"{how}: {found}."]
+    comments = [
+        command,
+        f"Asked for: {asked}",
+        f"Failure: {reduction.said}",
+        f"{left} Without any one body, key or digit, the failure disappears.",
+        f"{how}: {found}.",
+        _mark(key, before, "minimal"),
+    ]
+    return commented(made, comments)
+
+
+def _mark(key: str, before: tuple[int, int], state: str) -> str:
+    return f"shrink {key} of {before[0]} bodies and {before[1]} steps, {state}"
 
 
 def _turns(stages: list[Stage]) -> list[Stage]:

@@ -268,7 +268,14 @@ class Reducer:
         self._progress.bodies, self._progress.steps = len(start.name), space.step
         self.before = self.before or (len(start.name), space.step)
         whole = literal(scene, start)
-        smallest = Smallest(whole, seen, trials, self._taken(trials))
+
+        def taken(smallest: Smallest) -> None:
+            self._progress.bodies, self._progress.steps = smallest.bodies, smallest.steps
+            self._progress.kept = smallest.kept
+            self._look(trials)
+            self.keep(smallest.document, smallest.said)
+
+        smallest = Smallest(whole, seen, trials, taken)
         return smallest, lambda: self._cut_first(smallest, whole, kept, trials)
 
     def _cut_first(self, smallest: Smallest, whole: Document, kept: Chronicle, trials: Trials) -> None:
@@ -279,17 +286,14 @@ class Reducer:
                 raise ExperimentError(_GOES_AWAY)
             cut_both_ends(smallest, kept)
         elif not begin_late(smallest, whole, kept):
-            self._write_out(smallest, whole, kept)
+            # begin at the start of the run, with every body written out
+            assert kept.end is not None
+            duration = kept.end.time if kept.shown else 0.0
+            ends = [duration, duration + kept.end.dt] if duration else []
+            candidates = [at_moment(whole, kept.moments[0], end) for end in ends]
+            if not any(smallest.takes(candidate) for candidate in candidates) and not smallest.is_shown():
+                raise ExperimentError(_GOES_AWAY)
         self._end_stage("cut time", smallest, trials)
-
-    def _write_out(self, smallest: Smallest, whole: Document, kept: Chronicle) -> None:
-        """Begin at the start of the run, with every body written out."""
-        assert kept.end is not None
-        duration = kept.end.time if kept.shown else 0.0
-        ends = [duration, duration + kept.end.dt] if duration else []
-        candidates = [at_moment(whole, kept.moments[0], end) for end in ends]
-        if not any(smallest.takes(candidate) for candidate in candidates) and not smallest.is_shown():
-            raise ExperimentError(_GOES_AWAY)
 
     def _pass_all(self, smallest: Smallest, cut: Callable[[], None], trials: Trials) -> str:
         """Shorten the run, then repeat all passes until none changes the scene; return why they ended early, if so."""
@@ -315,15 +319,6 @@ class Reducer:
         except OutOfTime as ended:
             return str(ended)
         return f"it still changed after {MOST_ROUNDS} rounds"
-
-    def _taken(self, trials: Trials) -> Callable[[Smallest], None]:
-        def taken(smallest: Smallest) -> None:
-            self._progress.bodies, self._progress.steps = smallest.bodies, smallest.steps
-            self._progress.kept = smallest.kept
-            self._look(trials)
-            self.keep(smallest.document, smallest.said)
-
-        return taken
 
     def _look(self, trials: Trials) -> None:
         self._progress.candidates, self._progress.seconds = trials.count, trials.budget.spent

@@ -189,7 +189,16 @@ class Varies:
             if self.name == STEPS:
                 return _by_shorter_steps(scene)
             if self.name == ARRAYS:
-                return _by_arrays(scene)
+                # the bits of a scene whose bodies are given as arrays
+                start = place(scene)
+                kept = {key: value for key, value in tomllib.loads(scene.toml).items() if key not in (BODIES, "group")}
+                names = ("position", "velocity", "angular_velocity", "mass", "radius", "inertia", "fixed")
+                arrays: dict[str, Any] = {name: getattr(start, name) for name in names}
+                given = Scene.from_arrays(**arrays, name=list(start.name), **kept)
+                here, there = FinalState.of(Space(scene, threads=1)), FinalState.of(Space(given, threads=1))
+                same = (here.step, here.time, bool(here.error)) == (there.step, there.time, bool(there.error))
+                same = same and np.array_equal(here.position, there.position)
+                return "" if same else "the bits differ from those of arrays"
             return _by_image(scene, IMAGES[self.name])
         except (SceneError, PhysicsError):  # the image is refused
             return ""
@@ -290,18 +299,6 @@ def _energy_error(scene: Scene) -> float | None:
     except Exception:
         return None
     return largest
-
-
-def _by_arrays(scene: Scene) -> str:
-    """Compare the bits of a scene whose bodies are given as arrays."""
-    start = place(scene)
-    kept = {key: value for key, value in tomllib.loads(scene.toml).items() if key not in (BODIES, "group")}
-    names = ("position", "velocity", "angular_velocity", "mass", "radius", "inertia", "fixed")
-    arrays: dict[str, Any] = {name: getattr(start, name) for name in names}
-    given = Scene.from_arrays(**arrays, name=list(start.name), **kept)
-    here, there = FinalState.of(Space(scene, threads=1)), FinalState.of(Space(given, threads=1))
-    same = (here.step, here.time, bool(here.error)) == (there.step, there.time, bool(there.error))
-    return "" if same and np.array_equal(here.position, there.position) else "the bits differ from those of arrays"
 
 
 def _explicit(scene: Scene) -> Document:

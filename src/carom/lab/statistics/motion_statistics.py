@@ -97,7 +97,13 @@ def paths_of(interval: Interval) -> Paths:
     for frame in range(1, len(interval.step)):
         after = interval.positions.drawn(int(interval.step[frame]))
         rows = slice(bounds[frame - 1], bounds[frame])
-        body, time, centre = _ends(interval, rows)
+        impacts, radius = interval.impacts, interval.recording.bodies.radius
+        i, j, time, point, normal = (
+            column[rows] for column in (impacts.i, impacts.j, impacts.time, impacts.point, impacts.normal)
+        )
+        pair = j < interval.bodies  # impacts of two bodies; the others are on planes
+        centres = point - radius[i][:, None] * normal, point[pair] + radius[j[pair]][:, None] * normal[pair]
+        body, time, centre = np.concatenate([i, j[pair]]), np.concatenate([time, time[pair]]), np.concatenate(centres)
         involved = np.unique(body)
         direct = np.linalg.norm(minimum_images(after - before, box), axis=1)
         direct[involved] = 0.0
@@ -124,17 +130,6 @@ def paths_of(interval: Interval) -> Paths:
             np.maximum.at(last, body, time)
         before = after
     return Paths(total, np.concatenate(times), np.concatenate(lengths))
-
-
-def _ends(interval: Interval, rows: slice) -> tuple[IntArray, FloatArray, FloatArray]:
-    """Return both bodies of some impacts, (k,), the times (s), and their centres, (k, 3) m."""
-    impacts, radius = interval.impacts, interval.recording.bodies.radius
-    i, j, time, point, normal = (
-        column[rows] for column in (impacts.i, impacts.j, impacts.time, impacts.point, impacts.normal)
-    )
-    pair = j < interval.bodies  # impacts of two bodies; the others are on planes
-    centres = point - radius[i][:, None] * normal, point[pair] + radius[j[pair]][:, None] * normal[pair]
-    return np.concatenate([i, j[pair]]), np.concatenate([time, time[pair]]), np.concatenate(centres)
 
 
 def measure_impacts(interval: Interval) -> Statistic:

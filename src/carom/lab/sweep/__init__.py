@@ -274,7 +274,13 @@ def show(folder: Path, conditions: list[str], sort: str | None, columns: str | N
     found = chosen(rows, conditions, sort)
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
     for key in keys:
-        table.add_column(key, justify="right" if _is_numeric(rows, key) else "left", overflow="fold")
+        table.add_column(
+            key,
+            justify="right"
+            if all(isinstance(row[key], (int, float)) for row in rows if row[key] is not None)
+            else "left",
+            overflow="fold",
+        )
     for row in found:
         table.add_row(*(escape(_cell(row, key)) for key in keys), style=None if row["status"] == "done" else "red")
     console = Terminal(markup=True)
@@ -359,10 +365,6 @@ def _axes(plot: tuple[str, str]) -> tuple[str, str]:
     if set(given) != {"x", "y"} or not all(given.values()):
         raise ExperimentError(f"--plot {' '.join(plot)}: expected x=KEY y=KEY, as x=contact.restitution y=energy.final")
     return given["x"], given["y"]
-
-
-def _is_numeric(rows: list[Row], key: str) -> bool:
-    return all(isinstance(row[key], (int, float)) for row in rows if row[key] is not None)
 
 
 def _cell(row: Row, key: str) -> str:

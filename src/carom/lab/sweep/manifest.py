@@ -268,17 +268,41 @@ class Manifest:
         files: set[str] = set()
         if folder.manifest.exists():
             stored = read(folder)
-            _refuse_other(folder, stored, plan)
+            # do not mix two sweeps in one folder
+            remedy = "choose another folder with -o, or remove that sweep and start over with --force"
+            if stored["scene"] != plan.digest:
+                raise ExperimentError(
+                    f"{folder.root}: holds a sweep of another scene ({folder.scene} has it); {remedy}"
+                )
+            if tuple(stored["varied"]) != plan.varied:
+                keys = ", ".join(stored["varied"])
+                raise ExperimentError(f"{folder.root}: holds a sweep that varies {keys}, in this order; {remedy}")
+            theirs, ours = stored["versions"].get("carom", "unknown"), versions()["carom"]
+            if theirs != ours:
+                raise ExperimentError(f"{folder.root}: was begun with carom {theirs}, this is {ours}; {remedy}")
             known, files = _runs(stored), set(stored["files"])
         data = [str(Path(folder.data.name) / name) for name in plan.files]
-        _refuse_to_replace(folder, [folder.scene.name, *(path.name for path in folder.tables), *data], files)
+        # a file that the manifest does not list is not replaced
+        names = [folder.scene.name, *(path.name for path in folder.tables), *data]
+        for name in names:
+            if name not in files and os.path.lexists(folder.root / name):
+                raise ExperimentError(
+                    f"{folder.root / name}: the sweep would replace it; choose another folder with -o"
+                )
         _refuse_runs_of_others(folder, {point.name for point in plan.points} - known.keys())
         for point in plan.points:
             known.setdefault(point.name, SweepRun(point.name, point.parameters, point.seed))
         begun = cls(folder, plan, known, command, files | {folder.scene.name, *data})
         folder.make()
         begun.save()  # before the files that it lists, so that no file of a sweep lacks a manifest
-        _copy_data(folder, plan)
+        # the data files of the scene, for workers on other machines and for later
+        for name, source in plan.files.items():
+            target = folder.data / name
+            output_folder(target.parent)
+            try:
+                put_copy(target, source)
+            except OSError as error:
+                raise ExperimentError(f"{source}: cannot be copied to {target}: {error.strerror}") from None
         put(folder.scene, plan.scene)
         return begun
 
@@ -327,7 +351,18 @@ class Manifest:
 
     def save(self) -> None:
         """Write the file. Raises OSError if that fails; the previous file then remains."""
-        head = json.dumps(self._head(), indent=1, ensure_ascii=False).removesuffix("\n}")
+        about = {
+            "schema": SCHEMA,
+            "title": self.plan.title,
+            "scene": self.plan.digest,
+            "varied": list(self.plan.varied),
+            "units": self.plan.units,
+            "versions": versions(),
+            "command": self.command,
+            "files": sorted(self.files),
+            "counts": dict(Counter(run.status for run in self.runs.values())),
+        }
+        head = json.dumps(about, indent=1, ensure_ascii=False).removesuffix("\n}")
         text = f'{head},\n "runs": [\n' + ",\n".join(self._lines.values()) + "\n]}\n"
         try:
             put(self.folder.manifest, text)
@@ -345,19 +380,6 @@ class Manifest:
     def _enter(self, run: SweepRun) -> None:
         self.runs[run.name] = run
         self._lines[run.name] = _line(run)
-
-    def _head(self) -> dict[str, Any]:
-        return {
-            "schema": SCHEMA,
-            "title": self.plan.title,
-            "scene": self.plan.digest,
-            "varied": list(self.plan.varied),
-            "units": self.plan.units,
-            "versions": versions(),
-            "command": self.command,
-            "files": sorted(self.files),
-            "counts": dict(Counter(run.status for run in self.runs.values())),
-        }
 
 
 def read(folder: Folder) -> dict[str, Any]:
@@ -412,26 +434,6 @@ def _runs(stored: dict[str, Any]) -> dict[str, SweepRun]:
     return {entry["name"]: SweepRun(**entry) for entry in stored["runs"]}
 
 
-def _refuse_other(folder: Folder, stored: dict[str, Any], plan: Plan) -> None:
-    """Refuse to mix two sweeps in one folder."""
-    remedy = "choose another folder with -o, or remove that sweep and start over with --force"
-    if stored["scene"] != plan.digest:
-        raise ExperimentError(f"{folder.root}: holds a sweep of another scene ({folder.scene} has it); {remedy}")
-    if tuple(stored["varied"]) != plan.varied:
-        keys = ", ".join(stored["varied"])
-        raise ExperimentError(f"{folder.root}: holds a sweep that varies {keys}, in this order; {remedy}")
-    theirs, ours = stored["versions"].get("carom", "unknown"), versions()["carom"]
-    if theirs != ours:
-        raise ExperimentError(f"{folder.root}: was begun with carom {theirs}, this is {ours}; {remedy}")
-
-
-def _refuse_to_replace(folder: Folder, names: Iterable[str], ours: set[str]) -> None:
-    """Refuse to replace a file that the manifest does not list."""
-    for name in names:
-        if name not in ours and os.path.lexists(folder.root / name):
-            raise ExperimentError(f"{folder.root / name}: the sweep would replace it; choose another folder with -o")
-
-
 def _refuse_runs_of_others(folder: Folder, names: set[str]) -> None:
     """Refuse to replace recordings that the manifest does not list."""
     for path in (path for place in folder.recordings for path in place.glob("*.rrd")):
@@ -439,14 +441,3 @@ def _refuse_runs_of_others(folder: Folder, names: set[str]) -> None:
             raise ExperimentError(
                 f"{path}: it belongs to no sweep, and this sweep would replace it; choose another folder with -o"
             )
-
-
-def _copy_data(folder: Folder, plan: Plan) -> None:
-    """Copy the data files of the scene into the folder, for workers on other machines and for later."""
-    for name, source in plan.files.items():
-        target = folder.data / name
-        output_folder(target.parent)
-        try:
-            put_copy(target, source)
-        except OSError as error:
-            raise ExperimentError(f"{source}: cannot be copied to {target}: {error.strerror}") from None

@@ -99,7 +99,10 @@ def _made(task: SweepTask, folder: Folder) -> Report:
     found = _found(whole, scene)
     if found:
         return {**found, "file": str(whole.relative_to(folder.root))}
-    member = SweepMember(point.name, _recordable({**point.parameters, SEED: point.seed}), task.command)
+    # values without a Rerun component become text
+    parameters = {**point.parameters, SEED: point.seed}
+    kept = {k: value if isinstance(value, bool | int | float | str) else str(value) for k, value in parameters.items()}
+    member = SweepMember(point.name, kept, task.command)
     attempt = folder.attempt(point.name)
     try:
         outcome = simulate(recording_space(scene, threads=1), attempt, member=member)
@@ -160,12 +163,6 @@ def _results(summary: Mapping[str, Any], above: str = "") -> dict[str, Any]:
     return found
 
 
-def _recordable(parameters: Mapping[str, Any]) -> dict[str, Any]:
-    """Convert values without a Rerun component to text."""
-    kept = (bool, int, float, str)
-    return {key: value if isinstance(value, kept) else str(value) for key, value in parameters.items()}
-
-
 class Watcher(Protocol):
     """Receives the progress of a sweep."""
 
@@ -213,7 +210,14 @@ class Conductor:
         while self._left and interrupts.count < 2:
             entered = [self._enter(ended) for ended in self._workers.ended(_TICK)]
             if any(entered):
-                self._save()
+                # keep an error for later, since a full disk may have space again
+                try:
+                    self._manifest.save()
+                    self._unsaved = ""
+                except OSError as error:
+                    if not self._unsaved:
+                        self._watch.say(f"{self._manifest.folder.manifest} cannot be written: {error.strerror}")
+                    self._unsaved = str(error)
             self._watch.tick()
             if not self._workers.are_there:
                 break
@@ -236,16 +240,6 @@ class Conductor:
             return False
         self._watch.ended(self._manifest.enter(ended.key, _report_of(ended)))
         return True
-
-    def _save(self) -> None:
-        """Write the manifest; keep an error for later, since a full disk may have space again later."""
-        try:
-            self._manifest.save()
-            self._unsaved = ""
-        except OSError as error:
-            if not self._unsaved:
-                self._watch.say(f"{self._manifest.folder.manifest} cannot be written: {error.strerror}")
-            self._unsaved = str(error)
 
 
 def _report_of(ended: Ended) -> Report:

@@ -311,7 +311,12 @@ def tune_command(
     found: list[Tuning] = []
     finished = ran(lambda tell: found.append(tuned(study, asked, repeats, tell, settings)), quiet=as_json)
     if not as_json:
-        _show_tuning(study, asked)
+        from carom.extend import Terminal
+
+        console = Terminal(markup=True)
+        if not console.is_terminal:
+            console.width = PIPE_WIDTH
+        console.print(table_of(study, asked))
     if not finished:
         if as_json:
             say_json(stopped(study, asked))
@@ -329,15 +334,6 @@ def tune_command(
         said = f"none of the {len(tuning.tried)} settings tried keeps {', '.join(error)}: {tuning.why_none()}"
         say(f"carom: {said}", err=True)
         raise typer.Exit(1)
-
-
-def _show_tuning(study: Study, limits: Collection[str]) -> None:
-    from carom.extend import Terminal
-
-    console = Terminal(markup=True)
-    if not console.is_terminal:
-        console.width = PIPE_WIDTH
-    console.print(table_of(study, limits))
 
 
 def _extent(tuning: Tuning, errors: Collection[str]) -> str:

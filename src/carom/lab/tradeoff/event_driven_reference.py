@@ -103,7 +103,12 @@ class _Solver:
         self._scene, self._tolerance, self._times = scene, tolerance, times
         self._coefficients = pair_coefficients(scene)
         self._budget, self._deadline = budget, clock.thread_time() + budget
-        self._bodies = _copy(start)
+        # the state that contacts change
+        velocity, spin = start.velocity.copy(), start.angular_velocity.copy()
+        ends = replace(start.ends, velocity=velocity, angular_velocity=spin)
+        self._bodies = replace(
+            start, position=start.position.copy(), velocity=velocity, angular_velocity=spin, ends=ends
+        )
         self._n, self._names, self._units = len(start), space.names, scene.unit_system
         self._constant = scene.gravity.constant if space.requirements.gravity.modelled else 0.0
         self._field = np.array(scene.gravity.uniform)
@@ -176,7 +181,12 @@ class _Solver:
                 self._end(f"DOP853 stopped at t = {self._units.text(solver.t, TIME)}: {message}")
                 break
             if self._contacts:
-                self._widen(y, solver)
+                # gaps below the rounding of coordinates and clock, as for fast bodies, are contacts
+                ends = np.stack((y, solver.y))
+                largest = np.abs(ends[:, : 3 * self._n]).max(axis=0).reshape(-1, 3).max(axis=1)
+                speed = np.max([self._speeds(end) for end in ends], axis=0)
+                unseen = np.spacing(np.maximum(largest[self._i], largest[self._j])) + speed * np.spacing(solver.t)
+                self._near = np.maximum(self._near, TOUCHING * self._reach + ROUNDINGS * unseen)
             found = self._first_contact(solver, before, y) if self._contacts else None
             after, state = found or (solver.t, solver.y)
             pressed = self._pressed(y, state) if self._contacts else None
@@ -246,14 +256,6 @@ class _Solver:
         for force in self._forces:
             force.accelerate(x, acceleration, first=False, potential=False)
         return np.concatenate((y[3 * self._n :], acceleration.ravel()))
-
-    def _widen(self, y: FloatArray, solver: DOP853) -> None:
-        """Widen the tolerance of contact to gaps below the rounding of coordinates and clock, as for fast bodies."""
-        ends = np.stack((y, solver.y))
-        largest = np.abs(ends[:, : 3 * self._n]).max(axis=0).reshape(-1, 3).max(axis=1)
-        speed = np.max([self._speeds(end) for end in ends], axis=0)
-        unseen = np.spacing(np.maximum(largest[self._i], largest[self._j])) + speed * np.spacing(solver.t)
-        self._near = np.maximum(self._near, TOUCHING * self._reach + ROUNDINGS * unseen)
 
     def _first_contact(self, solver: DOP853, before: float, y: FloatArray) -> tuple[float, FloatArray] | None:
         """Return time and state of the first contact in the last step, if there is one."""
@@ -430,10 +432,3 @@ def _nudge(bodies: Bodies, duration: float, seed: int) -> None:
     signs = np.random.default_rng(seed).choice([-1.0, 1.0], (2, len(bodies), 3))
     bodies.position[:] += NUDGE * EPS * signs[0] * (np.abs(bodies.position) + np.abs(bodies.velocity) * duration)
     bodies.velocity[:] *= 1.0 + NUDGE * EPS * signs[1]
-
-
-def _copy(bodies: Bodies) -> Bodies:
-    """Copy the state that contacts change."""
-    velocity, spin = bodies.velocity.copy(), bodies.angular_velocity.copy()
-    ends = replace(bodies.ends, velocity=velocity, angular_velocity=spin)
-    return replace(bodies, position=bodies.position.copy(), velocity=velocity, angular_velocity=spin, ends=ends)

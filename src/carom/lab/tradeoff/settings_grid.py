@@ -191,7 +191,14 @@ def vary(scene: Scene, choices: list[str]) -> list[Setting]:
     for picked in itertools.product(*axes):
         settings.append(_setting(scene, picked))
     for choice in choices:
-        _refuse_another_scene(choice.partition("=")[0].strip())
+        # errors are relative to the original scene
+        key = choice.partition("=")[0].strip()
+        known = (STEP, THREADS, *METHOD)
+        if key == "time.duration" or not any(f"{key}.".startswith(f"{one}.") for one in known):
+            raise SceneError(
+                f"--vary {key}: it changes the scene instead of its computation; vary {', '.join(known)}; "
+                "`carom sweep` varies all keys"
+            )
     return settings
 
 
@@ -242,16 +249,6 @@ def _axis(choice: str) -> list[_Choice]:
     if key == THREADS:
         return [_threads(choice, value) for value in parts]
     return [_value(key, value) for value in parts]
-
-
-def _refuse_another_scene(key: str) -> None:
-    """Refuse keys that change the scene itself, since errors are relative to the original scene."""
-    known = (STEP, THREADS, *METHOD)
-    if key == "time.duration" or not any(f"{key}.".startswith(f"{one}.") for one in known):
-        raise SceneError(
-            f"--vary {key}: it changes the scene instead of its computation; vary {', '.join(known)}; `carom sweep` "
-            "varies all keys"
-        )
 
 
 def _value(key: str, value: str) -> _Choice:

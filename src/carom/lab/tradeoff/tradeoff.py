@@ -313,7 +313,15 @@ class Study:
             kept = json.loads(path.read_text(encoding="utf-8"))
             theirs, known = kept["scene"]["toml"], kept["reference"]
             if kept["version"] == VERSION and theirs == self.scene.toml:
-                self._reopen(known, kept["settings"])
+                if known is not None:
+                    self.reference = reference_of(known, self.scene, Trajectory.load(self.folder / REFERENCE))
+                for entry in kept["settings"]:
+                    result = result_of(entry)
+                    if result.status == "measured" and self.reference is not None:
+                        result.errors = self.reference.errors(self.trajectory(result))
+                    elif result.status in ("refused", "measured"):  # another version may run it
+                        result.status = "pending"
+                    self.results.append(result)
                 self._busy = kept.get("load", 0.0)
                 return
             if kept["version"] != VERSION and theirs == self.scene.toml:
@@ -323,17 +331,6 @@ class Study:
         raise ExperimentError(
             f"{self.folder}: holds a study of another scene or of an earlier version of this scene; {self._advice}"
         )
-
-    def _reopen(self, known: dict[str, Any] | None, settings: list[dict[str, Any]]) -> None:
-        if known is not None:
-            self.reference = reference_of(known, self.scene, Trajectory.load(self.folder / REFERENCE))
-        for entry in settings:
-            result = result_of(entry)
-            if result.status == "measured" and self.reference is not None:
-                result.errors = self.reference.errors(self.trajectory(result))
-            elif result.status in ("refused", "measured"):  # another version may run it
-                result.status = "pending"
-            self.results.append(result)
 
 
 def _key(setting: Setting) -> tuple[tuple[str, ...], int | None, str]:

@@ -58,21 +58,19 @@ class SettingSearch:
         results = self._study.measure([point.setting(self._study.scene) for point in points], 1, self._tell)
         self._found.update(zip(points, results, strict=True))
         if not unsure(self._study, self._limits) and math.isfinite(min(map(self._excess, points))):
-            self._descend(min(points, key=self._rank))
+            best = min(points, key=self._rank)
+            best, before = self._along_step(best), None
+            while best != before:
+                before = best
+                for key, values in knobs(self._study.scene).items():
+                    for value in (None, *values):
+                        if value != best.value(key):
+                            best = self._better(best, self._along_step(best.having(key, value), best))
+                best = self._better(best, best.times(BETWEEN))
         kept = [result for point, result in self._found.items() if not self._excess(point)]
         least = min((result.cost for result in kept), default=0.0)
         again = {result.setting: None for result in (results[0], *(r for r in kept if r.cost <= CLOSE * least))}
         self._study.measure(list(again), repeats, self._tell)
-
-    def _descend(self, best: GridPoint) -> None:
-        best, before = self._along_step(best), None
-        while best != before:
-            before = best
-            for key, values in knobs(self._study.scene).items():
-                for value in (None, *values):
-                    if value != best.value(key):
-                        best = self._better(best, self._along_step(best.having(key, value), best))
-            best = self._better(best, best.times(BETWEEN))
 
     def _along_step(self, here: GridPoint, best: GridPoint | None = None) -> GridPoint:
         """Return the point with the best step; stop when shorter steps only cost more."""

@@ -131,7 +131,9 @@ class Account:
         shares = self._divide(rows, sum(kicks, np.zeros(3)), step.by_field, step.before[self.body])
         first, last = sum(kicks[:1], np.zeros(3)), sum(kicks[1:], np.zeros(3))  # before the drift, and after it
         late = len(rows) > 0 and rows[-1]["time"] >= step.time
-        now = self._velocity_after(step, rows, first + last if late else first)
+        # the velocity right after the last of the impulses
+        kicked = first + last if late else first
+        now: FloatArray = step.before[self.body] + kicked + self._impulses(rows).sum(axis=0) / self.mass
         keys = list(zip(rows["instant"].tolist(), (rows["holds"] | rows["lasts"]).tolist(), strict=True))
         end = len(rows)
         while end > 0:
@@ -221,18 +223,19 @@ class Account:
                 self._add(row, impulse, size, float(impulse @ mean), share, impacts)
         return before
 
-    def _velocity_after(self, step: Step, rows: Records, kicked: FloatArray) -> FloatArray:
-        """Return the velocity right after the last of the impulses, given the kicks before it, (3,) m/s in all."""
-        now: FloatArray = step.before[self.body] + kicked + self._impulses(rows).sum(axis=0) / self.mass
-        return now
-
     def _add(self, row: np.void, impulse: FloatArray, size: float, work: float, share: float, impacts: Records) -> None:
         partner = self._other(row)
         time, step, holds = float(row["time"]), int(row["step"]), bool(row["holds"])
         lasts = bool(row["lasts"])
         cause = Cause(partner, holds, time, time, step, impulse, size, work, time, size, share=share, lasts=lasts)
         if not holds:
-            self._find_impact(cause, impacts)
+            # approach speed and energy loss are those of the recorded impact
+            low, high = min(self.body, cause.partner), max(self.body, cause.partner)
+            own = impacts[(impacts["i"] == low) & (impacts["j"] == high) & (impacts["time"] == cause.moment)]
+            if len(own):  # a pair may meet several times at one moment
+                squares = (own[name] ** 2 for name in ("normal_impulse", "friction_x", "friction_y", "friction_z"))
+                met = own[int(np.argmin(np.abs(np.asarray(np.sqrt(sum(squares))) - cause.size)))]
+                cause.approach_speed, cause.energy_lost = float(met["approach_speed"]), _loss(met)
         if lasts:
             cause.energy_lost = None
         elif cause.kind != "impact":  # the loss of the whole step belongs to its last cause
@@ -246,24 +249,10 @@ class Account:
             self._held[partner] = cause, self._before
         self.causes.append(cause)
 
-    def _find_impact(self, cause: Cause, impacts: Records) -> None:
-        """Add approach speed and energy loss to a cause that was an impact."""
-        low, high = min(self.body, cause.partner), max(self.body, cause.partner)
-        own = impacts[(impacts["i"] == low) & (impacts["j"] == high) & (impacts["time"] == cause.moment)]
-        if len(own):  # a pair may meet several times at one moment
-            met = own[int(np.argmin(np.abs(_sizes(own) - cause.size)))]
-            cause.approach_speed, cause.energy_lost = float(met["approach_speed"]), _loss(met)
-
 
 def _loss(row: np.void) -> float:
     """Return the energy (J) that a contact dissipated."""
     return float(row["restitution_loss"] + row["friction_loss"])
-
-
-def _sizes(impacts: Records) -> FloatArray:
-    """Return the magnitudes of the impulses of impacts, (k,) N s."""
-    squares = (impacts[name] ** 2 for name in ("normal_impulse", "friction_x", "friction_y", "friction_z"))
-    return np.asarray(np.sqrt(sum(squares)))
 
 
 def impulses_on(body: int, rows: Records) -> Records:

@@ -195,26 +195,24 @@ def question_of(recording: Recording, body: str | None, at: float | None, event:
     if event is not None:
         if at is not None:
             raise RecordingError("give --at or --event, not both")
-        return _of_event(recording, event)
+        found = named_event(recording, event)
+        time, pair = found.time, found.pair
+        when, count = recording.units.text(time, TIME, ".9g"), len(recording.bodies.mass)
+        if pair is None or (pair.j is None and pair.plane is None):
+            which = "no two bodies" if recording.shows_all else "no two bodies of this clip"
+            raise RecordingError(
+                f'the event "{event}" names {which}; ask about one with --body, at t = {when} with --at'
+            )
+        j = pair.j if pair.j is not None else count + (pair.plane or 0)
+        bodies = (pair.i,) if j >= count else (pair.i, j)
+        text = f"Why do {names_of(recording).pair((pair.i, j))} touch at t = {when}?"
+        return Question(bodies, (pair.i, j), time, text, event, recording.units)
     assert body is not None
     number = body_number(recording, body)
     time = recording.moment(float(recording.fingerprints()["time"][-1].as_py()) if at is None else at)
     name = names_of(recording).of(number)
     when = recording.units.text(time, TIME, ".9g")
     return Question((number,), None, time, f"Why does {name} move as it does at t = {when}?", units=recording.units)
-
-
-def _of_event(recording: Recording, event: str) -> Question:
-    found = named_event(recording, event)
-    time, pair = found.time, found.pair
-    when, count = recording.units.text(time, TIME, ".9g"), len(recording.bodies.mass)
-    if pair is None or (pair.j is None and pair.plane is None):
-        which = "no two bodies" if recording.shows_all else "no two bodies of this clip"
-        raise RecordingError(f'the event "{event}" names {which}; ask about one with --body, at t = {when} with --at')
-    j = pair.j if pair.j is not None else count + (pair.plane or 0)
-    bodies = (pair.i,) if j >= count else (pair.i, j)
-    text = f"Why do {names_of(recording).pair((pair.i, j))} touch at t = {when}?"
-    return Question(bodies, (pair.i, j), time, text, event, recording.units)
 
 
 def recorded_history(recording: Recording, question: Question, start: float | None) -> History:

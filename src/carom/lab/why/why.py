@@ -166,7 +166,10 @@ class _Backwards:
         step, rows, kicks, late = _moment(question, history)
         self._step, velocity = step, step.after.copy()
         for row in late[::-1]:
-            _undo(row, velocity, history.inverse_mass, self._count)
+            impulse = np.array([row["x"], row["y"], row["z"]])
+            velocity[row["i"]] += history.inverse_mass[row["i"]] * impulse
+            if row["j"] < self._count:
+                velocity[row["j"]] -= history.inverse_mass[row["j"]] * impulse
         for kick in step.kicks[len(kicks) :]:
             velocity[list(bodies)] -= kick
         self._time = float(late["time"][0]) if len(late) else step.time
@@ -255,10 +258,3 @@ def _rows_of(step: Step, ends: tuple[int, int]) -> list[int]:
         (rows["i"] == ends[0]) & (rows["j"] == ends[1]) & ((rows["x"] != 0.0) | (rows["y"] != 0.0) | (rows["z"] != 0.0))
     )
     return [int(row) for row in np.flatnonzero(own)]
-
-
-def _undo(row: np.void, velocity: FloatArray, inverse_mass: FloatArray, count: int) -> None:
-    impulse = np.array([row["x"], row["y"], row["z"]])
-    velocity[row["i"]] += inverse_mass[row["i"]] * impulse
-    if row["j"] < count:
-        velocity[row["j"]] -= inverse_mass[row["j"]] * impulse

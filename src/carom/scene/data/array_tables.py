@@ -13,7 +13,7 @@ import warnings
 import zipfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 import numpy as np
 from numpy.lib import format as npy
@@ -195,7 +195,11 @@ class _Archive(DataTable):
     def _array(self, archive: zipfile.ZipFile, name: str) -> Raw:
         info = archive.getinfo(name + _SUFFIX)
         with archive.open(info) as member:
-            shape, kind = _header(member)
+            version = npy.read_magic(member)
+            if version not in ((1, 0), (2, 0)):
+                raise ValueError(f"an array of version {version[0]}.{version[1]}")
+            read = npy.read_array_header_1_0 if version == (1, 0) else npy.read_array_header_2_0
+            shape, _, kind = read(member, max_header_size=_LARGEST_HEADER)
             if kind.hasobject:
                 raise SceneError(f"{self.called}: array {name} holds Python objects, which are not read; save numbers")
             size = math.prod(shape) * kind.itemsize
@@ -205,16 +209,6 @@ class _Archive(DataTable):
             refuse_large(self.called, name, size)
         with archive.open(info) as member:
             return np.asarray(npy.read_array(member, allow_pickle=False, max_header_size=_LARGEST_HEADER))
-
-
-def _header(member: IO[bytes]) -> tuple[tuple[int, ...], np.dtype[Any]]:
-    """Read the shape and the type in the header of an array."""
-    version = npy.read_magic(member)
-    if version not in ((1, 0), (2, 0)):
-        raise ValueError(f"an array of version {version[0]}.{version[1]}")
-    read = npy.read_array_header_1_0 if version == (1, 0) else npy.read_array_header_2_0
-    shape, _, kind = read(member, max_header_size=_LARGEST_HEADER)
-    return shape, kind
 
 
 NPZ = DataFormat("an .npz file", open_npz)
@@ -315,14 +309,26 @@ def open_rebound(path: Path, called: str, snapshot: int) -> DataTable:
     if simulation.N_var:
         notes.append(f"{counted(simulation.N_var, 'variational particle')} not used")
     particles = len(simulation.particles)  # without variational particles, which N includes before version 5
-    table = Arrays(_arrays(simulation, particles, called, notes), called)
+    # without radii or masses if these are all 0
+    everything = simulation.N
+    position, velocity = np.zeros((everything, 3)), np.zeros((everything, 3))
+    mass, radius = np.zeros(everything), np.zeros(everything)
+    simulation.serialize_particle_data(xyz=position, vxvyvz=velocity, m=mass, r=radius)
+    unnamed = getattr(simulation, "_N_name_list", 1) == 0  # REBOUND has names from version 5 on
+    names = [] if unnamed else [getattr(simulation.particles[k], "name", None) or "" for k in range(particles)]
+    arrays: dict[str, Raw] = {"position": position[:particles], "velocity": velocity[:particles]}
+    arrays |= {"mass": _attracting(simulation, mass[:particles], called, notes), "radius": radius[:particles]}
+    there = {name: array for name, array in arrays.items() if array.any() or name == "position"}
+    table = Arrays(there | ({"name": np.array(names, dtype=object)} if any(names) else {}), called)
     table.units = units_of_rebound(simulation.units)
+    name = printable(str(simulation.integrator))
+    step = "" if name in _CHOOSING else f" with dt = {simulation.dt:g}"
     table.law = MotionLaw(
         constant=0.0 if simulation.gravity == "none" else float(simulation.G),
         softening=float(simulation.softening),
         box=_box(simulation),
         collides=simulation.collision != "none",
-        integrated=_integrated(simulation),
+        integrated=f'integrator = "{name}"{step}',
         integrator=_INTEGRATORS.get(str(simulation.integrator), ""),
         ghosts=(int(simulation.N_ghost_x), int(simulation.N_ghost_y), int(simulation.N_ghost_z)),
     )
@@ -353,27 +359,6 @@ def _box(simulation: Any) -> tuple[float, float, float] | None:
         return None
     x, y, z = (float(simulation.root_size) * getattr(simulation, f"N_root_{axis}") for axis in "xyz")
     return x, y, z
-
-
-def _integrated(simulation: Any) -> str:
-    """Return the integrator and its step in words."""
-    name = printable(str(simulation.integrator))
-    step = "" if name in _CHOOSING else f" with dt = {simulation.dt:g}"
-    return f'integrator = "{name}"{step}'
-
-
-def _arrays(simulation: Any, n: int, called: str, notes: list[str]) -> dict[str, Raw]:
-    """Return the particles, without radii or masses if these are all 0."""
-    everything = simulation.N
-    position, velocity = np.zeros((everything, 3)), np.zeros((everything, 3))
-    mass, radius = np.zeros(everything), np.zeros(everything)
-    simulation.serialize_particle_data(xyz=position, vxvyvz=velocity, m=mass, r=radius)
-    unnamed = getattr(simulation, "_N_name_list", 1) == 0  # REBOUND has names from version 5 on
-    names = [] if unnamed else [getattr(simulation.particles[k], "name", None) or "" for k in range(n)]
-    arrays: dict[str, Raw] = {"position": position[:n], "velocity": velocity[:n]}
-    arrays |= {"mass": _attracting(simulation, mass[:n], called, notes), "radius": radius[:n]}
-    there = {name: array for name, array in arrays.items() if array.any() or name == "position"}
-    return there | ({"name": np.array(names, dtype=object)} if any(names) else {})
 
 
 def _attracting(simulation: Any, mass: FloatArray, called: str, notes: list[str]) -> FloatArray:

@@ -266,12 +266,6 @@ def open_csv(path: Path, called: str, snapshot: int) -> DataTable:
     return _TextTable(path, called, snapshot)
 
 
-def _without_fractions(column: pa.ChunkedArray) -> pa.ChunkedArray:
-    """Return 5 for 5.0 in a column of whole numbers, which pandas writes as floats if one is missing."""
-    whole = pc.match_substring_regex(column, r"^((0|[1-9][0-9]*)\.0)?$")
-    return pc.replace_substring_regex(column, r"\.0$", "") if pc.all(whole).as_py() else column
-
-
 def open_parquet(path: Path, called: str, snapshot: int) -> DataTable:
     """Open a Parquet file."""
     refuse_many_columns(called, _columns_of_parquet(path), _ELEMENTS)
@@ -319,7 +313,17 @@ def open_arrow(path: Path, called: str, snapshot: int) -> DataTable:
     """Open an Arrow file, an Arrow stream or a Feather file."""
     with pa.memory_map(str(path)) as source:
         file = source.read(6) == b"ARROW1"
-        _refuse_claims(source, _STREAM_IN_FILE if file else 0, called, path.stat().st_size)
+        # before decompression, refuse batches whose buffers would become far larger than the file
+        stored = path.stat().st_size
+        source.seek(_STREAM_IN_FILE if file else 0)
+        messages, claimed = pyarrow.ipc.MessageReader.open_stream(source), 0
+        for message in messages:
+            if message.type == "schema":
+                refuse_many_columns(called, columns(message.metadata.to_pybytes()))
+            if message.body is not None and message.type in ("record batch", "dictionary"):
+                header = claims(message.metadata.to_pybytes(), message.type == "dictionary")
+                claimed += unpacked_bytes(header, memoryview(message.body))
+                refuse_bomb(called, claimed, stored)
         source.seek(_STREAM_IN_FILE if file else 0)  # a footer could refer to other batches
         reader = pyarrow.ipc.open_stream(source)
         batches, rows = list[pa.RecordBatch](), 0
@@ -338,19 +342,6 @@ def open_arrow(path: Path, called: str, snapshot: int) -> DataTable:
         return table.select(wanted)
 
     return _ArrowTable(called, reader.schema.names, read, snapshot)
-
-
-def _refuse_claims(source: pa.NativeFile, begin: int, called: str, stored: int) -> None:
-    """Refuse batches whose buffers would become far larger than the file, before decompression."""
-    source.seek(begin)
-    messages, claimed = pyarrow.ipc.MessageReader.open_stream(source), 0
-    for message in messages:
-        if message.type == "schema":
-            refuse_many_columns(called, columns(message.metadata.to_pybytes()))
-        if message.body is not None and message.type in ("record batch", "dictionary"):
-            header = claims(message.metadata.to_pybytes(), message.type == "dictionary")
-            claimed += unpacked_bytes(header, memoryview(message.body))
-            refuse_bomb(called, claimed, stored)
 
 
 def _stores_each_row(kind: pa.DataType) -> bool:
@@ -440,7 +431,11 @@ class _TextTable(_ArrowTable):
             raise
         refuse_many_rows(self.called, table.num_rows)
         for text in texts:
-            table = table.set_column(table.column_names.index(text), text, _without_fractions(table[text]))
+            # 5 for 5.0 in a column of whole numbers, which pandas writes as floats if one is missing
+            column = table[text]
+            if pc.all(pc.match_substring_regex(column, r"^((0|[1-9][0-9]*)\.0)?$")).as_py():
+                column = pc.replace_substring_regex(column, r"\.0$", "")
+            table = table.set_column(table.column_names.index(text), text, column)
         return table
 
 

@@ -223,20 +223,17 @@ class _Reader:
         self._row = np.arange(self._rows)  # number in the file of each row that is read
         self.notes = list[str]()
         if section.missing is not None and section.missing.leave_out:
-            self._leave_out()
-
-    def _leave_out(self) -> None:
-        """Leave out the rows without a position."""
-        there = np.ones(self._rows, dtype=np.bool_)
-        for name in self._mapping["position"]:
-            gaps = np.isnan(numbers_of(self._called, name, self._raw[name], with_gaps=True))
-            there &= ~gaps.reshape(self._rows, -1).any(axis=1)
-        self._row = self._row[there]
-        self._raw = {name: array[there] for name, array in self._raw.items()}
-        if len(self._row) < self._rows:
-            gone = counted(self._rows - len(self._row), "row")
-            self.notes.append(f"{self._called}: {gone} of {self._rows} without a position left out")
-        self._rows = len(self._row)
+            # leave out the rows without a position
+            there = np.ones(self._rows, dtype=np.bool_)
+            for name in self._mapping["position"]:
+                gaps = np.isnan(numbers_of(self._called, name, self._raw[name], with_gaps=True))
+                there &= ~gaps.reshape(self._rows, -1).any(axis=1)
+            self._row = self._row[there]
+            self._raw = {name: array[there] for name, array in self._raw.items()}
+            if len(self._row) < self._rows:
+                gone = counted(self._rows - len(self._row), "row")
+                self.notes.append(f"{self._called}: {gone} of {self._rows} without a position left out")
+            self._rows = len(self._row)
 
     def row(self, place: int) -> int:
         """Return the row of the file from which a body comes."""

@@ -106,7 +106,16 @@ def mapping_of(section: BodyData, names: Sequence[str], called: str) -> ColumnMa
                 _refuse_doubtful(quantity, candidates[0][0], names, called)
                 mapping[quantity] = candidates[0]
             elif quantity != "position":  # a missing position is an error
-                _refuse_part(quantity, names, called)
+                # a vector with only one or two of the usual columns
+                plain = {_plain(name) for name in names}
+                for pattern in USUAL_AXES.get(quantity, ()):
+                    axes = [pattern.replace("*", axis) for axis in "xyz"]
+                    there, missing = ([axis for axis in axes if (axis in plain) is wanted] for wanted in (True, False))
+                    if there and missing:
+                        raise SceneError(
+                            f"{called}: columns for {quantity} are incomplete: {' and '.join(there)} without "
+                            f"{' and '.join(missing)}; add the rest, or give {quantity} = [x, y, z] for all bodies"
+                        )
     for first, second in _RIVALS:
         _refuse_rivals(section, mapping, first, second, called)
     _refuse_missing(section, mapping, names, called)
@@ -276,19 +285,6 @@ def _usual(quantity: str, names: Sequence[str]) -> list[tuple[str, ...]]:
             columns = tuple(names[plain.index(axis)] for axis in axes)
             threes += [columns, columns] if repeated else [columns]
     return single + threes
-
-
-def _refuse_part(quantity: str, names: Sequence[str], called: str) -> None:
-    """Refuse a vector with only one or two of the usual columns."""
-    plain = {_plain(name) for name in names}
-    for pattern in USUAL_AXES.get(quantity, ()):
-        axes = [pattern.replace("*", axis) for axis in "xyz"]
-        there, missing = ([axis for axis in axes if (axis in plain) is wanted] for wanted in (True, False))
-        if there and missing:
-            raise SceneError(
-                f"{called}: columns for {quantity} are incomplete: {' and '.join(there)} without "
-                f"{' and '.join(missing)}; add the rest, or give {quantity} = [x, y, z] for all bodies"
-            )
 
 
 def _plain(name: str) -> str:

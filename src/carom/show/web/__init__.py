@@ -127,19 +127,14 @@ def _copy_web_viewer(folder: Path) -> None:
     The binary also serves it, but from a port that another user may have taken before.
     """
     with Path(binary()).open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as program:
-        script, code = _script(program), _web_assembly(program)
+        start = program.find(_SCRIPT_STARTS)
+        end = program.find(_SCRIPT_ENDS, start)
+        if start < 0 or end < 0:
+            raise RecordingError(_NO_WEB_VIEWER)
+        script, code = slice(start, end + len(_SCRIPT_ENDS)), _web_assembly(program)
         (folder / "re_viewer.js").write_bytes(program[script])
         with gzip.GzipFile(folder / "re_viewer.wasm.gz", "wb", _LEVEL, mtime=0) as packed:
             packed.write(program[code])
-
-
-def _script(program: mmap.mmap) -> slice:
-    """Return where a program holds the viewer's JavaScript."""
-    start = program.find(_SCRIPT_STARTS)
-    end = program.find(_SCRIPT_ENDS, start)
-    if start < 0 or end < 0:
-        raise RecordingError(_NO_WEB_VIEWER)
-    return slice(start, end + len(_SCRIPT_ENDS))
 
 
 def _web_assembly(program: mmap.mmap) -> slice:
