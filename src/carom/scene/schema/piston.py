@@ -41,10 +41,10 @@ def piston_of(scene: Scene) -> tuple[int, Piston] | None:
 
 def force_of(scene: Scene) -> float:
     """Return the given force on the piston, along the normal of its plane, in N."""
-    found = piston_of(scene)
-    if found is None:
+    numbered = piston_of(scene)
+    if numbered is None:
         return 0.0
-    number, piston = found
+    number, piston = numbered
     if piston.pressure is None:
         return piston.force or 0.0
     axis = next(axis for axis, along in enumerate(scene.plane[number].normal) if along)
@@ -60,10 +60,10 @@ def refuse_what_has_no_piston(scene: Scene) -> None:
     SectionError
         The message names the key and the remedy.
     """
-    found = piston_of(scene)
-    if found is None:
+    numbered = piston_of(scene)
+    if numbered is None:
         return
-    number, piston = found
+    number, piston = numbered
     key, time, contact = ("plane", number, "piston"), scene.time, scene.contact
     remedies = {
         "a second piston": ("remove one of them", sum(plane.piston is not None for plane in scene.plane) > 1),
