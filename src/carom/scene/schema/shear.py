@@ -72,20 +72,29 @@ def refuse_what_is_not_sheared(scene: Scene) -> None:
     if scene.domain.shear is None:
         return
     time, contact = scene.time, scene.contact
-    remedies = {
-        "gravity.uniform": ("set it to [0, 0, 0]", any(scene.gravity.uniform)),
-        "a [drag]": ("remove it", scene.drag is not None),
-        "a [forces]": ("remove it", bool(scene.forces.given)),
-        "a fixed body": ("set fixed = false", scene.has_fixed_bodies),
-        "time.accuracy": ("remove it", time.accuracy is not None),
-        f'time.integrator = "{time.integrator}"': ('set "leapfrog"', time.integrator not in (AUTO, "leapfrog")),
-        "contact.sleep": ("remove it", contact.sleep is not None),
+    refused = {
+        "gravity.uniform": (
+            "bodies would fall through the box without end",
+            "set it to [0, 0, 0]",
+            any(scene.gravity.uniform),
+        ),
+        "a [drag]": ("its medium would move past the images of the box", "remove it", scene.drag is not None),
+        "a [forces]": ("forces do not know that images move", "remove it", bool(scene.forces.given)),
+        "a fixed body": ("its images would move", "set fixed = false", scene.has_fixed_bodies),
+        "time.accuracy": ("errors are not compared where images move", "remove it", time.accuracy is not None),
+        f'time.integrator = "{time.integrator}"': (
+            "bodies are wrapped once a step",
+            'set "leapfrog"',
+            time.integrator not in (AUTO, "leapfrog"),
+        ),
+        "contact.sleep": ("nothing is at rest in a flow", "remove it", contact.sleep is not None),
         "contact.allow_overlap": (
+            "impacts at their own times push nothing apart",
             'set it to false, or timing to "end-of-step"',
             contact.allow_overlap and contact.timing != "end-of-step",
         ),
-        "model.force": ("remove it", bool(scene.model.force)),
+        "model.force": ("it follows from the shear which parts are needed", "remove it", bool(scene.model.force)),
     }
-    for what, (remedy, given) in remedies.items():
+    for what, (why, remedy, given) in refused.items():
         if given:
-            raise ValueError(f"domain.shear with {what}, which a sheared box does not support; {remedy}")
+            raise ValueError(f"domain.shear with {what}, which it does not support: {why}; {remedy}")
