@@ -51,6 +51,10 @@ class RecorderError(RecordingError):
     """The recorder stopped by an error of the program or of an extension, or for lack of memory; its file is closed."""
 
 
+class DroppedRunWarning(UserWarning):
+    """A new run replaces the file that a killed run left; the message names it."""
+
+
 class ExistsError(RecordingError):
     """A file would be replaced without permission."""
 

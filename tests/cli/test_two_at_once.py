@@ -19,8 +19,8 @@ LONG = ("--set", "time.duration=1e5")
 
 
 @contextmanager
-def under_way(*arguments: str, cwd: Path, grows: str) -> Iterator[subprocess.Popen[str]]:
-    """Start the command and wait until it writes a file."""
+def under_way(*arguments: str, cwd: Path, grows: str, size: int = 100_000) -> Iterator[subprocess.Popen[str]]:
+    """Start the command and wait until a file that it writes has more than this number of bytes."""
     process = subprocess.Popen(
         [sys.executable, "-m", "carom", *arguments],
         cwd=cwd,
@@ -29,7 +29,7 @@ def under_way(*arguments: str, cwd: Path, grows: str) -> Iterator[subprocess.Pop
         text=True,
     )
     deadline = time.monotonic() + 120
-    while not ((cwd / grows).exists() and (cwd / grows).stat().st_size > 100_000):
+    while not ((cwd / grows).exists() and (cwd / grows).stat().st_size > size):
         assert process.poll() is None and time.monotonic() < deadline
         time.sleep(0.05)
     try:
@@ -104,3 +104,25 @@ def test_a_recording_is_not_resumed_onto_itself_under_its_temporary_name(tmp_pat
     done = carom("resume", "x.resumed.rrd", "--until", "5", "-o", "x.rrd", "--force", cwd=tmp_path)
     assert done.returncode == 2 and "name another file" in done.stderr
     assert (tmp_path / "x.resumed.rrd").read_bytes() == before
+
+
+@pytest.mark.slow
+def test_a_killed_run_with_force_is_mentioned_resumed_or_dropped_with_a_word(tmp_path: Path) -> None:
+    run, left = tmp_path / "x.rrd", tmp_path / ".x.new.rrd"
+    assert carom("run", "two-spheres", "-o", "x.rrd", cwd=tmp_path).returncode == 0
+    before = run.read_bytes()
+    again = ("run", "elastic-gas", *LONG, "--set", "record.every=step", "-o", "x.rrd", "--force")
+    with under_way(*again, cwd=tmp_path, grows=left.name, size=9_000_000):  # after the first batch
+        assert ".x.new.rrd" not in carom("inspect", "x.rrd", cwd=tmp_path).stderr  # it is not lost yet
+    for asked in ("inspect", "repair", "resume"):
+        told = carom(asked, "x.rrd", cwd=tmp_path).stderr
+        assert told.startswith("carom: .x.new.rrd: a later run of x.rrd, which was killed; `carom resume ")
+    assert run.read_bytes() == before
+    kept = tmp_path / "kept.new.rrd"
+    kept.write_bytes(left.read_bytes())
+    done = carom("run", "two-spheres", "-o", "x.rrd", "--force", cwd=tmp_path)
+    assert "carom: .x.new.rrd, the file of a run that was killed, is replaced" in done.stderr and not left.exists()
+    left.write_bytes(kept.read_bytes())  # the advice that was given
+    until = str(max(Recording.open(left).fingerprints()["time"].to_pylist()) + 0.1)
+    resumed = carom("resume", ".x.new.rrd", "--until", until, "-o", "x.rrd", "--force", cwd=tmp_path)
+    assert resumed.returncode == 0 and Recording.open(run).info["bodies"] > 2, resumed.stderr

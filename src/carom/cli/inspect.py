@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from carom.cli.options import JsonOption, RecordingArgument
-from carom.cli.terminal import say_json
+from carom.cli.terminal import mention_killed_run, say_json
 from carom.scene.units.dimension import TIME
 from carom.scene.wording import command, counted
 
@@ -38,6 +38,7 @@ def inspect(
     from carom.recording.read.recording import Recording
     from carom.runs.outcome import description
 
+    mention_killed_run(file)
     with opened(file) as path:
         recording = Recording.open(path)
         if recording.is_overlay:

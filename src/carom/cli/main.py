@@ -217,15 +217,16 @@ def _root(
     """Simulate a scene, record it, and look at every collision."""
 
 
-def _say_old_names_once() -> None:
-    """Print a warning about an old key of a scene once, in one line; leave other warnings to Python."""
+def _say_warnings_once() -> None:
+    """Print a warning about an old key of a scene or a dropped run once, in one line; leave others to Python."""
     show, said = warnings.showwarning, set[str]()
 
     def say_once(message: Warning | str, category: type[Warning], *place: Any, **more: Any) -> None:
         from carom.cli.terminal import say
+        from carom.errors import DroppedRunWarning
         from carom.scene.load import OldNameWarning
 
-        if not issubclass(category, OldNameWarning):
+        if not issubclass(category, OldNameWarning | DroppedRunWarning):
             show(message, category, *place, **more)
         elif str(message) not in said:
             said.add(str(message))
@@ -245,7 +246,7 @@ def run_command() -> None:
     from carom.errors import ExistsError, ExperimentError, PhysicsError, RecordingError, SceneError
 
     keep_freed_memory()
-    _say_old_names_once()
+    _say_warnings_once()
     try:
         app()
     except OSError as error:

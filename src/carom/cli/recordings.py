@@ -17,7 +17,7 @@ from carom.cli.options import (
     seconds,
     simulated_or_none,
 )
-from carom.cli.terminal import say, say_json
+from carom.cli.terminal import mention_killed_run, say, say_json
 from carom.scene.units.dimension import TIME
 from carom.scene.wording import counted
 
@@ -144,6 +144,7 @@ def repair(
     from carom.recording.read.recording import Recording
     from carom.recording.write.whole_file import Claim, refuse_output
 
+    mention_killed_run(file)
     path = _path(file, output, in_place)
     torn = file.with_name(f"{file.name}.torn")
     if in_place and torn.exists() and not force:

@@ -30,7 +30,7 @@ from carom.cli.options import (
     simulated,
     simulated_or_none,
 )
-from carom.cli.terminal import duration_text, say, say_json
+from carom.cli.terminal import duration_text, mention_killed_run, say, say_json
 from carom.physics import jit
 from carom.physics.jit import cores
 from carom.scene.units.dimension import TIME
@@ -168,6 +168,7 @@ def resume(
     if until is not None and not 0.0 < until < float("inf"):
         raise typer.BadParameter(f"{until:g}: expected a time later than the start", param_hint="--until")
     leave_pandas_out()
+    mention_killed_run(file)
     with claimed_target(file, output, force) as claim:
         recording = Recording.open(file)
         run = resumable_run(recording, simulated_or_none(until, recording.units))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import shlex
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -21,7 +22,7 @@ from rich.text import Text
 from carom.event import Event
 from carom.scene.units.dimension import TIME
 from carom.scene.units.system import UnitSystem
-from carom.scene.wording import escaped
+from carom.scene.wording import command, escaped
 
 if TYPE_CHECKING:
     from carom.arrays import FloatArray
@@ -223,6 +224,15 @@ COLOUR = "colour by material"  # used where `colour_by` is "material"; bodies us
 def say(text: str, *, err: bool = False) -> None:
     """Print a line without control characters: text from files may contain some, and a terminal would execute them."""
     typer.echo(escaped(text), err=err)
+
+
+def mention_killed_run(file: Path) -> None:
+    """Report a run that was killed before it replaced a recording, since the recording does not show it."""
+    from carom.recording.write.whole_file import killed_run_of
+
+    if (left := killed_run_of(file)) is not None:
+        kept = f"`{command('resume', left)} -o {shlex.quote(str(file))} --force` continues it in place of {file}"
+        say(f"carom: {left}: a later run of {file}, which was killed; {kept}, deleting it drops it", err=True)
 
 
 def finite(value: Any) -> Any:

@@ -13,7 +13,7 @@ import rerun as rr
 from rerun.chunk import RrdReader
 
 import scripted_run
-from carom.errors import RecordingError
+from carom.errors import DroppedRunWarning, RecordingError
 from carom.physics.space import Space
 from carom.recording.read.recording import Recording
 from carom.recording.rrd.container import Container
@@ -22,6 +22,7 @@ from carom.recording.write import stream
 from carom.recording.write.recorder import FrameRecorder
 from carom.recording.write.rows import Index, frame_rows, plain_column
 from carom.recording.write.stream import Stream
+from carom.recording.write.whole_file import Claim, killed_run_of
 from carom.runs.run import header_of
 from carom.scene.schema import Scene
 from scripted_run import ScriptedRun
@@ -302,8 +303,12 @@ def test_a_run_that_is_killed_leaves_the_recording_that_it_would_have_replaced(
     killed = child(path, each="if recorder.frames >= 400: time.sleep(1.0); os.kill(os.getpid(), 9)")
     assert killed.returncode == -signal.SIGKILL
     assert path.read_bytes() == before
-    assert Recording.open(tmp_path / ".run.new.rrd").frames >= 100
-    record(path, scripted, 6)
+    left = tmp_path / ".run.new.rrd"
+    assert Recording.open(left).frames >= 100 and killed_run_of(path) == left
+    with Claim(path):  # as a process that still writes it holds
+        assert killed_run_of(path) is None
+    with pytest.warns(DroppedRunWarning, match=r"^\.run\.new\.rrd, .* is replaced"):
+        record(path, scripted, 6)
     assert [file.name for file in tmp_path.iterdir()] == ["run.rrd"]
 
 

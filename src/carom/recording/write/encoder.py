@@ -62,8 +62,6 @@ from carom.recording.write.rows import (
 from carom.recording.write.wall_places import moving_walls, piston_rows, wall_rows
 
 SPEED = "speed"  # in the property `arrows`: the speed (m/s) in the middle of the colours
-
-
 NO_IMPACTS = RecordedImpacts()
 
 
@@ -150,8 +148,11 @@ class BatchEncoder:
             yield rows
         yield from self._changes(DT_LIMIT, batch, lambda frame: frame.dt_limit)
         yield from self._changes(PHASE, batch, lambda frame: frame.phase)
-        yield from _events(batch)
-        yield _fingerprints(index, batch)
+        if events := [event for frame in batch for event in frame.events]:
+            yield event_rows(events)
+        bits = np.array([frame.fingerprint for frame in batch], dtype=np.uint64)
+        columns = [any_column("fingerprint", bits), any_column("time", index.times)]
+        yield frame_rows(FINGERPRINT, index, columns, array_bytes(bits, index.times))
         yield self._momenta(index, batch)
 
     def checkpoints(self, frames: Sequence[Frame]) -> Rows:
@@ -229,7 +230,10 @@ class BatchEncoder:
             case "group" | "material":
                 return None
             case "speed":
-                return self._speed_colours(batch)
+                speeds = [drawing.speeds(frame.velocity, self.header.mass) for frame in batch]
+                if SPEED not in self.arrow_references.chosen:
+                    self.arrow_references.choose(SPEED, float(np.median(speeds[0])))
+                return np.concatenate([drawing.speed_colours(each, self.arrow_references[SPEED]) for each in speeds])
             case "island":
                 n = self.header.bodies
                 return np.concatenate([drawing.island_colours(frame.contacts.pairs, n) for frame in batch])
@@ -239,13 +243,6 @@ class BatchEncoder:
         nobody = np.full(self.header.bodies, -1, dtype=np.int64)
         nodes = [f.contacts.body_colours if f.contacts.body_colours is not None else nobody for f in batch]
         return palette.node_colours(np.concatenate(nodes))
-
-    def _speed_colours(self, batch: Sequence[Frame]) -> NDArray[np.uint32]:
-        mass = self.header.mass
-        speeds = [drawing.speeds(frame.velocity, mass) for frame in batch]
-        if SPEED not in self.arrow_references.chosen:
-            self.arrow_references.choose(SPEED, float(np.median(speeds[0])))
-        return np.concatenate([drawing.speed_colours(each, self.arrow_references[SPEED]) for each in speeds])
 
     def _arrows(
         self, index: Index, batch: Sequence[Frame], store: FrameStore | None, points: SingleArray
@@ -268,8 +265,13 @@ class BatchEncoder:
         each, body, magnitude = torques.each, torques.body, torques.magnitude
         if len(body) and path not in self.arrow_references.chosen:
             k = int(np.flatnonzero(each)[0])
-            first = magnitude[: each[k]] / inertia[body[: each[k]]]
-            self.arrow_references.choose(path, drawing.reference(first, self._natural_unit(path, batch[k])))
+            first, frame, natural = magnitude[: each[k]] / inertia[body[: each[k]]], batch[k], 0.0
+            if frame.dt > 0:  # the torque that stops a body in one step, or its angular acceleration
+                drift = frame.velocity - np.average(frame.velocity, axis=0, weights=self.header.mass)
+                natural = float(
+                    np.median(self.header.mass * self.header.radius * drawing.magnitudes(drift) / frame.dt / inertia)
+                )
+            self.arrow_references.choose(path, drawing.reference(first, natural))
         unit, longest = self.arrow_references.get(path, 1.0) * inertia, arrow_length(self.header, path)
         arrows = Arrows(*np.empty((2, len(body), 3), dtype=np.float32))
         encoding.draw_arrows(torques, points, self.header.radius, unit, longest, arrows)
@@ -294,14 +296,6 @@ class BatchEncoder:
             return torques, floors
         each = np.bincount(frame[kept], minlength=len(largest))
         return TorqueList(torques.torque, each, torques.body[kept], torques.magnitude[kept]), floors
-
-    def _natural_unit(self, path: str, frame: Frame) -> float:
-        """Return the torque that stops a body in one step, or its angular acceleration, as a scale for arrows."""
-        if frame.dt <= 0:
-            return 0.0
-        drift = frame.velocity - np.average(frame.velocity, axis=0, weights=self.header.mass)
-        torque = self.header.mass * self.header.radius * drawing.magnitudes(drift) / frame.dt
-        return float(np.median(torque if path == TORQUE else torque / self.header.inertia))
 
     def _collisions(
         self,
@@ -403,18 +397,6 @@ def _stacked(name: str, batch: Sequence[Frame], store: FrameStore | None) -> Flo
         lying: FloatArray = getattr(store, name)[first : first + len(batch)]
         return lying
     return np.stack([getattr(frame, name) for frame in batch])
-
-
-def _fingerprints(index: Index, batch: Sequence[Frame]) -> Rows:
-    bits = np.array([frame.fingerprint for frame in batch], dtype=np.uint64)
-    columns = [any_column("fingerprint", bits), any_column("time", index.times)]
-    return frame_rows(FINGERPRINT, index, columns, array_bytes(bits, index.times))
-
-
-def _events(batch: Sequence[Frame]) -> Iterable[Rows]:
-    events = [event for frame in batch for event in frame.events]
-    if events:
-        yield event_rows(events)
 
 
 def state_rows(path: str, index: Index, states: Sequence[str]) -> Rows:

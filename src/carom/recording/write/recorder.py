@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -13,7 +14,7 @@ from typing import Generic, Self, TypeVar
 import numpy as np
 
 from carom.arrays import FloatArray
-from carom.errors import RecorderError, RecordingError
+from carom.errors import DroppedRunWarning, RecorderError, RecordingError
 from carom.event import Event
 from carom.physics.bodies import Bodies
 from carom.physics.frame import Frame, FrameStore
@@ -30,6 +31,7 @@ from carom.recording.source.population import Lives
 from carom.recording.write.durable_sink import AddressReserve
 from carom.recording.write.encoder import BatchEncoder
 from carom.recording.write.stream import BATCH_BYTES, Stream, frames_in_batch
+from carom.recording.write.whole_file import name_until_whole
 
 # A bounded queue from the physics thread to the recorder, read in batches. The reader sleeps until a batch is full or
 # due. `queue.Queue` would wake the reader for every frame. At each frame, the reader would take the interpreter lock
@@ -132,7 +134,9 @@ class CheckpointPlan:
             return list(batch)
         kept: list[Frame] = []
         for frame in batch:
-            self._others += _bytes_of(frame)
+            # about the bytes of its row without arrows: drawn bodies and contacts, and twenty scalars
+            drawn = len(frame.position) * (12 if frame.orientation is None else 28)
+            self._others += drawn + 28 * len(frame.contacts) + 20 * 24
             room, cost = self._SHARE * self._others, size(frame)
             before, self._before = self._before, frame
             if before and before.step != self._last_kept and self._may_warn(frame, before, room):
@@ -155,13 +159,7 @@ class CheckpointPlan:
         return True
 
 
-def _bytes_of(frame: Frame) -> int:
-    """Estimate the bytes of a frame's row without its arrows: drawn bodies and contacts, and twenty scalars."""
-    return len(frame.position) * (12 if frame.orientation is None else 28) + 28 * len(frame.contacts) + 20 * 24
-
-
-_BATCH_FRAMES = 2048
-_QUEUE_FRAMES = 512
+_BATCH_FRAMES, _QUEUE_FRAMES = 2048, 512
 _SMALL_FRAMES, _SMALL_BYTES = 4096, 16_000_000  # more of few bodies, since a chunk costs 2.4 kB, as 40 scalars do
 _BATCH_SECONDS, _LIVE_SECONDS = 2.0, 1.0  # s, the frames that a killed run may lose, and that a live viewer lags
 _QUEUE_BYTES = 64_000_000
@@ -321,7 +319,13 @@ class FrameRecorder:
 
     def _write(self, batch: list[Frame], encoder: BatchEncoder) -> None:
         self._addresses.require(batch, self.path)
-        for part in _unbroken(batch):
+        parts: list[list[Frame]] = []  # cut where the frame store wrapped around to its first slot, and bodies came
+        for frame in batch:
+            if parts and frame.slot != 0 and len(frame.position) == len(parts[-1][-1].position):
+                parts[-1].append(frame)
+            else:
+                parts.append([frame])
+        for part in parts:
             if (bodies := len(part[0].position)) != encoder.header.bodies:
                 encoder.extend(self._extended[bodies])
             for rows in encoder.rows(part, self._store):
@@ -372,19 +376,10 @@ class FrameRecorder:
         if not self._laid_out and (self._stream.is_live or self.payload_bytes > _LAID_OUT_AFTER):
             self._stream.send_blueprint(blueprint(self.header, self._camera_fit, added=self._added))
             self._laid_out = True
-        if (
-            self._camera_fit.is_few or self.frames >= _LOOK * self._looked
-        ):  # an update takes a millisecond, for which the physics waits
+        # an update takes a millisecond, for which the physics waits
+        if self._camera_fit.is_few or self.frames >= _LOOK * self._looked:
             self._looked = self.frames
             self._camera_fit.see(batch, origin)
-
-    def _look_again(self) -> None:
-        """Send a layout that shows the whole recording, without empty plots."""
-        if self._camera_fit is not None and self._encoder is not None and self._last is not None:
-            self._camera_fit.see([self._last], self._encoder.origin)
-            self._stream.send_blueprint(
-                blueprint(self.header, self._camera_fit, self._encoder.curves, added=self._added)
-            )
 
     def _fail(self, error: RecordingError) -> None:
         """Close the file in its present state, and then report the error to the physics."""
@@ -398,6 +393,7 @@ class FrameRecorder:
         self._queue.fail(error)
 
     def _close(self, outcome: str, summary: Mapping[str, Scalar], events: tuple[Event, ...]) -> None:
+        """Write the end, close the file, open it to check that it has all frames, and give it its name."""
         last, encoder = self._last, self._encoder
         self._addresses.release()
         try:
@@ -405,20 +401,18 @@ class FrameRecorder:
                 if last.step != self._last_checkpoint:
                     self._stream.send(encoder.checkpoints([last]), self._clock)
                 level = "INFO" if outcome == "completed" else "WARN"
-                for event in events:
+                for event in (*events, Event(last.step, last.time, level, f"end: {outcome}", "end")):
                     self._stream.send_event(event, self._clock)
-                self._stream.send_event(Event(last.step, last.time, level, f"end: {outcome}", "end"), self._clock)
-                self._look_again()
+                if self._camera_fit is not None:  # a layout that shows the whole recording, without empty plots
+                    self._camera_fit.see([last], encoder.origin)
+                    layout = blueprint(self.header, self._camera_fit, encoder.curves, added=self._added)
+                    self._stream.send_blueprint(layout)
                 if self._lives.change:
                     self._stream.send_bodies(encoder.header, self._clock, encoder.origin, self._lives)
             kept = {} if self.impacts is None else {f"impacts.{key}": n for key, n in asdict(self.impacts).items()}
             self._stream.send_property("outcome", {"outcome": outcome, "frames": self.frames, **kept, **summary})
         finally:
             self._stream.close()
-        self._check()
-
-    def _check(self) -> None:
-        """Open the closed file, check that it has all frames, and give it its name."""
         count = Recording.open(self._file).frames
         if count != self.frames:
             raise RecordingError(f"{self._file} holds {count} frames, but {self.frames} were written")
@@ -435,31 +429,22 @@ class FrameRecorder:
 
 
 def _new_file(path: Path) -> Path:
-    """Return the file to write for a path: a new one beside an existing recording. Remove the remains of a killed run.
+    """Return the file to write for a path: a new one beside an existing recording, in place of that of a killed run.
 
     Raises
     ------
     RecordingError
-        If these cannot be removed.
+        If the latter cannot be removed.
     """
     try:
         path = path.resolve()
         if not path.exists():
             return path
-        beside = path.with_name(f".{path.stem}.new.rrd")
+        beside = name_until_whole(path)
+        if beside.exists():
+            said = f"{beside.name}, the file of a run that was killed, is replaced by that of the new run"
+            warnings.warn(said, DroppedRunWarning, stacklevel=3)
         beside.unlink(missing_ok=True)
     except (OSError, RuntimeError) as error:  # RuntimeError: links in a circle
-        reason = error.strerror if isinstance(error, OSError) else error
-        raise RecordingError(f"cannot write {path}: {reason}") from error
+        raise RecordingError(f"cannot write {path}: {getattr(error, 'strerror', None) or error}") from error
     return beside
-
-
-def _unbroken(batch: list[Frame]) -> list[list[Frame]]:
-    """Split a batch where the frame store wrapped around to its first slot, and where bodies came."""
-    parts: list[list[Frame]] = []
-    for frame in batch:
-        if parts and frame.slot != 0 and len(frame.position) == len(parts[-1][-1].position):
-            parts[-1].append(frame)
-        else:
-            parts.append([frame])
-    return parts

@@ -221,6 +221,24 @@ def _locked(path: Path) -> int:
         os.close(descriptor)
 
 
+def name_until_whole(path: Path) -> Path:
+    """Return the path to which a run is recorded until it replaces an earlier recording."""
+    return path.with_name(f".{path.stem}.new.rrd")
+
+
+def killed_run_of(path: Path) -> Path | None:
+    """Return the file of a run that was killed before it replaced a recording; None without one, or while it runs."""
+    with contextlib.suppress(OSError, RuntimeError):  # RuntimeError: links in a circle
+        real = path.resolve()
+        lock, left = real.with_name(f".{real.name}.lock"), name_until_whole(real)
+        if not left.is_file():
+            return None
+        with contextlib.suppress(FileNotFoundError), lock.open("rb") as file:
+            fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)  # OSError while another process writes the recording
+        return path.with_name(left.name)
+    return None
+
+
 @contextlib.contextmanager
 def whole_file(path: Path) -> Iterator[Path]:
     """Yield a new path with the same suffix; its file is renamed to this one on success and removed on failure.
