@@ -2,6 +2,7 @@
 
     python benchmarks/recording.py            # all scenes, 7 rounds
     python benchmarks/recording.py --rounds 15 marbles-in-a-box
+    python benchmarks/recording.py --default  # the default recordings of bundled scenes, 3 rounds
     python benchmarks/recording.py --details  # what exact states take, and memory
 
 Rounds are interleaved and medians compared. "Only steps" makes no frames. "Frames for nobody" makes every frame, with
@@ -29,12 +30,16 @@ from carom.runs.environment import keep_freed_memory
 
 keep_freed_memory()  # as the carom command does, before NumPy starts its threads
 
+import numpy as np  # noqa: E402
+
+from carom.physics.schedule import at  # noqa: E402
 from carom.physics.space import Space  # noqa: E402
 from carom.recording.write.recorder import FrameRecorder  # noqa: E402
 from carom.runs import run as experiment  # noqa: E402
 from carom.runs.run import Outcome, recording_space, simulate  # noqa: E402
+from carom.scene.scene_file import bundled_scenes  # noqa: E402
 from carom.scene.schema import Scene  # noqa: E402
-from measurement import save  # noqa: E402
+from measurement import merge  # noqa: E402
 
 ROUNDS = 7
 DURATION = 20_000.0  # s simulated, some 1800 steps: opening and closing a file takes 0.1 s whatever its length
@@ -140,6 +145,37 @@ def compare(name: str, rounds: int) -> list[dict[str, Any]]:
     return rows
 
 
+def default_recordings(names: list[str], rounds: int) -> list[dict[str, Any]]:
+    """Compare runs with a default recording and the same runs with the first and the last frame only."""
+    rows = []
+    print(
+        f"{'one thread, CPU of the process, least of rounds':>48} {'steps':>7} {'frames':>7} {'s':>8} {'recorded':>9}"
+    )
+    with tempfile.TemporaryDirectory() as folder:
+        for name in names:
+            least, walls, frames = {"steps": np.inf, "recorded": np.inf}, {"steps": np.inf, "recorded": np.inf}, 0
+            for number in range(rounds + 1):  # the first round loads kernels and libraries
+                for variant in ("steps", "recorded"):
+                    space = recording_space(Scene.load(name), 1)
+                    began, cpu = time.perf_counter(), _cpu()
+                    if variant == "steps":
+                        for _ in space.run(schedule=at(())):
+                            pass
+                    else:
+                        frames = simulate(space, Path(folder) / "run.rrd", force=True).frames
+                    if number:
+                        least[variant] = min(least[variant], _cpu() - cpu)
+                        walls[variant] = min(walls[variant], time.perf_counter() - began)
+            steps, whole = least.values()
+            print(
+                f"{name:>48} {space.step:7} {frames:7} {steps:8.3f} {whole:9.3f} {whole / steps - 1.0:+8.1%}",
+                flush=True,
+            )
+            walls = {f"wall_{variant}": seconds for variant, seconds in walls.items()}
+            rows.append({"scene": name, "frames": frames, "cpu_steps": steps, "cpu_recorded": whole, **walls})
+    return rows
+
+
 def recorded(space: Space, folder: str) -> tuple[float, Outcome]:
     began = time.perf_counter()
     outcome = simulate(space, Path(folder) / "run.rrd", force=True)
@@ -186,13 +222,18 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("scenes", nargs="*", help=f"of {', '.join(SCENES)} (default: all)")
     parser.add_argument("--rounds", type=int, default=ROUNDS)
+    parser.add_argument("--default", action="store_true", help="default recordings of bundled scenes")
     parser.add_argument("--details", action="store_true", help="what exact states take, and memory")
     options = parser.parse_args()
     if options.details:
         details(options.rounds)
         return
+    if options.default:
+        rows = default_recordings(options.scenes or sorted(bundled_scenes()), options.rounds)
+        print(f"\n{merge('recording', {'default': rows})}")
+        return
     rows = [row for name in options.scenes or SCENES for row in compare(name, options.rounds)]
-    print(f"\n{save('recording', {'recording': rows})}")
+    print(f"\n{merge('recording', {'recording': rows})}")
 
 
 if __name__ == "__main__":
