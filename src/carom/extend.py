@@ -59,10 +59,10 @@ if TYPE_CHECKING:
     from carom.plan import auto as auto
     from carom.plan.features import Requirements as Requirements
     from carom.plan.features import require as require
-    from carom.plan.hierarchy import DOMINANT as DOMINANT
-    from carom.plan.hierarchy import why_no_hierarchy as why_no_hierarchy
+    from carom.plan.interactions import DOMINANT as DOMINANT
     from carom.plan.interactions import damping as damping
     from carom.plan.interactions import further as further
+    from carom.plan.interactions import why_no_hierarchy as why_no_hierarchy
     from carom.recording.edit.bundle import is_bundle as is_bundle
     from carom.recording.edit.bundle import opened as opened
     from carom.recording.export import Snapshot as Snapshot
@@ -122,10 +122,7 @@ if TYPE_CHECKING:
     from carom.runs.workers import TaskDroppedError as TaskDroppedError
     from carom.runs.workers import WorkerDiedError as WorkerDiedError
     from carom.runs.workers import Workers as Workers
-    from carom.scene import key_places as key_places
     from carom.scene import variation as variation
-    from carom.scene.contact_laws import DEFAULT_LAW as DEFAULT_LAW
-    from carom.scene.contact_laws import ContactLaw as ContactLaw
     from carom.scene.conversion import converted as converted
     from carom.scene.conversion import rescaled as rescaled
     from carom.scene.data import Arrays as Arrays
@@ -133,7 +130,9 @@ if TYPE_CHECKING:
     from carom.scene.data import DataTable as DataTable
     from carom.scene.data.body_sources import DataFiles as DataFiles
     from carom.scene.data.body_sources import HeldBodies as HeldBodies
+    from carom.scene.forces import DEFAULT_LAW as DEFAULT_LAW
     from carom.scene.forces import BodyForce as BodyForce
+    from carom.scene.forces import ContactLaw as ContactLaw
     from carom.scene.forces import PairForce as PairForce
     from carom.scene.integrators import INTEGRATORS as INTEGRATORS
     from carom.scene.integrators import Integrator as Integrator
@@ -143,8 +142,11 @@ if TYPE_CHECKING:
     from carom.scene.matter import body_materials as body_materials
     from carom.scene.matter import pair_coefficients as pair_coefficients
     from carom.scene.parts import PARTS as PARTS
+    from carom.scene.scene_file import DEEPEST as DEEPEST
     from carom.scene.scene_file import RECORDED as RECORDED
     from carom.scene.scene_file import bundled_folders as bundled_folders
+    from carom.scene.scene_file import is_too_deep as is_too_deep
+    from carom.scene.scene_file import line_of_long_key as line_of_long_key
     from carom.scene.scene_file import toml_for as toml_for
     from carom.scene.scene_file import toml_text as toml_text
     from carom.scene.schema import Coefficients as Coefficients
@@ -199,8 +201,8 @@ if TYPE_CHECKING:
     from carom.show.causes import CauseEdge as CauseEdge
     from carom.show.causes import Causes as Causes
     from carom.show.causes import write_causes as write_causes
-    from carom.show.forecast import Forecast as Forecast
-    from carom.show.forecast import write_forecast as write_forecast
+    from carom.show.overlays import Forecast as Forecast
+    from carom.show.overlays import write_forecast as write_forecast
     from carom.show.request import named_event as named_event
 
 SECTIONS = {  # purpose → module → names
@@ -217,7 +219,7 @@ SECTIONS = {  # purpose → module → names
         "carom.physics.exponential": "exponential logarithm power",
     },
     "Contact laws": {
-        "carom.scene.contact_laws": "ContactLaw",
+        "carom.scene.forces": "ContactLaw",
         "carom.scene.schema.quantity": "Friction",
     },
     "Shapes of walls": {
@@ -243,9 +245,8 @@ SECTIONS = {  # purpose → module → names
         "carom.scene.matter": "pair_coefficients",
         "carom.physics.placement": "place",
         "carom.plan.features": "require",
-        "carom.plan.interactions": "further",
-        "carom.plan.hierarchy": "DOMINANT",
-        "carom.scene.contact_laws": "DEFAULT_LAW",
+        "carom.plan.interactions": "further DOMINANT",
+        "carom.scene.forces": "DEFAULT_LAW",
         "carom.recording.source.observer": "Observer not_finite",
         "carom.runs.snapshot_writer": "observed_recording observed_totals",
         "carom.physics.diagnostics.extremes": "Extremes",
@@ -268,15 +269,14 @@ SECTIONS = {  # purpose → module → names
         "carom.scene.integrators": "INTEGRATORS integrator_called",
         "carom.scene.parts": "PARTS",
         "carom.scene.units.dimension": "BASE Physical nearest_float physical",
-        "carom.scene.scene_file": "RECORDED bundled_folders toml_for toml_text",
+        "carom.scene.scene_file": "RECORDED bundled_folders toml_for toml_text DEEPEST is_too_deep line_of_long_key",
         "carom.plan.features": "Requirements",
         "carom.plan": "auto",
         "carom.scene.matter": "body_materials",
         "carom.scene.conversion": "converted rescaled",
-        "carom.plan.interactions": "damping",
-        "carom.scene": "key_places variation",
+        "carom.plan.interactions": "damping why_no_hierarchy",
+        "carom.scene": "variation",
         "carom.scene.load": "scene_from_text",
-        "carom.plan.hierarchy": "why_no_hierarchy",
     },
     "Tools: running scenes": {
         "carom.physics.bodies": "Bodies",
@@ -314,7 +314,7 @@ SECTIONS = {  # purpose → module → names
     },
     "Tools: views that compare runs": {
         "carom.show.causes": "CauseEdge Causes write_causes",
-        "carom.show.forecast": "Forecast write_forecast",
+        "carom.show.overlays": "Forecast write_forecast",
         "carom.show": "keeper overlays",
         "carom.show.request": "named_event",
         "carom.show.catalog": "serve_catalog",

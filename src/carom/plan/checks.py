@@ -10,11 +10,10 @@ from carom import registry
 from carom.errors import SceneError
 from carom.plan.auto import gravity_method, integrator, uses_tree
 from carom.plan.features import require
-from carom.plan.hierarchy import why_no_hierarchy
-from carom.plan.interactions import dampings, differing, pushing
+from carom.plan.interactions import dampings, differing, pushing, why_no_hierarchy
 from carom.scene.forces import DRAG, BodyForce, PairForce, force_called
 from carom.scene.integrators import ENCOUNTERS_BY
-from carom.scene.key_places import KeyPath, naming_places
+from carom.scene.scene_file import KeyPath, naming_places
 from carom.scene.schema import Scene
 from carom.scene.units.dimension import ACCELERATION, DENSITY, LENGTH
 from carom.scene.wall_shapes import shape_called

@@ -12,7 +12,7 @@ from typing import Any, Literal
 
 from pydantic import BaseModel
 
-from carom.scene.key_places import KeyPath
+from carom.scene.scene_file import KeyPath
 from carom.scene.schema import Gravity, Scene
 from carom.scene.units.dimension import GRAVITATIONAL_CONSTANT, NAMED, Dimension, UnitError, unit_of
 from carom.scene.units.system import SI, UnitSystem

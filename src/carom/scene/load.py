@@ -24,9 +24,19 @@ from carom.scene.conversion import converted, members_of_list, unit_system
 from carom.scene.data.body_columns import columns_of_arrays
 from carom.scene.data.body_sources import LAW, BodySource, DataFiles, HeldBodies, SourcedBodies, Wanted, take_over_laws
 from carom.scene.explanation import explain, hint, is_known, not_a_quantity, with_words, written_path
-from carom.scene.key_places import DEEPEST, KeyPath, KeyPlaces, is_too_deep, line_of_long_key
 from carom.scene.matter import material_called
-from carom.scene.scene_file import LARGEST_FILE, parse_value, read_text, scene_path, toml_text
+from carom.scene.scene_file import (
+    DEEPEST,
+    LARGEST_FILE,
+    KeyPath,
+    KeyPlaces,
+    is_too_deep,
+    line_of_long_key,
+    parse_value,
+    read_text,
+    scene_path,
+    toml_text,
+)
 from carom.scene.schema import Scene, Time
 from carom.scene.schema.body import BodyData
 from carom.scene.schema.contact import Material

@@ -6,7 +6,7 @@ camera follows them. Edge and arrows belong to one step.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -79,11 +79,6 @@ class _Arrows:
     along: float = 1.0  # position of the labels, from 0 at the origins to 1 at the tips
     bodies: Sequence[int] = ()  # places of the bodies that the labels belong to, in the close-up
 
-    def places(self) -> FloatArray:
-        """Return the positions of the labels, (labels, 3) m."""
-        count = len(self.labels)
-        return self.origins[:count] + self.along * self.vectors[:count]
-
 
 @dataclass(frozen=True, slots=True)
 class CloseUp:
@@ -145,28 +140,22 @@ class CloseUp:
 
     def rows(self, header: Header) -> Iterable[Rows]:
         """Yield the positions of the bodies at all frames, and the contact of the step."""
-        if self.colours.fixed is None:
-            yield from self._changing_colours()
-        yield from self._bodies()
-        if self.contact is not None:
-            yield from self._arrows(self.contact, header)
-
-    def _changing_colours(self) -> Iterable[Rows]:
-        colours = self.colours
-        columns = rr.Ellipsoids3D.columns(colors=colours.colours.ravel())
-        index = Index(colours.steps, colours.times)
-        yield Rows(BODIES, index, columns.partition([len(self.bodies)] * len(index.steps)), colours.colours.nbytes)
-
-    def _bodies(self) -> Iterable[Rows]:
-        """Place the bodies, and the points that the camera follows, at all frames, repeated steps and the instant."""
-        instant = self.instant
+        colours, instant = self.colours, self.instant
+        if colours.fixed is None:
+            columns = rr.Ellipsoids3D.columns(colors=colours.colours.ravel())
+            index = Index(colours.steps, colours.times)
+            each = columns.partition([len(self.bodies)] * len(index.steps))
+            yield Rows(BODIES, index, each, colours.colours.nbytes)
         if instant is not None and instant.frame is not None:
             turns = instant.frame.orientation
             turned = None if turns is None else turns[list(self.bodies)].astype(np.float32)
             yield from self._placed(Index.within_step(instant.time), self.position[None], turned)
         yield from self._at_steps()
+        if self.contact is not None:
+            yield from self._arrows(self.contact, header)
 
     def _at_steps(self) -> Iterable[Rows]:
+        """Place the bodies, and the points that the camera follows, at all frames and repeated steps."""
         step, chosen = self.step, list(self.bodies)
         if self.paths is None:
             turned = None
@@ -202,8 +191,10 @@ class CloseUp:
         """Draw edge, normal, impulse and spins at the step, with labels; clear them at the next frame."""
         yield from self._once(EDGE, rr.LineStrips3D.columns(strips=[single(contact.edge)]), 1)
         small = float(header.radius[list(self.bodies)].min())
+        speed = header.units.text(contact.approach_speed, dimension.VELOCITY, ".3g")
+        label = f"normal, {speed}" if contact.approach_speed > 0.0 else "normal"
         labelled = [
-            self._normal(contact, small, header.units),
+            _Arrows(NORMAL, contact.point[None], _NORMAL * small * contact.normal[None], [label], 0.5),
             self._impulses(contact.impulse, header),
             self._spins(small, header.units),
         ]
@@ -212,31 +203,20 @@ class CloseUp:
                 columns = rr.Arrows3D.columns(vectors=single(arrows.vectors), origins=single(arrows.origins))
                 yield from self._once(arrows.path, columns, len(arrows.vectors))
         labelled.append(self._angular_impulses(contact, header))
-        texts = self._named(labelled)
-        wanted = np.concatenate([arrows.places() for arrows in labelled])
-        places = single(_apart(wanted, texts, self.eye, self.area, self._legend_rows()))
-        yield from self._once(LABELS, rr.Points3D.columns(positions=places, labels=texts), len(texts))
-
-    def _legend_rows(self) -> Iterator[_Placed]:
-        """Yield the rows of the legend as placed labels."""
-        point = 2.0 / self.area.height
-        wide, tall = 0.5 * point * self.area.inset[0], 0.5 * point * self.area.inset[1]
-        x, top = self.corner[0] * (self.area.aspect - wide), self.corner[1] * (1.0 - tall) + tall
-        for down in np.arange(0.0, 2.0 * tall, _LABEL_HEIGHT * point).tolist():
-            yield wide, x, top - down
-
-    def _named(self, labelled: Sequence[_Arrows]) -> list[str]:
-        """Return the labels; those that belong to one of two bodies begin with its name, if there is room."""
+        # labels of one of two bodies begin with its name, if there is room
         texts = [text for arrows in labelled for text in arrows.labels]
         owners = [arrows.bodies[k] if arrows.bodies else -1 for arrows in labelled for k in range(len(arrows.labels))]
         named = [text if k < 0 else f"{self.called[k]}: {text}" for text, k in zip(texts, owners, strict=True)]
         widest = _LETTER_WIDTH * (max(map(len, named), default=0) + 2)
-        return named if len(self.bodies) == 2 and widest < self.area.width else texts
-
-    def _normal(self, contact: Contact, small: float, units: UnitSystem) -> _Arrows:
-        speed = units.text(contact.approach_speed, dimension.VELOCITY, ".3g")
-        label = f"normal, {speed}" if contact.approach_speed > 0.0 else "normal"
-        return _Arrows(NORMAL, contact.point[None], _NORMAL * small * contact.normal[None], [label], 0.5)
+        if len(self.bodies) == 2 and widest < self.area.width:
+            texts = named
+        wanted = [(a.origins + a.along * a.vectors)[: len(a.labels)] for a in labelled]
+        point = 2.0 / self.area.height  # the rows of the legend are placed labels
+        wide, tall = 0.5 * point * self.area.inset[0], 0.5 * point * self.area.inset[1]
+        x, top = self.corner[0] * (self.area.aspect - wide), self.corner[1] * (1.0 - tall) + tall
+        legend = [(wide, x, top - down) for down in np.arange(0.0, 2.0 * tall, _LABEL_HEIGHT * point).tolist()]
+        places = single(_apart(np.concatenate(wanted), texts, self.eye, self.area, legend))
+        yield from self._once(LABELS, rr.Points3D.columns(positions=places, labels=texts), len(texts))
 
     def _impulses(self, impulse: FloatArray, header: Header) -> _Arrows:
         """Return the impulse on each body from its centre; if one is many times larger, only on the smaller."""
@@ -335,8 +315,10 @@ def close_up(
     at_end = _nearest_images(step.position[places], header.cell(step.time))
     if not pauses_within and step.frame is not None:
         contact = _contact(header, step.frame, pair, at_end, recording.origin)
-        if contact is not None and _touches(contact, at_end, header.radius[places]):
-            instant = None
+        if contact is not None:  # the bodies may still touch
+            other = contact.point if len(at_end) == 1 else at_end[1]
+            near = (1.0 + _TOUCHING) * float(header.radius[places].sum())
+            instant = None if float(np.linalg.norm(other - at_end[0])) <= near else instant
     drawn = instant or step
     frame, spin, spin_before = drawn.frame, None, None
     if drawn.state is not None:
@@ -398,12 +380,6 @@ def _impulse_radii(radius: FloatArray) -> FloatArray:
     return np.asarray(_IMPULSE * radius * (radius <= _MOST_UNLIKE * radius.min()))
 
 
-def _touches(contact: Contact, position: FloatArray, radius: FloatArray) -> bool:
-    """Return whether bodies at (b, 3) m, with radii (b,) m, still touch in a contact of the step."""
-    other = contact.point if len(position) == 1 else position[1]
-    return float(np.linalg.norm(other - position[0])) <= (1.0 + _TOUCHING) * float(radius.sum())
-
-
 _Placed = tuple[float, float, float]  # half width of a label, and its place, in half heights of the view
 
 
@@ -432,10 +408,16 @@ def _fit(radius: FloatArray, position: FloatArray, contact: Contact | None) -> C
     if len(radius) == 2 and normal is None:
         apart = position[1] - position[0]
         normal = apart / max(float(np.linalg.norm(apart)), np.finfo(float).tiny)
+    to_eye = None
+    if normal is not None:  # nearly perpendicular to it
+        usual = np.array([0.75, -1.0, 0.55]) / np.linalg.norm([0.75, -1.0, 0.55])
+        direction = usual - _ASIDE * (usual @ normal) * normal
+        size = float(np.linalg.norm(direction))
+        to_eye = np.asarray(direction / size if size > 0.0 else usual)
     if radius.max() > _MOST_UNLIKE * radius.min():
         place = [int(np.argmin(radius))]
-        return CameraFit(3.0 * radius[place], position[place], to_eye=_aside(normal))
-    return CameraFit(_ROOM * radius, position, to_eye=_aside(normal))
+        return CameraFit(3.0 * radius[place], position[place], to_eye=to_eye)
+    return CameraFit(_ROOM * radius, position, to_eye=to_eye)
 
 
 def _nearest_images(position: FloatArray, box: FloatArray | None) -> FloatArray:
@@ -463,13 +445,3 @@ def _contact(header: Header, frame: Frame, pair: Pair, position: FloatArray, ori
     rests = row["mode"] != IMPACT_MODE and frame.dt > 0.0
     force = float(np.linalg.norm(impulse)) / frame.dt if rests else None
     return Contact(point, normal, float(row["approach_speed"]), impulse, force, np.stack([position[0], end]))
-
-
-def _aside(normal: FloatArray | None) -> FloatArray | None:
-    """Return a direction to the eye that is nearly perpendicular to the normal; None without a normal."""
-    if normal is None:
-        return None
-    usual = np.array([0.75, -1.0, 0.55]) / np.linalg.norm([0.75, -1.0, 0.55])
-    direction = usual - _ASIDE * (usual @ normal) * normal
-    size = float(np.linalg.norm(direction))
-    return np.asarray(direction / size if size > 0.0 else usual)

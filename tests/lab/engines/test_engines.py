@@ -11,9 +11,8 @@ import pytest
 
 from carom.errors import ExperimentError
 from carom.lab.compared_run import sample_times
-from carom.lab.engines import EngineSimulation, engine_called, problem_of
+from carom.lab.engines import EngineSimulation, engine_called, problem_of, watch
 from carom.lab.engines.rebound import shortest_period
-from carom.lab.engines.watched import watch
 from carom.lab.tradeoff.tradeoff import Study
 from carom.recording.read.recording import Recording
 from carom.recording.source import Model, Plane, State

@@ -16,7 +16,7 @@ from carom.lab.fork.fork import Chance, Ensemble, chances, ensemble, fork, inevi
 from carom.plan.auto import frame_interval, integrator
 from carom.recording.read.recording import Recording
 from carom.scene.schema import Scene
-from carom.show.forecast import shades
+from carom.show.overlays import shades
 from small_scenes import cloud, two_planets
 
 

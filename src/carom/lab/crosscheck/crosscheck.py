@@ -35,8 +35,7 @@ from carom.extend import (
 )
 from carom.lab.compared_run import Setting, Trajectory, sample_times, write_document
 from carom.lab.crosscheck.parting import NumberedImpacts, parting_of
-from carom.lab.engines import Engine, engine_called
-from carom.lab.engines.watched import COMPLETED, Watched, watch
+from carom.lab.engines import COMPLETED, Engine, Watched, engine_called, watch
 from carom.lab.tradeoff.settings_grid import SettingResult, result_entry
 from carom.lab.tradeoff.tradeoff import REFERENCE, Study
 

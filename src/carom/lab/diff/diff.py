@@ -16,6 +16,7 @@ from carom import Recording, Scene
 from carom.arrays import BoolArray, FloatArray, IntArray
 from carom.errors import RecordingError, SceneError
 from carom.extend import (
+    DEEPEST,
     STEP,
     TIME,
     RecordedBodies,
@@ -23,7 +24,8 @@ from carom.extend import (
     body_called,
     count_at,
     impacts_by_number,
-    key_places,
+    is_too_deep,
+    line_of_long_key,
     overlays,
     scene_from_text,
     tolerance,
@@ -372,8 +374,8 @@ def _scene(recording: Recording) -> dict[str, Any]:
     """Read the scene's keys, dotted: ``time.max_dt``, ``body.0.radius``."""
     text = recording.scene_toml
     try:
-        if key_places.line_of_long_key(text) is not None or key_places.is_too_deep(document := tomllib.loads(text)):
-            raise RecordingError(f"the scene in {recording.path} is nested more than {key_places.DEEPEST} levels deep")
+        if line_of_long_key(text) is not None or is_too_deep(document := tomllib.loads(text)):
+            raise RecordingError(f"the scene in {recording.path} is nested more than {DEEPEST} levels deep")
         return _flat(document)
     except (tomllib.TOMLDecodeError, RecursionError) as error:
         raise RecordingError(f"the scene in {recording.path} cannot be read: {error}") from error

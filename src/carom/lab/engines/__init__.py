@@ -1,6 +1,7 @@
-"""The interface of an engine that is compared with carom, and `SteppedEngine`, which advances by equal steps.
+"""The interface of an engine that is compared with carom, `SteppedEngine`, which advances by equal steps, and `watch`.
 
-A stepped engine has spheres, planes, a uniform field and Coulomb friction.
+A stepped engine has spheres, planes, a uniform field and Coulomb friction. `watch` runs a scene in an engine, and
+collects its trajectory, its extremes, violated laws, and a recording.
 """
 
 from __future__ import annotations
@@ -9,12 +10,15 @@ import math
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
+from pathlib import Path
+from time import process_time as clock
 from typing import Protocol
 
 import numpy as np
 
-from carom import Scene, Space, registry
+from carom import Frame, Scene, Space, registry
 from carom.arrays import FloatArray
 from carom.errors import ExperimentError, RecordingError
 from carom.extend import (
@@ -22,20 +26,25 @@ from carom.extend import (
     SPHERE,
     TIME,
     Coefficients,
+    Extremes,
     HalfSpaces,
     InitialBodies,
+    Observer,
     UnitSystem,
     engine_package,
     further,
     half_spaces,
+    not_finite,
+    observed_recording,
+    observed_totals,
     pair_coefficients,
     place,
     require,
+    setup_of,
     suggestion,
 )
-from carom.lab.compared_run import Setting, Trajectory
-from carom.lab.engines.watched import ROUNDING, watch
-from carom.record import Model, Source
+from carom.lab.compared_run import RunStoppedError, Setting, Trajectory, between
+from carom.record import Fault, Model, Source, State, Tolerances
 
 
 @dataclass(frozen=True, slots=True)
@@ -226,12 +235,7 @@ class Engine(Protocol):
         """
 
     def follow(self, scene: Scene, setting: Setting, times: FloatArray, limit: float = math.inf) -> Trajectory:
-        """Run a scene and sample it at some times in s.
-
-        Parameters
-        ----------
-        limit
-            s of CPU time, after which the run is stopped.
+        """Run a scene and sample it at some times in s; stop it after ``limit`` s of CPU time.
 
         Raises
         ------
@@ -247,13 +251,7 @@ class Engine(Protocol):
 
 
 def engine_called(name: str) -> Engine:
-    """Return an engine of `carom.registry` by its name.
-
-    Raises
-    ------
-    ExperimentError
-        If there is no engine of that name.
-    """
+    """Return an engine of `carom.registry` by its name; raise ExperimentError if there is none."""
     known = registry.names("engines")
     if name not in known:
         raise ExperimentError(f"--engine {name}: unknown; {suggestion(name, known)}")
@@ -262,15 +260,186 @@ def engine_called(name: str) -> Engine:
 
 
 def engines_called(names: Iterable[str]) -> list[Engine]:
-    """Return engines by their names, each once; a text may contain several names, separated by commas.
-
-    Raises
-    ------
-    ExperimentError
-        If one is unknown, or a text names none.
-    """
+    """Return engines by their names, each once; a text may contain several names, separated by commas."""
     given = list(names)
     each = [name.strip() for text in given for name in text.split(",") if name.strip()]
     if not each and given:
         raise ExperimentError(f"--engine: names no engine; expected some of {', '.join(registry.names('engines'))}")
     return [engine_called(name) for name in dict.fromkeys(each)]
+
+
+ROUNDING = 1e-9  # of the duration, by which the sum of the steps may fall short
+COMPLETED = "completed"
+MOST_SEEN = 20_000  # steps examined where nothing can touch
+FRAMES = 600  # frames of a recording, in addition to those that violate a law
+
+
+@dataclass(frozen=True, slots=True)
+class Watched:
+    """Observations of an engine's run."""
+
+    outcome: str  # "completed", or the reason for an early end
+    dt: float  # s, of the steps
+    trajectory: Trajectory
+    extremes: Extremes
+    faults: list[Fault]  # the first of each law, in order of time
+    counts: dict[str, int]  # number of frames that violate each law
+    broken: list[tuple[float, str]]  # time (s) and law of every such frame
+
+
+def watch(
+    simulation: EngineSimulation, scene: Scene, times: FloatArray, path: Path | None = None, limit: float = np.inf
+) -> Watched:
+    """Run a simulation to the end of its scene.
+
+    If nothing can touch, at most `MOST_SEEN` steps are examined.
+
+    Parameters
+    ----------
+    simulation
+        At its start.
+    times
+        (K,) s, at which it is sampled.
+    path
+        The ``.rrd`` to write; an existing file is replaced.
+    limit
+        s of CPU time after which the run is stopped.
+
+    Raises
+    ------
+    ExperimentError
+        If the state is no longer finite, and the run is not recorded; `RunStoppedError` if it took
+        longer than the limit.
+    """
+    first = simulation.source.state()
+    setup = setup_of(simulation.source.model, first)
+    walk = _Walk(simulation, scene, Observer(setup, first, Tolerances(), scene.unit_system), times)
+    with ExitStack() as stack:
+        log = None if path is None else _Log(stack, path, scene, walk.observer)
+        outcome = walk.run(first, log, limit)
+        if log is not None:
+            totals = observed_totals(walk.observer, walk.frame.step, walk.frame.time)
+            log.recorder.finish(outcome, totals, walk.observer.highlights())
+    if outcome != COMPLETED and path is None:
+        raise ExperimentError(outcome.removeprefix("failed: "))
+    audit = walk.observer.audit
+    return Watched(
+        outcome=outcome,
+        dt=simulation.dt,
+        trajectory=walk.trajectory(),
+        extremes=walk.observer.extremes,
+        faults=sorted(audit.first.values(), key=lambda fault: fault.step),
+        counts=audit.counts,
+        broken=audit.broken,
+    )
+
+
+class _Walk:
+    """Runs a simulation from its start to the end of its scene, and examines its steps."""
+
+    def __init__(self, simulation: EngineSimulation, scene: Scene, observer: Observer, times: FloatArray) -> None:
+        self.observer = observer
+        self.frame: Frame  # the last one
+        self._simulation, self._scene, self._times = simulation, scene, times
+        self._position: list[FloatArray] = []  # at the first of the times, interpolated between the ends of steps
+        self._velocity: list[FloatArray] = []
+        self._end = scene.time.duration * (1.0 - ROUNDING)
+        self._met: dict[tuple[int, int], float] = {}  # when two ends first touched, in s
+        self._step = 0
+        many = math.ceil(scene.time.duration / simulation.dt / MOST_SEEN) if simulation.dt else 1
+        self._stride = 1 if observer.setup.collides else many  # steps between two examined ones
+
+    def run(self, first: State, log: _Log | None, limit: float) -> str:
+        """Run until the scene ends, the state is not finite, or ``limit`` s of CPU time pass; return the outcome."""
+        units, began = self._scene.unit_system, clock()
+        self.frame = self.observer.frame(0, _copied(first))
+        if log is not None:
+            log.see(self.frame)
+        while self.frame.time < self._end:
+            spent = clock() - began
+            if spent > limit:
+                reached = units.text(self.frame.time, TIME)
+                if log is None:
+                    raise RunStoppedError(self._step, spent, reached, by_limit=True)
+                return f"failed: stopped at t = {reached}: it took more than {limit:g} s of CPU time (--limit)"
+            wrong = self._advance()
+            if wrong:
+                return f"failed: {wrong}"
+            if log is not None:
+                log.see(self.frame)
+        return COMPLETED
+
+    def trajectory(self) -> Trajectory:
+        """Return the samples, and the extremes so far."""
+        extremes, count = self.observer.extremes, len(self._position)
+        n, collides = len(self.observer.setup), self.observer.setup.collides
+        # while bodies touch, the work of contacts cannot be separated from errors
+        touched = extremes.total_contacts + extremes.impacts > 0 or self.frame.energy.ledger.restitution != 0.0
+        return Trajectory(
+            time=self._times[:count],
+            position=np.array(self._position).reshape(count, n, 3),
+            velocity=np.array(self._velocity).reshape(count, n, 3),
+            pair=np.array(list(self._met), dtype=np.int64).reshape(-1, 2),
+            met=np.array(list(self._met.values())),
+            energy_error=np.nan if touched or extremes.energy_error is None else extremes.energy_error.value,
+            energy_gain=extremes.energy_gain.value,
+            momentum_error=extremes.momentum_error.value if extremes.momentum_error else np.nan,
+            angular_momentum_error=extremes.angular_momentum_error.value if extremes.angular_momentum_error else np.nan,
+            overlap=(extremes.overlap.value if extremes.overlap else 0.0) if collides else np.nan,
+            sinking=np.nan,
+            impacts=extremes.impacts,
+            steps=self.frame.step,
+            frames=0,
+        )
+
+    def _advance(self) -> str:
+        """Advance to the next examined step and examine it; return why the run cannot continue, or an empty text."""
+        dt = self._simulation.dt
+        left = math.ceil((self._scene.time.duration - self.frame.time) / dt * (1.0 - ROUNDING)) if dt else 1
+        for _ in range(min(self._stride, left)):
+            self._step += 1
+            self._simulation.step()
+        state = self._simulation.source.state()
+        fault = not_finite(self.observer.setup, self._step, state)
+        if fault is not None:
+            self.observer.audit.note(fault)
+            return fault.text
+        if state.time < self.frame.time:  # as in MuJoCo, which restarts when it becomes unstable
+            units = self._scene.unit_system
+            back = units.text(state.time, TIME, "g")
+            return f"the engine's time decreased from {units.text(self.frame.time, TIME, 'g')} to {back}."
+        before, self.frame = self.frame, self.observer.frame(self._step, _copied(state))
+        frame, dt = self.frame, self.frame.time - before.time
+        while len(self._position) < len(self._times):
+            due = float(self._times[len(self._position)])
+            if due > frame.time * (1.0 + ROUNDING):
+                break
+            way, s = frame.position - before.position, (due - before.time) / dt
+            moved, velocity = between(s, dt, way, before.velocity, frame.velocity, None)
+            self._position.append(before.position + moved)
+            self._velocity.append(velocity)
+        for pair in self.frame.contacts.pairs.tolist():
+            self._met.setdefault((pair[0], pair[1]), self.frame.time)
+        return ""
+
+
+class _Log:
+    """The recording of a run: `FRAMES` of its frames, and those that violate a law."""
+
+    def __init__(self, stack: ExitStack, path: Path, scene: Scene, observer: Observer) -> None:
+        self._scene, self._due = scene, 0.0  # s, of the next recorded frame
+        self.recorder = stack.enter_context(observed_recording(path, observer, scene))
+
+    def see(self, frame: Frame) -> None:
+        """Record a frame if it is due, the last, or in the log."""
+        end = self._scene.time.duration
+        if frame.time >= min(self._due, end * (1.0 - ROUNDING)) or frame.events:
+            self.recorder.put(frame)
+            self._due = frame.time + end / FRAMES if frame.step else 0.0
+
+
+def _copied(state: State) -> State:
+    """Copy a state that may be a view of the engine's memory, since the observer keeps it until the next one."""
+    arrays = (state.position, state.velocity, state.orientation, state.angular_velocity)
+    position, velocity, turn, spin = (None if each is None else np.array(each, dtype=np.float64) for each in arrays)
+    return State(state.time, position, velocity, turn, spin, state.contacts)

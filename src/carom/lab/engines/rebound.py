@@ -34,8 +34,7 @@ from carom.extend import (
     units_of_rebound,
 )
 from carom.lab.compared_run import STEPS, RunStoppedError, Setting, Trajectory
-from carom.lab.engines import FINER, EngineSimulation, refuse
-from carom.lab.engines.watched import watch
+from carom.lab.engines import FINER, EngineSimulation, refuse, watch
 from carom.record import Model, Source, State, StateMemory
 
 G_SI = 6.674e-11  # m³ kg⁻¹ s⁻²; REBOUND's own differs in the fifth digit

@@ -136,10 +136,7 @@ def observe(
     schedule
         Schedule of the frames; by default that of the scene.
 
-    Raises
-    ------
-    OutOfTime
-        If the time ended before the run.
+    Raises `OutOfTime` if the time ended before the run.
     """
     interval = auto.frame_interval(space.scene)
     schedule = schedule or (Every(interval) if steps is None else EveryUpTo(interval, steps))

@@ -19,7 +19,7 @@ from typing import Annotated, Any, Self
 from pydantic import BaseModel, Field, ValidationError
 
 from carom.errors import ExperimentError
-from carom.extend import DiskReserve, is_link_of_another, key_places, new_name, output_folder, versions
+from carom.extend import DEEPEST, DiskReserve, is_link_of_another, is_too_deep, new_name, output_folder, versions
 from carom.lab.sweep.plan import Plan, SweepPoint
 
 _ATTEMPT = re.compile(r"\.?(.+)\.[0-9a-f]{8}\.rrd(\.\w+)?")  # a recording being written, or its lock
@@ -396,8 +396,8 @@ def read(folder: Folder) -> dict[str, Any]:
     try:
         text = path.read_text(encoding="utf-8")
         stored = json.loads(text, parse_int=_int64)
-        if not isinstance(stored, dict) or key_places.is_too_deep(stored):
-            raise ValueError(f"expected an object of at most {key_places.DEEPEST} levels")
+        if not isinstance(stored, dict) or is_too_deep(stored):
+            raise ValueError(f"expected an object of at most {DEEPEST} levels")
         if stored.get("schema") != SCHEMA:
             raise ExperimentError(f"{path}: of another version of carom (schema {str(stored.get('schema'))[:20]})")
         checked = _Stored.model_validate_json(text, strict=True)

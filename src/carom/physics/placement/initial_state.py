@@ -24,8 +24,8 @@ from carom.physics.placement.region import (
 )
 from carom.physics.placement.wall_clearance import refuse_crossing_walls
 from carom.scene.data.body_columns import BodyColumns
-from carom.scene.key_places import KeyPath, naming_places
 from carom.scene.matter import drawn_radii, made_of, mass_of, mean_volume
+from carom.scene.scene_file import KeyPath, naming_places
 from carom.scene.schema import Body, BodyGroup, Region, Scene
 from carom.scene.start import HalfSpaces, InitialBodies, join
 from carom.scene.units.dimension import LENGTH

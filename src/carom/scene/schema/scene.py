@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
     from carom.scene.data.body_columns import BodyColumns
     from carom.scene.data.body_sources import HeldBodies
-    from carom.scene.key_places import KeyPath, KeyPlaces
+    from carom.scene.scene_file import KeyPath, KeyPlaces
 
 
 class Scene(Forces, Heading):
@@ -280,35 +280,23 @@ class Scene(Forces, Heading):
         return promised
 
     @model_validator(mode="after")
-    def _has_a_body(self) -> Self:
+    def _has_bodies_and_materials(self) -> Self:
         if not (self.body or self.bodies or self.group):
             raise ValueError("no bodies; add a [[body]], a [[group]] or a [[bodies]] with a file")
-        return self
-
-    @model_validator(mode="after")
-    def _names_its_materials(self) -> Self:
         check_materials(self)
         if self.record.colour_by == "material" and not self.material:
             raise ValueError('record.colour_by = "material" without a [[material]]; add one, or set "group"')
         return self
 
     @model_validator(mode="after")
-    def _an_accuracy_needs_times_of_impact(self) -> Self:
+    def _sections_agree(self) -> Self:
         if self.time.accuracy is not None and self.contact.timing == "end-of-step":
             raise ValueError(
                 f'contact.timing = "end-of-step" with time.accuracy = {self.time.accuracy:g}: impacts would be late '
                 "by up to a step; remove one of them (the override contact.timing= removes the former)"
             )
-        return self
-
-    @model_validator(mode="after")
-    def _nothing_drags_sleepers(self) -> Self:
         if self.contact.sleep is not None and self.drag is not None:
             raise ValueError("contact.sleep with a [drag]: a medium may move sleeping bodies; remove one of them")
-        return self
-
-    @model_validator(mode="after")
-    def _promises_what_was_asked(self) -> Self:
         if self.promise is not None and self.time.accuracy is None:
             raise ValueError("a [promise] without time.accuracy; carom writes it, so remove it")
         return self
@@ -347,12 +335,8 @@ class Scene(Forces, Heading):
         return self
 
     @model_validator(mode="after")
-    def _shears_what_it_can(self) -> Self:
+    def _has_shear_and_pistons_where_it_can(self) -> Self:
         refuse_what_is_not_sheared(self)
-        return self
-
-    @model_validator(mode="after")
-    def _has_a_piston_where_it_can(self) -> Self:
         refuse_what_has_no_piston(self)
         return self
 
@@ -402,13 +386,7 @@ class Scene(Forces, Heading):
 
 
 def check_materials(scene: Scene) -> None:
-    """Refuse names of materials that are unknown or used twice, and bodies that contradict their material.
-
-    Raises
-    ------
-    SectionError
-        The message names the key.
-    """
+    """Refuse names of materials that are unknown or used twice, and bodies that contradict their material."""
     known: dict[str, Material | None] = {DEFAULT: None}
 
     def check_name(path: KeyPath, name: str) -> None:
