@@ -131,7 +131,8 @@ def test_two_laws_share_a_contact() -> None:
     [
         ('["viscoelastic", "restitution_table"]', [SLOWS, TABLE], "both define the restitution of a contact"),
         ('["viscoelastic", "rolling"]', [SLOWS], 'no contact law "rolling"; did you mean "rolling_resistance"?'),
-        ('"viscoelastic"', [], "needs the section [contact.viscoelastic]"),
+        ('"viscoelastic"', [], '"viscoelastic" needs the section [contact.viscoelastic] with restitution, speed; add'),
+        ('"walton"', [], '"walton" needs the section [contact.walton] with tangential_restitution; add it'),
         ('"coulomb"', [SLOWS], 'needs contact.law = "viscoelastic"'),
         ("[]", [], "names no law"),
         ('"walton"', ["[contact.walton]\ntangential_restitution = 1.5"], "must be at most 1"),

@@ -7,7 +7,9 @@ from typing import Any
 
 import pytest
 
-from carom.plan.checks import doubts
+from carom.errors import SceneError
+from carom.plan.checks import doubts, refuse_impossible
+from carom.scene.load import scene_from_text
 from carom.scene.scene_file import bundled_scenes, extreme_scenes
 from carom.scene.schema import Scene
 
@@ -49,3 +51,31 @@ def test_a_ball_of_50_g_without_a_radius_is_named_with_the_density_that_it_gets(
 def test_no_bundled_scene_is_doubted() -> None:
     paths: dict[str, Path] = bundled_scenes() | extreme_scenes()
     assert {name: found for name in paths if (found := doubts(Scene.load(name)))} == {}
+
+
+@pytest.mark.parametrize("section", ["", "[contact.rolling_resistance]"])
+def test_a_law_without_a_coefficient_is_refused(section: str) -> None:
+    scene = _with_rolling_resistance(section)
+    with pytest.raises(SceneError) as refused:
+        refuse_impossible(scene)
+    assert str(refused.value).endswith(
+        'contact.law = "rolling_resistance" without a coefficient has no effect; give rolling_friction or '
+        "twisting_friction in [contact.rolling_resistance], or remove the law"
+    )
+
+
+@pytest.mark.parametrize(
+    "section",
+    [
+        "[contact.rolling_resistance]\nrolling_friction = 0",  # stated, as in a sweep
+        '[[plane]]\nname = "floor"\n[plane.rolling_resistance]\nrolling_friction = 0.1',
+    ],
+)
+def test_a_coefficient_in_any_section_is_enough_for_a_law(section: str) -> None:
+    refuse_impossible(_with_rolling_resistance(section))
+
+
+def _with_rolling_resistance(section: str) -> Scene:
+    return scene_from_text(
+        f'[contact]\nlaw = "rolling_resistance"\n{section}\n[[body]]\nposition = [0, 0, 1]\n', "scene"
+    )

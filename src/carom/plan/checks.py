@@ -11,6 +11,7 @@ from carom.errors import SceneError
 from carom.plan.auto import gravity_method, integrator, uses_tree
 from carom.plan.features import require
 from carom.plan.interactions import dampings, differing, pushing, why_no_hierarchy
+from carom.scene.contact_laws import law_called
 from carom.scene.forces import DRAG, BodyForce, PairForce, force_called
 from carom.scene.integrators import ENCOUNTERS_BY
 from carom.scene.scene_file import KeyPath, naming_places
@@ -76,6 +77,7 @@ def refuse_impossible(scene: Scene) -> None:
         _refuse_forces_of_mid_step(scene)
         _refuse_damping(scene)
         _refuse_walls(scene)
+        _refuse_laws_without_coefficients(scene)
         _refuse_further_forces(scene)
         _refuse_what_no_error_controls(scene)
         _refuse_what_is_no_hierarchy(scene)
@@ -206,6 +208,28 @@ def _refuse_walls(scene: Scene) -> None:
             "as leapfrog",
             ("contact", "timing"),
         )
+
+
+def _refuse_laws_without_coefficients(scene: Scene) -> None:
+    """Refuse a contact law whose coefficients are all 0 because no section states one: the law has no effect.
+
+    This is no check of the schema, so that old recordings of such scenes can still be read.
+    """
+    for name in scene.contact.laws:
+        default = scene.contact.law_section(name)
+        if default is None:
+            continue
+        surfaces = (*scene.material, *scene.pair, *scene.plane, *scene.wall)
+        sections = [default, *(getattr(surface, name) for surface in surfaces)]
+        if any(section is not None and section.model_fields_set for section in sections):
+            continue
+        if not any(law_called(name).coefficients(default).values()):
+            keys = " or ".join(type(default).model_fields)
+            raise SceneError(
+                f'contact.law = "{name}" without a coefficient has no effect; give {keys} in [contact.{name}], or '
+                "remove the law",
+                ("contact", "law"),
+            )
 
 
 def _refuse_further_forces(scene: Scene) -> None:

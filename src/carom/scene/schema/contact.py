@@ -365,7 +365,9 @@ class ContactSettings(Section):
                 _ = self.law_section(name)
             except ValidationError as error:
                 needed = ", ".join(str(each["loc"][-1]) if each["loc"] else each["msg"] for each in error.errors())
-                raise SectionError(("law",), f"needs the section [contact.{name}]: {needed}") from None
+                raise SectionError(
+                    ("law",), f'"{name}" needs the section [contact.{name}] with {needed}; add it, or remove the law'
+                ) from None
         try:
             functions_of(self.laws)
         except ValueError as error:
