@@ -42,6 +42,7 @@ from carom.physics.contact.constraints import (
     BodyStateRecord,
     ConstraintSystem,
     PieceResultsRecord,
+    SearchRecord,
     body_count,
     contacts_of,
     ends_of,
@@ -211,7 +212,7 @@ def conjugate_step(first: int, end: int, system: ConstraintSystem) -> None:
         norm, exact_norm, most, least = 0.0, 0.0, 0.0, 0.0
         for c in range(lo, hi):
             search, contact = system.search[c], system.contacts[c]
-            if not (search.free_normal or search.free_tangent):
+            if not _is_searched(c, search, system):
                 continue
             if settings.iteration > 0:
                 search.step_normal += alpha * search.direction_normal
@@ -239,6 +240,14 @@ def conjugate_step(first: int, end: int, system: ConstraintSystem) -> None:
         results = system.piece_results[piece]
         results.residual_norm, results.exact_norm = norm, exact_norm
         results.largest_push, results.largest_pull = most, -least
+
+
+@inline
+def _is_searched(c: int, search: SearchRecord, system: ConstraintSystem) -> bool:
+    """Return whether the search goes on for a contact: it has free impulses, and its island is not left as it is."""
+    if not (search.free_normal or search.free_tangent):
+        return False
+    return not (system.settings[0].ignores_meshed and system.enough[c] > ENOUGH)
 
 
 @unowned
@@ -277,7 +286,7 @@ def conjugate_direction(first: int, end: int, system: ConstraintSystem) -> None:
     spins, beta = system.settings[0].spins, system.settings[0].beta
     for c in range(lo, hi):
         search, contact = system.search[c], system.contacts[c]
-        if search.free_normal or search.free_tangent:
+        if _is_searched(c, search, system):
             normal = contact.normal_mass * search.residual_normal + beta * search.direction_normal
             dx = contact.tangent_mass * search.residual_x + beta * search.direction_x
             dy = contact.tangent_mass * search.residual_y + beta * search.direction_y
