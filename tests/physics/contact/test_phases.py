@@ -64,9 +64,15 @@ def test_code_for_systems_of_another_kind_is_not_called() -> None:
         solver.resolve_impacts(0.0, 1, False)
 
 
-@pytest.mark.parametrize("static, kinetic", [(0.6, 0.3), (0.0, 0.0)])
+ROLLS = {"law": "rolling_resistance", "rolling_resistance": {"rolling_friction": 0.1, "twisting_friction": 0.05}}
+
+
+@pytest.mark.parametrize(
+    "static, kinetic, law",
+    [(0.6, 0.3, {}), (0.0, 0.0, {}), pytest.param(0.6, 0.3, ROLLS, marks=pytest.mark.slow)],  # other kernels
+)
 def test_contacts_solved_in_blocks_have_the_bits_of_those_solved_one_by_one(
-    static: float, kinetic: float, monkeypatch: pytest.MonkeyPatch
+    static: float, kinetic: float, law: dict[str, Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     heap = Scene.from_dict(
         {
@@ -81,7 +87,7 @@ def test_contacts_solved_in_blocks_have_the_bits_of_those_solved_one_by_one(
             "body": [{"fixed": True, "radius": 0.35, "position": [0.0, 0.0, -1.1]}],
             "domain": {"boundary": "walls", "size": [2.0, 2.0, 3.0]},
             "gravity": {"constant": 0.0, "uniform": [0.0, 0.0, -9.81]},
-            "contact": {"static_friction": static, "kinetic_friction": kinetic},
+            "contact": {"static_friction": static, "kinetic_friction": kinetic, **law},
             "time": {"duration": 1.0, "fixed_dt": 0.01},
         }
     )

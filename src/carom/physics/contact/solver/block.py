@@ -162,10 +162,14 @@ class Block:
         for body, arm, push in zip(bodies, (contact.arm_i, contact.arm_j), ([-a for a in J], J), strict=True):
             by = [along * body.inverse_mass for along in push]
             if torque is not None:
-                lever = arm * body.inverse_inertia
-                by += [(lever * about).where(lever > 0.0, self.nothing) for about in torque]
+                by += self.turns(body, arm, torque)
             by += [self.nothing] * (WIDTH - len(by))
             body.add(lines, by, mask & (body.inverse_mass > 0.0))
+
+    def turns(self, body: RecordLanes, arm: Lanes, torque: Sequence[Lanes]) -> list[Lanes]:
+        """Return the changes of the angular velocities of bodies by λ_t × n; see `apply`."""
+        lever = arm * body.inverse_inertia
+        return [(lever * about).where(lever > 0.0, self.nothing) for about in torque]
 
     def _setting_at(self, name: str, kind: Any) -> Any:
         """Return the address of a setting."""

@@ -43,6 +43,9 @@ from carom.physics.contact.constraints import (
     CONTACT,
     CONTACT_OF_IMAGE,
     CONTACT_ON_MOVING_WALL,
+    ROLLING_CONTACT,
+    ROLLING_CONTACT_OF_IMAGE,
+    ROLLING_ON_MOVING_WALL,
     BodyStateRecord,
     ConstraintSystem,
     ContactRecord,
@@ -95,6 +98,10 @@ from carom.scene.schema import Coefficients
 
 HOLD_CONVERGED = 1e-8  # of the largest velocity that a contact removes; smaller changes end the iterations
 Vector = Sequence[Lanes]
+KINDS = (
+    *(CONTACT, CONTACT_ON_MOVING_WALL, CONTACT_OF_IMAGE),
+    *(ROLLING_CONTACT, ROLLING_ON_MOVING_WALL, ROLLING_CONTACT_OF_IMAGE),
+)
 
 
 @unowned
@@ -123,8 +130,7 @@ def solve(piece: int, system: ConstraintSystem, turning: tuple[()] | tuple[int])
         One element if impulses exert torques, otherwise empty. Its type makes Numba compile a kernel for each case.
     """
     lo, hi = system.pieces[piece, 0], system.pieces[piece, 1]  # with `contacts_of`, blocks would take 3 % longer
-    one_by_one = exerts_torque(system.materials[0]) or is_guided(system.bodies[0])
-    blocks = 0 if one_by_one else whole_blocks(piece, system)
+    blocks = 0 if is_guided(system.bodies[0]) else whole_blocks(piece, system)
     totals = 0.0, np.inf, 0.0
     for block in range(blocks):
         totals = solve_block(system, lo + block * WIDTH, totals, turning)
@@ -271,11 +277,9 @@ class _Solution:
         block = self._block
         block.fetch_bodies_ahead("bodies", (VELOCITY, CHANGE))
         fields = block.kind_of("contacts").dtype.fields
-        on_moving_walls, of_images = "surface_x" in fields, "image_x" in fields
-        kind, lines = (CONTACT_ON_MOVING_WALL, (0, 1, 2)) if on_moving_walls else (CONTACT, (0, 1))
-        if of_images:
-            kind, lines = CONTACT_OF_IMAGE, (0, 1, 2)
-        contact = block.records("contacts", kind, lines)
+        on_moving_walls, of_images, self._resists = (name in fields for name in ("surface_x", "image_x", "angular_x"))
+        kind = next(kind for kind in KINDS if set(kind.names or ()) == set(fields))
+        contact = block.records("contacts", kind, range(2 + self._resists + (on_moving_walls or of_images)))
         bodies = a, b = block.bodies("bodies", BODY_STATE, (VELOCITY,))
         alpha = block.setting("alpha")
         vn, *u = in_lanes(relative_velocity)(contact, a, b)
@@ -299,6 +303,52 @@ class _Solution:
         self._normal, self._more, self._slopes = normal, more, slopes
         block.apply(contact, bodies, (VELOCITY, CHANGE), self._held, J, torque)
         contact.write(1, self._held)
+        if torque is not None and self._resists:
+            self._resist_rotation(contact, bodies, torque, alpha)
+            contact.write(2, self._held)
+
+    def _resist_rotation(
+        self, contact: RecordLanes, bodies: Sequence[RecordLanes], torque: Sequence[Lanes], alpha: Lanes
+    ) -> None:
+        """Change the angular impulse to end Ω after the friction ``torque``, as far as the law allows."""
+        block = self._block
+        a, b = bodies
+        spins = [
+            [spin + by for spin, by in zip((body.wx, body.wy, body.wz), block.turns(body, arm, torque), strict=True)]
+            for body, arm in ((a, contact.arm_i), (b, contact.arm_j))
+        ]
+        relative = [after - before for before, after in zip(*spins, strict=True)]
+        K = a.inverse_inertia + b.inverse_inertia
+        axes = ("x", "y", "z")
+        old = [getattr(contact, f"angular_{axis}") + alpha * getattr(contact, f"change_{axis}") for axis in axes]
+        ending = [before - along / K for before, along in zip(old, relative, strict=True)]
+        allowed = self._limited(contact.normal_impulse, ending)
+        rotates = K > 0.0
+        d = [after - before for before, after in zip(old, allowed, strict=True)]
+        for axis, after, change in zip(axes, allowed, d, strict=True):
+            before = getattr(contact, f"angular_{axis}"), getattr(contact, f"change_{axis}")
+            contact.change(
+                **{
+                    f"angular_{axis}": after.where(rotates, before[0]),
+                    f"change_{axis}": change.where(rotates, before[1]),
+                }
+            )
+        for body, change in ((a, [-along for along in d]), (b, d)):
+            by = [block.nothing] * 3 + [body.inverse_inertia * along for along in change] + [block.nothing] * 2
+            body.add((VELOCITY, CHANGE), by, self._held & (body.inverse_inertia > 0.0))
+        surface_speed = reduce(greater, map(abs, d)) * K * greater(contact.arm_i, contact.arm_j)
+        self._change = greater(self._change, surface_speed.where(rotates, block.nothing))
+
+    def _limited(self, normal: Lanes, ending: Vector) -> list[Lanes]:
+        """Return the angular impulse that the law allows, contact by contact, given the one that would end Ω."""
+        builder, block = self._builder, self._block
+        kinds = [*(block.kind_of(name).dtype for name in ("contacts", "materials")), *["float64"] * 4]
+        impulses = []
+        for k, material in enumerate(block.materials()):
+            given = [block.address("contacts", block.places[k]), material, *(v.lane(k) for v in (normal, *ending))]
+            allowed = block.code.call(_limited_of_one, ("float64",) * 3, *zip(kinds, given, strict=True))
+            impulses.append([builder.extract_value(allowed, axis) for axis in range(3)])
+        return [gathered(builder, [allowed[axis] for allowed in impulses]) for axis in range(3)]
 
     def totals(self, change: Any, step_limit: Any, slope: Any) -> list[Any]:
         """Return the largest change, the limit of the step, and the slope, including those of previous contacts."""
@@ -363,3 +413,10 @@ def _friction_of_one(
 ) -> tuple[float, ...]:
     """Call `friction`: `Code.call` takes a plain function of Python, not a kernel."""
     return friction(state, material, keeps_sliding, normal, tx, ty, tz)
+
+
+def _limited_of_one(
+    contact: ContactRecord, material: Coefficients, normal: float, x: float, y: float, z: float
+) -> tuple[float, float, float]:
+    """Call `limited`, as `_friction_of_one` calls `friction`."""
+    return limited(contact, material, normal, x, y, z)
