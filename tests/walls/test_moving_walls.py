@@ -23,6 +23,7 @@ HEAVY = {"constant": 0.0, "uniform": [0.0, 0.0, -G]}
 WEIGHTLESS = {"constant": 0.0}
 DRUM = {"cylinder": {"radius": R, "axis": [0, 1, 0]}}
 TABLE = {"disc": {"radius": R}}
+DEPTH, DT = 1e-3, 1e-3  # m, an overlap, and s
 BOTTOM, ON_TABLE = [0.0, 0.0, -(R - r)], [0.5, 0.0, r]  # m, centres of balls that touch
 
 
@@ -71,6 +72,32 @@ def test_a_rotating_drum_drags_a_ball_with_kinetic_friction() -> None:
     assert end.velocity[0, 0] == pytest.approx(-MU * G * t, rel=2.0 * climbed / MU)
     assert end.angular_velocity is not None
     assert end.angular_velocity[0, 1] == pytest.approx(2.5 * MU * G * t / r, rel=2.0 * climbed / MU)
+
+
+@pytest.mark.parametrize(
+    ("wall", "body"),
+    [
+        (DRUM, {"position": [0.0, 0.0, -(R - r + DEPTH)], "velocity": [0.2, 0.0, 0.0]}),
+        (rotating(DRUM, 0.05), {"position": [0.0, 0.0, -(R - r + DEPTH)]}),
+        (TABLE | {"motion": {"velocity": [0.05, 0.0, 0.01]}}, {"position": [0.0, 0.0, r - DEPTH]}),
+    ],
+    ids=["at rest", "rotates", "translates"],
+)
+@pytest.mark.slow  # kernels for walls are compiled for a minute
+def test_an_overlap_with_a_wall_is_removed_without_a_velocity(wall: dict[str, Any], body: dict[str, Any]) -> None:
+    # the velocity that removes it within a step would be DEPTH / dt = 1 m/s, with 50 times the weight's work over DEPTH
+    document = scene(wall, body, 0.1, allow_overlap=True).model_dump(exclude_unset=True)
+    run = frames(Scene.from_dict(document | {"time": {"duration": 0.1, "fixed_dt": DT}}))
+    speeds = [frame.velocity[0, 2] for frame in run]
+    assert max(speeds) < 0.01 + 2.0 * G * DT  # of the wall, and of the weight in one step, with its rest speed
+    mass = Space(scene(wall, body, 0.1, allow_overlap=True)).state.mass[0]
+    ledger = run[-1].energy.ledger
+    assert ledger.restitution > -1e-3 * mass * G * DEPTH  # contacts give no energy but by the correction of positions
+    assert ledger.stabilisation == pytest.approx(mass * G * DEPTH, rel=0.01)
+    assert abs(run[-1].energy.integration_error) < 1e-9 * mass * G * R
+    surface = 0.01 * run[-1].time if wall.get("motion", {}).get("velocity") else 0.0
+    height = run[-1].position[0, 2] - r if wall.get("disc") else R - r - np.hypot(*run[-1].position[0, [0, 2]])
+    assert height == pytest.approx(surface, abs=1e-6)
 
 
 @pytest.mark.slow  # kernels for walls are compiled for a minute

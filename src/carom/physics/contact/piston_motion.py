@@ -213,15 +213,6 @@ def tangent_inverse_mass(Kn: float, a: object, b: object) -> float:
     raise NotImplementedError("only kernels call it")
 
 
-def without_overlap(body: object, bias: float, gap: float, drift: float) -> float:
-    """Return the bias (m/s) of a contact with a solid such that a drift (s) does not remove its overlap.
-
-    In scenes without a piston, the correction of positions has removed it before. Bodies that a piston presses onto
-    a floor may keep overlaps, and would leave both within a short step.
-    """
-    raise NotImplementedError("only kernels call it")
-
-
 def pushed_rise(guided: object, pushed: object, normal: Vector) -> float:
     """Return how far (m) the correction of positions has moved a plane along a normal; 0 if it is no piston."""
     raise NotImplementedError("only kernels call it")
@@ -247,13 +238,6 @@ def _tangent_inverse_mass(Kn: Any, a: Any, b: Any) -> Any:
     if not _has_guide(b):
         return lambda Kn, a, b: Kn
     return lambda Kn, a, b: Kn if b.axis_x == b.axis_y == b.axis_z == 0.0 else a.inverse_mass
-
-
-@chosen_by_type(without_overlap)
-def _without_overlap(body: Any, bias: Any, gap: Any, drift: Any) -> Any:
-    if not _has_guide(body):
-        return lambda body, bias, gap, drift: bias
-    return lambda body, bias, gap, drift: bias + max(0.0, -gap) / drift
 
 
 @chosen_by_type(pushed_rise)

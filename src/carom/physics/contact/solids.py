@@ -227,6 +227,8 @@ def bias_along_wall(
 ) -> float:
     """Return the speed at which a body may close so that it just touches a wall after a drift, in m/s.
 
+    A body that overlaps the wall keeps its overlap.
+
     Parameters
     ----------
     surface, solid
@@ -285,9 +287,13 @@ def _bias_on_curve(
     tangential: Vector,
     drift: float,
 ) -> float:
-    """Find `bias_along_wall` by Newton's method, from the condition that the distance after the drift is the radius."""
+    """Find `bias_along_wall` by Newton's method, from the condition that the body touches the wall after the drift.
+
+    An overlap stays as it is, as at a plane, since the correction of positions removes it without a velocity.
+    """
     (x, y, z), (nx, ny, nz), (tx, ty, tz) = place, normal, tangential
-    focal = nearest_point(surface, solid, x, y, z)[4]
+    _, _, _, distance, focal = nearest_point(surface, solid, x, y, z)
+    touching = min(radius, distance)
     c, path = bias, drift * np.sqrt(tx * tx + ty * ty + tz * tz)
     if not 0.0 < path < LARGEST_ARC * focal:
         return bias
@@ -297,7 +303,7 @@ def _bias_on_curve(
         slope = -(qx * nx + qy * ny + qz * nz)
         if not slope > LARGEST_ARC:  # the body leaves an edge, or the wall is not a curve
             return bias
-        c += (distance - radius) / (slope * drift)
+        c += (distance - touching) / (slope * drift)
     return c
 
 

@@ -40,7 +40,7 @@ from carom.physics.contact.law import (
     inverse_tangent_mass,
 )
 from carom.physics.contact.moving_walls import clear_surface_velocity
-from carom.physics.contact.piston_motion import tangent_inverse_mass, without_overlap
+from carom.physics.contact.piston_motion import tangent_inverse_mass
 from carom.physics.contact.rolling import (
     angular_impulse,
     angular_impulses_of,
@@ -150,7 +150,6 @@ def prepare(first: int, end: int, system: ConstraintSystem) -> None:
                     along = (-tx - fx, -ty - fy, -tz - fz)
                     normal, place = (contact.nx, contact.ny, contact.nz), vector(system.position, i)
                     bias = bias_along_wall(system.surface, j - count, bias, contact.arm_i, place, normal, along, drift)
-                    bias = without_overlap(body_j, bias, gap, drift)
                 # a resting contact closes no faster than this kick and half of the drift's acceleration can make it
                 fastest = rest_speed * ((booked + 0.5 * drift) / dt)
                 is_open = gap > TOUCHING * (contact.arm_i + contact.arm_j - gap)
