@@ -17,6 +17,8 @@ import carom
 from carom.physics.frame import Frame
 from carom.physics.placement.initial_state import place
 from carom.physics.space import Space
+from carom.plan.auto import MAX_DT, largest_step
+from carom.plan.checks import doubts
 from carom.plan.features import require
 from carom.scene.schema import Scene
 
@@ -54,6 +56,14 @@ def test_the_flow_presses_contacts_of_bodies_that_start_at_rest_in_it() -> None:
     gas, dense = (require(Scene.from_dict(packing(4, f, 1.0, contact=ROUGH | {"timing": "auto"}))) for f in (0.4, 0.6))
     assert gas.impact_time.modelled and not gas.resting.modelled and not gas.stabilisation.modelled
     assert dense.resting.modelled and "packing fraction above 0.5" in dense.impact_time.why
+
+
+def test_automatic_steps_strain_a_packing_by_a_thousandth_and_leave_a_gas_alone() -> None:
+    dense = Scene.from_dict(packing(4, 0.1, 1.0, time={"duration": 1.0}))
+    gas = Scene.from_dict(packing(4, 0.1, 1.0, time={"duration": 1.0}, contact=ROUGH | {"timing": "auto"}))
+    assert largest_step(dense) == 1e-3 / RATE and largest_step(gas) == MAX_DT
+    assert "max_dt = 0.001 s: a strain of 0.001" in require(dense).adaptive_step.why
+    assert doubts(dense) == []  # the flow moves bodies that start at rest in it
 
 
 @pytest.mark.slow

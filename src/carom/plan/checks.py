@@ -373,7 +373,8 @@ def _nothing_moves(scene: Scene) -> list[str]:
     """Return a sentence if no force acts and every velocity is 0."""
     if differing(scene) or pushing(scene) or dampings(scene) or scene.contact.allow_overlap:
         return []
-    moving = any(any(body.velocity) or any(body.angular_velocity) for body in scene.body)
+    moving = scene.domain.shear is not None
+    moving |= any(any(body.velocity) or any(body.angular_velocity) for body in scene.body)
     for columns in scene.data:
         moving |= bool(columns.velocity.any() or columns.angular_velocity.any())
     for group in scene.group:

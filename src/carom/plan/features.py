@@ -16,6 +16,7 @@ from carom.plan import interactions
 from carom.plan.auto import (
     BOUNCES_UP_TO,
     PAIRS_UP_TO,
+    STRAIN_PER_STEP,
     TREE_FROM,
     auto_interval,
     auto_step,
@@ -342,6 +343,9 @@ def _limits(scene: Scene) -> list[str]:
     if (fraction := pull_fraction(scene)) is not None:
         times = "shortest time of a pair" if scene.count <= PAIRS_UP_TO else "time of the largest pull"
         texts.append(f"pull_fraction = {fraction:g} of the {times}")
+    if scene.time.max_dt == "auto" and interactions.flow_presses(scene):
+        largest = scene.unit_system.text(largest_step(scene), TIME, ".3g")
+        texts.append(f"max_dt = {largest}: a strain of {STRAIN_PER_STEP:g}")
     return texts
 
 

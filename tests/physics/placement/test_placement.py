@@ -120,6 +120,14 @@ def test_a_group_that_finds_no_room_is_refused_with_the_remedy() -> None:
         placed(count=6, radius=1.0, region={"radius": 2.55})
 
 
+def test_a_default_region_larger_than_the_periodic_domain_is_named() -> None:
+    group = {"count": 500, "radius": 0.5, "arrangement": "compressed"}  # its ball, a tenth full, is 17 m wide
+    domain = {"boundary": "periodic", "size": [7.6, 7.6, 7.6]}
+    document = {"gravity": {"constant": 0.0}, "domain": domain, "group": [group]}
+    with pytest.raises(SceneError, match=r"beyond the periodic domain; set group\.0\.region within domain\.size"):
+        place(Scene.from_dict(document))
+
+
 def test_100000_bodies_at_ten_per_cent_packing_are_placed() -> None:
     group = {"count": 100_000, "radius": {"min": 0.5, "max": 1.5}}
     scene = Scene.from_dict({"group": [group]})

@@ -77,8 +77,8 @@ class Time(Section):
     duration: Annotated[Positive, TIME] = Field(10.0, description="s, simulated time; more than 0")
     max_dt: Annotated[Positive, TIME] | Literal["auto"] = Field(
         "auto",
-        description='s, largest step; more than 0; "auto" is 1 s, or no limit if the integrator chooses its steps by '
-        "its error or by the orbits",
+        description='s, largest step; more than 0; "auto" is 1 s, a strain of 0.001 in a sheared packing, or no limit '
+        "if the integrator chooses its steps by its error or by the orbits",
     )
     target_dx: Annotated[Positive, LENGTH] | Literal["auto"] = Field(
         "auto",
