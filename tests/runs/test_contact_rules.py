@@ -25,9 +25,9 @@ def crystal(duration: float, **contact: str) -> Scene:
     return scene_of(
         BALLS,
         plane=[{}],
-        gravity={"constant": 0.0, "uniform": [0.0, 0.0, -9.81]},
+        gravity={"constant": 0.0, "uniform": [4.0, 1.0, -9.81]},  # across, too: balls slide, and searches are long
         contact={"restitution": 0.0, **contact},
-        time={"duration": duration, "max_dt": 0.01},
+        time={"duration": duration, "max_dt": 0.02},
     )
 
 
@@ -38,19 +38,26 @@ def bits(recording: Recording) -> list[int]:
 
 @pytest.fixture(scope="module")
 def old(tmp_path_factory: pytest.TempPathFactory) -> Recording:
-    """A recording as earlier versions wrote it."""
-    return carom.run(crystal(0.05).by_contact_rules(1), tmp_path_factory.mktemp("old") / "old.rrd")
+    """A recording as the first versions wrote it."""
+    return carom.run(crystal(0.1).by_contact_rules(1), tmp_path_factory.mktemp("old") / "old.rrd")
+
+
+@pytest.fixture(scope="module")
+def second(tmp_path_factory: pytest.TempPathFactory) -> Recording:
+    """A recording by the second version of the rules."""
+    return carom.run(crystal(0.1).by_contact_rules(2), tmp_path_factory.mktemp("second") / "second.rrd")
 
 
 def test_a_recording_of_today_names_its_rules_and_one_that_does_not_has_the_first_ones(
-    old: Recording, tmp_path: Path
+    old: Recording, second: Recording, tmp_path: Path
 ) -> None:
-    new = carom.run(crystal(0.05), tmp_path / "new.rrd")
-    assert (new.info["contact_rules"], recorded_scene(new).contact_rules) == (2, 2)
+    new = carom.run(crystal(0.1), tmp_path / "new.rrd")
+    assert (new.info["contact_rules"], recorded_scene(new).contact_rules) == (3, 3)
+    assert (second.info["contact_rules"], recorded_scene(second).contact_rules) == (2, 2)
     assert "contact_rules" not in old.info
     assert recorded_scene(old).contact_rules == 1
     assert new.scene_toml == old.scene_toml
-    assert bits(new) != bits(old)
+    assert bits(new) != bits(old) != bits(second) != bits(new)
 
 
 def test_an_older_recording_replays_with_its_bits_which_sweeps_converged_asks_for(
@@ -58,14 +65,19 @@ def test_an_older_recording_replays_with_its_bits_which_sweeps_converged_asks_fo
 ) -> None:
     result = replay(old)
     assert result.same and result.not_compared == []
-    assert bits(carom.run(crystal(0.05, sweeps="converged"), tmp_path / "converged.rrd")) == bits(old)
+    assert bits(carom.run(crystal(0.1, sweeps="converged"), tmp_path / "converged.rrd")) == bits(old)
 
 
-def test_an_older_recording_is_continued_by_its_rules(old: Recording, tmp_path: Path) -> None:
-    whole = carom.run(crystal(0.1).by_contact_rules(1), tmp_path / "whole.rrd")
-    longer = resume(old, 0.1, tmp_path / "longer.rrd")
-    assert "contact_rules" not in longer.info
-    assert bits(longer) == bits(whole)
+def test_an_older_recording_is_continued_by_its_rules(old: Recording, second: Recording, tmp_path: Path) -> None:
+    for rules, begun in ((1, old), (2, second)):
+        whole = carom.run(crystal(0.2).by_contact_rules(rules), tmp_path / f"whole_{rules}.rrd")
+        longer = resume(begun, 0.2, tmp_path / f"longer_{rules}.rrd")
+        assert longer.info.get("contact_rules", 1) == rules
+        assert bits(longer) == bits(whole)
+
+
+def test_a_recording_of_the_second_rules_replays_with_its_bits(second: Recording) -> None:
+    assert replay(second).same
 
 
 def test_a_scene_of_earlier_rules_keeps_them_if_other_keys_change(old: Recording) -> None:

@@ -229,6 +229,7 @@ class SettingsRecord(Protocol):
     spins: bool  # whether impulses exert torques
     impacts_only: bool  # whether resting contacts are skipped
     solved: float  # of r·z at the start of a round of conjugate gradients, at which its iterations end
+    meshed_iterations: int  # of a round of conjugate gradients, after which it leaves meshed islands; 0 for no limit
     refines: bool  # whether conjugate gradients follow the iterations
     keeps_iterating: bool  # whether iterations follow conjugate gradients that did not converge
     spares_meshed: bool  # whether these iterations ignore the contacts of meshed islands

@@ -122,7 +122,7 @@ class ContactPipeline:
         friction = requirements.friction.modelled
         # islands are of interest only where contacts last
         sweeps = contact.sweeps if self._lasts or contact.sweeps != "auto" else "converged"
-        self.solver = ContactSolver(bodies, planes, materials, box, friction, team, records, sweeps)
+        self.solver = ContactSolver(bodies, planes, materials, box, friction, team, records, sweeps, contact.rules)
         self._torques = Torques(bodies, team)
         self.contacts = OrderedContacts.of(empty_graph().pairs, bodies, contact.colouring)  # the contacts of the step
         self._snapshots = SnapshotSource(self.solver, bodies.ends.inverse_mass)

@@ -11,7 +11,7 @@ import re
 from functools import cache
 from typing import Annotated, Any, Literal, NamedTuple, Self
 
-from pydantic import AfterValidator, Field, ValidationError, model_validator
+from pydantic import AfterValidator, Field, PrivateAttr, ValidationError, model_validator
 from pydantic.fields import FieldInfo
 
 from carom import registry
@@ -246,7 +246,9 @@ class MaterialPair(Surface):
 
 
 Sweeps = Literal["auto", "converged", "as-needed", "quick"]
-CONTACT_RULES = 2  # version of the meaning of `sweeps = "auto"`; in 1, of the first recordings, it is "converged"
+# Version of the meaning of `sweeps = "auto"`. In 1, of the first recordings, it is "converged"; in 2, a round of
+# conjugate gradients has no limit of its own in meshed islands.
+CONTACT_RULES = 3
 
 
 def _known_law(law: str | list[str]) -> str | list[str]:
@@ -324,6 +326,8 @@ class ContactSettings(Section):
         False, description="true: explicit bodies may overlap at the start"
     )
 
+    _rules: int = PrivateAttr(CONTACT_RULES)
+
     @model_validator(mode="before")
     @classmethod
     def _follow_the_given_friction(cls, data: Any) -> Any:
@@ -373,6 +377,18 @@ class ContactSettings(Section):
         except ValueError as error:
             raise SectionError(("law",), str(error)) from None
         return self
+
+    @property
+    def rules(self) -> int:
+        """The version of the meaning of `sweeps`, see `Scene.contact_rules`."""
+        return self._rules
+
+    def by_rules(self, rules: int) -> ContactSettings:
+        """Return these settings with the meaning that `sweeps` has in a version of the rules."""
+        first = rules < 2 and self.sweeps == "auto"
+        settings = self.model_copy(update={"sweeps": "converged"} if first else None)
+        settings._rules = rules
+        return settings
 
     @property
     def laws(self) -> tuple[str, ...]:

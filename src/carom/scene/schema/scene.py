@@ -11,7 +11,6 @@ from pydantic import Field, PrivateAttr, model_validator
 
 from carom.scene.schema.body import Body, BodyData, BodyGroup, SolidPlane
 from carom.scene.schema.contact import (
-    CONTACT_RULES,
     DEFAULT,
     ContactSettings,
     Forces,
@@ -67,7 +66,6 @@ class Scene(Forces, Heading):
     promise: Promise | None = Field(None, description="how a run keeps time.accuracy; written by carom, not by hand")
 
     _toml: str = PrivateAttr("")
-    _contact_rules: int = PrivateAttr(CONTACT_RULES)
     _unit_system: UnitSystem = PrivateAttr(SI)
     _held: HeldBodies | None = PrivateAttr(None)
     _places: KeyPlaces | None = PrivateAttr(None)
@@ -92,8 +90,7 @@ class Scene(Forces, Heading):
     @property
     def contact_rules(self) -> int:
         """The version of the meaning of `contact.sweeps`; older recordings run again by theirs."""
-        rules: int = self._private("_contact_rules")
-        return rules
+        return self.contact.rules
 
     @property
     def refinement(self) -> float:
@@ -264,12 +261,7 @@ class Scene(Forces, Heading):
 
     def by_contact_rules(self, rules: int) -> Scene:
         """Return this scene with the meaning that `contact.sweeps` has in a version of the rules."""
-        contact = self.contact
-        if rules < 2 and contact.sweeps == "auto":
-            contact = contact.model_copy(update={"sweeps": "converged"})
-        scene = self.model_copy(update={"contact": contact})
-        scene._contact_rules = rules
-        return scene
+        return self.model_copy(update={"contact": self.contact.by_rules(rules)})
 
     def promising(self, promise: Promise) -> Scene:
         """Return this scene with a promise, also in its text."""

@@ -47,7 +47,7 @@ from carom.physics.contact.solids import add_arc_speeds
 from carom.physics.contact.solver.body_state import active_bodies, gather, scatter
 from carom.physics.contact.solver.impacts import CONVERGED, check_closing
 from carom.physics.contact.solver.phase_code import IMPACTS, POSITIONS, RESTING, PhaseCode
-from carom.physics.contact.solver.phases import SOLVED, work
+from carom.physics.contact.solver.phases import MAX_MESHED_ITERATIONS, SOLVED, work
 from carom.physics.contact.solver.positions import (
     audit_corrections,
     count_contacts,
@@ -61,7 +61,7 @@ from carom.physics.diagnostics.ledger import terms_of
 from carom.physics.jit.decorators import entry_of, kernel
 from carom.physics.jit.team import ALONE, Team
 from carom.physics.sheared_box import SHEARED_BOX
-from carom.scene.schema.contact import Sweeps
+from carom.scene.schema.contact import CONTACT_RULES, Sweeps
 from carom.scene.start import HalfSpaces
 
 # Fraction of r·z at the start of a round of conjugate gradients at which its iterations end, by `contact.sweeps`; with
@@ -91,6 +91,8 @@ class ContactSolver:
         Whether to keep the impulses of impacts, in `recorded`.
     sweeps
         `contact.sweeps` of the scene: whether small changes end the iterations, and whether conjugate gradients follow.
+    rules
+        `ContactSettings.rules`, the version of its meaning.
 
     Attributes
     ----------
@@ -108,6 +110,7 @@ class ContactSolver:
         team: Team,
         records: bool = False,
         sweeps: Sweeps | int = "auto",
+        rules: int = CONTACT_RULES,
     ) -> None:
         self._bodies = bodies
         self._planes = planes
@@ -124,6 +127,7 @@ class ContactSolver:
         self._settings["spins"] = friction
         self._settings["refines"] = sweeps in SOLVED_BY_SWEEPS
         self._settings["solved"] = SOLVED_BY_SWEEPS.get(sweeps, 0.0)
+        self._settings["meshed_iterations"] = MAX_MESHED_ITERATIONS if sweeps == "auto" and rules > 2 else 0
         self._enough = np.zeros(0)
         self._default_enough = ENOUGH_AS_NEEDED if sweeps in AS_NEEDED else ENOUGH
         # with "auto", small changes end the iterations in meshed islands only

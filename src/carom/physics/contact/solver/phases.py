@@ -226,8 +226,8 @@ def _conjugate_gradients(board: IntArray, phases: Phases) -> int:
     largest = _largest_impulses(phases)[0]
     iterations, push, pull = 0, 0.0, 0.0
     while (exact > SOLVED * first_exact or rho > settings.solved * first) and iterations < MAX_ITERATIONS:
-        solved = rho <= settings.solved * first or iterations >= MAX_MESHED_ITERATIONS
-        if solved and rho > exact and settings.solved > SOLVED:
+        most = settings.meshed_iterations
+        if most > 0 and rho > exact and (rho <= settings.solved * first or iterations >= most):
             if exact <= SOLVED * first_exact:
                 break
             # islands share no moving body, so the search starts anew in those that are to converge
