@@ -20,7 +20,8 @@ A sphere on an incline begins to roll where tan θ = μ_r, since its weight has 
 
 from __future__ import annotations
 
-from math import atan, cos, degrees, pi, sin
+from math import atan, cos, degrees, hypot, pi, sin
+from statistics import fmean
 from typing import Any
 
 import numpy as np
@@ -43,7 +44,13 @@ def zhou(rolling: float) -> float:
 
 
 def remaining(
-    rolling: float, length: int = 13, height: int = 7, width: int = 4, duration: float = 10.0, bumps: bool = False
+    rolling: float,
+    length: int = 13,
+    height: int = 7,
+    width: int = 4,
+    duration: float = 10.0,
+    bumps: bool = False,
+    seed: int = 1,
 ) -> FloatArray:
     """Return the spheres, (n, 3) m, that remain on half a plate, whose other half is their mirror image.
 
@@ -69,7 +76,7 @@ def remaining(
     resists = {"law": "rolling_resistance", "rolling_resistance": {"rolling_friction": rolling}} if rolling else {}
     places = [[(i + 0.5) * d, (j + 0.5) * d - y / 2, 0] for i in range(length if bumps else 0) for j in range(width)]
     document = {
-        "seed": 1,
+        "seed": seed,
         "gravity": {"constant": 0.0, "uniform": [0, 0, -G]},
         "contact": {"restitution": 0.3, "static_friction": FRICTION, "kinetic_friction": FRICTION, **resists}
         | {"sweeps": "as-needed", "allow_overlap": bumps},
@@ -128,19 +135,20 @@ def test_a_sphere_on_an_incline_begins_to_roll_where_the_slope_is_the_rolling_fr
 
 @pytest.mark.slow
 def test_a_heap_is_as_steep_as_measured_and_steeper_with_more_rolling_friction() -> None:
-    # Measured: 22.1 and 27.2 degrees; the formula has 22.6 and 29.0. 3 degrees are a tenth, for a fit with five
-    # exponents and a heap of few spheres: at 0.1, heaps of 400 and 886 spheres have 24.7 and 25.4 degrees.
-    angles = {rolling: slope(remaining(rolling)) for rolling in (0.05, 0.2)}
-    for rolling, angle in angles.items():
-        assert angle == pytest.approx(zhou(rolling), abs=3.0)
-    assert angles[0.2] - angles[0.05] == pytest.approx(zhou(0.2) - zhou(0.05), abs=3.0)
+    # 3 degrees are a tenth, for a fit with five exponents. Heaps of one kind differ by a standard deviation of 3.3
+    # degrees at 0.05, and of 0.9 at 0.2; the means of four are 19.8 and 28.3, and the formula has 22.6 and 29.0.
+    steep = slope(remaining(0.2))
+    assert steep == pytest.approx(zhou(0.2), abs=hypot(3.0, 2 * 0.9))
+    flat = fmean(slope(remaining(0.05, seed=seed)) for seed in (1, 2, 3, 4))
+    assert flat == pytest.approx(zhou(0.05), abs=hypot(3.0, 3.3))  # twice the error of the mean of four
+    assert steep > flat + 2 * hypot(0.9, 1.65)
 
 
 @pytest.mark.slow
 def test_without_rolling_friction_spheres_roll_off_a_plate_and_form_a_heap_on_bumps() -> None:
     assert zhou(0.0) == 0.0
-    # after 2.6 s those that remain, some 20 of 199, roll on the plate, none on others
-    assert remaining(0.0, length=9, height=5, duration=3.0)[:, 2].max() < 0.6 * DIAMETER
+    # after 4 s those that remain, some 20 of 199, roll on the plate, none on others
+    assert remaining(0.0, length=9, height=5, duration=4.0)[:, 2].max() < 0.6 * DIAMETER
     heap = remaining(0.0, length=9, height=5, duration=3.0, bumps=True)
-    # measured: 23.5°, and 26.8° for 254 of 403 spheres; between the slopes at which a sphere leaves its pocket
+    # measured: 25° to 33° from three seeds; between the slopes at which a sphere leaves its pocket
     assert 19.5 < slope(heap, 9) < 35.3
