@@ -123,6 +123,8 @@ if TYPE_CHECKING:
     from carom.runs.workers import WorkerDiedError as WorkerDiedError
     from carom.runs.workers import Workers as Workers
     from carom.scene import variation as variation
+    from carom.scene.contact_laws import DEFAULT_LAW as DEFAULT_LAW
+    from carom.scene.contact_laws import ContactLaw as ContactLaw
     from carom.scene.conversion import converted as converted
     from carom.scene.conversion import rescaled as rescaled
     from carom.scene.data import Arrays as Arrays
@@ -130,9 +132,7 @@ if TYPE_CHECKING:
     from carom.scene.data import DataTable as DataTable
     from carom.scene.data.body_sources import DataFiles as DataFiles
     from carom.scene.data.body_sources import HeldBodies as HeldBodies
-    from carom.scene.forces import DEFAULT_LAW as DEFAULT_LAW
     from carom.scene.forces import BodyForce as BodyForce
-    from carom.scene.forces import ContactLaw as ContactLaw
     from carom.scene.forces import PairForce as PairForce
     from carom.scene.integrators import INTEGRATORS as INTEGRATORS
     from carom.scene.integrators import Integrator as Integrator
@@ -219,7 +219,7 @@ SECTIONS = {  # purpose → module → names
         "carom.physics.exponential": "exponential logarithm power",
     },
     "Contact laws": {
-        "carom.scene.forces": "ContactLaw",
+        "carom.scene.contact_laws": "ContactLaw",
         "carom.scene.schema.quantity": "Friction",
     },
     "Shapes of walls": {
@@ -246,7 +246,7 @@ SECTIONS = {  # purpose → module → names
         "carom.physics.placement": "place",
         "carom.plan.features": "require",
         "carom.plan.interactions": "further DOMINANT",
-        "carom.scene.forces": "DEFAULT_LAW",
+        "carom.scene.contact_laws": "DEFAULT_LAW",
         "carom.recording.source.observer": "Observer not_finite",
         "carom.runs.snapshot_writer": "observed_recording observed_totals",
         "carom.physics.diagnostics.extremes": "Extremes",

@@ -16,7 +16,7 @@ from scipy.integrate import solve_ivp
 from carom import Scene
 from carom.errors import SceneError
 from carom.laws import power_law, restitution_table, rolling_resistance, viscoelastic, walton
-from carom.scene.forces import ContactLaw
+from carom.scene.contact_laws import ContactLaw
 from carom.scene.load import scene_from_text
 from carom.scene.matter import pair_coefficients
 

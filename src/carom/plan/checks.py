@@ -11,7 +11,8 @@ from carom.errors import SceneError
 from carom.plan.auto import gravity_method, integrator, uses_tree
 from carom.plan.features import require
 from carom.plan.interactions import dampings, differing, pushing, why_no_hierarchy
-from carom.scene.forces import DRAG, BodyForce, PairForce, force_called, law_called
+from carom.scene.contact_laws import law_called
+from carom.scene.forces import DRAG, BodyForce, PairForce, force_called
 from carom.scene.integrators import ENCOUNTERS_BY
 from carom.scene.scene_file import KeyPath, naming_places
 from carom.scene.schema import Scene

@@ -13,7 +13,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from carom.scene.forces import GRAVITY, ForceKind, exerts_torque, functions_of, kinds_of
+from carom.scene.contact_laws import exerts_torque, functions_of
+from carom.scene.forces import GRAVITY, ForceKind, kinds_of
 from carom.scene.matter import KindOfContact, body_mass, kinds_of_contacts, made_of, mean_mass, mean_volume
 from carom.scene.parts import Part
 from carom.scene.schema import Scene

@@ -14,7 +14,7 @@ from typing import TypeVar
 import numpy as np
 
 from carom.arrays import FloatArray, IntArray
-from carom.scene.forces import Numbers, law_called
+from carom.scene.contact_laws import Numbers, law_called
 from carom.scene.portable_math import power
 from carom.scene.schema import Body, BodyGroup, Coefficients, Material, Scene
 from carom.scene.schema.body import Matter

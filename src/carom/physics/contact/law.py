@@ -1,6 +1,6 @@
 """The contact law in kernels: the impulses that a contact may exert, and the code that all laws share.
 
-The functions below are those of `carom.scene.forces.ContactLaw`. Kernels call them with ``material``, the record
+The functions below are those of `carom.scene.contact_laws.ContactLaw`. Kernels call them with ``material``, the record
 of a contact's coefficients. The type of the record names the law, by default Coulomb's (`coulomb`). Numba selects the
 functions by that type when it compiles a kernel, so a call costs nothing, and what a law lacks is not compiled. Kernels
 are compiled separately for each law, and `KernelCache` stores them under these types.
@@ -25,7 +25,7 @@ import numpy as np
 from carom.arrays import IntArray, RecordArray, dtype_of
 from carom.physics.contact import coulomb
 from carom.physics.jit.decorators import chosen_by_type, identity_of, inline, unowned
-from carom.scene.forces import FUNCTIONS, functions_of
+from carom.scene.contact_laws import FUNCTIONS, functions_of
 from carom.scene.matter import PairCoefficients
 from carom.scene.schema import Coefficients
 

@@ -15,7 +15,7 @@ from pydantic import AfterValidator, Field, PrivateAttr, ValidationError, model_
 from pydantic.fields import FieldInfo
 
 from carom import registry
-from carom.scene.forces import DEFAULT_LAW, functions_of
+from carom.scene.contact_laws import DEFAULT_LAW, functions_of
 from carom.scene.schema.quantity import (
     LARGEST,
     ORIGIN,

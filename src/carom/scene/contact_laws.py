@@ -1,0 +1,100 @@
+"""Contact laws: how a contact rebounds, slides, rolls and twists.
+
+`COULOMB` is the law of scenes that choose none. A scene selects another law by ``contact.law``, or several laws that
+define different functions, such as a restitution and a rolling resistance. The coefficients of a law are in a section
+``[contact.NAME]``, or in a section NAME of a material, a pair of materials or a plane.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, fields
+from typing import Any
+
+from carom import registry
+from carom.scene.forces import numbers_of
+
+Numbers = Mapping[str, float]  # coefficients of a law, in SI units, by name
+
+
+def geometric_means(one: Numbers, other: Numbers) -> Numbers:
+    """Return the geometric mean of each coefficient, as for friction: 0 where one of the two is 0."""
+    return {name: a if a == other[name] else math.sqrt(a) * math.sqrt(other[name]) for name, a in one.items()}
+
+
+@dataclass(frozen=True, slots=True)
+class ContactLaw:
+    """A contact law: the impulses that a contact exerts.
+
+    carom compiles its functions with Numba, like those of a `carom.extend.BodyForce`. The first argument of each
+    function is a record of the coefficients of the two materials: the coefficients of Coulomb's law (``restitution``,
+    ``static_friction``, ``kinetic_friction``) and those in the law's section. None selects the function of Coulomb's
+    law.
+
+    An angular impulse acts on body j, and the opposite one on body i. The function receives the angular impulse that
+    would end the relative rotation, and returns the exerted one. The exerted impulse must not be larger, since a
+    contact only dissipates. ``radius`` is the reduced radius r_i r_j / (r_i + r_j) in m or, at a plane, the radius of
+    the body.
+    """
+
+    section: type[Any] | None  # in the scene: a `carom.extend.Section` whose docstring says "[contact.NAME]: what it
+    # is"; None if the law has no further coefficients
+    rolling: Callable[..., tuple[float, float, float]] | None = None  # (p, normal, radius, x, y, z) → N m s, (3,),
+    # about axes in the tangential plane; ``normal`` is the normal impulse in N s
+    twisting: Callable[..., float] | None = None  # (p, normal, radius, stopping) → N m s, about the normal
+    restitution: Callable[..., float] | None = None  # arguments as in `carom.physics.contact.law`
+    equivalent_speed: Callable[..., float] | None = None
+    dissipates: Callable[..., bool] | None = None
+    impact_friction: Callable[..., float] | None = None
+    lasting_friction: Callable[..., tuple[float, float, float]] | None = None
+    sliding_friction: Callable[..., tuple[float, float, float]] | None = None
+    sticks: Callable[..., bool] | None = None
+    slides: Callable[..., bool] | None = None
+    coefficients: Callable[[Any], Numbers] = numbers_of  # of a section, in SI units
+    combined: Callable[[Numbers, Numbers], Numbers] = geometric_means  # of two materials
+
+    @property
+    def exerts_torque(self) -> bool:
+        """Whether contacts resist rolling or twisting."""
+        return self.rolling is not None or self.twisting is not None
+
+
+COULOMB = ContactLaw(None)
+DEFAULT_LAW = "coulomb"
+FUNCTIONS = tuple(
+    field.name for field in fields(ContactLaw) if field.name not in ("section", "coefficients", "combined")
+)
+
+
+def law_called(name: str) -> ContactLaw:
+    """Return a contact law by its name; raises `ExtensionError` if it cannot be loaded."""
+    law: ContactLaw = registry.load("contact_laws", name)
+    return law
+
+
+def functions_of(laws: Iterable[str]) -> dict[str, Callable[..., Any]]:
+    """Return the functions that laws define together, by name; the remaining ones are Coulomb's.
+
+    Raises
+    ------
+    ValueError
+        If two laws define the same function.
+    """
+    functions: dict[str, Callable[..., Any]] = {}
+    owner: dict[str, str] = {}
+    for name in laws:
+        law = law_called(name)
+        for key in FUNCTIONS:
+            function = getattr(law, key)
+            if function is None:
+                continue
+            if key in functions:
+                raise ValueError(f'"{owner[key]}" and "{name}" both define the {key} of a contact; choose one of them')
+            functions[key], owner[key] = function, name
+    return functions
+
+
+def exerts_torque(laws: Iterable[str]) -> bool:
+    """Return whether contacts under these laws resist rolling or twisting."""
+    return any(law_called(name).exerts_torque for name in laws)
