@@ -52,7 +52,7 @@ HOUSE: Mapping[str, Mapping[str, str]] = {  # carom's own parts: kind â†’ name â
         "wisdom-holman": "carom.physics.integrators.wisdom_holman.wisdom_holman:make",
     },
     "contact_laws": {
-        "coulomb": "carom.scene.forces:COULOMB",
+        "coulomb": "carom.scene.contact_laws:COULOMB",
         "rolling_resistance": "carom.laws.rolling_resistance:LAW",
         "viscoelastic": "carom.laws.viscoelastic:LAW",
         "power_law": "carom.laws.power_law:LAW",
