@@ -25,8 +25,9 @@ distances that are longer by the largest stretch of x ↦ x', and of the flow wi
 
 Contacts that last are resolved at the end of a step, at the places of the images there. Records of contacts then have
 a field for w, so that the solver finds impulses by velocities relative to the image, and their work is booked as that
-of an impact. A packing in the flow is never at rest: the velocity of two neighbours, γ d for centres at a distance d,
-changes by γ d per 1/γ, which gives contacts an acceleration γ² d with which they may close and still be at rest.
+of an impact. A packing in the flow is never at rest: the relative velocity of two neighbours, γ d for centres at a
+distance d, changes by its own size within 1/γ. A contact counts as at rest if it closes at most twice as fast as the
+acceleration γ² d makes it close in a step.
 
 Numba compiles the functions below by the type of the box: an array of sizes, or the record of a sheared box; and by
 that of a contact: with or without w.
@@ -199,9 +200,8 @@ def _work_of_contacts(contacts: RecordArray[Any], impulses: RecordArray[Any]) ->
     for c in range(len(contacts)):
         contact, given = contacts[c], impulses[c]
         J = given.normal_impulse
-        work -= (J * contact.nx + given.friction_x) * contact.image_x
-        work -= (J * contact.ny + given.friction_y) * contact.image_y
-        work -= (J * contact.nz + given.friction_z) * contact.image_z
+        Jx, Jy, Jz = J * contact.nx, J * contact.ny, J * contact.nz
+        work -= along_image(contact, Jx + given.friction_x, Jy + given.friction_y, Jz + given.friction_z)
     return work
 
 
@@ -209,10 +209,8 @@ def _work_of_contacts(contacts: RecordArray[Any], impulses: RecordArray[Any]) ->
 def _work_of_corrections(contacts: RecordArray[Any], impulses: RecordArray[Any]) -> float:
     work = 0.0
     for c in range(len(contacts)):
-        contact, given = contacts[c], impulses[c]
-        work -= given.correction_x * contact.image_x
-        work -= given.correction_y * contact.image_y
-        work -= given.correction_z * contact.image_z
+        given = impulses[c]
+        work -= along_image(contacts[c], given.correction_x, given.correction_y, given.correction_z)
     return work
 
 
@@ -255,7 +253,7 @@ def add_work(box: Any, work: float) -> None:
     raise NotImplementedError("only kernels call it")
 
 
-def seen_in_image(contact: Any, ux: float, uy: float, uz: float) -> Vector:
+def relative_to_image(contact: Any, ux: float, uy: float, uz: float) -> Vector:
     """Return the velocity (m/s) of the image of j relative to i, given that of j; it is called with lanes, too."""
     return _with_image(contact, ux, uy, uz) if hasattr(contact, "image_x") else (ux, uy, uz)
 
@@ -315,8 +313,8 @@ def _has_image(contact: Any) -> bool:
     return "image_x" in contact.fields
 
 
-@chosen_by_type(seen_in_image)
-def _seen_in_image(contact: Any, ux: Any, uy: Any, uz: Any) -> Any:
+@chosen_by_type(relative_to_image)
+def _relative_to_image(contact: Any, ux: Any, uy: Any, uz: Any) -> Any:
     return _with_image if _has_image(contact) else lambda contact, ux, uy, uz: (ux, uy, uz)
 
 

@@ -20,7 +20,7 @@ from carom.physics.contact.piston_motion import along_guide
 from carom.physics.jit.decorators import inline, kernel, long_kernel
 from carom.physics.jit.instructions import AHEAD, from_front, prefetch_record
 from carom.physics.jit.vectors import where
-from carom.physics.sheared_box import seen_in_image
+from carom.physics.sheared_box import relative_to_image
 from carom.physics.vector import Vector
 
 
@@ -216,7 +216,7 @@ def relative_velocity(
     contact: ContactRecord, a: BodyStateRecord, b: BodyStateRecord
 ) -> tuple[float, float, float, float]:
     """Return v_n and v_t of two bodies, in m/s."""
-    ux, uy, uz = seen_in_image(contact, b.vx - a.vx, b.vy - a.vy, b.vz - a.vz)
+    ux, uy, uz = relative_to_image(contact, b.vx - a.vx, b.vy - a.vy, b.vz - a.vz)
     return along_and_across(contact.nx, contact.ny, contact.nz, ux, uy, uz)
 
 

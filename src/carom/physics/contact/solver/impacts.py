@@ -52,7 +52,7 @@ from carom.physics.contact.rolling import (
 from carom.physics.contact.solver.body_state import prefetch_ends, push, relative_velocity, slip, turn
 from carom.physics.contact.solver.refine import INTOLERABLE, tolerated
 from carom.physics.jit.decorators import inline, long_kernel, unowned
-from carom.physics.sheared_box import seen_in_image
+from carom.physics.sheared_box import relative_to_image
 from carom.physics.vector import between
 
 CONVERGED = 1e-9  # of the largest change of a velocity in the first iteration; smaller changes end the iterations
@@ -179,7 +179,7 @@ def check_closing(
         (i, j), contact, state = ends_of(pairs, c), contacts[c], states[c]
         if state.overlap < 0.0 and state.apart:
             continue
-        vx, vy, vz = seen_in_image(contact, *between(v, i, j))
+        vx, vy, vz = relative_to_image(contact, *between(v, i, j))
         vn = vx * contact.nx + vy * contact.ny + vz * contact.nz
         small = smaller_arm(contact)
         left = INTOLERABLE * tolerated(state.rest_speed, state.approach_speed, state.overlap / small, small / dt)

@@ -47,7 +47,7 @@ from carom.physics.contact.solver.body_state import along_and_across, prefetch_e
 from carom.physics.jit.decorators import inline, kernel, long_kernel, unowned
 from carom.physics.jit.instructions import Code, from_front, instruction
 from carom.physics.jit.vectors import DOUBLE, WIDTH, WORD, Lanes, Mask, at_least, gathered, in_lanes, read_doubles
-from carom.physics.sheared_box import nearest_in_drift, periods, seen_in_image
+from carom.physics.sheared_box import nearest_in_drift, periods, relative_to_image
 from carom.physics.vector import is_periodic, vector, write
 from carom.scene.schema import Coefficients
 
@@ -126,7 +126,7 @@ def _push_apart(c: int, system: ConstraintSystem) -> float:
     overlap = radii - d
     if overlap <= 0.0:
         return 0.0
-    ux, uy, uz = seen_in_image(system.contacts[c], b.vx - a.vx, b.vy - a.vy, b.vz - a.vz)
+    ux, uy, uz = relative_to_image(system.contacts[c], b.vx - a.vx, b.vy - a.vy, b.vz - a.vz)
     vn, tx, ty, tz = along_and_across(nx, ny, nz, ux, uy, uz)
     material = system.materials[material_index(i, j, n, system.places)]
     if separates(vn, state.rest_speed, restitution(material, -vn, state.rest_speed)):
