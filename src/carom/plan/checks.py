@@ -65,15 +65,7 @@ def refuse_impossible(scene: Scene) -> None:
         _refuse_missing_parts(scene)
         _refuse_test_particles(scene)
         _refuse_coarse_tree(scene)
-        # the step may have only one drift
-        chosen = integrator(scene)
-        if not chosen.locates_impacts and require(scene).impact_time.modelled:
-            why = "goes back in time within each step" if chosen.steps_back else "drifts twice in each step"
-            raise SceneError(
-                f'contact.timing = "time-of-impact" with time.integrator = "{chosen.name}", which {why}; '
-                'use "leapfrog", or contact.timing = "end-of-step"',
-                INTEGRATOR if scene.contact.timing == "auto" else ("contact", "timing"),
-            )
+        _refuse_times_of_impact(scene)
         _refuse_forces_of_mid_step(scene)
         _refuse_damping(scene)
         _refuse_walls(scene)
@@ -155,6 +147,18 @@ def _refuse_coarse_tree(scene: Scene) -> None:
         f"time.accuracy = {accuracy:g} with {tree}, whose error is about {error:.0e}; set {better}",
         ("time", "accuracy"),
     )
+
+
+def _refuse_times_of_impact(scene: Scene) -> None:
+    """Refuse times of impact with integrators whose step has more than one drift."""
+    chosen = integrator(scene)
+    if not chosen.locates_impacts and require(scene).impact_time.modelled:
+        why = "goes back in time within each step" if chosen.steps_back else "drifts twice in each step"
+        raise SceneError(
+            f'contact.timing = "time-of-impact" with time.integrator = "{chosen.name}", which {why}; '
+            'use "leapfrog", or contact.timing = "end-of-step"',
+            INTEGRATOR if scene.contact.timing == "auto" else ("contact", "timing"),
+        )
 
 
 def _refuse_forces_of_mid_step(scene: Scene) -> None:

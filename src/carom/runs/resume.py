@@ -220,7 +220,7 @@ def _resume(
         live=live,
         watch=watch,
         continued=Continuation(run.recording, run.step),
-        properties=(first | now | {"resumed.step": run.step, "resumed.time": run.time}),
+        properties=first | now | {"resumed.step": run.step, "resumed.time": run.time},
     )
     if outcome.frames <= run.recording.frames:
         part.unlink(missing_ok=True)

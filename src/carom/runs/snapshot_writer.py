@@ -181,13 +181,12 @@ class SnapshotWriter:
 
     def _put(self, frame: Frame) -> None:
         # notes since the last frame; those before the first frame get its time
-        found: list[Event] = []
+        notes: list[Event] = []
         for event in self._unrecorded.events[self._noted :]:
             if event.step > frame.step:
                 break
-            found.append(replace(event, step=frame.step, time=frame.time))
-        self._noted += len(found)
-        notes = found
+            notes.append(replace(event, step=frame.step, time=frame.time))
+        self._noted += len(notes)
         try:
             self._recorder.put(replace(frame, events=(*notes, *frame.events)) if notes else frame)
             self._last = (frame.step, frame.time)
