@@ -6,7 +6,6 @@ Users need the four in ``__all__``. The others let callers inside carom tell one
 from __future__ import annotations
 
 import contextlib
-import importlib.metadata
 import importlib.util
 import re
 import shlex
@@ -79,7 +78,9 @@ def install_extra(extra: str) -> str:
 
     It lists the packages themselves, because carom may have been installed from a folder or an archive.
     """
-    wanted = [package for package, name in map(_parsed, importlib.metadata.requires("carom") or ()) if name == extra]
+    from importlib.metadata import requires  # noqa: PLC0415 - takes 20 ms, which few processes need
+
+    wanted = [package for package, name in map(_parsed, requires("carom") or ()) if name == extra]
     packages = shlex.join(wanted or [f"carom[{extra}]"])
     if "pipx" in Path(sys.prefix).parts:
         return f"pipx inject carom {packages}"

@@ -25,16 +25,16 @@ if TYPE_CHECKING:
     from carom.cli.options import simulated as simulated
     from carom.cli.options import simulated_or_none as simulated_or_none
     from carom.cli.options import work_time as work_time
+    from carom.cli.printing import duration_text as duration_text
+    from carom.cli.printing import finite as finite
+    from carom.cli.printing import say as say
+    from carom.cli.printing import say_json as say_json
     from carom.cli.run import announce_compilation as announce_compilation
     from carom.cli.terminal import LiveLine as LiveLine
     from carom.cli.terminal import Terminal as Terminal
     from carom.cli.terminal import bar as bar
-    from carom.cli.terminal import duration_text as duration_text
-    from carom.cli.terminal import finite as finite
     from carom.cli.terminal import print_whole as print_whole
     from carom.cli.terminal import replaying as replaying
-    from carom.cli.terminal import say as say
-    from carom.cli.terminal import say_json as say_json
     from carom.errors import needing as needing
     from carom.physics.bodies import Bodies as Bodies
     from carom.physics.checkpoint import Checkpoint as Checkpoint
@@ -256,7 +256,8 @@ SECTIONS = {  # purpose → module → names
             "ForceOption JsonOption OptionalTime RecordingArgument SceneArgument SetOption ThreadsOption "
             "bundled not_a_folder recording_option seconds simulated simulated_or_none work_time"
         ),
-        "carom.cli.terminal": "say say_json finite duration_text Terminal print_whole LiveLine bar replaying",
+        "carom.cli.printing": "say say_json finite duration_text",
+        "carom.cli.terminal": "Terminal print_whole LiveLine bar replaying",
         "carom.cli.run": "announce_compilation",
         "carom.errors": "needing",
         "carom.scene.wording": "command counted nearest suggestion Names bodies_called body_called",

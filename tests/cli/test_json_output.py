@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from carom.cli.terminal import finite
+from carom.cli.printing import finite
 from carom_command import carom
 
 UNBOUNDED = """

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from carom.cli.terminal import warning_lines
+from carom.cli.printing import warning_lines
 from carom.event import Event
 from carom.recording.read.recording import Recording
 from carom.scene.units.system import SI

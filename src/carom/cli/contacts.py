@@ -16,7 +16,7 @@ from carom.cli.options import (
     seconds,
     simulated_or_none,
 )
-from carom.cli.terminal import say, say_json
+from carom.cli.printing import say, say_json
 from carom.scene.units.dimension import ANGULAR_IMPULSE, ENERGY, FORCE, IMPULSE, TIME, VELOCITY, Dimension
 from carom.scene.wording import counted
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from carom.cli.options import JsonOption, RecordingArgument
-from carom.cli.terminal import mention_killed_run, say_json
+from carom.cli.printing import materials_table, mention_killed_run, say_json, warning_lines
 from carom.scene.units.dimension import TIME
 from carom.scene.wording import command, counted
 
@@ -50,7 +50,7 @@ def inspect(
     if as_json:
         say_json(summary)
         return
-    from carom.cli.terminal import Terminal, materials_table
+    from carom.cli.terminal import Terminal
 
     console = Terminal(soft_wrap=True)
     console.print(_overview(summary, units))
@@ -182,7 +182,6 @@ def _judgements(summary: dict[str, Any], units: UnitSystem) -> Iterator[Row]:
 
 def _warnings(summary: dict[str, Any], units: UnitSystem) -> Iterator[str]:
     """Show the warnings of the run, and an empty line after them."""
-    from carom.cli.terminal import warning_lines
     from carom.event import Event
 
     if summary["warnings"]:

@@ -222,7 +222,7 @@ def _say_warnings_once() -> None:
     show, said = warnings.showwarning, set[str]()
 
     def say_once(message: Warning | str, category: type[Warning], *place: Any, **more: Any) -> None:
-        from carom.cli.terminal import say
+        from carom.cli.printing import say
         from carom.errors import DroppedRunWarning
         from carom.scene.load import OldNameWarning
 
@@ -242,7 +242,7 @@ def run_command() -> None:
     code 1. Neither prints a traceback.
     """
     # imported now: at the limit of open files, imports fail
-    from carom.cli.terminal import say
+    from carom.cli.printing import say
     from carom.errors import ExistsError, ExperimentError, PhysicsError, RecordingError, SceneError
 
     keep_freed_memory()

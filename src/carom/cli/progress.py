@@ -9,16 +9,8 @@ from typing import Self
 from rich.table import Table
 from rich.text import Text
 
-from carom.cli.terminal import (
-    LiveLine,
-    Patience,
-    Terminal,
-    bar,
-    bytes_text,
-    duration_text,
-    simulated_text,
-    warning_lines,
-)
+from carom.cli.printing import bytes_text, duration_text, simulated_text, warning_lines
+from carom.cli.terminal import LiveLine, Patience, Terminal, bar
 from carom.physics.look_ahead.trial_run import Watcher, WorkBudget
 from carom.physics.simulation import StepStatus
 from carom.plan.auto import ended_bounces, inexact_impacts, largest_step

@@ -17,7 +17,7 @@ from carom.cli.options import (
     seconds,
     simulated_or_none,
 )
-from carom.cli.terminal import mention_killed_run, say, say_json
+from carom.cli.printing import bytes_text, mention_killed_run, say, say_json
 from carom.scene.units.dimension import TIME
 from carom.scene.wording import counted
 
@@ -60,7 +60,6 @@ def clip(
     """
     from dataclasses import asdict
 
-    from carom.cli.terminal import bytes_text
     from carom.recording.edit.bundle import opened
     from carom.recording.edit.clip import clip as cut
     from carom.recording.read.recording import Recording
@@ -244,7 +243,6 @@ def report(
     from dataclasses import asdict
 
     from carom.cli.run import announce_compilation
-    from carom.cli.terminal import bytes_text
     from carom.recording.read.recording import Recording
     from carom.recording.write.whole_file import refuse_output
     from carom.runs.report import report as make

@@ -30,7 +30,7 @@ from carom.cli.options import (
     simulated,
     simulated_or_none,
 )
-from carom.cli.terminal import duration_text, mention_killed_run, say, say_json
+from carom.cli.printing import duration_text, mention_killed_run, say, say_json
 from carom.physics import jit
 from carom.physics.jit import cores
 from carom.scene.units.dimension import TIME

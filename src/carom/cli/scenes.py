@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from carom.cli.options import ForceOption, JsonOption, SceneArgument, SetOption
-from carom.cli.terminal import say_json
+from carom.cli.printing import bytes_text, count_text, duration_text, materials_table, say_json, simulated_text
 from carom.scene.units.dimension import TIME
 from carom.scene.wording import command, counted
 
@@ -112,7 +112,7 @@ def explain(
 
     from carom.cli.progress import notes_on, preparing, watch_look_ahead
     from carom.cli.run import announce_compilation
-    from carom.cli.terminal import LiveLine, Patience, bytes_text, simulated_text
+    from carom.cli.terminal import LiveLine, Patience
     from carom.recording.schema.header import ShownMaterials
     from carom.runs.estimate import estimate
 
@@ -132,7 +132,7 @@ def explain(
             document["notes"] = notes
         say_json(document)
         return
-    from carom.cli.terminal import Terminal, materials_table
+    from carom.cli.terminal import Terminal
 
     console, cost = Terminal(), found.cost
     console.print(loaded.title, style="bold", end="")
@@ -161,7 +161,6 @@ def explain(
 
 def _steps(cost: Cost, scene: Scene) -> str:
     """Describe the number of steps, their limits, and how to make them longer."""
-    from carom.cli.terminal import count_text, duration_text
     from carom.physics.diagnostics.run_monitor import remedies_of
 
     seconds = cost.seconds / cost.steps

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from carom.cli.options import SetOption
-from carom.cli.terminal import say_json
+from carom.cli.printing import duration_text, say_json
 from carom.errors import SceneError
 from carom.scene.scene_file import EXTREMES, extreme_scenes
 from carom.scene.units.dimension import TIME
@@ -166,7 +166,6 @@ def _table(trials: list[Trial]) -> Table:
     from rich.markup import escape
     from rich.table import Table
 
-    from carom.cli.terminal import duration_text
     from carom.runs.outcome import in_words
 
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False, show_lines=True)

@@ -1,28 +1,25 @@
-"""The terminal: what commands print – text, JSON, quantities, tables, and the progress of long work."""
+"""The terminal: a console for text from files, and the lines that report the progress of long work."""
 
 from __future__ import annotations
 
-import math
-import shlex
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
-import typer
 from rich.console import Console, ConsoleOptions, RenderableType
 from rich.live import Live
 from rich.segment import Segment
 from rich.table import Table
 from rich.text import Text
 
-from carom.event import Event
+from carom.cli.printing import duration_text
 from carom.scene.units.dimension import TIME
 from carom.scene.units.system import UnitSystem
-from carom.scene.wording import command, escaped
+from carom.scene.wording import escaped
 
 if TYPE_CHECKING:
     from carom.arrays import FloatArray
@@ -214,111 +211,3 @@ class MovieProgress(LiveLine):
         left = duration_text(self._pace() * (len(self._times) - self._made)) if self._made > 1 else "?"
         done = self._made / len(self._times)
         return f"{bar(done)} {done:4.0%}  picture {self._made} of {len(self._times)}  {left} left"
-
-
-MINUTE, HOUR, DAY, YEAR = 60.0, 3600.0, 86400.0, 365.25 * 86400.0  # s
-SHOWN = 3  # warnings of a kind; the recording has all of them
-COLOUR = "colour by material"  # used where `colour_by` is "material"; bodies usually have the colour of their group
-
-
-def say(text: str, *, err: bool = False) -> None:
-    """Print a line without control characters: text from files may contain some, and a terminal would execute them."""
-    typer.echo(escaped(text), err=err)
-
-
-def mention_killed_run(file: Path) -> None:
-    """Report a run that was killed before it replaced a recording, since the recording does not show it."""
-    from carom.recording.write.whole_file import killed_run_of
-
-    if (left := killed_run_of(file)) is not None:
-        kept = f"`{command('resume', left)} -o {shlex.quote(str(file))} --force` continues it in place of {file}"
-        say(f"carom: {left}: a later run of {file}, which was killed; {kept}, deleting it drops it", err=True)
-
-
-def finite(value: Any) -> Any:
-    """Return a number or a document with None in place of NaN and infinity, which JSON lacks."""
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    if isinstance(value, dict):
-        return {key: finite(inner) for key, inner in value.items()}
-    return [finite(inner) for inner in value] if isinstance(value, (list, tuple)) else value
-
-
-def say_json(document: Any) -> None:
-    """Print a JSON document, the only output of a command with ``--json``; NaN and infinity become null."""
-    import json
-
-    say(json.dumps(finite(document), indent=2, ensure_ascii=False, allow_nan=False))
-
-
-def duration_text(seconds: float) -> str:
-    """Write a duration in the largest suitable unit."""
-    for unit, name in ((YEAR, "years"), (DAY, "d"), (HOUR, "h"), (MINUTE, "min")):
-        if seconds >= 2 * unit:
-            return f"{seconds / unit:.3g} {name}"
-    return f"{seconds:.3g} s"
-
-
-def simulated_text(seconds: float, units: UnitSystem) -> str:
-    """Write a span of simulated time in the unit of the scene or, in SI, in the largest suitable unit."""
-    return duration_text(seconds) if units.is_si else units.text(seconds, TIME, ".4g")
-
-
-def count_text(count: int) -> str:
-    """Write an estimated number to three digits."""
-    about = float(f"{count:.3g}")
-    if about >= 1e9:
-        return f"{about:.3g}"
-    return f"{about / 1e6:.3g} million" if about >= 1e6 else f"{about:.0f}"
-
-
-def bytes_text(count: float) -> str:
-    """Write a number of bytes in decimal units."""
-    for unit, name in ((1e9, "GB"), (1e6, "MB"), (1e3, "kB")):
-        if count >= unit:
-            return f"{count / unit:.3g} {name}"
-    return f"{count:.0f} B"
-
-
-def warning_lines(warnings: Sequence[Event], units: UnitSystem, *, in_full: bool = False) -> Iterator[str]:
-    """Yield the warnings of a run by kind, in the order of first occurrence: the first few of each and their number.
-
-    Parameters
-    ----------
-    warnings
-        In order of time.
-    units
-        Of the scene.
-    in_full
-        Whether the first warning of each kind is shown with all its lines, which name contacts and bodies.
-    """
-    kinds: dict[str, list[Event]] = {}
-    for event in warnings:
-        kinds.setdefault(event.kind or event.text, []).append(event)
-    for events in kinds.values():
-        for number, event in enumerate(events[:SHOWN]):
-            first, *rest = event.text.splitlines() or [""]
-            yield f"step {event.step}, t = {units.text(event.time, TIME)}: {first}"
-            if in_full and number == 0:
-                yield from (f"    {line}" for line in rest)
-        if len(events) > SHOWN:
-            last = events[-1]
-            ago = f"the last at step {last.step}, t = {units.text(last.time, TIME)}"
-            yield f"… and {len(events) - SHOWN} similar ones, {ago}"
-
-
-def materials_table(materials: list[dict[str, Any]]) -> Table:
-    """Show the coefficients of each kind of contact, given `ShownMaterials.described`."""
-    table = Table(box=None, pad_edge=False)
-    for header in ("material", "bodies", COLOUR, "on", "e", "μs", "μk"):
-        table.add_column(header, justify="left" if header in ("material", COLOUR, "on") else "right")
-    listed: set[str] = set()
-    for material in materials:
-        first = (material["name"], str(material["bodies"]), material["colour"])
-        for other, coefficients in material["contacts"].items():
-            if other in listed:  # listed with the other material
-                continue
-            table.add_row(*first, other, *(f"{value:.4g}" for value in coefficients.values()))
-            first = ("", "", "")
-        listed.add(material["name"])
-    return table

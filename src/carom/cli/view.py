@@ -18,7 +18,7 @@ from carom.cli.options import (
     simulated,
     simulated_or_none,
 )
-from carom.cli.terminal import say, say_json
+from carom.cli.printing import bytes_text, duration_text, say, say_json
 from carom.scene.units.dimension import TIME
 from carom.scene.wording import counted
 
@@ -95,6 +95,12 @@ class Theme(StrEnum):
     LIGHT = "light"
 
 
+ThemeOption = Annotated[
+    Theme,
+    typer.Option("--theme", help="Theme of the viewer. The light theme needs Xvfb, as do names in non-Latin scripts."),
+]
+
+
 def view(
     file: RecordingArgument,
     at: AtOption = None,
@@ -146,7 +152,6 @@ def _view_in_browser(file: Path, request: Request, port: int) -> None:
     import webbrowser
     from urllib.parse import urlsplit
 
-    from carom.cli.terminal import say
     from carom.recording.read.recording import Recording
     from carom.show.keeper import has_screen
     from carom.show.presentation import asked
@@ -189,12 +194,7 @@ def picture(
     plot: PlotOption = None,
     colour_by: ColourOption = None,
     view: Annotated[PictureView, typer.Option("--view", help="View to render.")] = PictureView.ALL,
-    theme: Annotated[
-        Theme,
-        typer.Option(
-            "--theme", help="Theme of the viewer. The light theme needs Xvfb, as do names in non-Latin scripts."
-        ),
-    ] = Theme.DARK,
+    theme: ThemeOption = Theme.DARK,
     size: Annotated[str, typer.Option("--size", metavar="WxH", help="Width and height in pixels.")] = "1600x1000",
     force: Annotated[bool, typer.Option("--force", help="Replace a file that `carom picture` did not write.")] = False,
 ) -> None:
@@ -232,7 +232,6 @@ def _simulated(file: Path, at: float | None) -> float | None:
 
 def _announce_replay(file: Path, plot: str | None, *, alone: bool = False) -> None:
     """Note that a plot of velocities takes as long as the run did."""
-    from carom.cli.terminal import duration_text
     from carom.recording.read.recording import Recording
     from carom.show.supplement import asked_quantities, needs_replay
 
@@ -291,7 +290,6 @@ def publish(
     from dataclasses import asdict
 
     from carom.cli.run import announce_compilation
-    from carom.cli.terminal import bytes_text
     from carom.recording.edit.bundle import opened
     from carom.recording.read.recording import Recording
     from carom.runs.publish import publish as make
@@ -369,12 +367,7 @@ def movie(
             "plane, a wall or a field; otherwise follow bodies that move away.",
         ),
     ] = None,
-    theme: Annotated[
-        Theme,
-        typer.Option(
-            "--theme", help="Theme of the viewer. The light theme needs Xvfb, as do names in non-Latin scripts."
-        ),
-    ] = Theme.DARK,
+    theme: ThemeOption = Theme.DARK,
     size: Annotated[str, typer.Option("--size", metavar="WxH", help="Width and height in pixels.")] = "1280x720",
     output: Annotated[
         Path | None,
@@ -383,7 +376,7 @@ def movie(
     force: ForceOption = False,
 ) -> None:
     """Make a movie of a recording; needs no screen."""
-    from carom.cli.terminal import MovieProgress, bytes_text
+    from carom.cli.terminal import MovieProgress
     from carom.errors import RecordingError, needing
     from carom.recording.layout.canvas import CameraMotion
     from carom.recording.read.recording import Recording
