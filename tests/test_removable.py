@@ -242,6 +242,7 @@ PHYSICS = {  # part → a scene that needs it, and what the refusal names
     "physics/forces/gravity/fast_multipole": ("gravity.method=fast-multipole", 'gravity method "fast-multipole"'),
     "physics/forces/drag.py": ("drag.relaxation_time=1.0", 'force "drag"'),
     "physics/contact/sleep": ("contact.sleep.speed=0.01", 'part of the model "sleep"'),
+    "physics/contact/piston_motion.py": ("'plane=[{piston={mass=1}}]'", 'part of the model "piston"'),
     "physics/contact/events": ("contact.timing=auto", 'part of the model "time-of-impact"'),
 }
 

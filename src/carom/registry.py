@@ -125,6 +125,7 @@ HOUSE: Mapping[str, Mapping[str, str]] = {  # carom's own parts: kind â†’ name â
     "model": {  # optional parts of the physics, which no package can define
         "sleep": "carom.physics.contact.sleep.sleepers:Sleepers",
         "time-of-impact": "carom.physics.contact.events.drift:EventDrivenDrift",
+        "piston": "carom.physics.contact.piston_motion:PistonPlane.of",
         "steady-steps": "carom.physics.contact.events.steady_steps:make",
     },
 }

@@ -184,9 +184,11 @@ class KickDriftStepper:
     def _choose(self, end: float) -> tuple[float, float, str]:
         """Choose the next step of a run that ends at a time; return the time at its end, its length, and its limit."""
         world, time = self._world, self._world.clock.time
-        change = world.contact.next_change_of_walls(time) if world.contact and world.planes.translates else np.inf
-        if world.contact and world.planes.piston and self.timestep.fixed_dt is None:
-            change = min(change, time + world.contact.longest_step_of_piston)
+        change = np.inf
+        if world.contact and world.planes.translates:
+            change = world.contact.next_change_of_walls(time)
+            if self.timestep.fixed_dt is None:
+                change = min(change, time + world.contact.longest_step_of_walls)
         dt, limit = self.timestep.choose(world.bodies, min(end, change) - time, self.supported_acceleration())
         if self._asked:
             asked, asked_limit = self._asked.target(world.bodies, self.supported_acceleration())

@@ -16,6 +16,7 @@ from carom.scene.forces import DRAG, BodyForce, PairForce, force_called
 from carom.scene.integrators import ENCOUNTERS_BY
 from carom.scene.scene_file import KeyPath, naming_places
 from carom.scene.schema import Scene
+from carom.scene.schema.piston import piston_of
 from carom.scene.units.dimension import ACCELERATION, DENSITY, LENGTH
 from carom.scene.wall_shapes import shape_called
 from carom.scene.wording import body_key, counted
@@ -96,6 +97,8 @@ def _refuse_missing_parts(scene: Scene) -> None:
         late = 'contact.timing = "end-of-step"'
         remedy = f"{without_radau} and {late}" if chosen.ends_steps_at_impacts else f"set {late}"
         needed.append(("model", "time-of-impact", ("contact", "timing"), remedy))
+    if piston := piston_of(scene):
+        needed.append(("model", "piston", ("plane", piston[0], "piston"), "remove the piston"))
     for kind, name, key, remedy in needed:
         if name not in registry.names(kind):
             called = registry.KINDS.get(kind, "part of the model")

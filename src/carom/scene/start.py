@@ -94,7 +94,7 @@ class HalfSpaces:
         return 0.0
 
     @property
-    def piston(self) -> Any:
+    def guided(self) -> Any:
         """The one of them that contacts move; None if there is none."""
         return None
 

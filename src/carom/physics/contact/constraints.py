@@ -10,8 +10,8 @@ from typing import NamedTuple, Protocol
 
 from carom.arrays import BoolArray, FloatArray, IntArray, RecordArray, dtype_of
 from carom.physics.aligned import CACHE_LINE
+from carom.physics.contact.guided_walls import Guide
 from carom.physics.contact.moving_walls import SurfaceVelocity
-from carom.physics.contact.piston_motion import Guide
 from carom.physics.contact.rolling import AngularImpulse, RollingFields
 from carom.physics.jit.decorators import inline
 from carom.physics.jit.instructions import from_front
@@ -117,7 +117,7 @@ class BodyStateRecord(Protocol):
 
 
 class GuidedBodyRecord(Guide, BodyStateRecord, Protocol):
-    """A body in a scene with a piston."""
+    """A body in a scene with a guided wall."""
 
 
 class PushedBodyRecord(Protocol):

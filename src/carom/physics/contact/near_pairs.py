@@ -84,8 +84,8 @@ class NearPairs:
         self._smallest = float(bodies.radius.min())
         self._lift = planes.largest_acceleration
         self._shear = world.shear
-        # m/s², which moves the piston, or with which a flow closes contacts
-        self._presses = abs(planes.piston.acceleration) if planes.piston else world.flow(float(bodies.radius.max()))
+        # m/s², which moves a guided wall, or with which a flow closes contacts
+        self._presses = abs(planes.guided.acceleration) if planes.guided else world.flow(float(bodies.radius.max()))
         self.rounding = 0.0  # m, of the coordinates
         self.loading = 1.0  # by which walls multiply the acceleration that presses contacts together, at most
 

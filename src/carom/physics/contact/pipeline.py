@@ -29,7 +29,6 @@ from carom.physics.contact.graph import OrderedContacts, empty_graph
 from carom.physics.contact.impact_log import NO_IMPACTS, Impacts
 from carom.physics.contact.moving_walls import set_velocities_in_drift, work_of_contacts, work_of_impacts
 from carom.physics.contact.near_pairs import ContactWorld, NearPairs
-from carom.physics.contact.piston_motion import PistonMotion
 from carom.physics.contact.reactions import Torques, supported_acceleration
 from carom.physics.contact.snapshot import ContactSnapshot, SnapshotSource
 from carom.physics.contact.solids import SolidsWithWalls
@@ -113,11 +112,10 @@ class ContactPipeline:
         self._was_crossed = False  # whether a body was put back in front of a plane in this step
         self.warned: set[str] = set()  # texts of the limits reported so far
         self._translation: WallTranslation | None = None
-        self._piston: PistonMotion | None = None
         if isinstance(planes, SolidsWithWalls) and planes.translates:
             moving = planes.records, planes.before, bodies.ends, planes.motions
-            self._piston = PistonMotion(*moving, planes.piston, float(bodies.radius.min())) if planes.piston else None
-            self._translation = self._piston or WallTranslation(*moving)
+            guided, smallest = planes.guided, float(bodies.radius.min())
+            self._translation = guided.motion(*moving, smallest) if guided else WallTranslation(*moving)
         self._span = 0.0, 0.0  # s, times before and after the step
         friction = requirements.friction.modelled
         # islands are of interest only where contacts last
@@ -155,8 +153,8 @@ class ContactPipeline:
         self.statistics = NO_CONTACTS  # of the step's contacts
         self.counts_impacts = True  # whether they include impacts during the drift; a look-ahead needs no statistics
         self._snapshots.forget()
-        if self._piston:
-            self._piston.forget()
+        if self._translation:
+            self._translation.forget()
         if self.tap:
             self.tap.forget()
 
@@ -169,8 +167,8 @@ class ContactPipeline:
         pairs, rest_speed = self.contacts.pairs, self.solver.rest_speeds_by_pair()
         impulse = hold.impulse_of(self.solver.contacts)
         if sleepers is None:
-            piston = self._piston.state.copy() if self._piston else None
-            return ContactCheckpoint(pairs, rest_speed, self._dt, hold.pairs, impulse, hold.kick, piston=piston)
+            moved = self._translation.memory if self._translation else None
+            return ContactCheckpoint(pairs, rest_speed, self._dt, hold.pairs, impulse, hold.kick, piston=moved)
         awake, held = sleepers.have_awake_end(pairs), sleepers.have_awake_end(hold.pairs)
         kept = pairs[awake], rest_speed[awake], self._dt, hold.pairs[held], impulse[held], hold.kick
         return ContactCheckpoint(*kept, sleepers.memory)
@@ -192,8 +190,8 @@ class ContactPipeline:
         if memory is not None:
             if memory.highest >= len(self._bodies.ends.radius):
                 raise PhysicsError("the checkpoint has contacts of bodies that are not in the scene")
-            if self._piston and memory.piston is not None:
-                self._piston.recall(memory.piston)
+            if self._translation and memory.piston is not None:
+                self._translation.recall(memory.piston)
             if self._sleepers:
                 self._sleepers.recall(memory.sleep)
                 self._slept = self._sleepers.contacts
@@ -216,9 +214,9 @@ class ContactPipeline:
         return self._translation.next_change(time) if self._translation else np.inf
 
     @property
-    def longest_step_of_piston(self) -> float:
-        """The longest step (s) that the motion of the piston allows; infinite without one."""
-        return self._piston.longest_step if self._piston else np.inf
+    def longest_step_of_walls(self) -> float:
+        """The longest step (s) that the motion of walls allows; infinite if contacts move none."""
+        return self._translation.longest_step if self._translation else np.inf
 
     def begin_step(self, before: float, time: float) -> None:
         """Note the times (s) before and after the step, by which walls translate."""
@@ -380,8 +378,8 @@ class ContactPipeline:
         profile.mark("colouring")
         if self._pushes and len(pairs):
             pushed = self.solver.correct_positions(self.most_sweeps)
-            if self._piston:
-                self._piston.push(pushed)
+            if self._translation:
+                self._translation.push(pushed)
             if self._shear:
                 self._shear.add_work_of_corrections(self.solver.contacts, self.solver.recorded)
             if self._guard:
@@ -406,8 +404,8 @@ class ContactPipeline:
             self._resolve(dt, kick, profile)
         else:
             self._impulses = ImpulseCache.empty()
-        if self._piston:
-            self.work_of_walls += self._piston.settle()
+        if self._translation:
+            self.work_of_walls += self._translation.settle()
         self._snapshots.set_step(self.contacts, self._slept, self.impacts, dt)
         self.statistics = self.solver.statistics() if len(self.contacts) else NO_CONTACTS
         if self._slept:
@@ -458,7 +456,7 @@ class ContactPipeline:
         """Return the limits of the method first reached in this step: level, `WARN` or `INFO`, and text."""
         reached = limits_of(
             self.settings,
-            serial_stage=self.contacts.overflows and self._piston is None,  # each of its contacts has a colour
+            serial_stage=self.contacts.overflows and not self._solids.guided,  # each of its contacts has a colour
             too_few_sweeps=self._too_few_sweeps,
             exhausted=self.event_drift is not None and self.event_drift.is_exhausted,
             crossed=self._was_crossed,

@@ -1,34 +1,25 @@
 """A piston: a plane with a mass M that moves along its normal N only, under a constant force and gravity.
 
-The piston is a body with one degree of freedom, its displacement s along N. It has a row among the ends of contacts
-with the inverse mass 1/M, so the contact solver moves it like a body. Only two things differ: it takes the component
-of an impulse along N, and the effective mass of friction does not contain M,
-
-    Δu = J·N / M,    K_n = 1/m + 1/M,    K_t = 1/m + ρ²/I
-
-Kicks change its velocity u by a h, with a = F/M + g·N, and drifts its displacement by u dt, as for bodies. Its impacts
-are resolved at the end of a step, where it is one of the bodies that meet. Within a drift, each impact of a body with
-the piston would change the paths of all others relative to it.
+Contacts move it as any guided wall (`guided_walls`). Kicks change its velocity u by a h, with a = F/M + g·N, and drifts
+its displacement s along N by u dt, as for bodies. Its impacts are resolved at the end of a step, where it is one of the
+bodies that meet. Within a drift, each impact of a body with the piston would change the paths of all others relative to
+it.
 
 The bodies give it the energy ½ M u² - M a s, whose change the ledger books in its entry for walls. The impulse of the
 bodies on its face, which a load cell there would measure, is
 
     ∫ P dt = M a t - M Δu
-
-Records of bodies have the fields of a guide only in scenes with a piston; see `moving_walls`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from carom.arrays import FloatArray, Records
 from carom.physics.contact.translating_walls import WallTranslation
-from carom.physics.jit.decorators import chosen_by_type
-from carom.physics.vector import Vector
 from carom.scene.schema import Scene
 from carom.scene.schema.motion import WallMotion
 from carom.scene.schema.piston import force_of, piston_of
@@ -41,14 +32,6 @@ MOST_MOVED = 0.1  # of the smallest radius, by which the piston may move in a st
 MOST_FALLEN = 0.01  # of the smallest radius, by which its acceleration may move it from rest in a step
 
 
-class Guide(Protocol):
-    """Fields of bodies in a scene with a piston."""
-
-    axis_x: float  # the axis along which the piston moves; 0 for bodies, which move freely
-    axis_y: float
-    axis_z: float
-
-
 class PistonPlane(NamedTuple):
     """The piston of a scene."""
 
@@ -59,15 +42,20 @@ class PistonPlane(NamedTuple):
     velocity: float  # m/s, at the start
 
     @classmethod
-    def of(cls, scene: Scene, normals: FloatArray) -> PistonPlane | None:
-        """Return the piston of a scene, given the normals of its planes; None if it has none."""
+    def of(cls, scene: Scene, normals: FloatArray) -> PistonPlane:
+        """Return the piston of a scene that has one, given the normals of its planes."""
         found = piston_of(scene)
-        if found is None:
-            return None
+        assert found is not None, "the scene has a piston"
         row, section = found
         normal = normals[row]
         gravity = sum(float(g) * float(along) for g, along in zip(scene.gravity.uniform, normal, strict=True))
         return cls(row, normal, section.mass, force_of(scene) / section.mass + gravity, section.velocity)
+
+    def motion(
+        self, records: Records, before: Records, ends: Ends, motions: Sequence[WallMotion | None], smallest: float
+    ) -> PistonMotion:
+        """Return what moves it, and walls with a prescribed motion; see `PistonMotion`."""
+        return PistonMotion(records, before, ends, motions, self, smallest)
 
 
 class PistonMotion(WallTranslation):
@@ -107,6 +95,11 @@ class PistonMotion(WallTranslation):
     def forget(self) -> None:
         """Return to the start of the run."""
         self.recall(np.array([0.0, self._piston.velocity, 0.0]))
+
+    @property
+    def memory(self) -> FloatArray:
+        """A copy of `state`."""
+        return self.state.copy()
 
     def recall(self, state: FloatArray) -> None:
         """Return to an earlier `state`."""
@@ -196,68 +189,3 @@ class PistonMotion(WallTranslation):
     def _read(self) -> None:
         """Read the velocity, which contacts have changed."""
         self.state[1] = float((self._velocity[self._piston.row] * self._piston.normal).sum())
-
-
-def is_guided(body: object) -> bool:
-    """Return whether bodies have the fields of a guide; a constant in compiled kernels."""
-    raise NotImplementedError("only kernels call it")
-
-
-def along_guide(body: object, Jx: float, Jy: float, Jz: float) -> Vector:
-    """Return the part of an impulse (N s) that changes the velocity of a body: for a piston, that along its axis."""
-    raise NotImplementedError("only kernels call it")
-
-
-def tangent_inverse_mass(Kn: float, a: object, b: object) -> float:
-    """Return the inverse effective mass (1/kg) of a tangential impulse without spins, given that of a normal one."""
-    raise NotImplementedError("only kernels call it")
-
-
-def pushed_rise(guided: object, pushed: object, normal: Vector) -> float:
-    """Return how far (m) the correction of positions has moved a plane along a normal; 0 if it is no piston."""
-    raise NotImplementedError("only kernels call it")
-
-
-def _has_guide(body: Any) -> bool:
-    return "axis_x" in body.fields
-
-
-@chosen_by_type(is_guided)
-def _is_guided(body: Any) -> Any:
-    guided = _has_guide(body)
-    return lambda body: guided
-
-
-@chosen_by_type(along_guide)
-def _along_guide(body: Any, Jx: Any, Jy: Any, Jz: Any) -> Any:
-    return _projected if _has_guide(body) else lambda body, Jx, Jy, Jz: (Jx, Jy, Jz)
-
-
-@chosen_by_type(tangent_inverse_mass)
-def _tangent_inverse_mass(Kn: Any, a: Any, b: Any) -> Any:
-    if not _has_guide(b):
-        return lambda Kn, a, b: Kn
-    return lambda Kn, a, b: Kn if b.axis_x == b.axis_y == b.axis_z == 0.0 else a.inverse_mass
-
-
-@chosen_by_type(pushed_rise)
-def _pushed_rise(guided: Any, pushed: Any, normal: Any) -> Any:
-    if not _has_guide(guided):
-        return lambda guided, pushed, normal: 0.0
-    return _rise_of_piston
-
-
-def _projected(body: Any, Jx: float, Jy: float, Jz: float) -> Vector:
-    x, y, z = body.axis_x, body.axis_y, body.axis_z
-    if x == 0.0 and y == 0.0 and z == 0.0:
-        return Jx, Jy, Jz
-    J = Jx * x + Jy * y + Jz * z
-    return J * x, J * y, J * z
-
-
-def _rise_of_piston(guided: Any, pushed: Any, normal: Vector) -> float:
-    if guided.axis_x == 0.0 and guided.axis_y == 0.0 and guided.axis_z == 0.0:
-        return 0.0
-    x, y, z = normal
-    rise: float = x * pushed.x + y * pushed.y + z * pushed.z
-    return rise

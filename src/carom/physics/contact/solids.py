@@ -18,8 +18,8 @@ import numpy as np
 from carom import registry
 from carom.arrays import BoolArray, FloatArray, IntArray, RecordArray, Records
 from carom.physics.contact.constraints import ContactStateRecord, ends_of
+from carom.physics.contact.guided_walls import GuidedPlane
 from carom.physics.contact.moving_walls import MOTION
-from carom.physics.contact.piston_motion import PistonPlane
 from carom.physics.contact.translating_walls import TRANSLATION, in_frame_of_wall, place, translation_of
 from carom.physics.jit.decorators import chosen_by_type, identity_of, inline, kernel, leaf, long_kernel
 from carom.physics.jit.instructions import from_front
@@ -44,12 +44,7 @@ class SolidsWithWalls(HalfSpaces):
     records: Records  # (p,)
     before: Records  # (p,) the records as the step began, if walls translate
     motions: Sequence[WallMotion | None]  # (p,)
-    moved: PistonPlane | None = None  # the plane that contacts move
-
-    @property
-    def piston(self) -> PistonPlane | None:
-        """The plane that contacts move; None if there is none."""
-        return self.moved
+    guided: GuidedPlane | None = None  # the plane that contacts move
 
     @property
     def rotates(self) -> bool:
@@ -111,8 +106,8 @@ def solids_of(scene: Scene) -> HalfSpaces:
     flat = half_spaces(scene)
     motions = [*(plane.motion for plane in scene.plane), *[None] * (len(flat) - len(scene.plane))]
     motions += [wall.motion for wall in scene.wall]
-    piston = PistonPlane.of(scene, flat.normal)
-    translates = piston is not None or any(motion is not None and motion.translates for motion in motions)
+    guided = registry.load("model", "piston")(scene, flat.normal) if scene.has_piston else None
+    translates = guided is not None or any(motion is not None and motion.translates for motion in motions)
     if not (scene.wall or translates):
         return flat
     shapes = sorted({*registry.HOUSE["walls"], *(wall.shape for wall in scene.wall)})
@@ -144,7 +139,7 @@ def solids_of(scene: Scene) -> HalfSpaces:
         records=records,
         before=records.copy() if translates else records,
         motions=motions,
-        moved=piston,
+        guided=guided,
     )
 
 

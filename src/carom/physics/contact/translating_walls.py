@@ -102,6 +102,9 @@ class WallTranslation:
         The velocities and accelerations of the solids, which it writes.
     motions
         The motion of each solid; None if it has none.
+
+    The place of these walls is no state. A subclass whose wall contacts move (`guided_walls`) replaces `forget`,
+    `memory`, `recall`, `longest_step`, `push` and `settle`, too.
     """
 
     def __init__(self, records: Records, before: Records, ends: Ends, motions: Sequence[WallMotion | None]) -> None:
@@ -160,6 +163,29 @@ class WallTranslation:
         """Return the first time (s) after another at which the velocity of a wall changes; infinite if none does."""
         following = bisect_right(self._changes, time)
         return self._changes[following] if following < len(self._changes) else np.inf
+
+    def forget(self) -> None:
+        """Return to the start of the run."""
+
+    @property
+    def memory(self) -> FloatArray | None:
+        """A copy of the state of the wall that contacts move; None without one."""
+        return None
+
+    def recall(self, state: FloatArray) -> None:
+        """Return to an earlier `memory`."""
+
+    @property
+    def longest_step(self) -> float:
+        """The longest step (s) in which walls move by less than the bodies resolve; infinite if contacts move none."""
+        return np.inf
+
+    def push(self, distance: float) -> None:
+        """Move the wall that contacts move by a distance along its normal (m), as the correction of overlaps does."""
+
+    def settle(self) -> float:
+        """Note the velocity that contacts give a wall in the step; return the wall's work on the bodies in J."""
+        return 0.0
 
     def _set_velocities(self, time: float) -> None:
         """Write the velocities V_k at a time (s), with D_k and t_k."""

@@ -15,8 +15,8 @@ import numpy as np
 
 from carom.arrays import BoolArray, FloatArray, IntArray, RecordArray
 from carom.physics.contact.constraints import BodyStateRecord, ContactRecord, ends_of
+from carom.physics.contact.guided_walls import along_guide
 from carom.physics.contact.moving_walls import slip_on_wall
-from carom.physics.contact.piston_motion import along_guide
 from carom.physics.jit.decorators import inline, kernel, long_kernel
 from carom.physics.jit.instructions import AHEAD, from_front, prefetch_record
 from carom.physics.jit.vectors import where

@@ -265,24 +265,24 @@ class ContactSolver:
         return presses
 
     def correct_positions(self, max_iterations: int) -> float:
-        """Correct the overlaps of resting contacts; return how far that moves the piston along its normal, in m."""
+        """Correct the overlaps of resting contacts; return how far that moves a guided wall along its normal, in m."""
         system, counts = self._system, self.counts
         team, bodies, active, ends = self._team, self._bodies, system.active, self._bodies.ends
         team.divide(len(system.pairs), MIN_PER_TASK, find_push_fractions, system.pairs, counts, system.states)
         moving = bodies.position, ends.velocity
         gathered = (*moving, ends.radius, ends.inverse_mass), system.pushed, system.pushed_in
-        piston, end = self._planes.piston, len(bodies) + (self._planes.piston.row if self._planes.piston else 0)
-        if piston:  # also where nothing touches it, since the displacement is returned
+        guided, end = self._planes.guided, len(bodies) + (self._planes.guided.row if self._planes.guided else 0)
+        if guided:  # also where nothing touches it, since the displacement is returned
             for axis in ("x", "y", "z"):
                 system.pushed[axis][end] = 0.0
         team.divide(len(active), MIN_PER_TASK, gather_positions, active, *gathered)
         self._work(POSITIONS, system, max_iterations)
-        if piston:  # planes have no position
+        if guided:  # planes have no position
             active = active[: np.searchsorted(active, len(bodies))]
         team.divide(len(active), MIN_PER_TASK, scatter_positions, active, system.pushed, system.pushed_in, *moving)
-        if not piston:
+        if not guided:
             return 0.0
-        return float(sum(system.pushed[axis][end] * along for axis, along in zip("xyz", piston.normal, strict=True)))
+        return float(sum(system.pushed[axis][end] * along for axis, along in zip("xyz", guided.normal, strict=True)))
 
     def audit_corrections(self) -> None:
         """Book the work of the position correction, at the accelerations after it."""
@@ -443,11 +443,11 @@ class Workspace:
         self._measured = Buffer(MEASURED)
         self._recorded = Buffer(ROLLING_RECORDED if rolls else RECORDED)
         self.pressed = np.ones(count, dtype=np.bool_)
-        self._bodies = aligned_empty(count, GUIDED_BODY if planes.piston else BODY_STATE)
-        if planes.piston:
-            for axis, along in zip(("axis_x", "axis_y", "axis_z"), planes.piston.normal, strict=True):
+        self._bodies = aligned_empty(count, GUIDED_BODY if planes.guided else BODY_STATE)
+        if planes.guided:
+            for axis, along in zip(("axis_x", "axis_y", "axis_z"), planes.guided.normal, strict=True):
                 self._bodies[axis][:] = 0.0
-                self._bodies[axis][count - len(planes) + planes.piston.row] = along
+                self._bodies[axis][count - len(planes) + planes.guided.row] = along
         self._pushed = aligned_empty(count, PUSHED_BODY)
         self._pushed_in = np.empty(count, dtype=np.int64)
         self._island = np.empty(count, dtype=np.int64)

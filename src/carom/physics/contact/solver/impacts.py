@@ -30,6 +30,7 @@ from carom.physics.contact.constraints import (
     ends_of,
 )
 from carom.physics.contact.geometry import smaller_arm
+from carom.physics.contact.guided_walls import tangent_inverse_mass
 from carom.physics.contact.impact_log import ROUNDING
 from carom.physics.contact.law import (
     exerts_torque,
@@ -41,7 +42,6 @@ from carom.physics.contact.law import (
     restitution_at_depth,
     restitution_of_impact,
 )
-from carom.physics.contact.piston_motion import tangent_inverse_mass
 from carom.physics.contact.rolling import (
     angular_impulse,
     angular_impulse_of_impact,

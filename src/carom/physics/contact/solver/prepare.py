@@ -30,6 +30,7 @@ from carom.physics.contact.constraints import (
 )
 from carom.physics.contact.geometry import Shapes, smaller_arm, update_geometry
 from carom.physics.contact.graph import comes_before, first_of
+from carom.physics.contact.guided_walls import tangent_inverse_mass
 from carom.physics.contact.law import (
     FRICTION_X,
     FRICTION_Y,
@@ -40,7 +41,6 @@ from carom.physics.contact.law import (
     inverse_tangent_mass,
 )
 from carom.physics.contact.moving_walls import clear_surface_velocity
-from carom.physics.contact.piston_motion import tangent_inverse_mass
 from carom.physics.contact.rolling import (
     angular_impulse,
     angular_impulses_of,

@@ -53,9 +53,9 @@ from carom.physics.contact.constraints import (
     body_count,
     ends_of,
 )
+from carom.physics.contact.guided_walls import is_guided
 from carom.physics.contact.law import exerts_torque, lasting_friction, material_index, sliding_friction, sticks
 from carom.physics.contact.moving_walls import along_surface_velocity, slope_on_wall
-from carom.physics.contact.piston_motion import is_guided
 from carom.physics.contact.rolling import (
     accumulate_angular_impulse,
     angular_impulse,
