@@ -29,6 +29,12 @@ def test_no_help_text_loses_what_stands_in_brackets_to_markup(name: str) -> None
 
 
 @pytest.mark.parametrize("name", COMMANDS)
+def test_no_help_text_shows_the_name_of_a_constant_instead_of_its_value(name: str) -> None:
+    for parameter in COMMANDS[name].params:
+        assert "{" not in (parameter.help or "")
+
+
+@pytest.mark.parametrize("name", COMMANDS)
 def test_paragraphs_of_help_are_broken_where_the_terminal_ends_only(name: str) -> None:
     assert all("\n" not in paragraph for paragraph in (COMMANDS[name].help or "").split("\n\n"))
 

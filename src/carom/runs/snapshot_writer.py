@@ -56,11 +56,11 @@ class SnapshotWriter:
     force
         Whether to replace a file that exists.
     new
-            Allocates memory for a snapshot.
-        unrecorded
-            Collects notes on states and contacts that cannot be recorded.
-        population
-            Numbers the bodies if they come and go; None if they do not.
+        Allocates memory for a snapshot.
+    unrecorded
+        Collects notes on states and contacts that cannot be recorded.
+    population
+        Numbers the bodies if they come and go; None if they do not.
     """
 
     def __init__(

@@ -46,7 +46,7 @@ def crosscheck_command(
             "--limit",
             metavar="SECONDS",
             help="Limit of the CPU time of a run, and of the time of a reference, in seconds. Default: none for one "
-            "scene, {SEVERAL_LIMIT:g} for several.",
+            f"scene, {SEVERAL_LIMIT:g} for several.",
             min=0.0,
         ),
     ] = None,
