@@ -59,10 +59,10 @@ if TYPE_CHECKING:
     from carom.plan import auto as auto
     from carom.plan.features import Requirements as Requirements
     from carom.plan.features import require as require
-    from carom.plan.interactions import DOMINANT as DOMINANT
+    from carom.plan.hierarchy import DOMINANT as DOMINANT
+    from carom.plan.hierarchy import why_no_hierarchy as why_no_hierarchy
     from carom.plan.interactions import damping as damping
     from carom.plan.interactions import further as further
-    from carom.plan.interactions import why_no_hierarchy as why_no_hierarchy
     from carom.recording.edit.bundle import is_bundle as is_bundle
     from carom.recording.edit.bundle import opened as opened
     from carom.recording.export import Snapshot as Snapshot
@@ -245,7 +245,8 @@ SECTIONS = {  # purpose → module → names
         "carom.scene.matter": "pair_coefficients",
         "carom.physics.placement": "place",
         "carom.plan.features": "require",
-        "carom.plan.interactions": "further DOMINANT",
+        "carom.plan.interactions": "further",
+        "carom.plan.hierarchy": "DOMINANT",
         "carom.scene.contact_laws": "DEFAULT_LAW",
         "carom.recording.source.observer": "Observer not_finite",
         "carom.runs.snapshot_writer": "observed_recording observed_totals",
@@ -275,7 +276,8 @@ SECTIONS = {  # purpose → module → names
         "carom.plan": "auto",
         "carom.scene.matter": "body_materials",
         "carom.scene.conversion": "converted rescaled",
-        "carom.plan.interactions": "damping why_no_hierarchy",
+        "carom.plan.interactions": "damping",
+        "carom.plan.hierarchy": "why_no_hierarchy",
         "carom.scene": "variation",
         "carom.scene.load": "scene_from_text",
     },

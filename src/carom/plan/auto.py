@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from typing import Literal
 
 from carom.plan import interactions
-from carom.plan.interactions import FEWEST_ORBITS, far_apart, forced_parts, orbits_often
+from carom.plan.hierarchy import FEWEST_ORBITS, far_apart, orbits_often
+from carom.plan.interactions import forced_parts
 from carom.scene.forces import MOST_RELAXATIONS
 from carom.scene.integrators import AUTO, INTEGRATORS, Integrator, integrator_called
 from carom.scene.matter import body_mass, made_of, mean_mass

@@ -10,7 +10,8 @@ from carom import registry
 from carom.errors import SceneError
 from carom.plan.auto import gravity_method, integrator, uses_tree
 from carom.plan.features import require
-from carom.plan.interactions import dampings, differing, pushing, why_no_hierarchy
+from carom.plan.hierarchy import why_no_hierarchy
+from carom.plan.interactions import dampings, differing, pushing
 from carom.scene.contact_laws import law_called
 from carom.scene.forces import DRAG, BodyForce, PairForce, force_called
 from carom.scene.integrators import ENCOUNTERS_BY

@@ -30,7 +30,8 @@ from carom.plan.auto import (
     uses_tree,
     why_late,
 )
-from carom.plan.interactions import forced_parts, heaviest, orbits_often
+from carom.plan.hierarchy import heaviest, orbits_often
+from carom.plan.interactions import forced_parts
 from carom.scene.forces import GRAVITY, UNIFORM_FIELD, kinds_of
 from carom.scene.integrators import AUTO
 from carom.scene.parts import Part, in_order

@@ -1,25 +1,18 @@
 """The forces that accelerate bodies between contacts, and the parts of the contact model that a scene needs.
 
-`forced_parts` are the parts that ``model.force`` switches on. Orbits about a dominant body, and the distances between
-bodies at the start, decide whether a scene is a hierarchy.
+`forced_parts` are the parts that ``model.force`` switches on.
 """
 
 from __future__ import annotations
 
-import itertools
 import math
-from collections.abc import Sequence
-from typing import NamedTuple
-
-import numpy as np
 
 from carom.scene.contact_laws import exerts_torque, functions_of
 from carom.scene.forces import GRAVITY, ForceKind, kinds_of
-from carom.scene.matter import KindOfContact, body_mass, kinds_of_contacts, made_of, mean_mass, mean_volume
+from carom.scene.matter import KindOfContact, kinds_of_contacts, mean_volume
 from carom.scene.parts import Part
 from carom.scene.schema import Scene
-from carom.scene.units.dimension import LENGTH
-from carom.scene.wording import body_called, counted, in_series
+from carom.scene.wording import counted, in_series
 
 DENSE = 0.5  # packing fraction above which contacts in a flow last; hard spheres begin to freeze at 0.494
 
@@ -231,140 +224,3 @@ def forced_parts(scene: Scene) -> dict[str, str]:
         for needed in _NEEDS.get(name, ()):
             forced.setdefault(needed, name)
     return forced
-
-
-DOMINANT = 0.99  # smallest fraction of the mass of a dominant body
-# revolutions of the innermost body, for "auto"; for fewer, Gauss–Radau integration to rounding is cheap
-FEWEST_ORBITS = 1000
-MOST_BODIES = 100  # for "auto"; more bodies may meet often, and each close encounter integrates all of them
-HILL_RADII_APART = 5.0  # for "auto", between orbits, so that encounters are rare; Jupiter and Saturn are 8 apart
-LEAST_DISTANCE = 8.0  # in sums of the two radii; Europa is 9 from Jupiter, the Moon 47 from the Earth
-MOST_APART = 32  # bodies; more would soon meet often as the system contracts
-
-
-class Heaviest(NamedTuple):
-    """The heaviest body of a scene."""
-
-    name: str
-    fraction: float  # of the total mass
-
-
-class _Point(NamedTuple):
-    """A body as a point mass."""
-
-    mass: float  # kg
-    position: Sequence[float]  # m
-    velocity: Sequence[float]  # m/s
-
-
-class Orbit(NamedTuple):
-    """An orbit about the heaviest body."""
-
-    period: float  # s
-    pericentre: float  # m
-    apocentre: float  # m
-    hill: float  # m, Hill radius
-
-
-def heaviest(scene: Scene) -> Heaviest:
-    """Return the heaviest body and its fraction of the expected total mass."""
-    masses = [body_mass(made_of(scene, body)) for body in scene.body]
-    groups = [mean_mass(made_of(scene, group)) for group in scene.group]
-    total = math.fsum([*masses, *(mass * group.count for mass, group in zip(groups, scene.group, strict=True))])
-    names, first = {number: body.name for number, body in enumerate(scene.body)}, len(masses)
-    heavy = dict(enumerate(masses))
-    for columns in scene.data:
-        number = first + columns.heaviest
-        heavy[number] = float(columns.mass[columns.heaviest])
-        names[number] = columns.name[columns.heaviest] if columns.name else ""
-        total += columns.total_mass
-        first += len(columns)
-    if heavy and max(heavy.values()) >= max(groups, default=0.0):
-        number = max(heavy, key=heavy.__getitem__)
-        return Heaviest(body_called(number, names[number]), heavy[number] / total)
-    number = groups.index(max(groups))
-    return Heaviest(f"a body of group.{number}", groups[number] / total)
-
-
-def why_no_hierarchy(scene: Scene) -> str:
-    """Return why the bodies do not orbit a dominant one, and the remedy; empty if they do."""
-    if not gravity(scene).modelled:
-        return 'without gravity between bodies; use "auto"'
-    if scene.gravity.softening > 0.0:
-        soft = f"gravity.softening = {scene.unit_system.text(scene.gravity.softening, LENGTH)}"
-        return f'with {soft}, but its orbits assume point masses; set it to 0, or use "auto"'
-    if any(scene.gravity.uniform):
-        return "with gravity.uniform, under which orbits are not Keplerian; remove it"
-    fixed = next((number for number, body in enumerate(scene.body) if body.fixed), None)
-    if fixed is None and scene.has_fixed_bodies:
-        return 'with a fixed body, but all bodies must be free to move; set fixed = false, or use "auto"'
-    if fixed is not None:
-        called = body_called(fixed, scene.body[fixed].name)
-        return f'with {called} fixed, but all bodies must be free to move; set fixed = false, or use "auto"'
-    name, fraction = heaviest(scene)
-    if fraction <= DOMINANT:
-        why = f"{name} has {100.0 * fraction:.4g} % of the mass, but more than 99 % is needed"
-        return f'without a dominant body: {why}; use "auto"'
-    return ""
-
-
-def orbits_often(scene: Scene, hill_radii: float = HILL_RADII_APART) -> float:
-    """Return the number of revolutions of the innermost body about a dominant one; 0 if orbits are too close."""
-    if scene.group or not 3 <= scene.count <= MOST_BODIES:
-        return 0.0
-    if contact(scene).modelled or damping(scene) or why_no_hierarchy(scene):
-        return 0.0
-    orbits = _orbits(scene)
-    if orbits is None or not all(
-        outer.pericentre - inner.apocentre > hill_radii * max(inner.hill, outer.hill)
-        for inner, outer in itertools.pairwise(orbits)
-    ):
-        return 0.0
-    return scene.time.duration / min(orbit.period for orbit in orbits)
-
-
-def _orbits(scene: Scene) -> list[Orbit] | None:
-    """Return the orbits about the heaviest body, ordered by pericentre; None if a body is not bound."""
-    points = [_Point(body_mass(made_of(scene, body)), body.position, body.velocity) for body in scene.body]
-    for columns in scene.data:
-        state = columns.mass.tolist(), columns.position.tolist(), columns.velocity.tolist()
-        points += itertools.starmap(_Point, zip(*state, strict=True))
-    centre = max(points, key=lambda point: point.mass)
-    orbits = []
-    for point in points:
-        if point is centre:
-            continue
-        orbit = _orbit(point, centre, scene.gravity.constant)
-        if orbit is None:
-            return None
-        orbits.append(orbit)
-    return sorted(orbits, key=lambda orbit: orbit.pericentre)
-
-
-def _orbit(body: _Point, centre: _Point, constant: float) -> Orbit | None:
-    """Return the orbit of a body about another one; None if it is not bound."""
-    mass, heavy = body.mass, centre.mass
-    x = [there - here for there, here in zip(body.position, centre.position, strict=True)]
-    v = [there - here for there, here in zip(body.velocity, centre.velocity, strict=True)]
-    mu, r = constant * (heavy + mass), math.hypot(*x)
-    beta = 2.0 * mu / r - math.fsum(u * u for u in v) if r > 0.0 else 0.0
-    if beta <= 0.0:
-        return None
-    axis = mu / beta
-    spin = math.hypot(x[1] * v[2] - x[2] * v[1], x[2] * v[0] - x[0] * v[2], x[0] * v[1] - x[1] * v[0])
-    e = math.sqrt(max(0.0, 1.0 - spin * spin / (mu * axis)))
-    period = 2.0 * math.pi * axis * math.sqrt(axis / mu)
-    return Orbit(period, axis * (1.0 - e), axis * (1.0 + e), axis * (mass / (3.0 * heavy)) ** (1.0 / 3.0))
-
-
-def far_apart(scene: Scene) -> bool:
-    """Return whether there are few bodies at large initial distances and no groups, as for planets and comets."""
-    if scene.group or not 2 <= scene.count <= MOST_APART:
-        return False
-    position = np.array([body.position for body in scene.body]).reshape(-1, 3)
-    radius = np.array([body.radius for body in scene.body])
-    position = np.concatenate([position, *(columns.position for columns in scene.data)])
-    radius = np.concatenate([radius, *(columns.radius for columns in scene.data)])
-    i, j = np.triu_indices(len(radius), 1)
-    distance = np.sqrt(((position[i] - position[j]) ** 2).sum(axis=1))
-    return bool(np.all(distance >= LEAST_DISTANCE * (radius[i] + radius[j])))

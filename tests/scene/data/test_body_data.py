@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from carom.errors import SceneError
 from carom.physics.placement import place
 from carom.plan.features import require
-from carom.plan.interactions import heaviest
+from carom.plan.hierarchy import heaviest
 from carom.scene import data as table
 from carom.scene.matter import pair_coefficients
 from carom.scene.schema import Scene

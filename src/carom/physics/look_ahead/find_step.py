@@ -52,7 +52,7 @@ from carom.physics.placement import place
 from carom.plan import interactions
 from carom.plan.auto import auto_interval, integrator, largest_step
 from carom.plan.features import require
-from carom.plan.interactions import orbits_often
+from carom.plan.hierarchy import orbits_often
 from carom.scene.integrators import AUTO, INTEGRATORS
 from carom.scene.scene_file import naming_places
 from carom.scene.schema import Promise, Scene
