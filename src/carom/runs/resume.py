@@ -203,7 +203,17 @@ def continue_run(
         if Recording.open(source).store != run.recording.store:
             raise RecordingError(f"{source} has changed since it was opened; resume it again")
         if "scene_sha256" not in run.recording.info:
-            _refuse_altered(run, space.threads)
+            # an older recording, without a digest of its scene, must replay with the same bits; the frames from the
+            # checkpoint before the last one are run again
+            times = [time for time in run.recording.checkpoint_times.values() if time < run.time]
+            found = replay(run.recording, times[-1] if times else 0.0, threads=space.threads)
+            if found.difference:
+                units = run.scene.unit_system
+                raise RecordingError(
+                    f"{run.recording.path} cannot be resumed: a replay differs at {found.difference.text(units)}. The "
+                    "file was altered, or recorded by a version with different physics; "
+                    f"`{command('fork', run.recording.path)}` can continue from one of its states"
+                )
         return _resume(run, space, output or source, force, live, watch)
 
 
@@ -229,22 +239,6 @@ def _resume(
         return replace(outcome, reason=f"{outcome.reason}; {source} is unchanged, and {part} has the new frames")
     part.replace(target)
     return replace(outcome, path=target)
-
-
-def _refuse_altered(run: ResumableRun, threads: int) -> None:
-    """Refuse an older recording, without a digest of its scene, that does not replay with the same bits.
-
-    The frames from the checkpoint before the last one are run again.
-    """
-    times = [time for time in run.recording.checkpoint_times.values() if time < run.time]
-    found = replay(run.recording, times[-1] if times else 0.0, threads=threads)
-    if found.difference:
-        units = run.scene.unit_system
-        raise RecordingError(
-            f"{run.recording.path} cannot be resumed: a replay differs at {found.difference.text(units)}. The file "
-            f"was altered, or recorded by a version with different physics; `{command('fork', run.recording.path)}` "
-            "can continue from one of its states"
-        )
 
 
 def under_way(target: Path) -> Path:

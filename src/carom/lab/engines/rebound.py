@@ -245,7 +245,22 @@ class Rebound:
 
     def check(self, scene: Scene) -> None:
         """Raise ExperimentError if REBOUND cannot represent a scene."""
-        _refuse(scene)
+        parts, start, force = require(scene), place(scene), further(scene)
+        lacks = {
+            "friction (set contact.static_friction = 0 and contact.kinetic_friction = 0)": parts.contact.modelled
+            and parts.friction.modelled,
+            "planes": bool(len(half_spaces(scene))),
+            "a [[wall]]": bool(scene.wall),
+            "bodies of several materials": len(pair_coefficients(scene).places) > 0,
+            "a periodic box": scene.domain.is_periodic,
+            "a uniform field": any(scene.gravity.uniform),
+            "drag": scene.drag is not None,
+            f"the force {force}": force != "",
+            scene.contact.law_key: parts.contact.modelled and bool(scene.contact.laws),
+            "fixed bodies": bool(np.any(start.fixed)),
+            "bodies without gravity and contacts": not parts.gravity.modelled and not parts.contact.modelled,
+        }
+        refuse("rebound", lacks)
 
     def notes(self, scene: Scene) -> list[str]:
         """Describe the differences of the translated scene."""
@@ -332,26 +347,6 @@ def shortest_period(scene: Scene) -> float:
     if not bound.any():
         return 0.0
     return float((2.0 * np.pi / np.sqrt(parameter[bound] * inverse_axis[bound] ** 3)).min())
-
-
-def _refuse(scene: Scene) -> None:
-    """Refuse a scene with anything but smooth spheres that attract each other and collide."""
-    parts, start, force = require(scene), place(scene), further(scene)
-    lacks = {
-        "friction (set contact.static_friction = 0 and contact.kinetic_friction = 0)": parts.contact.modelled
-        and parts.friction.modelled,
-        "planes": bool(len(half_spaces(scene))),
-        "a [[wall]]": bool(scene.wall),
-        "bodies of several materials": len(pair_coefficients(scene).places) > 0,
-        "a periodic box": scene.domain.is_periodic,
-        "a uniform field": any(scene.gravity.uniform),
-        "drag": scene.drag is not None,
-        f"the force {force}": force != "",
-        scene.contact.law_key: parts.contact.modelled and bool(scene.contact.laws),
-        "fixed bodies": bool(np.any(start.fixed)),
-        "bodies without gravity and contacts": not parts.gravity.modelled and not parts.contact.modelled,
-    }
-    refuse("rebound", lacks)
 
 
 def _setting(integrator: str, units: UnitSystem, step: float = 0.0) -> Setting:

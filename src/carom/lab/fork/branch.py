@@ -101,7 +101,23 @@ def start_of(branch: Branch) -> ForkStart:
             raise ExperimentError(f"--set {override}: {key} cannot change in the middle of a run: {_STATE[section]}")
     scene = continued_scene(recording, original, list(branch.overrides)) if branch.overrides else original
     checkpoint = _checkpoint_at(recording, original, recording.moment(branch.at))
-    _refuse_other_state(branch, original, scene)
+    # refuse overrides that change which arrays a checkpoint holds
+    before, after = require(original), require(scene)
+    changes = {
+        "whether bodies spin": (before.spin.modelled, after.spin.modelled),
+        "whether bodies have orientations": (before.orientation.modelled, after.orientation.modelled),
+        "whether bodies can touch": (before.contact.modelled, after.contact.modelled),
+        "the solver of resting contacts": (original.contact.solver, scene.contact.solver),
+        "the integrator": (auto.integrator(original).name, auto.integrator(scene).name),
+        "the number of planes": (len(original.plane), len(scene.plane)),
+        "the number of walls": (len(original.wall), len(scene.wall)),
+    }
+    for what, (one, other) in changes.items():
+        if one != other:
+            raise ExperimentError(
+                f"--set {' --set '.join(branch.overrides)}: this changes {what}, on which a checkpoint depends; run "
+                "the scene from the start with `carom run`"
+            )
     end, units = scene.time.duration, scene.unit_system
     if checkpoint.time >= end:
         raise ExperimentError(
@@ -122,26 +138,6 @@ def _checkpoint_at(recording: Recording, scene: Scene, time: float) -> Checkpoin
         if frame.time >= goal:
             return frame.checkpoint
     raise RecordingError(f"{recording.path} ends before {scene.unit_system.text(time, TIME, '.9g')} when it is rerun")
-
-
-def _refuse_other_state(branch: Branch, original: Scene, scene: Scene) -> None:
-    """Refuse overrides that change which arrays a checkpoint holds."""
-    before, after = require(original), require(scene)
-    changes = {
-        "whether bodies spin": (before.spin.modelled, after.spin.modelled),
-        "whether bodies have orientations": (before.orientation.modelled, after.orientation.modelled),
-        "whether bodies can touch": (before.contact.modelled, after.contact.modelled),
-        "the solver of resting contacts": (original.contact.solver, scene.contact.solver),
-        "the integrator": (auto.integrator(original).name, auto.integrator(scene).name),
-        "the number of planes": (len(original.plane), len(scene.plane)),
-        "the number of walls": (len(original.wall), len(scene.wall)),
-    }
-    for what, (one, other) in changes.items():
-        if one != other:
-            raise ExperimentError(
-                f"--set {' --set '.join(branch.overrides)}: this changes {what}, on which a checkpoint depends; run "
-                "the scene from the start with `carom run`"
-            )
 
 
 def _shifted(checkpoint: Checkpoint, seed: int, ulps: int) -> Checkpoint:
@@ -231,19 +227,8 @@ def outcome_of(start: ForkStart, text: str) -> Expression:
 
 
 def _summary(outcome: Expression, space: Space, seen: Observation) -> dict[str, Any]:
-    return seen.summary | _of_bodies(outcome, space.state.position, space.state.velocity)
-
-
-def _explained(outcome: Expression, name: str, summary: Mapping[str, Any], bodies: int) -> str:
-    """Return the message about an unknown name or body in an outcome."""
-    if re.fullmatch(r"([xyz]|speed)_\d+", name):
-        body = name.partition("_")[2]
-        return f"{OPTION} {outcome.text}: there is no body {body} for {name}; the last is {bodies - 1}"
-    return outcome.explain_unknown(name, summary)
-
-
-def _of_bodies(outcome: Expression, position: FloatArray, velocity: FloatArray) -> dict[str, float]:
-    """Return the values of single bodies for an outcome: coordinates such as ``x_3`` in m, and ``speed_3`` in m/s."""
+    position = space.state.position
+    # the values of single bodies in the outcome: coordinates such as ``x_3`` in m, and ``speed_3`` in m/s
     found: dict[str, float] = {}
     for name in outcome.names:
         what, _, number = name.partition("_")
@@ -252,8 +237,16 @@ def _of_bodies(outcome: Expression, position: FloatArray, velocity: FloatArray) 
             if what in ("x", "y", "z"):
                 found[name] = float(position[body, "xyz".index(what)])
             elif what == "speed":
-                found[name] = float(np.linalg.norm(velocity[body]))
-    return found
+                found[name] = float(np.linalg.norm(space.state.velocity[body]))
+    return seen.summary | found
+
+
+def _explained(outcome: Expression, name: str, summary: Mapping[str, Any], bodies: int) -> str:
+    """Return the message about an unknown name or body in an outcome."""
+    if re.fullmatch(r"([xyz]|speed)_\d+", name):
+        body = name.partition("_")[2]
+        return f"{OPTION} {outcome.text}: there is no body {body} for {name}; the last is {bodies - 1}"
+    return outcome.explain_unknown(name, summary)
 
 
 _TICK = 60.0  # s of a wait for results

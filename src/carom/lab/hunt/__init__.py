@@ -54,7 +54,13 @@ def hunt_command(
     if as_json:
         say_json(as_document(tally))
     else:
-        _print(tally)
+        whole = tally.scenes - tally.refused - tally.stated - tally.given_up
+        ends = f"{tally.refused} refused, {tally.stated} ended with an error, {tally.given_up} abandoned as too long"
+        say(f"{counted(tally.scenes, 'scene')} in {tally.seconds:.3g} s: {whole} ran to the end, {ends}.")
+        if not tally.misses:
+            say("No law was broken.")
+        for miss in tally.misses:
+            say(_said(tally, miss))
     if tally.misses:
         raise typer.Exit(1)
 
@@ -78,16 +84,6 @@ def _watched(hunt: Hunt, *, quiet: bool) -> Tally:
 
         hunt.watch = watch
         return hunt.hunt()
-
-
-def _print(tally: Tally) -> None:
-    whole = tally.scenes - tally.refused - tally.stated - tally.given_up
-    ends = f"{tally.refused} refused, {tally.stated} ended with an error, {tally.given_up} abandoned as too long"
-    say(f"{counted(tally.scenes, 'scene')} in {tally.seconds:.3g} s: {whole} ran to the end, {ends}.")
-    if not tally.misses:
-        say("No law was broken.")
-    for miss in tally.misses:
-        say(_said(tally, miss))
 
 
 def _said(tally: Tally, miss: Miss) -> str:

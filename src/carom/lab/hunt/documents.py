@@ -151,7 +151,15 @@ def meeting(
     if has_field:
         document["gravity"]["uniform"] = row(vector(draw) * (decade(draw, -2, 1) * U * U / L))
     if wraps:
-        document["domain"] = {"boundary": "periodic", "size": _box(bodies, draw.choice(0.0, 0.125, 1.0))}
+        slack = draw.choice(0.0, 0.125, 1.0)
+        # the box has no overlaps; with a slack of 0, the outermost bodies touch through the boundary
+        position = np.array([body["position"] for body in bodies])
+        radius = np.array([body["radius"] for body in bodies])[:, None]
+        extent = (position + radius).max(axis=0) - (position - radius).min(axis=0)
+        document["domain"] = {
+            "boundary": "periodic",
+            "size": row(np.maximum(extent * (1.0 + slack), 4.0 * radius.max())),
+        }
     return document
 
 
@@ -204,14 +212,6 @@ def _clear(
         if entry < distance < exit_:
             distance = exit_
     return distance
-
-
-def _box(bodies: list[Document], slack: float) -> list[float]:
-    """Return a periodic box without overlaps; with a slack of 0, the outermost bodies touch through the boundary."""
-    position = np.array([body["position"] for body in bodies])
-    radius = np.array([body["radius"] for body in bodies])[:, None]
-    extent = (position + radius).max(axis=0) - (position - radius).min(axis=0)
-    return row(np.maximum(extent * (1.0 + slack), 4.0 * radius.max()))
 
 
 def _timing(draw: Draw, integrator: str) -> str:

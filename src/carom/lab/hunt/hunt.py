@@ -282,20 +282,16 @@ class Hunt:
         except Exception as error:  # a fault before the first step leaves nothing to shrink
             said = f"{said} (not shrunk: {said_by(error)})"
         write(path, small)
-        _record(small, path)
+        # record the run of the reduced scene, up to its end or failure, and pack a report, both beside the scene
+        recorded = path.with_suffix(".rrd")
+        try:
+            simulate(recording_space(scene_from_text(small, str(path)), threads=1), recorded, force=True)
+            report(Recording.open(recorded), path.with_suffix(".zip"))
+        except Exception:  # the error itself may end the run
+            for file in (recorded, path.with_suffix(".zip")):
+                if not file.exists() or not file.stat().st_size:
+                    file.unlink(missing_ok=True)
         self.tally.misses.append(Miss(law.name, index, said, path, bodies))
-
-
-def _record(text: str, path: Path) -> None:
-    """Record the run of a reduced scene, up to its end or failure, in a file beside the scene, and pack a report."""
-    recorded = path.with_suffix(".rrd")
-    try:
-        simulate(recording_space(scene_from_text(text, str(path)), threads=1), recorded, force=True)
-        report(Recording.open(recorded), path.with_suffix(".zip"))
-    except Exception:  # the error itself may end the run
-        for file in (recorded, path.with_suffix(".zip")):
-            if not file.exists() or not file.stat().st_size:
-                file.unlink(missing_ok=True)
 
 
 def as_document(tally: Tally) -> dict[str, Any]:

@@ -81,12 +81,7 @@ def _drawn(draw: Draw) -> Drawn:
         document = _crowd(draw, scale)
     else:
         document = meeting(draw, scale=scale, most_bodies=MOST_BODIES, drift=DRIFT)
-    _set_switches(draw, document, scale)
-    return Drawn(document)
-
-
-def _set_switches(draw: Draw, document: Document, scale: Scales) -> None:
-    """Draw the keys that any scene may have; most keep their default."""
+    # draw the keys that any scene may have; most keep their default
     time, contact, gravity = document["time"], document["contact"], document["gravity"]
     T = scale.L / scale.U
     _bound(draw, document, scale)
@@ -114,6 +109,7 @@ def _set_switches(draw: Draw, document: Document, scale: Scales) -> None:
     if one_in(draw, 10):
         document["model"] = {"force": [draw.choice(*sorted(PARTS))]}
     _suit(document)
+    return Drawn(document)
 
 
 def _suit(document: Document) -> None:

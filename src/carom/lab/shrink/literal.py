@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 import tomlkit
-from tomlkit.items import Array
 
 from carom import Frame, Recording, Scene
 from carom.arrays import FloatArray
@@ -326,7 +325,13 @@ def commented(document: Document, comments: list[str]) -> str:
     for key in [key for key, value in document.items() if not isinstance(value, dict | list)]:
         written.add(key, document[key])
     for key in [BODIES, *(key for key, value in document.items() if isinstance(value, list) and key != BODIES)]:
-        written.add(key, _rows(document[key]))
+        # a line for each table
+        rows = tomlkit.array()
+        for values in document[key]:
+            row = tomlkit.inline_table()
+            row.update(values)
+            rows.append(row)
+        written.add(key, rows.multiline(True))
     for key, value in document.items():
         if isinstance(value, dict):
             written.add(key, _table(value))
@@ -338,13 +343,3 @@ def _table(values: dict[str, Any]) -> tomlkit.items.Table:
     for key, value in values.items():
         table.add(key, value)
     return table
-
-
-def _rows(tables: list[dict[str, Any]]) -> Array:
-    """Write tables as one line each."""
-    rows = tomlkit.array()
-    for values in tables:
-        row = tomlkit.inline_table()
-        row.update(values)
-        rows.append(row)
-    return rows.multiline(True)

@@ -186,7 +186,11 @@ def figure(rows: Sequence[Row], x: str, y: str, varied: Sequence[str], title: st
     drawing = Figure(figsize=(7.0, 4.2), dpi=150, layout="constrained")
     axes = drawing.add_subplot()
     for label, points in lines.items():
-        _line(axes, label, points)
+        at = sorted(points)
+        means = [math.fsum(points[value]) / len(points[value]) for value in at]
+        below = [mean - min(points[value]) for mean, value in zip(means, at, strict=True)]
+        above = [max(points[value]) - mean for mean, value in zip(means, at, strict=True)]
+        axes.errorbar(at, means, yerr=(below, above), label=label, marker="o", markersize=4, capsize=3, linewidth=1.2)
     axes.set(xlabel=_labelled(x, units[x]), ylabel=_labelled(y, units[y]), title=title)
     axes.grid(visible=True, alpha=0.3)
     all_x = [value for points in lines.values() for value in points]
@@ -198,14 +202,6 @@ def figure(rows: Sequence[Row], x: str, y: str, varied: Sequence[str], title: st
         axes.legend(frameon=False)
     with whole_file(path) as part:
         drawing.savefig(part)
-
-
-def _line(axes: Any, label: str, points: Points) -> None:
-    at = sorted(points)
-    means = [math.fsum(points[value]) / len(points[value]) for value in at]
-    below = [mean - min(points[value]) for mean, value in zip(means, at, strict=True)]
-    above = [max(points[value]) - mean for mean, value in zip(means, at, strict=True)]
-    axes.errorbar(at, means, yerr=(below, above), label=label, marker="o", markersize=4, capsize=3, linewidth=1.2)
 
 
 def _unit(rows: Sequence[Row], key: str) -> Physical | None:

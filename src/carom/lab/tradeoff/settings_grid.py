@@ -94,21 +94,9 @@ def knobs(scene: Scene) -> dict[str, tuple[str, ...]]:
     if scene.has_piston:  # other values are refused
         for key in ("time.integrator", "contact.solver", "contact.timing"):
             found.pop(key, None)
-    own = _in_effect(scene)
-    return {key: tuple(value for value in values if value != own[key]) for key, values in found.items()}
-
-
-def _integrators(scene: Scene) -> tuple[str, ...]:
-    damped, orbits = damping(scene) is not None, not why_no_hierarchy(scene)
-    return tuple(
-        name for name, each in INTEGRATORS.items() if (each.damps or not damped) and (orbits or not each.hierarchical)
-    )
-
-
-def _in_effect(scene: Scene) -> dict[str, str]:
-    """Return the values of the keys in a scene, with automatic ones resolved."""
+    # the values of the scene, with automatic ones resolved
     contact, gravity = scene.contact, scene.gravity
-    return {
+    own = {
         "time.integrator": auto.integrator(scene).name,
         "time.velocity_limit": scene.time.velocity_limit,
         "time.smoothing": f"{auto.smoothing(scene):g}",
@@ -120,6 +108,14 @@ def _in_effect(scene: Scene) -> dict[str, str]:
         "gravity.opening_angle": f"{gravity.opening_angle:g}",
         "gravity.quadrupoles": str(gravity.quadrupoles).lower(),
     }
+    return {key: tuple(value for value in values if value != own[key]) for key, values in found.items()}
+
+
+def _integrators(scene: Scene) -> tuple[str, ...]:
+    damped, orbits = damping(scene) is not None, not why_no_hierarchy(scene)
+    return tuple(
+        name for name, each in INTEGRATORS.items() if (each.damps or not damped) and (orbits or not each.hierarchical)
+    )
 
 
 def default_points(scene: Scene) -> list[GridPoint]:

@@ -104,7 +104,14 @@ def grown(
     """
     n, centre = len(radius), np.array(region.centre)
     box = np.zeros(3) if around.box is None else around.box
-    fixed, fixed_radius = _in_reach(region, around)
+    # the spheres near the region that are already placed
+    centres = np.concatenate([np.empty((0, 3)), *(centres for centres, _ in around.spheres)])
+    radii = np.concatenate([np.empty(0), *(radii for _, radii in around.spheres)])
+    apart = centres - np.array(region.centre)
+    if around.box is not None:
+        apart = minimum_images(apart, around.box)
+    near = (np.abs(apart) <= half_extent(region) + radii[:, None]).all(axis=1)
+    fixed, fixed_radius = centres[near], radii[near]
     sphere = np.zeros(n + len(fixed), SPHERE)
     for k, axis in enumerate("xyz"):
         sphere[axis] = np.concatenate((position[:, k], fixed[:, k])) - centre[k]
@@ -122,7 +129,12 @@ def grown(
         own = sphere[:n]
         own["radius"], own["growth"] = size * radius, rate * radius
         _reset_speeds(own, radius)
-        ends, others = _neighbours(sphere, n, span, box)
+        # list the neighbours of each sphere; those of i are ``others[ends[i]:ends[i + 1]]``
+        reach = sphere["radius"] + span * sphere["growth"] + sphere["skin"]
+        pairs = HierarchicalGrid(reach, box).pairs(np.stack([sphere[axis] for axis in "xyz"], axis=1))
+        pairs = pairs[pairs[:, 0] < n]
+        ends, others = np.zeros(len(sphere) + 1, dtype=np.int64), np.empty(2 * len(pairs), dtype=np.int64)
+        both_ways(pairs, ends, others)
         flown, count = fly(sphere, n, queue, FlightSpace(border, ends, others, box, images), span, MOST_AT_ONCE * n)
         size = full if flown == left else size + rate * flown
         impacts += count
@@ -134,17 +146,6 @@ def grown(
                 ("group", index, "region"),
             )
     return np.asarray(np.stack([sphere[axis][:n] for axis in "xyz"], axis=1) + centre)
-
-
-def _in_reach(region: Region, around: Surroundings) -> tuple[FloatArray, FloatArray]:
-    """Return the centres and radii of the already placed spheres near a region."""
-    centres = np.concatenate([np.empty((0, 3)), *(centres for centres, _ in around.spheres)])
-    radii = np.concatenate([np.empty(0), *(radii for _, radii in around.spheres)])
-    apart = centres - np.array(region.centre)
-    if around.box is not None:
-        apart = minimum_images(apart, around.box)
-    near = (np.abs(apart) <= half_extent(region) + radii[:, None]).all(axis=1)
-    return centres[near], radii[near]
 
 
 def _borders(region: Region, around: Surroundings) -> Records:
@@ -173,18 +174,6 @@ def _reset_speeds(sphere: RecordArray[GrowingSphereRecord], radius: FloatArray) 
     scale = math.sqrt(3.0 * len(sphere) / float(np.sum(square)))
     for axis in "xyz":
         sphere[f"v{axis}"] *= scale
-
-
-def _neighbours(
-    sphere: RecordArray[GrowingSphereRecord], movers: int, span: float, box: FloatArray
-) -> tuple[IntArray, IntArray]:
-    """List the neighbours of each sphere; those of i are ``others[ends[i]:ends[i + 1]]``."""
-    reach = sphere["radius"] + span * sphere["growth"] + sphere["skin"]
-    pairs = HierarchicalGrid(reach, box).pairs(np.stack([sphere[axis] for axis in "xyz"], axis=1))
-    pairs = pairs[pairs[:, 0] < movers]
-    ends, others = np.zeros(len(sphere) + 1, dtype=np.int64), np.empty(2 * len(pairs), dtype=np.int64)
-    both_ways(pairs, ends, others)
-    return ends, others
 
 
 class GrowingSphereRecord(Protocol):

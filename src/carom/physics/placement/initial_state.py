@@ -23,7 +23,6 @@ from carom.physics.placement.region import (
     plummer_lengths,
 )
 from carom.physics.placement.wall_clearance import refuse_crossing_walls
-from carom.scene.data.body_columns import BodyColumns
 from carom.scene.matter import drawn_radii, made_of, mass_of, mean_volume
 from carom.scene.scene_file import KeyPath, naming_places
 from carom.scene.schema import Body, BodyGroup, Region, Scene
@@ -45,51 +44,47 @@ def place(scene: Scene) -> InitialBodies:
         not fit.
     """
     with naming_places(scene):
-        return _place(scene)
-
-
-def _place(scene: Scene) -> InitialBodies:
-    box = None if scene.domain.period is None else np.array(scene.domain.period)
-    parts = [_given(scene)] if scene.body or scene.bodies else []
-    if parts and scene.contact.enabled:
-        reach = np.abs(parts[0].position).max(axis=1)
-        worst = int(np.argmax(np.spacing(reach) / parts[0].radius))
-        remedy, called = ", or set contact.enabled = false", written_name(scene, worst, parts[0].name)
-        size, key = float(parts[0].radius[worst]), key_of(scene, worst)
-        refuse_unresolved(called, key, float(reach[worst]), size, scene.unit_system, remedy)
-    solids = solids_of(scene)
-    if parts and scene.wall:
-        refuse_outside(scene, parts[0], solids)
-    if parts and not scene.contact.allow_overlap and scene.contact.enabled:
-        refuse_overlaps(scene, parts[0], box)
-        refuse_immersion(scene, parts[0], solids)
-    pull = 0.0 if scene.gravity.method == "none" else scene.gravity.constant
-    streams = [np.random.default_rng(seed) for seed in np.random.SeedSequence(scene.seed).spawn(len(scene.group))]
-    _refuse_full_box(scene)
-    units = scene.unit_system
-    centres: dict[int, FloatArray] = {}  # centres of groups that were compressed together with an earlier one
-    radii: dict[int, FloatArray] = {}
-    for index, group in enumerate(scene.group):
-        if index not in centres:
-            mixture = _mixture(scene, index)
-            radii |= {member: drawn_radii(scene.group[member], streams[member]) for member in mixture}
-            spheres = [(part.position, part.radius) for part in parts]
-            spheres += [(centres[member], radii[member]) for member in centres if member > index]
-            around = Surroundings(tuple(spheres), solids, box)
-            region = _region(mixture, radii, units)
-            radius = np.concatenate([radii[member] for member in mixture])
-            arrange = arrangement_called(group.arrangement).arrange
-            position = arrange(mixture, region, radius, around, streams[index], units)
-            ends = np.cumsum([len(radii[member]) for member in mixture])[:-1]
-            centres |= dict(zip(mixture, np.split(position, ends), strict=True))
-        made = made_of(scene, group)
-        region = group.region or default_region(index, radii[index], units)
-        parts.append(_group(index, made, region, radii[index], centres[index], streams[index], pull))
-    start = join(parts)
-    refuse_overflow(start)
-    if scene.contact.enabled:
-        refuse_crossing_walls(scene, start, solids)
-    return start if box is None else _inside(scene, start, box)
+        box = None if scene.domain.period is None else np.array(scene.domain.period)
+        parts = [_given(scene)] if scene.body or scene.bodies else []
+        if parts and scene.contact.enabled:
+            reach = np.abs(parts[0].position).max(axis=1)
+            worst = int(np.argmax(np.spacing(reach) / parts[0].radius))
+            remedy, called = ", or set contact.enabled = false", written_name(scene, worst, parts[0].name)
+            size, key = float(parts[0].radius[worst]), key_of(scene, worst)
+            refuse_unresolved(called, key, float(reach[worst]), size, scene.unit_system, remedy)
+        solids = solids_of(scene)
+        if parts and scene.wall:
+            refuse_outside(scene, parts[0], solids)
+        if parts and not scene.contact.allow_overlap and scene.contact.enabled:
+            refuse_overlaps(scene, parts[0], box)
+            refuse_immersion(scene, parts[0], solids)
+        pull = 0.0 if scene.gravity.method == "none" else scene.gravity.constant
+        streams = [np.random.default_rng(seed) for seed in np.random.SeedSequence(scene.seed).spawn(len(scene.group))]
+        _refuse_full_box(scene)
+        units = scene.unit_system
+        centres: dict[int, FloatArray] = {}  # centres of groups that were compressed together with an earlier one
+        radii: dict[int, FloatArray] = {}
+        for index, group in enumerate(scene.group):
+            if index not in centres:
+                mixture = _mixture(scene, index)
+                radii |= {member: drawn_radii(scene.group[member], streams[member]) for member in mixture}
+                spheres = [(part.position, part.radius) for part in parts]
+                spheres += [(centres[member], radii[member]) for member in centres if member > index]
+                around = Surroundings(tuple(spheres), solids, box)
+                region = _region(mixture, radii, units)
+                radius = np.concatenate([radii[member] for member in mixture])
+                arrange = arrangement_called(group.arrangement).arrange
+                position = arrange(mixture, region, radius, around, streams[index], units)
+                ends = np.cumsum([len(radii[member]) for member in mixture])[:-1]
+                centres |= dict(zip(mixture, np.split(position, ends), strict=True))
+            made = made_of(scene, group)
+            region = group.region or default_region(index, radii[index], units)
+            parts.append(_group(index, made, region, radii[index], centres[index], streams[index], pull))
+        start = join(parts)
+        refuse_overflow(start)
+        if scene.contact.enabled:
+            refuse_crossing_walls(scene, start, solids)
+        return start if box is None else _inside(scene, start, box)
 
 
 def _inside(scene: Scene, start: InitialBodies, box: FloatArray) -> InitialBodies:
@@ -110,25 +105,22 @@ def _given(scene: Scene) -> InitialBodies:
     parts = [_explicit([made_of(scene, body) for body in scene.body])] if scene.body else []
     for index, columns in enumerate(scene.data):
         first = sum(len(part.mass) for part in parts)
-        parts.append(_from_data(-2 - index, scene.bodies[index].name, columns, first))
+        name, n = scene.bodies[index].name, len(columns)
+        numbered = NumberedNames(name, n) if name else NumberedNames("body", n, first)
+        parts.append(
+            InitialBodies(
+                name=[own or numbered[row] for row, own in enumerate(columns.name)] if columns.name else numbered,
+                group=np.full(n, -2 - index),
+                position=columns.position,
+                velocity=columns.velocity,
+                angular_velocity=columns.angular_velocity,
+                mass=columns.mass,
+                radius=columns.radius,
+                inertia=columns.inertia,
+                fixed=columns.fixed,
+            )
+        )
     return parts[0] if len(parts) == 1 else join(parts)
-
-
-def _from_data(group: int, name: str, columns: BodyColumns, first: int) -> InitialBodies:
-    """Return the bodies of a [[bodies]] table; ``first`` is the number of the first one in the scene."""
-    n = len(columns)
-    numbered = NumberedNames(name, n) if name else NumberedNames("body", n, first)
-    return InitialBodies(
-        name=[own or numbered[row] for row, own in enumerate(columns.name)] if columns.name else numbered,
-        group=np.full(n, group),
-        position=columns.position,
-        velocity=columns.velocity,
-        angular_velocity=columns.angular_velocity,
-        mass=columns.mass,
-        radius=columns.radius,
-        inertia=columns.inertia,
-        fixed=columns.fixed,
-    )
 
 
 def _explicit(bodies: Sequence[Body]) -> InitialBodies:

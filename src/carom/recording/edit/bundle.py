@@ -52,20 +52,16 @@ def pack(path: Path, members: Mapping[str, bytes | Path]) -> int:
         If it cannot be written, or another process writes it.
     """
     with Claim(path):
-        return _pack(path, members)
-
-
-def _pack(path: Path, members: Mapping[str, bytes | Path]) -> int:
-    try:
-        with whole_file(path) as part, zipfile.ZipFile(part, "w", zipfile.ZIP_DEFLATED, compresslevel=9) as bundle:
-            for name, content in members.items():
-                if isinstance(content, Path):
-                    bundle.write(content, name)
-                else:
-                    bundle.writestr(name, content)
-        return path.stat().st_size
-    except OSError as error:
-        raise RecordingError(f"cannot write {path}: {error.strerror}") from error
+        try:
+            with whole_file(path) as part, zipfile.ZipFile(part, "w", zipfile.ZIP_DEFLATED, compresslevel=9) as bundle:
+                for name, content in members.items():
+                    if isinstance(content, Path):
+                        bundle.write(content, name)
+                    else:
+                        bundle.writestr(name, content)
+            return path.stat().st_size
+        except OSError as error:
+            raise RecordingError(f"cannot write {path}: {error.strerror}") from error
 
 
 @contextmanager
@@ -83,7 +79,27 @@ def opened(path: Path) -> Iterator[Path]:
     with temporary_folder() as folder:
         out = folder / path.with_suffix(".rrd").name
         try:
-            _unpack(path, out)
+            with zipfile.ZipFile(path) as bundle:
+                infos = bundle.infolist()
+                if len(infos) > MOST_MEMBERS:
+                    raise ValueError(f"{len(infos)} files in it are too many")
+                found = [info for info in infos if info.filename == CLIP]
+                if len(found) != 1:
+                    raise ValueError(f"there must be one {CLIP} in it, not {len(found)}")
+                info = found[0]
+                if info.compress_type not in _METHODS:
+                    raise ValueError(f"{CLIP} in it is compressed by method {info.compress_type} instead of deflate")
+                if info.file_size > min(MOST_UNPACKED, MOST_TIMES * max(1, info.compress_size)):
+                    raise ValueError(f"{CLIP} in it claims to unpack to {info.file_size} bytes")
+                if shutil.disk_usage(out.parent).free < info.file_size:
+                    raise ValueError(f"{CLIP} in it unpacks to {info.file_size} bytes, for which there is no space")
+                with bundle.open(info) as source, out.open("wb") as target:
+                    left = info.file_size
+                    while piece := source.read(min(_PIECE, left + 1)):
+                        left -= len(piece)
+                        if left < 0:
+                            raise ValueError(f"{CLIP} in it unpacks to more than it claims")
+                        target.write(piece)
         except _SURPRISES as error:
             raise RecordingError(f"{path} is not a bundle made by carom, or is damaged ({error})") from error
         try:
@@ -91,27 +107,3 @@ def opened(path: Path) -> Iterator[Path]:
         except RecordingError as error:  # the message should name the bundle, not the temporary file
             error.args = (str(error).replace(str(out), str(path)), *error.args[1:])
             raise
-
-
-def _unpack(path: Path, out: Path) -> None:
-    with zipfile.ZipFile(path) as bundle:
-        infos = bundle.infolist()
-        if len(infos) > MOST_MEMBERS:
-            raise ValueError(f"{len(infos)} files in it are too many")
-        found = [info for info in infos if info.filename == CLIP]
-        if len(found) != 1:
-            raise ValueError(f"there must be one {CLIP} in it, not {len(found)}")
-        info = found[0]
-        if info.compress_type not in _METHODS:
-            raise ValueError(f"{CLIP} in it is compressed by method {info.compress_type} instead of deflate")
-        if info.file_size > min(MOST_UNPACKED, MOST_TIMES * max(1, info.compress_size)):
-            raise ValueError(f"{CLIP} in it claims to unpack to {info.file_size} bytes")
-        if shutil.disk_usage(out.parent).free < info.file_size:
-            raise ValueError(f"{CLIP} in it unpacks to {info.file_size} bytes, for which there is no space")
-        with bundle.open(info) as source, out.open("wb") as target:
-            left = info.file_size
-            while piece := source.read(min(_PIECE, left + 1)):
-                left -= len(piece)
-                if left < 0:
-                    raise ValueError(f"{CLIP} in it unpacks to more than it claims")
-                target.write(piece)

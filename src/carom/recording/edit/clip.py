@@ -252,7 +252,13 @@ def clip(
                 writer.send(first)
             if not exact:
                 writer.log(paths.STATIC_STATE, rr.AnyValues(**_properties_of(recording, shown)))
-            writer.send_property(PROPERTY, _identity(recording, cut, shown, exact))
+            about: dict[str, Scalar | IntArray] = {"source": recording.path.name, "from": cut.start, "to": cut.end}
+            about["recording_id"] = recording.store.store_id
+            if not exact:
+                about["partial"] = True
+            if len(shown) < recording.info["bodies"]:
+                about["bodies"] = np.array(shown, np.int64)
+            writer.send_property(PROPERTY, about)
             numbers = list[IntArray]()
             for chunk in _moving(recording, cut):
                 if chunk.entity_path == paths.CHECKPOINT and not exact:
@@ -319,18 +325,6 @@ def _properties_of(recording: Recording, shown: Sequence[int]) -> dict[str, Any]
     names = [table.name[body] for body in shown]
     values = {name: getattr(table, name)[numbers] for name in ("group", "mass", "radius", "inertia")}
     return {"name": names, **values}
-
-
-def _identity(recording: Recording, cut: _Cut, shown: Sequence[int], exact: bool) -> dict[str, Scalar | IntArray]:
-    identity: dict[str, Scalar | IntArray] = {
-        "source": recording.path.name,
-        "recording_id": recording.store.store_id,
-        "from": cut.start,
-        "to": cut.end,
-    }
-    if not exact:
-        identity["partial"] = True
-    return identity if len(shown) == recording.info["bodies"] else identity | {"bodies": np.array(shown, np.int64)}
 
 
 def _moving(recording: Recording, cut: _Cut) -> Iterator[Chunk]:

@@ -82,36 +82,26 @@ def repair(source: str | Path, out: str | Path) -> Repaired:
         if not source.is_file():
             raise RecordingError(f"there is no recording at {source}")
         found = salvage(source)
-        store = _recording(source, found)
+        # the recording with the most chunks; wrong bytes may appear to start others
+        stores = [store for store in found.stores if store.kind == RECORDING]
+        store = max(stores, key=lambda store: len(store.entries), default=None)
+        if store is None or not store.entries:
+            raise RecordingError(f"nothing of {source} can be read as a recording")
+        if schema_version(store.application_id) is None:
+            raise RecordingError(f"{source} was not made by carom, but by {store.application_id!r}")
         recording = Recording(Container(source, [store, *_layouts(found, store)], finished=False), store)
         if found.finished and _has_frames(recording):
             return Repaired(None)
-        _refuse_unbegun(recording)
+        try:  # refuse a file without the static data that its frames require
+            known = bool(recording.info)
+        except RecordingError:
+            known = False
+        if not known:
+            raise RecordingError(
+                f"{recording.path} has nothing to save: its run ended before the first frame was written, or the data "
+                "needed to read frames is lost"
+            )
         return _rewrite(recording, out, found)
-
-
-def _recording(source: Path, found: Salvage) -> Store:
-    """Return the recording with the most chunks; wrong bytes may appear to start others."""
-    stores = [store for store in found.stores if store.kind == RECORDING]
-    store = max(stores, key=lambda store: len(store.entries), default=None)
-    if store is None or not store.entries:
-        raise RecordingError(f"nothing of {source} can be read as a recording")
-    if schema_version(store.application_id) is None:
-        raise RecordingError(f"{source} was not made by carom, but by {store.application_id!r}")
-    return store
-
-
-def _refuse_unbegun(recording: Recording) -> None:
-    """Refuse a file without the static data that its frames require."""
-    try:
-        known = bool(recording.info)
-    except RecordingError:
-        known = False
-    if not known:
-        raise RecordingError(
-            f"{recording.path} has nothing to save: its run ended before the first frame was written, or the data "
-            "needed to read frames is lost"
-        )
 
 
 def _layouts(found: Salvage, store: Store) -> list[Store]:
@@ -240,7 +230,7 @@ def widen(path: Path) -> None:
             if chunk.entity_path == paths.BODIES:
                 wide = _padded(chunk, n)
                 for row in (0, wide.batch.num_rows - 1):
-                    position = _positions(wide, row)
+                    position = np.asarray(wide.batch[_centres(wide)][row].values.flatten().to_numpy()).reshape(-1, 3)
                     fit = fit or CameraFit.of_scene(header, recording.origin, position)
                     fit.look(position)
                 writer.send(wide)
@@ -277,10 +267,6 @@ def _places(recording: Recording) -> tuple[IntArray, IntArray]:
 
 def _centres(chunk: Chunk) -> str:
     return next(name for name in paths.CENTRES if name in chunk.components)
-
-
-def _positions(chunk: Chunk, row: int) -> np.ndarray:
-    return np.asarray(chunk.batch[_centres(chunk)][row].values.flatten().to_numpy()).reshape(-1, 3)
 
 
 def _padded(chunk: Chunk, n: int) -> Chunk:

@@ -22,18 +22,16 @@ def write_extended_xyz(path: Path, first: Snapshot, others: Iterator[Snapshot]) 
     """Write all steps into one file."""
     with path.open("w", encoding="utf-8") as file:
         for snapshot in (first, *others):
-            file.write(_block(snapshot))
-
-
-def _block(snapshot: Snapshot) -> str:
-    columns = [("pos", snapshot.vectors["position"]), ("radius", snapshot.radius[:, None])]
-    columns += [("mass", snapshot.mass[:, None])]
-    columns += [(_COLUMNS[name], values) for name, values in snapshot.vectors.items() if name != "position"]
-    kinds = "".join(f":{name}:R:{values.shape[1]}" for name, values in columns)
-    head = f"Properties=species:S:1:id:I:1{kinds} Time={snapshot.time!r} Step={snapshot.step} {_cell(snapshot)}"
-    rows = np.concatenate([values for _, values in columns], axis=1).tolist()
-    lines = [f"X {body} {' '.join(map(repr, row))}" for body, row in zip(snapshot.body.tolist(), rows, strict=True)]
-    return "\n".join([str(len(rows)), head, *lines, ""])
+            columns = [("pos", snapshot.vectors["position"]), ("radius", snapshot.radius[:, None])]
+            columns += [("mass", snapshot.mass[:, None])]
+            columns += [(_COLUMNS[name], values) for name, values in snapshot.vectors.items() if name != "position"]
+            kinds = "".join(f":{name}:R:{values.shape[1]}" for name, values in columns)
+            head = f"Properties=species:S:1:id:I:1{kinds} Time={snapshot.time!r} Step={snapshot.step} {_cell(snapshot)}"
+            rows = np.concatenate([values for _, values in columns], axis=1).tolist()
+            lines = [
+                f"X {body} {' '.join(map(repr, row))}" for body, row in zip(snapshot.body.tolist(), rows, strict=True)
+            ]
+            file.write("\n".join([str(len(rows)), head, *lines, ""]))
 
 
 def _cell(snapshot: Snapshot) -> str:

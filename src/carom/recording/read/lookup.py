@@ -143,7 +143,12 @@ def moment(recording: Recording, at: float | None) -> float:
         _refuse_outside(recording, times, at, at, recording.units.text(at, TIME, ".9g"))
         return at
     if not recording.shows_all:
-        return _moment_of_shown(recording, float(times[-1]))
+        # a clip of some bodies: the recorded impact with the largest impulse, or the end
+        last = float(times[-1])
+        if not recording.records_contacts:
+            return last
+        found = recording.impacts()
+        return float(found["time"][int(np.argmax(found["normal_impulse"].to_numpy()))].as_py()) if len(found) else last
     for name in ("impact", "contacts"):
         known = float(recording.closing.get(f"moments.{name}.time", np.nan))
         if times[0] <= known <= times[-1]:
@@ -189,14 +194,6 @@ def _refuse_outside(recording: Recording, times: FloatArray, first: float, last:
     if last < begins - tolerance(begins) or first > ends + tolerance(ends):
         whole = recording.units.span(times[0], ends, TIME, ".9g")
         raise RecordingError(f"{recording.path} covers {whole}; {asked} is outside")
-
-
-def _moment_of_shown(recording: Recording, last: float) -> float:
-    """Return the time of the recorded impact with the largest impulse in a clip of some bodies, or its end."""
-    if not recording.records_contacts:
-        return last
-    found = recording.impacts()
-    return float(found["time"][int(np.argmax(found["normal_impulse"].to_numpy()))].as_py()) if len(found) else last
 
 
 def tolerance(time: float) -> float:

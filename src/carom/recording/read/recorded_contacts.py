@@ -162,7 +162,7 @@ def contacts(recording: Recording, at: float | None, *, replay: bool, watch: Wat
 
     if recording.records_contacts and row is not None and not replay:
         with reading(recording.path):
-            table = with_angular_impulses(_recorded(recording, row), recording)
+            table = with_angular_impulses(_table(recording, *_row_of_contacts(recording, row)), recording)
         return finite(table, replayed)
     return replayed()
 
@@ -214,10 +214,6 @@ def closing_speeds(rows: Records, state: Checkpoint, moves: BoolArray | None = N
         counts = rows[end] < n if moves is None else (rows[end] < n) & moves[body]
         relative += np.where(counts[:, None], sign * velocity, 0.0)
     return np.asarray(np.nan_to_num(-np.einsum("ij,ij->i", relative, normal)))
-
-
-def _recorded(recording: Recording, row: int) -> pa.Table:
-    return _table(recording, *_row_of_contacts(recording, row))
 
 
 def _row_of_contacts(recording: Recording, row: int) -> tuple[Chunk, int, int, float]:

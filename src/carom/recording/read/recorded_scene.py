@@ -5,9 +5,9 @@ A recording may come from a stranger, so everything is checked before use.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pyarrow as pa
@@ -139,6 +139,7 @@ def header_of_recording(recording: Recording) -> Header:
     info, bodies = recording.info, recording.bodies
     extensions = stamped(info)
     static = {entry.entity_path for entry in recording.store.entries if entry.is_static}
+    colour_by = str(info.get("colour_by", "auto"))  # older recordings do not store it
     return Header(
         title=recording.title,
         description="",
@@ -159,7 +160,7 @@ def header_of_recording(recording: Recording) -> Header:
         collides=bool(info["collides"]),
         stabilises=bool(info.get("stabilises", info["collides"])),
         body_colouring=bool(info["body_colouring"]),
-        colour_by=_colour_by(info),
+        colour_by=colour_by if colour_by in COLOUR_BY else "auto",
         materials=materials_of(recording),
         duration=float(info["duration"]),
         shortest_dt_hint=0.0,
@@ -210,12 +211,6 @@ def _shapes(recording: Recording) -> Sequence[Wall]:
         return recorded_scene(recording).wall
     except (RecordingError, SceneError):
         return ()
-
-
-def _colour_by(info: Mapping[str, Any]) -> str:
-    """Return the quantity that colours the bodies; older recordings do not store it."""
-    known = str(info.get("colour_by", "auto"))
-    return known if known in COLOUR_BY else "auto"
 
 
 def recorded_curves(recording: Recording, until: int | None = None) -> dict[str, CurveOutline]:

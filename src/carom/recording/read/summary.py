@@ -17,7 +17,6 @@ from carom.recording.read.recorded_impacts import impacts_until
 from carom.recording.read.recorded_scene import materials_of
 from carom.recording.schema.header import NOTES
 from carom.scene.units.dimension import ENERGY, TIME
-from carom.scene.units.system import UnitSystem
 from carom.scene.wording import body_called, counted
 
 if TYPE_CHECKING:
@@ -211,28 +210,24 @@ def _below(properties: Mapping[str, Any], section: str) -> dict[str, Any]:
 def html_of(recording: Recording) -> str:
     """Return the summary of a recording as an HTML table, or the error if it cannot be read."""
     try:
-        rows = _rows(recording.summary(), recording.units)
+        summary = recording.summary()
+        energy, overlap = summary["energy"], summary["contacts"]["max_overlap"]
+        counts = counted(summary["frames"], "frame"), counted(summary["steps"], "step")
+        rows = {
+            "scene": f"{summary['scene']['title']}, {counted(summary['bodies'], 'body')}",
+            "outcome": str(summary["outcome"]),
+            "length": ", ".join((*counts, recording.units.text(summary["sim_time"], TIME))),
+        }
+        if not math.isnan(energy["initial"]):
+            first, last = (recording.units.text(energy[when], ENERGY) for when in ("initial", "final"))
+            rows["energy"] = f"{first} at first, {last} at last"
+            rows["energy error"] = f"{_number(energy['max_error'])} of the energy scale"
+        if overlap is None or overlap > ROUNDED_OVERLAP:
+            rows["deepest overlap"] = f"{_number(overlap)} of a radius"
     except RecordingError as error:
         return f"<p>{escape(str(error))}</p>"
     cells = "".join(f"<tr><th>{escape(name)}</th><td>{escape(text)}</td></tr>" for name, text in rows.items())
     return f"<table><caption>{escape(recording.path.name)}</caption>{cells}</table>"
-
-
-def _rows(summary: dict[str, Any], units: UnitSystem) -> dict[str, str]:
-    energy, overlap = summary["energy"], summary["contacts"]["max_overlap"]
-    counts = counted(summary["frames"], "frame"), counted(summary["steps"], "step")
-    rows = {
-        "scene": f"{summary['scene']['title']}, {counted(summary['bodies'], 'body')}",
-        "outcome": str(summary["outcome"]),
-        "length": ", ".join((*counts, units.text(summary["sim_time"], TIME))),
-    }
-    if not math.isnan(energy["initial"]):
-        first, last = (units.text(energy[when], ENERGY) for when in ("initial", "final"))
-        rows["energy"] = f"{first} at first, {last} at last"
-        rows["energy error"] = f"{_number(energy['max_error'])} of the energy scale"
-    if overlap is None or overlap > ROUNDED_OVERLAP:
-        rows["deepest overlap"] = f"{_number(overlap)} of a radius"
-    return rows
 
 
 def _number(value: float | None) -> str:

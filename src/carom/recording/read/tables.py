@@ -274,27 +274,6 @@ def trajectory(recording: Recording, body: int | str, start: float, end: float, 
 
 def _recorded_path(recording: Recording, number: int, steps: IntArray, times: FloatArray) -> pa.Table:
     """Return drawn positions (float32), with the exact states (float64) at checkpoints."""
-    position = _drawn(recording, number, steps)
-    exact = np.isin(steps, recording.checkpoint_steps)
-    states: dict[int, Checkpoint] = {}
-    rows = np.flatnonzero(exact)
-    for row, state in zip(rows.tolist(), recording.checkpoints(steps[rows].tolist()), strict=True):
-        states[row], position[row] = state, state.position[number]
-    lost = np.flatnonzero(np.isnan(position).any(axis=1))
-    if len(lost):
-        step = int(steps[lost[0]])
-        raise RecordingError(f"{recording.path} has no positions at step {step}: part of the file is missing")
-    columns: dict[str, Any] = {STEP: steps, "time": times}
-    columns |= dict(zip(AXES["position"], np.ascontiguousarray(position.T), strict=True))
-    for quantity in ("velocity", "orientation", "angular_velocity"):
-        if all(getattr(state, quantity) is not None for state in states.values()):
-            columns |= _at_checkpoints(quantity, states, number, len(steps))
-    told = {"source": "recorded: float64 at checkpoints, float32 elsewhere"}
-    return pa.table(columns | {"exact": exact}).replace_schema_metadata(told)
-
-
-def _drawn(recording: Recording, number: int, steps: IntArray) -> FloatArray:
-    """Return the drawn positions of a body, (k, 3) m; NaN where there are none."""
     shown = recording.shown
     place, position = shown.index(shown_body(recording, number)), np.full((len(steps), 3), np.nan)
     entries = recording.store.frames_of(paths.BODIES, steps[0], steps[-1])
@@ -311,7 +290,22 @@ def _drawn(recording: Recording, number: int, steps: IntArray) -> FloatArray:
             at = np.searchsorted(steps, own)
             known = steps[np.minimum(at, len(steps) - 1)] == own
             position[at[known]] = centres[known, place] + recording.origin
-    return position
+    exact = np.isin(steps, recording.checkpoint_steps)
+    states: dict[int, Checkpoint] = {}
+    rows = np.flatnonzero(exact)
+    for row, state in zip(rows.tolist(), recording.checkpoints(steps[rows].tolist()), strict=True):
+        states[row], position[row] = state, state.position[number]
+    lost = np.flatnonzero(np.isnan(position).any(axis=1))
+    if len(lost):
+        step = int(steps[lost[0]])
+        raise RecordingError(f"{recording.path} has no positions at step {step}: part of the file is missing")
+    columns: dict[str, Any] = {STEP: steps, "time": times}
+    columns |= dict(zip(AXES["position"], np.ascontiguousarray(position.T), strict=True))
+    for quantity in ("velocity", "orientation", "angular_velocity"):
+        if all(getattr(state, quantity) is not None for state in states.values()):
+            columns |= _at_checkpoints(quantity, states, number, len(steps))
+    told = {"source": "recorded: float64 at checkpoints, float32 elsewhere"}
+    return pa.table(columns | {"exact": exact}).replace_schema_metadata(told)
 
 
 def _at_checkpoints(quantity: str, states: dict[int, Checkpoint], number: int, rows: int) -> dict[str, pa.Array]:

@@ -129,27 +129,23 @@ def _manifests(footer: bytes, size: int) -> list[Store]:
         table = messages.fields(messages.data(parts, 4))
         batch = record_batch(messages.data(table, 2), messages.number(table, 3), messages.number(table, 4))
         store = store_named(messages.data(parts, 1))
-        store.entries.extend(_entries(batch, size))
+        if batch.num_rows > size // _SHORTEST:
+            raise DamageError(f"its footer lists {batch.num_rows} chunks in {size} bytes")
+        columns = [_manifest_column(batch, name, kind) for name, kind in _MANIFEST.items()]
+        if any(None in column for column in columns):
+            raise DamageError("its footer describes chunks incompletely")
+        for name in (f"{STEP}:start", f"{STEP}:end"):
+            there = name in batch.schema.names
+            columns.append(_manifest_column(batch, name, pa.int64()) if there else [None] * batch.num_rows)
+        listed = zip(*columns, strict=True)
+        found = [
+            Entry(path.lstrip("/"), static, rows, first, last, offset, length)
+            for path, static, rows, offset, length, first, last in listed
+        ]
+        store.entries.extend(sorted(found, key=lambda entry: entry.offset))
         stores.append(store)
     _refuse_overlap([entry for store in stores for entry in store.entries], size)
     return sorted(stores, key=lambda store: min((entry.offset for entry in store.entries), default=0))
-
-
-def _entries(manifest: pa.RecordBatch, size: int) -> list[Entry]:
-    if manifest.num_rows > size // _SHORTEST:
-        raise DamageError(f"its footer lists {manifest.num_rows} chunks in {size} bytes")
-    columns = [_manifest_column(manifest, name, kind) for name, kind in _MANIFEST.items()]
-    if any(None in column for column in columns):
-        raise DamageError("its footer describes chunks incompletely")
-    for name in (f"{STEP}:start", f"{STEP}:end"):
-        there = name in manifest.schema.names
-        columns.append(_manifest_column(manifest, name, pa.int64()) if there else [None] * manifest.num_rows)
-    listed = zip(*columns, strict=True)
-    found = [
-        Entry(path.lstrip("/"), static, rows, first, last, offset, length)
-        for path, static, rows, offset, length, first, last in listed
-    ]
-    return sorted(found, key=lambda entry: entry.offset)
 
 
 def _manifest_column(manifest: pa.RecordBatch, name: str, kind: pa.DataType) -> list[Any]:
@@ -204,23 +200,19 @@ def salvage(path: Path) -> Salvage:
         file.seek(0, 2)
         _Pass(file, file.tell(), found).go()
     if listed is not None:
-        _compare(found, listed)
+        # keep only chunks that match the footer
+        readable = {(store.kind, store.store_id): set(store.entries) for store in found.stores}
+        for store in listed:
+            gone = [entry for entry in store.entries if entry not in readable.get((store.kind, store.store_id), set())]
+            store.entries[:] = [entry for entry in store.entries if entry not in gone]
+            if store.kind == RECORDING:
+                found.missing += gone
+            elif gone:
+                found.layout_lost = True
+                store.entries.clear()
+        found.stores = listed
+        found.finished = not (found.missing or found.layout_lost or found.gaps)
     return found
-
-
-def _compare(found: Salvage, listed: list[Store]) -> None:
-    """Keep only chunks that match the footer."""
-    readable = {(store.kind, store.store_id): set(store.entries) for store in found.stores}
-    for store in listed:
-        gone = [entry for entry in store.entries if entry not in readable.get((store.kind, store.store_id), set())]
-        store.entries[:] = [entry for entry in store.entries if entry not in gone]
-        if store.kind == RECORDING:
-            found.missing += gone
-        elif gone:
-            found.layout_lost = True
-            store.entries.clear()
-    found.stores = listed
-    found.finished = not (found.missing or found.layout_lost or found.gaps)
 
 
 def _listed(path: Path) -> list[Store] | None:
@@ -254,7 +246,8 @@ class _Pass:
             self._found.gaps.append(Gap(0, STREAM_HEADER, "it does not begin like a recording"))
         while at < self._size:
             try:
-                message = self._message(at)
+                message = next(framing.messages(self._file, at))
+                self._index.add(message, self._body(message))
             except TornFooterError:
                 break
             except DamageError as error:
@@ -264,21 +257,12 @@ class _Pass:
                 continue
             at = message.end
             if message.kind == END:
-                self._end(at)
+                # bytes after the footer are lost
+                more = self._size - (at + STREAM_FOOTER)
+                if more > 0:
+                    self._found.gaps.append(Gap(at + STREAM_FOOTER, more, "bytes after its end"))
                 break
         self._found.stores = self._index.stores()
-
-    def _end(self, at: int) -> None:
-        """Count the bytes after the footer, which starts at an offset, as lost."""
-        more = self._size - (at + STREAM_FOOTER)
-        if more > 0:
-            self._found.gaps.append(Gap(at + STREAM_FOOTER, more, "bytes after its end"))
-
-    def _message(self, at: int) -> Message:
-        """Decode and index the message at an offset. Raises DamageError if there is none."""
-        message = next(framing.messages(self._file, at))
-        self._index.add(message, self._body(message))
-        return message
 
     def _body(self, message: Message) -> bytes:
         if message.kind == END:

@@ -64,7 +64,23 @@ def record_batch(payload: memoryview, compression: int, size: int) -> pa.RecordB
         raise DamageError("a chunk in an unknown compression")
     try:
         packed = pa.py_buffer(payload)
-        return _decoded(pa.decompress(packed, size, codec="lz4_raw") if compression == _LZ4 else packed)
+        stream = pa.decompress(packed, size, codec="lz4_raw") if compression == _LZ4 else packed
+        messages = pa.ipc.MessageReader.open_stream(stream)
+        first = messages.read_next_message()
+        if first.type != "schema":
+            raise DamageError("a chunk without a schema")
+        schema = pa.ipc.read_schema(first)
+        if len(schema) > _MOST_COLUMNS:
+            raise DamageError(f"a chunk of {len(schema)} columns")
+        for column in schema:
+            _admit(column)
+        message = messages.read_next_message()
+        if message.type != "record batch":
+            raise DamageError(f"a chunk with a {message.type} instead of its rows")
+        _believe(claims(message.metadata.to_pybytes()), message.body)
+        batch = pa.ipc.read_record_batch(message, schema)
+        batch.validate(full=True)
+        return batch
     except (pa.ArrowException, OSError, ValueError, StopIteration, EOFError) as error:
         reason = str(error).splitlines()[0] if str(error) else "nothing in it"
         raise DamageError(f"a chunk that cannot be decoded ({reason})") from error
@@ -77,25 +93,6 @@ def release_memory() -> None:
         pool.release_unused()
         with contextlib.suppress(OSError, AttributeError):  # another C library than glibc
             ctypes.CDLL(None).malloc_trim(0)
-
-
-def _decoded(stream: pa.Buffer) -> pa.RecordBatch:
-    messages = pa.ipc.MessageReader.open_stream(stream)
-    first = messages.read_next_message()
-    if first.type != "schema":
-        raise DamageError("a chunk without a schema")
-    schema = pa.ipc.read_schema(first)
-    if len(schema) > _MOST_COLUMNS:
-        raise DamageError(f"a chunk of {len(schema)} columns")
-    for column in schema:
-        _admit(column)
-    message = messages.read_next_message()
-    if message.type != "record batch":
-        raise DamageError(f"a chunk with a {message.type} instead of its rows")
-    _believe(claims(message.metadata.to_pybytes()), message.body)
-    batch = pa.ipc.read_record_batch(message, schema)
-    batch.validate(full=True)
-    return batch
 
 
 def _believe(claimed: Claims, body: pa.Buffer | None) -> None:

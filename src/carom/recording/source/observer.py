@@ -109,8 +109,14 @@ class Observer:
 
     def frame(self, step: int, state: State, store: FrameStore | None = None) -> Frame:
         """Return the frame of a state; states must be finite and in order of time."""
-        self._take(state)
-        now, before = self._moment(state), self._before
+        self.bodies.position[:] = state.position
+        self.bodies.velocity[:] = state.velocity
+        if self.setup.turns:
+            self.bodies.orientation[:] = state.orientation
+        if self.setup.spins:
+            self.bodies.angular_velocity[:] = state.angular_velocity
+        bodies, before = self.bodies, self._before
+        now = EngineMoment(state.time, bodies.position.copy(), bodies.velocity.copy(), bodies.angular_velocity.copy())
         dt_known = self._last_time is not None
         dt = 0.0 if self._last_time is None else now.time - self._last_time
         potentials, pull = self._potentials()
@@ -180,19 +186,6 @@ class Observer:
         extremes.energy_gain, extremes.contact_gain = self._gain, NOTHING
         self.extremes.add_momentum(step, time, momentum)
         return events
-
-    def _take(self, state: State) -> None:
-        """Copy a state into the bodies."""
-        self.bodies.position[:] = state.position
-        self.bodies.velocity[:] = state.velocity
-        if self.setup.turns:
-            self.bodies.orientation[:] = state.orientation
-        if self.setup.spins:
-            self.bodies.angular_velocity[:] = state.angular_velocity
-
-    def _moment(self, state: State) -> EngineMoment:
-        bodies = self.bodies
-        return EngineMoment(state.time, bodies.position.copy(), bodies.velocity.copy(), bodies.angular_velocity.copy())
 
     def _potentials(self) -> tuple[dict[str, float], float | None]:
         """Return the potential energies by their names, and that of the bodies' own gravity, in J."""

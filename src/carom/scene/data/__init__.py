@@ -243,7 +243,19 @@ def open_table(
     form: DataFormat = registry.load("data_formats", ending[1:])
     with _reading(called, form):
         if time is not None:
-            snapshot = _nearest(form, path, called, time)
+            # the snapshot nearest to the time
+            if form.times is None:
+                raise SceneError(
+                    f"{called}: carom reads no times of snapshots in {form.called}; choose one with snapshot = 0, 1 …"
+                )
+            times = np.asarray(form.times(path, called), dtype=np.float64)
+            rounding = _ROUNDED * float(np.abs(times).max())
+            if not times.min() - rounding <= time <= times.max() + rounding:
+                raise SceneError(
+                    f"{called}: snapshot_time = {time:g} is outside of its {len(times)} snapshots, from "
+                    f"t = {times.min():g} to {times.max():g}"
+                )
+            snapshot = int(np.argmin(np.abs(times - time)))
         table = form.open(path, called, snapshot)
         if header is not None:
             table.rename(header)
@@ -254,22 +266,6 @@ def open_table(
             )
         refuse_many_columns(called, len(table.names))
         return _Guarded(table, form)
-
-
-def _nearest(form: DataFormat, path: Path, called: str, time: float) -> int:
-    """Return the index of the snapshot that is nearest to a time."""
-    if form.times is None:
-        raise SceneError(
-            f"{called}: carom reads no times of snapshots in {form.called}; choose one with snapshot = 0, 1 …"
-        )
-    times = np.asarray(form.times(path, called), dtype=np.float64)
-    rounding = _ROUNDED * float(np.abs(times).max())
-    if not times.min() - rounding <= time <= times.max() + rounding:
-        raise SceneError(
-            f"{called}: snapshot_time = {time:g} is outside of its {len(times)} snapshots, from t = {times.min():g} to "
-            f"{times.max():g}"
-        )
-    return int(np.argmin(np.abs(times - time)))
 
 
 class _Guarded(DataTable):

@@ -61,19 +61,7 @@ class OrbitTable(DataTable):
             self._inner |= {"name": "full_name"}
             del self._inner["full_name"]
         self._columns = elements_in(list(self._inner))
-        self._refuse_missing()
-        length, speed = ("", "") if units.own else (" [m]", " [m/s]")  # in the units of the simulation
-        self.position, self.velocity = f"position on the orbit{length}", f"velocity on the orbit{speed}"
-        used = set(self._columns.values())
-        self.names = [self.position, self.velocity, *(name for name in self._inner if name not in used)]
-        mass = units.text(orbit.central_mass, MASS)
-        source = "small bodies of JPL" if is_of_jpl else "orbital elements"
-        listed = ", ".join(map(printable, self._columns.values()))
-        about = f"{self.called}: read as {source} ({listed}), about {mass} at the origin"
-        self.notes = (*table.notes, about)
-
-    def _refuse_missing(self) -> None:
-        """Refuse a table that lacks an element."""
+        # refuse a table that lacks an element
         there = self._columns
         missing = [f"{element} ({ELEMENTS[element][0]})" for element in ORIENTED if element not in there]
         missing += [] if {"a", "q"} & set(there) else ["a or q"]
@@ -85,6 +73,15 @@ class OrbitTable(DataTable):
             )
         if "tp" in there and "M" not in there and self._epoch is None and "epoch" not in there:
             raise SceneError(f"{self.called}: tp needs an epoch: a column, or orbit.epoch in the same unit")
+        length, speed = ("", "") if units.own else (" [m]", " [m/s]")  # in the units of the simulation
+        self.position, self.velocity = f"position on the orbit{length}", f"velocity on the orbit{speed}"
+        used = set(self._columns.values())
+        self.names = [self.position, self.velocity, *(name for name in self._inner if name not in used)]
+        mass = units.text(orbit.central_mass, MASS)
+        source = "small bodies of JPL" if is_of_jpl else "orbital elements"
+        listed = ", ".join(map(printable, self._columns.values()))
+        about = f"{self.called}: read as {source} ({listed}), about {mass} at the origin"
+        self.notes = (*table.notes, about)
 
     def read(self, names: Sequence[str], texts: Sequence[str] = ()) -> dict[str, Raw]:
         """Read columns, and convert the elements if a position or a velocity is requested."""

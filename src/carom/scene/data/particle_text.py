@@ -12,7 +12,7 @@ import mmap
 import re
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import IO, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import pyarrow as pa
@@ -285,8 +285,9 @@ def open_xyz(path: Path, called: str, snapshot: int) -> DataTable:
             count = int(first)
             refuse_many_rows(called, count)
             places.append((offset, line, count))
-            skipped = _skip(file, count + 1)
-            if skipped < count + 1:
+            lines = count + 1
+            skipped = next((k for k in range(lines) if not file.readline(_LONGEST)), lines)
+            if skipped < lines:
                 raise SceneError(
                     f"{called}: the step from line {line} on has {max(0, skipped - 1)} of its {count} rows"
                 )
@@ -301,11 +302,6 @@ def open_xyz(path: Path, called: str, snapshot: int) -> DataTable:
     if _PERIODIC.search(comment):
         table.notes = (periodic_note(called),)
     return table
-
-
-def _skip(file: IO[str], lines: int) -> int:
-    """Skip lines; return the number skipped."""
-    return next((k for k in range(lines) if not file.readline(_LONGEST)), lines)
 
 
 def _names(called: str, comment: str, rows: list[str]) -> list[str]:

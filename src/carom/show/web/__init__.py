@@ -354,13 +354,14 @@ def write_page(path: Path, about: About, *, back: bool) -> None:
     """Write the page about a recording, with a link ``back`` to the others or without one."""
     viewer = html.escape(about.viewer)
     scene = f"<details><summary>Scene file</summary><pre>{html.escape(about.scene)}</pre></details>"
+    paragraphs = (" ".join(part.split()) for part in about.description.split("\n\n"))
     _write(
         path,
         INDEX,
         title=html.escape(about.title),
         back=f'<p><a href="{INDEX}">← All recordings</a></p>' if back else "",
         problems=_problems(about.problems),
-        description=_paragraphs(about.description),
+        description="".join(f"<p>{html.escape(each)}</p>" for each in paragraphs if each),
         headline=_headline(about.headline),
         viewer=viewer,
         recording=html.escape(about.recording),
@@ -434,11 +435,6 @@ def _problems(problems: Sequence[str]) -> str:
 def _headline(headline: Iterable[tuple[str, str]]) -> str:
     facts = (f"<div><dt>{html.escape(name)}</dt><dd>{html.escape(text)}</dd></div>" for name, text in headline)
     return f'<dl class="headline">{"".join(facts)}</dl>'
-
-
-def _paragraphs(text: str) -> str:
-    """Return a text as paragraphs, which are separated by blank lines."""
-    return "".join(f"<p>{html.escape(' '.join(part.split()))}</p>" for part in text.split("\n\n") if part.strip())
 
 
 def _missing(reason: str) -> str:
