@@ -31,7 +31,7 @@ def test_no_help_text_loses_what_stands_in_brackets_to_markup(name: str) -> None
 @pytest.mark.parametrize("name", COMMANDS)
 def test_no_help_text_shows_the_name_of_a_constant_instead_of_its_value(name: str) -> None:
     for parameter in COMMANDS[name].params:
-        assert "{" not in (parameter.help or "")
+        assert not re.search(r"\{\w", parameter.help or "")
 
 
 @pytest.mark.parametrize("name", COMMANDS)
