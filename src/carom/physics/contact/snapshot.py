@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from carom.arrays import FloatArray, IntArray, RecordArray
+from carom.physics.aligned import columns
 from carom.physics.contact.constraints import ContactRecord, ContactStateRecord
 from carom.physics.contact.graph import CollisionGraph, OrderedContacts, colour_bodies, colour_rest, empty_graph
 from carom.physics.contact.impact_log import NO_IMPACTS, Impacts
@@ -64,24 +65,28 @@ class ContactSnapshot:
         """
         if len(impacts) == 0:
             return self
-        graph, late = self.graph, len(self.graph)
-        pairs = np.concatenate((graph.pairs, impacts.pairs))
+        graph, log, late = self.graph, impacts.log, len(self.graph)
         approach = np.concatenate((self.approach, impacts.approach))
+        ends = (graph.pairs[:, 0], log["i"]), (graph.pairs[:, 1], log["j"])
+        pair = np.concatenate(ends[0]) * len(inverse_mass) + np.concatenate(ends[1])  # a number for each pair
         # entries of a pair are in this order: the contact at the end, then impacts, the hardest first
-        softness = -np.concatenate((np.full(late, np.inf), impacts.approach))
-        order = np.lexsort((softness, pairs[:, 1], pairs[:, 0]))
-        first = np.flatnonzero(np.any(np.diff(pairs[order], axis=0, prepend=-1), axis=1))
+        softness = -approach
+        softness[:late] = -np.inf
+        order = np.lexsort((softness, pair))
+        in_order = pair[order]
+        begins = np.ones(len(order), dtype=np.bool_)
+        np.not_equal(in_order[1:], in_order[:-1], out=begins[1:])
+        (first,) = begins.nonzero()
         shown = order[first]
-        into_step = np.minimum.reduceat(np.concatenate((np.full(late, dt), impacts.time))[order], first)
-        colours, body_colours = self._colours(pairs[shown], shown, into_step, inverse_mass)
-        joined = CollisionGraph(
-            pairs[shown],
-            np.concatenate((graph.normals, impacts.normal))[shown],
-            np.concatenate((graph.overlaps, np.zeros(len(impacts))))[shown],
-            colours,
-            body_colours,
-            into_step,
-        )
+        pairs = np.empty((len(shown), 2), dtype=np.int64)
+        np.divmod(in_order[first], len(inverse_mass), pairs[:, 0], pairs[:, 1])
+        normals, overlaps = np.concatenate((graph.normals, columns(log, ("nx", "ny", "nz")))), np.zeros(len(order))
+        overlaps[:late] = graph.overlaps
+        times = np.full(len(order), dt)
+        times[late:] = impacts.time
+        into_step = np.minimum.reduceat(times[order], first)
+        colours, body_colours = self._colours(pairs, shown, into_step, inverse_mass)
+        joined = CollisionGraph(pairs, normals[shown], overlaps[shown], colours, body_colours, into_step)
         return ContactSnapshot(
             joined,
             np.maximum.reduceat(approach[order], first),
@@ -99,10 +104,11 @@ class ContactSnapshot:
         if graph.body_colours is not None:
             return colour_bodies(pairs, len(graph.body_colours), graph.body_colours)
         added = shown >= len(graph)
-        colours = np.full(len(pairs), -1)
-        colours[~added] = graph.colours[shown[~added]]
-        in_time = np.argsort(into_step, kind="stable")
-        return colour_rest(pairs, colours, in_time[added[in_time]], inverse_mass), None
+        colours, in_time = np.full(len(pairs), -1), into_step.argsort(kind="stable")
+        if len(graph):
+            colours[~added] = graph.colours[shown[~added]]
+            in_time = in_time[added[in_time]]
+        return colour_rest(pairs, colours, in_time, inverse_mass), None
 
     def sums(self, late: FloatArray, impacts: FloatArray) -> FloatArray:
         """Sum rows of the contacts at the end and of the impacts, for each contact."""
