@@ -90,6 +90,7 @@ class DurableSink:
         self._spare = mmap.mmap(-1, _SPARE)
         self._piece = memoryview(bytearray(_PIPE))  # allocated now, since there may be no memory later
         self._turn = threading.Lock()
+        self._awaited = threading.Event()  # set while another thread waits for the data, which are then read at once
         self._thread = threading.Thread(target=self._copy, name="carom-sink", daemon=True)
         self._thread.start()
 
@@ -121,14 +122,17 @@ class DurableSink:
 
     def drain(self) -> None:
         """Wait until all flushed data are in the file."""
+        self._awaited.set()
         while self._thread.is_alive():
             with self._turn:
                 if _bytes_waiting(self._source) == 0:
-                    return
+                    break
             time.sleep(_POLL)
+        self._awaited.clear()
 
     def close(self) -> None:
         """Wait for the end of the pipe and make the file durable."""
+        self._awaited.set()
         self._thread.join()
         os.close(self._source)
         self._reserve.release()
@@ -145,7 +149,7 @@ class DurableSink:
         waiting.register(self._source, select.POLLIN)
         while size:
             waiting.poll()
-            time.sleep(_GATHER)
+            self._awaited.wait(_GATHER)
             with self._turn:  # so that `drain` can take an empty pipe as a sign that everything is written
                 size = os.readv(self._source, [self._piece])
                 if self.error is None:  # otherwise Rerun's sink would block forever

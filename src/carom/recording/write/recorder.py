@@ -164,7 +164,7 @@ _SMALL_FRAMES, _SMALL_BYTES = 4096, 16_000_000  # more of few bodies, since a ch
 _BATCH_SECONDS, _LIVE_SECONDS = 2.0, 1.0  # s, the frames that a killed run may lose, and that a live viewer lags
 _QUEUE_BYTES = 64_000_000
 _LOOK = 1.25  # ratio between the frame counts at two updates of the camera
-_LAID_OUT_AFTER = 1_000_000  # bytes; a smaller recording gets a single blueprint, at the end
+_LAID_OUT_AFTER = 1_000_000  # bytes; a smaller or shorter recording gets a single blueprint, at the end: it takes 10 ms
 
 
 class FrameRecorder:
@@ -185,6 +185,7 @@ class FrameRecorder:
     ) -> None:
         self.path = Path(path)
         self._file = _new_file(self.path)  # an earlier recording is replaced once this one is complete
+        self._opened = time.monotonic()
         self.header = header
         self.frames = 0  # sent so far
         self.bodies = header.bodies  # so far, where bodies come
@@ -373,7 +374,8 @@ class FrameRecorder:
     def _look(self, batch: list[Frame], origin: FloatArray) -> None:
         """Update the camera; send a first layout early, for a live viewer and for a run that is killed."""
         assert self._camera_fit is not None, "it begins with the first batch"
-        if not self._laid_out and (self._stream.is_live or self.payload_bytes > _LAID_OUT_AFTER):
+        is_long = self.payload_bytes > _LAID_OUT_AFTER and time.monotonic() - self._opened > _BATCH_SECONDS
+        if not self._laid_out and (self._stream.is_live or is_long):
             self._stream.send_blueprint(blueprint(self.header, self._camera_fit, added=self._added))
             self._laid_out = True
         # an update takes a millisecond, for which the physics waits
