@@ -1,4 +1,4 @@
-"""The parts that carom is made of, by kind and name: its own, and those of installed packages.
+"""The parts that carom is made of, by kind and name: its own, and parts of installed packages.
 
 An installed package adds a part through an entry point, whose group is the kind with ``carom.`` before it:
 
@@ -144,7 +144,7 @@ class PartOrigin(NamedTuple):
 
 
 def names(kind: str) -> tuple[str, ...]:
-    """Return the names of all parts of a kind: carom's own first, then those of installed packages by name."""
+    """Return the names of all parts of a kind: carom's own first, then the installed ones by name."""
     own = HOUSE.get(kind, {})
     return (*own, *sorted(name for name in _installed(kind) if name not in own))
 

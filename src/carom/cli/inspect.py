@@ -165,16 +165,12 @@ def _contacts(summary: dict[str, Any]) -> Iterator[Row]:
 
 def _judgements(summary: dict[str, Any], units: UnitSystem) -> Iterator[Row]:
     """Describe the kept and missed accuracy and promises, and the violated laws."""
-    from carom.runs.outcome import accuracy_text
+    from carom.runs.outcome import accuracy_text, judged_promise
 
     if summary["accuracy"]:
         yield "accuracy", accuracy_text(summary["accuracy"], units)
     for name, verdict in summary["expect"].items():
-        kept = "kept" if verdict["met"] else "MISSED"
-        if not verdict.get("judged", True):
-            kept = "not checked, since the run did not end at its duration"
-        bound = verdict.get("bound", "at most")  # older recordings state only this bound
-        yield "promise", f"{name} {verdict['measured']:.3g}, {bound} {verdict['limit']:.3g}: {kept}"
+        yield "promise", f"{name} {judged_promise(verdict)}"
     for law, broken in summary.get("laws", {}).items():
         first = f"first at step {broken['step']}, t = {units.text(broken['time'], TIME)}"
         yield "law broken", f"{law.replace('-', ' ')}, {first}; in {counted(broken['frames'], 'frame')}"

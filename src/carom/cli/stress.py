@@ -146,9 +146,7 @@ def _show(trials: list[Trial], scenes: dict[str, Scene]) -> None:
     from carom.cli.terminal import Terminal
     from carom.runs.outcome import in_words
 
-    console = Terminal(markup=True)
-    if not console.is_terminal:
-        console.width = PIPE_WIDTH
+    console = Terminal(markup=True, piped=PIPE_WIDTH)
     console.print(_table(trials))
     for trial in trials:
         if not trial.met:

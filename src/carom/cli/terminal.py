@@ -7,7 +7,6 @@ import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
 from rich.console import Console, ConsoleOptions, RenderableType
@@ -33,10 +32,15 @@ PATIENCE = 1.0  # s of work before a line names it
 
 
 class Terminal(Console):
-    """A console that prints text unchanged: no markup unless requested, and control characters as escapes."""
+    """A console that prints text unchanged: no markup unless requested, and control characters as escapes.
 
-    def __init__(self, **options: Any) -> None:
+    ``piped`` is the width in characters where the output is not a terminal.
+    """
+
+    def __init__(self, *, piped: int | None = None, **options: Any) -> None:
         super().__init__(**{"markup": False, "highlight": False, **options})
+        if piped is not None and not self.is_terminal:
+            self.width = piped
 
     def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterable[Segment]:
         """Render the text with control characters escaped."""
@@ -66,9 +70,7 @@ class LiveLine:
             self._live.start()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         if self._live:
             self._live.stop()
             self._live = None
@@ -125,13 +127,11 @@ class Patience(LiveLine):
         if self._everywhere and is_due and not (self._console.is_terminal or self._console.quiet):
             self._begin()
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._timer.cancel()
         if self._timer.is_alive():
             self._timer.join()
-        super().__exit__(kind, error, traceback)
+        super().__exit__()
 
     def _begin(self) -> None:
         if not self._console.is_terminal:

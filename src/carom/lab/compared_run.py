@@ -82,8 +82,6 @@ class RunGuard:
 
     Parameters
     ----------
-    bound
-        The bound.
     tell
         Called with a step and a simulated time in s, every `TELLING` seconds.
     """
@@ -131,7 +129,7 @@ class Trajectory:
     energy_error: float  # largest |integration error| over the energy scale, or energy added by contacts
     energy_gain: float  # largest rise of the total energy above its previous minimum, over the energy scale
     momentum_error: float  # largest error of the momentum over its scale
-    angular_momentum_error: float  # the same of the angular momentum
+    angular_momentum_error: float  # largest error of the angular momentum over its scale
     overlap: float  # deepest overlap over the smaller radius; NaN if no contact is possible
     sinking: float  # mean overlap over the smaller radius of contacts late in the run; NaN if nothing can be at rest
     impacts: int  # contacts that closed faster than the rest speed, summed over the steps
@@ -189,8 +187,6 @@ def follow(
     ----------
     times
         (K,) s, at which it is sampled.
-    bound
-        The bound.
     tell
         Called with the step and the time in s, every `TELLING` seconds.
 

@@ -146,13 +146,6 @@ class StaticCheck:
 
     Different styles and missing data are listed in ``skipped``, since another version may have written them. Different
     numbers are a difference.
-
-    Parameters
-    ----------
-    recording
-        The recording.
-    space
-        The replayed space.
     """
 
     def __init__(self, recording: Recording, space: Space) -> None:

@@ -125,10 +125,8 @@ class Recorder:
             raise RecordingError(f'units = "{named}": {error}') from None
         self.path = Path(path)
         refuse_name(self.path)
-        with claimed_output(
-            self.path, force
-        ):  # otherwise a folder that cannot be written would be noticed only in the run
-            pass
+        with claimed_output(self.path, force):
+            pass  # otherwise a folder that cannot be written would be noticed only in the run
         self._source, self._exact, self._force = source, exact, force
         self._read = reader_of(source)
         self._stepped = source.stepped if isinstance(source, SteppedSource) else None

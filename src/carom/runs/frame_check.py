@@ -58,8 +58,6 @@ class FrameCheck:
 
     Parameters
     ----------
-    recording
-        The recording.
     header
         Of the replayed space; it determines which entities must exist.
     steps
@@ -92,9 +90,8 @@ class FrameCheck:
         self._box = header.box
         self._impacts = None
         self._same_words = recording.versions == versions()
-        self._whole = (
-            all_frames and begin == 0 and is_whole(recording) and not recording.clip
-        )  # whether all frames so far are frames of the run
+        # whether all frames so far are frames of the run
+        self._whole = all_frames and begin == 0 and is_whole(recording) and not recording.clip
         self._complete = recording.finished and REPAIRED not in recording.outcome  # no rows were lost
         # every recorded series has a style; an older recording lacks the series added later
         self._styled = {entry.entity_path for entry in recording.store.entries if entry.is_static}

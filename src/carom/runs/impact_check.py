@@ -52,8 +52,6 @@ class ImpactCheck:
 
     Parameters
     ----------
-    recording
-        The recording.
     encoder
         Encoder of the replayed frames.
     rows
@@ -86,9 +84,8 @@ class ImpactCheck:
         steps = recording.fingerprints()[STEP]
         self._first_step = int(steps[0].as_py()) if len(steps) else 0  # a clip has no impacts before this step
         self._last_step = int(steps[-1].as_py()) if len(steps) else -1
-        self._closing: Mapping[str, Any] = (
-            {} if recording.clip else recording.closing
-        )  # clips have those of the whole run
+        # a clip has the closing properties of the whole run
+        self._closing: Mapping[str, Any] = {} if recording.clip else recording.closing
         self._leaves_out = impacts_until(recording, self._last_step).left_out > 0
         self._plan = ImpactPlan.of(encoder.header) if whole and few is None else None
         self.arrows: dict[int, int] = {}  # number of arrows that a frame should have, by step, where known
@@ -98,9 +95,8 @@ class ImpactCheck:
             self.skipped[OF_OTHERS] = None
         self._since: list[Records] = []
         self._missed = 0  # impacts that the replay left out
-        self._before: tuple[Frame, int | None] | None = (
-            None  # the previous recorded frame, and the number of impacts up to it
-        )
+        # the previous recorded frame, and the number of impacts up to it
+        self._before: tuple[Frame, int | None] | None = None
 
     def gather(self, frame: Frame) -> None:
         """Add the impacts before a frame, recorded or not."""

@@ -282,18 +282,19 @@ def overview(recording: Recording) -> list[tuple[str, str]]:
         ),
         ("energy", "; ".join(energy_texts(whole, units))),
         ("contacts", "; ".join(filter(None, (counts, overlap_text(contacts["max_overlap"] or 0.0))))),
-        *((f"promise {name}", _promise(verdict)) for name, verdict in whole["expect"].items()),
+        *((f"promise {name}", judged_promise(verdict)) for name, verdict in whole["expect"].items()),
         ("versions", ", ".join(f"{package} {version}" for package, version in recording.versions.items())),
         ("machine", f"{recording.properties.get('cpu', '')}, {recording.properties.get('platform', '')}"),
     ]
 
 
 def promise_text(verdict: dict[str, Any]) -> str:
-    """Describe the measurement and the promise."""
+    """Describe the measurement and the promise; older recordings have only upper bounds."""
     return f"{verdict['measured']:.3g}, {verdict.get('bound', 'at most')} {verdict['limit']:.3g}"
 
 
-def _promise(verdict: dict[str, Any]) -> str:
+def judged_promise(verdict: dict[str, Any]) -> str:
+    """Describe the measurement, the promise, and whether it was kept."""
     kept = "kept" if verdict["met"] else "MISSED"
     if not verdict.get("judged", True):
         kept = "not checked, since the run did not end at its duration"

@@ -197,11 +197,8 @@ def _run_again(
 
     ``recorder`` receives every step from the time ``begin`` (s).
     """
-    began, first, asked = (
-        math.inf,
-        run.begin,
-        False,
-    )  # the pace excludes the first step, which may include a compilation
+    # the pace excludes the first step, which may include a compilation
+    began, first, asked = math.inf, run.begin, False
     schedule = at(run.fingerprints) if recorder is None else every(0.0)
     try:
         for frame in space.run(schedule=schedule):

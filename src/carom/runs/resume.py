@@ -175,7 +175,7 @@ def continue_run(
     live: str | None = None,
     watch: Watcher | None = None,
 ) -> Outcome:
-    """Resume a run and record the whole of it.
+    """Resume a run, and record it from its start.
 
     The new recording is called ``NAME.resumed.rrd`` until it is complete. If the disk runs full it keeps that name, and
     the old recording is unchanged.

@@ -85,7 +85,7 @@ class Integrator:
 
     @property
     def keeps_accuracy(self) -> bool:
-        """Whether a look-ahead can choose its step for ``time.accuracy``: its errors fall fast enough to measure."""
+        """Whether its errors fall fast enough to be measured, so that a look-ahead can choose the step."""
         return self.controls_error or (self.order > 1 and self.ends_with_forces)
 
     @property

@@ -17,7 +17,7 @@ from carom.errors import RecordingError
 from carom.recording.layout import drawing
 from carom.recording.layout.drawing import shape
 from carom.recording.read.entities import reading
-from carom.recording.read.frame_rows import drawn_paths
+from carom.recording.read.frame_rows import drawn_paths, times_of
 from carom.recording.read.recorded_scene import header_of_recording
 from carom.recording.read.recording import Recording
 from carom.recording.schema import palette, paths
@@ -207,10 +207,7 @@ def _by_contacts(recording: Recording, n: int, by: str, step: ShownStep) -> Iter
 
 
 def _times(recording: Recording, steps: IntArray) -> tuple[list[int], list[float]]:
-    table = recording.fingerprints()
-    rows = np.searchsorted(table[STEP].to_numpy(), steps)
-    times = table["time"].to_numpy()[np.minimum(rows, table.num_rows - 1)]
-    return steps.tolist(), times.tolist()
+    return steps.tolist(), times_of(recording, steps).tolist()
 
 
 def _pairs(ends: SingleArray | None, position: SingleArray) -> IntArray:

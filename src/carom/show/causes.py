@@ -17,7 +17,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import pyarrow as pa
 import rerun as rr
 import rerun.blueprint as rrb
 
@@ -25,16 +24,14 @@ from carom.arrays import ColourArray, FloatArray, IntArray, SingleArray
 from carom.recording.layout import WINDOW, drawing
 from carom.recording.layout.camera import FEW, CameraFit
 from carom.recording.layout.canvas import Area, CameraMotion, View
-from carom.recording.read.frame_rows import drawn_paths
+from carom.recording.read.frame_rows import drawn_paths, times_of
 from carom.recording.read.recorded_scene import header_of_recording
 from carom.recording.read.recording import Recording
 from carom.recording.schema import palette, paths
-from carom.recording.schema.header import TimeScale
-from carom.recording.schema.paths import STEP
 from carom.recording.write.whole_file import Writer
 from carom.scene.units.dimension import IMPULSE
 from carom.show.body_colours import fixed_colours
-from carom.show.overlays import BESIDE, beside_bodies
+from carom.show.overlays import BESIDE, begin, beside_bodies, send_times
 from carom.show.supplement import Static
 
 GRAPH = "graph"
@@ -217,7 +214,7 @@ class Causes:
 
 def write_causes(out: Path, recording: Recording, causes: Causes) -> None:
     """Write a recording for the viewer. RecordingError if it cannot be written."""
-    radius, clock = recording.bodies.radius, TimeScale(float(recording.info["time_scale"]))
+    radius = recording.bodies.radius
     recording.refuse_some_bodies()
     steps, times, position = _frames(recording, causes)
     ends = [end for edge in causes.edges if edge.share >= _SHOWN for end in (edge.i, edge.j)]
@@ -228,10 +225,7 @@ def write_causes(out: Path, recording: Recording, causes: Causes) -> None:
     camera.look(position[:, inside].astype(np.float64))
     application = f"carom-{paths.SCHEMA_VERSION}-{uuid.uuid4().hex[:12]}"
     with Writer(out, application, str(uuid.uuid4())) as writer:
-        writer.log(paths.WORLD, rr.ViewCoordinates.RIGHT_HAND_Z_UP)
-        writer.log(_TEXT, rr.TextDocument(causes.text, media_type=rr.MediaType.MARKDOWN))
-        writer.send_property("carom", {"title": causes.title, "time_scale": clock.scale, "bodies": len(radius)})
-        writer.send_property("diff", {"a": recording.path.name, "b": "why", "verdict": causes.title})
+        clock = begin(writer, _TEXT, causes.text, recording, causes.title, {"b": "why", "verdict": causes.title})
         index = clock.columns(steps, times)
         faded = np.full(len(radius), _FADED, np.uint32)
         _bodies(writer, index, _CONE, recording, inside, position, colours, rr.components.FillMode.Solid)
@@ -248,9 +242,7 @@ def write_causes(out: Path, recording: Recording, causes: Causes) -> None:
         graph = _graph(recording, causes, colours)
         for path, archetype in graph.statics():
             writer.log(path, archetype)
-        fingerprints = pa.array([0] * len(steps), pa.uint64())
-        columns = rr.AnyValues.columns(True, time=pa.array(times), fingerprint=fingerprints)
-        writer.send_columns(paths.FINGERPRINT, index, columns)
+        send_times(writer, index, times)
         writer.send_layout(_layout(camera.view(BESIDE.aspect), graph))
         writer.flush()
 
@@ -258,9 +250,7 @@ def write_causes(out: Path, recording: Recording, causes: Causes) -> None:
 def _frames(recording: Recording, causes: Causes) -> tuple[list[int], list[float], SingleArray]:
     """Return steps, times (s) and drawn positions (k, n, 3) of the frames of the window and the one after it."""
     drawn = drawn_paths(recording, range(len(recording.bodies.radius)))
-    table = recording.fingerprints()
-    place = np.searchsorted(table[STEP].to_numpy(), drawn.steps)
-    times = table["time"].to_numpy()[np.minimum(place, table.num_rows - 1)]
+    times = times_of(recording, drawn.steps)
     first = max(0, int(np.searchsorted(times, causes.begin, side="right")) - 1)
     last = min(len(times), int(np.searchsorted(times, causes.end)) + 1)
     return drawn.steps[first:last].tolist(), times[first:last].tolist(), drawn.position[first:last]

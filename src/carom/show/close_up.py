@@ -22,12 +22,11 @@ from carom.recording.layout import faint_bodies
 from carom.recording.layout.camera import CameraFit
 from carom.recording.layout.canvas import CORNERS, LEGEND, Area, View, free_corner, spatial_view, surroundings
 from carom.recording.layout.drawing import line_radii, single
-from carom.recording.read.frame_rows import DrawnPaths, drawn_paths
+from carom.recording.read.frame_rows import DrawnPaths, drawn_paths, times_of
 from carom.recording.read.lookup import names_of
 from carom.recording.read.recording import Recording
 from carom.recording.schema import palette, paths
 from carom.recording.schema.header import Header
-from carom.recording.schema.paths import STEP
 from carom.recording.write.rows import BatchColumn, Index, Rows
 from carom.scene.units import dimension
 from carom.scene.units.system import UnitSystem
@@ -327,12 +326,10 @@ def close_up(
         spin = frame.angular_velocity[list(bodies)]
     position = _nearest_images(drawn.position[places], header.cell(drawn.time))
     contact = None if frame is None else _contact(header, frame, pair, position, recording.origin)
-    frames = recording.fingerprints()
     found, times = None, np.zeros(0)
     if 28 * len(recording.shown) * recording.frames < _MOST_BYTES:
         found = drawn_paths(recording, places)
-        own = np.searchsorted(frames[STEP].to_numpy(), found.steps)
-        times = frames["time"].to_numpy()[np.minimum(own, frames.num_rows - 1)]
+        times = times_of(recording, found.steps)
     seen, ends = position if pauses_within else at_end, None
     if contact is not None and np.any(contact.impulse):
         reach = _impulse_radii(header.radius[places])

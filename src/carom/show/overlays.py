@@ -57,6 +57,27 @@ def paused(root: rrb.Container) -> rrb.Blueprint:
 
 PROPERTY = "diff"
 
+
+def begin(
+    writer: Writer, entity: str, markdown: str, recording: Recording, title: str, compared: Mapping[str, Scalar]
+) -> TimeScale:
+    """Write the text and the properties of a comparison with the bodies of a recording; return its scale of time."""
+    clock = TimeScale(float(recording.info["time_scale"]))
+    writer.log(paths.WORLD, rr.ViewCoordinates.RIGHT_HAND_Z_UP)
+    writer.log(entity, rr.TextDocument(markdown, media_type=rr.MediaType.MARKDOWN))
+    own: dict[str, Scalar] = {"title": title, **recording.units.properties(), "time_scale": clock.scale}
+    writer.send_property("carom", {**own, "bodies": len(recording.bodies.radius)})
+    writer.send_property(PROPERTY, {"a": recording.path.name, **compared})
+    return clock
+
+
+def send_times(writer: Writer, index: list[rr.TimeColumn], times: Sequence[float] | FloatArray) -> None:
+    """Write the times (s) of frames; without fingerprints, since the frames show several runs."""
+    fingerprints = pa.array([0] * len(times), pa.uint64())
+    columns = rr.AnyValues.columns(True, time=pa.array(times), fingerprint=fingerprints)
+    writer.send_columns(paths.FINGERPRINT, index, columns)
+
+
 _A, _B, _LINES = "world/a/bodies", "world/b/bodies", "world/apart"
 _TEXT = "diff"
 _SERIES = {
@@ -97,7 +118,6 @@ def write_overlay(
     """
     radius = a.bodies.radius[a.shown][: len(b.shown)]  # some bodies may come in one run only
     names, origin = list(a.bodies.name[: len(radius)]), a.origin
-    clock = TimeScale(float(a.info["time_scale"]))
     every = max(1, int(np.ceil(count * len(radius) * 60 / _LARGEST)))
     shown = islice(pairs, 0, None, every)
     logarithms = {
@@ -106,9 +126,9 @@ def write_overlay(
     layout = hashlib.sha256(f"{a.path.name} {b.path.name} {a.scene_toml}".encode()).hexdigest()[:12]
     extent: CameraFit | None = None
     with Writer(out, f"carom-{paths.SCHEMA_VERSION}-{layout}", str(uuid.uuid4())) as writer:
-        writer.log(paths.WORLD, rr.ViewCoordinates.RIGHT_HAND_Z_UP)
+        title = f"{a.title}: two runs"
         lines = [
-            f"# {a.title}: two runs",
+            f"# {title}",
             text,
             f"- Solid: **A**, {a.path.name}",
             f"- Wires, drawn {_HALO - 1:.0%} larger: **B**, {b.path.name}",
@@ -117,16 +137,13 @@ def write_overlay(
             "- The plots are logarithms: a difference that grows exponentially is a straight line.",
             f"- Every {every}th frame is shown." if every > 1 else "",
         ]
-        writer.log(_TEXT, rr.TextDocument("\n".join(lines) + "\n", media_type=rr.MediaType.MARKDOWN))
+        clock = begin(writer, _TEXT, "\n".join(lines) + "\n", a, title, {"b": b.path.name, "verdict": text})
         colours = fixed_colours(a)[: len(radius)]
         writer.log(_A, _spheres(radius, colours, names, FillMode.Solid))
         writer.log(_B, _spheres(_HALO * radius, colours, names, FillMode.MajorWireframe))
         writer.log(_LINES, rr.LineStrips3D.from_fields(radii=rr.Radius.ui_points(1.5), colors=palette.VERMILION))
         for path, name, dimension, colour in _SERIES.values():
             writer.log(path, curve_style(_heading(name, dimension, a.units), colour))
-        own = {"title": f"{a.title}: two runs", **a.units.properties()}
-        writer.send_property("carom", {**own, "time_scale": clock.scale, "bodies": len(radius)})
-        writer.send_property(PROPERTY, {"a": a.path.name, "b": b.path.name, "verdict": text})
         done = 0
         while batch := list(islice(shown, max(1, _BATCH // (60 * len(radius))))):
             extent = extent or CameraFit(radius, batch[0].a - origin, motion=CameraMotion.STILL)
@@ -160,9 +177,7 @@ def _send(
     writer.send_columns(_LINES, index, rr.LineStrips3D.columns(strips=list(strips)).partition(lines))
     for name, values in series.items():
         writer.send_columns(_SERIES[name][0], index, rr.Scalars.columns(scalars=values))
-    times = pa.array([pair.time for pair in batch])
-    columns = rr.AnyValues.columns(True, time=times, fingerprint=pa.array([0] * len(batch), pa.uint64()))
-    writer.send_columns(paths.FINGERPRINT, index, columns)
+    send_times(writer, index, [pair.time for pair in batch])
 
 
 def _logarithm(values: FloatArray) -> FloatArray:
@@ -172,7 +187,7 @@ def _logarithm(values: FloatArray) -> FloatArray:
     return np.where(np.isfinite(logarithm), logarithm, np.nan)
 
 
-def _spheres(radius: FloatArray, colours: ColourArray, names: list[str], fill: FillMode) -> rr.Ellipsoids3D:
+def _spheres(radius: FloatArray, colours: ColourArray | None, names: list[str], fill: FillMode) -> rr.Ellipsoids3D:
     return rr.Ellipsoids3D.from_fields(
         half_sizes=np.repeat(radius.astype(np.float32), 3).reshape(-1, 3),
         colors=colours,
@@ -269,8 +284,7 @@ def write_trajectories(path: Path, space: Space, time: FloatArray, trajectories:
             own = None if bodies is None or trajectory is trajectories[0] else bodies
             _send_trajectories(writer, name, trajectory, colour, own, width, time, radius, origin, clock)
         index = clock.columns(list(range(1, len(time) + 1)), time.tolist())
-        frames = rr.AnyValues.columns(True, time=pa.array(time), fingerprint=pa.array([0] * len(time), pa.uint64()))
-        writer.send_columns(paths.FINGERPRINT, index, frames)
+        send_times(writer, index, time)
         legends = [trajectory.name for trajectory in trajectories if len(trajectory.distance)]
         # all positions are in the picture, above the curves and beside them
         position = trajectories[0].position - origin
@@ -392,29 +406,18 @@ def shades(spread: FloatArray, radius: FloatArray) -> ColourArray:
 
 def write_forecast(out: Path, recording: Recording, forecast: Forecast) -> None:
     """Write a recording for the viewer. RecordingError if it cannot be written."""
-    radius, origin = recording.bodies.radius, recording.origin
-    clock = TimeScale(float(recording.info["time_scale"]))
-    steps = list(range(len(forecast.time)))
-    index = clock.columns(steps, forecast.time.tolist())
+    radius, origin, steps = recording.bodies.radius, recording.origin, list(range(len(forecast.time)))
     count = [len(radius)] * len(steps)
     shown = forecast.position - origin
     camera = CameraFit(radius, shown[0], motion=CameraMotion.STILL)
     camera.look(shown)
     application = f"carom-{paths.SCHEMA_VERSION}-{uuid.uuid4().hex[:12]}"
     with Writer(out, application, str(uuid.uuid4())) as writer:
-        writer.log(paths.WORLD, rr.ViewCoordinates.RIGHT_HAND_Z_UP)
-        writer.log(_FORK, rr.TextDocument(forecast.text, media_type=rr.MediaType.MARKDOWN))
-        half = np.repeat(radius.astype(np.float32), 3).reshape(-1, 3)
-        names = list(recording.bodies.name)
-        solid = rr.components.FillMode.Solid
-        writer.log(
-            _BODIES, rr.Ellipsoids3D.from_fields(half_sizes=half, fill_mode=solid, labels=names, show_labels=False)
-        )
+        clock = begin(writer, _FORK, forecast.text, recording, forecast.title, {"b": "fork", "verdict": forecast.title})
+        index = clock.columns(steps, forecast.time.tolist())
+        writer.log(_BODIES, _spheres(radius, None, list(recording.bodies.name), FillMode.Solid))
         for path, name, colour in _BAND:
             writer.log(path, curve_style(name, colour))
-        own = {"title": forecast.title, **recording.units.properties()}
-        writer.send_property("carom", {**own, "time_scale": clock.scale, "bodies": len(radius)})
-        writer.send_property("diff", {"a": recording.path.name, "b": "fork", "verdict": forecast.title})
         colours = np.concatenate([shades(row, radius) for row in forecast.spread])
         centres = shown.reshape(-1, 3).astype(np.float32)
         writer.send_columns(_BODIES, index, rr.Ellipsoids3D.columns(centers=centres, colors=colours).partition(count))
@@ -429,9 +432,7 @@ def write_forecast(out: Path, recording: Recording, forecast: Forecast) -> None:
                 chance_index = clock.columns(np.searchsorted(forecast.time, times).tolist(), times.tolist())
                 writer.log(path, curve_style(name, colour))
                 writer.send_columns(path, chance_index, rr.Scalars.columns(scalars=values))
-        times = pa.array(forecast.time)
-        fingerprints = pa.array([0] * len(steps), pa.uint64())
-        writer.send_columns(paths.FINGERPRINT, index, rr.AnyValues.columns(True, time=times, fingerprint=fingerprints))
+        send_times(writer, index, forecast.time)
         plots = [_plot(f"{recording.units.labelled('log₁₀ of rms distance', LENGTH)}: median, 5 and 95 %", _BAND)]
         if len(forecast.chances):
             plots.append(_plot("Probability of the outcome over the time of the fork", _CHANCE))

@@ -139,8 +139,6 @@ def presentation(
         The recording to show.
     moment
         s.
-    canvas
-        The window.
     only
         A single view, or all.
     within

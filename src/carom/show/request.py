@@ -213,9 +213,9 @@ class ShownStep:
     position: FloatArray  # (n, 3) m, from the recording's origin, of the bodies that it shows
     frame: Frame | None = None  # the step, if it was repeated
     before: Frame | None = None  # the frame before those in `added`
-    added: Sequence[Frame] = ()  # repeated steps: this one, those between recorded frames, and the frame after them
+    added: Sequence[Frame] = ()  # repeated steps: this one, the steps between recorded frames, and the frame after them
     state: Instant | None = None  # of an instant within the step: energies and spins before and after
-    missing: str = ""  # why the step could not be repeated, if the recording has no frame of it
+    missing: str = ""  # why the step could not be repeated, if the step has no frame
 
 
 def shown_step(
@@ -317,8 +317,6 @@ def at_impact(
 
     Parameters
     ----------
-    step
-        The step.
     pair
         The two ends of the impact. Of several impacts, the nearest in time is chosen, then the fastest.
     header, origin

@@ -21,7 +21,7 @@ from carom.recording.layout import TRAILS
 from carom.recording.layout.camera import FEW, CameraFit
 from carom.recording.layout.canvas import Area
 from carom.recording.layout.plot_views import CurveOutline, curve_style, time_series_view
-from carom.recording.read.frame_rows import drawn_paths
+from carom.recording.read.frame_rows import drawn_paths, times_of
 from carom.recording.read.lookup import body_number, split_at_commas
 from carom.recording.read.recording import Recording
 from carom.recording.schema import palette
@@ -83,11 +83,9 @@ class Trails:
 
     def __init__(self, recording: Recording, header: Header, colours: ColourArray) -> None:
         drawn = drawn_paths(recording, range(len(header.radius)))
-        table = recording.fingerprints()
-        rows = np.minimum(np.searchsorted(table[STEP].to_numpy(), drawn.steps), table.num_rows - 1)
         every = -(-len(drawn.steps) // _MOST_FRAMES)
         self._steps = drawn.steps[::every]
-        self._times = table["time"].to_numpy()[rows][::every]
+        self._times = times_of(recording, self._steps)
         self._position = drawn.position[::every]
         self._box, self._shear = header.box, header.shear
         untouched = recording.closing.get("contacts.total") == 0 and header.box is None

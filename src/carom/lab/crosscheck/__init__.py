@@ -175,10 +175,7 @@ def _console() -> Terminal:
     from carom.extend import Terminal
     from carom.lab.tradeoff import PIPE_WIDTH
 
-    console = Terminal(markup=True)
-    if not console.is_terminal:
-        console.width = PIPE_WIDTH
-    return console
+    return Terminal(markup=True, piped=PIPE_WIDTH)
 
 
 def _show(document: dict[str, Any], units: UnitSystem, folder: Path) -> None:

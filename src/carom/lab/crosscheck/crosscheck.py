@@ -212,8 +212,6 @@ class Crosscheck:
 
     Parameters
     ----------
-    scene
-        The scene.
     engines
         The engines to compare carom with.
     folder

@@ -84,8 +84,6 @@ def parting_of(
 
     Parameters
     ----------
-    run
-        The run.
     reference
         The reference; samples up to the horizon are compared.
     broken

@@ -99,7 +99,7 @@ class Impact:
     """One recorded impact."""
 
     number: int  # in its own run, from 1 on
-    bodies: tuple[int, int]  # from n on planes and walls
+    bodies: tuple[int, int]  # numbers from n on are planes and walls
     time: float  # s
     approach_speed: float  # m/s
     normal_impulse: float  # N s
@@ -249,7 +249,7 @@ def _times_differ(a: Recording, b: Recording, one: FloatArray, other: FloatArray
 
 
 def _counts(a: Recording, b: Recording) -> tuple[int, int] | None:
-    """Count all impacts, recorded or not, up to the last frame with the same time in both."""
+    """Count all impacts, recorded or not, up to the last frame with the same time in both recordings."""
     frames = [recording.fingerprints() for recording in (a, b)]
     times = [table["time"].to_numpy() for table in frames]
     end = min(time[-1] for time in times) * (1.0 + SAME_TIME)

@@ -188,9 +188,8 @@ class FrameAlignment:
         changing = a.lives is not None or b.lives is not None
         if shown[0] != shown[1] and not (changing and a.shows_all and b.shows_all):
             raise RecordingError(f"{a.path} and {b.path} contain different bodies and cannot be compared")
-        self._common = (
-            min(map(len, shown)) if changing else None
-        )  # bodies with numbers in both; None if all exist always
+        # the number of bodies that both recordings number; None if all bodies always exist
+        self._common = min(map(len, shown)) if changing else None
         self._a, self._b = _Frames(a), _Frames(b)
         self._of_bits = bool(a.engine) == bool(b.engine)
         self._cell = a.cell
@@ -219,7 +218,7 @@ class FrameAlignment:
         return len(self._first)
 
     def at(self, k: int) -> tuple[FloatArray, FloatArray, float]:
-        """Return the positions in both (m), and the smallest rms difference that rounding cannot explain (m).
+        """Return both recordings' positions (m), and the smallest rms difference (m) that rounding cannot explain.
 
         Where bodies come and go, only the bodies that exist in both frames are included.
         """
@@ -359,7 +358,7 @@ def _rms(vectors: FloatArray) -> float:
 class FirstContact:
     """A contact of the first bodies that differ."""
 
-    ends: tuple[int, int]  # from n on planes
+    ends: tuple[int, int]  # numbers from n on are planes
     forces: tuple[float | None, float | None]  # N, along the normal; None where the run lacks this contact
 
 

@@ -271,7 +271,7 @@ def engines_called(names: Iterable[str]) -> list[Engine]:
 ROUNDING = 1e-9  # of the duration, by which the sum of the steps may fall short
 COMPLETED = "completed"
 MOST_SEEN = 20_000  # steps examined where nothing can touch
-FRAMES = 600  # frames of a recording, in addition to those that violate a law
+FRAMES = 600  # frames of a recording, in addition to the frames that violate a law
 
 
 @dataclass(frozen=True, slots=True)
@@ -424,7 +424,7 @@ class _Walk:
 
 
 class _Log:
-    """The recording of a run: `FRAMES` of its frames, and those that violate a law."""
+    """The recording of a run: `FRAMES` of its frames, and all frames that violate a law."""
 
     def __init__(self, stack: ExitStack, path: Path, scene: Scene, observer: Observer) -> None:
         self._scene, self._due = scene, 0.0  # s, of the next recorded frame

@@ -187,9 +187,9 @@ class Box3DForces:
 
     Box3D has the impulses of its last substep, and sums over all substeps, in which a substep may count twice. Neither
     is the impulse of a step with an impact. Among spheres, impulses are therefore those that change the normal
-    velocities of touching bodies as observed in the step, as near as possible to those of the last substep. For other
-    shapes and in large piles, they are those of the last substep or, in an impact, the sum over the step. Friction is
-    always that of the last substep.
+    velocities of touching bodies as observed in the step, as near as possible to the impulses of the last substep. For
+    other shapes and in large piles, they are the impulses of the last substep or, in an impact, their sum over the
+    step. Friction is always taken from the last substep.
 
     Parameters
     ----------

@@ -68,7 +68,7 @@ class MuJoCoSource:
         radius = np.array([_reach(model, data, b, geoms) for b, geoms in zip(moving, own, strict=True)])
         self._simple = bool(free.all())
         self._joint = model.body_jntadr[self._moving]
-        # the end of each shape: a body, a plane (from n on), or -1 for none
+        # the end of each shape: a body, a plane (numbers from n on), or -1 for none
         ends = np.full(model.ngeom, -1)
         of_body = {body: k for k, body in enumerate(moving)}
         for geom in range(model.ngeom):

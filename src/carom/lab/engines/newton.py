@@ -1,7 +1,7 @@
 """Newton: its recorder, and the engine that `crosscheck` compares.
 
 Newton moves rigid bodies by extended position-based dynamics (XPBD), on the processor, in single precision. The
-recorder audits free spheres. It only draws bodies with other joints or shapes.
+recorder audits free spheres; bodies with other joints or shapes are only drawn.
 
 Newton combines coefficients of restitution and friction by the mean. Bodies get the coefficients of the scene; a plane
 gets the values for which the mean equals its own coefficients. A contact moves bodies only once they overlap.

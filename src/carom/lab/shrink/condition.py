@@ -217,7 +217,7 @@ class Met:
     text: str
     first: str  # a number or a name
     second: str
-    pair: Pair | None = None  # names of both; None before the first run
+    pair: Pair | None = None  # names of both ends; None before the first run
     needs_impacts = True
     of_whole_run = False
 

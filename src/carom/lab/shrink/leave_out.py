@@ -272,7 +272,7 @@ def _shorten(smallest: Smallest, path: KeyPath) -> bool:
 
 
 def _move_frame(smallest: Smallest) -> bool:
-    """Move the frame to the first body at rest, where the frame does not matter."""
+    """Subtract the position and the velocity of the first body from all, where only differences matter."""
     if any(key in smallest.document for key in _FIXED_FRAME):
         return False
     changed = False

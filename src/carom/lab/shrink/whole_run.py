@@ -223,9 +223,8 @@ def applies(name: str, scene: Scene) -> bool:
             return not (scene.group or bounded or needs.tree.modelled)
         case "steps":
             return scene.time.fixed_dt is not None and not needs.contact.modelled
-        case (
-            _
-        ):  # steps follow from the smallest possible radius of a group, but from the actual smallest radius of arrays
+        case _:
+            # steps follow from the smallest possible radius of a group, but from the actual smallest radius of arrays
             draws = any(group.radius.min < group.radius.max for group in scene.group)
             return not (draws or scene.material or scene.unit_system.converts)
 

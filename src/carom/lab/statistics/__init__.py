@@ -58,7 +58,7 @@ class ContactColumns(NamedTuple):
     elapsed: float  # s, the length of these steps in all
     frame: IntArray  # (k,) index of the frame, from 0
     i: IntArray  # (k,) i < j
-    j: IntArray  # (k,) from n on: planes and walls
+    j: IntArray  # (k,) numbers from n on are planes and walls
     normal: FloatArray  # (k, 3) from i to j
     impulse: FloatArray  # (k,) N s, along the normal
     force: FloatArray  # (k,) N, along the normal
@@ -71,7 +71,7 @@ class ImpactColumns(NamedTuple):
     step: IntArray  # (k,)
     time: FloatArray  # (k,) s
     i: IntArray  # (k,) i < j
-    j: IntArray  # (k,) from n on: planes and walls
+    j: IntArray  # (k,) numbers from n on are planes and walls
     point: FloatArray  # (k, 3) m
     normal: FloatArray  # (k, 3) from i to j
     speed: FloatArray  # (k,) m/s, of approach

@@ -59,9 +59,8 @@ def measure_free_paths(interval: Interval) -> Statistic:
     impacts, moving = interval.impacts, interval.moving
     ends = np.concatenate([impacts.i, impacts.j])
     all_of_them = 1.0 + interval.impacts_left_out / len(impacts.step)
-    collisions = (
-        np.count_nonzero(moving[ends[ends < interval.bodies]]) * all_of_them
-    )  # an impact of two bodies is two collisions
+    # an impact of two bodies is two collisions
+    collisions = np.count_nonzero(moving[ends[ends < interval.bodies]]) * all_of_them
     exposure = np.count_nonzero(moving) * interval.duration
     paths = paths_of(interval)
     spread = 1.0 / np.sqrt(len(impacts.step))  # relative error of a count of independent impacts

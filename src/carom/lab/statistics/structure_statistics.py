@@ -140,7 +140,7 @@ def chains_of(pairs: IntArray, normal: FloatArray, force: FloatArray, radius: Fl
     Parameters
     ----------
     pairs
-        (k, 2) the ends of contacts; from n on planes.
+        (k, 2) the ends of contacts; numbers from n on are planes.
     normal
         (k, 3) from the first end to the second.
     force

@@ -283,9 +283,7 @@ def show(folder: Path, conditions: list[str], sort: str | None, columns: str | N
         )
     for row in found:
         table.add_row(*(escape(_cell(row, key)) for key in keys), style=None if row["status"] == "done" else "red")
-    console = Terminal(markup=True)
-    if not console.is_terminal:
-        console.width = PIPE_WIDTH
+    console = Terminal(markup=True, piped=PIPE_WIDTH)
     console.print(escape(stored["title"]))
     console.print(table)
     counts = f"{len(found)} of {len(rows)} runs" if len(found) < len(rows) else f"{len(rows)} runs"
@@ -293,7 +291,7 @@ def show(folder: Path, conditions: list[str], sort: str | None, columns: str | N
 
 
 def print_json(folder: Path, conditions: list[str], sort: str | None, columns: str | None) -> None:
-    """Print the rows of a sweep as JSON, with all columns or with those of the table."""
+    """Print the rows of a sweep as JSON, with all columns or only with the chosen ones."""
     from carom.lab.sweep.sweep_table import chosen
 
     rows, stored = _rows(folder)

@@ -9,7 +9,6 @@ import re
 import socket
 import uuid
 from collections.abc import Callable, Mapping
-from types import TracebackType
 from typing import Any, Self
 
 import dask
@@ -60,9 +59,7 @@ class DaskWorkers:
             self._stack = self._stack.pop_all()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._stack.close()
 
     @property

@@ -177,9 +177,7 @@ def _show(study: Study) -> None:
 
     from carom.extend import Terminal
 
-    console = Terminal(markup=True)
-    if not console.is_terminal:
-        console.width = PIPE_WIDTH
+    console = Terminal(markup=True, piped=PIPE_WIDTH)
     console.print(table_of(study))
     reference = study.reference
     if reference is None:
@@ -313,9 +311,7 @@ def tune_command(
     if not as_json:
         from carom.extend import Terminal
 
-        console = Terminal(markup=True)
-        if not console.is_terminal:
-            console.width = PIPE_WIDTH
+        console = Terminal(markup=True, piped=PIPE_WIDTH)
         console.print(table_of(study, asked))
     if not finished:
         if as_json:

@@ -280,9 +280,9 @@ class SettingResult:
     reason: str = ""  # why it was refused, stopped or failed
     costs: list[float] = field(default_factory=list)  # s, of each run
     steps: int = 0
-    frames: int = 0  # in a recording of it
+    frames: int = 0  # in a recording of the run
     errors: Errors | None = None
-    spent: float = 0.0  # s of CPU time at which it was stopped
+    spent: float = 0.0  # s of CPU time at which the run was stopped
 
     @property
     def cost(self) -> float:

@@ -20,7 +20,7 @@ class Cause:
     A stop is like an impact, but of a contact that closed no faster than its rest speed (docs/physics.md, 9).
     """
 
-    partner: int  # the other end; from n on planes and walls
+    partner: int  # the other end; numbers from n on are planes and walls
     holds: bool  # whether it is a contact at rest
     first: float  # s
     last: float  # s; equal to `first` for an impact
@@ -32,7 +32,7 @@ class Cause:
     hardest: float  # N s, the largest impulse of a step
     approach_speed: float | None = None  # m/s, of an impact
     energy_lost: float | None = 0.0  # J, dissipated by restitution and friction, of both bodies; None: unknown
-    lasts: bool = False  # whether an impact is a force that lasts for some steps, as those of other engines
+    lasts: bool = False  # whether an impact is a force that lasts for some steps, as impacts of other engines do
     share: float = 0.0  # of the velocity; with start and forces, the shares of an account sum to 1
 
     @property
@@ -207,7 +207,7 @@ class Account:
     ) -> FloatArray:
         """Undo impulses that act together, given their shares, (k,); return the velocity before them.
 
-        Contacts at rest, and those that last, cancel a ``kick``, (3,) m/s, of the forces. Their work is computed with
+        Contacts at rest and lasting contacts cancel a ``kick``, (3,) m/s, of the forces. Their work is computed with
         the mean velocity without this kick: the normal force of a floor does no work on a ball that slides on it.
         """
         impulses = self._impulses(rows)
@@ -229,7 +229,7 @@ class Account:
         lasts = bool(row["lasts"])
         cause = Cause(partner, holds, time, time, step, impulse, size, work, time, size, share=share, lasts=lasts)
         if not holds:
-            # approach speed and energy loss are those of the recorded impact
+            # approach speed and energy loss are taken from the recorded impact
             low, high = min(self.body, cause.partner), max(self.body, cause.partner)
             own = impacts[(impacts["i"] == low) & (impacts["j"] == high) & (impacts["time"] == cause.moment)]
             if len(own):  # a pair may meet several times at one moment

@@ -12,10 +12,10 @@ the magnitudes of their components along e, |v⁻·e| : |J₁·e|/m : |J₂·e|/
 magnitudes count.
 
 A sum over many short steps converges, so shares depend on the step no more than the motion does. Impacts of other
-engines last for some steps, so their shares are divided as those of forces. A share contributed by forces has reached
-its cause. A share that passes over a contact is divided between the two ends, in proportion to their speeds along the
-impulse before the impact: these speeds cause the impulse. If several bodies touch in an instant, a share may also come
-from further impulses on the other end. A plane returns its whole share.
+engines last for some steps, so their shares are divided like the shares of forces. A share contributed by forces has
+reached its cause. A share that passes over a contact is divided between the two ends, in proportion to their speeds
+along the impulse before the impact: these speeds cause the impulse. If several bodies touch in an instant, a share may
+also come from further impulses on the other end. A plane returns its whole share.
 
 Shares are between 0 and 1. Membership is exact: going back in time, a body belongs to the cone from its first contact
 with a body of the cone.

@@ -40,13 +40,13 @@ IMPULSE = np.dtype(
         ("instant", np.int64),  # number within the step; impulses of one instant act together
         ("time", np.float64),  # s
         ("i", np.int64),  # i < j
-        ("j", np.int64),  # from n on: planes and walls
+        ("j", np.int64),  # numbers from n on are planes and walls
         ("x", np.float64),  # N s, the impulse on j; the impulse on i is the opposite
         ("y", np.float64),
         ("z", np.float64),
         ("holds", np.bool_),  # whether it holds a contact at rest
         ("impact", np.bool_),  # whether the contact closed faster than its rest speed; if neither, it is a stop
-        ("lasts", np.bool_),  # whether it is a force over the whole step, as those of other engines are
+        ("lasts", np.bool_),  # whether it is a force over the whole step, as contacts of other engines are
     ]
 )
 
@@ -175,8 +175,6 @@ def question_of(recording: Recording, body: str | None, at: float | None, event:
 
     Parameters
     ----------
-    recording
-        The recording.
     body
         Number or name of a body.
     at

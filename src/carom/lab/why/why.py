@@ -63,7 +63,7 @@ class Answer:
 
     @property
     def edges(self) -> list[Edge]:
-        """The contacts of the cone, those with the largest share first."""
+        """The contacts of the cone, the largest share first."""
         return sorted(self.cone.edges.values(), key=lambda edge: -edge.share)
 
     @property
@@ -84,8 +84,6 @@ def why(
     ----------
     recording
         The recording of the run.
-    question
-        The question.
     start
         s; the window begins at the last checkpoint before it. By default it goes back as far as is cheap, and at least
         to the last checkpoint before the moment.

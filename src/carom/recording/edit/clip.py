@@ -53,9 +53,8 @@ class Selection:
 
     def __init__(self, numbers: Sequence[int], shown: Sequence[int], box: FloatArray | None, bodies: int) -> None:
         self._numbers = np.array(sorted(set(numbers)), dtype=np.int64)
-        self._places = np.searchsorted(
-            np.asarray(shown), self._numbers
-        )  # indices among the bodies that the source shows
+        # indices among the bodies that the source shows
+        self._places = np.searchsorted(np.asarray(shown), self._numbers)
         self._shown = len(shown)
         self._box = box
         self._bodies_in_all = bodies

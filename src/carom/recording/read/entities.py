@@ -170,8 +170,6 @@ class Entities:
 
     Parameters
     ----------
-    container
-        The file.
     store
         One of its recordings.
     """

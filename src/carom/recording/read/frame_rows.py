@@ -128,6 +128,13 @@ def drawn_paths(recording: Recording, places: Sequence[int]) -> DrawnPaths:
     return DrawnPaths(np.concatenate(steps), np.concatenate(positions), oriented)
 
 
+def times_of(recording: Recording, steps: IntArray) -> FloatArray:
+    """Return the times (s) of the frames of ascending steps."""
+    table = recording.fingerprints()
+    rows = np.searchsorted(table[STEP].to_numpy(), steps)
+    return np.asarray(table["time"].to_numpy()[np.minimum(rows, table.num_rows - 1)])
+
+
 def _numbers(column: pa.Array) -> SingleArray:
     while pa.types.is_nested(column.type):
         column = column.flatten()

@@ -34,8 +34,6 @@ def body_number(recording: Recording, body: int | str) -> int:
 
     Parameters
     ----------
-    recording
-        The recording.
     body
         The number, the name, or the number as text, such as "3"; "#3" if another body has the name "3".
 

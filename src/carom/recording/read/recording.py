@@ -84,7 +84,7 @@ class Recording(FrameTables):
     def lives(self) -> IntArray | None:
         """Steps (n, 2) of the first and the last frame with each body, where bodies came or went; otherwise None.
 
-        A body without a frame has -1 in both.
+        Both numbers are -1 for a body without a frame.
         """
         stored = self._entities.static(paths.LIVES, required=False)
         if not stored:
@@ -193,7 +193,7 @@ class Recording(FrameTables):
         Returns
         -------
         impacts
-            Columns step, time (s), i, j (ends; from n on planes and walls), x, y, z (m, the contact point), nx, ny, nz
+            Columns step, time (s), i, j (ends; planes and walls from n on), x, y, z (m, the contact point), nx, ny, nz
             (from i to j), approach_speed (m/s), normal_impulse, tangential_impulse (N s), mode, energy_lost (J),
             normal_force, tangential_force (null: an impact has no force), angular_impulse_i, angular_impulse_j (N m s,
             |r × J| about the centre of each body; null without spins, and for planes and walls). The metadata of the

@@ -1,8 +1,8 @@
 """The scalars of every frame: the table behind the encoder, the plots, the inventory and docs/recording.md.
 
-To add a scalar, add a `Series` here, and its row to the table in docs/recording.md. Scenes add the series of installed
-packages by ``record.series``, and those of their forces by ``[forces]``. The inventory at the end lists all entities
-that a recording of a scene has.
+To add a scalar, add a `Series` here, and its row to the table in docs/recording.md. ``record.series`` of a scene
+adds series of installed packages, and ``[forces]`` adds the series of installed forces. The inventory at the end lists
+all entities that a recording of a scene has.
 """
 
 from __future__ import annotations

@@ -133,7 +133,7 @@ class Rows:
 
     @property
     def steps(self) -> IntArray:
-        """The steps of the rows; none where they are on the timeline of impacts only."""
+        """The steps of the rows; empty if the rows are only on the timeline of impacts."""
         return self.index.steps
 
 

@@ -40,7 +40,7 @@ from carom.scene.wording import counted
 _MOST_DATASETS = 10_000
 _MOST_NODES = 20_000  # groups and datasets; looking through them takes half a second
 _LONGEST_PATH = 1000  # characters; HDF5 takes a time that grows as the square of the depth
-_HEADER = "Header"  # group in Gadget's snapshots, and in those of AREPO, GIZMO and SWIFT
+_HEADER = "Header"  # group in the snapshots of Gadget, AREPO, GIZMO and SWIFT
 _OF_TYPE = re.compile(r"PartType(\d)/\w+")
 _MASSES = "Masses"
 _OF_GAS = ("Density",)  # of the gas around a particle, not of a sphere
@@ -362,11 +362,10 @@ def _box(simulation: Any) -> tuple[float, float, float] | None:
 
 
 def _attracting(simulation: Any, mass: FloatArray, called: str, notes: list[str]) -> FloatArray:
-    """Return the attracting masses: those of REBOUND's test particles attract nothing."""
+    """Return the masses that attract: REBOUND's test particles, whose mass may be given, attract nothing."""
     n, active = len(mass), int(simulation.N_active)
-    light = (
-        mass[active:] if 0 <= active < n else mass[n:]
-    )  # by default all are active: N_active is -1 or the largest integer
+    # by default all are active: N_active is -1 or the largest integer
+    light = mass[active:] if 0 <= active < n else mass[n:]
     if not light.any():
         return mass
     if simulation.testparticle_type == 0:

@@ -50,11 +50,8 @@ _COMMA = re.compile(r"[+-]?\d*,\d+(?:[eEdD][+-]?\d+)?")  # a number with a decim
 _YADE = re.compile(r"#\s*format\s+(\S+)")  # columns in YADE's text export, such as x_y_z_r
 _UNIT = re.compile(r"\s+(?=[\[(])")  # blanks before the unit of a name
 _STREAM_IN_FILE = 8  # bytes before the stream in an Arrow file
-_SIGNS = {
-    b"$$SOE": "horizons",
-    b"ITEM: TIMESTEP": "dump",
-    b"Des'n": "mpcorb",
-}  # in text files of any format, whatever their suffix
+# beginnings in text files of any format, whatever their suffix
+_SIGNS = {b"$$SOE": "horizons", b"ITEM: TIMESTEP": "dump", b"Des'n": "mpcorb"}
 _PARQUET_END = 8  # bytes of the length of a footer and of the mark after it
 _FOOTER_HEAD = 32  # bytes of a footer that have the number of its elements
 _FOOTER = re.compile(rb"\x15[\x80-\xff]*[\x00-\x7f]\x19\xfc([\x80-\xff]*[\x00-\x7f])", re.S)  # of 15 or more elements

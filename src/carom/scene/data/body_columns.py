@@ -369,7 +369,7 @@ class _Reader:
 
 
 def _refuse_other_units(table: DataTable, units: UnitSystem, mapping: ColumnMapping) -> None:
-    """Refuse a table whose units differ from those of the scene."""
+    """Refuse a table in other units than the scene."""
     if not table.units or units.dimensionless:
         return
     its = UnitSystem.of_text(table.units)

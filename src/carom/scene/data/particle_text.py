@@ -305,7 +305,7 @@ def open_xyz(path: Path, called: str, snapshot: int) -> DataTable:
 
 
 def _names(called: str, comment: str, rows: list[str]) -> list[str]:
-    """Return the names of the columns: those of the extended form, or a species and three coordinates."""
+    """Return the names of the columns: as the extended form states them, or a species and three coordinates."""
     found = _PROPERTIES.search(comment)
     if found is None:
         columns = len(rows[0].split()) if rows else 4
