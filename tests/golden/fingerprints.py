@@ -54,6 +54,7 @@ OTHER_STEPS = {  # more until something touches, fewer where a step takes millis
     "newtons-cradle": 400,
     "bouncing-ball": 120,
     "billiards": 120,
+    "dense-shear": 4,
     "drum": 45,
     "hopper": 50,
     "piston": 230,

@@ -37,6 +37,7 @@ SHORT = {
     "asteroid-belt": 0.05,
     "chute": 0.06,  # the balls have fallen onto the bed
     "cloud-collapse": 0.55,
+    "dense-shear": 0.01,
     "drum": 0.1,  # the balls have fallen onto it, and onto each other
     "elastic-gas": 0.15,
     "five-materials": 0.35,

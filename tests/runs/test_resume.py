@@ -28,7 +28,7 @@ from small_scenes import bundled, cloud, two_planets
 
 LONG = (  # a tenth of the duration takes the same path
     *("asteroid-belt", "chute", "drum", "hopper", "marbles-in-a-box", "planet-with-gravel", "rubble-collision"),
-    *("piston", "shaker", "shear-cell"),
+    *("piston", "shaker", "shear-cell", "dense-shear"),
 )
 CONTENT = ("fingerprints", "energy", "steps", "momentum", "events", "phases", "dt_limits")
 

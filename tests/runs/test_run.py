@@ -290,7 +290,7 @@ def bundled(tmp_path_factory: pytest.TempPathFactory) -> Bundled:
 
 LONG = (  # seconds each
     *("asteroid-belt", "chute", "cloud-collapse", "drum", "hopper", "piston", "shaker"),
-    *("marbles-in-a-box", "planet-with-gravel", "rubble-collision", "shear-cell"),
+    *("marbles-in-a-box", "planet-with-gravel", "rubble-collision", "shear-cell", "dense-shear"),
 )
 SHORT = [name for name in bundled_scenes() if name not in LONG]
 

@@ -12,7 +12,7 @@ import carom
 from carom import Recording
 from carom.errors import RecordingError
 from carom.lab.statistics import Interval
-from carom.lab.statistics.motion_statistics import measure_free_paths, paths_of
+from carom.lab.statistics.motion_statistics import measure_free_paths, measure_impacts, measure_stress, paths_of
 from carom.scene.schema import Scene
 from small_scenes import scene_of
 
@@ -52,6 +52,19 @@ def test_a_path_through_the_faces_of_a_periodic_box_is_longer_than_half_the_box(
     assert paths.free_times == pytest.approx([4.0] * 6, rel=SINGLE)
     assert np.sort(paths.free_paths) == pytest.approx([0.0] * 3 + [4.0] * 3, rel=SINGLE, abs=SINGLE)
     assert paths.length == pytest.approx(14.0, rel=SINGLE)
+
+
+def test_statistics_of_impacts_say_how_many_are_missing_from_the_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    walls = {"boundary": "walls", "size": [4.0, 4.0, 4.0]}
+    ball = {"radius": 0.5, "mass": 1.0, "velocity": [1.0, 0.0, 0.0]}
+    interval = interval_of(scene_of([ball], domain=walls, time={"duration": 4.0, "fixed_dt": 0.5}, **FLIGHT), tmp_path)
+    assert "impacts" not in measure_impacts(interval).note + measure_stress(interval).note
+    monkeypatch.setitem(vars(interval), "impacts_left_out", 7)
+    for measure in (measure_impacts, measure_stress, measure_free_paths):
+        note = measure(interval).note
+        assert "7" in note and "not recorded" in note and "--replay" in note
 
 
 def test_a_run_without_impacts_says_so_in_a_sentence(tmp_path: Path) -> None:

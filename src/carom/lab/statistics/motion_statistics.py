@@ -151,7 +151,15 @@ def measure_impacts(interval: Interval) -> Statistic:
     middle = (histogram.edges[1:] + histogram.edges[:-1]) / 2
     rayleigh = middle / scale * np.exp(-(middle**2) / (2 * scale)) if scale > 0.0 else None
     histogram = replace(histogram, expected=rayleigh, theory="Maxwell")
-    return Statistic(values, {"approach_speeds": histogram}, _rows_of_groups(interval))
+    return Statistic(values, {"approach_speeds": histogram}, _rows_of_groups(interval), note=_missing_impacts(interval))
+
+
+def _missing_impacts(interval: Interval) -> str:
+    """Return how many impacts are missing from an interval that has some, and the remedy; empty if none are."""
+    left_out = interval.impacts_left_out
+    if not left_out:
+        return ""
+    return f"without {left_out} smaller impacts, which were not recorded; with --replay they are computed again"
 
 
 def _rows_of_groups(interval: Interval) -> list[dict[str, MeasuredValue | str]]:
@@ -252,7 +260,7 @@ def measure_stress(interval: Interval) -> Statistic:
     weighted = peculiar(interval.velocities[:, moving], recording.bodies.mass[moving])
     weighted = np.nan_to_num(weighted)  # bodies that do not exist carry no momentum
     kinetic = np.einsum("kna,knb->ab", weighted, weighted) / len(weighted)
-    impacts, spread, lasting, notes = np.zeros((3, 3)), 0.0, np.zeros((3, 3)), list[str]()
+    impacts, spread, lasting, notes, lack = np.zeros((3, 3)), 0.0, np.zeros((3, 3)), list[str](), ""
     try:
         held = interval.contacts
         virial = arms(interval, held.i, held.j) * held.impulse
@@ -266,12 +274,14 @@ def measure_stress(interval: Interval) -> Statistic:
             met = interval.impacts
             virial = arms(interval, met.i, met.j) * met.impulse
             impacts = np.einsum("k,ka,kb->ab", virial, met.normal, met.normal) / interval.duration
-            spread = sqrt(float(np.sum(virial * virial))) / (3 * interval.duration)
+            spread, lack = sqrt(float(np.sum(virial * virial))) / (3 * interval.duration), _missing_impacts(interval)
     except NothingThereError:
         pass
     except RecordingError as error:
         notes = notes or [f"without impacts: {error}"]
     complete = not notes
+    if lack:
+        notes.append(lack)
     if recording.info["has_friction"]:
         notes.append("without friction, of which recordings have only the magnitude; it does not change the pressure")
     volume, dimension = interval.volume, PRESSURE
