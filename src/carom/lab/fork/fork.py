@@ -22,7 +22,7 @@ import numpy as np
 
 from carom import Recording
 from carom.arrays import FloatArray
-from carom.extend import LENGTH, TIME, Forecast, Outcome, Watcher, in_words, simulate, write_forecast
+from carom.extend import LENGTH, TIME, Forecast, Outcome, in_words, simulate, write_forecast
 from carom.lab.diff.diff import Diff, diff, overlay
 from carom.lab.diff.divergence import DistanceCurve, Divergence, divergence_of
 from carom.lab.fork.branch import Branch, BranchPath, ForkStart, PerturbedResult, PerturbedTask, path_of
@@ -231,7 +231,7 @@ class Fork:
     diff: Diff
 
 
-def fork(start: ForkStart, out: Path, shift: int | None, ulps: int, watch: Watcher | None = None) -> Fork:
+def fork(start: ForkStart, out: Path, shift: int | None, ulps: int) -> Fork:
     """Run one branch to its end, and write it and the recording into one file.
 
     Parameters
@@ -242,8 +242,6 @@ def fork(start: ForkStart, out: Path, shift: int | None, ulps: int, watch: Watch
         The ``.rrd`` to write.
     shift, ulps
         Seed and size of a perturbation; see `ForkStart.space`.
-    watch
-        Called several times a second with the progress of the run.
 
     Raises
     ------
@@ -252,7 +250,7 @@ def fork(start: ForkStart, out: Path, shift: int | None, ulps: int, watch: Watch
     """
     with temporary_folder() as folder:
         part = folder / f"{out.stem}.rrd"
-        outcome = simulate(start.space(None, shift, ulps), part, watch=watch)
+        outcome = simulate(start.space(None, shift, ulps), part)
         branch = Recording.open(part)
         found = diff(start.recording, branch)
         text = text_of(start, found)

@@ -59,8 +59,8 @@ class Promise(Section):
     )
     looked: Annotated[NonNegative, TIME] | None = Field(
         None,
-        description="s, time that the trial runs reached if their budget ended before `until`; none if they reached "
-        "it; not negative",
+        description="s, time at which the trial runs ended if their budget was spent before `until`; otherwise absent; "
+        "not negative",
     )
     horizon: Annotated[NonNegative, TIME] | None = Field(
         None,
