@@ -80,9 +80,10 @@ def test_edges_to_a_plane_end_at_the_foot_of_the_perpendicular() -> None:
 def draw_edges(pairs: Any, stages: Any, points: Any, box: Any, strips: Any, colours: Any, overlap: float = 0.0) -> None:
     """Draw the contacts of one frame, with normals straight down where they matter."""
     down, none = np.tile([0.0, 0.0, -1.0], (len(pairs), 1)), np.empty(0, CONTACT_ROW)
-    contacts = encoding.FrameContacts(pairs, down, np.full(len(pairs), overlap), np.asarray(stages), none, none)
+    overlaps, each = np.full(len(pairs), overlap), np.array([[len(pairs), 0, 0]])
+    contacts = encoding.FrameContacts(pairs, down, overlaps, np.asarray(stages), none, none, each)
     encoding.draw_edges(
-        contacts, points, np.ones(len(points)), box, palette.STAGE_COLOURS, strips, colours, np.empty(3)
+        contacts, points[None], np.ones(len(points)), box, palette.STAGE_COLOURS, strips, colours, np.empty((1, 3))
     )
 
 
@@ -93,21 +94,23 @@ def test_positions_far_from_the_origin_keep_their_differences() -> None:
     assert points[0, :, 0].tolist() == [0.0, 0.25]
 
 
-def test_the_deepest_overlap_counts_against_the_smaller_radius() -> None:
-    points, radius, none = np.zeros((3, 3), dtype=np.float32), np.array([2.0, 1.0, 0.1]), np.empty(0, CONTACT_ROW)
-    for count, expected in ((2, [0.2, 1.0, 1.0]), (0, [0.0, 0.0, 0.0])):
-        pairs, overlaps = np.array([[0, 1], [1, 2]])[:count], np.array([0.2, 0.1])[:count]
-        extremes, strips, colours = np.empty(3), np.empty((count, 6), np.float32), np.empty(count, np.uint32)
-        stages = np.zeros(count, dtype=np.int64)
-        contacts = encoding.FrameContacts(pairs, np.zeros((count, 3)), overlaps, stages, none, none)
-        encoding.draw_edges(contacts, points, radius, np.zeros(3), palette.STAGE_COLOURS, strips, colours, extremes)
-        assert extremes.tolist() == expected
+def test_the_deepest_overlap_of_a_frame_counts_against_the_smaller_radius() -> None:
+    points, radius, none = np.zeros((3, 3, 3), dtype=np.float32), np.array([2.0, 1.0, 0.1]), np.empty(0, CONTACT_ROW)
+    pairs, overlaps, stages = np.array([[0, 1], [1, 2], [0, 1]]), np.array([0.2, 0.1, 0.3]), np.zeros(3, np.int64)
+    each = np.array([[2, 0, 0], [0, 0, 0], [1, 0, 0]])
+    extremes, strips, colours = np.empty((3, 3)), np.empty((3, 6), np.float32), np.empty(3, np.uint32)
+    contacts = encoding.FrameContacts(pairs, np.zeros((3, 3)), overlaps, stages, none, none, each)
+    encoding.draw_edges(contacts, points, radius, np.zeros(3), palette.STAGE_COLOURS, strips, colours, extremes)
+    assert extremes.tolist() == [[0.2, 1.0, 1.0], [0.0, 0.0, 0.0], [0.3, 0.3, 1.0]]
 
 
 @pytest.mark.parametrize("count", [0, 1, 3, 5])
-def test_the_strongest_rows_are_picked_in_their_order_the_first_of_equal_ones(count: int) -> None:
-    rows, chosen, picked = np.zeros(5, CONTACT_ROW), np.empty(count, dtype=np.int64), np.empty(count, CONTACT_ROW)
-    rows["normal_impulse"] = impulses = np.array([1.0, 3.0, 2.0, 3.0, 2.0])
-    encoding.pick_strongest(rows, np.empty(5), chosen, picked)
-    assert chosen.tolist() == sorted(np.argsort(-impulses, kind="stable")[:count].tolist())
-    assert np.array_equal(picked, rows[chosen])
+def test_the_strongest_rows_of_each_frame_are_picked_in_their_order_the_first_of_equal_ones(count: int) -> None:
+    impulses, counts = np.array([1.0, 3.0, 2.0, 3.0, 2.0]), np.array([count, 0, 2])
+    rows, total = np.zeros(9, CONTACT_ROW), int(counts.sum())
+    rows["normal_impulse"] = [*impulses, 9.0, 5.0, 7.0, 6.0]
+    chosen, picked = np.empty(total, dtype=np.int64), np.empty(total, CONTACT_ROW)
+    encoding.pick_strongest(rows, np.array([5, 1, 3]), counts, np.empty(5), chosen, picked)
+    expected = sorted(np.argsort(-impulses, kind="stable")[:count].tolist())
+    assert chosen.tolist() == [*expected, 1, 2]
+    assert np.array_equal(picked, rows[[*expected, 7, 8]])

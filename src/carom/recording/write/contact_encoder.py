@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 import rerun as rr
+from numpy.typing import NDArray
 from rerun import ComponentColumn
 
 from carom.arrays import FloatArray, IntArray, Records, SingleArray
 from carom.contact_table import CONTACT_ROW, NO_ROWS
 from carom.errors import RecorderError
-from carom.physics.aligned import picked
+from carom.physics.aligned import joined, picked
 from carom.physics.checkpoint import Checkpoint
 from carom.physics.frame import Frame
 from carom.recording.layout import drawing
@@ -28,70 +30,102 @@ from carom.recording.write.rows import Index, Rows, any_column, array_bytes, fra
 _ROUNDING = 1e-9  # of the largest magnitude in the recorded frames so far
 
 
+_JOINED = 4096  # most edges, contacts and impacts in a block of several frames: 0.6 MB, which stay in the cache
+
+
 class BatchContacts:
-    """The contacts and impacts of a batch of frames, as views of the frames' arrays.
+    """The contacts and impacts of a batch of frames.
+
+    Small frames are joined into blocks, since each call of a kernel takes microseconds; large frames are read in place.
 
     Attributes
     ----------
-    frames
-        The arrays of each frame.
+    blocks
+        The arrays of consecutive frames.
     edges, contacts, impacts
         (frames,) numbers of edges of the graph, and of `CONTACT_ROW` of contacts and of impacts.
     """
 
     def __init__(self, batch: Sequence[Frame]) -> None:
-        self.frames = [_contacts_of(frame) for frame in batch]
-        counts = [(len(frame.pairs), len(frame.rows), len(frame.impacts)) for frame in self.frames]
-        self.edges, self.contacts, self.impacts = np.array(counts, dtype=np.int64).T.copy()
+        graphs = [frame.contacts for frame in batch]
+        rows = [NO_ROWS if frame.contact_rows is None else frame.contact_rows for frame in batch]
+        impacts = [NO_ROWS if frame.impacts is None else frame.impacts for frame in batch]
+        each = np.array([(len(g.overlaps), len(r), len(i)) for g, r, i in zip(graphs, rows, impacts, strict=True)])
+        self.edges, self.contacts, self.impacts = each.T.copy()
+        self._frames = list[slice]()  # of each block
+        self.blocks = list[FrameContacts]()
+        begin, size, sizes = 0, 0, each.sum(axis=1).tolist()
+        for end, more in enumerate([*sizes[1:], np.inf], start=1):
+            size += sizes[end - 1]
+            if size + more > _JOINED:
+                part = slice(begin, end)
+                kept = [(g.pairs, g.normals, g.overlaps, g.colours) for g in graphs[part]]
+                arrays = [_in_one(same) for same in zip(*kept, strict=True)]
+                records = _in_one(rows[part]), _in_one(impacts[part])
+                self.blocks.append(FrameContacts._make([*arrays, *records, each[part]]))
+                self._frames.append(part)
+                begin, size = end, 0
 
     def largest(self) -> FloatArray:
         """Return the largest normal impulse of each frame's contacts in N s, (frames,); 0 without any."""
-        impulses = (frame.rows["normal_impulse"] for frame in self.frames)
-        return np.array([each.max(initial=0.0, where=np.isfinite(each)) for each in impulses])
+        return self._largest([block.rows["normal_impulse"] for block in self.blocks], self.contacts, finite=True)
 
     def hardest(self) -> FloatArray:
         """Return the largest normal impulse of each frame's impacts in N s, (frames,); 0 without any."""
-        return np.array([frame.impacts["normal_impulse"].max(initial=0.0) for frame in self.frames])
+        return self._largest([block.impacts["normal_impulse"] for block in self.blocks], self.impacts, finite=False)
 
-    def parts(self, each: IntArray) -> Iterator[tuple[FrameContacts, slice]]:
-        """Yield the arrays of each frame, and its slice of an array with that many elements per frame."""
-        ends = np.cumsum(each).tolist()
-        return zip(self.frames, map(slice, [0, *ends[:-1]], ends), strict=True)
+    def _largest(self, parts: Sequence[FloatArray], each: IntArray, *, finite: bool) -> FloatArray:
+        found, some = np.zeros(len(each)), each > 0
+        values = np.concatenate(parts)
+        if finite:
+            values[~np.isfinite(values)] = 0.0
+        if len(values):
+            first = np.cumsum(each) - each
+            found[some] = np.maximum(np.maximum.reduceat(values, first[some]), 0.0)
+        return found
+
+    def parts(self, each: IntArray) -> Iterator[tuple[FrameContacts, slice, slice]]:
+        """Yield each block, the slice of its frames, and that of an array with ``each`` elements per frame."""
+        ends = np.concatenate(([0], np.cumsum(each))).tolist()
+        for block, frames in zip(self.blocks, self._frames, strict=True):
+            yield block, frames, slice(ends[frames.start], ends[frames.stop])
 
     def middles(self) -> FloatArray:
         """Return the middle of each frame's scale in N s, (frames,): the median of its impulses that are not zero."""
-        scratch = np.empty(self.contacts.max())
-        return np.array([encoding.middle_of(frame.rows, scratch) for frame in self.frames])
+        found, scratch = np.empty(len(self.contacts)), np.empty(self.contacts.max())
+        for block, frames, _ in self.parts(self.contacts):
+            encoding.find_middles(block, scratch, found[frames])
+        return found
 
     def strongest_impacts(self, counts: IntArray) -> tuple[Records, IntArray]:
         """Return the impacts with the largest normal impulses, in order of time, and their indices in each frame.
 
         ``counts`` is their number in each frame, (frames,). Of equal impulses, the first are selected.
         """
-        return self._strongest([frame.impacts for frame in self.frames], self.impacts, counts)
+        return self._strongest([block.impacts for block in self.blocks], self.impacts, counts)
 
     def strongest_contacts(self, counts: IntArray) -> Records:
         """Return the contacts with the largest normal impulses of each frame, the largest first.
 
         ``counts`` is their number in each frame, (frames,). Of equal impulses, the first are selected.
         """
-        rows, _ = self._strongest([frame.rows for frame in self.frames], self.contacts, counts)
+        rows, _ = self._strongest([block.rows for block in self.blocks], self.contacts, counts)
         return picked(rows, np.lexsort((-rows["normal_impulse"], np.repeat(np.arange(len(counts)), counts))))
 
     def _strongest(self, rows: Sequence[Records], each: IntArray, counts: IntArray) -> tuple[Records, IntArray]:
         total, scratch = int(counts.sum()), np.empty(each.max())
         chosen, strongest = np.empty(total, dtype=np.int64), np.empty(total, CONTACT_ROW)
-        for of_frame, (_, part) in zip(rows, self.parts(counts), strict=True):
-            encoding.pick_strongest(of_frame, scratch, chosen[part], strongest[part])
+        for of_block, (_, frames, part) in zip(rows, self.parts(counts), strict=True):
+            encoding.pick_strongest(of_block, each[frames], counts[frames], scratch, chosen[part], strongest[part])
         return strongest, chosen
 
 
-def _contacts_of(frame: Frame) -> FrameContacts:
-    graph = frame.contacts
-    rows = NO_ROWS if frame.contact_rows is None else frame.contact_rows
-    impacts = NO_ROWS if frame.impacts is None else frame.impacts
-    arrays = graph.pairs, graph.normals, graph.overlaps, graph.colours, rows, impacts
-    return FrameContacts._make(map(np.ascontiguousarray, arrays))
+def _in_one(arrays: Sequence[NDArray[Any]]) -> NDArray[Any]:
+    """Return the arrays of consecutive frames as one; records are copied as bytes, which NumPy does much faster."""
+    if len(arrays) == 1:
+        return np.ascontiguousarray(arrays[0])
+    kind = arrays[0].dtype
+    return joined(arrays, kind) if kind.names else np.concatenate(arrays)
 
 
 def contact_columns(
@@ -118,11 +152,11 @@ def contact_columns(
         colour=np.empty(count, dtype=np.uint32),
         width=np.empty(count, dtype=np.float32),
     )
-    for (frame, part), unit in zip(contacts.parts(edges), middle.tolist(), strict=True):
-        of_frame = EdgeColumns._make(column[part] for column in values)
-        done = encoding.write_contacts(frame.pairs, frame.rows, unit, drawing.COLOURS, widths, of_frame)
-        if done < len(frame.pairs):
-            i, j = frame.pairs[done].tolist()
+    for block, frames, part in contacts.parts(edges):
+        of_block = EdgeColumns._make(column[part] for column in values)
+        done = encoding.write_contacts(block, middle[frames], drawing.COLOURS, widths, of_block)
+        if done < len(block.pairs):
+            i, j = block.pairs[done].tolist()
             raise RecorderError(f"the contact of {i} and {j} is in the collision graph, but has no row of its own")
     columns: list[ComponentColumn] = [
         any_column("bodies", values.bodies.ravel(), 2 * edges),
@@ -137,7 +171,7 @@ def contact_columns(
 
 def _columns_of_engine(contacts: BatchContacts, origin: FloatArray) -> tuple[list[ComponentColumn], int]:
     """Return the points, normals and frictions of the contacts of another engine, whose bodies may not be spheres."""
-    rows = np.concatenate([frame.rows for frame in contacts.frames])
+    rows = np.concatenate([block.rows for block in contacts.blocks])
     arrays = {}
     for name, prefix in (("point", ""), ("normal", "n"), ("friction", "friction_")):
         vectors = np.stack([rows[f"{prefix}{axis}"] for axis in "xyz"], axis=1)

@@ -319,16 +319,18 @@ class BatchEncoder:
         """Return the columns that draw edges, and their bytes; find `encoding_kernels.draw_edges` extremes."""
         count = int(contacts.edges.sum())
         strips, shown = np.empty((count, 6), dtype=np.float32), np.empty(count, dtype=np.uint32)
-        for f, (frame, part) in enumerate(contacts.parts(contacts.edges)):
+        for block, frames, part in contacts.parts(contacts.edges):
             encoding.draw_edges(
-                *(frame, points[f], self.header.radius, self._box, palette.STAGE_COLOURS),
-                *(strips[part], shown[part], extremes[f]),
+                *(block, points[frames], self.header.radius, self._box, palette.STAGE_COLOURS),
+                *(strips[part], shown[part], extremes[frames]),
             )
-            if self.header.shear:
-                i, j = frame.pairs.T
+            last = part.start
+            for f in range(frames.start, frames.stop) if self.header.shear else ():
+                first, last = last, last + int(contacts.edges[f])
+                i, j = block.pairs[first - part.start : last - part.start].T
                 cell, ends = self.header.cell(times[f]), points[f].astype(np.float64)
                 assert cell is not None
-                strips[part, 3:] = ends[i] + minimum_images(ends[j] - ends[i], cell)
+                strips[first:last, 3:] = ends[i] + minimum_images(ends[j] - ends[i], cell)
         columns: list[ComponentColumn] = [
             line_column(strips, contacts.edges),
             plain_column(rr.LineStrips3D.descriptor_colors(), shown, contacts.edges),

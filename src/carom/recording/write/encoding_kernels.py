@@ -1,8 +1,7 @@
 """Loops over the bodies and contacts of a batch of frames that convert float64 state to the float32 that is drawn.
 
-They are kernels because NumPy holds the interpreter lock, which the physics needs after each of its own kernels. Loops
-over bodies process a whole batch and release the lock. Loops over contacts process one frame, in the arrays of the
-physics. They keep the lock, since they take microseconds, and reacquiring the lock would take longer.
+They are kernels because NumPy holds the interpreter lock, which the physics needs after each of its own kernels. They
+process many frames and release the lock. A call takes some microseconds, as long as a frame of ten contacts.
 """
 
 from __future__ import annotations
@@ -13,21 +12,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carom.arrays import ColourArray, FloatArray, IntArray, Records, SingleArray
-from carom.physics.jit.decorators import inline, inner, kernel, long_kernel
+from carom.physics.jit.decorators import inline, inner, long_kernel
 from carom.recording.layout.drawing import part_of_longest
 
 _part_of_longest = inline(part_of_longest)  # the same function, compiled; NumPy uses the other for arrays
 
 
 class FrameContacts(NamedTuple):
-    """The edges of the collision graph of a frame, its contacts and its impacts."""
+    """The edges of the collision graphs of consecutive frames, their contacts and their impacts, frame by frame."""
 
     pairs: IntArray  # (m, 2)
     normals: FloatArray  # (m, 3)
     overlaps: FloatArray  # (m,) m
     colours: IntArray  # (m,)
-    rows: Records  # (k,) `CONTACT_ROW`, sorted by pair
+    rows: Records  # (k,) `CONTACT_ROW`, in each frame sorted by pair
     impacts: Records  # (l,) `CONTACT_ROW`, in order of time
+    each: IntArray  # (frames, 3) numbers of edges, contacts and impacts in each frame
 
 
 class TorqueList(NamedTuple):
@@ -120,7 +120,7 @@ def draw_arrows(
             c += 1
 
 
-@kernel
+@long_kernel
 def draw_edges(
     contacts: FrameContacts,
     points: SingleArray,
@@ -137,88 +137,93 @@ def draw_edges(
 
     Parameters
     ----------
+    points
+        (frames, n, 3)
     stages
         The colour of each stage; the last one is used for all later stages.
     extremes
-        (3,), overwritten: the deepest overlap in m, the deepest over the smaller radius, and the number of colours.
+        (frames, 3), overwritten: the deepest overlap in m, the deepest over the smaller radius, the number of colours.
     """
-    deepest, deepest_share, most = 0.0, 0.0, -1
     pairs, normals, overlaps, colours = contacts.pairs, contacts.normals, contacts.overlaps, contacts.colours
-    for e in range(len(pairs)):
-        i, j = pairs[e, 0], pairs[e, 1]
-        smaller = radius[i]
-        if j < len(radius):
-            smaller = min(smaller, radius[j])
-        deepest = max(deepest, overlaps[e])
-        deepest_share = max(deepest_share, overlaps[e] / smaller)
-        most = max(most, colours[e])
-        for k in range(3):
-            start = points[i, k]
+    e = 0
+    for f in range(len(contacts.each)):
+        deepest, deepest_share, most = 0.0, 0.0, -1
+        for _ in range(contacts.each[f, 0]):
+            i, j = pairs[e, 0], pairs[e, 1]
+            smaller = radius[i]
             if j < len(radius):
-                end = points[j, k]
-                if box[k] > 0.0:
-                    end -= np.float32(box[k] * np.floor((end - start) / box[k] + 0.5))
-            else:
-                end = start + np.float32((radius[i] - overlaps[e]) * normals[e, k])
-            strips[e, k] = start
-            strips[e, 3 + k] = end
-        drawn[e] = stages[min(colours[e], len(stages) - 1)]
-    extremes[0], extremes[1], extremes[2] = deepest, deepest_share, most + 1
+                smaller = min(smaller, radius[j])
+            deepest = max(deepest, overlaps[e])
+            deepest_share = max(deepest_share, overlaps[e] / smaller)
+            most = max(most, colours[e])
+            for k in range(3):
+                start = points[f, i, k]
+                if j < len(radius):
+                    end = points[f, j, k]
+                    if box[k] > 0.0:
+                        end -= np.float32(box[k] * np.floor((end - start) / box[k] + 0.5))
+                else:
+                    end = start + np.float32((radius[i] - overlaps[e]) * normals[e, k])
+                strips[e, k] = start
+                strips[e, 3 + k] = end
+            drawn[e] = stages[min(colours[e], len(stages) - 1)]
+            e += 1
+        extremes[f, 0], extremes[f, 1], extremes[f, 2] = deepest, deepest_share, most + 1
 
 
-@kernel
+@long_kernel
 def write_contacts(
-    pairs: IntArray,
-    rows: Records,
-    middle: float,
-    scale: ColourArray,
-    widths: SingleArray,
-    columns: EdgeColumns,
+    contacts: FrameContacts, middles: FloatArray, scale: ColourArray, widths: SingleArray, columns: EdgeColumns
 ) -> int:
-    """Write the contact data of a frame, and how edges are drawn by their impulses; return the number of edges written.
+    """Write the data of the contacts, and how edges are drawn by their impulses; return the number of edges written.
 
-    It ends at the first edge without a contact.
+    It ends at the first edge without a contact. There are more contacts than edges if some contacts opened within the
+    step.
 
     Parameters
     ----------
-    pairs, rows
-        Pairs of the edges, and rows of the contacts, both sorted by pair. There are more contacts than edges if some
-        contacts opened within the step.
-    middle
-        N s, the impulse in the middle of the scale.
+    middles
+        (frames,) N s, the impulse in the middle of each scale.
     scale, widths
         (levels,) colours and radii in ascending order of impulse.
     """
-    a = 0
-    for e in range(len(pairs)):
-        i, j = pairs[e, 0], pairs[e, 1]
-        while a < len(rows) and (rows[a].i < i or (rows[a].i == i and rows[a].j < j)):
-            a += 1
-        if a == len(rows) or rows[a].i != i or rows[a].j != j:
-            return e
-        row = rows[a]
-        columns.bodies[e, 0], columns.bodies[e, 1] = i, j
-        x, y, z = row.friction_x, row.friction_y, row.friction_z
-        columns.normal_impulse[e] = np.float32(row.normal_impulse)
-        columns.tangential_impulse[e] = np.float32(np.sqrt(x * x + y * y + z * z))
-        columns.mode[e] = row.mode
-        level = min(len(scale) - 1, int(len(scale) * _part_of_longest(max(0.0, row.normal_impulse), middle)))
-        columns.colour[e], columns.width[e] = scale[level], widths[level]
-    return len(pairs)
+    pairs, rows = contacts.pairs, contacts.rows
+    e, end_of_rows = 0, 0
+    for f in range(len(contacts.each)):
+        a, end_of_rows = end_of_rows, end_of_rows + contacts.each[f, 1]
+        for _ in range(contacts.each[f, 0]):
+            i, j = pairs[e, 0], pairs[e, 1]
+            while a < end_of_rows and (rows[a].i < i or (rows[a].i == i and rows[a].j < j)):
+                a += 1
+            if a == end_of_rows or rows[a].i != i or rows[a].j != j:
+                return e
+            row = rows[a]
+            columns.bodies[e, 0], columns.bodies[e, 1] = i, j
+            x, y, z = row.friction_x, row.friction_y, row.friction_z
+            columns.normal_impulse[e] = np.float32(row.normal_impulse)
+            columns.tangential_impulse[e] = np.float32(np.sqrt(x * x + y * y + z * z))
+            columns.mode[e] = row.mode
+            level = min(len(scale) - 1, int(len(scale) * _part_of_longest(max(0.0, row.normal_impulse), middles[f])))
+            columns.colour[e], columns.width[e] = scale[level], widths[level]
+            e += 1
+    return e
 
 
-@kernel
-def middle_of(rows: Records, positive: FloatArray) -> float:
-    """Return the median of the normal impulses (N s) that are more than zero; 1 if there are none.
+@long_kernel
+def find_middles(contacts: FrameContacts, positive: FloatArray, middles: FloatArray) -> None:
+    """Write the median of each frame's normal impulses (N s) that are more than zero; 1 if there are none.
 
-    ``positive`` is overwritten; it must be at least as long as ``rows``.
+    ``positive`` is overwritten; it must be at least as long as the rows of any frame.
     """
-    count = 0
-    for c in range(len(rows)):
-        if rows[c].normal_impulse > 0.0:
-            positive[count] = rows[c].normal_impulse
-            count += 1
-    return 1.0 if count == 0 else max(_median(positive[:count]), 2.2250738585072014e-308)
+    rows, c = contacts.rows, 0
+    for f in range(len(contacts.each)):
+        count = 0
+        for _ in range(contacts.each[f, 1]):
+            if rows[c].normal_impulse > 0.0:
+                positive[count] = rows[c].normal_impulse
+                count += 1
+            c += 1
+        middles[f] = 1.0 if count == 0 else max(_median(positive[:count]), 2.2250738585072014e-308)
 
 
 @inner
@@ -259,34 +264,38 @@ def _select(values: FloatArray, place: int) -> float:
     return float(values[place])
 
 
-@kernel
-def pick_strongest(rows: Records, scratch: FloatArray, chosen: IntArray, picked: Records) -> None:
-    """Select the rows with the largest normal impulses, in their order, as many as ``picked`` holds.
+@long_kernel
+def pick_strongest(
+    rows: Records, each: IntArray, counts: IntArray, scratch: FloatArray, chosen: IntArray, picked: Records
+) -> None:
+    """Select the rows with the largest normal impulses of each frame, in their order; of equal ones the first.
 
     Parameters
     ----------
+    each, counts
+        (frames,) number of rows, and of those to select.
     scratch
-        At least as many numbers as rows, overwritten.
+        At least as many numbers as rows of any frame, overwritten.
     chosen, picked
-        Overwritten: a mask of the selected rows, and copies of them.
+        Overwritten: the indices of the selected rows in their frames, and copies of the rows.
     """
-    m, count = len(rows), len(picked)
-    if count == 0:
-        return
-    least, equal = -np.inf, 0  # the smallest selected impulse, and the number of selected ones equal to it
-    if count < m:
-        for c in range(m):
-            scratch[c] = rows[c].normal_impulse
-        least, equal = _select(scratch[:m], m - count), count
-        for c in range(m):
-            equal -= rows[c].normal_impulse > least
-    found = 0
-    for c in range(m):
-        impulse = rows[c].normal_impulse
-        if count == m or impulse > least or (impulse == least and equal > 0):
-            equal -= impulse == least
-            chosen[found], picked[found] = c, rows[c]
-            found += 1
+    begin, found = 0, 0
+    for f in range(len(each)):
+        m, count = each[f], counts[f]
+        least, equal = -np.inf, 0  # the smallest selected impulse, and the number of selected ones equal to it
+        if 0 < count < m:
+            for c in range(m):
+                scratch[c] = rows[begin + c].normal_impulse
+            least, equal = _select(scratch[:m], m - count), count
+            for c in range(m):
+                equal -= rows[begin + c].normal_impulse > least
+        for c in range(m if count > 0 else 0):
+            impulse = rows[begin + c].normal_impulse
+            if count == m or impulse > least or (impulse == least and equal > 0):
+                equal -= impulse == least
+                chosen[found], picked[found] = c, rows[begin + c]
+                found += 1
+        begin += m
 
 
 @long_kernel
