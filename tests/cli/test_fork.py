@@ -35,7 +35,7 @@ def test_a_fork_that_is_stopped_says_so_in_its_file_and_exits_1(folder: Path, mo
         for number in presses:
             signal.raise_signal(number)
 
-    monkeypatch.setattr(forking, "simulate", lambda space, path, watch: simulate(space, path, watch=interrupt))
+    monkeypatch.setattr(forking, "simulate", lambda space, path: simulate(space, path, watch=interrupt))
     made = ("--set", "time.duration=1e7", "--set", "record.every=1e3", "-o", "stopped.rrd")
     done = carom("fork", "run.rrd", "--at", "0.5", *made, cwd=folder)
     assert done.returncode == 1, done.stderr
