@@ -397,7 +397,7 @@ def first_bits(a: Recording, b: Recording, step: int) -> FirstBits | None:
 
 
 def _first_contact(a: Recording, b: Recording, time: float, bodies: list[int]) -> FirstContact | None:
-    """Return the contact of one of the bodies whose force differs most."""
+    """Among the contacts of some bodies, return the one whose force differs most."""
     if not (a.records_contacts and b.records_contacts):
         return None
     forces: list[dict[tuple[int, int], float]] = []

@@ -296,7 +296,7 @@ class ContactSettings(Section):
         "or from 0 (staged)",
     )
     colouring: Literal["contacts", "bodies"] = Field(
-        "contacts", description="what gets the colours that show which contacts are independent: contacts or bodies"
+        "contacts", description="what is coloured to find independent contacts: the contacts or the bodies"
     )
     stabilisation: Literal["split", "baumgarte", "none"] = Field(
         "split",
