@@ -120,12 +120,16 @@ def test_a_group_that_finds_no_room_is_refused_with_the_remedy() -> None:
         placed(count=6, radius=1.0, region={"radius": 2.55})
 
 
-def test_a_default_region_larger_than_the_periodic_domain_is_named() -> None:
+@pytest.mark.parametrize("boundary", ["periodic", "walls"])
+def test_a_group_that_finds_no_place_in_a_default_region_larger_than_the_domain_fills_the_domain(boundary: str) -> None:
     group = {"count": 500, "radius": 0.5, "arrangement": "compressed"}  # its ball, a tenth full, is 17 m wide
-    domain = {"boundary": "periodic", "size": [7.6, 7.6, 7.6]}
+    domain = {"boundary": boundary, "size": [8.0, 8.0, 8.0]}
     document = {"gravity": {"constant": 0.0}, "domain": domain, "group": [group]}
-    with pytest.raises(SceneError, match=r"beyond the periodic domain; set group\.0\.region within domain\.size"):
-        place(Scene.from_dict(document))
+    start = place(Scene.from_dict(document))
+    assert np.abs(start.position).max() <= 4.0
+    ball = {"region": {"radius": 8.6}}  # a region that the scene gives is a region
+    with pytest.raises(SceneError, match=r"group\.0"):
+        place(Scene.from_dict(document | {"group": [group | ball]}))
 
 
 def test_100000_bodies_at_ten_per_cent_packing_are_placed() -> None:

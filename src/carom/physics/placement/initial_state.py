@@ -74,7 +74,14 @@ def place(scene: Scene) -> InitialBodies:
                 region = _region(mixture, radii, units)
                 radius = np.concatenate([radii[member] for member in mixture])
                 arrange = arrangement_called(group.arrangement).arrange
-                position = arrange(mixture, region, radius, around, streams[index], units)
+                try:
+                    position = arrange(mixture, region, radius, around, streams[index], units)
+                except SceneError:
+                    whole = _domain_beyond(region, scene) if group.region is None else None
+                    if whole is None:
+                        raise
+                    filling = {index: group.model_copy(update={"region": whole})}
+                    position = arrange(filling, whole, radius, around, streams[index], units)
                 ends = np.cumsum([len(radii[member]) for member in mixture])[:-1]
                 centres |= dict(zip(mixture, np.split(position, ends), strict=True))
             made = made_of(scene, group)
@@ -163,6 +170,14 @@ def _region(mixture: Mapping[int, BodyGroup], radii: Mapping[int, FloatArray], u
     for member in mixture:
         refuse_unresolved(f"group.{member}", ("group", member), reach, float(radii[member].min()), units)
     return region
+
+
+def _domain_beyond(region: Region, scene: Scene) -> Region | None:
+    """Return the domain as a region if a default region extends beyond it; None if it does not, or without a domain."""
+    size = scene.domain.size
+    if size is None or "open" in scene.domain.axes or (2.0 * half_extent(region) <= size).all():
+        return None
+    return Region(shape="box", size=size)
 
 
 def _group(

@@ -213,7 +213,7 @@ def _place_class(
     if dense:
         denser = "; groups with the same region are compressed together" if around.spheres else ""
     remedy = f"enlarge the region, lower count or radius{denser}"
-    if box is not None:  # such as the default region of a group that fills the domain
+    if box is not None:
         remedy = f"the region extends beyond the periodic domain; set group.{index}.region within domain.size"
     raise SceneError(
         f"group.{index}: {len(missing)} of {n} bodies could not be placed within {MOST_ROUNDS} rounds (packing "

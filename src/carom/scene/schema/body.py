@@ -313,7 +313,9 @@ class BodyGroup(Matter):
         RadiusRange(min=1.0, max=1.0), description="m, one number or { min, max, distribution }"
     )
     region: Region | None = Field(
-        None, description="where the bodies are placed; by default a ball that is one tenth full"
+        None,
+        description="where the bodies are placed; by default a ball that is one tenth full, or the domain if they do "
+        "not fit into a larger ball",
     )
     arrangement: Literal["random", "compressed", "cubic", "fcc", "hcp"] = Field(
         "random",
