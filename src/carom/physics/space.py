@@ -100,7 +100,7 @@ class Space(Simulation):
     @property
     def impacts(self) -> Impacts:
         """The impacts during the drift of the last step, in order of time; empty with end-of-step timing."""
-        return self._contact.impacts if self._contact else NO_IMPACTS
+        return Impacts(self._contact.impacts.log.copy()) if self._contact else NO_IMPACTS
 
     @property
     def bodies(self) -> list[BodyProxy]:

@@ -166,7 +166,7 @@ class SnapshotSource:
 
     def keep_contributions(self) -> Callable[[], FloatArray]:
         """Store the ledger of this step; the returned function returns the entries of each contact, (m, 3) J."""
-        snapshot, place, impacts = self.snapshot, self._place, self._impacts.ledger
+        snapshot, place, impacts = self.snapshot, self._place, self._impacts.ledger.copy()
         late = np.concatenate((self._solver.ledger, np.zeros((1, 3))))  # the last row is for sleepers
         return lambda: snapshot.sums(late[place], impacts)
 

@@ -39,6 +39,7 @@ from carom.physics.contact.events.trajectories import (
     begin,
     both_ways,
     finish,
+    narrow,
     put,
     straighten,
     write_search_radii,
@@ -57,6 +58,8 @@ LOG_ROWS = 4096  # largest number of impacts in one call
 MOST_TOUCHING = 16  # contacts per body at one moment, on average
 GAP_ROUNDING = 16 * 2.0**-53  # of the coordinates and of the sum of radii
 WIDEST = 2.0  # times the radii; up to this width, the contact grids also find neighbours
+# Largest search radius, in body radii, from which `narrow` saves time, and up to which its squares are finite.
+NARROWED = 0.25, 1e100
 
 
 class _Kernels(NamedTuple):
@@ -118,6 +121,7 @@ class EventDrivenDrift:
         self._bodies, self.anchored, self._forces = bodies, anchored, forces
         self._search, self._team, self._box, self._shear = search, team, world.box, shear
         self.field, self.bending = world.field, world.bending
+        self._is_open = not (shear or world.box.any())  # no axis is periodic
         self.log = np.empty(LOG_ROWS, dtype=ROLLING_IMPACT if has_torque(materials.rows.dtype) else IMPACT)
         zeros = np.zeros(n, dtype=np.int64)
         self.trajectories = Trajectories(
@@ -154,6 +158,8 @@ class EventDrivenDrift:
         self._straighten(ImpulseCache.empty(), None)
         if self._forces:
             self._write_rest_speeds(nobody, 1.0, 1.0, 0.0)
+        if self._is_open:
+            narrow(nobody, 1.0, 0.0, T, nobody)
         self._resolve(nobody, T)
 
     @property
@@ -200,7 +206,8 @@ class EventDrivenDrift:
         T.drift["exhausted"] = 0
         velocity = self._shear.relative(bodies.velocity, bodies.position) if self._shear else bodies.velocity
         largest = write_search_radii(velocity, bodies.mass, bodies.radius, self.anchored, dt, T.body, T.drift)
-        pairs = self._neighbours(largest, scale, skin, dt)
+        narrows = self._is_open and damping == 0.0 and NARROWED[0] < largest < NARROWED[1]
+        pairs = self._neighbours(largest, scale, skin, dt, narrows)
         impacts = NO_IMPACTS
         if len(pairs) or len(T.offset):
             bends = bool(self.bending.any()) and (damping > 0.0 or kick == 0.5 * dt)  # velocities are the mean
@@ -208,6 +215,9 @@ class EventDrivenDrift:
             self._straighten(held, asleep)
             if self._forces:
                 self._write_rest_speeds(pairs, loading * dt, scale, skin)
+            if narrows:
+                near = np.empty_like(pairs)
+                pairs = near[: narrow(pairs, scale, skin, T, near)]
             ends = np.searchsorted(pairs[:, 0], np.arange(n + 1))
             later = Neighbours(ends[:-1], ends[1:], np.ascontiguousarray(pairs[:, 1]))
             self._team.divide(n, MIN_BODIES_PER_TASK, predict, later, T, alone=self._kernels.predict)
@@ -252,14 +262,18 @@ class EventDrivenDrift:
         acceleration = self._bodies.ends.acceleration
         island_rest_speeds(pairs, self.trajectories, scale, skin, acceleration, self.field, dt)
 
-    def _neighbours(self, largest: float, scale: float, skin: float, dt: float) -> IntArray:
-        """Return the pairs whose search radii overlap. If the largest, in body radii, is small, all bodies get it."""
+    def _neighbours(self, largest: float, scale: float, skin: float, dt: float, narrows: bool) -> IntArray:
+        """Return the pairs whose search radii overlap.
+
+        If the largest, in body radii, is small, all bodies get it, unless `narrow` follows.
+        """
         T, radius, position = self.trajectories, self._bodies.radius, self._bodies.position
         if self._shear:
             position, stretch = self._shear.carried(position), self._shear.stretch(dt)
             scale, skin = stretch * scale, stretch * skin
         if largest <= WIDEST - 1.0:
-            T.body["search_radius"] = largest * radius
+            if not narrows:
+                T.body["search_radius"] = largest * radius
             return self._search.pairs(position, scale * (1.0 + largest), skin)
         return HierarchicalGrid(radius + T.body["search_radius"], self._box, self._team).pairs(position, scale, skin)
 
@@ -269,10 +283,12 @@ class EventDrivenDrift:
         both_ways(pairs, ends, others)
         neighbours = Neighbours(ends[:-1], ends[1:], others)
         logs: list[Records] = []
-        step, held = self._kernels.resolve, None
+        step, held, count = self._kernels.resolve, None, 0
         while not logs or T.drift["queued"][0] > 0:
+            if logs:
+                logs[-1] = logs[-1].copy()  # the log is written again
             count = step(neighbours, T, self.log, held)
-            logs.append(self.log[:count].copy())
+            logs.append(self.log[:count])
             if count + MOST_CONTACTS <= len(self.log):  # not because the log is full: a body is exhausted
                 step, held = resolve, np.empty(MOST_BODIES, dtype=np.int64)
         total = sum(map(len, logs))

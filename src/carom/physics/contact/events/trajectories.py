@@ -35,7 +35,8 @@ from carom.physics.contact.solids import tangent_plane
 from carom.physics.contact.translating_walls import displacement_in_drift, velocity_in_drift, walls_translate
 from carom.physics.diagnostics.momentum import centre_velocity
 from carom.physics.exponential import log_remainder
-from carom.physics.jit.decorators import borrowing, inline, kernel, unowned
+from carom.physics.jit.decorators import borrowing, inline, kernel, long_kernel, unowned
+from carom.physics.jit.instructions import from_front
 from carom.physics.sheared_box import flow_in_drift, is_sheared, nearest_in_drift, velocity_of_image
 from carom.physics.vector import Vector, add, along, between, vector
 from carom.scene.schema import Coefficients
@@ -64,7 +65,7 @@ class TrajectoryRecord(Protocol):
     partner_impacts: int  # impacts of the partner when that impact was predicted
     queue_place: int  # in the event queue; -1 outside
     search_radius: float  # m, displacement relative to the bulk up to which its neighbours are known
-    start_x: float  # m, its position at the beginning of the drift
+    start_x: float  # m, its position at the beginning of the drift, or the middle of its path, see `narrow`
     start_y: float
     start_z: float
     standoff: float  # m, gap up to which its contacts are held once it is exhausted, see `held_group`
@@ -192,6 +193,45 @@ def begin(T: Trajectories, dt: float, kick: float, damping: float, bends: bool, 
         body.is_straight, body.is_free = not bends or T.inverse_mass[i] == 0.0, not pressed[i]
         body.negligible_speed = ROUNDING * (abs(vx) + abs(vy) + abs(vz) + T.radius[i] / dt)
         arrive(i, T)
+
+
+@long_kernel
+def narrow(pairs: IntArray, scale: float, skin: float, T: Trajectories, near: IntArray) -> int:
+    """Centre the search radii on the middle of the paths, and write the pairs that may still meet; return their number.
+
+    Around the start of its path, a body needs twice the radius that it needs around the middle, and a search finds all
+    pairs within the largest one. In a falling heap, a third of the pairs remain. Space must not be periodic, and paths
+    must bend with the uniform field alone.
+
+    Parameters
+    ----------
+    pairs
+        (m, 2) pairs whose search radii overlap.
+    scale, skin
+        As in the search; skin in m.
+    near
+        (m, 2) buffer for the remaining pairs.
+    """
+    drift, rows = T.drift[0], 0
+    half = 0.5 * drift.dt
+    for i in range(len(T.body)):
+        body = T.body[i]
+        vx, vy, vz = vector(T.v, i)
+        wx, wy, wz = vx - drift.bulk_x, vy - drift.bulk_y, vz - drift.bulk_z
+        body.start_x, body.start_y = body.start_x + half * wx, body.start_y + half * wy
+        body.start_z += half * wz
+        body.search_radius -= half * np.sqrt(wx * wx + wy * wy + wz * wz)
+    gx, gy, gz = drift.field_x, drift.field_y, drift.field_z
+    bends = 2.0 * skin + 0.25 * drift.dt * drift.dt * np.sqrt(gx * gx + gy * gy + gz * gz)  # both paths, off the chords
+    for c in range(len(pairs)):
+        i, j = from_front(pairs[c, 0]), from_front(pairs[c, 1])
+        one, other = T.body[i], T.body[j]
+        dx, dy, dz = other.start_x - one.start_x, other.start_y - one.start_y, other.start_z - one.start_z
+        limit = (T.radius[i] + T.radius[j] + one.search_radius + other.search_radius) * scale + bends
+        if dx * dx + dy * dy + dz * dz <= limit * limit:
+            near[rows, 0], near[rows, 1] = i, j
+            rows += 1
+    return rows
 
 
 @unowned
