@@ -174,7 +174,7 @@ class Simulation:
     @property
     def contacts(self) -> CollisionGraph:
         """The contacts of the last step, for the stepping thread only; built at the first access."""
-        return self._contact.snapshot.graph if self._contact else empty_graph()
+        return self._contact.snapshots.snapshot.graph if self._contact else empty_graph()
 
     @property
     def status(self) -> StepStatus:

@@ -102,7 +102,7 @@ class KickDriftStepper:
         if world.shear:
             world.shear.begin(world.clock.time)
         if world.contact:
-            world.contact.place_walls(world.clock.time)
+            world.contact.boundary.place(world.clock.time)
             world.contact.begin(self.first_dt)
 
     def restore(self, checkpoint: Checkpoint) -> None:
@@ -111,7 +111,7 @@ class KickDriftStepper:
         if self._world.shear:
             self._world.shear.begin(self._world.clock.time)
         if self._world.contact:
-            self._world.contact.place_walls(self._world.clock.time)
+            self._world.contact.boundary.place(self._world.clock.time)
             self._world.contact.recall(checkpoint.contacts)
 
     def advance(self, goal: Goal) -> bool:
@@ -186,9 +186,9 @@ class KickDriftStepper:
         world, time = self._world, self._world.clock.time
         change = np.inf
         if world.contact and world.planes.translates:
-            change = world.contact.next_change_of_walls(time)
+            change = world.contact.boundary.next_change(time)
             if self.timestep.fixed_dt is None:
-                change = min(change, time + world.contact.longest_step_of_walls)
+                change = min(change, time + world.contact.boundary.longest_step)
         dt, limit = self.timestep.choose(world.bodies, min(end, change) - time, self.supported_acceleration())
         if self._asked:
             asked, asked_limit = self._asked.target(world.bodies, self.supported_acceleration())
@@ -208,7 +208,7 @@ class KickDriftStepper:
         potentials: Potentials = {}
         last_kick = 0.0
         if contact and world.planes.translates:
-            contact.begin_step(world.clock.before, world.clock.time)
+            contact.boundary.set_span(world.clock.before, world.clock.time)
         if world.shear:
             world.shear.begin(world.clock.before)
         self._rotate(dt)
@@ -337,7 +337,7 @@ class KickDriftStepper:
         if world.needs.torque.modelled:
             contact.write_torques(dt)
             world.profile.mark("torque")
-        if contact.sleeps:
+        if contact.sleepers:
             audit, bodies = self._books.impulse_audit, world.bodies
             before = (bodies.velocity.copy(), bodies.angular_velocity.copy()) if audit else None
             contact.fall_asleep(dt)
@@ -352,9 +352,9 @@ class KickDriftStepper:
         audit, contact = self._books.impulse_audit, self._world.contact
         if audit:
             audit.add_kick(bodies.acceleration, dt)
-        if contact and contact.sleeps:
+        if contact and contact.sleepers:
             before = bodies.velocity.copy() if audit else None
-            contact.keep_asleep()
+            contact.sleepers.stop()
             if audit and before is not None:
                 audit.add_change(before)
 

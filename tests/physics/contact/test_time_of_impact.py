@@ -407,7 +407,7 @@ def test_a_warning_names_what_struck_within_the_step() -> None:
     space = bullet({"position": [0.0, 0.0, 0.0]})
     space.compute_dynamics(1)
     assert space._contact is not None
-    assert space._contact.keep_contributions()().shape == (1, 3)
+    assert space._contact.snapshots.keep_contributions()().shape == (1, 3)
 
 
 # ------------------------------------------------------------------------------------------- colours

@@ -13,30 +13,28 @@ An integrator that ends its steps at impacts calls `begin_batch`, `resolve_meeti
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from typing import TYPE_CHECKING, Any, cast
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from carom.arrays import FloatArray, IntArray, RecordArray, Records
+from carom.arrays import FloatArray, IntArray, Records
 from carom.errors import PhysicsError
 from carom.physics.aligned import Buffer
 from carom.physics.bodies import Bodies
+from carom.physics.contact.boundary_motion import BoundaryMotion
 from carom.physics.contact.broad_phase.planes import PlaneGuard
 from carom.physics.contact.contact_checkpoint import ContactCheckpoint
 from carom.physics.contact.contact_tap import ContactTap, Impulses
 from carom.physics.contact.graph import OrderedContacts, empty_graph
 from carom.physics.contact.impact_log import NO_IMPACTS, Impacts
-from carom.physics.contact.moving_walls import set_velocities_in_drift, work_of_contacts, work_of_impacts
 from carom.physics.contact.near_pairs import ContactWorld, NearPairs
 from carom.physics.contact.reactions import Torques, supported_acceleration
-from carom.physics.contact.snapshot import ContactSnapshot, SnapshotSource
-from carom.physics.contact.solids import SolidsWithWalls
+from carom.physics.contact.snapshot import SnapshotSource
 from carom.physics.contact.solver.contact_solver import ContactSolver
 from carom.physics.contact.solver.positions import BAUMGARTE
 from carom.physics.contact.solver.prepare import ImpulseCache
 from carom.physics.contact.statistics import NO_CONTACTS, limits_of, still_closing
-from carom.physics.contact.translating_walls import WallTranslation, work_at_velocities, work_in_drift
 from carom.physics.diagnostics.run_monitor import Profile
 from carom.physics.jit.team import Team
 from carom.plan.features import Requirements
@@ -77,8 +75,10 @@ class ContactPipeline:
         The scene's section.
     solver, event_drift
         Resolve contacts, and impacts at their own times.
-    contacts
-        Those of the step.
+    contacts, snapshots
+        Those of the step, and the source of tables and graphs of them.
+    boundary, sleepers
+        What moves at the boundary, and the bodies that sleep; None if none may.
     most_sweeps
         Limit of the iterations.
     """
@@ -100,7 +100,8 @@ class ContactPipeline:
         box = self._shear.at_present if self._shear else world.box
         sleep = load("model", "sleep") if contact.sleep else None
         self.settings = contact
-        self._bodies, self._solids = bodies, planes
+        self._bodies = bodies
+        self.boundary = BoundaryMotion(bodies, planes, self._shear)
         self._field = world.field
         self._team = team
         self._needs = requirements
@@ -111,28 +112,22 @@ class ContactPipeline:
         self._guard = PlaneGuard(bodies, planes, team) if len(planes) else None
         self._was_crossed = False  # whether a body was put back in front of a plane in this step
         self.warned: set[str] = set()  # texts of the limits reported so far
-        self._translation: WallTranslation | None = None
-        if isinstance(planes, SolidsWithWalls) and planes.translates:
-            moving = planes.records, planes.before, bodies.ends, planes.motions
-            guided, smallest = planes.guided, float(bodies.radius.min())
-            self._translation = guided.motion(*moving, smallest) if guided else WallTranslation(*moving)
-        self._span = 0.0, 0.0  # s, times before and after the step
         friction = requirements.friction.modelled
         # islands are of interest only where contacts last
         sweeps = contact.sweeps if self._lasts or contact.sweeps != "auto" else "converged"
         self.solver = ContactSolver(bodies, planes, materials, box, friction, team, records, sweeps, contact.rules)
         self._torques = Torques(bodies, team)
         self.contacts = OrderedContacts.of(empty_graph().pairs, bodies, contact.colouring)  # the contacts of the step
-        self._snapshots = SnapshotSource(self.solver, bodies.ends.inverse_mass)
+        self.snapshots = SnapshotSource(self.solver, bodies.ends.inverse_mass)
         self.event_drift: EventDrivenDrift | None = None
         if requirements.impact_time.modelled:
             event_driven = load("model", "time-of-impact")
             drift = (friction, self._near.has_statics, requirements.resting.modelled)
             self.event_drift = event_driven(bodies, world, *drift, self._near.search, team)
         self.tap = ContactTap(bodies, materials, box, friction) if records else None
-        self._sleepers: Sleepers | None = None
+        self.sleepers: Sleepers | None = None
         if sleep and self._lasts:
-            self._sleepers = sleep(contact.sleep, bodies, planes, box)
+            self.sleepers = sleep(contact.sleep, bodies, planes, box)
         self._compile()
 
     def forget(self) -> None:
@@ -143,18 +138,16 @@ class ContactPipeline:
         self._slept: SleepingContacts | None = None  # contacts that slept in this step
         self._lost = NO_ENTRIES  # J, ledger of the contacts that woke in this step or fell asleep after it
         self._first_kick = 0.0  # s, the first kick of the step
-        if self._sleepers:
-            self._sleepers.forget()
+        if self.sleepers:
+            self.sleepers.forget()
         if self._needs.torque.modelled:
             self._torques.remember()
         self.ledger_apart = NO_ENTRIES  # (k, 3) J, entries of the step that belong to no contact
-        self.work_of_walls = 0.0  # J, work of moving walls on bodies in the step
         self.impacts: Impacts = NO_IMPACTS  # of the drift
         self.statistics = NO_CONTACTS  # of the step's contacts
         self.counts_impacts = True  # whether they include impacts during the drift; a look-ahead needs no statistics
-        self._snapshots.forget()
-        if self._translation:
-            self._translation.forget()
+        self.snapshots.forget()
+        self.boundary.forget()
         if self.tap:
             self.tap.forget()
 
@@ -163,11 +156,11 @@ class ContactPipeline:
         """A copy of the state that the next step needs; None if contacts cannot last."""
         if not self._lasts:
             return None
-        hold, sleepers = self._impulses, self._sleepers
+        hold, sleepers = self._impulses, self.sleepers
         pairs, rest_speed = self.contacts.pairs, self.solver.rest_speeds_by_pair()
         impulse = hold.impulse_of(self.solver.contacts)
         if sleepers is None:
-            moved = self._translation.memory if self._translation else None
+            moved = self.boundary.memory
             return ContactCheckpoint(pairs, rest_speed, self._dt, hold.pairs, impulse, hold.kick, piston=moved)
         awake, held = sleepers.have_awake_end(pairs), sleepers.have_awake_end(hold.pairs)
         kept = pairs[awake], rest_speed[awake], self._dt, hold.pairs[held], impulse[held], hold.kick
@@ -178,9 +171,9 @@ class ContactPipeline:
         """(n + p,) m/s², the supported acceleration of each body in the last kick; empty if contacts supported none."""
         inverse_mass = self._bodies.ends.inverse_mass
         by_awake = supported_acceleration(self._impulses, inverse_mass)
-        if not (self._sleepers and self._sleepers.any) or self._fell_asleep:
+        if not (self.sleepers and self.sleepers.any) or self._fell_asleep:
             return by_awake
-        slept = self._sleepers.contacts
+        slept = self.sleepers.contacts
         by_sleepers = supported_acceleration(ImpulseCache(slept.pairs, slept.place, slept.contacts, 1.0), inverse_mass)
         return by_sleepers + by_awake if len(by_awake) else by_sleepers
 
@@ -190,11 +183,10 @@ class ContactPipeline:
         if memory is not None:
             if memory.highest >= len(self._bodies.ends.radius):
                 raise PhysicsError("the checkpoint has contacts of bodies that are not in the scene")
-            if self._translation and memory.piston is not None:
-                self._translation.recall(memory.piston)
-            if self._sleepers:
-                self._sleepers.recall(memory.sleep)
-                self._slept = self._sleepers.contacts
+            self.boundary.recall(memory.piston)
+            if self.sleepers:
+                self.sleepers.recall(memory.sleep)
+                self._slept = self.sleepers.contacts
             self._recall_contacts(memory)
 
     def _recall_contacts(self, memory: ContactCheckpoint) -> None:
@@ -203,24 +195,6 @@ class ContactPipeline:
         self.solver.rest_speed[self.solver.order.place] = memory.rest_speed
         self._presses = bool(memory.rest_speed.max(initial=0.0) > 0.0)
         self._impulses = ImpulseCache.of(memory.held_pairs, memory.impulse, memory.kick)
-
-    def place_walls(self, time: float) -> None:
-        """Move walls that translate to where they are at a time (s)."""
-        if self._translation:
-            self._translation.place(time)
-
-    def next_change_of_walls(self, time: float) -> float:
-        """Return when the velocity of a wall jumps next after a time, both in s; infinite if none does."""
-        return self._translation.next_change(time) if self._translation else np.inf
-
-    @property
-    def longest_step_of_walls(self) -> float:
-        """The longest step (s) that the motion of walls allows; infinite if contacts move none."""
-        return self._translation.longest_step if self._translation else np.inf
-
-    def begin_step(self, before: float, time: float) -> None:
-        """Note the times (s) before and after the step, by which walls translate."""
-        self._span = before, time
 
     def begin(self, dt: float) -> None:
         """Find the contacts at the start of a run whose first step is about dt s."""
@@ -242,33 +216,32 @@ class ContactPipeline:
         """
         if self._needs.torque.modelled:
             self._torques.remember()
-        self.ledger_apart, self.work_of_walls = NO_ENTRIES, 0.0
+        self.ledger_apart = NO_ENTRIES
         self._first_kick = kick
         self._lost = NO_ENTRIES
         if self._fell_asleep:  # contacts that fell asleep after the last step are no longer computed
             memory = self.memory
-            assert memory is not None and self._sleepers is not None, "only lasting contacts fall asleep"
+            assert memory is not None and self.sleepers is not None, "only lasting contacts fall asleep"
             self._recall_contacts(memory)
-            self._fell_asleep, self._slept = False, self._sleepers.contacts
-        begun = self._translation.begin(*self._span, dt, booked) if self._translation else NO_ENTRIES
+            self._fell_asleep, self._slept = False, self.sleepers.contacts
+        self.boundary.begin(dt, booked)
         if self._guard:
             self._guard.remember()
         if self.event_drift is not None and self._lasts:  # mark the bodies that contacts pressed in the last step
             pressed = self.solver.pressed
             pressed[:] = False
-            if self._sleepers:
-                pressed[: len(self._bodies)] = self._sleepers.asleep
+            if self.sleepers:
+                pressed[: len(self._bodies)] = self.sleepers.asleep
             self.solver.mark_pressed(self._impulses)
         if self._is_at_rest():
             if self.tap:  # a step begins; these entries belong to the previous step, which is already booked
                 self.solver.ledger[:] = 0.0
             self._hold_contacts(self._dt, kick, dt, 0.0, booked, against)
             self.ledger_apart = self.solver.audited
-            self._add_work(self.solver.contacts, begun)
+            self.boundary.add_contacts(self.solver, self.solver.contacts)
             if self.tap:
                 self.tap.add_hold(self.contacts.pairs, self.solver)
-        if self._translation:
-            self._translation.begin_drift()
+        self.boundary.begin_drift()
 
     def drift(self, kick: float, dt: float, damping: float = 0.0, strength: float = 1.0) -> None:
         """Move all bodies for dt after a kick, both in s, and resolve impacts at their own times.
@@ -276,16 +249,16 @@ class ContactPipeline:
         Drag slows bodies down at the rate ``damping`` in 1/s; see `DampedPath`.
         """
         assert self.event_drift is not None, "the scene asks for times of impact"
-        if self._sleepers and self._sleepers.all:
+        if self.sleepers and self.sleepers.all:
             self.impacts = NO_IMPACTS
             return
         held = self._impulses if self._is_at_rest() else ImpulseCache.empty()
-        asleep = self._sleepers.asleep if self._sleepers else None
+        asleep = self.sleepers.asleep if self.sleepers else None
         self.impacts = self.event_drift.drift(
             kick, dt, *self._near.margins(dt), self._near.loading, held, self.solver.pressed, asleep, damping, strength
         )
         if len(self.impacts):
-            self.work_of_walls += self._work_of_impacts(self.impacts.log)
+            self.boundary.add_impacts(self.impacts.log)
         if self.tap:
             self.tap.add_drift(self.impacts)
 
@@ -293,7 +266,7 @@ class ContactPipeline:
     def is_quiet(self) -> bool:
         """Whether nothing touched in the last step, and nothing is held at the start of the next one."""
         touches = len(self.contacts) or self.statistics.contacts or len(self._impulses.pairs)
-        return not (touches or self._is_at_rest() or (self._sleepers and self._sleepers.any))
+        return not (touches or self._is_at_rest() or (self.sleepers and self.sleepers.any))
 
     @property
     def holds(self) -> bool:
@@ -308,7 +281,7 @@ class ContactPipeline:
     def add_quiet_steps(self) -> None:
         """Account for steps without contacts that followed a quiet step."""
         self.ledger_apart, self.impacts, self.statistics = NO_ENTRIES, NO_IMPACTS, NO_CONTACTS
-        self._snapshots.set_quiet(self.contacts)
+        self.snapshots.set_quiet(self.contacts)
 
     @property
     def is_steady(self) -> bool:
@@ -328,7 +301,7 @@ class ContactPipeline:
         self._impulses = ImpulseCache(self.contacts.pairs, self.contacts.order.place, self.solver.contacts, kick)
         self._dt, self.sweeps = dt, sweeps
         self.ledger_apart, self.impacts = NO_ENTRIES, NO_IMPACTS
-        self._snapshots.set_step(self.contacts, None, NO_IMPACTS, dt)
+        self.snapshots.set_step(self.contacts, None, NO_IMPACTS, dt)
         self.statistics = self.solver.statistics()
 
     def begin_batch(self) -> None:
@@ -355,12 +328,11 @@ class ContactPipeline:
 
     def find(self, dt: float, profile: Profile) -> None:
         """Find the contacts at the present positions, colour them, and correct the overlaps of resting ones."""
-        if self._translation:
-            self._translation.arrive(self._span[1])
+        self.boundary.arrive()
         if self._skips_end:
             return
         self._was_crossed = self._guard is not None and self._guard.stop()
-        sleepers = self._sleepers
+        sleepers = self.sleepers
         if sleepers and sleepers.all and not sleepers.is_disturbed():
             pairs = empty_graph().pairs
         else:
@@ -377,11 +349,7 @@ class ContactPipeline:
         self._order_contacts(pairs, dt)
         profile.mark("colouring")
         if self._pushes and len(pairs):
-            pushed = self.solver.correct_positions(self.most_sweeps)
-            if self._translation:
-                self._translation.push(pushed)
-            if self._shear:
-                self._shear.add_work_of_corrections(self.solver.contacts, self.solver.recorded)
+            self.boundary.add_corrections(self.solver, self.solver.correct_positions(self.most_sweeps))
             if self._guard:
                 self._guard.stop()
         profile.mark("stabilisation")
@@ -396,37 +364,25 @@ class ContactPipeline:
         profile
             Records the time of each phase.
         """
-        if self._translation:
-            self._translation.finish(self._span[1])
+        self.boundary.finish()
         if self._guard and self._guard.has_stopped:
             self.ledger_apart = np.concatenate((self.ledger_apart, self._guard.work()))
         if len(self.contacts):
             self._resolve(dt, kick, profile)
         else:
             self._impulses = ImpulseCache.empty()
-        if self._translation:
-            self.work_of_walls += self._translation.settle()
-        self._snapshots.set_step(self.contacts, self._slept, self.impacts, dt)
+        self.boundary.settle()
+        self.snapshots.set_step(self.contacts, self._slept, self.impacts, dt)
         self.statistics = self.solver.statistics() if len(self.contacts) else NO_CONTACTS
         if self._slept:
             self.statistics = self.statistics.plus(self._slept.statistics)
         if len(self.impacts) and self.counts_impacts:
             self._count_impacts()
 
-    @property
-    def sleeps(self) -> bool:
-        """Whether bodies may sleep."""
-        return self._sleepers is not None
-
-    def keep_asleep(self) -> None:
-        """Set the velocities of sleepers to 0 after a kick."""
-        assert self._sleepers is not None, "the scene has contact.sleep"
-        self._sleepers.stop()
-
     def fall_asleep(self, dt: float) -> None:
         """Put islands that have been slow for long enough to sleep, after a step of dt s."""
-        assert self._sleepers is not None, "the scene has contact.sleep"
-        lost = self._sleepers.fall_asleep(self.contacts.pairs, self._impulses, dt)
+        assert self.sleepers is not None, "the scene has contact.sleep"
+        lost = self.sleepers.fall_asleep(self.contacts.pairs, self._impulses, dt)
         self._fell_asleep = len(lost) > 0
         self._lost = np.concatenate((self._lost, lost))
         if len(self._lost):
@@ -456,7 +412,7 @@ class ContactPipeline:
         """Return the limits of the method first reached in this step: level, `WARN` or `INFO`, and text."""
         reached = limits_of(
             self.settings,
-            serial_stage=self.contacts.overflows and not self._solids.guided,  # each of its contacts has a colour
+            serial_stage=self.contacts.overflows and not self.boundary.is_guided,  # each of its contacts has a colour
             too_few_sweeps=self._too_few_sweeps,
             exhausted=self.event_drift is not None and self.event_drift.is_exhausted,
             crossed=self._was_crossed,
@@ -495,7 +451,7 @@ class ContactPipeline:
         solver.update_geometry()
         if self._pushes:
             solver.audit_corrections()
-        velocity = self._translation.accelerate() if self._translation else NO_ENTRIES
+        self.boundary.accelerate()
         bias_rate = BAUMGARTE / dt if contact.stabilisation == "baumgarte" else 0.0
         lasting = self._is_at_rest()
         self.sweeps = solver.resolve_impacts(bias_rate, self.most_sweeps, impacts_only=lasting)
@@ -508,42 +464,12 @@ class ContactPipeline:
             profile.mark("resting")
         else:
             self._impulses = ImpulseCache.empty()
-        self._add_work(solver.recorded, velocity)
-        self._add_work(solver.contacts, velocity)
-        if self._translation:
-            self._translation.rest()
+        self.boundary.add_contacts(solver, solver.recorded)
+        self.boundary.add_contacts(solver, solver.contacts)
+        self.boundary.rest()
         if self.sweeps >= self.most_sweeps and still_closing(contact) not in self.warned:
             self._too_few_sweeps = solver.is_closing(dt)
         profile.mark("response")
-
-    def _add_work(self, impulses: RecordArray[Any], velocity: FloatArray) -> None:
-        """Add the work of moving walls, or of the shear, by the impulses of the present contacts.
-
-        Parameters
-        ----------
-        impulses
-            (m,) records.
-        velocity
-            (p, 3) m/s, of solids that translate, as they do the work.
-        """
-        if self._shear:
-            self._shear.add_work(self.solver.contacts, impulses)
-        if not self._solids.moves:
-            return
-        pairs, contacts, n = self.solver.system.pairs, cast(RecordArray[Any], self.solver.contacts), len(self._bodies)
-        if self._solids.rotates:
-            self.work_of_walls += work_of_contacts(pairs, contacts, impulses, self._solids.surface, n)
-        if self._solids.translates:
-            self.work_of_walls += work_at_velocities(pairs, contacts, impulses, velocity, n)
-
-    def _work_of_impacts(self, log: Any) -> float:
-        """Return the work in J of moving walls in impacts during the drift."""
-        work, surface, n = 0.0, self._solids.surface, len(self._bodies)
-        if self._solids.rotates:
-            work += work_of_impacts(log, surface, n)
-        if self._solids.translates:
-            work += work_in_drift(log, surface, n)
-        return work
 
     def _is_at_rest(self) -> bool:
         """Return whether contacts may be at rest: without a force that presses them together, all are impacts."""
@@ -555,38 +481,25 @@ class ContactPipeline:
         """Hold the contacts after a kick and before a drift (0: no drift); times in s. Return the number of sweeps."""
         solver, pairs = self.solver, self.contacts.pairs
         place = solver.order.place
-        if drift > 0.0 and self._solids.rotates:
-            system, contacts = solver.system, cast(RecordArray[Any], solver.contacts)
-            moving = system.position, system.velocity, self._solids.surface
-            set_velocities_in_drift(system.pairs, contacts, *moving, drift)
+        if drift > 0.0:
+            self.boundary.set_velocities(solver, drift)
         self._impulses.carry_to(pairs, place, kick, solver.contacts, self._team)
         if kick > 0.0:  # Euler's step ends without a kick, so the next one starts from the impulses of the first kick
             self._impulses = ImpulseCache(pairs, place, solver.contacts, kick)
         return solver.hold(dt, booked, drift, bias_rate, self.most_sweeps, against)
 
-    @property
-    def snapshot(self) -> ContactSnapshot:
-        """The contacts of the step that touch or carry an impulse, without near pairs."""
-        return self._snapshots.snapshot
-
-    def keep_contributions(self) -> Callable[[], FloatArray]:
-        """Store the ledger of this step; the returned function returns the entries of each contact, (m, 3) J."""
-        return self._snapshots.keep_contributions()
-
     def _compile(self) -> None:
         """Run every kernel without contacts, so that the first contact does not wait for compilation."""
         self.forget()
         if self._pushes:
-            self.solver.correct_positions(1)
-            if self._shear:
-                self._shear.add_work_of_corrections(self.solver.contacts, self.solver.recorded)
+            self.boundary.add_corrections(self.solver, self.solver.correct_positions(1))
         self._resolve(1.0, 1.0, Profile())
         self.solver.is_closing(1.0)
         self.solver.statistics()
         if self.event_drift:
             self.impacts = Impacts(self.event_drift.log[:0])
             self._count_impacts()
-            self._work_of_impacts(self.impacts.log)
+            self.boundary.add_impacts(self.impacts.log)
         if self._lasts:
             for drift in (1.0, 0.0):
                 self._hold_contacts(1.0, 1.0, drift, 0.0, 1.0)

@@ -387,10 +387,10 @@ class Bookkeeper:
         if len(contact.ledger_apart):
             self.audit.book(contact.ledger_apart)
         if self._world.planes.moves:
-            self.audit.book_work(ENTRY, contact.work_of_walls)
+            self.audit.book_work(ENTRY, contact.boundary.work)
         if contact.statistics.contacts:
             if self.extremes.contacts is None:
-                graph = contact.snapshot.graph
+                graph = contact.snapshots.snapshot.graph
                 i, j = graph.pairs[graph.first]
                 text = f"First contact: {self._world.names.pair((i, j))}."
                 self.log(Event(clock.step, clock.time, "INFO", text, "first-contact"))

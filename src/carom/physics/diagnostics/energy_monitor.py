@@ -53,7 +53,7 @@ class Suspects:
         if spins:
             turning = np.empty_like(ends.angular_velocity) if turning is None else turning
             turning[:] = ends.angular_velocity
-        return cls(step, contact.snapshot.graph, contact.keep_contributions(), velocity, turning)
+        return cls(step, contact.snapshots.snapshot.graph, contact.snapshots.keep_contributions(), velocity, turning)
 
     def describe(self, names: Names, units: UnitSystem) -> str:
         """List the contacts that added most energy, with the states of their bodies."""

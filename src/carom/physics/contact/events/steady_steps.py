@@ -158,7 +158,7 @@ class SteadySteps:
 def make(world: World, books: Bookkeeper, timestep: Timestep, flight: FreeFlight) -> SteadySteps | None:
     """Return a `SteadySteps`; None if the scene has features that its kernel does not support."""
     contact, substeps = world.contact, integrator(world.scene).substeps
-    if PLAIN or contact is None or contact.event_drift is None or contact.sleeps or len(substeps) > 1:
+    if PLAIN or contact is None or contact.event_drift is None or contact.sleepers or len(substeps) > 1:
         return None
     system, settings, is_held_twice = contact.solver.system, contact.settings, min(substeps[0]) > 0.0
     is_known = settings.stabilisation != "baumgarte" and settings.search != "k-d-tree"  # which rounds otherwise
