@@ -133,7 +133,7 @@ def damage(rng: random.Random, files: list[Path]) -> None:
             flipped,
             contents[k + 1],  # another kernel's, whole in itself
             content + b"\0",
-            content[: rng.randrange(CHECKSUM)],
+            content[: rng.randrange(2 * CHECKSUM)],
             rng.randbytes(len(content)),
         ]
         file.write_bytes(ways[k % len(ways)])
@@ -159,6 +159,18 @@ def test_a_kernel_is_compiled_anew_when_one_that_it_calls_has_changed_in_another
     assert call(package)[:2] == ([3.0 + k for k in range(COUNT)], COUNT + 1)
     (package / "other.py").write_text("x = 1\n", encoding="utf-8")
     assert call(package)[1] == 0
+
+
+@pytest.mark.slow
+def test_files_of_a_kernel_that_has_moved_or_changed_do_not_heap_up(package: Path) -> None:
+    call(package)
+    moved = "# each kernel is a line further\n" + KERNELS.format(part="part")
+    (package / "kernels.py").write_text(moved, encoding="utf-8")
+    assert call(package)[1] == COUNT
+    files = sorted((package.parent / "cache").rglob("*.nbc"))
+    assert len(files) == COUNT + 1
+    call(package, env={"NUMBA_CPU_NAME": "generic", "NUMBA_CPU_FEATURES": ""})
+    assert set(files) < set((package.parent / "cache").rglob("*.nbc")), "those of another processor stay"
 
 
 RECORD = "from typing import NamedTuple\nclass Ball(NamedTuple):\n    {first}: float\n    {second}: float\n"

@@ -7,7 +7,7 @@ Numba's own cache unpickles and links any file in its folder, and identifies a k
 begins with a checksum of its content, of the kernel and its argument types, and of all sources that the kernel may
 depend on. Damaged, exchanged or outdated files are ignored and the kernel is compiled again. There is one file per
 kernel and types, and no index that two processes could write at once. A process that compiles a kernel claims it, so
-that others wait for the result.
+that others wait for the result, and removes the files of the kernel that other sources or versions left.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ import xxhash
 from carom.physics.jit.inside import MISSING, PLAIN, compiler, config, serialize
 from carom.private_folder import is_own
 
-CHECKSUM = 16  # bytes of a checksum, at the start of a file
+CHECKSUM = 16  # bytes of each of the two checksums at the start of a file: of all that counts, and of the sources
 CLAIMS = "claims.lock"  # a file in each folder; one of its bytes is locked while a kernel is compiled
 PATIENCE = 120.0  # s, longest wait for another process, which usually takes a few seconds
 POLL = 0.02  # s, between two checks of a claim
@@ -109,8 +109,11 @@ class KernelCache:
         code = function.__code__
         version = sys.implementation.cache_tag + (".plain" if PLAIN else "")
         self._folder = folder
-        self._name = f"{Path(code.co_filename).stem}.{function.__qualname__}-{code.co_firstlineno}.{version}"
-        self._made_of = repr((function.__module__, function.__qualname__, _VERSIONS)).encode() + sources
+        kernel = f"{Path(code.co_filename).stem}.{function.__qualname__}"
+        self._name = f"{kernel}-{code.co_firstlineno}.{version}"
+        self._names = re.compile(rf"{re.escape(kernel)}-\d+\.{re.escape(version)}\.[0-9a-f]{{16}}\.nbc")
+        made_of = repr((function.__module__, function.__qualname__, _VERSIONS)).encode() + sources
+        self._made_of = xxhash.xxh3_128_digest(made_of)
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """Return the code for a signature, or None if there is no valid file."""
@@ -148,7 +151,7 @@ class KernelCache:
             content = self._path(types).read_bytes()
         except OSError:
             return None
-        data = memoryview(content)[CHECKSUM:]
+        data = memoryview(content)[2 * CHECKSUM :]
         return data if content[:CHECKSUM] == self._checksum(types, data) else None
 
     def _write(self, types: bytes, data: Any) -> None:
@@ -158,11 +161,21 @@ class KernelCache:
         path = self._path(types)
         begun = path.with_name(f"{path.name}.{uuid.uuid4().hex}")
         try:
-            begun.write_bytes(self._checksum(types, memoryview(content)) + content)
+            begun.write_bytes(self._checksum(types, memoryview(content)) + self._made_of + content)
             begun.replace(path)
+            self._remove_outdated()
         except OSError:
             with contextlib.suppress(OSError):
                 begun.unlink(missing_ok=True)
+
+    def _remove_outdated(self) -> None:
+        """Remove the files of this kernel that were compiled from other sources; upgrades would heap them up."""
+        for path in self._folder.iterdir():
+            if self._names.fullmatch(path.name):
+                with path.open("rb") as file:
+                    made_of = file.read(2 * CHECKSUM)[CHECKSUM:]
+                if made_of != self._made_of:
+                    path.unlink(missing_ok=True)
 
     def _path(self, types: bytes) -> Path:
         return self._folder / f"{self._name}.{xxhash.xxh3_64_hexdigest(types)}.nbc"
