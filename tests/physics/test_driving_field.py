@@ -59,6 +59,26 @@ def test_impacts_friction_and_drag_dissipate_what_the_field_along_a_periodic_slo
     assert last.energy.relative_error < 1e-10
 
 
+def test_spheres_that_settle_in_a_periodic_box_reach_stokes_velocity_through_all_impacts() -> None:
+    tau, size = 0.1, 1.0
+    group = {"count": 60, "radius": 0.05, "density": 1000.0, "velocity": {"dispersion": 1.0}}
+    scene = Scene.from_dict(
+        {
+            "gravity": {"constant": 0.0, "uniform": [0.0, 0.0, -9.81]},
+            "drag": {"relaxation_time": tau},
+            "domain": {"boundary": "periodic", "size": [size] * 3},
+            "contact": {"restitution": 0.5},
+            "time": {"duration": 4.0},
+            "group": [group | {"region": {"shape": "box", "size": [size] * 3}}],
+        }
+    )
+    *_, last = Space(scene).run()
+    # exp(-t/τ) = 4e-18 of the first velocities is left, and impacts change no sum of momenta
+    assert last.velocity.mean(axis=0) == pytest.approx([0.0, 0.0, -9.81 * tau], abs=1e-12)
+    assert last.energy.ledger.restitution > 0.0, "some of them met"
+    assert last.energy.relative_error < 1e-12
+
+
 def test_balls_on_a_periodic_slope_have_the_same_bits_on_any_number_of_threads_and_after_resuming(
     tmp_path: Path,
 ) -> None:

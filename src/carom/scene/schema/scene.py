@@ -296,16 +296,16 @@ class Scene(Forces, Heading):
     @model_validator(mode="after")
     def _a_field_along_a_periodic_axis_meets_resistance(self) -> Self:
         along = [axis for axis in self.domain.repeating if self.gravity.uniform[axis]]
-        if along and not self.anchored:
+        if along and not self.anchored and self.drag is None:
             if isinstance(self.domain.boundary, tuple):
                 named = " and ".join("xyz"[axis] for axis in along)
                 raise ValueError(
                     f'gravity.uniform along {named}, where domain.boundary is "periodic": bodies would fall '
-                    "forever; set it to 0 there, or add a plane, a wall or a fixed body that holds them back"
+                    "forever; set it to 0 there, or add a [drag], a plane, a wall or a fixed body that holds them back"
                 )
             raise ValueError(
                 'domain.boundary = "periodic" with gravity.uniform: bodies would fall through the box forever; set '
-                "gravity.uniform = [0, 0, 0], or add a fixed body that holds them back"
+                "gravity.uniform = [0, 0, 0], or add a [drag] or a fixed body that holds them back"
             )
         return self
 
