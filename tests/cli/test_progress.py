@@ -56,3 +56,8 @@ radius = 1.7e6
     assert hint in shown
     shown = carom("run", "moon.toml", "--set", "time.max_dt=600 s", "-o", "all.rrd", cwd=tmp_path).stdout
     assert Recording.open(tmp_path / "all.rrd").frames >= 334 and "were requested" not in shown
+    given = ("run", "moon.toml", "--set", "record.every=auto")
+    shown = " ".join(carom(*given, "--set", "time.max_dt=1e4", "-o", "few.rrd", "--force", cwd=tmp_path).stdout.split())
+    assert "frames are recorded at ends of steps, which were long; time.max_dt = 333 s gives more frames" in shown
+    shown = carom(*given, "--set", "time.max_dt=333 s", "-o", "all.rrd", "--force", cwd=tmp_path).stdout
+    assert "which were long" not in shown

@@ -13,7 +13,7 @@ from carom.cli.printing import bytes_text, duration_text, simulated_text, warnin
 from carom.cli.terminal import LiveLine, Patience, Terminal, bar
 from carom.physics.look_ahead.trial_run import Watcher, WorkBudget
 from carom.physics.simulation import StepStatus
-from carom.plan.auto import ended_bounces, inexact_impacts, largest_step
+from carom.plan.auto import ended_bounces, frame_interval, inexact_impacts, largest_step
 from carom.plan.checks import doubts
 from carom.runs.outcome import accuracy_text, counts_text, error_text, in_words, overlap_text
 from carom.runs.run import Outcome, shortfall_text
@@ -24,6 +24,7 @@ from carom.scene.wording import command, counted
 
 MANY_STEPS = 10_000_000  # some 10 s of the fastest steps
 LEAST_FRAMES = 0.9  # of the requested frames; if fewer are recorded, a note says so
+FEW_FRAMES = 0.2  # the same for the automatic number of frames, which nobody requested
 
 
 class RunProgress(LiveLine):
@@ -149,15 +150,20 @@ def watch_look_ahead(scene: Scene, patience: Patience) -> Watcher:
 
 
 def _fewer_frames(scene: Scene, outcome: Outcome) -> str:
-    """Return a note if steps were longer than the requested time between frames; otherwise an empty text."""
-    if isinstance(scene.record.every, str):
+    """Return a note if steps were too long for the requested or the usual number of frames; otherwise an empty text."""
+    interval = frame_interval(scene)
+    if interval == 0.0:
         return ""
-    asked = outcome.sim_time / scene.record.every + 1.0  # including a frame of the initial state
-    if outcome.frames >= LEAST_FRAMES * asked:
+    expected = outcome.sim_time / interval + 1.0  # including a frame of the initial state
+    automatic = scene.record.every == "auto"
+    if outcome.frames >= (FEW_FRAMES if automatic else LEAST_FRAMES) * expected:
         return ""
+    limit = scene.unit_system.text(interval, TIME, ".3g" if automatic else "g")
+    if automatic:
+        return f"frames are recorded at ends of steps, which were long; time.max_dt = {limit} gives more frames"
     return (
-        f"{asked:.0f} frames were requested, but frames are recorded only at ends of steps, and most steps are longer "
-        f"than record.every; time.max_dt = {scene.unit_system.text(scene.record.every, TIME, 'g')} records all frames"
+        f"{expected:.0f} frames were requested, but frames are recorded only at ends of steps, and most steps are "
+        f"longer than record.every; time.max_dt = {limit} records all frames"
     )
 
 
