@@ -168,6 +168,18 @@ def test_a_list_finds_what_a_search_finds_at_any_pace_and_saves_searches_at_a_sl
     assert max(counts[0], counts[2]) < 15 or side == 7.0
 
 
+def test_a_shorter_search_after_a_move_needs_no_second_search() -> None:
+    rng = np.random.default_rng(3)
+    radius, position = rng.uniform(0.8, 1.2, 4 * ALL_PAIRS_UP_TO), rng.uniform(-9.0, 9.0, (4 * ALL_PAIRS_UP_TO, 3))
+    searched, grid = HierarchicalGrid(radius, np.zeros(3)), CountedSearch(radius, np.zeros(3))
+    listed, fastest = PairList(grid, radius, np.zeros(3), Team(1)), 0.5
+    for _ in range(5):  # a drift searches as far as bodies may move in it, which is too fast for a list
+        listed.pairs(position, scale=1.02 + fastest / radius.min())
+        position = position + rng.uniform(-1.0, 1.0, position.shape) * fastest / np.sqrt(3.0)
+        assert np.array_equal(listed.pairs(position, scale=1.01), searched.pairs(position, scale=1.01))
+    assert grid.searches == 5
+
+
 def test_a_search_with_a_skin_finds_what_nearly_touches() -> None:
     position, radius = np.array([[0.0, 0.0, 0.0], [2.05, 0.0, 0.0]]), np.ones(2)
     for search in (HierarchicalGrid(radius, np.zeros(3)), KdTree(radius, np.zeros(3))):

@@ -3,7 +3,9 @@
 The list is rebuilt only when bodies have moved far enough. It contains all pairs within the search distance, and pairs
 farther apart by at most a margin. Two bodies that have each moved by at most d since then have come closer by at most
 2d. As long as 2d is within the margin, the list holds all pairs within the search distance. The listed pairs pass the
-same exact test, in the same order, so the result equals that of a search.
+same exact test, in the same order, so the result equals that of a search. A search for shorter distances has the
+difference as a margin, too: a step whose drift searches farther finds its contacts in the same list, however fast
+bodies are.
 
 The margin is chosen by the speed of the bodies so that a list lasts for `CALLS` calls, within limits. A wider list
 costs more to test but is rebuilt less often. For 10⁴ spheres that fill 0.3 of a box and move by up to 0.05 of their
@@ -28,7 +30,7 @@ from carom.physics.vector import between, is_periodic, minimum_image, sizes
 
 LEAST_MARGIN, MOST_MARGIN = 0.2, 1.0  # of the smallest radius; in a heap they give 1.3 and 3 times as many pairs
 CALLS = 10  # number of calls for which a list is made
-LEAST_CALLS = 4  # calls that a list must last at the present speed; making one costs as much as one and a half searches
+LEAST_SEARCHES = 4  # that a list must save at the present speed; with a margin, making one costs as much as two
 ROUNDING = 1e-14  # of the largest coordinate and distance; the test of a pair errs by about 1e-16
 BODIES_PER_BLOCK = 2048
 PAIRS_PER_BLOCK = 4096
@@ -106,33 +108,35 @@ class PairList:
         self._start = np.full((len(radius), 3), np.inf)  # m, positions when the list was made, or at the last call
         self._moves = np.zeros(-(-len(radius) // BODIES_PER_BLOCK), FARTHEST)
         self._scale, self._skin = 0.0, -np.inf  # distance within which the list holds all pairs
-        self._calls = 1  # calls since the list was made
+        self._least = -np.inf  # m, the same without the margin
+        self._calls = self._searches = 1  # calls since the list was made, and those that need its margin
         self._within_reach(self._start, 1.0, 0.0)  # loads the kernels
         self._farthest_move(self._start)
 
     def pairs(self, position: FloatArray, scale: float = 1.0, skin: float = 0.0) -> IntArray:
         """Return the pairs no farther apart than ``(r_i + r_j) scale + skin``, (m, 2), sorted by (i, j)."""
         moved, size = self._farthest_move(position)
-        wider = 2.0 * self._largest * max(0.0, scale - self._scale) + skin
+        wider = 2.0 * (self._largest if scale > self._scale else self._smallest) * (scale - self._scale) + skin
         closer = 2.0 * moved + ROUNDING * (size + 2.0 * self._largest * scale + skin)
         if not wider + closer <= self._skin:
-            margin = self._margin(2.0 * moved / self._calls, scale, skin)
+            margin = self._margin(2.0 * moved, scale, skin)
             np.copyto(self._start, position)
-            self._calls = 1
-            if margin == 0.0:
-                self._skin = -np.inf
-                return self._grid.pairs(position, scale, skin)
-            self._scale, self._skin = scale, skin + margin
+            self._calls = self._searches = 1
+            self._scale, self._least, self._skin = scale, skin, skin + margin
             self._listed = self._grid.pairs(position, self._scale, self._skin)
+            if margin == 0.0:
+                return self._listed
+        else:
+            self._searches += wider + closer > self._least
         self._calls += 1
         return self._within_reach(position, scale, skin)
 
-    def _margin(self, pace: float, scale: float, skin: float) -> float:
-        """Return the margin of a list (m) for bodies that approach by ``pace`` a call; 0 if no list pays."""
+    def _margin(self, closer: float, scale: float, skin: float) -> float:
+        """Return the margin of a list (m), by how much closer bodies came since the last one; 0 if it does not pay."""
         most = min(MOST_MARGIN * self._smallest, 0.9 * self._widest - 2.0 * self._largest * scale - skin)
-        if not pace * LEAST_CALLS <= most:
+        if not closer / self._searches * LEAST_SEARCHES <= most:
             return 0.0
-        return min(most, max(LEAST_MARGIN * self._smallest, pace * CALLS))
+        return min(most, max(LEAST_MARGIN * self._smallest, closer / self._calls * CALLS))
 
     def _farthest_move(self, position: FloatArray) -> tuple[float, float]:
         """Return the largest displacement of a body from its start, and the largest absolute coordinate, in m."""
