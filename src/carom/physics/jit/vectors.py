@@ -307,6 +307,10 @@ class RecordLanes:
         places = [_at(self._builder, at, line * CACHE_LINE + 8 * place, DOUBLE) for at in self._addresses]
         return gathered(self._builder, [self._builder.load(at) for at in places])
 
+    def assume(self, **fields: Lanes) -> None:
+        """Take these values for fields of lines that have not been read."""
+        vars(self).update(fields)
+
     def change(self, **fields: Lanes) -> None:
         """Change fields of lines that have been read; `write` then changes memory."""
         for name, value in fields.items():

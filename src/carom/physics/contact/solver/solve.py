@@ -82,6 +82,7 @@ from carom.physics.contact.solver.body_state import (
 from carom.physics.jit.decorators import inline, unowned
 from carom.physics.jit.instructions import Code, instruction
 from carom.physics.jit.vectors import (
+    DOUBLE,
     WIDTH,
     Lanes,
     RecordLanes,
@@ -279,7 +280,9 @@ class _Solution:
         fields = block.kind_of("contacts").dtype.fields
         on_moving_walls, of_images, self._resists = (name in fields for name in ("surface_x", "image_x", "angular_x"))
         kind = next(kind for kind in KINDS if set(kind.names or ()) == set(fields))
-        contact = block.records("contacts", kind, range(2 + self._resists + (on_moving_walls or of_images)))
+        contact = block.records("contacts", kind, range(2 + self._resists + of_images))
+        if on_moving_walls:
+            contact.assume(**self._surface_velocity(contact))
         bodies = a, b = block.bodies("bodies", BODY_STATE, (VELOCITY,))
         alpha = block.setting("alpha")
         vn, *u = in_lanes(relative_velocity)(contact, a, b)
@@ -293,7 +296,7 @@ class _Solution:
         if turns:
             d = self._rub(contact, in_lanes(slip)(contact, a, b, *u), alpha)
             if on_moving_walls:
-                slopes.append(in_lanes(along_surface_velocity)(contact, *d))
+                slopes.append(along_surface_velocity(contact, *d))
             largest = reduce(greater, map(abs, d), largest)
             J = [along + rubbing for along, rubbing in zip(J, d, strict=True)]
             torque = in_lanes(torque_of)(contact, *d)
@@ -306,6 +309,14 @@ class _Solution:
         if torque is not None and self._resists:
             self._resist_rotation(contact, bodies, torque, alpha)
             contact.write(2, self._held)
+
+    def _surface_velocity(self, contact: RecordLanes) -> dict[str, Lanes]:
+        """Return s of the contacts; it is read only if one of them is with a wall: a sixth of a drum's solver."""
+        block, names = self._block, ("surface_x", "surface_y", "surface_z")
+        zero = spread(self._builder, DOUBLE(0.0))
+        at_walls = (~block.between_bodies).any
+        velocity = either(self._builder, at_walls, lambda: [*map(contact.field, names)], lambda: [zero] * len(names))
+        return dict(zip(names, velocity, strict=True))
 
     def _resist_rotation(
         self, contact: RecordLanes, bodies: Sequence[RecordLanes], torque: Sequence[Lanes], alpha: Lanes
