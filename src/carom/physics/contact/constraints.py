@@ -184,6 +184,7 @@ class PieceResultsRecord(Protocol):
     friction_loss: float
     stabilisation_gain: float
     any_rests: bool  # whether a contact is at rest
+    is_exact: bool  # whether conjugate gradients go on here when they leave meshed islands
 
 
 class MeasuredRecord(Protocol):

@@ -204,14 +204,16 @@ def tolerated(rest_speed: float, approach: float, depth: float, radius_per_step:
 @unowned
 def conjugate_step(first: int, end: int, system: ConstraintSystem) -> None:
     """Move by α along the direction; compute the residual r = -(v + c), and the sum of r z with z = r / diag(A)."""
-    if system.settings[0].iteration == 0:
-        lo, hi = contacts_of(first, end, system)
-        begin_search(lo, hi, system)
     settings = system.settings[0]
     alpha = settings.alpha
     for piece in range(first, end):
         lo, hi = contacts_of(piece, piece + 1, system)
+        results = system.piece_results[piece]
+        if settings.iteration == 0:
+            results.is_exact = begin_search(lo, hi, system)
         norm, exact_norm, most, least = 0.0, 0.0, 0.0, 0.0
+        if _is_left(results, system):
+            hi = lo
         for c in range(lo, hi):
             search, contact = system.search[c], system.contacts[c]
             if not _is_searched(c, search, system):
@@ -239,7 +241,6 @@ def conjugate_step(first: int, end: int, system: ConstraintSystem) -> None:
             if system.enough[c] <= ENOUGH:
                 exact_norm += of_normal
                 exact_norm += of_tangent
-        results = system.piece_results[piece]
         results.residual_norm, results.exact_norm = norm, exact_norm
         results.largest_push, results.largest_pull = most, -least
 
@@ -252,11 +253,24 @@ def _is_searched(c: int, search: SearchRecord, system: ConstraintSystem) -> bool
     return not (system.settings[0].ignores_meshed and system.enough[c] > ENOUGH)
 
 
+@inline
+def _is_left(results: PieceResultsRecord, system: ConstraintSystem) -> bool:
+    """Return whether the search goes on for no contact of a piece: all of its islands are left as they are.
+
+    In a drum with 10⁴ spheres, half of the iterations serve ten contacts. Without the others, they take a tenth of the
+    time.
+    """
+    return bool(system.settings[0].ignores_meshed and not results.is_exact)
+
+
 @unowned
-def begin_search(lo: int, hi: int, system: ConstraintSystem) -> None:
-    """Determine the free impulses: λ_n of contacts that carry a load or close, and λ_t of contacts that stick."""
+def begin_search(lo: int, hi: int, system: ConstraintSystem) -> bool:
+    """Determine the free impulses: λ_n of contacts that carry a load or close, and λ_t of contacts that stick.
+
+    Return whether the search goes on for some of these contacts when it leaves meshed islands.
+    """
     spins, drift = system.settings[0].spins, system.settings[0].drift
-    count, places = body_count(system), system.places
+    count, places, is_exact = body_count(system), system.places, False
     for c in range(lo, hi):
         search, contact = system.search[c], system.contacts[c]
         search.step_normal = search.step_x = search.step_y = search.step_z = 0.0
@@ -279,12 +293,21 @@ def begin_search(lo: int, hi: int, system: ConstraintSystem) -> None:
                 ux, uy, uz = slip(contact, body_i, body_j, ux, uy, uz)
                 search.free_tangent = True
                 search.residual_x, search.residual_y, search.residual_z = -ux, -uy, -uz
+        is_exact |= system.enough[c] <= ENOUGH and (search.free_normal or search.free_tangent)
+    return is_exact
 
 
 @unowned
 def conjugate_direction(first: int, end: int, system: ConstraintSystem) -> None:
     """Update the direction, d = z + β d, and sum the changes p and t of the bodies' velocities along it."""
-    lo, hi = contacts_of(first, end, system)
+    for piece in range(first, end):
+        if not _is_left(system.piece_results[piece], system):
+            _add_direction(piece, system)
+
+
+@inline
+def _add_direction(piece: int, system: ConstraintSystem) -> None:
+    lo, hi = contacts_of(piece, piece + 1, system)
     spins, beta = system.settings[0].spins, system.settings[0].beta
     for c in range(lo, hi):
         search, contact = system.search[c], system.contacts[c]
