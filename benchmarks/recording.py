@@ -2,7 +2,9 @@
 
     python benchmarks/recording.py            # all scenes, 7 rounds
     python benchmarks/recording.py --rounds 15 marbles-in-a-box
-    python benchmarks/recording.py --default  # the default recordings of bundled scenes, 3 rounds
+    python benchmarks/recording.py --default  # the default recordings of bundled scenes, 7 rounds
+    python benchmarks/recording.py --commands # the same of `carom run`, which starts Python and Rerun
+    python benchmarks/recording.py --writing  # the cost of frames beside Rerun, which writes the same data
     python benchmarks/recording.py --details  # what exact states take, and memory
 
 Rounds are interleaved and medians compared. "Only steps" makes no frames. "Frames for nobody" makes every frame, with
@@ -19,9 +21,10 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 from unittest import mock
@@ -31,12 +34,17 @@ from carom.runs.environment import keep_freed_memory
 keep_freed_memory()  # as the carom command does, before NumPy starts its threads
 
 import numpy as np  # noqa: E402
+import rerun as rr  # noqa: E402
 
+from carom.physics.frame import Frame  # noqa: E402
 from carom.physics.schedule import at  # noqa: E402
 from carom.physics.space import Space  # noqa: E402
+from carom.recording.rrd.container import Container  # noqa: E402
+from carom.recording.schema.header import Header  # noqa: E402
 from carom.recording.write.recorder import FrameRecorder  # noqa: E402
+from carom.recording.write.rerun_compat import rerun_chunks  # noqa: E402
 from carom.runs import run as experiment  # noqa: E402
-from carom.runs.run import Outcome, recording_space, simulate  # noqa: E402
+from carom.runs.run import Outcome, header_of, recording_space, simulate  # noqa: E402
 from carom.scene.scene_file import bundled_scenes  # noqa: E402
 from carom.scene.schema import Scene  # noqa: E402
 from measurement import merge  # noqa: E402
@@ -49,6 +57,15 @@ SCENES: dict[str, tuple[str, list[str]]] = {
     "marbles-in-a-box": ("marbles-in-a-box", []),
     "1000-bodies": ("cloud-collapse", THOUSAND),
 }
+PEER_TIMES = 5  # since Rerun takes 15 ms, too little to measure
+WRITTEN = ("newtons-cradle", "heap")  # frames of few bodies, and frames with contacts
+ONLY_STEPS = """
+import sys
+from carom import Scene, Space
+from carom.physics.schedule import at
+for _ in Space(Scene.load(sys.argv[1])).run(schedule=at(())):
+    pass
+"""
 VARIANTS = ("only steps", "frames for nobody", 'impacts = "none"', 'impacts = "auto"')
 
 
@@ -105,7 +122,8 @@ def measure(name: str, variant: str, path: Path) -> tuple[Taken, int]:
 
 def _cpu() -> float:
     used = resource.getrusage(resource.RUSAGE_SELF)
-    return used.ru_utime + used.ru_stime
+    ended = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime + ended.ru_utime + ended.ru_stime
 
 
 def only_steps(space: Space) -> None:
@@ -145,35 +163,105 @@ def compare(name: str, rounds: int) -> list[dict[str, Any]]:
     return rows
 
 
-def default_recordings(names: list[str], rounds: int) -> list[dict[str, Any]]:
-    """Compare runs with a default recording and the same runs with the first and the last frame only."""
+def default_recordings(names: list[str], rounds: int, whole_commands: bool) -> list[dict[str, Any]]:
+    """Compare runs with a default recording and the same runs with the first and the last frame only.
+
+    With ``whole_commands``, compare `carom run` with a process that takes the same steps and does not import Rerun.
+    """
     rows = []
-    print(
-        f"{'one thread, CPU of the process, least of rounds':>48} {'steps':>7} {'frames':>7} {'s':>8} {'recorded':>9}"
-    )
+    what = "whole processes, least of rounds" if whole_commands else "one thread, least of rounds"
+    print(f"{what:>32} {'CPU s':>8} {'recorded':>9} {'':>8} {'wall s':>8} {'recorded':>9}")
     with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "run.rrd"
         for name in names:
-            least, walls, frames = {"steps": np.inf, "recorded": np.inf}, {"steps": np.inf, "recorded": np.inf}, 0
+            least = dict.fromkeys(("cpu_steps", "cpu_recorded", "wall_steps", "wall_recorded"), np.inf)
             for number in range(rounds + 1):  # the first round loads kernels and libraries
                 for variant in ("steps", "recorded"):
-                    space = recording_space(Scene.load(name), 1)
-                    began, cpu = time.perf_counter(), _cpu()
-                    if variant == "steps":
-                        for _ in space.run(schedule=at(())):
-                            pass
+                    if whole_commands:
+                        words = [sys.executable, "-c", ONLY_STEPS, name]
+                        if variant == "recorded":
+                            words = [sys.executable, "-m", "carom", "run", name, "-o", str(path), "--force"]
+                        act: Callable[[], object] = partial(subprocess.run, words, capture_output=True, check=True)
                     else:
-                        frames = simulate(space, Path(folder) / "run.rrd", force=True).frames
-                    if number:
-                        least[variant] = min(least[variant], _cpu() - cpu)
-                        walls[variant] = min(walls[variant], time.perf_counter() - began)
-            steps, whole = least.values()
-            print(
-                f"{name:>48} {space.step:7} {frames:7} {steps:8.3f} {whole:9.3f} {whole / steps - 1.0:+8.1%}",
-                flush=True,
-            )
-            walls = {f"wall_{variant}": seconds for variant, seconds in walls.items()}
-            rows.append({"scene": name, "frames": frames, "cpu_steps": steps, "cpu_recorded": whole, **walls})
+                        space = recording_space(Scene.load(name), 1)
+                        act = partial(only_ends, space)
+                        if variant == "recorded":
+                            act = partial(simulate, space, path, force=True)
+                    began, cpu = time.perf_counter(), _cpu()
+                    act()
+                    for kind, spent in (("wall", time.perf_counter() - began), ("cpu", _cpu() - cpu)):
+                        if number:
+                            least[f"{kind}_{variant}"] = min(least[f"{kind}_{variant}"], spent)
+            line = [f"{name:>32}"]
+            for kind in ("cpu", "wall"):
+                steps, whole = least[f"{kind}_steps"], least[f"{kind}_recorded"]
+                line.append(f"{steps:8.3f} {whole:9.3f} {whole / steps - 1.0:+8.1%}")
+            print(" ".join(line), flush=True)
+            rows.append({"scene": name, **({"of": "command"} if whole_commands else {}), **least})
     return rows
+
+
+def only_ends(space: Space) -> None:
+    """Run a space without frames between the first and the last one."""
+    for _ in space.run(schedule=at(())):
+        pass
+
+
+def compare_writing(rounds: int) -> list[dict[str, Any]]:
+    """Compare what default recordings cost with Rerun alone, which writes the same chunks to a file.
+
+    Seconds are CPU times of the process, least of interleaved rounds: of the steps without frames, of the recorded run,
+    of the recorder with frames that exist already, and of Rerun.
+    """
+    rows = []
+    with tempfile.TemporaryDirectory() as folder:
+        for name in WRITTEN:
+            path, scene = Path(folder) / f"{name}.rrd", Scene.load(name)
+            simulate(recording_space(scene, 1), path, force=True)
+            whole = Container.open(path)
+            read = [chunk for store in whole.stores for chunk in whole.chunks(store.entries)]
+            chunks = [part for chunk in read for part in rerun_chunks(chunk.batch)]
+            space = recording_space(scene, 1)
+            header, frames = header_of(space), list(space.run())
+            contenders: dict[str, Callable[[], object]] = {
+                "steps": partial(with_space, scene, only_ends),
+                "run": partial(with_space, scene, partial(simulate, path=path, force=True)),
+                "recorder": partial(record_frames, path, header, frames),
+                "Rerun": partial(write_chunks, path.with_suffix(".peer.rrd"), chunks, PEER_TIMES),
+            }
+            least = dict.fromkeys(contenders, np.inf)
+            for number in range(rounds + 1):  # the first round loads kernels and libraries
+                for contender, act in contenders.items():
+                    cpu = _cpu()
+                    act()
+                    if number:
+                        least[contender] = min(least[contender], _cpu() - cpu)
+            least["Rerun"] /= PEER_TIMES
+            rows.append({"scene": name, "frames": len(frames), "s": least})
+            print(name, len(frames), {key: f"{1e3 * seconds:.1f} ms" for key, seconds in least.items()}, flush=True)
+    return rows
+
+
+def with_space(scene: Scene, act: Callable[[Space], object]) -> None:
+    """Build a space, and act on it."""
+    act(recording_space(scene, 1))
+
+
+def record_frames(path: Path, header: Header, frames: Sequence[Frame]) -> None:
+    """Record frames that exist already."""
+    with FrameRecorder(path, header) as recorder:
+        for frame in frames:
+            recorder.put(frame)
+        recorder.finish("completed")
+
+
+def write_chunks(path: Path, chunks: Sequence[Any], times: int) -> None:
+    """Write chunks with Rerun alone, several times."""
+    for _ in range(times):
+        stream = rr.RecordingStream("peer")
+        stream.save(path)
+        rr.send_chunks(chunks, recording=stream)
+        stream.disconnect()
 
 
 def recorded(space: Space, folder: str) -> tuple[float, Outcome]:
@@ -223,13 +311,18 @@ def main() -> None:
     parser.add_argument("scenes", nargs="*", help=f"of {', '.join(SCENES)} (default: all)")
     parser.add_argument("--rounds", type=int, default=ROUNDS)
     parser.add_argument("--default", action="store_true", help="default recordings of bundled scenes")
+    parser.add_argument("--commands", action="store_true", help="the same of whole processes")
+    parser.add_argument("--writing", action="store_true", help="frames beside Rerun, which writes the same data")
     parser.add_argument("--details", action="store_true", help="what exact states take, and memory")
     options = parser.parse_args()
     if options.details:
         details(options.rounds)
         return
-    if options.default:
-        rows = default_recordings(options.scenes or sorted(bundled_scenes()), options.rounds)
+    if options.writing:
+        print(f"\n{merge('recording', {'writing': compare_writing(options.rounds)})}")
+        return
+    if options.default or options.commands:
+        rows = default_recordings(options.scenes or sorted(bundled_scenes()), options.rounds, options.commands)
         print(f"\n{merge('recording', {'default': rows})}")
         return
     rows = [row for name in options.scenes or SCENES for row in compare(name, options.rounds)]
