@@ -311,7 +311,7 @@ class _Solution:
             contact.write(2, self._held)
 
     def _surface_velocity(self, contact: RecordLanes) -> dict[str, Lanes]:
-        """Return s of the contacts; it is read only if one of them is with a wall: a sixth of a drum's solver."""
+        """Return s of the contacts. It is read only if one of them is with a wall, which shortens a drum's sweeps."""
         block, names = self._block, ("surface_x", "surface_y", "surface_z")
         zero = spread(self._builder, DOUBLE(0.0))
         at_walls = (~block.between_bodies).any
