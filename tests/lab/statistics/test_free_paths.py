@@ -65,6 +65,7 @@ def test_statistics_of_impacts_say_how_many_are_missing_from_the_file(
     for measure in (measure_impacts, measure_stress, measure_free_paths):
         note = measure(interval).note
         assert "7" in note and "not recorded" in note and "--replay" in note
+    assert measure_impacts(interval).values["impact_rate"].label == "recorded impacts"
 
 
 def test_a_run_without_impacts_says_so_in_a_sentence(tmp_path: Path) -> None:

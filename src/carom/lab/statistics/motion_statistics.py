@@ -136,10 +136,9 @@ def measure_impacts(interval: Interval) -> Statistic:
     impacts = interval.impacts
     speed, count = impacts.speed, len(impacts.speed)
     mean = float(speed.mean())
+    counted = "recorded impacts" if interval.impacts_left_out else "impacts in all"
     values = {
-        "impact_rate": MeasuredValue(
-            "impacts in all", count / interval.duration, RATE, sqrt(count) / interval.duration
-        ),
+        "impact_rate": MeasuredValue(counted, count / interval.duration, RATE, sqrt(count) / interval.duration),
         "mean_approach_speed": MeasuredValue(
             "mean approach speed", mean, VELOCITY, float(speed.std()) / sqrt(count) if count > 1 else None
         ),
