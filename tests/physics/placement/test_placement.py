@@ -132,6 +132,13 @@ def test_a_group_that_finds_no_place_in_a_default_region_larger_than_the_domain_
         place(Scene.from_dict(document | {"group": [group | ball]}))
 
 
+def test_two_groups_without_regions_share_a_closed_domain() -> None:
+    groups = [{"count": 200, "radius": 0.05}, {"count": 20, "radius": 0.1}]  # both balls are about the same origin
+    document = {"domain": {"boundary": "periodic", "size": [3.0, 3.0, 3.0]}, "gravity": {"constant": 0.0}}
+    start = place(Scene.from_dict(document | {"group": groups}))
+    assert np.linalg.norm(start.position[:200], axis=1).max() < 0.65 < np.abs(start.position[200:]).max() <= 1.5
+
+
 def test_100000_bodies_at_ten_per_cent_packing_are_placed() -> None:
     group = {"count": 100_000, "radius": {"min": 0.5, "max": 1.5}}
     scene = Scene.from_dict({"group": [group]})

@@ -77,7 +77,7 @@ def place(scene: Scene) -> InitialBodies:
                 try:
                     position = arrange(mixture, region, radius, around, streams[index], units)
                 except SceneError:
-                    whole = _domain_beyond(region, scene) if group.region is None else None
+                    whole = _whole_domain(scene) if group.region is None else None
                     if whole is None:
                         raise
                     filling = {index: group.model_copy(update={"region": whole})}
@@ -172,12 +172,10 @@ def _region(mixture: Mapping[int, BodyGroup], radii: Mapping[int, FloatArray], u
     return region
 
 
-def _domain_beyond(region: Region, scene: Scene) -> Region | None:
-    """Return the domain as a region if a default region extends beyond it; None if it does not, or without a domain."""
+def _whole_domain(scene: Scene) -> Region | None:
+    """Return the domain as a region; None if it has an open side."""
     size = scene.domain.size
-    if size is None or "open" in scene.domain.axes or (2.0 * half_extent(region) <= size).all():
-        return None
-    return Region(shape="box", size=size)
+    return None if size is None or "open" in scene.domain.axes else Region(shape="box", size=size)
 
 
 def _group(

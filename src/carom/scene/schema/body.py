@@ -314,8 +314,8 @@ class BodyGroup(Matter):
     )
     region: Region | None = Field(
         None,
-        description="where the bodies are placed; by default a ball that is one tenth full, or the domain if they do "
-        "not fit into a larger ball",
+        description="where the bodies are placed; by default a ball that is one tenth full, or a domain without open "
+        "sides if they find no place in it",
     )
     arrangement: Literal["random", "compressed", "cubic", "fcc", "hcp"] = Field(
         "random",
