@@ -1,4 +1,4 @@
-"""What moves at the boundary in a step, and the work that contacts do with it: walls, and the images of a sheared box.
+"""What moves at the boundary in a step: walls, and the images of a sheared box, with the work of contacts on them.
 
 `ContactPipeline` calls the methods from `begin` to `settle` in their order. Without moving walls and shear, none of
 them does anything.
@@ -89,7 +89,7 @@ class BoundaryMotion:
         self._span = before, time
 
     def begin(self, dt: float, booked: float) -> None:
-        """Begin a step with a drift of dt, to hold contacts; ``booked`` is the length of the first kick, both in s."""
+        """Begin a step with a drift of ``dt``, of which the first kick books ``booked``, both in s."""
         self.work = 0.0
         if self._translation:
             self._velocity = self._translation.begin(*self._span, dt, booked)

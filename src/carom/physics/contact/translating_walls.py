@@ -128,9 +128,9 @@ class WallTranslation:
         self.rest()
 
     def begin(self, before: float, time: float, dt: float, booked: float) -> FloatArray:
-        """Begin a step between two times, with a drift of dt, to hold contacts; return Ḋ as it begins, (p, 3) m/s.
+        """Begin a step between two times with a drift of ``dt``; return Ḋ as it begins, (p, 3) m/s.
 
-        ``booked`` is the length of the first kick, all in s.
+        ``booked`` is the length of the first kick. All times are in s.
         """
         self._set_velocities(0.5 * (before + time))
         place(self._records, before, self._begun)

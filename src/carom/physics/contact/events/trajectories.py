@@ -200,8 +200,8 @@ def narrow(pairs: IntArray, scale: float, skin: float, T: Trajectories, near: In
     """Centre the search radii on the middle of the paths, and write the pairs that may still meet; return their number.
 
     Around the start of its path, a body needs twice the radius that it needs around the middle, and a search finds all
-    pairs within the largest one. In a falling heap, a third of the pairs remain. Space must not be periodic, and paths
-    must bend with the uniform field alone.
+    pairs within the largest one. In a falling heap, two fifths of the pairs remain. Space must not be periodic, and
+    paths must bend with the uniform field alone.
 
     Parameters
     ----------
