@@ -46,6 +46,22 @@ def test_a_dump_is_recognised_whatever_its_ending(tmp_path: Path) -> None:
     assert "999999999999 rows are too many" in refusal(tmp_path, "many.dump")
 
 
+@pytest.mark.parametrize(
+    ("file", "limit"),
+    [
+        ("large.txt", "orbit_tables._LARGEST"),
+        ("large.mpcorb", "orbit_tables._LARGEST_TABLE"),
+        ("large.vtp", "vtk_tables._LARGEST"),
+    ],
+)
+def test_a_file_above_the_limit_of_its_format_is_refused_before_it_is_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, file: str, limit: str
+) -> None:
+    (tmp_path / file).write_text("$$SOE\n")
+    monkeypatch.setattr(f"carom.scene.data.{limit}", 5)
+    assert f"{file}: the file has 6 bytes, which are too many; at most 5" in refusal(tmp_path, file)
+
+
 def test_a_data_file_gives_spheres_or_atoms_with_masses_by_type(tmp_path: Path) -> None:
     bodies = scene_of(tmp_path, "sphere.data").data[0]
     assert bodies.radius.tolist() == [0.05, 0.1] and bodies.velocity[:, 2].tolist() == [1.0, -1.0]

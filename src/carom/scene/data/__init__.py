@@ -104,20 +104,15 @@ def refuse_many_columns(called: str, columns: int, each: int = 1) -> None:
         raise SceneError(f"{called}: {columns} columns are too many; at most {MOST_COLUMNS}")
 
 
-def refuse_large(called: str, column: str, size: int) -> None:
-    """Refuse a column that is too large."""
-    if size > MOST_BYTES:
-        raise SceneError(f"{called}: column {column} has {size} bytes, which are too many; at most {MOST_BYTES}")
+def refuse_large(called: str, what: str, size: int, most: int | None = None) -> None:
+    """Refuse a file or a column of more than ``most`` bytes, by default `MOST_BYTES`."""
+    limit = MOST_BYTES if most is None else most
+    if size > limit:
+        raise SceneError(f"{called}: {what} has {size} bytes, which are too many; at most {limit}")
 
 
 def step_at(called: str, snapshot: int, steps: int, whose: str = "it") -> int:
-    """Return the index of a snapshot among several steps; a negative number counts from the last.
-
-    Raises
-    ------
-    SceneError
-        If there is no such step.
-    """
+    """Return the index of a snapshot, which counts from the last if negative; raises SceneError if there is none."""
     if not -steps <= snapshot < steps:
         raise SceneError(f"{called}: there is no snapshot {snapshot}: {whose} has {steps}")
     return snapshot % steps
@@ -144,10 +139,7 @@ def refuse_bomb(called: str, claimed: int, stored: int) -> None:
 def numbers_of(called: str, column: str, raw: Raw, with_gaps: bool = False) -> FloatArray:
     """Return a column as float64; values that are missing are NaN if it may have gaps.
 
-    Raises
-    ------
-    SceneError
-        The message names the first row that is not a number.
+    Raises SceneError, which names the first row that is not a number.
     """
     if raw.dtype.kind in "fiu":
         return raw.astype(np.float64)
@@ -216,25 +208,12 @@ _LONGEST_REASON = 200  # characters of a library's message
 def open_table(
     path: Path, called: str, snapshot: int, header: Sequence[str] | None = None, time: float | None = None
 ) -> DataTable:
-    """Open a data file.
+    """Open a data file, whose suffix names its format.
 
-    Parameters
-    ----------
-    path
-        The file; its suffix names the format.
-    called
-        Its name in messages.
-    snapshot
-        Index of the step in a file with several steps.
-    header
-        The names of all columns of a text file, if the scene gives them.
-    time
-        Selects the snapshot that is nearest in time, in place of ``snapshot``; in the units of the scene.
-
-    Raises
-    ------
-    SceneError
-        If the format is unknown, its package is missing, or the file is not of this format.
+    The snapshot is the one with the index ``snapshot`` or, with ``time``, the nearest to that time in the units of the
+    scene. ``called`` is the name of the file in messages, and ``header`` has the names of all columns of a text file,
+    if the scene gives them. Raises SceneError if the format is unknown, its package is missing, or the file is not of
+    this format.
     """
     ending = path.suffix.lower()
     known = [f".{name}" for name in registry.names("data_formats")]

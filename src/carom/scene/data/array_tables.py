@@ -41,7 +41,7 @@ _MOST_DATASETS = 10_000
 _MOST_NODES = 20_000  # groups and datasets; looking through them takes half a second
 _LONGEST_PATH = 1000  # characters; HDF5 takes a time that grows as the square of the depth
 _HEADER = "Header"  # group in the snapshots of Gadget, AREPO, GIZMO and SWIFT
-_OF_TYPE = re.compile(r"PartType(\d)/\w+")
+_OF_TYPE = re.compile(r"PartType(\d)/(\w+)")
 _MASSES = "Masses"
 _OF_GAS = ("Density",)  # of the gas around a particle, not of a sphere
 _SUFFIX = ".npy"
@@ -93,7 +93,7 @@ class _Datasets(DataTable):
         if dataset.external or dataset.is_virtual:
             raise SceneError(f"{self.called}: dataset {name} is stored in another file, which is not read")
         refuse_many_rows(self.called, max(dataset.shape, default=0))
-        refuse_large(self.called, name, math.prod(dataset.shape) * dataset.dtype.itemsize)
+        refuse_large(self.called, f"column {name}", math.prod(dataset.shape) * dataset.dtype.itemsize)
         return np.asarray(dataset[()])
 
 
@@ -117,7 +117,10 @@ class _Snapshot(_Datasets):
         masses += [0.0] * (len(counts) - len(masses))
         self._counts = {kind: count for kind, count in enumerate(counts) if count > 0}
         self._masses = {kind: mass for kind, mass in enumerate(masses) if mass > 0.0}
-        of_type = {kind: [name.rsplit("/")[-1] for name in names if _type_of(name) == kind] for kind in self._counts}
+        of_type: dict[int, list[str]] = {kind: [] for kind in self._counts}
+        for match in filter(None, map(_OF_TYPE.fullmatch, names)):
+            if int(match[1]) in of_type:
+                of_type[int(match[1])].append(match[2])
         every = dict.fromkeys([*(name for each in of_type.values() for name in each), _MASSES])
         self.names = [
             name
@@ -163,12 +166,6 @@ class _Snapshot(_Datasets):
         return name == _MASSES and kind in self._masses
 
 
-def _type_of(name: str) -> int | None:
-    """Return the type of particles to which a dataset belongs."""
-    match = _OF_TYPE.fullmatch(name)
-    return int(match[1]) if match else None
-
-
 HDF5 = DataFormat("an HDF5 file", open_hdf5)
 
 
@@ -206,7 +203,7 @@ class _Archive(DataTable):
             if size != info.file_size - member.tell():
                 raise SceneError(f"{self.called}: array {name} is damaged: it claims to have {size} bytes")
             refuse_many_rows(self.called, max(shape, default=0))
-            refuse_large(self.called, name, size)
+            refuse_large(self.called, f"column {name}", size)
         with archive.open(info) as member:
             return np.asarray(npy.read_array(member, allow_pickle=False, max_header_size=_LARGEST_HEADER))
 
@@ -321,12 +318,16 @@ def open_rebound(path: Path, called: str, snapshot: int) -> DataTable:
     there = {name: array for name, array in arrays.items() if array.any() or name == "position"}
     table = Arrays(there | ({"name": np.array(names, dtype=object)} if any(names) else {}), called)
     table.units = units_of_rebound(simulation.units)
+    box = None
+    if simulation.boundary == "periodic":
+        x, y, z = (float(simulation.root_size) * getattr(simulation, f"N_root_{axis}") for axis in "xyz")
+        box = (x, y, z)
     name = printable(str(simulation.integrator))
     step = "" if name in _CHOOSING else f" with dt = {simulation.dt:g}"
     table.law = MotionLaw(
         constant=0.0 if simulation.gravity == "none" else float(simulation.G),
         softening=float(simulation.softening),
-        box=_box(simulation),
+        box=box,
         collides=simulation.collision != "none",
         integrated=f'integrator = "{name}"{step}',
         integrator=_INTEGRATORS.get(str(simulation.integrator), ""),
@@ -351,14 +352,6 @@ def _package(called: str) -> Any:
     except ModuleNotFoundError:
         raise SceneError(f"{called}: a Simulationarchive needs rebound: {install_extra('rebound')}") from None
     return rebound
-
-
-def _box(simulation: Any) -> tuple[float, float, float] | None:
-    """Return the size of the periodic box; None if space is open."""
-    if simulation.boundary != "periodic":
-        return None
-    x, y, z = (float(simulation.root_size) * getattr(simulation, f"N_root_{axis}") for axis in "xyz")
-    return x, y, z
 
 
 def _attracting(simulation: Any, mass: FloatArray, called: str, notes: list[str]) -> FloatArray:

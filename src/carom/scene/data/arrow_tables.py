@@ -61,40 +61,18 @@ _Read = Callable[[list[str], Sequence[str]], pa.Table]
 
 @dataclass
 class TextDialect:
-    """The dialect of a text file.
+    """The dialect of a text file."""
 
-    Attributes
-    ----------
-    names
-        Names of the columns; empty if no line has them.
-    columns
-        Number of columns.
-    separator
-        Character between values.
-    skipped
-        Number of lines before the first row, in a file that pyarrow reads unchanged.
-    rows
-        The rows as plain CSV, if the file must be rewritten.
-    note
-        What was recognised; empty for plain tables.
-    """
-
-    names: list[str]
-    columns: int
-    separator: str
-    skipped: int
-    rows: bytes | None = None
-    note: str = ""
+    names: list[str]  # of the columns; empty if no line has them
+    columns: int  # their number
+    separator: str  # character between values
+    skipped: int  # lines before the first row, in a file that pyarrow reads unchanged
+    rows: bytes | None = None  # the rows as plain CSV, if the file must be rewritten
+    note: str = ""  # what was recognised; empty for plain tables
 
 
 def dialect_of(path: Path, called: str) -> TextDialect:
-    """Recognise the dialect of a text file.
-
-    Raises
-    ------
-    SceneError
-        The message names the first line that is not a row of the table.
-    """
+    """Recognise the dialect of a text file; raises SceneError, which names the first line that is not a row."""
     with path.open("rb") as file:
         head = file.read(_HEAD)
     if not head.strip():
@@ -129,8 +107,10 @@ def dialect_of(path: Path, called: str) -> TextDialect:
         and not comma
         and not lines.comments
         and lines.first == 1
-        and not _has_comments(path)
     )
+    if plain:  # comments may also follow the sample
+        with path.open("rb") as raw, mmap.mmap(raw.fileno(), 0, access=mmap.ACCESS_READ) as content:
+            plain = not any(content.find(b"\n" + sign.encode()) >= 0 for sign in _COMMENTS)
     dialect = TextDialect(names, columns, separator, int(has_header))
     if plain:
         return dialect
@@ -147,12 +127,6 @@ def dialect_of(path: Path, called: str) -> TextDialect:
     details += [f"{counted(lines.comments, 'line')} of comments"] if lines.comments else []
     dialect.note = f"{called}: read with {', '.join(details)}"
     return dialect
-
-
-def refuse_uneven(path: Path, dialect: TextDialect, called: str) -> None:
-    """Refuse a plain table if a line has another number of values than the first."""
-    with path.open(encoding="utf-8-sig", errors="surrogateescape", newline="") as file:
-        _rewritten(_Lines(file), dialect, False, dialect.skipped, called)
 
 
 class _Lines(Iterator[str]):
@@ -226,11 +200,6 @@ def _names_in(comments: Sequence[str], columns: int, separator: str) -> list[str
     return []
 
 
-def _has_comments(path: Path) -> bool:
-    with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:
-        return any(content.find(b"\n" + sign.encode()) >= 0 for sign in _COMMENTS)
-
-
 def _rewritten(lines: _Lines, dialect: TextDialect, comma: bool, named: int, called: str) -> bytes:
     """Write the rows as plain CSV."""
     buffer = io.StringIO()
@@ -259,7 +228,7 @@ def open_csv(path: Path, called: str, snapshot: int) -> DataTable:
         if sign in head:
             other: DataFormat = registry.load("data_formats", name)
             return other.open(path, called, snapshot)
-    refuse_large(called, "file", path.stat().st_size)
+    refuse_large(called, "the file", path.stat().st_size)
     return _TextTable(path, called, snapshot)
 
 
@@ -277,10 +246,10 @@ def open_parquet(path: Path, called: str, snapshot: int) -> DataTable:
 
 
 def _columns_of_parquet(path: Path) -> int:
-    """Return the number of elements of a schema from the beginning of the footer, as pyarrow takes long for many.
+    """Return the number of elements of a schema, read from the footer's first bytes since pyarrow takes long for many.
 
-    The footer begins with the version and the list of the elements (Thrift's compact protocol). It is 0 where this is
-    not so; pyarrow then says what is wrong.
+    The footer begins with the version and the list of the elements (Thrift's compact protocol). For any other
+    beginning, return 0; pyarrow then reports the damage.
     """
     with path.open("rb") as file:
         end = file.seek(0, 2)
@@ -379,14 +348,15 @@ class _ArrowTable(DataTable):
         if pa.types.is_dictionary(kind):
             if pa.types.is_string(kind.value_type) or pa.types.is_large_string(kind.value_type):
                 lengths = (pc.max(pc.binary_length(chunk.dictionary)).as_py() or 0 for chunk in column.chunks)
-                refuse_large(self.called, name, len(column) * max(lengths, default=0))
+                refuse_large(self.called, f"column {name}", len(column) * max(lengths, default=0))
             column, kind = column.cast(kind.value_type), kind.value_type
         if pa.types.is_list(kind) or pa.types.is_large_list(kind) or pa.types.is_fixed_size_list(kind):
             lengths = pc.fill_null(pc.list_value_length(column), 0).to_numpy()
             if np.any(lengths != 3):
                 row = int(np.argmax(lengths != 3))
-                counted = f"{lengths[row]} numbers instead of [x, y, z]"
-                raise SceneError(f"{self.called}: column {name}, row {row}: {counted}")
+                raise SceneError(
+                    f"{self.called}: column {name}, row {row}: {lengths[row]} numbers instead of [x, y, z]"
+                )
             return np.asarray(pc.list_flatten(column).to_numpy()).reshape(-1, 3)
         if is_text and pa.types.is_integer(kind):
             column, kind = column.cast(pa.string()), pa.string()
@@ -423,8 +393,9 @@ class _TextTable(_ArrowTable):
         try:
             table = pyarrow.csv.read_csv(source, options, parse_options=parse, convert_options=convert)
         except pa.ArrowInvalid:
-            if rows is None:
-                refuse_uneven(self._path, self._dialect, self.called)
+            if rows is None:  # name the first line with another number of values
+                with self._path.open(encoding="utf-8-sig", errors="surrogateescape", newline="") as file:
+                    _rewritten(_Lines(file), self._dialect, False, skipped, self.called)
             raise
         refuse_many_rows(self.called, table.num_rows)
         for text in texts:

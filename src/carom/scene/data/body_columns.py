@@ -135,17 +135,8 @@ def read_columns(
 ) -> tuple[BodyColumns, tuple[str, ...]]:
     """Read and check the bodies of a [[bodies]] table, whose numbers are in the units of the scene.
 
-    ``constant`` is the gravitational constant, for orbital elements.
-
-    Returns
-    -------
-    columns, notes
-        The bodies, and notes on the columns that are used and on unused columns.
-
-    Raises
-    ------
-    SceneError
-        The message names the table, the column and the row.
+    ``constant`` is the gravitational constant, for orbital elements. Return the bodies, and notes on used and unused
+    columns. Raises SceneError, which names the table, the column and the row.
     """
     if section.orbit is not None:
         table = OrbitTable(table, section.orbit, constant, units)
@@ -171,10 +162,11 @@ def read_columns(
         raise SceneError(f"{table.called}: it has {n} rows, but count = {section.count}")
     radius = 0.5 * reader.numbers("diameter") if "diameter" in mapping else reader.numbers("radius")
     fixed = reader.flags()
+    has_density = "density" in mapping or section.density is not None
     volume = (4.0 / 3.0) * math.pi * radius * radius * radius
     with np.errstate(over="ignore"):
-        mass = reader.numbers("density") * volume if reader.has_density else reader.numbers("mass")
-        inertia = section.inertia_ratio * mass * radius * radius if not reader.has_inertia else None
+        mass = reader.numbers("density") * volume if has_density else reader.numbers("mass")
+        inertia = section.inertia_ratio * mass * radius * radius if "inertia" not in mapping else None
     columns = BodyColumns(
         position=position,
         velocity=reader.vectors("velocity"),
@@ -238,16 +230,6 @@ class _Reader:
     def row(self, place: int) -> int:
         """Return the row of the file from which a body comes."""
         return int(self._row[place])
-
-    @property
-    def has_density(self) -> bool:
-        """Whether masses are computed from densities."""
-        return "density" in self._mapping or self._section.density is not None
-
-    @property
-    def has_inertia(self) -> bool:
-        """Whether moments of inertia are given."""
-        return "inertia" in self._mapping
 
     def vectors(self, quantity: str) -> FloatArray:
         """Return (n, 3) vectors."""

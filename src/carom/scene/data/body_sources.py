@@ -118,24 +118,12 @@ def _digest(path: Path) -> str:
 
 @dataclass(frozen=True)
 class HeldBodies:
-    """Bodies of a scene that are already in memory, from files, arrays or a recording.
+    """Bodies of a scene that are already in memory, from files, arrays or a recording."""
 
-    Parameters
-    ----------
-    sections
-        The [[bodies]] tables of these bodies.
-    bodies
-        The bodies of each table.
-    units
-        The units of the scene's numbers.
-    files
-        The files of the bodies, in case a table changes; None without files.
-    """
-
-    sections: tuple[BodyData, ...]
-    bodies: tuple[SourcedBodies, ...]
-    units: UnitSystem = SI
-    files: DataFiles | None = field(default=None, compare=False)
+    sections: tuple[BodyData, ...]  # the [[bodies]] tables of these bodies
+    bodies: tuple[SourcedBodies, ...]  # of each table
+    units: UnitSystem = SI  # of the scene's numbers
+    files: DataFiles | None = field(default=None, compare=False)  # read again if a table changes; None without files
 
     def find(self, wanted: Wanted) -> SourcedBodies:
         """Return the bodies; read the file again if its table or the units have changed."""
@@ -162,8 +150,8 @@ def take_over_laws(
     Returns
     -------
     taken, refuted
-        Plain numbers for keys of [gravity] that a file states and the scene does not. Descriptions of contradictions
-        between a file and the scene or another file, by the index of the file's [[bodies]] table.
+        Plain numbers for keys of [gravity] that a file states and the scene does not; contradictions between a file and
+        the scene or another file, by the index of the file's [[bodies]] table.
     """
     is_off = scene.gravity.method == "none" or ("constant" in given and scene.gravity.constant == 0.0)
     taken, refuted = dict[str, float](), dict[int, str]()

@@ -82,10 +82,7 @@ ColumnMapping = dict[str, tuple[str, ...]]  # quantity → one column, or three
 def mapping_of(section: BodyData, names: Sequence[str], called: str) -> ColumnMapping:
     """Return the columns of each quantity that has no value in the scene.
 
-    Raises
-    ------
-    SceneError
-        If a column is missing, or two columns hold the same quantity.
+    Raises SceneError if a column is missing, or two columns hold the same quantity.
     """
     mapping: ColumnMapping = {}
     for quantity in QUANTITIES:
@@ -116,8 +113,15 @@ def mapping_of(section: BodyData, names: Sequence[str], called: str) -> ColumnMa
                             f"{called}: columns for {quantity} are incomplete: {' and '.join(there)} without "
                             f"{' and '.join(missing)}; add the rest, or give {quantity} = [x, y, z] for all bodies"
                         )
-    for first, second in _RIVALS:
-        _refuse_rivals(section, mapping, first, second, called)
+    for first, second in _RIVALS:  # the scene must name the column of one
+        if first in mapping and second in mapping:
+            asked = [quantity for quantity in (first, second) if getattr(section.columns, quantity) is not None]
+            if len(asked) != 1:
+                raise SceneError(
+                    f"{called}: columns for both {first} and {second}, {mapping[first][0]} and {mapping[second][0]}; "
+                    f'select one: columns = {{ {first} = "{mapping[first][0]}" }}'
+                )
+            del mapping[second if asked == [first] else first]
     _refuse_missing(section, mapping, names, called)
     return mapping
 
@@ -290,18 +294,6 @@ def _usual(quantity: str, names: Sequence[str]) -> list[tuple[str, ...]]:
 def _plain(name: str) -> str:
     """Return a name for comparisons: in lower case, without a unit, and only the last part of an HDF5 path."""
     return _split(name.strip())[0].rsplit("/", 1)[-1].strip().casefold()
-
-
-def _refuse_rivals(section: BodyData, mapping: ColumnMapping, first: str, second: str, called: str) -> None:
-    """Refuse two quantities that determine each other, unless the scene names the column of one."""
-    if first in mapping and second in mapping:
-        asked = [quantity for quantity in (first, second) if getattr(section.columns, quantity) is not None]
-        if len(asked) != 1:
-            raise SceneError(
-                f"{called}: columns for both {first} and {second}, {mapping[first][0]} and {mapping[second][0]}; "
-                f'select one: columns = {{ {first} = "{mapping[first][0]}" }}'
-            )
-        del mapping[second if asked == [first] else first]
 
 
 def _refuse_missing(section: BodyData, mapping: ColumnMapping, names: Sequence[str], called: str) -> None:

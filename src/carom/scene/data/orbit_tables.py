@@ -57,9 +57,7 @@ class _Block(NamedTuple):
 
 def open_horizons(path: Path, called: str, snapshot: int) -> DataTable:
     """Open a reply of Horizons, or several in one file; ``snapshot`` selects the epoch."""
-    size = path.stat().st_size
-    if size > _LARGEST:
-        refuse_large(called, "file", size)
+    refuse_large(called, "the file", path.stat().st_size, _LARGEST)
     parts = path.read_text(encoding="utf-8", errors="replace").split(_BEGIN)
     blocks, before = list[_Block](), parts[0]
     for part in parts[1:]:
@@ -139,9 +137,7 @@ HORIZONS = DataFormat("a reply of Horizons", open_horizons)
 
 def open_mpc(path: Path, called: str, snapshot: int) -> DataTable:
     """Open a table of orbits, with or without its header."""
-    size = path.stat().st_size
-    if size > _LARGEST_TABLE:
-        refuse_large(called, "file", size)
+    refuse_large(called, "the file", path.stat().st_size, _LARGEST_TABLE)
     lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
     begin = next((number for number, line in enumerate(lines) if line.startswith("-----")), -1) + 1
     columns: dict[str, list[float]] = {name: [] for name in _PLACES}

@@ -42,10 +42,7 @@ _MOST_STEPS = 1000  # of Newton's method: about 6 for an ellipse, one per unit o
 class OrbitTable(DataTable):
     """A table of orbital elements as a table of positions and velocities.
 
-    Raises
-    ------
-    SceneError
-        The message names the missing elements, or the first row that is not an orbit.
+    Raises SceneError, which names the missing elements, or the first row that is not an orbit.
     """
 
     def __init__(self, table: DataTable, orbit: KeplerianOrbits, constant: float, units: UnitSystem) -> None:

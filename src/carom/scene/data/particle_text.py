@@ -52,7 +52,7 @@ class TextRows(DataTable):
     """A table of rows separated by blanks; each row is checked."""
 
     def __init__(self, called: str, names: Sequence[str], lines: Iterable[str], first: int) -> None:
-        """Read rows, of which each must have a value for each name; ``first`` is the line number of the first row."""
+        """Read rows, each of which must have a value for each name; ``first`` is the line number of the first row."""
         refuse_many_columns(called, len(names))
         self.called, self.names = called, list(names)
         buffer = io.StringIO()
@@ -96,7 +96,7 @@ def open_dump(path: Path, called: str, snapshot: int) -> DataTable:
             place += place >= 0
         index = step_at(called, snapshot, len(begins))
         begin, end = begins[index], ([*begins, len(content)])[index + 1]
-        refuse_large(called, "step", end - begin)
+        refuse_large(called, "the step", end - begin)
         line = content[:begin].count(b"\n") + 1
         text = content[begin:end].decode("utf-8", "surrogateescape")
     return _Dump(called, text, line)
@@ -131,7 +131,7 @@ class _Dump(DataTable):
         self._box = _box(called, bounds[1])
         self._skewed = "xy" in bounds[0]
         self._scaled = {f"{axis}{end}": axis for axis in "xyz" for end in ("s", "su") if axis not in self._written}
-        self.names = [f"{self._scaled[name]}" if name in self._scaled else name for name in self._written]
+        self.names = [self._scaled.get(name, name) for name in self._written]
         units = "".join(items.get("UNITS", [])[:1]).strip()
         self.units = _UNITS.get(units, "")
         self.notes = (f"{called}: step {printable(step)} of LAMMPS{f', units {printable(units)}' if units else ''}",)
@@ -193,7 +193,7 @@ _COLUMNS = {  # of the section Atoms, by style
 
 def open_data(path: Path, called: str, snapshot: int) -> DataTable:
     """Open a data file: its sections Atoms, Velocities and Masses."""
-    refuse_large(called, "file", path.stat().st_size)
+    refuse_large(called, "the file", path.stat().st_size)
     content = path.read_bytes()
     stated = _COUNT.search(content[:_HEAD])
     if content.startswith(b"ITEM:"):

@@ -54,8 +54,7 @@ def open_vtk(path: Path, called: str, snapshot: int) -> DataTable:
         for _ in range(2):
             reader.line()  # version and title
         reader.binary = reader.line().strip().upper() == "BINARY"
-        table = Arrays(_arrays(reader), called)
-    return table
+        return Arrays(_arrays(reader), called)
 
 
 class _Reader:
@@ -186,8 +185,7 @@ _MOST_TAGS = 100_000
 def open_vtp(path: Path, called: str, snapshot: int) -> DataTable:
     """Open a VTK XML file, which has one step."""
     stored = path.stat().st_size
-    if stored > _LARGEST:
-        refuse_large(called, "file", stored)
+    refuse_large(called, "the file", stored, _LARGEST)
     content = path.read_bytes()
     found = _APPENDED.search(content)
     text = content[: found.start()] + b"</VTKFile>" if found else content
