@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -16,7 +15,7 @@ PAIR = {"body": [{"radius": 1.0, "position": [3.0 * k, 0, 0]} for k in range(2)]
 
 
 @pytest.fixture
-def install(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[None]:
+def install(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """Two packages: a module that cannot be imported, one that can, and a name that both define."""
     (tmp_path / "right_part.py").write_text("PART = 7\n")
     (tmp_path / "broken_part.py").write_text("import a_package_that_is_not_there\n")
@@ -31,10 +30,7 @@ def install(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[None]:
         "data_formats": {"csv": (registry.PartOrigin("right_part:PART", *one),)},
         "forces": {"pull": (registry.PartOrigin("broken_part:PART", *one),)},
     }
-    registry._installed.cache_clear()
-    monkeypatch.setattr(registry, "_all_installed", lambda: parts)
-    yield
-    registry._installed.cache_clear()
+    monkeypatch.setattr(registry, "_installed", lambda: parts)
 
 
 @pytest.mark.usefixtures("install")

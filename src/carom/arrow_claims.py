@@ -30,10 +30,7 @@ class Claims:
 def claims(message: bytes, dictionary: bool = False) -> Claims:
     """Read the metadata of an Arrow IPC message with a record batch, or with a dictionary, which contains one.
 
-    Raises
-    ------
-    ValueError
-        If the metadata are incomplete.
+    Raises ValueError if the metadata are incomplete.
     """
     try:
         batch = _table(message, _root(message), _HEADER)
@@ -54,13 +51,7 @@ def claims(message: bytes, dictionary: bool = False) -> Claims:
 
 
 def columns(message: bytes) -> int:
-    """Return the number of columns of the schema in the metadata of an Arrow IPC message.
-
-    Raises
-    ------
-    ValueError
-        If the metadata are incomplete.
-    """
+    """Return the number of columns in an Arrow IPC message with a schema; raises ValueError if it is incomplete."""
     try:
         schema = _table(message, _root(message), _HEADER)
         fields = None if schema is None else _table(message, schema, _FIELDS)
@@ -72,10 +63,7 @@ def columns(message: bytes) -> int:
 def unpacked_bytes(claimed: Claims, body: memoryview) -> int:
     """Return the bytes of the buffers of a batch in memory; a compressed buffer begins with its size.
 
-    Raises
-    ------
-    ValueError
-        If a buffer is not in the body.
+    Raises ValueError if a buffer is not in the body.
     """
     total = 0
     for offset, length in claimed.buffers.tolist():

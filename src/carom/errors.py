@@ -80,7 +80,11 @@ def install_extra(extra: str) -> str:
     """
     from importlib.metadata import requires  # noqa: PLC0415 - takes 20 ms, which few processes need
 
-    wanted = [package for package, name in map(_parsed, requires("carom") or ()) if name == extra]
+    wanted = list[str]()
+    for requirement in requires("carom") or ():
+        package, _, marker = requirement.partition(";")
+        if (of_extra := _EXTRA.search(marker)) and of_extra[1] == extra:
+            wanted.append(package.strip())
     packages = shlex.join(wanted or [f"carom[{extra}]"])
     if "pipx" in Path(sys.prefix).parts:
         return f"pipx inject carom {packages}"
@@ -90,13 +94,6 @@ def install_extra(extra: str) -> str:
     if pip is not None and Path(pip).parent == Path(sys.executable).parent:
         return f"pip install {packages}"
     return f"{shlex.quote(sys.executable)} -m pip install {packages}"
-
-
-def _parsed(requirement: str) -> tuple[str, str]:
-    """Split a requirement into the package and the extra that it belongs to."""
-    package, _, marker = requirement.partition(";")
-    extra = _EXTRA.search(marker)
-    return package.strip(), extra[1] if extra else ""
 
 
 def install_packages(debian: str, fedora: str) -> str:

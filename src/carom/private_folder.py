@@ -31,12 +31,8 @@ _made: dict[int, tuple[Path, int]] = {}  # by process: its folder, and the descr
 def private_folder() -> Path:
     """Return the temporary folder of this process; make it at the first call.
 
-    Child processes get it as ``TMPDIR`` for their own temporary files.
-
-    Raises
-    ------
-    OSError
-        If no temporary folder is writable, or others can replace its content.
+    Child processes get it as ``TMPDIR`` for their own temporary files. Raises OSError if no temporary folder is
+    writable, or others can replace its content.
     """
     with _guard:
         known = _made.get(os.getpid())
@@ -82,11 +78,8 @@ def is_own(folder: Path) -> bool:
 def is_fixed(path: Path) -> bool:
     """Return whether only this user and the system can replace the file at a path, by write access to its parents."""
     try:
-        trusted = (
-            0,
-            os.getuid(),
-            Path("/").stat().st_uid,
-        )  # the owner of the root folder can do anything; in a container, that may be "nobody"
+        # the owner of the root folder can do anything; in a container, that may be "nobody"
+        trusted = (0, os.getuid(), Path("/").stat().st_uid)
         above = [parent.stat() for parent in (path.parent, *path.parent.resolve().parents)]
     except OSError:
         return False

@@ -146,23 +146,20 @@ class PartOrigin(NamedTuple):
 def names(kind: str) -> tuple[str, ...]:
     """Return the names of all parts of a kind: carom's own first, then the installed ones by name."""
     own = HOUSE.get(kind, {})
-    return (*own, *sorted(name for name in _installed(kind) if name not in own))
+    return (*own, *(name for name in installed(kind) if name not in own))
 
 
 def installed(kind: str) -> tuple[str, ...]:
     """Return the names of the parts of a kind in installed packages, in alphabetical order."""
-    return tuple(sorted(_installed(kind)))
+    return tuple(sorted(_installed().get(kind, {})))
 
 
 def origin(kind: str, name: str) -> PartOrigin | None:
     """Return the origin of a part of an installed package; None if no package has that name.
 
-    Raises
-    ------
-    ExtensionError
-        If two packages define the name, or carom and a package do.
+    Raises `ExtensionError` if two packages define the name, or carom and a package do.
     """
-    origins = _installed(kind).get(name, ())
+    origins = _installed().get(kind, {}).get(name, ())
     own = HOUSE.get(kind, {}).get(name)
     if origins and own:
         raise ExtensionError(
@@ -182,13 +179,7 @@ def source_of(kind: str, name: str) -> str:
 
 
 def load(kind: str, name: str) -> Any:
-    """Return a part.
-
-    Raises
-    ------
-    ExtensionError
-        If the name is unknown or defined twice, or the part cannot be imported.
-    """
+    """Return a part; raises `ExtensionError` if its name is unknown or defined twice, or it cannot be imported."""
     found = origin(kind, name)
     target = found.target if found else HOUSE.get(kind, {}).get(name)
     if target is None:
@@ -223,13 +214,8 @@ def _imported(target: str) -> Any:
 
 
 @cache
-def _installed(kind: str) -> Mapping[str, tuple[PartOrigin, ...]]:
-    """Return the parts of installed packages by name; a package found twice counts once."""
-    return _all_installed().get(kind, {})
-
-
-@cache
-def _all_installed() -> Mapping[str, Mapping[str, tuple[PartOrigin, ...]]]:
+def _installed() -> Mapping[str, Mapping[str, tuple[PartOrigin, ...]]]:
+    """Return the parts of installed packages by kind and name; a package found twice counts once."""
     from importlib.metadata import distributions  # noqa: PLC0415 - takes 20 ms, which `carom --version` need not wait for
 
     found: dict[str, dict[str, dict[str, PartOrigin]]] = {}

@@ -162,7 +162,7 @@ def test_the_first_frame_body_and_quantity_that_differ_are_named(tmp_path: Path)
 
 def test_a_difference_is_told_in_the_units_of_the_scene() -> None:
     found = Difference(3, 3600.0, "x (as drawn)", 0, 1000.0, 1250.0, "left", "m")
-    units = UnitSystem.of_table({"length": "km", "time": "h"})
+    units = UnitSystem({"length": "km", "time": "h"})
     told = 'step 3, t = 1 h: x (as drawn) of body 0 "left", recorded 1.0 km, replayed 1.25 km, off by 0.25 km'
     assert found.text(units) == told
     impacts = Difference(3, 3600.0, "impacts", None, 2, 3)

@@ -14,7 +14,7 @@ from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
 from carom.scene.conversion import parts_of
-from carom.scene.format_page import FILE, MARK, page, schema, schema_text, without_schema_line
+from carom.scene.format_page import FILE, MARK, page, schema_text, without_schema_line
 from carom.scene.scene_file import bundled_scenes, extreme_scenes
 from carom.scene.schema import Scene
 from carom.scene.schema.body import Columns
@@ -22,7 +22,7 @@ from carom.scene.units.dimension import DIMENSIONS, OF_UNIT, Dimension
 
 ROOT = Path(__file__).parents[2]
 SCENES = bundled_scenes() | extreme_scenes()
-VALIDATOR = jsonschema.Draft202012Validator(schema())
+VALIDATOR = jsonschema.Draft202012Validator(json.loads(schema_text()))
 
 
 def test_the_page_of_the_format_is_up_to_date() -> None:

@@ -58,12 +58,6 @@ def test_a_wrong_value_is_reported_by_the_name_that_was_written(tmp_path: Path) 
         Scene.load(write(tmp_path, OLD.replace("7", "0")))
 
 
-def test_the_attribute_is_found_by_its_old_name() -> None:
-    scene = Scene.from_dict({"body": [{}], "record": {"log_freq": 7}})
-    with pytest.warns(DeprecationWarning, match="check_every"):
-        assert scene.record.log_freq == 7
-
-
 def test_a_recording_with_the_old_name_is_replayed_without_a_note(tmp_path: Path) -> None:
     scene = Scene.from_dict({"body": [{"velocity": [1, 0, 0]}], "time": {"duration": 3.0}, "record": {"log_freq": 2}})
     assert "log_freq" in scene.toml

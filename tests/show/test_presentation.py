@@ -21,7 +21,7 @@ from carom.recording.write.rows import Rows
 from carom.scene.schema import Scene
 from carom.show import close_up, request
 from carom.show.presentation import _steps, asked, presentation
-from carom.show.request import NamedEvent, Pair, Request, hardest_pair, named_event, named_pair, pair_of_step
+from carom.show.request import NamedEvent, Pair, Request, named_event, named_pair, pair_of_extreme, pair_of_step
 from carom.show.supplement import Trails
 from small_scenes import pair, scene_of
 
@@ -322,7 +322,12 @@ def test_a_view_of_bodies_that_may_meet_but_do_not_includes_their_whole_paths(
 
 
 def test_a_pair_is_found_by_numbers_names_and_events(bounce: Recording) -> None:
-    assert named_pair(bounce, "right, left") == named_pair(bounce, "0,1") == hardest_pair(bounce) == Pair(0, 1)
+    assert (
+        named_pair(bounce, "right, left")
+        == named_pair(bounce, "0,1")
+        == pair_of_extreme(bounce, "impact")
+        == Pair(0, 1)
+    )
     for name in ("impact", "overlap"):
         time = bounce.closing[f"moments.{name}.time"]
         assert named_event(bounce, name) == NamedEvent(time, Pair(0, 1), is_impact=name == "impact")

@@ -18,9 +18,14 @@ from carom.scene.forces import numbers_of
 Numbers = Mapping[str, float]  # coefficients of a law, in SI units, by name
 
 
+def geometric_mean(a: float, b: float) -> float:
+    """Return √(a b), which is a itself if both are equal."""
+    return a if a == b else math.sqrt(a) * math.sqrt(b)  # the product could underflow
+
+
 def geometric_means(one: Numbers, other: Numbers) -> Numbers:
     """Return the geometric mean of each coefficient, as for friction: 0 where one of the two is 0."""
-    return {name: a if a == other[name] else math.sqrt(a) * math.sqrt(other[name]) for name, a in one.items()}
+    return {name: geometric_mean(a, other[name]) for name, a in one.items()}
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,10 +81,7 @@ def law_called(name: str) -> ContactLaw:
 def functions_of(laws: Iterable[str]) -> dict[str, Callable[..., Any]]:
     """Return the functions that laws define together, by name; the remaining ones are Coulomb's.
 
-    Raises
-    ------
-    ValueError
-        If two laws define the same function.
+    Raises ValueError if two laws define the same function.
     """
     functions: dict[str, Callable[..., Any]] = {}
     owner: dict[str, str] = {}

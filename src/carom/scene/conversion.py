@@ -62,11 +62,11 @@ def unit_system(units: Any, wrong: list[Wrong]) -> UnitSystem:
             if not isinstance(text, str):
                 raise UnitError("must be text in quotes")
             unit_of(text, NAMED[key])
-            given[key] = text
+            given[key] = text.strip()
         except UnitError as error:
             expected = f'{error}; expected a unit such as "{NAMED[key].unit}"'
             wrong.append(Wrong(("units", key), str(text), expected))
-    return UnitSystem.of_table(given)
+    return UnitSystem(given)
 
 
 def converted(data: Mapping[str, Any]) -> tuple[Mapping[str, Any], UnitSystem, list[Wrong]]:
@@ -158,21 +158,20 @@ def place(key: str) -> _Place | None:
 
 @cache
 def _places(model: type[BaseModel]) -> dict[str, _Place]:
-    places = {key: _place(info.annotation, dimension_in(info.metadata)) for key, info in model.model_fields.items()}
-    return {key: at for key, at in places.items() if at.dimension or at.below}
-
-
-def _place(annotation: Any, dimension: Dimension | None) -> _Place:
-    words: set[str] = set()
-    below: dict[str, _Place] = {}
-    for part in parts_of(annotation):
-        if typing.get_origin(part) is Literal:
-            words.update(word for word in typing.get_args(part) if isinstance(word, str))
-        elif isinstance(part, Dimension):
-            dimension = part
-        elif isinstance(part, type) and issubclass(part, BaseModel):
-            below |= _places(part)
-    return _Place(dimension, frozenset(words), below)
+    """Return the values of all keys of a model that have quantities."""
+    places = {}
+    for key, info in model.model_fields.items():
+        dimension, words, below = None, set[str](), dict[str, _Place]()
+        for part in (*info.metadata, *parts_of(info.annotation)):
+            if typing.get_origin(part) is Literal:
+                words.update(word for word in typing.get_args(part) if isinstance(word, str))
+            elif isinstance(part, Dimension):
+                dimension = part
+            elif isinstance(part, type) and issubclass(part, BaseModel):
+                below |= _places(part)
+        if dimension or below:
+            places[key] = _Place(dimension, frozenset(words), below)
+    return places
 
 
 def parts_of(annotation: Any) -> Iterator[Any]:
@@ -196,8 +195,3 @@ def members_of_list(annotation: Any) -> tuple[Any, ...]:
     if origin in (typing.Union, types.UnionType, typing.Annotated):
         return next((inner for part in members if (inner := members_of_list(part))), ())
     return ()
-
-
-def dimension_in(metadata: list[Any]) -> Dimension | None:
-    """Return the dimension among the metadata of a field; None if it is not a quantity."""
-    return next((entry for entry in metadata if isinstance(entry, Dimension)), None)

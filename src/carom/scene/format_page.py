@@ -29,14 +29,10 @@ MARK = "#:schema"  # beginning of the first line of a scene that names its schem
 
 
 def schema_text() -> str:
-    """Return the schema as the text of a file."""
-    return json.dumps(schema(), indent=2, ensure_ascii=False) + "\n"
-
-
-def schema() -> dict[str, Any]:
-    """Return the schema, with forces of installed packages. A quantity is a plain number or a text with a unit."""
+    """Return the schema as the text of a file, with the sections of installed packages."""
     know_installed_parts()
-    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **_brief(Scene.model_json_schema())}
+    schema = {"$schema": "https://json-schema.org/draft/2020-12/schema", **_brief(Scene.model_json_schema())}
+    return json.dumps(schema, indent=2, ensure_ascii=False) + "\n"
 
 
 def _brief(node: Any) -> Any:
@@ -72,24 +68,17 @@ check scenes. Write the schema with `carom scenes --schema > scene.schema.json`,
 
 
 def page() -> str:
-    """Return the page."""
-    return "\n".join([INTRODUCTION, _table(Scene, "At the top"), *_sections(Scene, ""), *_contact_laws(), *_walls()])
-
-
-def _contact_laws() -> Iterator[str]:
-    """Return a section of the page for each of carom's contact laws that has coefficients."""
+    """Return the page, without the forces, contact laws and shapes of installed packages."""
+    parts = [INTRODUCTION, _table(Scene, "At the top"), *_sections(Scene, "")]
     for name in registry.HOUSE["contact_laws"]:
         section = law_called(name).section
         if section is not None:
             where = "Also allowed in a material, a pair and a plane."
-            yield _table(section, f"`contact.{name}`", f"{inspect.getdoc(section)} {where}")
-
-
-def _walls() -> Iterator[str]:
-    """Return a section of the page for each of carom's shapes of walls."""
+            parts.append(_table(section, f"`contact.{name}`", f"{inspect.getdoc(section)} {where}"))
     for name in registry.HOUSE["walls"]:
         section = shape_called(name).section
-        yield _table(section, f"`wall.{name}`", inspect.getdoc(section) or "")
+        parts.append(_table(section, f"`wall.{name}`", inspect.getdoc(section) or ""))
+    return "\n".join(parts)
 
 
 def _sections(model: type[BaseModel], above: str) -> Iterator[str]:
@@ -131,10 +120,7 @@ def _row(key: str, info: FieldInfo) -> str:
 
 def _values(info: FieldInfo) -> Iterator[str]:
     """Yield the kinds of values that a key accepts."""
-    known: dict[str, None] = {}
-    for part in parts_of(info.annotation):
-        for word in _words(part):
-            known[word] = None
+    known = dict.fromkeys(word for part in parts_of(info.annotation) for word in _words(part))
     if len(members_of_list(info.annotation)) == 3:  # a vector
         known.pop("number", None)
         known["[x, y, z]"] = None

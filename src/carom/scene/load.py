@@ -9,7 +9,7 @@ import copy
 import re
 import tomllib
 import warnings
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -53,36 +53,24 @@ _TOO_DEEP = f"tables or lists nested more than {DEEPEST} levels deep"
 
 
 def load_scene(source: str | Path, overrides: list[str]) -> Scene:
-    """Load a scene.
+    """Load a scene from a TOML file, or a bundled scene by its name, with overrides as ``--set`` takes them.
 
-    Parameters
-    ----------
-    source
-        A path to a TOML file, or the name of a bundled scene.
-    overrides
-        ``key=value`` strings as given to ``--set``, e.g. ``gravity.method=direct`` or ``body.0.radius=2``.
-
-    Raises
-    ------
-    SceneError
-        The message states file, line and key.
+    Raises SceneError, which states file, line and key.
     """
     path = scene_path(source)
     text = read_text(path)
     scene = scene_from_text(text, str(path), overrides, DataFiles(path.parent))
-    _warn_of_old_names(text, str(path), overrides)
+    places, data = KeyPlaces(str(path), text, {}), None
+    for old, new in RENAMED.items():
+        advice = f"{'.'.join(old)} is now called {'.'.join(new)}; the old name still works"
+        if old[-1] in text:
+            data = data or _parse(text, str(path))
+            if old[-1] in data.get(old[0], {}):
+                warnings.warn(f"{places.of(old)}{advice}", OldNameWarning, stacklevel=3)
+        for override in overrides:
+            if key_path(override) == old:
+                warnings.warn(f"the override {override}: {advice}", OldNameWarning, stacklevel=3)
     return scene
-
-
-def _warn_of_old_names(text: str, source: str, overrides: list[str]) -> None:
-    """Issue an `OldNameWarning` for each key that has a new name, in the file and in the overrides."""
-    places = KeyPlaces(source, text, {})
-    if any(str(old[-1]) in text for old in RENAMED):
-        for old in old_names(_parse(text, source)):
-            warnings.warn(f"{places.of(old)}{advice(old)}", OldNameWarning, stacklevel=4)
-    for override in overrides:
-        if (key := key_path(override)) in RENAMED:
-            warnings.warn(f"the override {override}: {advice(key)}", OldNameWarning, stacklevel=4)
 
 
 def scene_from_text(
@@ -229,12 +217,9 @@ def _validate(data: dict[str, Any], text: str, places: KeyPlaces, bodies: BodySo
 
 
 def _refuse(messages: Sequence[Callable[[], str]], more: int = 0) -> None:
-    """Refuse a scene, with a line for each mistake; only the lines displayed are composed.
-
-    ``more`` is the number of mistakes without a line.
-    """
+    """Refuse a scene, with a line for each of the first mistakes; ``more`` have no message."""
+    more += len(messages) - MOST_MESSAGES
     if messages:
-        more += len(messages) - MOST_MESSAGES
         shown = [message() for message in messages[:MOST_MESSAGES]]
         raise SceneError("\n".join([*shown, f"… and {more} more"] if more > 0 else shown))
 
@@ -284,7 +269,7 @@ def scene_from_arrays(
     made_of: str | None,
     sections: Mapping[str, Any],
 ) -> Scene:
-    """Build a scene; see `Scene.from_arrays`."""
+    """Build a scene, as described in `Scene.from_arrays`."""
     if "bodies" in sections:
         raise SceneError("bodies: their source is the arrays; give only the other sections, or use with_bodies")
     return _scene(sections, [], [], arrays, name, made_of)
@@ -330,7 +315,7 @@ def _scene(
     return scene_from_dict({**data, "bodies": [*kept, section]}, held)
 
 
-RENAMED: dict[KeyPath, KeyPath] = {("record", "log_freq"): ("record", "check_every")}  # old name to new name
+RENAMED = {("record", "log_freq"): ("record", "check_every")}  # section and key: old name to new name
 
 
 class OldNameWarning(FutureWarning):
@@ -339,22 +324,8 @@ class OldNameWarning(FutureWarning):
 
 def other_name(path: KeyPath) -> KeyPath | None:
     """Return the new name of an old key, or the old name of a new key; None for any other key."""
-    return RENAMED.get(path) or next((old for old, new in RENAMED.items() if new == path), None)
-
-
-def old_names(scene: Mapping[str, Any]) -> Iterator[KeyPath]:
-    """Return the old names among the keys of a scene."""
-    for old in RENAMED:
-        node: Any = scene
-        for key in old:
-            node = node.get(key) if isinstance(node, Mapping) else None
-        if node is not None:
-            yield old
-
-
-def advice(old: KeyPath) -> str:
-    """Return the advice to use the new name."""
-    return f"{'.'.join(map(str, old))} is now called {'.'.join(map(str, RENAMED[old]))}; the old name still works"
+    pairs: list[tuple[KeyPath, KeyPath]] = [*RENAMED.items()]
+    return next((other for old, new in pairs for one, other in ((old, new), (new, old)) if one == path), None)
 
 
 TEXTS = ("title", "description", "name")  # keys that may be empty; for other keys, an empty value removes the key

@@ -6,7 +6,7 @@ of installed packages.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -66,17 +66,15 @@ def unknown(name: str) -> str:
 
 def extensions_of(scene: Scene) -> dict[str, str]:
     """Return the package and version of each part that a scene uses from installed packages, by kind.name."""
-    found = ((f"{kind}.{name}", registry.origin(kind, name)) for kind, name in _used(scene))
-    return {key: f"{origin.package} {origin.version}" for key, origin in found if origin}
-
-
-def _used(scene: Scene) -> Iterator[tuple[str, str]]:
-    yield from (("forces", name) for name in scene.forces.given)
-    yield from (("contact_laws", name) for name in scene.contact.laws)
-    yield from (("walls", wall.shape) for wall in scene.wall)
-    yield from (("series", name) for name in scene.record.series)
-    if scene.time.integrator in registry.installed("integrators"):
-        yield "integrators", scene.time.integrator
+    used: dict[str, Iterable[str]] = {
+        "forces": scene.forces.given,
+        "contact_laws": scene.contact.laws,
+        "walls": (wall.shape for wall in scene.wall),
+        "series": scene.record.series,
+        "integrators": (scene.time.integrator,),
+    }
+    found = {f"{kind}.{name}": registry.origin(kind, name) for kind, names in used.items() for name in names}
+    return {key: f"{origin.package} {origin.version}" for key, origin in found.items() if origin}
 
 
 def stamped(properties: Mapping[str, Any]) -> dict[str, str]:

@@ -86,18 +86,14 @@ _PAUSE = 0.01  # s, between two attempts to read a silent pipe
 
 def scene_path(source: str | Path) -> Path:
     """Return the path of a scene's file, or of a bundled scene of that name."""
+    path = Path(source)
     try:
-        return _existing_path(source)
+        if path.is_dir():
+            raise SceneError(f"{path}: a folder, not a scene; name a .toml file in it")
+        if path.exists():
+            return path
     except OSError as error:  # a name of 300 characters
         raise SceneError(f"{str(source)[:100]}: cannot be read: {error.strerror}") from None
-
-
-def _existing_path(source: str | Path) -> Path:
-    path = Path(source)
-    if path.is_dir():
-        raise SceneError(f"{path}: a folder, not a scene; name a .toml file in it")
-    if path.exists():
-        return path
     bundled = bundled_scenes() | extreme_scenes() | crosscheck_scenes()
     if str(source) in bundled:
         return bundled[str(source)]

@@ -25,18 +25,10 @@ _DIGITS = 12  # digits of a value in a range: 0.3, not 0.30000000000000004
 
 
 def values_of(text: str) -> Values:
-    """Read the values of a key from text.
+    """Read the values of a key from text; raises ValueError, which lists the valid forms.
 
-    Parameters
-    ----------
-    text
-        ``a,b,c``; ``first:last:count``, evenly spaced; or ``first:last:countlog``, in equal ratios. Ends are included
-        and may have units: ``1 km:5 km:5``.
-
-    Raises
-    ------
-    ValueError
-        The message lists the valid forms.
+    The forms are ``a,b,c``; ``first:last:count``, evenly spaced; and ``first:last:countlog``, in equal ratios. Ends are
+    included and may have units: ``1 km:5 km:5``.
     """
     if matched := _RANGE.fullmatch(text):
         return _range(text, *matched.groups())
@@ -44,25 +36,16 @@ def values_of(text: str) -> Values:
 
 
 def texts_of(text: str) -> list[str]:
-    """Read the same values, each as text.
-
-    Raises
-    ------
-    ValueError
-        The message lists the valid forms.
-    """
+    """Read the same values, each as text."""
     if matched := _RANGE.fullmatch(text):
         return [value if isinstance(value, str) else repr(value) for value in _range(text, *matched.groups())]
     return _parts(text)
 
 
 def alike(values: Any) -> Values:
-    """Return the values as a tuple; whole numbers among floats become floats, and none may occur twice.
+    """Return the values as a tuple, in which whole numbers among floats are floats.
 
-    Raises
-    ------
-    ValueError
-        If there are none, or one occurs twice.
+    Raises ValueError if there are none, or one occurs twice.
     """
     listed = tuple(values)
     if not listed:
@@ -92,10 +75,7 @@ def _hashable(value: Any) -> Any:
 def combinations(axes: Mapping[str, Values], zipped: bool) -> list[dict[str, Any]]:
     """Return the parameters of every run: all combinations of the values, or the k-th value of each key in run k.
 
-    Raises
-    ------
-    ValueError
-        If zipped lists differ in length, or there are too many runs.
+    Raises ValueError if zipped lists differ in length, or there are too many runs.
     """
     if zipped:
         lengths = {key: len(values) for key, values in axes.items()}
@@ -140,11 +120,6 @@ def _range(
 ) -> Values:
     if unit != other:
         raise ValueError(f'"{text}": expected one unit at both ends, such as 1 km:5 km:5')
-    values = _numbers(text, first, last, count, log)
-    return tuple(f"{value} {unit}" for value in values) if unit else values
-
-
-def _numbers(text: str, first: str, last: str, count: str, log: str | None) -> Values:
     if len(count.lstrip("0")) > len(str(MOST_RUNS)) or int(count) > MOST_RUNS:
         raise ValueError(TOO_MANY_RUNS)
     low, high, steps = float(first), float(last), int(count) - 1
@@ -162,9 +137,8 @@ def _numbers(text: str, first: str, last: str, count: str, log: str | None) -> V
     values = [low, *(float(f"{value:.{_DIGITS}g}") for value in inner), high]
     # without a decimal point: a count stays an integer
     as_whole = all(number.lstrip("+-").isdigit() for number in (first, last))
-    if as_whole and all(value.is_integer() for value in values):
-        return alike(int(value) for value in values)
-    return alike(values)
+    numbers = alike(map(int, values) if as_whole and all(value.is_integer() for value in values) else values)
+    return tuple(f"{value} {unit}" for value in numbers) if unit else numbers
 
 
 def _split(text: str) -> list[str]:

@@ -34,19 +34,11 @@ _RECORDED = ("Ellipsoids3D:colors", "Points3D:colors")
 
 @dataclass(frozen=True, slots=True)
 class BodyColours:
-    """The colours of all bodies that a recording shows, as its views draw them.
+    """The colours of all bodies that a recording shows, as its views draw them."""
 
-    Attributes
-    ----------
-    steps, times
-        (k,) and (k,) s, of the frames at which the colours may change; one frame if they are constant.
-    colours
-        (k, n) 0xRRGGBBAA.
-    """
-
-    steps: IntArray
-    times: FloatArray
-    colours: ColourArray
+    steps: IntArray  # (k,) of the frames at which the colours may change; one frame if they are constant
+    times: FloatArray  # (k,) s, of these frames
+    colours: ColourArray  # (k, n) 0xRRGGBBAA
 
     @property
     def fixed(self) -> ColourArray | None:
@@ -77,19 +69,10 @@ def change_with_time(header: Header, by: str) -> bool:
 
 
 def body_colours(recording: Recording, header: Header, by: str, step: ShownStep | None = None) -> BodyColours:
-    """Return the colours of the bodies at all frames and at repeated steps.
+    """Return the colours of the bodies at all frames and at repeated steps, by a property.
 
-    Parameters
-    ----------
-    by
-        The property that sets the colours. If the recording was coloured by it, these are the recorded colours.
-    step
-        The steps shown, whose repeated steps have colours, too, unless the colours are recorded.
-
-    Raises
-    ------
-    RecordingError
-        If the recording lacks the data for them.
+    These are the recorded colours if the recording was coloured by that property; otherwise the repeated steps of
+    ``step`` have colours, too. Raises RecordingError if the recording lacks the data for them.
     """
     n = len(header.radius)
     own = by == header.coloured_by
@@ -116,8 +99,8 @@ def body_colours(recording: Recording, header: Header, by: str, step: ShownStep 
 
 def recorded_colours(recording: Recording, header: Header, places: Sequence[int]) -> BodyColours:
     """Return the recorded, changing colours of the bodies with some indices; with none, nothing is read."""
-    found = _as_recorded(recording, places) if places and len(recording.shown) * recording.frames <= _MOST else iter(())
-    return _of_rows(recording, header, places, list(found))
+    is_read = places and len(recording.shown) * recording.frames <= _MOST
+    return _of_rows(recording, header, places, list(_as_recorded(recording, places)) if is_read else [])
 
 
 _Row = tuple[int, float, ColourArray]  # step, time (s), colours of the bodies

@@ -89,20 +89,12 @@ class Box:
 
 @dataclass(frozen=True, slots=True)
 class CauseGraph:
-    """The nodes and edges, with the edges of the largest shares first.
+    """The nodes and edges of a graph."""
 
-    Attributes
-    ----------
-    names, colours
-        Of the nodes.
-    asked
-        Number of the leading nodes that are in question.
-    """
-
-    names: Sequence[str]
-    colours: Sequence[int]
-    asked: int
-    edges: Sequence[GraphEdge]
+    names: Sequence[str]  # of the nodes
+    colours: Sequence[int]  # of the nodes
+    asked: int  # number of the leading nodes that are in question
+    edges: Sequence[GraphEdge]  # the largest shares first
     area: Area
     heading: str = "Impulses"  # the quantity in the labels of edges, with its unit
 

@@ -292,8 +292,6 @@ def close_up(
 
     Parameters
     ----------
-    area
-        Of the view.
     colours
         Of the bodies of the pair.
     instant

@@ -51,14 +51,7 @@ def is_ours(local: Address, remote: Address = ("0.0.0.0", 0), table: FileIO | No
     """Return whether the socket at ``local`` is connected to ``remote``, or listens, and belongs to this user.
 
     A connection that its owner has closed belongs to nobody. Without the table of sockets, no connection counts as this
-    user's.
-
-    Parameters
-    ----------
-    local, remote
-        Address and port of the two ends.
-    table
-        The machine's table of sockets, if this process has left the machine's network namespace.
+    user's. A process that has left the machine's network namespace passes the machine's table.
     """
     try:
         if table is None:
@@ -242,20 +235,9 @@ def _wait_for(children: _Children, port: int) -> None:
 def keep(parent: int, report: int, folder: Path, options: Sequence[str], screen: str, command: Sequence[str]) -> int:
     """Run a viewer until it ends, or the process that started this one does; return its exit status.
 
-    Parameters
-    ----------
-    parent
-        The process that started this one.
-    report
-        A descriptor, to which the port is written once the viewer listens.
-    folder
-        The viewer's temporary folder, which is deleted at the end.
-    options
-        `SHARED`, `LIVE`.
-    screen
-        WIDTHxHEIGHT of a virtual screen to run it on, or nothing.
-    command
-        Arguments of the viewer, without its port.
+    Once the viewer listens, its port is written to the descriptor ``report``. ``folder`` is its temporary folder,
+    ``options`` are of `SHARED` and `LIVE`, ``screen`` is WIDTHxHEIGHT of a virtual screen to run it on, or empty, and
+    ``command`` starts the viewer, without its port.
     """
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))
     door, port, environment = _Door(), _PORT, os.environ | {"TMPDIR": str(folder)}

@@ -153,8 +153,6 @@ def legend(
 
     Parameters
     ----------
-    header
-        What the recording states.
     by
         The property that sets the colours of the bodies.
     colours
@@ -163,8 +161,6 @@ def legend(
         The magnitudes in the middle of the scales, as recorded.
     frame
         The step shown; None if it is not known. Its impulses set the scale of the arrows of impulses.
-    drawn
-        What there is to explain.
     named
         Whether all bodies have their names beside them in the view of the bodies.
     viewer_time

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import time
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import replace
@@ -54,10 +54,7 @@ _LIMIT = 60.0  # s, in which a picture must settle
 def frame_times(recording: Recording, start: float | None, end: float | None, count: int) -> FloatArray:
     """Return the times (s) of recorded frames for ``count`` pictures, equally spaced from start to end (s).
 
-    Raises
-    ------
-    RecordingError
-        If there are fewer than two frames, or the interval is not in the recording.
+    Raises RecordingError if there are fewer than two frames, or the interval is not in the recording.
     """
     times = recording.fingerprints()["time"].to_numpy()
     if len(times) < 2:
@@ -93,20 +90,14 @@ def pictures(
 
     Parameters
     ----------
-    recording
-        The recording to show.
     times
         s, ascending; equal times give the same picture.
     size
         Width and height in pixels.
     view
         The view that fills the picture, or all of them.
-    theme
-        Theme of the viewer, "dark" or "light".
-    event
-        The name of an event; a close-up follows its bodies, by default those of the hardest impact.
-    bodies
-        The bodies that a close-up follows, by numbers or names separated by a comma.
+    event, bodies
+        What a close-up follows, as in `Request`; by default the bodies of the hardest impact.
     camera
         How the camera of the other views moves; by default it depends on the scene.
 
@@ -118,31 +109,20 @@ def pictures(
     different = list(dict.fromkeys(times.tolist()))
     supplement = None
     if view == CLOSE_UP:
-        supplement = asked(
-            recording,
-            Request(event=event, bodies=bodies),
-            Canvas(*size, framed=False, rendered=True, theme=theme),
-            view,
-        ).supplement
+        canvas = Canvas(*size, framed=False, rendered=True, theme=theme)
+        supplement = asked(recording, Request(event=event, bodies=bodies), canvas, view).supplement
     elif not recording.is_overlay:
         canvas = Canvas(*size, framed=view == ALL, rendered=True, theme=theme)
         supplement = _layout(recording, different, canvas, view, camera)
-    return _taken(recording, times, size, view, theme, supplement)
+    return _taken(times, lambda stack: _Studio(stack, recording, supplement, size, view, theme))
 
 
-def _taken(
-    recording: Recording,
-    times: FloatArray,
-    size: tuple[int, int],
-    view: str,
-    theme: str,
-    supplement: Supplement | None,
-) -> Iterator[bytes]:
-    """Take the pictures."""
+def _taken(times: FloatArray, studio: Callable[[ExitStack], _Studio]) -> Iterator[bytes]:
+    """Take the pictures in as many studios as pay."""
     different = list(dict.fromkeys(times.tolist()))
     count = max(1, min(_MOST_VIEWERS, os.cpu_count() or 1, len(different) // _FRAMES_EACH))
     with ExitStack() as stack:
-        studios = [_Studio(stack, recording, supplement, size, view, theme) for _ in range(count)]
+        studios = [studio(stack) for _ in range(count)]
         waiting: deque[Future[bytes]] = deque()
         ahead = zip(different, cycle(studios), strict=False)
         last, png = np.nan, b""

@@ -21,34 +21,23 @@ _HUNDREDTHS = 100  # of a second: the unit of time of a GIF
 
 
 def write_movie(path: Path, pictures: Iterable[bytes], count: int, size: tuple[int, int], fps: float) -> None:
-    """Write PNGs of one size into a movie; an incomplete file is removed.
+    """Write ``count`` PNGs of one size (pixels) into a movie, an .mp4 or a .gif; an incomplete file is removed.
 
-    Parameters
-    ----------
-    path
-        Ends in .mp4 or .gif.
-    pictures
-        PNGs, in order.
-    count
-        Number of pictures.
-    size
-        Width and height in pixels, both even for .mp4.
-    fps
-        Pictures per second.
-
-    Raises
-    ------
-    RecordingError
-        If there is no ffmpeg, or the file cannot be written.
+    Width and height are even for .mp4, and ``fps`` is in pictures per second. Raises RecordingError if there is no
+    ffmpeg, or the file cannot be written.
     """
     try:
         with whole_file(path) as part:
             if path.suffix == ".gif":
-                _write_gif(part, map(_pixels, pictures), delays_of(count, fps))
+                few = (  # each picture has its own palette
+                    image.quantize(colors=256, method=Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE)
+                    for image in map(_pixels, pictures)
+                )
+                duration = delays_of(count, fps)
+                next(few).save(part, save_all=True, append_images=few, duration=duration, loop=0, format="GIF")
             else:
-                images = map(_pixels, pictures)
                 with _encoder(part, size, fps) as send:
-                    for image in images:
+                    for image in map(_pixels, pictures):
                         send(image.tobytes())
     except OSError as error:
         raise RecordingError(f"cannot write {path}: {error.strerror or error}") from error
@@ -89,12 +78,6 @@ def _encoder(path: Path, size: tuple[int, int], fps: float) -> Iterator[Callable
         yield writer.send
     finally:
         writer.close()
-
-
-def _write_gif(path: Path, images: Iterator[Image.Image], delays: list[int]) -> None:
-    """Write a GIF; each picture has its own palette."""
-    few = (image.quantize(colors=256, method=Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE) for image in images)
-    next(few).save(path, save_all=True, append_images=few, duration=delays, loop=0, format="GIF")
 
 
 def delays_of(count: int, fps: float) -> list[int]:

@@ -13,7 +13,6 @@ from carom.recording.schema.paths import SIM_TIME
 from carom.recording.write.rerun_compat import send_to_notebook
 from carom.show.presentation import asked
 from carom.show.request import Request
-from carom.show.supplement import Supplement
 
 
 def show(recording: Recording, request: Request, height: int) -> None:
@@ -22,7 +21,10 @@ def show(recording: Recording, request: Request, height: int) -> None:
         moment, extra = recording.moment(request.at), b""
     else:
         shown = asked(recording, request, dense=True)
-        moment, extra = shown.time, _bytes_of(recording, shown.supplement)
+        with temporary_folder() as folder:
+            path = folder / "moment.rrd"
+            shown.supplement.save(path, recording.store.application_id, recording.store.store_id)
+            moment, extra = shown.time, path.read_bytes()
     try:
         viewer = Viewer(width="auto", height=height, use_global_recording=False)
     except ImportError:
@@ -41,11 +43,3 @@ def show(recording: Recording, request: Request, height: int) -> None:
     if extra:
         send_to_notebook(viewer, extra)
     viewer.set_time_ctrl(timeline=SIM_TIME, duration=shown_at, play=False)
-
-
-def _bytes_of(recording: Recording, supplement: Supplement) -> bytes:
-    """Return a supplement as a file for the viewer."""
-    with temporary_folder() as folder:
-        path = folder / "moment.rrd"
-        supplement.save(path, recording.store.application_id, recording.store.store_id)
-        return path.read_bytes()

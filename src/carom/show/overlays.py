@@ -109,13 +109,7 @@ def write_overlay(
     series: Mapping[str, FloatArray],
     text: str,
 ) -> None:
-    """Write both recordings into one; ``pairs`` are ``count`` frames, ``series`` holds a value for each of them.
-
-    Raises
-    ------
-    RecordingError
-        If it cannot be written.
-    """
+    """Write both recordings into one; ``pairs`` are ``count`` frames, ``series`` holds a value for each of them."""
     radius = a.bodies.radius[a.shown][: len(b.shown)]  # some bodies may come in one run only
     names, origin = list(a.bodies.name[: len(radius)]), a.origin
     every = max(1, int(np.ceil(count * len(radius) * 60 / _LARGEST)))
@@ -236,12 +230,10 @@ class ComparedTrajectory:
 
 
 def write_trajectories(path: Path, space: Space, time: FloatArray, trajectories: list[ComparedTrajectory]) -> None:
-    """Write a recording of several runs.
+    """Write a recording of several runs, which replaces an earlier one.
 
     Parameters
     ----------
-    path
-        The ``.rrd``, which replaces an earlier one.
     space
         The scene that ran, for the radii and the colours of its bodies.
     time
@@ -250,11 +242,6 @@ def write_trajectories(path: Path, space: Space, time: FloatArray, trajectories:
         The reference first, which is drawn in grey. Each other family has a colour, and so has each run without a
         family. Of runs that share a colour, the first has a wide curve. A few bodies are filled with their own colours,
         and have wires and paths in the colour of the run.
-
-    Raises
-    ------
-    RecordingError
-        If it cannot be written.
     """
     title, radius = space.scene.title, space.state.radius
     bodies = _own_colours(space) if len(radius) <= PATHS_UP_TO else None

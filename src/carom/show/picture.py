@@ -89,12 +89,6 @@ def render(
 
     Parameters
     ----------
-    path
-        The recording.
-    request
-        The moment and the bodies to show.
-    out_png
-        The PNG to write.
     size
         Width and height in pixels.
     view
@@ -209,12 +203,7 @@ def headless(recording: Recording, size: tuple[int, int], theme: str) -> Iterato
 
     Rerun 0.41 reads its theme only from its settings file, which its headless mode ignores. That mode does not use the
     system's fonts, either, and ends at a character that Rerun's own font lacks. A viewer with a window, on a virtual
-    screen, does both.
-
-    Raises
-    ------
-    RecordingError
-        If there is no Vulkan driver, or no Xvfb where one is needed.
+    screen, does both. Raises RecordingError if there is no Vulkan driver, or no Xvfb where one is needed.
     """
     window = ("--window-size", f"{size[0]}x{size[1]}")
     if theme == "dark" and has_all_glyphs(recording):

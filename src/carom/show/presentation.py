@@ -47,9 +47,9 @@ from carom.show.request import (
     ShownStep,
     Watcher,
     at_impact,
-    hardest_pair,
     named_event,
     named_pair,
+    pair_of_extreme,
     pair_of_step,
     shown_step,
 )
@@ -80,13 +80,7 @@ def asked(
     dense: bool = False,
     watch: Watcher = lambda _: None,
 ) -> Presentation:
-    """Choose how a request is shown; see `presentation`.
-
-    Raises
-    ------
-    RecordingError
-        If there is no such moment, event or body.
-    """
+    """Choose how a request is shown; raises RecordingError if there is no such moment, event or body."""
     event = request.event
     if event is None:
         shown = NamedEvent(recording.moment(request.at), is_impact=request.at is None or only == CLOSE_UP)
@@ -131,14 +125,10 @@ def presentation(
     dense: bool = False,
     watch: Watcher = lambda _: None,
 ) -> Presentation:
-    """Choose how a moment is shown.
+    """Choose how a moment (s) is shown.
 
     Parameters
     ----------
-    recording
-        The recording to show.
-    moment
-        s.
     only
         A single view, or all.
     within
@@ -148,8 +138,6 @@ def presentation(
         the end of the step.
     pair
         The bodies of the close-up view; by default those of the hardest impact of the step or, without one, of the run.
-    plots
-        Of single bodies.
     colour_by
         The property that sets the colours, one of `COLOUR_BY` in recording/schema/header.py; by default as recorded.
     dense
@@ -281,7 +269,7 @@ def uniform_field(recording: Recording, header: Header) -> FloatArray | None:
 
 def _pair(recording: Recording, header: Header, step: ShownStep) -> Pair | None:
     """Choose the pair of the close-up view."""
-    hardest = hardest_pair(recording)
+    hardest = pair_of_extreme(recording, "impact")
     if step.frame is None or recording.closing.get("moments.impact.step") == step.step:
         return hardest
     return pair_of_step(step.frame, header.bodies) or hardest

@@ -30,31 +30,15 @@ from carom.recording.write.impact_frames import Instant, instants
 class Request:
     """A moment of a recording, the bodies to show close up, plots, and colours.
 
-    Parameters
-    ----------
-    at
-        s; without it, the event or otherwise the most interesting moment: the hardest impact or, without any, the most
-        contacts.
-    event
-        The name of an event, whose bodies the close-up view shows.
-    bodies
-        The bodies of the close-up view, by numbers or names separated by a comma.
-    plot
-        Quantities of bodies to plot, such as ``top.z,top.omega``.
-    colour_by
-        The property that sets the colours; by default as the scene states.
-
-    Raises
-    ------
-    RecordingError
-        If both a time and an event are given.
+    Without a time and an event, the moment is the hardest impact or, without impacts, that of the most contacts. Both
+    together raise RecordingError.
     """
 
-    at: float | None = None
-    event: str | None = None
-    bodies: str | None = None
-    plot: str | None = None
-    colour_by: str | None = None
+    at: float | None = None  # s
+    event: str | None = None  # name of an event, whose bodies the close-up view shows
+    bodies: str | None = None  # bodies of the close-up view: numbers or names separated by a comma
+    plot: str | None = None  # quantities of bodies to plot, such as ``top.z,top.omega``
+    colour_by: str | None = None  # property that sets the colours; by default as the scene states
 
     def __post_init__(self) -> None:
         """Refuse two moments."""
@@ -77,13 +61,7 @@ class Pair:
 
 
 def named_pair(recording: Recording, text: str) -> Pair:
-    """Read two bodies from numbers or names separated by a comma.
-
-    Raises
-    ------
-    RecordingError
-        If they are not two bodies of the recording.
-    """
+    """Read two bodies from numbers or names separated by a comma; raises RecordingError if these are not two bodies."""
     given = split_at_commas(text, recording.bodies.name)
     if len(given) != 2 or not all(given):
         raise RecordingError(f"bodies {text}: expected two bodies separated by a comma, such as 0,1")
@@ -93,15 +71,11 @@ def named_pair(recording: Recording, text: str) -> Pair:
     return Pair(min(first, second), max(first, second))
 
 
-def hardest_pair(recording: Recording) -> Pair | None:
-    """Return the pair of the run's hardest impact; None if none is recorded."""
-    return pair_of_extreme(recording, "impact")
-
-
 def pair_of_extreme(recording: Recording, name: str) -> Pair | None:
-    """Return the pair of an extreme of the run; None if it names none that is shown."""
+    """Return the pair of an extreme of the run, such as ``impact``, the hardest; None if no shown pair is recorded."""
     closing = dict(recording.closing)
-    found, planes = (_numbers(closing.get(f"moments.{name}.{what}", "")) for what in ("bodies", "planes"))
+    texts = (str(closing.get(f"moments.{name}.{what}", "")).split(",") for what in ("bodies", "planes"))
+    found, planes = ([int(part) for part in parts if part.strip().isdigit()] for parts in texts)
     shown = set(recording.shown)
     if not found or not all(body in shown for body in found):
         return None
@@ -119,10 +93,6 @@ def pair_of_step(frame: Frame, bodies: int) -> Pair | None:
     row = graph.first if rows is None or len(rows) != len(graph) else int(np.argmax(rows["normal_impulse"]))
     i, j = (int(end) for end in graph.pairs[row])
     return Pair(i, j) if j < bodies else Pair(i, None, j - bodies)
-
-
-def _numbers(text: object) -> list[int]:
-    return [int(part) for part in str(text).split(",") if part.strip().isdigit()]
 
 
 _IMPACT = "impact:"  # before the number of an impact
@@ -228,23 +198,9 @@ def shown_step(
 ) -> ShownStep:
     """Find the step that contains a time (s), and repeat it if that takes no more than a minute.
 
-    Parameters
-    ----------
-    recording
-        The recording to show.
-    at
-        s.
-    within
-        The step to show if the time is the end of one step and the start of the next; by default the former.
-    dense
-        Whether to add all steps up to the next recorded frame.
-    watch
-        Called while steps are repeated.
-
-    Raises
-    ------
-    RecordingError
-        If there is no frame.
+    If the time is the end of one step and the start of the next, ``within`` is the step to show, by default the former.
+    With ``dense``, all steps up to the next recorded frame are added. ``watch`` is called while steps are repeated.
+    Raises RecordingError if there is no frame.
     """
     table = recording.fingerprints()
     times, steps = table["time"].to_numpy(), table[STEP].to_numpy()
@@ -313,18 +269,9 @@ def at_impact(
 ) -> ShownStep | None:
     """Return the instant of an impact within a repeated step; None if the pair has none before its end.
 
-    Its frame holds the positions and contacts of the instant, and its state the quantities that jump there.
-
-    Parameters
-    ----------
-    pair
-        The two ends of the impact. Of several impacts, the nearest in time is chosen, then the fastest.
-    header, origin
-        Of the recording; origin (3,) m.
-    near
-        s.
-    clock
-        Of the recording. An impact within a nanosecond of the end of the step is shown at its end.
+    Its frame holds the positions and contacts of the instant, and its state the quantities that jump there. Of several
+    impacts of the pair, the one nearest in time to ``near`` (s) is chosen, then the fastest. An impact within a
+    nanosecond of the end of the step is shown at its end.
     """
     frame, n = step.frame, header.bodies
     earlier = [one for one in (step.before, *step.added) if one is not None and one.step < step.step]

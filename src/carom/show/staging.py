@@ -63,8 +63,6 @@ class Staging:
 
         Parameters
         ----------
-        recording, header
-            The recording and its header.
         first
             (n, 3) m from the origin, positions that must be in view.
         colours
@@ -177,18 +175,10 @@ def field_arrows(
     radius: FloatArray,
     legend: tuple[int, int] | None = None,
 ) -> Iterator[Static]:
-    """Draw a uniform field as an arrow at the upper border of the view, and the axes of space at the lower border.
+    """Draw a uniform field (3,) m/s² as an arrow at the upper border of a view, and the axes of space at the lower.
 
-    Each is on the left, unless it would cover less on the right; in a corner with a legend, beside it.
-
-    Parameters
-    ----------
-    field
-        (3,) m/s².
-    drawn, radius
-        (k, 3) and (k,) m, of bodies and points of their paths.
-    legend
-        The corner of the legend in this view, if it has one.
+    Each is on the left, unless it would cover less on the right of what is ``drawn``, points (k, 3) m with a radius
+    (k,) m; in the corner of a legend, beside it.
     """
     height, size = view.height(), float(np.linalg.norm(field))
     right, up = view.axes()
@@ -228,21 +218,9 @@ def field_arrows(
 
 
 def names_that_fit(header: Header, position: FloatArray, view: View, area: Area) -> tuple[str, ...]:
-    """Return the names of bodies, few enough and far enough apart in a view not to overlap.
+    """Return the names (n,) of bodies at (n, 3) m if they are few, otherwise ().
 
-    A name that would overlap that of a larger body is empty.
-
-    Parameters
-    ----------
-    position
-        (n, 3) m.
-    view
-        It has this `area`.
-
-    Returns
-    -------
-    names
-        (n,), or () if no name is shown.
+    Of two names that would overlap in a view of this area, only that of the larger body is not empty.
     """
     n = len(position)
     if not any(header.names) or n > MOST_NAMES or n != len(header.names) or shape(header) != "ellipsoids":

@@ -181,21 +181,10 @@ class BodySeries:
 
 
 def asked_quantities(recording: Recording, text: str, *, one_unit: bool = False) -> list[tuple[int, Quantity]]:
-    """Read the requested quantities of bodies.
+    """Read the requested quantities of bodies, ``BODY.QUANTITY`` separated by commas; bodies have numbers or names.
 
-    Parameters
-    ----------
-    recording
-        The recording that contains the bodies.
-    text
-        ``BODY.QUANTITY``, separated by commas; a body is given by its number or its name.
-    one_unit
-        Whether all must have the same unit.
-
-    Raises
-    ------
-    RecordingError
-        If there is no such body or quantity, or the units differ.
+    With ``one_unit``, all must have the same unit. Raises RecordingError if there is no such body or quantity, or the
+    units differ.
     """
     asked: dict[tuple[int, Quantity], None] = {}
     with_commas = [body for body in recording.bodies.name if "," in body]
@@ -227,19 +216,9 @@ def needs_replay(asked: Sequence[tuple[int, Quantity]]) -> bool:
 def body_series(
     recording: Recording, asked: Sequence[tuple[int, Quantity]], watch: Callable[[StepStatus], None] = lambda _: None
 ) -> list[BodySeries]:
-    """Return the requested series.
+    """Return the requested series; ``watch`` is called after every frame if the run is repeated.
 
-    Parameters
-    ----------
-    recording, asked
-        As from `asked_quantities`.
-    watch
-        Called after every frame if the run is repeated.
-
-    Raises
-    ------
-    RecordingError
-        If the run must be repeated and cannot be, or its bits differ.
+    Raises RecordingError if the run must be repeated and cannot be, or its bits differ.
     """
     bodies = sorted({body for body, _ in asked})
     read = _replayed(recording, bodies, watch) if needs_replay(asked) else _recorded(recording, bodies)

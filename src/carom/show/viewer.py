@@ -55,8 +55,6 @@ class Viewer:
         Its folder for temporary files, which it deletes; by default a new one.
     keep
         Options of `keeper`.
-    environment
-        Environment of the process; by default that of this process.
     """
 
     def __init__(
@@ -201,10 +199,7 @@ class Viewer:
 def start_live_viewer() -> str:
     """Open a window that waits for a run and stays open after it; return the address to record to.
 
-    Raises
-    ------
-    RecordingError
-        If there is no screen, or the viewer cannot use it.
+    Raises RecordingError if there is no screen, or the viewer cannot use it.
     """
     if not has_screen():
         raise RecordingError(_NO_SCREEN)
@@ -274,19 +269,8 @@ def binary() -> str:
 def open_window(path: str | Path, request: Request, *, say: Callable[[str], None] = lambda _: None) -> None:
     """Open a recording, paused at a moment; return when the window is closed.
 
-    Parameters
-    ----------
-    path
-        The recording.
-    request
-        What to show of it.
-    say
-        Called with the reason if the step of that moment cannot be shown.
-
-    Raises
-    ------
-    RecordingError
-        If the recording cannot be read, there is no such moment, event, body or quantity, or no screen.
+    ``say`` is called with the reason if the step of that moment cannot be shown. Raises RecordingError if the recording
+    cannot be read, there is no such moment, event, body or quantity, or no screen.
     """
     recording = Recording.open(path)
     shown: Presentation | None = None

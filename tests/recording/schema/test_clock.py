@@ -55,9 +55,9 @@ def test_a_time_that_does_not_fit_is_refused(time: float) -> None:
     [
         (SI, 1.0, ""),
         (SI, 1e3, "+1s is 1000 s"),
-        (UnitSystem.of_table({"time": "year"}), 1.0, "1 year is +365.25d"),
-        (UnitSystem.of_table({"time": "ms"}), 1.0, "1 ms is +0.001s"),
-        (UnitSystem.of_table({"length": "mm"}), 1.0, ""),
+        (UnitSystem({"time": "year"}), 1.0, "1 year is +365.25d"),
+        (UnitSystem({"time": "ms"}), 1.0, "1 ms is +0.001s"),
+        (UnitSystem({"length": "mm"}), 1.0, ""),
     ],
 )
 def test_the_times_of_the_viewer_are_related_to_the_scenes_unit(units: UnitSystem, scale: float, note: str) -> None:

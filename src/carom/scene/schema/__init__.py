@@ -4,46 +4,16 @@ Sections and keys have the same names as in the TOML file. All are optional, but
 Unknown keys are refused.
 """
 
-import warnings
-from typing import Any
-
-from carom.scene.schema.body import Body, BodyData, BodyGroup, RadiusRange, Region, SolidPlane, Spin, Velocity
-from carom.scene.schema.contact import Coefficients, ContactSettings, Drag, Gravity, Material, MaterialPair
-from carom.scene.schema.promise import Expect, Promise, Sweep
-from carom.scene.schema.quantity import LARGEST
-from carom.scene.schema.scene import Scene
-from carom.scene.schema.settings import Domain, ForcedParts, Record, Time, Units
-
-__all__ = [
-    "LARGEST",
-    "Body",
-    "BodyData",
-    "BodyGroup",
-    "Coefficients",
-    "ContactSettings",
-    "Domain",
-    "Drag",
-    "Expect",
-    "ForcedParts",
-    "Gravity",
-    "Material",
-    "MaterialPair",
-    "Promise",
-    "RadiusRange",
-    "Record",
-    "Region",
-    "Scene",
-    "SolidPlane",
-    "Spin",
-    "Sweep",
-    "Time",
-    "Units",
-    "Velocity",
-]
-
-
-def __getattr__(name: str) -> Any:
-    if name == "StaticPlane":  # its name until 0.1, when planes could not move
-        warnings.warn("carom.scene.schema.StaticPlane is now called SolidPlane", DeprecationWarning, stacklevel=2)
-        return SolidPlane
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+from carom.scene.schema.body import Body as Body
+from carom.scene.schema.body import BodyGroup as BodyGroup
+from carom.scene.schema.body import Region as Region
+from carom.scene.schema.contact import Coefficients as Coefficients
+from carom.scene.schema.contact import ContactSettings as ContactSettings
+from carom.scene.schema.contact import Drag as Drag
+from carom.scene.schema.contact import Gravity as Gravity
+from carom.scene.schema.contact import Material as Material
+from carom.scene.schema.promise import Expect as Expect
+from carom.scene.schema.promise import Promise as Promise
+from carom.scene.schema.quantity import LARGEST as LARGEST
+from carom.scene.schema.scene import Scene as Scene
+from carom.scene.schema.settings import Time as Time

@@ -6,7 +6,6 @@ Contacts are modelled with the coefficients of their materials.
 from __future__ import annotations
 
 import json
-import math
 import re
 from functools import cache
 from typing import Annotated, Any, Literal, NamedTuple, Self
@@ -15,7 +14,7 @@ from pydantic import AfterValidator, Field, PrivateAttr, ValidationError, model_
 from pydantic.fields import FieldInfo
 
 from carom import registry
-from carom.scene.contact_laws import DEFAULT_LAW, functions_of
+from carom.scene.contact_laws import DEFAULT_LAW, functions_of, geometric_mean
 from carom.scene.schema.quantity import (
     LARGEST,
     ORIGIN,
@@ -153,13 +152,9 @@ def combined(one: Coefficients, other: Coefficients) -> Coefficients:
         return one
     return Coefficients(
         min(one.restitution, other.restitution),
-        _geometric_mean(one.static_friction, other.static_friction),
-        _geometric_mean(one.kinetic_friction, other.kinetic_friction),
+        geometric_mean(one.static_friction, other.static_friction),
+        geometric_mean(one.kinetic_friction, other.kinetic_friction),
     )
-
-
-def _geometric_mean(a: float, b: float) -> float:
-    return a if a == b else math.sqrt(a) * math.sqrt(b)  # the product could underflow
 
 
 class Surface(Section):
@@ -425,10 +420,7 @@ def law_sections(holder: Surface | ContactSettings) -> list[str]:
 def know_contact_laws(*holders: type[Section]) -> None:
     """Add a section for each contact law to the models that hold coefficients; see `know_installed_forces`.
 
-    Parameters
-    ----------
-    holders
-        Models with coefficients, and the models that contain them.
+    ``holders`` are the models with coefficients, and the models that contain them.
     """
     for name in registry.names("contact_laws"):
         section = None if name == DEFAULT_LAW else section_of("contact_laws", name)

@@ -53,13 +53,7 @@ def force_of(scene: Scene) -> float:
 
 
 def refuse_what_has_no_piston(scene: Scene) -> None:
-    """Refuse pistons with parts of the model that know only planes at rest, or with a prescribed motion.
-
-    Raises
-    ------
-    SectionError
-        The message names the key and the remedy.
-    """
+    """Refuse a piston with parts of the model that know only planes at rest, or with a prescribed motion."""
     numbered = piston_of(scene)
     if numbered is None:
         return

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 from pydantic import (
@@ -220,12 +219,6 @@ class Record(Section):
         if isinstance(given, dict) and "log_freq" in given and "check_every" in given:
             raise ValueError("log_freq is the old name of check_every: give only one of them")
         return given
-
-    @property
-    def log_freq(self) -> int:
-        """The old name of ``check_every``."""
-        warnings.warn("Record.log_freq is now called check_every", DeprecationWarning, stacklevel=2)
-        return self.check_every
 
 
 Boundary = Literal["open", "periodic", "walls"]

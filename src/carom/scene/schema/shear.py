@@ -59,15 +59,10 @@ class Shear(Section):
 
 
 def refuse_what_is_not_sheared(scene: Scene) -> None:
-    """Refuse sheared boxes with parts of the model that need forces, or the velocity of something at rest.
+    """Refuse a sheared box with parts of the model that need forces, or the velocity of something at rest.
 
     Nothing can be fixed in a sheared box, since its images would move. A body that overlaps another one may be pushed
     away only where contacts last.
-
-    Raises
-    ------
-    ValueError
-        The message names the key and the remedy.
     """
     if scene.domain.shear is None:
         return

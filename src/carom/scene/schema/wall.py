@@ -65,13 +65,7 @@ class Wall(Surface):
 
 @cache
 def know_wall_shapes(*holders: type[Section]) -> None:
-    """Let walls have a section for each shape; see `know_installed_forces`.
-
-    Parameters
-    ----------
-    holders
-        `Wall`, and the models that have walls.
-    """
+    """Add a field for each shape to `Wall`, and rebuild the models that hold one; see `know_installed_forces`."""
     for name in registry.names("walls"):
         section = section_of("walls", name)
         _shapes.append(name)

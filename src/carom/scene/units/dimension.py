@@ -26,44 +26,26 @@ BASE = ("length", "time", "mass", "angle")
 _QUANTITY = r"^\s*[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?\s*\D"  # a number and the beginning of a unit
 
 Exponents = tuple[int, int, int, int]  # powers of the dimensions in `BASE`
-_SYMBOLS = tuple("qryzafpnµμumkMGTPEZY")
-_PREFIX_WORDS = (
-    "quecto",
-    "ronto",
-    "yocto",
-    "zepto",
-    "atto",
-    "femto",
-    "pico",
-    "nano",
-    "micro",
-    "milli",
-    "kilo",
-    "mega",
-    "giga",
-    "tera",
-    "peta",
-    "exa",
-    "zetta",
-    "yotta",
-)
-_FEW = ("n", "µ", "μ", "u", "m")
-_MANY = ("k", "M", "G", "T")
+_SYMBOLS = "qryzafpnµμumkMGTPEZY"
+_SMALL_WORDS = ("quecto", "ronto", "yocto", "zepto", "atto", "femto", "pico", "nano", "micro", "milli")
+_LARGE_WORDS = ("kilo", "mega", "giga", "tera", "peta", "exa", "zetta", "yotta")
+_PREFIX_WORDS = (*_SMALL_WORDS, *_LARGE_WORDS)
+_FEW, _MANY = "nµμum", "kMGT"
 
 # The prefixes of each unit. Symbols combine with symbols, words with words.
 _TAKEN: dict[str, Iterable[str]] = {
-    **dict.fromkeys(("m", "g", "L"), ("c", "d", "h", *_SYMBOLS)),
+    **dict.fromkeys(("m", "g", "L"), "cdh" + _SYMBOLS),
     **dict.fromkeys(("s", "J", "N", "W", "Hz", "eV"), _SYMBOLS),
-    "Pa": ("h", *_SYMBOLS),
+    "Pa": "h" + _SYMBOLS,
     **dict.fromkeys(("pc", "yr", "ly", "t"), _MANY),
     **dict.fromkeys(("rad", "arcsec", "sec"), _FEW),
-    "cal": ("k",),
+    "cal": "k",
     **dict.fromkeys(("metre", "meter", "gram", "litre", "liter"), ("centi", "deci", "hecto", *_PREFIX_WORDS)),
     **dict.fromkeys(
         ("second", "joule", "newton", "watt", "hertz", "electron_volt", "radian", "arcsecond"), _PREFIX_WORDS
     ),
     "pascal": ("hecto", *_PREFIX_WORDS),
-    **dict.fromkeys(("parsec", "year", "tonne"), ("kilo", "mega", "giga", "tera")),
+    **dict.fromkeys(("parsec", "year", "tonne"), _LARGE_WORDS[: len(_MANY)]),
     "calorie": ("kilo",),
 }
 _IRREGULAR = ("s", "x", "z", "i", "ch", "y", "foot", "feet")  # endings of words that take no plural s
@@ -116,25 +98,7 @@ ANGULAR_ACCELERATION = Dimension("angular acceleration", "rad/s²", (0, -2, 0, 1
 PRESSURE = Dimension("pressure", "Pa", (-1, -2, 1, 0), "100 kPa")
 ENERGY = Dimension("energy", "J", (2, -2, 1, 0), "3 kJ", "energy")
 
-DIMENSIONS: Sequence[Dimension] = (
-    LENGTH,
-    TIME,
-    MASS,
-    ANGLE,
-    VELOCITY,
-    ACCELERATION,
-    ANGULAR_VELOCITY,
-    DENSITY,
-    GRAVITATIONAL_CONSTANT,
-    RATE,
-    IMPULSE,
-    ANGULAR_IMPULSE,
-    FORCE,
-    TORQUE,
-    ANGULAR_ACCELERATION,
-    PRESSURE,
-    ENERGY,
-)
+DIMENSIONS: Sequence[Dimension] = [each for each in list(globals().values()) if isinstance(each, Dimension)]
 NAMED = {dimension.plain: dimension for dimension in DIMENSIONS if dimension.plain}  # by the key of [units]
 OF_UNIT = {dimension.unit: dimension for dimension in DIMENSIONS}  # by SI unit
 # torque is excluded: it has the exponents of an energy
@@ -199,10 +163,7 @@ class Unit:
 def unit(text: str) -> Unit:
     """Read a unit such as "km", "g/cm^3", "m s⁻²" or "solar mass".
 
-    Raises
-    ------
-    UnitError
-        If the text is not a unit; the message names the most similar one.
+    Raises `UnitError` if the text is not a unit; the message names the most similar one.
     """
     written = _joined(text.strip().translate(_SUPERSCRIPTS)) if len(text) <= LONGEST else ""
     if not _UNIT.fullmatch(written):
@@ -216,20 +177,12 @@ def unit(text: str) -> Unit:
         dimensions = known.get_dimensionality(base)
     except Exception:  # from another package's parser: a user's text must never cause a traceback
         raise UnitError(f'"{text}" is not a unit') from None
-    exponents = tuple(int(dimensions.get(f"[{name}]", 0)) for name in BASE)
-    return Unit(
-        Fraction(size) / Fraction(1000) ** exponents[2], (exponents[0], exponents[1], exponents[2], exponents[3])
-    )
+    length, time, mass, angle = (int(dimensions.get(f"[{name}]", 0)) for name in BASE)
+    return Unit(Fraction(size) / Fraction(1000) ** mass, (length, time, mass, angle))
 
 
 def unit_of(text: str, dimension: Dimension) -> Unit:
-    """Read a unit of a dimension.
-
-    Raises
-    ------
-    UnitError
-        If the text is not a unit, or one of another dimension.
-    """
+    """Read a unit of a dimension; raises `UnitError` if the text is not a unit, or one of another dimension."""
     try:
         known = unit(text)
     except UnknownUnitError as error:
@@ -249,24 +202,27 @@ def registry() -> UnitRegistry[Any]:
     from pint import UnitRegistry  # noqa: PLC0415 - slow to import, and most scenes need none
 
     units: UnitRegistry[Any] = UnitRegistry(None, non_int_type=Fraction)
-    for line in DEFINITIONS.read_text(encoding="utf-8").splitlines():
-        if line and not line.startswith("#"):
-            units.define(line)
+    for line in _definitions():
+        units.define(line)
     return units
 
 
 def names() -> Iterator[str]:
     """Return the names of all units, in the order of their definitions."""
-    for line in DEFINITIONS.read_text(encoding="utf-8").splitlines():
-        first, *others = (part.strip() for part in line.split("="))
-        if line and not line.startswith("#") and not first.endswith("-"):
-            yield from (first, *(other for other in others[1:] if other != "_"))
+    for line in _definitions():
+        name, _, *others = (part.strip() for part in line.split("="))
+        if not name.endswith("-"):  # a prefix
+            yield from (name, *others)
+
+
+def _definitions() -> list[str]:
+    lines = DEFINITIONS.read_text(encoding="utf-8").splitlines()
+    return [line for line in lines if line and not line.startswith("#")]
 
 
 def _with_signs(written: str) -> str:
     """Write products and powers with signs: pint 0.26 reads "m (km/s)^2" as (m km/s)²."""
-    powers = _POWERS.sub(r"\1**\2", written).replace("·", "*")
-    return _BESIDE.sub("*", powers)
+    return _BESIDE.sub("*", _POWERS.sub(r"\1**\2", written).replace("·", "*"))
 
 
 def _joined(text: str) -> str:
@@ -299,10 +255,7 @@ _DECIMAL_COMMA, _POINT = re.compile(r"\s*([+-]?\d+),(?=\d)"), r"\1."
 def quantity(text: str, dimension: Dimension) -> Fraction:
     """Read a quantity of a dimension; return it exactly, in SI.
 
-    Raises
-    ------
-    UnitError
-        If the text is not a number with a unit of that dimension. The message names a valid form.
+    Raises `UnitError` if the text is not a number with a unit of that dimension. The message names a valid form.
     """
     parts = _parts(text)
     if text.lstrip().startswith("["):

@@ -42,13 +42,7 @@ class UnitSystem:
 
     @classmethod
     def of_text(cls, text: str) -> UnitSystem:
-        """Read ``units = "au, day, solar mass"``.
-
-        Raises
-        ------
-        UnitError
-            If these are not a length, a time and a mass, in any order.
-        """
+        """Read ``units = "au, day, solar mass"``; raises `UnitError` if these are not a length, a time and a mass."""
         if text.strip() == WITHOUT:
             return cls({dimension.plain: "" for dimension in OWN}, own=True)
         given: dict[str, str] = {}
@@ -57,8 +51,11 @@ class UnitSystem:
                 kind = unit(part).dimension
             except UnitError as error:
                 raise UnitError(f"{error}{_SUCH_AS}") from None
-            if kind not in OWN or kind.plain in given:
-                raise UnitError(f'"{part.strip()}" {_not_wanted(kind, given)}{_SUCH_AS}')
+            if kind not in OWN:
+                what = kind.called if kind else "neither a length, a time nor a mass"
+                raise UnitError(f'"{part.strip()}" is {what}{_SUCH_AS}')
+            if kind.plain in given:
+                raise UnitError(f'"{part.strip()}" is a second {kind.name}{_SUCH_AS}')
             given[kind.plain] = part.strip()
         for dimension in OWN:
             if dimension.plain not in given:
@@ -66,19 +63,8 @@ class UnitSystem:
         return cls(given, own=True)
 
     @classmethod
-    def of_table(cls, given: Mapping[str, str]) -> UnitSystem:
-        """Read [units] after their dimensions have been checked."""
-        return cls({key: text.strip() for key, text in given.items()})
-
-    @classmethod
     def of_properties(cls, properties: Mapping[str, object]) -> UnitSystem:
-        """Read the entries of `properties`; other keys are ignored.
-
-        Raises
-        ------
-        UnitError
-            If an entry is not a unit.
-        """
+        """Read the entries of `properties`, without other keys; raises `UnitError` if an entry is not a unit."""
         if "units" in properties:
             parts = str(properties["units"]).split(", ")
             given = parts if len(parts) == len(OWN) else [""] * len(OWN)
@@ -120,13 +106,7 @@ class UnitSystem:
         return self.own and not self.given[LENGTH.plain]
 
     def number(self, text: str, dimension: Dimension) -> float:
-        """Read a quantity such as "3 km" as a number of the simulation.
-
-        Raises
-        ------
-        UnitError
-            If the text is not a quantity of that dimension.
-        """
+        """Read a quantity such as "3 km" as a number of the simulation; raises `UnitError` if it is not one."""
         if self.dimensionless:
             raise UnitError(f'units = "{WITHOUT}": expected a plain number')
         value = quantity(text, dimension)
@@ -177,9 +157,7 @@ class UnitSystem:
 
     def unit(self, dimension: Dimension) -> str:
         """Return the name of the printed unit of a dimension; empty if it has none."""
-        if self.is_si:
-            return dimension.unit
-        return self._names(dimension)
+        return dimension.unit if self.is_si else self._names(dimension)
 
     def labelled(self, label: str, dimension: Dimension) -> str:
         """Write the heading of a column of numbers, such as "t (s)"."""
@@ -230,12 +208,6 @@ def _power(name: str, power: int) -> str:
 
 
 _SUCH_AS = f'; expected a length, a time and a mass, such as "au, day, solar mass", or "{WITHOUT}"'
-
-
-def _not_wanted(kind: Dimension | None, given: Mapping[str, str]) -> str:
-    if kind in OWN:
-        return f"is a second {kind.name}" if kind.plain in given else ""
-    return f"is {kind.called}" if kind else "is neither a length, a time nor a mass"
 
 
 SI = UnitSystem()

@@ -52,15 +52,9 @@ _TYPES = {".html": "text/html; charset=utf-8", ".css": "text/css", ".js": "text/
 
 @dataclass(frozen=True, slots=True)
 class PageNames:
-    """The names of a recording's files in a folder.
+    """The names of a recording's files in a folder."""
 
-    Parameters
-    ----------
-    stem
-        Begins the names of a recording's files: letters, digits and hyphens; empty if there is one recording only.
-    """
-
-    stem: str = ""
+    stem: str = ""  # begins the names: letters, digits and hyphens; empty if there is only one recording
 
     @property
     def page(self) -> str:
@@ -93,9 +87,9 @@ ONLY = PageNames()
 
 
 def write_viewer(folder: Path, title: str) -> None:
-    """Write the viewer and its page into a folder; layouts and recordings are expected beside them.
+    """Write the viewer and its page into a folder, beside which it expects layouts and recordings.
 
-    RecordingError if the installed Rerun has no web viewer; OSError if the folder cannot be written.
+    Raises RecordingError if the installed Rerun has no web viewer, and OSError if the folder cannot be written.
     """
     page = resources.files(__package__) / "page"
     text = (page / PAGE).read_text(encoding="utf-8")
@@ -122,10 +116,7 @@ def write_moment(recording: Recording, supplement: Supplement, folder: Path, nam
 
 
 def _copy_web_viewer(folder: Path) -> None:
-    """Copy the web viewer out of Rerun's binary.
-
-    The binary also serves it, but from a port that another user may have taken before.
-    """
+    """Copy the web viewer out of Rerun's binary, whose own server uses a port that another user may have taken."""
     with Path(binary()).open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as program:
         start = program.find(_SCRIPT_STARTS)
         end = program.find(_SCRIPT_ENDS, start)
@@ -160,42 +151,20 @@ def _web_assembly(program: mmap.mmap) -> slice:
 
 @dataclass(frozen=True, slots=True)
 class Hosted:
-    """The addresses of a page.
+    """The addresses of a page."""
 
-    Attributes
-    ----------
-    link
-        An address that contains a secret: whoever knows it can open the recording.
-    command_line
-        An address without the secret, for a browser's command line, which other users can read. It leads this user, and
-        nobody else, to `link`.
-    """
-
-    link: str
+    link: str  # contains a secret: whoever knows it can open the recording
+    # leads only this user to `link`; without the secret, for a browser's command line, which other users can read
     command_line: str
 
 
 @contextlib.contextmanager
 def hosted(recording: Recording, at: float, supplement: Supplement | None = None, port: int = 0) -> Iterator[Hosted]:
-    """Host a recording while the context lasts; yield the addresses that open it.
+    """Host a recording, paused at a time (s), while the context lasts; yield the addresses that open it.
 
     The server listens on 127.0.0.1 only. The link has a secret in its path, since other people may use the machine.
-
-    Parameters
-    ----------
-    recording
-        The recording to show.
-    at
-        s, at which it is paused.
-    supplement
-        How to show that moment; by default in the recorded layout.
-    port
-        0 takes a free one.
-
-    Raises
-    ------
-    RecordingError
-        If the port is in use.
+    Without a ``supplement``, the recording is shown in its own layout. ``port`` 0 takes a free one. Raises
+    RecordingError if the port is in use.
     """
     with temporary_folder() as folder, _listening(port) as server:
         write_viewer(folder, recording.title)
@@ -213,17 +182,16 @@ def hosted(recording: Recording, at: float, supplement: Supplement | None = None
         thread = threading.Thread(target=server.serve_forever, name="carom-web", daemon=True)
         thread.start()
         try:
-            yield Hosted(link, f"{here}/{entrance}" if server.knows_us() else _redirection(folder, link))
+            if server.knows_us():
+                yield Hosted(link, f"{here}/{entrance}")
+            else:  # a page in the private folder leads to the link
+                redirection = folder / "open.html"
+                refresh = f'<meta http-equiv="refresh" content="0; url={html.escape(link)}" />'
+                redirection.write_text(refresh, encoding="utf-8")
+                yield Hosted(link, redirection.as_uri())
         finally:
             server.shutdown()
             thread.join()
-
-
-def _redirection(folder: Path, link: str) -> str:
-    """Write a page that leads to a link, in a folder of this user; return its address."""
-    page = folder / "open.html"
-    page.write_text(f'<meta http-equiv="refresh" content="0; url={html.escape(link)}" />', encoding="utf-8")
-    return page.as_uri()
 
 
 class _Server(ThreadingHTTPServer):
@@ -408,7 +376,8 @@ def _figure(figure: Figure) -> str:
     texts = (figure.heading, f"{figure.heading}, close up")
     images = [_image(picture, text) for picture, text in zip(figure.pictures, texts, strict=False)]
     shown = [f'<a href="{link}">{image}</a>' for image in images or ["Open this moment in the viewer"]]
-    caption = f"<h2>{html.escape(figure.heading)}</h2><p>{_separated(figure.details)}</p>"
+    details = " · ".join(f"<span>{html.escape(detail)}</span>" for detail in figure.details)
+    caption = f"<h2>{html.escape(figure.heading)}</h2><p>{details}</p>"
     return f'<figure><figcaption>{caption}</figcaption><div class="pictures">{"".join(shown)}</div></figure>'
 
 
@@ -439,7 +408,3 @@ def _headline(headline: Iterable[tuple[str, str]]) -> str:
 
 def _missing(reason: str) -> str:
     return f'<p class="note">Without pictures: {html.escape(reason)}</p>' if reason else ""
-
-
-def _separated(details: Iterable[str]) -> str:
-    return " · ".join(f"<span>{html.escape(detail)}</span>" for detail in details)
