@@ -17,7 +17,6 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from numpy.typing import NDArray
 
-from carom.arrays import IntArray
 from carom.errors import DamageError, RecordingError
 from carom.recording.rrd.container import Container
 from carom.recording.rrd.framing import looks_recorded
@@ -36,13 +35,7 @@ _SURPRISES = (
 
 @contextmanager
 def reading(path: Path) -> Iterator[None]:
-    """Replace exceptions by a RecordingError that names the file and the remedy.
-
-    Raises
-    ------
-    RecordingError
-        In place of an exception raised within the context.
-    """
+    """Replace the exceptions of the context by a RecordingError that names the file and the remedy."""
     try:
         yield
     except DamageError as error:
@@ -95,20 +88,10 @@ def join_rows(
 ) -> pa.Table:
     """Join the rows of an entity. Components with one value per row become plain columns.
 
-    Parameters
-    ----------
-    path
-        The entity; its chunks are in the order of their first steps.
-    optional
-        Columns that older recordings lack; they become empty texts.
-
-    Raises
-    ------
-    DamageError
-        If a row has wrong or missing values, or rows are not in the order of their steps.
+    Chunks are in the order of their first steps. ``optional`` columns, which older recordings lack, become empty texts.
+    Raises DamageError if a row has wrong or missing values, or rows are not in the order of their steps.
     """
-    steps: list[IntArray] = []
-    times: list[IntArray] = []
+    steps, times = [np.empty(0, np.int64)], [np.empty(0, np.int64)]
     found: dict[str, list[pa.Array]] = {name: [] for name in columns}
     last, text = -(2**63), 0
     for chunk in chunks:
@@ -127,8 +110,8 @@ def join_rows(
                 raise DamageError(f"more than {_MOST_TEXT} bytes of text at /{path}")
             found[name].append(values)
     joined: dict[str, Any] = {
-        STEP: pa.array(np.concatenate([np.empty(0, np.int64), *steps])),
-        SIM_TIME: pa.array(np.concatenate([np.empty(0, np.int64), *times])).cast(pa.duration("ns")),
+        STEP: pa.array(np.concatenate(steps)),
+        SIM_TIME: pa.array(np.concatenate(times)).cast(pa.duration("ns")),
     }
     for name, column in columns.items():
         values = pa.chunked_array(found[name], column.type).combine_chunks()
@@ -160,19 +143,23 @@ def flat(chunk: Chunk, name: str, column: Column) -> pa.Array:
     return values.take(pa.array(np.arange(len(values))))
 
 
-Values = NDArray[Any] | list[str]
+def plain(values: pa.Array) -> pa.Array:
+    """Return the values of lists, or of lists of lists, one after another."""
+    while pa.types.is_nested(values.type):
+        values = values.flatten()
+    return values
 
-_PROPERTIES = "__properties"
+
+def centres_of(chunk: Chunk) -> pa.ListArray | None:
+    """Return the centres of the drawn bodies, a list for each row; None if the chunk lacks them."""
+    return next((chunk.batch[name] for name in paths.CENTRES if name in chunk.components), None)
+
+
+Values = NDArray[Any] | list[str]
 
 
 class Entities:
-    """Reads the entities of a store.
-
-    Parameters
-    ----------
-    store
-        One of its recordings.
-    """
+    """Reads the entities of a store, which is one of the recordings in a container."""
 
     def __init__(self, container: Container, store: Store) -> None:
         self._container = container
@@ -198,19 +185,10 @@ class Entities:
         return join_rows(path, self.chunks(path), columns, optional)
 
     def chunks(self, path: str, component: str | None = None) -> Iterator[Chunk]:
-        """Read an entity's chunks of steps in order; given a component, only chunks that have it.
-
-        Chunks of rows without steps, which belong to impacts, are skipped.
-        """
-        found = [e for e in self._store.entries if e.entity_path == path and not (e.is_static or e.is_within_steps)]
-        for chunk in self.read(sorted(found, key=lambda entry: entry.first_step or 0)):
+        """Read an entity's chunks of steps in order; given a component, only chunks that have it."""
+        for chunk in self.read(self._store.frames_of(path)):
             if component is None or component in chunk.components:
                 yield chunk
-
-    def chunks_at(self, step: int, path: str) -> Iterator[Chunk]:
-        """Read the chunks of an entity that may contain a step."""
-        found = [entry for entry in self._store.entries if entry.entity_path == path and entry.holds(step)]
-        return self.read(found)
 
     def static(self, path: str, required: bool = True) -> dict[str, Values]:
         """Read the components of a static entity: arrays, or lists of texts."""
@@ -227,7 +205,7 @@ class Entities:
 
     def properties(self, name: str) -> dict[str, Any]:
         """Return a property of the recording, by the names of its values; empty if there is none."""
-        stored = self.static(f"{_PROPERTIES}/{name}", required=False)
+        stored = self.static(f"__properties/{name}", required=False)
         lists = {key: list(values) if isinstance(values, list) else values.tolist() for key, values in stored.items()}
         return checked(name, {key: values[0] if len(values) == 1 else values for key, values in lists.items()})
 
@@ -239,6 +217,4 @@ def values_of(row: pa.ListScalar) -> Values:
         raise DamageError("a row without its values")
     if pa.types.is_string(values.type):
         return list(values.to_pylist())
-    while pa.types.is_nested(values.type):
-        values = values.flatten()
-    return np.array(values.to_numpy(zero_copy_only=False))
+    return np.array(plain(values).to_numpy(zero_copy_only=False))

@@ -14,7 +14,7 @@ import pyarrow.compute as pc
 
 from carom.arrays import FloatArray, IntArray, SingleArray
 from carom.errors import DamageError, RecordingError
-from carom.recording.read.entities import EVENTS, flat, optional_text, reading
+from carom.recording.read.entities import EVENTS, centres_of, flat, optional_text, plain, reading
 from carom.recording.read.recorded_impacts import RecordedImpacts, impacts_until
 from carom.recording.read.recording import Recording
 from carom.recording.rrd.messages import Chunk, Entry
@@ -25,77 +25,102 @@ from carom.recording.schema.paths import CLOSING, IMPACT, STEP, kind_of
 if TYPE_CHECKING:
     from carom.physics.checkpoint import Checkpoint
 
-_KEPT = 3  # chunks kept in memory; neighbouring frames may be in different ones
+_KEPT = 3  # chunks of each entity in memory; neighbouring frames may be in different ones
+BY_EVENT = (paths.PHASE, paths.DT_LIMIT, paths.EVENTS, paths.IMPACTS)  # entities without one row for every frame
+
+
+class RecordedRows:
+    """The rows of a recording by entity and step; a few chunks of each entity are kept in memory."""
+
+    def __init__(self, recording: Recording) -> None:
+        self._recording = recording
+        self._entries: dict[str, list[Entry]] = {}
+        for entry in recording.store.entries:
+            if entry.first_step is not None:
+                self._entries.setdefault(entry.entity_path, []).append(entry)
+        self._chunks: dict[str, OrderedDict[int, tuple[Chunk, IntArray]]] = {p: OrderedDict() for p in self._entries}
+
+    @property
+    def entities(self) -> list[str]:
+        """Entities with rows of frames, by name."""
+        return sorted(set(self._entries) - set(BY_EVENT))
+
+    def at(self, path: str, step: int) -> list[Chunk]:
+        """Return an entity's rows of a step, each as a separate chunk; an intact recording has one."""
+        found = []
+        with reading(self._recording.path):
+            for entry in self._entries.get(path, ()):
+                if entry.overlaps(step, step):
+                    chunk, steps = self._chunk(entry)
+                    found += [Chunk(path, chunk.batch.slice(int(row), 1)) for row in np.flatnonzero(steps == step)]
+        return found
+
+    def block(self, path: str, wanted: IntArray) -> Chunk | None:
+        """Return an entity's rows of some ascending steps if they are consecutive in a single chunk."""
+        first, last = int(wanted[0]), int(wanted[-1])
+        there = [entry for entry in self._entries.get(path, ()) if entry.overlaps(first, last)]
+        if len(there) != 1:
+            return None
+        with reading(self._recording.path):
+            chunk, steps = self._chunk(there[0])
+        begin = int(np.searchsorted(steps, first))
+        is_block = np.array_equal(steps[begin : begin + len(wanted)], wanted) and not np.any(np.diff(steps) <= 0)
+        return Chunk(path, chunk.batch.slice(begin, len(wanted))) if is_block else None
+
+    def steps(self, path: str) -> Iterator[IntArray]:
+        """Return the steps of an entity's rows, chunk by chunk."""
+        with reading(self._recording.path):
+            for entry in self._entries.get(path, ()):
+                yield self._chunk(entry)[1]
+
+    def _chunk(self, entry: Entry) -> tuple[Chunk, IntArray]:
+        kept = self._chunks[entry.entity_path]
+        if entry.offset not in kept:
+            (chunk,) = self._recording.chunks([entry])
+            kept[entry.offset] = chunk, np.array(chunk.batch[STEP].to_numpy())
+            if len(kept) > _KEPT:
+                kept.popitem(last=False)
+        return kept[entry.offset]
 
 
 class RecordedPositions:
     """Positions (n, 3) in m: drawn ones, or exact ones at checkpoints; NaN for bodies that do not exist."""
 
     def __init__(self, recording: Recording) -> None:
-        self._recording = recording
-        with reading(recording.path):
-            self._origin = recording.origin
-        self._shown = recording.shown
-        self._drawn = _Rows(recording, paths.BODIES)
-        self._exact = _Rows(recording, paths.CHECKPOINT)
+        self._recording, self._shown = recording, recording.shown
+        self._rows = RecordedRows(recording)
 
     def drawn(self, step: int) -> FloatArray:
         """Return the drawn positions (float32) of the bodies that the recording shows."""
         with reading(self._recording.path):
-            for name in paths.CENTRES:
-                values = self._drawn.at(step, name)
-                if values is not None:
-                    return values.reshape(len(self._shown), 3) + self._origin
+            for chunk in self._rows.at(paths.BODIES, step):
+                if (centres := centres_of(chunk)) is not None:
+                    return _values(centres).reshape(len(self._shown), 3) + self._recording.origin
         raise RecordingError(f"{self._recording.path} has no positions at step {step}: part of the file is missing")
 
     def exact(self, step: int) -> FloatArray | None:
         """Return the exact positions of the bodies that the recording shows; None without a checkpoint."""
         with reading(self._recording.path):
-            values = self._exact.at(step, "position")
-            if values is None:
-                return None
-            position = values.reshape(-1, 3)
-            if self._recording.lives is not None and (present := self._exact.at(step, "present")) is not None:
-                position = np.full((len(self._recording.lives), 3), np.nan)
-                position[present.astype(np.int64)] = values.reshape(-1, 3)
-            return position[self._shown]
-
-
-class _Rows:
-    """Rows of one entity by their step."""
-
-    def __init__(self, recording: Recording, path: str) -> None:
-        self._recording = recording
-        entries = recording.store.frames_of(path)
-        self._entries = sorted(entries, key=lambda entry: entry.first_step or 0)
-        self._chunks: OrderedDict[int, Chunk] = OrderedDict()
-
-    def at(self, step: int, component: str) -> FloatArray | None:
-        """Return the values of a component as a flat array; None if there is no such row."""
-        for entry in self._entries:
-            if entry.holds(step):
-                chunk = self._chunk(entry)
-                rows = np.flatnonzero(chunk.batch[STEP].to_numpy() == step)
-                if len(rows) and component in chunk.components:
-                    values = chunk.batch[component][int(rows[-1])].values
-                    while pa.types.is_nested(values.type):
-                        values = values.flatten()
-                    return np.asarray(values.to_numpy(), dtype=np.float64)
+            for chunk in self._rows.at(paths.CHECKPOINT, step):
+                position = _values(chunk.batch["position"]).reshape(-1, 3)
+                if self._recording.lives is not None and "present" in chunk.components:
+                    existing, position = position, np.full((len(self._recording.lives), 3), np.nan)
+                    position[_values(chunk.batch["present"]).astype(np.int64)] = existing
+                return position[self._shown]
         return None
 
-    def _chunk(self, entry: Entry) -> Chunk:
-        if entry.offset not in self._chunks:
-            (self._chunks[entry.offset],) = self._recording.chunks([entry])
-            if len(self._chunks) > _KEPT:
-                self._chunks.popitem(last=False)
-        return self._chunks[entry.offset]
+
+def _values(column: pa.Array) -> FloatArray:
+    return np.asarray(plain(column).to_numpy(), dtype=np.float64)
 
 
 def arrow_floors(recording: Recording, step: int) -> dict[str, float]:
     """Return the magnitudes below which arrows are not drawn in the frame of a step, by the entity of the arrows."""
+    rows = RecordedRows(recording)
     with reading(recording.path):
-        found = {path: _Rows(recording, path).at(step, paths.FLOOR) for path in paths.WITH_FLOOR}
-    return {path: float(values[0]) for path, values in found.items() if values is not None and len(values)}
+        found = {path: chunk for path in paths.WITH_FLOOR for chunk in rows.at(path, step)}
+        floors = {path: _values(c.batch[paths.FLOOR]) for path, c in found.items() if paths.FLOOR in c.components}
+        return {path: float(values[0]) for path, values in floors.items() if len(values)}
 
 
 class DrawnPaths(NamedTuple):
@@ -110,15 +135,13 @@ def drawn_paths(recording: Recording, places: Sequence[int]) -> DrawnPaths:
     """Read the paths of selected bodies, given by their indices among the bodies that the recording shows."""
     steps, positions, turns = [], [], []
     n, chosen = len(recording.shown), list(places)
-    entries = [e for e in recording.store.entries if e.entity_path == paths.BODIES and e.first_step is not None]
     with reading(recording.path):
-        for chunk in recording.chunks(sorted(entries, key=lambda entry: entry.first_step or 0)):
-            rows = chunk.batch.num_rows
-            centres = next((name for name in paths.CENTRES if name in chunk.components), None)
+        for chunk in recording.chunks(recording.store.frames_of(paths.BODIES)):
+            rows, centres = chunk.batch.num_rows, centres_of(chunk)
             if centres is None:
                 continue
             steps.append(chunk.batch[STEP].to_numpy())
-            positions.append(_numbers(chunk.batch[centres]).reshape(rows, n, 3)[:, chosen])
+            positions.append(_numbers(centres).reshape(rows, n, 3)[:, chosen])
             turned = next((name for name in chunk.components if name.endswith(":quaternions")), None)
             if turned is not None:
                 turns.append(_numbers(chunk.batch[turned]).reshape(rows, n, 4)[:, chosen])
@@ -136,84 +159,14 @@ def times_of(recording: Recording, steps: IntArray) -> FloatArray:
 
 
 def _numbers(column: pa.Array) -> SingleArray:
-    while pa.types.is_nested(column.type):
-        column = column.flatten()
+    column = plain(column)
     if column.type != pa.float32():
         raise DamageError(f"positions or orientations of type {column.type}")
     return np.asarray(column.to_numpy(), dtype=np.float32)
 
 
-_CHUNKS_KEPT = 2  # chunks of an entity in memory
-BY_EVENT = (paths.PHASE, paths.DT_LIMIT, paths.EVENTS, paths.IMPACTS)  # entities without one row for every frame
-
-
-class RecordedRows:
-    """The rows of a recording by entity and step; a few chunks are kept in memory."""
-
-    def __init__(self, recording: Recording) -> None:
-        self._recording = recording
-        entries = [entry for entry in recording.store.entries if entry.first_step is not None]
-        self._entries = {
-            path: [e for e in entries if e.entity_path == path] for path in {e.entity_path for e in entries}
-        }
-        self._chunks: dict[str, OrderedDict[int, tuple[Chunk, IntArray]]] = {
-            path: OrderedDict() for path in self._entries
-        }
-
-    @property
-    def entities(self) -> list[str]:
-        """Entities with rows of frames, by name."""
-        return sorted(set(self._entries) - set(BY_EVENT))
-
-    def at(self, path: str, step: int) -> list[Chunk]:
-        """Return an entity's rows of a step, each as a separate chunk; an intact recording has one."""
-        found = []
-        with reading(self._recording.path):
-            for number, entry in enumerate(self._entries.get(path, ())):
-                if entry.holds(step):
-                    chunk, steps = self._chunk(path, number)
-                    found += [Chunk(path, chunk.batch.slice(int(row), 1)) for row in np.flatnonzero(steps == step)]
-        return found
-
-    def block(self, path: str, wanted: IntArray) -> Chunk | None:
-        """Return an entity's rows of some ascending steps if they are consecutive in a single chunk."""
-        first, last = int(wanted[0]), int(wanted[-1])
-        entries = enumerate(self._entries.get(path, ()))
-        there = [number for number, e in entries if (e.first_step or 0) <= last and (e.last_step or 0) >= first]
-        if len(there) != 1:
-            return None
-        with reading(self._recording.path):
-            chunk, steps = self._chunk(path, there[0])
-        begin = int(np.searchsorted(steps, first))
-        is_block = np.array_equal(steps[begin : begin + len(wanted)], wanted) and not np.any(np.diff(steps) <= 0)
-        return Chunk(path, chunk.batch.slice(begin, len(wanted))) if is_block else None
-
-    def steps(self, path: str) -> Iterator[IntArray]:
-        """Return the steps of an entity's rows, chunk by chunk."""
-        with reading(self._recording.path):
-            for number in range(len(self._entries.get(path, ()))):
-                yield self._chunk(path, number)[1]
-
-    def _chunk(self, path: str, number: int) -> tuple[Chunk, IntArray]:
-        kept = self._chunks[path]
-        if number not in kept:
-            (chunk,) = self._recording.chunks([self._entries[path][number]])
-            kept[number] = chunk, np.array(chunk.batch[STEP].to_numpy())
-            if len(kept) > _CHUNKS_KEPT:
-                kept.popitem(last=False)
-        return kept[number]
-
-
 class Continuation:
-    """The frames of a recording up to a checkpoint, which a resumed run writes before its own frames.
-
-    Parameters
-    ----------
-    recording
-        The interrupted run; frames after the checkpoint are ignored.
-    step
-        Step of the checkpoint.
-    """
+    """The frames of an interrupted run up to the step of a checkpoint; a resumed run writes them before its own."""
 
     def __init__(self, recording: Recording, step: int) -> None:
         self.recording = recording
@@ -241,27 +194,20 @@ class Continuation:
         """Positions of the bodies at the first checkpoint, (n, 3) m."""
         return self.recording.checkpoint(self.recording.checkpoint_steps[0]).position
 
-    def _kept(self, batch: pa.RecordBatch) -> pa.BooleanArray:
-        """Return a mask of the rows of steps and impacts up to the checkpoint."""
-        if STEP in batch.schema.names:
-            return pc.less_equal(batch[STEP], self.step)
-        return pc.less_equal(batch[IMPACT], self.impacts.count)
-
     def chunks(self) -> Iterator[Chunk]:
         """Yield all rows up to the checkpoint, without the events that closed the recording."""
         for chunk in self.recording.temporal_chunks():
             batch = chunk.batch
-            kept = self._kept(batch)
+            if STEP in batch.schema.names:
+                kept = pc.less_equal(batch[STEP], self.step)
+            else:
+                kept = pc.less_equal(batch[IMPACT], self.impacts.count)
             if chunk.entity_path == paths.EVENTS:
-                kept = pc.and_(kept, pc.invert(_closes(chunk)))
+                texts = flat(chunk, "TextLog:text", EVENTS["TextLog:text"]).to_pylist()
+                events = zip(optional_text(chunk, "kind").to_pylist(), texts, strict=True)
+                closes = pa.array([kind_of(kind, text) in CLOSING for kind, text in events], pa.bool_())
+                kept = pc.and_(kept, pc.invert(closes))
             if pc.all(kept).as_py():
                 yield chunk
             elif pc.any(kept).as_py():
                 yield Chunk(chunk.entity_path, batch.filter(kept))
-
-
-def _closes(chunk: Chunk) -> pa.BooleanArray:
-    """Return a mask of the events that were written because the run ended."""
-    texts = flat(chunk, "TextLog:text", EVENTS["TextLog:text"]).to_pylist()
-    kinds = optional_text(chunk, "kind").to_pylist()
-    return pa.array([kind_of(kind, text) in CLOSING for kind, text in zip(kinds, texts, strict=True)], pa.bool_())

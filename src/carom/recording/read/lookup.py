@@ -30,23 +30,15 @@ _MOST_NAMED = 8  # bodies that a message lists
 
 
 def body_number(recording: Recording, body: int | str) -> int:
-    """Return the number of a body.
+    """Return the number of a body: given as a number, a name, or text such as "3", or "#3" if a body is called "3".
 
-    Parameters
-    ----------
-    body
-        The number, the name, or the number as text, such as "3"; "#3" if another body has the name "3".
-
-    Raises
-    ------
-    RecordingError
-        If there is no such body, or several have this name.
+    Raises RecordingError if there is no such body, or several have this name.
     """
     names, text = recording.bodies.name, str(body)
     if isinstance(body, str):
         found = [number for number, name in enumerate(names) if name == body]
         if len(found) > 1:
-            such = _asked_for(found[0], names)
+            such = f'"#{found[0]}"' if str(found[0]) in names else str(found[0])
             raise RecordingError(
                 f'{recording.path} has {len(found)} bodies called "{body}"; give a number, such as {such}'
             )
@@ -58,19 +50,8 @@ def body_number(recording: Recording, body: int | str) -> int:
     raise RecordingError(f'{recording.path} has no body "{body}"; {_others(text, names)}')
 
 
-def _asked_for(number: int, names: Sequence[str]) -> str:
-    """Return the text that selects a body by its number in `body_number`."""
-    return f'"#{number}"' if str(number) in names else str(number)
-
-
 def shown_body(recording: Recording, body: int | str) -> int:
-    """Return the number of a body that the recording shows; see `body_number`.
-
-    Raises
-    ------
-    RecordingError
-        If there is no such body, several have this name, or a clip does not show the body.
-    """
+    """Return the number of a body, see `body_number`; raises RecordingError if a clip does not show it, too."""
     number, names, shown = body_number(recording, body), recording.bodies.name, recording.shown
     if number not in shown:
         raise RecordingError(
@@ -92,18 +73,13 @@ def split_at_commas(text: str, names: Iterable[str]) -> list[str]:
     return parts
 
 
-def _begun(text: str, names: Iterable[str]) -> list[str]:
-    """Return the names that start with a text; none if the text is a number, which selects a body."""
-    if not text or text.isdigit():
-        return []
-    return [name for name in names if name.casefold().startswith(text.casefold())]
-
-
 def _others(text: str, names: Sequence[str]) -> str:
     """List the bodies, and suggest the nearest name."""
     count = f"its bodies are 0 to {len(names) - 1}" if len(names) > 1 else "its only body is 0"
     own = [name for number, name in enumerate(names) if name not in ("", f"body {number}")]
-    near = difflib.get_close_matches(text, own, n=1, cutoff=0.6) or _begun(text, own)
+    near = difflib.get_close_matches(text, own, n=1, cutoff=0.6)
+    if not near and text and not text.isdigit():
+        near = [name for name in own if name.casefold().startswith(text.casefold())]
     if near:
         return f'did you mean "{near[0]}"? {count[0].upper()}{count[1:]}'
     quoted = ", ".join(f'"{name}"' for name in own)
@@ -168,10 +144,7 @@ def moment(recording: Recording, at: float | None) -> float:
 def interval(recording: Recording, start: float | None, end: float | None) -> tuple[float, float]:
     """Return an interval (s) of a recording, both ends included; None is an end of the recording.
 
-    Raises
-    ------
-    RecordingError
-        If it ends before it begins, or lies outside of the recording.
+    Raises RecordingError if it ends before it begins, or lies outside of the recording.
     """
     recording.require_frames()
     check_times(begin=start, end=end)

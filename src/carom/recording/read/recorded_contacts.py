@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from carom.arrays import BoolArray, FloatArray, IntArray, Records
 from carom.contact_table import CONTACT_ROW, IMPACT_MODE, MODES
 from carom.errors import DamageError, RecordingError, SceneError
-from carom.recording.read.entities import reading
+from carom.recording.read.entities import plain, reading
 from carom.recording.read.lookup import frame_of, goal_of
 from carom.recording.rrd.messages import Chunk
 from carom.recording.schema import paths
@@ -170,10 +170,7 @@ def contacts(recording: Recording, at: float | None, *, replay: bool, watch: Wat
 def rows_of_engine(recording: Recording, row: int) -> tuple[Records, float]:
     """Return the contacts (k,) `CONTACT_ROW` in a frame of another engine's run, and the time (s) since the last frame.
 
-    Raises
-    ------
-    RecordingError
-        If the recording lacks them.
+    Raises RecordingError if the recording lacks them.
     """
     with reading(recording.path):
         chunk, own, step, time = _row_of_contacts(recording, row)
@@ -181,12 +178,9 @@ def rows_of_engine(recording: Recording, row: int) -> tuple[Records, float]:
 
 
 def rows_by_frame(recording: Recording, first: int, last: int) -> Iterator[tuple[int, float, Records]]:
-    """Yield step, time (s) and contacts (k,) `CONTACT_ROW` of the frames of another engine's run from step to step.
+    """Yield step, time (s) and contacts (k,) `CONTACT_ROW` of another engine's frames from the first step to the last.
 
-    Raises
-    ------
-    RecordingError
-        If they are damaged.
+    Raises RecordingError if they are damaged.
     """
     frames = recording.fingerprints()
     times = dict(zip(frames[STEP].to_pylist(), frames["time"].to_pylist(), strict=True))
@@ -220,12 +214,10 @@ def _row_of_contacts(recording: Recording, row: int) -> tuple[Chunk, int, int, f
     """Return the chunk with the contacts of a frame, the row in it, and the frame's step and time (s)."""
     frames = recording.fingerprints()
     step, time = int(frames[STEP][row].as_py()), float(frames["time"][row].as_py())
-    held = [e for e in recording.store.entries if e.entity_path == paths.CONTACTS and e.holds(step)]
-    for chunk in recording.chunks(held):
-        own = np.flatnonzero(chunk.batch[STEP].to_numpy() == step)
-        if len(own):
-            return chunk, int(own[-1]), step, time
-    raise RecordingError(f"{recording.path} has no contacts at step {step}: part of the file is missing")
+    found = recording.row(paths.CONTACTS, step)
+    if found is None:
+        raise RecordingError(f"{recording.path} has no contacts at step {step}: part of the file is missing")
+    return *found, step, time
 
 
 def _table(recording: Recording, chunk: Chunk, row: int, step: int, time: float) -> pa.Table:
@@ -330,8 +322,7 @@ def _values(chunk: Chunk, name: str, row: int, kind: pa.DataType) -> NDArray[Any
     values = chunk.batch[name][row].values
     if values is None:
         raise DamageError(f"/{chunk.entity_path} has a row without its {name}")
-    while pa.types.is_nested(values.type):
-        values = values.flatten()
+    values = plain(values)
     if values.type != kind or values.null_count:
         raise DamageError(f"{name} of /{chunk.entity_path} of type {values.type}")
     return np.array(values.to_numpy())

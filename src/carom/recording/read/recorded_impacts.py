@@ -10,7 +10,7 @@ import pyarrow as pa
 
 from carom.arrays import FloatArray, IntArray
 from carom.errors import DamageError, RecordingError
-from carom.recording.read.entities import Column, flat, reading
+from carom.recording.read.entities import Column, flat, plain, reading
 from carom.recording.read.lookup import interval, shown_body, tolerance
 from carom.recording.read.recorded_contacts import (
     MEASURED,
@@ -48,9 +48,6 @@ class RecordedImpacts:
         return f"{self.recorded} recorded, the largest between frames; {self.left_out} left out"
 
 
-_SINGLE = Column(pa.float32())
-
-
 def impacts(
     recording: Recording,
     start: float | None,
@@ -78,10 +75,7 @@ def impacts(
 def numbered_impact(recording: Recording, number: int) -> tuple[float, int, int, int]:
     """Return the time (s), the step and the ends of an impact, given its number (from 1) on the timeline ``impact``.
 
-    Raises
-    ------
-    RecordingError
-        If the impact is not recorded; the message names the recorded numbers.
+    Raises RecordingError if the impact is not recorded; the message names the recorded numbers.
     """
     numbers, rows = impacts_by_number(recording)
     found = np.flatnonzero(numbers == number)
@@ -129,8 +123,7 @@ def impacts_until(recording: Recording, step: int) -> RecordedImpacts:
 
 def impacts_by_number(recording: Recording) -> tuple[IntArray, pa.Table]:
     """Read the numbers of all recorded impacts, (k,) ascending, and their rows."""
-    entries = recording.store.frames_of(paths.IMPACTS)
-    return _rows_by_number(recording, entries)
+    return _rows_by_number(recording, recording.store.frames_of(paths.IMPACTS))
 
 
 def states_by_number(recording: Recording) -> dict[str, tuple[IntArray, pa.Table]]:
@@ -165,26 +158,23 @@ def _rows_by_number(recording: Recording, entries: list[Entry], least: int = 1) 
 
 def count_at(recording: Recording, step: int) -> int:
     """Return the number of impacts up to a frame; 0 if it is not recorded."""
-    held = [e for e in recording.store.entries if e.entity_path == paths.CONTACTS and e.holds(step)]
     with reading(recording.path):
-        for chunk in recording.chunks(held):
-            rows = np.flatnonzero(chunk.batch[STEP].to_numpy() == step)
-            if len(rows) and "impact_count" in chunk.components:
-                return int(flat(chunk, "impact_count", Column(pa.int64()))[int(rows[-1])].as_py())
-    return 0
+        chunk, row = recording.row(paths.CONTACTS, step) or (None, 0)
+        if chunk is None or "impact_count" not in chunk.components:
+            return 0
+        return int(flat(chunk, "impact_count", Column(pa.int64()))[row].as_py())
 
 
 def _recorded(recording: Recording, first: float, last: float) -> pa.Table:
     frames = recording.fingerprints()
     steps, times = frames[STEP].to_numpy(), frames["time"].to_numpy()
-    # impacts of a step are not later than its end, so chunks that end before the interval or begin after it are not
-    # read
+    # skip the chunks of other steps: the impacts of a step are not later than its end
     lowest = int(steps[max(0, int(np.searchsorted(times, first)) - 1)])
     later = int(np.searchsorted(times, last, side="right"))
     highest = int(steps[later]) if later < len(steps) else int(steps[-1]) + 1
     entries = recording.store.frames_of(paths.IMPACTS, lowest, highest)
     found, before = [table_of({"step": np.empty(0, np.int64)}, "")], 0
-    for chunk in recording.chunks(sorted(entries, key=lambda entry: entry.first_step or 0)):
+    for chunk in recording.chunks(entries):
         if not chunk.batch.num_rows:  # a clip by a version before 25 November 2026
             continue
         numbers = chunk.batch[IMPACT].to_numpy() if IMPACT in chunk.batch.schema.names else np.empty(0)
@@ -210,17 +200,14 @@ def _table(recording: Recording, chunk: Chunk, time: FloatArray) -> pa.Table:
     pairs = flat(chunk, "bodies", Column(pa.uint32(), 2)).to_numpy().reshape(-1, 2).astype(np.int64)
     check_pairs(pairs, len(recording.bodies.mass), path)
     normal = flat(chunk, "normal", Column(pa.float32(), 3)).to_numpy().reshape(-1, 3)
-    points = chunk.batch["Points3D:positions"].flatten()
-    while pa.types.is_nested(points.type):
-        points = points.flatten()
-    point = points.to_numpy().reshape(rows, 3) + recording.origin
+    point = plain(chunk.batch["Points3D:positions"]).to_numpy().reshape(rows, 3) + recording.origin
     columns = {
         STEP: chunk.batch[STEP],
         "time": time,
         **dict(zip(("i", "j"), pairs.T.copy(), strict=True)),
         **dict(zip(("x", "y", "z"), point.T.copy(), strict=True)),
         **dict(zip(("nx", "ny", "nz"), normal.T.astype(np.float64), strict=True)),
-        **{name: flat(chunk, name, _SINGLE).to_numpy().astype(np.float64) for name in MEASURED},
+        **{name: flat(chunk, name, Column(pa.float32())).to_numpy().astype(np.float64) for name in MEASURED},
         "mode": modes(flat(chunk, "mode", Column(pa.uint8())).to_numpy(), path),
     }
     return with_angular_impulses(table_of(columns, ""), recording)

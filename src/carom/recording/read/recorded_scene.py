@@ -5,7 +5,6 @@ A recording may come from a stranger, so everything is checked before use.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from contextlib import suppress
 from typing import TYPE_CHECKING
 
@@ -25,9 +24,7 @@ from carom.scene.forces import FORCES
 from carom.scene.load import longest_text, scene_from_text
 from carom.scene.parts import missing, names_of, stamped
 from carom.scene.schema import Scene
-from carom.scene.schema.motion import WallMotion
-from carom.scene.schema.wall import Wall
-from carom.scene.start import HalfSpaces, InitialBodies, planes_of
+from carom.scene.start import InitialBodies, planes_of
 
 if TYPE_CHECKING:
     from carom.physics.checkpoint import Checkpoint
@@ -35,14 +32,9 @@ if TYPE_CHECKING:
 
 
 def recorded_scene(recording: Recording, overrides: list[str] | None = None) -> Scene:
-    """Return the scene of a recording.
+    """Return the scene of a recording. Raises SceneError if this version cannot read it.
 
-    Raises
-    ------
-    SceneError
-        If this version cannot read it.
-    RecordingError
-        If it was recorded from another engine, or the scene has another number of bodies than the recording.
+    Raises RecordingError if it is a recording of another engine or a clip without exact states, or is damaged.
     """
     if recording.engine:
         raise RecordingError(
@@ -139,6 +131,13 @@ def header_of_recording(recording: Recording) -> Header:
     info, bodies = recording.info, recording.bodies
     extensions = stamped(info)
     static = {entry.entity_path for entry in recording.store.entries if entry.is_static}
+    drives, scene = bool(info.get("drives", False)), None
+    if drives or "piston" in info or "material" in recording.scene_toml:  # reading it may take seconds
+        with suppress(RecordingError, SceneError):  # this version may be unable to read it
+            scene = recorded_scene(recording)
+    planes = None
+    if paths.PLANES in static:  # as drawn, without sides, unless a piston moves along its normal
+        planes = planes_of(scene) if scene and "piston" in info else recording.drawn_planes()
     colour_by = str(info.get("colour_by", "auto"))  # older recordings do not store it
     return Header(
         title=recording.title,
@@ -161,56 +160,28 @@ def header_of_recording(recording: Recording) -> Header:
         stabilises=bool(info.get("stabilises", info["collides"])),
         body_colouring=bool(info["body_colouring"]),
         colour_by=colour_by if colour_by in COLOUR_BY else "auto",
-        materials=materials_of(recording),
+        materials=None if scene is None else ShownMaterials.of(scene),
         duration=float(info["duration"]),
         shortest_dt_hint=0.0,
         units=recording.units,
         check_interval=recording.check_interval,
         promises=bool(info.get("promises", False)),
-        drives=bool(info.get("drives", False)),
-        motions=_motions(recording),
+        drives=drives,
+        motions=motions_of(scene) if scene and drives else {},
         piston=int(info["piston"]) if "piston" in info else None,
         has_driving_field=bool(info.get("has_driving_field", False)),
         shear=recording.shear,
         record_impacts="auto" if recording.records_contacts else "none",
         box=np.asarray(info["box"]) if "box" in info else None,
         walls=recording.drawn_box(paths.WALLS) if paths.WALLS in static else None,
-        shapes=_shapes(recording) if paths.SHAPES in static else None,
-        planes=_planes(recording) if paths.PLANES in static else None,
+        shapes=(scene.wall if scene and drives else ()) if paths.SHAPES in static else None,
+        planes=planes,
         engine=recording.engine,
         uniform_field=recording.uniform_field,
         drawing_rules=recording.drawing_rules,
         contact_rules=recording.contact_rules,
         drawn_as=str(info.get("drawn_as", "")),
     )
-
-
-def _motions(recording: Recording) -> dict[str, WallMotion]:
-    """Return the motions of its planes and walls; none if this version cannot read the scene."""
-    if not recording.info.get("drives"):
-        return {}
-    try:
-        return motions_of(recorded_scene(recording))
-    except (RecordingError, SceneError):
-        return {}
-
-
-def _planes(recording: Recording) -> HalfSpaces:
-    """Return its planes: as drawn, without sides, unless a piston moves along its normal."""
-    if "piston" in recording.info:
-        with suppress(RecordingError, SceneError):
-            return planes_of(recorded_scene(recording))
-    return recording.drawn_planes()
-
-
-def _shapes(recording: Recording) -> Sequence[Wall]:
-    """Return its walls of other shapes than planes, if they move and this version can read the scene."""
-    if not recording.info.get("drives"):
-        return ()
-    try:
-        return recorded_scene(recording).wall
-    except (RecordingError, SceneError):
-        return ()
 
 
 def recorded_curves(recording: Recording, until: int | None = None) -> dict[str, CurveOutline]:
@@ -226,7 +197,7 @@ def recorded_curves(recording: Recording, until: int | None = None) -> dict[str,
     end = np.inf if until is None else frames["time"].to_numpy()[frames[STEP].to_numpy() <= until].max()
     scale = 1e-9 * float(recording.info["time_scale"])
     entries = [entry for entry in recording.store.entries if entry.is_within_steps and entry.entity_path in curves]
-    for chunk in recording.chunks(entries):  # values before and after impacts
+    for chunk in recording.chunks(entries):  # with the values before and after impacts
         times = chunk.batch[SIM_TIME].cast(pa.int64()).to_numpy() * scale
         values = flat(chunk, "Scalars:scalars", SCALARS["Scalars:scalars"]).to_numpy()
         curves[chunk.entity_path].insert(times[times < end], values[times < end])

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 import pyarrow as pa
-from numpy.typing import NDArray
 
 from carom.arrays import BoolArray, FloatArray, IntArray
 from carom.errors import DamageError, RecordingError
@@ -21,7 +20,7 @@ from carom.recording.read.statics import BodyTable, decode_bodies, decode_names,
 from carom.recording.read.summary import html_of, summary
 from carom.recording.read.tables import FrameTables, bodies_at, checkpoints_at, trajectory
 from carom.recording.rrd.container import Container
-from carom.recording.rrd.messages import RECORDING, Chunk, Entry
+from carom.recording.rrd.messages import RECORDING, Chunk
 from carom.recording.schema import paths
 from carom.recording.schema.header import schema_version
 from carom.recording.schema.paths import STEP
@@ -39,10 +38,7 @@ class Recording(FrameTables):
 
     @classmethod
     def open(cls, path: str | Path) -> Self:
-        """Open a file.
-
-        Raises RecordingError if it does not exist, is not a recording of carom, or has a newer schema.
-        """
+        """Open a file. RecordingError if it does not exist, is not a recording of carom, or has a newer schema."""
         path = Path(path)
         with reading(path):
             if not path.is_file():
@@ -73,7 +69,11 @@ class Recording(FrameTables):
         names, groups = decode_names(stored), np.asarray(stored["group"])
         if len(names) != n or groups.shape != (n,) or groups.dtype != np.int64:
             raise DamageError(f"names or groups of its bodies are not those of {n} bodies")
-        mass, radius, inertia = (self._sizes(stored[name], name, n) for name in ("mass", "radius", "inertia"))
+        sizes = {name: np.asarray(stored[name]) for name in ("mass", "radius", "inertia")}
+        for name, array in sizes.items():
+            if array.shape != (n,) or array.dtype != np.float64 or not np.all((array >= 0.0) & np.isfinite(array)):
+                raise DamageError(f"{name} of its bodies is not {n} numbers of at least 0")
+        mass, radius, inertia = sizes.values()
         if not (radius.all() and (mass.any() or self.is_partial) and np.array_equal(mass > 0.0, inertia > 0.0)):
             raise DamageError("a radius, a moment of inertia or all masses of its bodies are 0")
         table = BodyTable(names, groups, mass, radius, inertia, lambda at: bodies_at(self, at))
@@ -242,20 +242,13 @@ class Recording(FrameTables):
     @named
     def impact_steps(self) -> IntArray:
         """Steps of all recorded impacts, in order of their numbers."""
-        found = self.store.frames_of(paths.IMPACTS)
-        parts = [np.array(chunk.batch[STEP].to_numpy()) for chunk in self.chunks(found)]
-        return np.concatenate([np.empty(0, np.int64), *parts])
+        chunks = self.chunks(self.store.frames_of(paths.IMPACTS))
+        return np.concatenate([np.empty(0, np.int64), *(chunk.batch[STEP].to_numpy() for chunk in chunks)])
 
     @named
     def given_bodies(self, index: int, row: int, place: range) -> BodyColumns:
         """Return the initial bodies of one [[bodies]] table; see `carom.recording.read.statics`."""
-        return decode_bodies(self._given, index, row, place, self.bodies)
-
-    def _sizes(self, values: NDArray[Any] | list[str], name: str, n: int) -> FloatArray:
-        array = np.asarray(values)
-        if array.shape != (n,) or array.dtype != np.float64 or not np.all((array >= 0.0) & np.isfinite(array)):
-            raise DamageError(f"{name} of its bodies is not {n} numbers of at least 0")
-        return array
+        return decode_bodies(self._given_state, index, row, place, self.bodies)
 
     @cached_property
     @named
@@ -304,7 +297,7 @@ class Recording(FrameTables):
         """
         with reading(self.path):
             chosen = self.checkpoint_steps if steps is None else steps
-            yield from checkpoints_at(self, self._entities, self._start, chosen)
+            yield from checkpoints_at(self, self._start, chosen)
 
     @named
     def moment(self, at: float | None = None) -> float:
@@ -384,16 +377,12 @@ class Recording(FrameTables):
         show(self, Request(at, event, bodies), height)
 
     @cached_property
-    def _given(self) -> dict[str, Values]:
+    def _given_state(self) -> dict[str, Values]:
         return self._entities.static(paths.GIVEN_STATE)
 
     @cached_property
     def _start(self) -> dict[str, Values]:
         return self._entities.static(paths.START, required=False)
-
-    def chunks(self, entries: Iterable[Entry]) -> Iterator[Chunk]:
-        """Read chunks one by one, unchanged."""
-        return self._entities.read(entries)
 
     def temporal_chunks(self) -> Iterator[Chunk]:
         """Read all chunks that are not static, unchanged."""

@@ -6,7 +6,7 @@ once, together with those of all bodies.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, wraps
 from inspect import signature
@@ -20,9 +20,10 @@ from carom.arrays import FloatArray, IntArray
 from carom.errors import DamageError, RecordingError
 from carom.recording.read.entities import Entities, reading
 from carom.recording.rrd.container import Container
-from carom.recording.rrd.messages import Store
+from carom.recording.rrd.messages import Chunk, Entry, Store
 from carom.recording.schema import paths
 from carom.recording.schema.header import LARGEST
+from carom.recording.schema.paths import STEP
 from carom.scene.data.body_columns import BodyColumns
 from carom.scene.data.mapping import VECTORS
 from carom.scene.schema.settings import called
@@ -114,6 +115,18 @@ class Statics:
         self.finished = container.finished  # whether the file has its footer, that is, the run closed it
         self.store = store
         self._entities = Entities(container, store)
+
+    def chunks(self, entries: Iterable[Entry]) -> Iterator[Chunk]:
+        """Read chunks one by one, unchanged."""
+        return self._entities.read(entries)
+
+    def row(self, path: str, step: int) -> tuple[Chunk, int] | None:
+        """Return the chunk with the last row of an entity at a step, and the row's place in it; None without one."""
+        for chunk in self.chunks(self.store.frames_of(path, step, step)):
+            rows = np.flatnonzero(chunk.batch[STEP].to_numpy() == step)
+            if len(rows):
+                return chunk, int(rows[-1])
+        return None
 
     @cached_property
     @named
@@ -281,10 +294,10 @@ _COUNT, _FIRST = "name_count", "name_first"
 
 
 def encode_names(names: Sequence[str]) -> dict[str, Any]:
-    """Return the components that hold the names.
+    """Return the components that hold the names: only ``name`` if no names are numbered.
 
-    Without numbered names, the only component is ``name``. Otherwise ``name_count`` is the number of bodies with a
-    prefix (0 for a complete name), and ``name_first`` the number in the name of the first of these bodies.
+    Otherwise ``name`` has prefixes, ``name_count`` the number of bodies with each prefix (0 for a complete name), and
+    ``name_first`` the number in the name of the first of these bodies.
     """
     parts = names.parts if isinstance(names, JoinedNames) else (names,)
     if not any(isinstance(part, NumberedNames) for part in parts):
@@ -333,51 +346,30 @@ def encode_bodies(data: Sequence[BodyColumns]) -> dict[str, Any]:
     return {**kept, **({"fixed": fixed} if fixed.any() else {}), "named": named}
 
 
-def decode_bodies(
-    stored: Mapping[str, NDArray[Any] | list[str]], index: int, row: int, place: range, bodies: BodyTable
-) -> BodyColumns:
-    """Undo `encode` for one [[bodies]] table.
+def decode_bodies(stored: Stored, index: int, row: int, place: range, bodies: BodyTable) -> BodyColumns:
+    """Undo `encode_bodies` for one [[bodies]] table, given its index in the scene and the numbers of its bodies.
 
-    Parameters
-    ----------
-    stored
-        The components.
-    index
-        Index of the [[bodies]] table in the scene.
-    row
-        Row of its first body in the components.
-    place
-        Numbers of its bodies.
-    bodies
-        All bodies of the recording.
-
-    Raises
-    ------
-    DamageError
-        If the components do not have these bodies, or are not finite.
+    ``row`` is the row of its first body in the components; ``bodies`` has all bodies of the recording. Raises
+    DamageError if the components do not have these bodies, or are not finite.
     """
-    n, own, named = len(place), slice(row, row + len(place)), np.asarray(stored["named"])
+    n, own, has_names = len(place), slice(row, row + len(place)), np.asarray(stored["named"])
     whole = np.asarray(stored["position"]).size // 3
-    if place.stop > len(bodies.mass) or row + n > whole or named.dtype != np.bool_ or index >= named.size:
+    if place.stop > len(bodies.mass) or row + n > whole or has_names.dtype != np.bool_ or index >= has_names.size:
         raise DamageError("its scene has more bodies than it")
     fixed = np.asarray(stored.get("fixed", np.zeros(whole, np.bool_)))
     if fixed.shape != (whole,) or fixed.dtype != np.bool_:
         raise DamageError("it does not state for each body whether it is fixed")
-    numbers = slice(place.start, place.stop)
+    numbers, vectors = slice(place.start, place.stop), dict[str, FloatArray]()
+    for name in VECTORS:
+        values = np.asarray(stored.get(name, np.zeros(3 * whole)))
+        if values.shape != (3 * whole,) or values.dtype != np.float64 or not np.all(np.abs(values) <= LARGEST):
+            raise DamageError(f"{name} of the bodies of its scene is not {whole} finite vectors")
+        vectors[name] = values.reshape(whole, 3)[own]
     return BodyColumns(
-        position=_vectors(stored, "position", whole)[own],
-        velocity=_vectors(stored, "velocity", whole)[own],
-        angular_velocity=_vectors(stored, "angular_velocity", whole)[own],
+        **vectors,
         mass=bodies.mass[numbers],
         radius=bodies.radius[numbers],
         inertia=bodies.inertia[numbers],
         fixed=fixed[own],
-        name=list(bodies.name[numbers]) if named[index] else None,
+        name=list(bodies.name[numbers]) if has_names[index] else None,
     )
-
-
-def _vectors(stored: Mapping[str, NDArray[Any] | list[str]], name: str, n: int) -> FloatArray:
-    values = np.asarray(stored.get(name, np.zeros(3 * n)))
-    if values.shape != (3 * n,) or values.dtype != np.float64 or not np.all(np.abs(values) <= LARGEST):
-        raise DamageError(f"{name} of the bodies of its scene is not {n} finite vectors")
-    return values.reshape(n, 3)

@@ -32,7 +32,10 @@ def summary(recording: Recording) -> dict[str, Any]:
     """
     recording.refuse_overlay()
     frames = recording.fingerprints()
-    clip, momenta = _clip(recording), recording.momentum()
+    clip, momenta = dict(recording.clip), recording.momentum()
+    if clip:
+        names = recording.bodies.name
+        clip |= {"bodies": list(recording.shown), "names": [body_called(k, names[k]) for k in recording.shown]}
     found: dict[str, Any] = {
         "scene": {"title": recording.title, **({"engine": recording.engine} if recording.engine else {})},
         "units": recording.units.recorded,
@@ -94,15 +97,6 @@ def _of_engine(recording: Recording) -> dict[str, Any]:
         "judged": int(judged),
         "laws": _complete(_below(recording.closing, "laws"), ("step", "time", "frames", "text")),
     }
-
-
-def _clip(recording: Recording) -> dict[str, Any]:
-    """Describe the part of the run in a clip; empty for a whole run."""
-    if not recording.clip:
-        return {}
-    shown = list(recording.shown)
-    called = [body_called(body, recording.bodies.name[body]) for body in shown]
-    return dict(recording.clip) | {"bodies": shown, "names": called}
 
 
 def _impacts(recording: Recording) -> dict[str, int]:

@@ -18,9 +18,10 @@ from carom.recording.read.entities import (
     MOMENTA,
     SCALARS,
     STATES,
-    Entities,
     Values,
+    centres_of,
     join_rows,
+    plain,
     reading,
     values_of,
 )
@@ -127,12 +128,9 @@ class FrameTables(Statics):
     @named
     def drawn_positions(self, step: int) -> SingleArray | None:
         """Return the drawn centres of a frame, (n, 3) m from `origin`; None if there is no such frame."""
-        for chunk in self._entities.chunks_at(step, paths.BODIES):
-            rows = np.flatnonzero(chunk.batch[STEP].to_numpy() == step)
-            for name in paths.CENTRES:
-                if len(rows) and name in chunk.components:
-                    return np.asarray(chunk.batch[name][int(rows[0])].values.flatten().to_numpy()).reshape(-1, 3)
-        return None
+        chunk, place = self.row(paths.BODIES, step) or (None, 0)
+        centres = None if chunk is None else centres_of(chunk)
+        return None if centres is None else np.asarray(plain(centres[place].values).to_numpy()).reshape(-1, 3)
 
     @named
     def drawn_box(self, path: str) -> FloatArray:
@@ -169,8 +167,7 @@ class FrameTables(Statics):
     def _series(self, root: str, names: tuple[str, ...]) -> pa.Table:
         """Return some or all scalars below an entity, for the frames that have all of them.
 
-        A scalar without rows is omitted: a killed run may have sent half a batch, and a repaired file may lack any
-        part.
+        A scalar without rows is omitted: a killed run may have sent half a batch, and a repaired file may lack parts.
         """
         entities, frames = self._entities.below(root), self._fingerprints
         scalars: dict[str, pa.Table] = {}
@@ -276,20 +273,15 @@ def _recorded_path(recording: Recording, number: int, steps: IntArray, times: Fl
     """Return drawn positions (float32), with the exact states (float64) at checkpoints."""
     shown = recording.shown
     place, position = shown.index(shown_body(recording, number)), np.full((len(steps), 3), np.nan)
-    entries = recording.store.frames_of(paths.BODIES, steps[0], steps[-1])
     with reading(recording.path):
-        for chunk in recording.chunks(entries):
-            own = chunk.batch[STEP].to_numpy()
-            name = next((name for name in paths.CENTRES if name in chunk.components), None)
-            if name is None:
+        for chunk in recording.chunks(recording.store.frames_of(paths.BODIES, steps[0], steps[-1])):
+            own, centres = chunk.batch[STEP].to_numpy(), centres_of(chunk)
+            if centres is None:
                 continue
-            values = chunk.batch[name].flatten()
-            while pa.types.is_nested(values.type):
-                values = values.flatten()
-            centres = values.to_numpy().reshape(len(own), len(shown), 3)
+            drawn = plain(centres).to_numpy().reshape(len(own), len(shown), 3)
             at = np.searchsorted(steps, own)
             known = steps[np.minimum(at, len(steps) - 1)] == own
-            position[at[known]] = centres[known, place] + recording.origin
+            position[at[known]] = drawn[known, place] + recording.origin
     exact = np.isin(steps, recording.checkpoint_steps)
     states: dict[int, Checkpoint] = {}
     rows = np.flatnonzero(exact)
@@ -303,35 +295,36 @@ def _recorded_path(recording: Recording, number: int, steps: IntArray, times: Fl
     columns |= dict(zip(AXES["position"], np.ascontiguousarray(position.T), strict=True))
     for quantity in ("velocity", "orientation", "angular_velocity"):
         if all(getattr(state, quantity) is not None for state in states.values()):
-            columns |= _at_checkpoints(quantity, states, number, len(steps))
+            values = np.zeros((len(steps), len(AXES[quantity])))
+            for row, state in states.items():
+                values[row] = getattr(state, quantity)[number]
+            columns |= {n: pa.array(v, mask=~exact) for n, v in zip(AXES[quantity], values.T, strict=True)}
     told = {"source": "recorded: float64 at checkpoints, float32 elsewhere"}
     return pa.table(columns | {"exact": exact}).replace_schema_metadata(told)
 
 
-def _at_checkpoints(quantity: str, states: dict[int, Checkpoint], number: int, rows: int) -> dict[str, pa.Array]:
-    """Return columns with values at checkpoints and nulls elsewhere."""
-    missing = np.ones(rows, dtype=bool)
-    values = np.zeros((rows, len(AXES[quantity])))
-    for row, state in states.items():
-        values[row], missing[row] = getattr(state, quantity)[number], False
-    return {name: pa.array(column, mask=missing) for name, column in zip(AXES[quantity], values.T, strict=True)}
+def checkpoints_at(recording: Recording, start: dict[str, Values], steps: Iterable[int]) -> Iterator[Checkpoint]:
+    """Yield the exact states at some steps; ``start`` is the state at the beginning of a clip, empty for a whole run.
 
-
-def checkpoints_at(
-    recording: Recording, entities: Entities, start: dict[str, Values], steps: Iterable[int]
-) -> Iterator[Checkpoint]:
-    """Yield the exact states at some steps; see `Recording.checkpoints`.
-
-    Parameters
-    ----------
-    start
-        The state at the beginning of a clip; empty for a whole run.
+    A chunk is read once for consecutive steps.
     """
     from carom.recording.schema.checkpoint_columns import decode  # noqa: PLC0415 - loads Numba
 
     frames = recording.fingerprints()
     known, bits = frames[STEP].to_numpy(), frames["fingerprint"].to_numpy()
-    for step, row in _rows(recording, entities, start, steps):
+    chunk: Chunk | None = None
+    for step in steps:
+        if chunk is None or step not in chunk.batch[STEP].to_numpy():
+            chunk = None  # free it before the next one is read: it may have 400 MB
+            chunk, _ = recording.row(paths.CHECKPOINT, step) or (None, 0)
+        if chunk is not None:
+            place = int(np.flatnonzero(chunk.batch[STEP].to_numpy() == step)[-1])
+            row = {name: values_of(chunk.batch[name][place]) for name in chunk.components}
+            chunk = chunk if chunk.batch.num_rows > 1 else None
+        elif start and int(start[STEP][0]) == step:
+            row = {name: values.copy() for name, values in start.items()}
+        else:
+            raise RecordingError(f"{recording.path} has no checkpoint at step {step}")
         release_memory()
         found = decode(step, row, len(recording.bodies.mass))
         frame = int(np.searchsorted(known, step))
@@ -341,26 +334,3 @@ def checkpoints_at(
                 "the two is damaged"
             )
         yield found
-
-
-def _rows(
-    recording: Recording, entities: Entities, start: dict[str, Values], steps: Iterable[int]
-) -> Iterator[tuple[int, dict[str, Values]]]:
-    """Yield the stored components of the states at some steps; a chunk is read once for consecutive steps."""
-    chunk: Chunk | None = None
-    for step in steps:
-        if chunk is None or step not in chunk.batch[STEP].to_numpy():
-            chunk = None
-            for each in entities.chunks_at(step, paths.CHECKPOINT):
-                if step in each.batch[STEP].to_numpy():
-                    chunk = each
-                    break
-        if chunk is not None:
-            place = int(np.flatnonzero(chunk.batch[STEP].to_numpy() == step)[-1])
-            row = {name: values_of(chunk.batch[name][place]) for name in chunk.components}
-            chunk = chunk if chunk.batch.num_rows > 1 else None  # it may have 400 MB
-        elif start and int(start[STEP][0]) == step:
-            row = {name: values.copy() for name, values in start.items()}
-        else:
-            raise RecordingError(f"{recording.path} has no checkpoint at step {step}")
-        yield step, row

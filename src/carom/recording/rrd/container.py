@@ -51,15 +51,7 @@ class Container:
 
     @classmethod
     def open(cls, path: Path) -> Self:
-        """Index a file.
-
-        Raises
-        ------
-        DamageError
-            If a message or the footer is incomplete.
-        OSError
-            If it cannot be read.
-        """
+        """Index a file. DamageError if a message or the footer is incomplete, OSError if the file cannot be read."""
         with path.open("rb") as file:
             if not framing.is_rrd(file):
                 file.seek(0)
@@ -68,9 +60,12 @@ class Container:
                     raise DamageError("it is in a newer format of .rrd than RRF2: upgrade carom")
                 raise DamageError("it is a zip: unpack it" if packed else "it does not begin with an .rrd header")
             footer = framing.read_footer(file)
-            return cls(
-                path, _scan(file) if footer is None else _manifests(footer, path.stat().st_size), footer is not None
-            )
+            if footer is not None:
+                return cls(path, _manifests(footer, path.stat().st_size), finished=True)
+            index = ChunkIndex()
+            for message in framing.messages(file):
+                index.add(message, read_body(file, message))
+            return cls(path, index.stores(), finished=False)
 
     def chunks(self, entries: Iterable[Entry]) -> Iterator[Chunk]:
         """Read chunks in order. Raises DamageError if one differs from the index."""
@@ -83,14 +78,6 @@ class Container:
                 if found != (entry.entity_path, entry.is_static, entry.rows) or lacks_steps:
                     raise DamageError(f"at byte {entry.offset} is not the expected chunk of /{entry.entity_path}")
                 yield chunk
-
-
-def _scan(file: BinaryIO) -> list[Store]:
-    """Index a file without a footer by decoding every message."""
-    index = ChunkIndex()
-    for message in framing.messages(file):
-        index.add(message, read_body(file, message))
-    return index.stores()
 
 
 class ChunkIndex:
@@ -137,14 +124,18 @@ def _manifests(footer: bytes, size: int) -> list[Store]:
         for name in (f"{STEP}:start", f"{STEP}:end"):
             there = name in batch.schema.names
             columns.append(_manifest_column(batch, name, pa.int64()) if there else [None] * batch.num_rows)
-        listed = zip(*columns, strict=True)
-        found = [
-            Entry(path.lstrip("/"), static, rows, first, last, offset, length)
-            for path, static, rows, offset, length, first, last in listed
-        ]
-        store.entries.extend(sorted(found, key=lambda entry: entry.offset))
+        for path, static, rows, offset, length, first, last in zip(*columns, strict=True):
+            store.entries.append(Entry(path.lstrip("/"), static, rows, first, last, offset, length))
+        store.entries.sort(key=lambda entry: entry.offset)
         stores.append(store)
-    _refuse_overlap([entry for store in stores for entry in store.entries], size)
+    # if chunks could share bytes, a small file could claim any number of rows
+    end = framing.STREAM_HEADER
+    for entry in sorted((entry for store in stores for entry in store.entries), key=lambda entry: entry.offset):
+        if entry.length > LARGEST:
+            raise DamageError(f"its footer lists a chunk of {entry.length} bytes")
+        if entry.offset < end or entry.offset + entry.length > size:
+            raise DamageError(f"its footer lists a chunk at byte {entry.offset}, where no chunk can be")
+        end = entry.offset + entry.length
     return sorted(stores, key=lambda store: min((entry.offset for entry in store.entries), default=0))
 
 
@@ -154,17 +145,6 @@ def _manifest_column(manifest: pa.RecordBatch, name: str, kind: pa.DataType) -> 
     if manifest[name].type != kind:
         raise DamageError(f"its footer has {name} of type {manifest[name].type}")
     return list(manifest[name].to_pylist())
-
-
-def _refuse_overlap(entries: list[Entry], size: int) -> None:
-    """Refuse an index in which chunks share bytes, since a small file could then claim any number of rows."""
-    end = framing.STREAM_HEADER
-    for entry in sorted(entries, key=lambda entry: entry.offset):
-        if entry.length > LARGEST:
-            raise DamageError(f"its footer lists a chunk of {entry.length} bytes")
-        if entry.offset < end or entry.offset + entry.length > size:
-            raise DamageError(f"its footer lists a chunk at byte {entry.offset}, where no chunk can be")
-        end = entry.offset + entry.length
 
 
 _WINDOW = 1 << 22  # bytes searched at a time
@@ -197,8 +177,7 @@ def salvage(path: Path) -> Salvage:
     found = Salvage()
     listed = _listed(path)
     with path.open("rb") as file:
-        file.seek(0, 2)
-        _Pass(file, file.tell(), found).go()
+        _Pass(file, path.stat().st_size, found).go()
     if listed is not None:
         # keep only chunks that match the footer
         readable = {(store.kind, store.store_id): set(store.entries) for store in found.stores}

@@ -63,7 +63,7 @@ def is_newer(file: BinaryIO) -> bool:
 
 
 def looks_recorded(path: Path) -> bool:
-    """Return whether a file begins or ends like a recording of any version, so that it may be repaired."""
+    """Return whether a file begins or ends like a recording of any version: such a file may be repaired."""
     try:
         with path.open("rb") as file:
             begins = file.read(len(_MAGIC))
@@ -76,10 +76,7 @@ def looks_recorded(path: Path) -> bool:
 def messages(file: BinaryIO, start: int = STREAM_HEADER) -> Iterator[Message]:
     """Yield the messages up to the end message or the end of the file.
 
-    Raises
-    ------
-    DamageError
-        If something other than a message follows, or the file ends inside a message.
+    Raises DamageError if something other than a message follows, or the file ends inside a message.
     """
     size = os.fstat(file.fileno()).st_size
     while start < size:
@@ -102,13 +99,7 @@ def messages(file: BinaryIO, start: int = STREAM_HEADER) -> Iterator[Message]:
 
 
 def read_footer(file: BinaryIO) -> bytes | None:
-    """Read the end message's body, which locates the chunks; None if the file has no footer.
-
-    Raises
-    ------
-    DamageError
-        If there is one, but it is damaged.
-    """
+    """Read the end message's body, which locates the chunks; None without a footer, DamageError if it is damaged."""
     size = os.fstat(file.fileno()).st_size
     file.seek(max(0, size - STREAM_FOOTER))
     last = file.read(STREAM_FOOTER)

@@ -21,9 +21,9 @@ from carom.errors import DamageError
 from carom.recording.rrd.framing import Message
 from carom.recording.schema.paths import SIM_TIME, STEP
 
-# An Arrow IPC stream is decoded into a record batch; the sizes that it claims are checked before memory is allocated.
-# In some Arrow types, a hundred bytes can represent 10⁸ rows: nulls, run-end encoding, fixed-size lists, views,
-# dictionaries. Buffers can be compressed a second time, or shared. carom writes none of these and refuses them.
+# The sizes that an Arrow IPC stream claims are checked before memory is allocated. In some Arrow types, a hundred bytes
+# can represent 10⁸ rows: nulls, run-end encoding, fixed-size lists, views, dictionaries. Buffers can be compressed a
+# second time, or shared. carom writes none of these and refuses them.
 
 LARGEST = 1 << 31  # bytes of a chunk; carom writes about 4 MB, or 1.3 GB for the state of 10⁷ spinning bodies
 
@@ -43,19 +43,9 @@ _LEAVES = {
 
 
 def record_batch(payload: memoryview, compression: int, size: int) -> pa.RecordBatch:
-    """Decompress and decode one record batch.
+    """Decode one record batch of ``size`` bytes; its compression, as numbered by Rerun, is LZ4 or none.
 
-    Parameters
-    ----------
-    compression
-        As numbered by Rerun: LZ4, or none.
-    size
-        Bytes of the decompressed payload.
-
-    Raises
-    ------
-    DamageError
-        If it is incomplete, claims more than its bytes can hold, or has a type that carom does not write.
+    Raises DamageError if it is incomplete, claims more than its bytes can hold, or has a type that is never written.
     """
     if compression == _LZ4:
         if size > min(LARGEST, _LZ4_RATIO * len(payload) + _LZ4_SLACK):
@@ -135,10 +125,7 @@ _MOST_FIELDS = 1000  # fields in a message; messages of an .rrd have up to six
 def fields(message: memoryview) -> Fields:
     """Decode the fields of a message. A field may occur more than once; nested messages remain bytes.
 
-    Raises
-    ------
-    DamageError
-        If the bytes are not a message.
+    Raises DamageError if the bytes are not a message.
     """
     found: Fields = {}
     at = count = 0
@@ -164,9 +151,9 @@ def fields(message: memoryview) -> Fields:
     return found
 
 
-def number(message: Fields, field: int, default: int = 0) -> int:
-    """Return an integer field, or the default if it is absent."""
-    value = message.get(field, [default])[-1]
+def number(message: Fields, field: int) -> int:
+    """Return an integer field; 0 if it is absent."""
+    value = message.get(field, [0])[-1]
     if not isinstance(value, int):
         raise DamageError("bytes where a number should be")
     return value
@@ -210,8 +197,6 @@ def _bytes(message: memoryview, at: int, length: int) -> tuple[memoryview, int]:
 RECORDING, BLUEPRINT = 1, 2  # kinds of stores
 
 _ARROW_IPC = 1
-_PATH = b"rerun:entity_path"
-_KIND = b"rerun:kind"
 
 
 @dataclass(frozen=True, slots=True)
@@ -254,9 +239,9 @@ class Entry:
         """Whether it has rows, and none on the timeline of steps."""
         return self.rows > 0 and not self.is_static and self.first_step is None
 
-    def holds(self, step: int) -> bool:
-        """Return whether the chunk may have rows of a step."""
-        return self.first_step is not None and self.last_step is not None and self.first_step <= step <= self.last_step
+    def overlaps(self, first: float, last: float) -> bool:
+        """Return whether the chunk may have rows of the steps from first to last, both included."""
+        return self.first_step is not None and self.first_step <= last and (self.last_step or 0) >= first
 
 
 @dataclass(frozen=True, slots=True)
@@ -269,15 +254,9 @@ class Store:
     entries: list[Entry] = field(default_factory=list)
 
     def frames_of(self, entity_path: str, first: float = -math.inf, last: float = math.inf) -> list[Entry]:
-        """Return the entries with rows of an entity at steps, of which some may be in [first, last]."""
-        return [
-            entry
-            for entry in self.entries
-            if entry.entity_path == entity_path
-            and entry.first_step is not None
-            and entry.first_step <= last
-            and (entry.last_step or 0) >= first
-        ]
+        """Return the entries of an entity that may have rows of the steps from first to last, by their first steps."""
+        found = [e for e in self.entries if e.entity_path == entity_path and e.overlaps(first, last)]
+        return sorted(found, key=lambda entry: entry.first_step or 0)
 
 
 def read_body(file: BinaryIO, message: Message) -> bytes:
@@ -298,19 +277,17 @@ def activated_by(body: bytes) -> Store:
 
 
 def decode(body: bytes) -> tuple[Store, Chunk]:
-    """Decode and check a chunk; return its store, without entries, and the chunk.
-
-    Raises
-    ------
-    DamageError
-        If it is malformed.
-    """
+    """Decode and check a chunk; return its store, without entries, and the chunk. DamageError if it is malformed."""
     message = fields(memoryview(body))
     if number(message, 4) != _ARROW_IPC:
         raise DamageError("a chunk in an unknown encoding")
     store = store_named(data(message, 1))
     batch = record_batch(data(message, 5), number(message, 2), number(message, 3))
-    chunk = Chunk(_entity_path(batch), batch)
+    try:
+        path = (batch.schema.metadata or {}).get(b"rerun:entity_path", b"").decode()
+    except UnicodeDecodeError as error:
+        raise DamageError("a chunk of an entity without a name") from error
+    chunk = Chunk(path.lstrip("/"), batch)
     _check(chunk)
     return store, chunk
 
@@ -333,14 +310,6 @@ def store_named(identity: memoryview) -> Store:
     return Store(number(parts, 1), application, name)
 
 
-def _entity_path(batch: pa.RecordBatch) -> str:
-    path = (batch.schema.metadata or {}).get(_PATH, b"")
-    try:
-        return str(path.decode()).lstrip("/")
-    except UnicodeDecodeError as error:
-        raise DamageError("a chunk of an entity without a name") from error
-
-
 def _check(chunk: Chunk) -> None:
     """Check the properties that readers of a chunk rely on."""
     batch = chunk.batch
@@ -360,4 +329,4 @@ def _check(chunk: Chunk) -> None:
 
 
 def _kind(column: pa.Field) -> bytes:
-    return bytes((column.metadata or {}).get(_KIND, b""))
+    return bytes((column.metadata or {}).get(b"rerun:kind", b""))
