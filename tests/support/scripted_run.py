@@ -176,7 +176,7 @@ def write_events_without_kinds(monkeypatch: pytest.MonkeyPatch) -> None:
     def without_kinds(events: Sequence[Event]) -> Rows:
         columns = rr.TextLog.columns(text=[e.text for e in events], level=[e.level for e in events])
         return Rows(
-            paths.EVENTS, Index(np.array([e.step for e in events]), np.array([e.time for e in events])), columns, 0
+            paths.EVENTS, Index(np.array([e.step for e in events]), np.array([e.time for e in events])), columns
         )
 
     monkeypatch.setattr(encoder, "event_rows", without_kinds)

@@ -60,7 +60,7 @@ class BodyColours:
         # static values of a component take precedence in Rerun, so these colours belong to another archetype
         archetype = rr.Points3D if shape(header) != "points" else rr.Ellipsoids3D
         columns = archetype.columns(colors=flat).partition([n] * len(self.steps))
-        return Rows(paths.BODIES, Index(self.steps, self.times), columns, flat.nbytes)
+        return Rows(paths.BODIES, Index(self.steps, self.times), columns)
 
 
 def change_with_time(header: Header, by: str) -> bool:

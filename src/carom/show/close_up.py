@@ -144,7 +144,7 @@ class CloseUp:
             columns = rr.Ellipsoids3D.columns(colors=colours.colours.ravel())
             index = Index(colours.steps, colours.times)
             each = columns.partition([len(self.bodies)] * len(index.steps))
-            yield Rows(BODIES, index, each, colours.colours.nbytes)
+            yield Rows(BODIES, index, each)
         if instant is not None and instant.frame is not None:
             turns = instant.frame.orientation
             turned = None if turns is None else turns[list(self.bodies)].astype(np.float32)
@@ -179,12 +179,12 @@ class CloseUp:
         centres = single(placed.reshape(-1, 3))
         turns = None if turned is None else turned.reshape(-1, 4)
         columns = rr.Ellipsoids3D.columns(centers=centres, quaternions=turns)
-        yield Rows(BODIES, index, columns.partition([position.shape[1]] * len(position)), centres.nbytes)
+        yield Rows(BODIES, index, columns.partition([position.shape[1]] * len(position)))
         middle = placed.mean(axis=1) + (self.eye.target - self.middle)
         corner = np.full(3, self.eye.distance / _REACH / np.sqrt(3.0))
         ends = single(np.stack([middle - corner, middle + corner], axis=1).reshape(-1, 3))
         points = rr.Points3D.columns(positions=ends).partition([2] * len(position))
-        yield Rows(FOLLOWED, index, points, ends.nbytes)
+        yield Rows(FOLLOWED, index, points)
 
     def _arrows(self, contact: Contact, header: Header) -> Iterable[Rows]:
         """Draw edge, normal, impulse and spins at the step, with labels; clear them at the next frame."""
@@ -263,7 +263,7 @@ class CloseUp:
                 (column.component_descriptor(), column.as_arrow_array()) for column in columns.partition([count, 0])
             ]
             for row, index in enumerate((Index.within_step(self.instant.time), empty)):
-                yield Rows(path, index, [BatchColumn.of_rows(what, rows.slice(row, 1)) for what, rows in both], 0)
+                yield Rows(path, index, [BatchColumn.of_rows(what, rows.slice(row, 1)) for what, rows in both])
             return
         steps, times, each = [self.step.step], [self.step.time], [count]
         following = next((frame for frame in self.step.added if frame.step > self.step.step), None)
@@ -273,7 +273,7 @@ class CloseUp:
         elif self.paths is not None and len(later):
             row = int(later[0])
             steps, times = [*steps, int(self.paths.steps[row])], [*times, float(self.times[row])]
-        yield Rows(path, Index(np.array(steps), np.array(times)), columns.partition(each + [0] * (len(steps) - 1)), 0)
+        yield Rows(path, Index(np.array(steps), np.array(times)), columns.partition(each + [0] * (len(steps) - 1)))
 
 
 def close_up(

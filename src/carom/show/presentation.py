@@ -310,7 +310,7 @@ def _instant(
         if rows.path != paths.IMPACT_SPINS
     ]
     found += [
-        Rows(rows.path, Index.within_step(instant.time), rows.columns, rows.bytes)
+        Rows(rows.path, Index.within_step(instant.time), rows.columns)
         for rows in encoder.rows([instant.frame])
         if rows.path in _OF_STEP
     ]

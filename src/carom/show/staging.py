@@ -115,7 +115,7 @@ class Staging:
             else:
                 angles = np.linspace(0.0, 2.0 * np.pi, len(steps))
                 poses = [replace(view, to_eye=turned(view.to_eye, view.up, angle)) for angle in angles]
-            yield Rows(shown.lens.path, Index(steps, times), shown.lens.poses(poses), 100 * len(poses))
+            yield Rows(shown.lens.path, Index(steps, times), shown.lens.poses(poses))
 
 
 def impact_strip(recording: Recording) -> tuple[Curves, list[Rows], list[Static]]:
@@ -136,7 +136,7 @@ def impact_strip(recording: Recording) -> tuple[Curves, list[Rows], list[Static]
         return outline, [], []
     names = [f"impact {number}" for number in numbers.tolist()]
     colours = np.array([_BANDS[k % len(_BANDS)] for k in range(len(names))], dtype=np.uint32)
-    rows = Rows(paths.IMPACTS, index, list(rr.StateChange.columns(state=names)), sum(map(len, names)))
+    rows = Rows(paths.IMPACTS, index, list(rr.StateChange.columns(state=names)))
     return outline, [rows], [(paths.IMPACTS, rr.StateConfiguration(values=names, colors=colours))]
 
 
@@ -155,7 +155,7 @@ def decades(recording: Recording, header: Header, curves: Curves) -> tuple[Curve
         values[~np.isfinite(values)] = np.nan
         path = f"{DECADES}/{each.path}"
         outlines[each.path] = CurveOutline.of(index.times, values)
-        rows.append(Rows(path, index, list(rr.Scalars.columns(scalars=values)), values.nbytes))
+        rows.append(Rows(path, index, list(rr.Scalars.columns(scalars=values))))
         statics.append((path, curve_style(each.legend, each.colour, each.width)))
     return outlines, rows, statics
 

@@ -114,7 +114,7 @@ class Trails:
         points = self._points(-(-_POINTS // pieces) if self._is_smooth else 1)
         strips = points.transpose(0, 2, 1, 3).reshape(pieces * bodies, -1, 3)
         columns = rr.LineStrips3D.columns(strips=list(strips)).partition([bodies] * pieces)
-        yield Rows(TRAILS, Index(self._steps[1:], self._times[1:]), columns, strips.nbytes)
+        yield Rows(TRAILS, Index(self._steps[1:], self._times[1:]), columns)
 
     def _points(self, parts: int) -> SingleArray:
         """Return the points of all pieces, (pieces, parts + 1, n, 3) m."""
@@ -294,7 +294,7 @@ class BodyPlots:
         """Yield the values."""
         for each in self.series:
             columns = rr.Scalars.columns(scalars=self._shown(each))
-            yield Rows(_path(each), Index(each.step, each.time), columns, each.value.nbytes)
+            yield Rows(_path(each), Index(each.step, each.time), columns)
 
     def statics(self) -> Iterator[tuple[str, rr.AsComponents]]:
         """Yield the styles of the curves."""

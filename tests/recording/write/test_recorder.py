@@ -20,7 +20,7 @@ from carom.recording.rrd.container import Container
 from carom.recording.schema.header import TimeScale
 from carom.recording.write import stream
 from carom.recording.write.recorder import FrameRecorder
-from carom.recording.write.rows import Index, frame_rows, plain_column
+from carom.recording.write.rows import Index, Rows, plain_column
 from carom.recording.write.stream import Stream
 from carom.recording.write.whole_file import Claim, killed_run_of
 from carom.runs.run import header_of
@@ -247,7 +247,7 @@ def test_batches_grow_in_number_with_the_logarithm_of_time(tmp_path: Path, monke
     record = Stream(tmp_path / "run.rrd", scripted.header, batch_bytes=1000, live=None)
     for now in range(3000):  # s
         values = plain_column(rr.Scalars.descriptor_scalars(), np.array([float(now)]))
-        record.send(frame_rows("energy/total", Index(np.array([now]), np.array([float(now)])), [values], 8), clock)
+        record.send(Rows("energy/total", Index(np.array([now]), np.array([float(now)])), [values]), clock)
         record.flush()
     record.close()
     rows = [entry.rows for entry in Container.open(tmp_path / "run.rrd").stores[0].entries if not entry.is_static]

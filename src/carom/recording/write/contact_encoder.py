@@ -25,7 +25,7 @@ from carom.recording.write import encoding_kernels as encoding
 from carom.recording.write.encoding_kernels import EdgeColumns, FrameContacts
 from carom.recording.write.impact_frames import Instant, instants
 from carom.recording.write.impact_plan import ImpactPlan, impact_rows, largest
-from carom.recording.write.rows import Index, Rows, any_column, array_bytes, frame_rows, vector_column
+from carom.recording.write.rows import Index, Rows, any_column, vector_column
 
 _ROUNDING = 1e-9  # of the largest magnitude in the recorded frames so far
 
@@ -37,13 +37,6 @@ class BatchContacts:
     """The contacts and impacts of a batch of frames.
 
     Small frames are joined into blocks, since each call of a kernel takes microseconds; large frames are read in place.
-
-    Attributes
-    ----------
-    blocks
-        The arrays of consecutive frames.
-    edges, contacts, impacts
-        (frames,) numbers of edges of the graph, and of `CONTACT_ROW` of contacts and of impacts.
     """
 
     def __init__(self, batch: Sequence[Frame]) -> None:
@@ -51,9 +44,9 @@ class BatchContacts:
         rows = [NO_ROWS if frame.contact_rows is None else frame.contact_rows for frame in batch]
         impacts = [NO_ROWS if frame.impacts is None else frame.impacts for frame in batch]
         each = np.array([(len(g.overlaps), len(r), len(i)) for g, r, i in zip(graphs, rows, impacts, strict=True)])
-        self.edges, self.contacts, self.impacts = each.T.copy()
+        self.edges, self.contacts, self.impacts = each.T.copy()  # (frames,) their numbers
         self._frames = list[slice]()  # of each block
-        self.blocks = list[FrameContacts]()
+        self.blocks = list[FrameContacts]()  # the arrays of consecutive frames
         begin, size, sizes = 0, 0, each.sum(axis=1).tolist()
         for end, more in enumerate([*sizes[1:], np.inf], start=1):
             size += sizes[end - 1]
@@ -105,10 +98,7 @@ class BatchContacts:
         return self._strongest([block.impacts for block in self.blocks], self.impacts, counts)
 
     def strongest_contacts(self, counts: IntArray) -> Records:
-        """Return the contacts with the largest normal impulses of each frame, the largest first.
-
-        ``counts`` is their number in each frame, (frames,). Of equal impulses, the first are selected.
-        """
+        """Return each frame's contacts with the largest normal impulses, largest first; see `strongest_impacts`."""
         rows, _ = self._strongest([block.rows for block in self.blocks], self.contacts, counts)
         return picked(rows, np.lexsort((-rows["normal_impulse"], np.repeat(np.arange(len(counts)), counts))))
 
@@ -128,19 +118,10 @@ def _in_one(arrays: Sequence[NDArray[Any]]) -> NDArray[Any]:
     return joined(arrays, kind) if kind.names else np.concatenate(arrays)
 
 
-def contact_columns(
-    contacts: BatchContacts, middle: FloatArray, radius: FloatArray
-) -> tuple[list[ComponentColumn], int]:
-    """Return columns with one value per edge, and their bytes.
+def contact_columns(contacts: BatchContacts, middle: FloatArray, radius: FloatArray) -> list[ComponentColumn]:
+    """Return columns with one value per edge. Contacts that opened within the step have no edge and are omitted.
 
-    Contacts that opened within the step have no edge and are omitted.
-
-    Parameters
-    ----------
-    middle
-        (frames,) N s, the middle of each frame's scale.
-    radius
-        (n,) m.
+    ``middle`` (frames,) N s is the middle of each frame's scale.
     """
     edges, widths = contacts.edges, drawing.edge_radii(radius)
     count = int(edges.sum())
@@ -158,7 +139,7 @@ def contact_columns(
         if done < len(block.pairs):
             i, j = block.pairs[done].tolist()
             raise RecorderError(f"the contact of {i} and {j} is in the collision graph, but has no row of its own")
-    columns: list[ComponentColumn] = [
+    return [
         any_column("bodies", values.bodies.ravel(), 2 * edges),
         any_column("normal_impulse", values.normal_impulse, edges),
         any_column("tangential_impulse", values.tangential_impulse, edges),
@@ -166,18 +147,6 @@ def contact_columns(
         any_column("impulse_colour", values.colour, edges),
         any_column("impulse_width", values.width, edges),
     ]
-    return columns, array_bytes(*values)
-
-
-def _columns_of_engine(contacts: BatchContacts, origin: FloatArray) -> tuple[list[ComponentColumn], int]:
-    """Return the points, normals and frictions of the contacts of another engine, whose bodies may not be spheres."""
-    rows = np.concatenate([block.rows for block in contacts.blocks])
-    arrays = {}
-    for name, prefix in (("point", ""), ("normal", "n"), ("friction", "friction_")):
-        vectors = np.stack([rows[f"{prefix}{axis}"] for axis in "xyz"], axis=1)
-        arrays[name] = single(vectors - origin if name == "point" else vectors).ravel()
-    columns = [any_column(name, values, 3 * contacts.contacts) for name, values in arrays.items()]
-    return columns, array_bytes(*arrays.values())
 
 
 def force_rows(
@@ -191,24 +160,11 @@ def force_rows(
     floors: FloatArray,
     columns: Sequence[ComponentColumn] = (),
 ) -> Iterable[Rows]:
-    """Draw the normal and the friction impulses on body j as arrows at the contact point.
+    """Draw the normal impulses and, with friction, the friction impulses on body j as arrows at the contact point.
 
-    Parameters
-    ----------
-    middle
-        (frames,) N s, the middle of each frame's scale.
-    drawn
-        (frames,) number of contacts to draw, those with the largest normal impulses.
-    longest
-        m.
-    origin
-        (3,) m, of the drawing.
-    friction
-        Whether friction is modelled.
-    floors
-        (frames,) N s; arrows of smaller impulses have no length.
-    columns
-        Further columns of the normal impulses.
+    In each frame, (frames,), the ``drawn`` contacts with the largest normal impulses have arrows, shorter than
+    ``longest`` (m). ``middle`` is the middle of the frame's scale (N s); impulses below its floor (N s) have arrows
+    without length. ``columns`` are further columns of the normal impulses.
     """
     rows = contacts.strongest_contacts(drawn)
     middle, floors = np.repeat(middle, drawn), np.repeat(floors, drawn)
@@ -226,7 +182,7 @@ def force_rows(
             any_column("bodies", ends.ravel(), 2 * drawn),
             *(columns if path == FORCE_NORMAL else ()),
         ]
-        yield frame_rows(path, index, found, array_bytes(arrows, at, ends))
+        yield Rows(path, index, found)
 
 
 def _drawn(impulse: FloatArray, middle: FloatArray, longest: float, floors: FloatArray) -> SingleArray:
@@ -241,33 +197,17 @@ _ROUND_OFF = 1e-12  # of J v_n; smaller energy losses are rounding
 
 
 class ContactEncoder:
-    """Converts the contacts and impacts of batches of frames to rows.
-
-    Parameters
-    ----------
-    header
-        Of the recording.
-    origin
-        (3,) m, of the drawing.
-    references
-        Magnitudes in the middle of the scales; the first frame with something to draw determines missing ones.
-    floors
-        Magnitudes below which arrows are not drawn.
-    before
-        The impacts before the first frame.
-    everything
-        Whether to encode everything, whatever the scene requests, for a comparison with a recording.
-    """
+    """Converts the contacts and impacts of batches of frames to rows."""
 
     def __init__(
         self,
         header: Header,
-        origin: FloatArray,
-        references: drawing.References,
+        origin: FloatArray,  # (3,) m, of the drawing
+        references: drawing.References,  # missing ones are determined by the first frame with something to draw
         floors: ArrowFloors,
-        before: RecordedImpacts,
+        before: RecordedImpacts,  # before the first frame
         *,
-        everything: bool,
+        everything: bool,  # encode everything, whatever the scene requests, for a comparison with a recording
     ) -> None:
         self.header = header
         self._origin = origin
@@ -282,32 +222,25 @@ class ContactEncoder:
         """The impacts of all batches so far."""
         return RecordedImpacts(self._recorded, self._count - self._recorded)
 
-    def columns(
-        self, batch: Sequence[Frame], contacts: BatchContacts, position: FloatArray
-    ) -> tuple[list[ComponentColumn], int]:
-        """Return the columns for the edges of a batch's frames, and their bytes.
-
-        Parameters
-        ----------
-        contacts
-            Of the batch.
-        position
-            (frames, n, 3) m.
-        """
+    def columns(self, batch: Sequence[Frame], contacts: BatchContacts, position: FloatArray) -> list[ComponentColumn]:
+        """Return the columns for the edges of a batch's frames, with bodies at (frames, n, 3) m."""
         for frame in batch:
             self._look(frame)
         self._contacts, self._middle = contacts, contacts.middles()
         counts = contacts.edges, contacts.contacts, contacts.impacts
         self._kept = self._plan.choose(position, *counts, contacts.hardest())
         self._impacts, self._chosen = contacts.strongest_impacts(self._kept.impacts)
-        columns, size = contact_columns(contacts, self._middle, self.header.radius)
-        if self.header.engine:
-            more, size_of_more = _columns_of_engine(contacts, self._origin)
-            columns, size = [*columns, *more], size + size_of_more
+        columns = contact_columns(contacts, self._middle, self.header.radius)
+        if self.header.engine:  # its bodies may not be spheres: record points, normals and frictions
+            rows = np.concatenate([block.rows for block in contacts.blocks])
+            for name, prefix in (("point", ""), ("normal", "n"), ("friction", "friction_")):
+                vectors = np.stack([rows[f"{prefix}{axis}"] for axis in "xyz"], axis=1)
+                values = single(vectors - self._origin if name == "point" else vectors)
+                columns.append(any_column(name, values.ravel(), 3 * contacts.contacts))
         numbers = self._count + np.cumsum(contacts.impacts + [frame.impacts_left_out for frame in batch])
         self._before = np.concatenate(([self._count], numbers[:-1]))
         self._count = int(numbers[-1])
-        return [*columns, any_column("impact_count", numbers)], size + numbers.nbytes
+        return [*columns, any_column("impact_count", numbers)]
 
     def rows(self, index: Index) -> Iterable[Rows]:
         """Return arrows and impacts of the last encoded batch."""
@@ -326,15 +259,7 @@ class ContactEncoder:
             yield impact_rows(impacts, numbers, self._references, header, self._origin)
 
     def instants(self, batch: Sequence[Frame], before: Frame | Checkpoint | None) -> list[Instant]:
-        """Return the states at the impacts that get a frame.
-
-        Parameters
-        ----------
-        batch
-            The frames whose rows were returned last.
-        before
-            The previous frame.
-        """
+        """Return the states at the impacts of the last batch that get a frame, given the frame before the batch."""
         found = list[Instant]()
         first = np.cumsum(self._kept.impacts) - self._kept.impacts  # of each frame's chosen impacts
         for f in np.flatnonzero(self._kept.scenes).tolist() if self._shows_bodies else ():
@@ -349,17 +274,14 @@ class ContactEncoder:
     def _look(self, frame: Frame) -> None:
         """Choose references from the first frame with something to draw."""
         chosen, rows = self._references.chosen, frame.impacts
-        if rows is not None and len(rows) and not (IMPACTS in chosen and IMPACT_ENERGY in chosen):
-            if IMPACTS not in chosen:
-                self._refer(IMPACTS, rows["normal_impulse"])
-            if IMPACT_ENERGY not in chosen:
-                lost = rows["restitution_loss"] + rows["friction_loss"]
-                self._refer(IMPACT_ENERGY, lost[lost > _ROUND_OFF * rows["normal_impulse"] * rows["approach_speed"]])
-
-    def _refer(self, name: str, values: FloatArray) -> None:
-        positive = values[values > 0.0]
-        if len(positive):
-            self._references.choose(name, max(float(np.median(positive)), np.finfo(np.float64).tiny))
+        if rows is None or len(rows) == 0 or (IMPACTS in chosen and IMPACT_ENERGY in chosen):
+            return
+        lost = rows["restitution_loss"] + rows["friction_loss"]
+        lost = lost[lost > _ROUND_OFF * rows["normal_impulse"] * rows["approach_speed"]]
+        for name, values in ((IMPACTS, rows["normal_impulse"]), (IMPACT_ENERGY, lost)):
+            positive = values[values > 0.0]
+            if name not in chosen and len(positive):
+                self._references.choose(name, max(float(np.median(positive)), np.finfo(np.float64).tiny))
 
 
 class ArrowFloors:
@@ -367,17 +289,10 @@ class ArrowFloors:
 
     The largest magnitude of a run is known only at its end, so floors rise with the largest so far. Each frame contains
     its floors. A replay or a resumed run that begins at a later frame thus has the floors of the whole run.
-
-    Parameters
-    ----------
-    header
-        Header of the recording; with version 1 of the rules of drawing, all arrows are drawn.
-    before
-        The floors before the first frame.
     """
 
     def __init__(self, header: Header, before: Mapping[str, float]) -> None:
-        self._applies = header.drawing_rules > 1
+        self._applies = header.drawing_rules > 1  # with version 1, all arrows are drawn
         self._last = dict(before)
 
     def raised(self, path: str, largest: FloatArray) -> FloatArray:

@@ -40,21 +40,20 @@ class DiskReserve:
 
     def grow(self, size: int) -> None:
         """Reserve at least ``size`` bytes. Raises OSError (ENOSPC) if the disk is too full."""
-        if size > self.size:
-            self._allocate(size - self.size)
-            self.size = size
-
-    def release(self) -> None:
-        """Release the reserved space."""
-        self._file.close()
-
-    def _allocate(self, more: int) -> None:
+        more = size - self.size
+        if more <= 0:
+            return
         if hasattr(os, "posix_fallocate"):
             os.posix_fallocate(self._file.fileno(), self.size, more)
         else:  # macOS: only written bytes are certain to be allocated
             self._file.seek(self.size)
             self._file.write(bytes(more))
             self._file.flush()
+        self.size = size
+
+    def release(self) -> None:
+        """Release the reserved space."""
+        self._file.close()
 
 
 FLUSH = 60.0  # s, for Rerun's stream to the pipe; a disk that takes longer counts as failed
@@ -89,7 +88,7 @@ class DurableSink:
         self._splitter = MessageSplitter()
         self._spare = mmap.mmap(-1, _SPARE)
         self._piece = memoryview(bytearray(_PIPE))  # allocated now, since there may be no memory later
-        self._turn = threading.Lock()
+        self._lock = threading.Lock()
         self._awaited = threading.Event()  # set while another thread waits for the data, which are then read at once
         self._thread = threading.Thread(target=self._copy, name="carom-sink", daemon=True)
         self._thread.start()
@@ -123,9 +122,11 @@ class DurableSink:
     def drain(self) -> None:
         """Wait until all flushed data are in the file."""
         self._awaited.set()
+        waiting = array.array("i", [1])  # bytes
         while self._thread.is_alive():
-            with self._turn:
-                if _bytes_waiting(self._source) == 0:
+            with self._lock:
+                fcntl.ioctl(self._source, termios.FIONREAD, waiting)
+                if waiting[0] == 0:
                     break
             time.sleep(_POLL)
         self._awaited.clear()
@@ -150,7 +151,7 @@ class DurableSink:
         while size:
             waiting.poll()
             self._awaited.wait(_GATHER)
-            with self._turn:  # so that `drain` can take an empty pipe as a sign that everything is written
+            with self._lock:  # so that `drain` can take an empty pipe as a sign that everything is written
                 size = os.readv(self._source, [self._piece])
                 if self.error is None:  # otherwise Rerun's sink would block forever
                     self._write_whole(self._piece[:size])
@@ -158,21 +159,17 @@ class DurableSink:
     def _write_whole(self, piece: memoryview) -> None:
         """Write the messages that a piece completes; keep any error, since the pipe must be drained after it, too."""
         try:
-            self._add(piece)
+            try:
+                self._splitter.add(piece)
+            except MemoryError:
+                self._spare.close()
+                self._splitter.add(piece)
             while self._splitter.pass_on(self._write):
                 pass
         except MemoryError:
             self.error = OSError(errno.ENOMEM, os.strerror(errno.ENOMEM))
         except Exception as error:
             self.error = OSError(errno.EIO, f"{type(error).__name__}: {error}")
-
-    def _add(self, piece: memoryview) -> None:
-        """Add a piece to the waiting ones; if memory runs out, release the reserve and try again."""
-        try:
-            self._splitter.add(piece)
-        except MemoryError:
-            self._spare.close()
-            self._splitter.add(piece)
 
     def _write(self, message: memoryview) -> None:
         if self.error is not None:  # from an earlier message
@@ -197,12 +194,6 @@ class DurableSink:
     def _use_reserve(self) -> None:
         self.full = True
         self._reserve.release()
-
-
-def _bytes_waiting(descriptor: int) -> int:
-    count = array.array("i", [0])
-    fcntl.ioctl(descriptor, termios.FIONREAD, count)
-    return count[0]
 
 
 # Address space kept free under ``ulimit -v``: Rerun's encoder aborts the process when none is left.
@@ -238,7 +229,7 @@ class AddressReserve:
         return self._limit is not None
 
     def require(self, batch: Sequence[Frame], path: Path) -> None:
-        """Reserve the address space for closing the file. Raises RecordingError if too few remain to encode a batch."""
+        """Reserve address space for closing the file. RecordingError if too little remains to encode a batch."""
         if self._limit is None:
             return
         contacts = [len(frame.contacts.pairs) for frame in batch]

@@ -53,8 +53,6 @@ from carom.recording.write.rows import (
     Index,
     Rows,
     any_column,
-    array_bytes,
-    frame_rows,
     line_column,
     plain_column,
     vector_column,
@@ -70,30 +68,20 @@ class BatchEncoder:
 
     It keeps the state on which rows depend: the origin, the last written phase and dt limit, the arrows' references,
     the last frame, and the numbers of recorded contacts. ``curves`` are the outlines of the series encoded so far.
-
-    Parameters
-    ----------
-    header
-        Of the recording.
-    origin
-        (3,) m, of the drawing.
-    arrow_references, last_state, before, impacts_before, floors_before
-        For a resumed run: the state after the previous rows, and the number of impacts in them.
-    everything
-        Whether to encode every impact, for a comparison with a recording.
     """
 
     def __init__(
         self,
         header: Header,
-        origin: FloatArray,
+        origin: FloatArray,  # (3,) m, of the drawing
+        # of a resumed run: the state after the rows that it continues
         arrow_references: Mapping[str, float] | None = None,
         last_state: Mapping[str, str] | None = None,
         before: Checkpoint | None = None,
         *,
         impacts_before: RecordedImpacts = NO_IMPACTS,
         floors_before: Mapping[str, float] | None = None,
-        everything: bool = False,
+        everything: bool = False,  # whether to encode every impact, for a comparison with a recording
     ) -> None:
         self.header = header
         self.origin = origin
@@ -128,14 +116,21 @@ class BatchEncoder:
         index, position = Index.of(batch), _stacked("position", batch, store)
         points = np.empty((len(batch), self.header.bodies, 3), dtype=np.float32)
         encoding.cast_positions(position, self.origin, points)
-        yield self._bodies(index, batch, store, points)
+        turned = None
+        if self.header.has_orientation:
+            turned = np.empty((len(batch) * self.header.bodies, 4), dtype=np.float32)
+            encoding.cast_orientations(_stacked("orientation", batch, store), turned.reshape(len(batch), -1, 4))
+        yield Rows(BODIES, index, self._drawn(points.reshape(-1, 3), turned, self._node_colours(batch)))
         yield from wall_rows(self._walls, index, self.origin)
         yield from piston_rows(self.header, index, batch)
         if self.header.has_torque:
             yield from self._arrows(index, batch, store, points)
         extremes = np.zeros((len(batch), 3))
         if self.header.collides:
-            yield self._collisions(index, batch, position, points, extremes)
+            contacts = BatchContacts(batch)
+            columns = self._edges(contacts, points, extremes, index.times.tolist())
+            columns += self._contacts.columns(batch, contacts, position) if self._contacts else []
+            yield Rows(CONTACTS, index, columns)
         found = list[Instant]()
         if self._contacts:
             yield from self._contacts.rows(index)
@@ -151,24 +146,23 @@ class BatchEncoder:
         if events := [event for frame in batch for event in frame.events]:
             yield event_rows(events)
         bits = np.array([frame.fingerprint for frame in batch], dtype=np.uint64)
-        columns = [any_column("fingerprint", bits), any_column("time", index.times)]
-        yield frame_rows(FINGERPRINT, index, columns, array_bytes(bits, index.times))
-        yield self._momenta(index, batch)
+        yield Rows(FINGERPRINT, index, [any_column("fingerprint", bits), any_column("time", index.times)])
+        # an error is NaN where it is not defined
+        linear = np.array([f.momentum_error for f in batch], dtype=np.float64)
+        angular = np.array([f.angular_momentum_error for f in batch], dtype=np.float64)
+        columns = [
+            any_column("momentum", np.concatenate([frame.momentum for frame in batch]), 3),
+            any_column("momentum_error", linear),
+            any_column("angular_momentum", np.concatenate([frame.angular_momentum for frame in batch]), 3),
+            any_column("angular_momentum_error", angular),
+        ]
+        yield Rows(MOMENTUM, index, columns)
 
     def checkpoints(self, frames: Sequence[Frame]) -> Rows:
         """Encode the exact state of some frames."""
         encoded = checkpoint_columns.encode([frame.checkpoint for frame in frames])
         columns = [any_column(name, values, np.array(each)) for name, (values, each) in encoded.items()]
-        return frame_rows(CHECKPOINT, Index.of(frames), columns, sum(map(checkpoint_columns.size, frames)))
-
-    def _bodies(self, index: Index, batch: Sequence[Frame], store: FrameStore | None, points: SingleArray) -> Rows:
-        turned = None
-        if self.header.has_orientation:
-            turned = np.empty((*points.shape[:2], 4), dtype=np.float32)
-            encoding.cast_orientations(_stacked("orientation", batch, store), turned)
-            turned = turned.reshape(-1, 4)
-        columns, size = self._drawn(points.reshape(-1, 3), turned, self._node_colours(batch))
-        return frame_rows(BODIES, index, columns, size)
+        return Rows(CHECKPOINT, Index.of(frames), columns)
 
     def at_impacts(self, found: Sequence[Instant]) -> Iterable[Rows]:
         """Draw the states at some impacts; these rows are on the timelines of time and of impacts, and have no step."""
@@ -179,14 +173,13 @@ class BatchEncoder:
         index = Index(NO_STEPS, np.array([frame.time for frame in frames]), numbers, ends)
         points = single(np.stack([frame.position for frame in frames]) - self.origin)
         turned = [frame.orientation for frame in frames if frame.orientation is not None]
-        columns, size = self._drawn(points.reshape(-1, 3), single(np.concatenate(turned)) if turned else None, None)
-        yield Rows(BODIES, index, columns, size)
+        turns = single(np.concatenate(turned)) if turned else None
+        yield Rows(BODIES, index, self._drawn(points.reshape(-1, 3), turns, None))
         yield from wall_rows(self._walls, index, self.origin)
         contacts = BatchContacts(frames)
-        edges, size = self._edges(contacts, points, np.zeros((len(found), 3)), index.times.tolist())
+        edges = self._edges(contacts, points, np.zeros((len(found), 3)), index.times.tolist())
         middle = contacts.middles()
-        did, more = contact_columns(contacts, middle, self.header.radius)
-        yield Rows(CONTACTS, index, [*edges, *did], size + more)
+        yield Rows(CONTACTS, index, [*edges, *contact_columns(contacts, middle, self.header.radius)])
         longest = arrow_length(self.header, FORCE_NORMAL)
         rubs, floors = self.header.has_friction, self._floors.alone(contacts.largest())
         yield from force_rows(index, contacts, middle, contacts.contacts, longest, self.origin, rubs, floors)
@@ -195,13 +188,13 @@ class BatchEncoder:
         for series in self._recorded:
             if series.path in STEPPING:
                 values = np.ascontiguousarray(energies[:, STEPPING.index(series.path)])
-                yield Rows(series.path, twice, *self._scalars(series, values))
+                yield Rows(series.path, twice, self._scalars(series, values))
         yield from spin_rows(self.header, found, points)
 
     def _drawn(
         self, centres: SingleArray, turned: SingleArray | None, colours: NDArray[np.uint32] | None
-    ) -> tuple[list[ComponentColumn], int]:
-        """Return the columns that draw all bodies, row after row, and their bytes."""
+    ) -> list[ComponentColumn]:
+        """Return the columns that draw all bodies, row after row."""
         n = self.header.bodies
         scales = None
         match shape(self.header):
@@ -223,9 +216,10 @@ class BatchEncoder:
             columns.append(plain_column(kind.descriptor_colors(), colours, n))
         if scales is not None:
             columns.append(vector_column(kind.descriptor_scales(), scales, n))
-        return columns, array_bytes(centres, turned, colours, scales)
+        return columns
 
     def _node_colours(self, batch: Sequence[Frame]) -> NDArray[np.uint32] | None:
+        n = self.header.bodies
         match self.header.coloured_by:
             case "group" | "material":
                 return None
@@ -235,12 +229,10 @@ class BatchEncoder:
                     self.arrow_references.choose(SPEED, float(np.median(speeds[0])))
                 return np.concatenate([drawing.speed_colours(each, self.arrow_references[SPEED]) for each in speeds])
             case "island":
-                n = self.header.bodies
                 return np.concatenate([drawing.island_colours(frame.contacts.pairs, n) for frame in batch])
         if not self.header.body_colouring:
-            n = self.header.bodies
             return np.concatenate([graph_colours(frame.contacts.pairs, n) for frame in batch])
-        nobody = np.full(self.header.bodies, -1, dtype=np.int64)
+        nobody = np.full(n, -1, dtype=np.int64)
         nodes = [f.contacts.body_colours if f.contacts.body_colours is not None else nobody for f in batch]
         return palette.node_colours(np.concatenate(nodes))
 
@@ -281,7 +273,7 @@ class BatchEncoder:
             any_column("body", body, each),
             *self._floors.columns(floors),
         ]
-        return frame_rows(path, index, columns, array_bytes(*arrows, body))
+        return Rows(path, index, columns)
 
     def _above_floor(self, path: str, torques: TorqueList, inertia: FloatArray) -> tuple[TorqueList, FloatArray]:
         """Keep the torques τ with τ/I not below the floors of the arrows; return them and the floors, (frames,)."""
@@ -297,26 +289,10 @@ class BatchEncoder:
         each = np.bincount(frame[kept], minlength=len(largest))
         return TorqueList(torques.torque, each, torques.body[kept], torques.magnitude[kept]), floors
 
-    def _collisions(
-        self,
-        index: Index,
-        batch: Sequence[Frame],
-        position: FloatArray,
-        points: SingleArray,
-        extremes: FloatArray,
-    ) -> Rows:
-        """Draw the edges of the collision graphs; return the extremes of each frame (see `draw_edges`)."""
-        contacts = BatchContacts(batch)
-        columns, size = self._edges(contacts, points, extremes, [frame.time for frame in batch])
-        if self._contacts:
-            did, more = self._contacts.columns(batch, contacts, position)
-            columns, size = [*columns, *did], size + more
-        return frame_rows(CONTACTS, index, columns, size)
-
     def _edges(
         self, contacts: BatchContacts, points: SingleArray, extremes: FloatArray, times: Sequence[float]
-    ) -> tuple[list[ComponentColumn], int]:
-        """Return the columns that draw edges, and their bytes; find `encoding_kernels.draw_edges` extremes."""
+    ) -> list[ComponentColumn]:
+        """Return the columns that draw edges; fill in the extremes of each frame, see `encoding_kernels.draw_edges`."""
         count = int(contacts.edges.sum())
         strips, shown = np.empty((count, 6), dtype=np.float32), np.empty(count, dtype=np.uint32)
         for block, frames, part in contacts.parts(contacts.edges):
@@ -331,11 +307,8 @@ class BatchEncoder:
                 cell, ends = self.header.cell(times[f]), points[f].astype(np.float64)
                 assert cell is not None
                 strips[first:last, 3:] = ends[i] + minimum_images(ends[j] - ends[i], cell)
-        columns: list[ComponentColumn] = [
-            line_column(strips, contacts.edges),
-            plain_column(rr.LineStrips3D.descriptor_colors(), shown, contacts.edges),
-        ]
-        return columns, array_bytes(strips, shown)
+        colours = plain_column(rr.LineStrips3D.descriptor_colors(), shown, contacts.edges)
+        return [line_column(strips, contacts.edges), colours]
 
     def _series(self, index: Index, batch: Sequence[Frame], extremes: FloatArray) -> Iterable[Rows]:
         before, self._before = [self._before, *batch[:-1]], batch[-1]
@@ -353,15 +326,14 @@ class BatchEncoder:
                 # the function may belong to another package
                 raise RecorderError(f"the series {series.path}: {type(error).__name__}: {error}") from error
             self.curves[series.path].see(index.times, values)
-            yield frame_rows(series.path, index, *self._scalars(series, values))
+            yield Rows(series.path, index, self._scalars(series, values))
 
-    def _scalars(self, series: Series, values: FloatArray) -> tuple[list[ComponentColumn], int]:
-        """Return the columns of a series, and their bytes: its values, and those of its plot if the unit differs."""
+    def _scalars(self, series: Series, values: FloatArray) -> list[ComponentColumn]:
+        """Return the columns of a series: its values, and those of its plot if the unit differs."""
         columns = [plain_column(rr.Scalars.descriptor_scalars(), values)]
         factor = self.header.plot_factor(series.unit)
-        if factor == 1.0 or series.plot is None:
-            return columns, array_bytes(values)
-        return [*columns, any_column(IN_PLOT, values / factor)], 2 * array_bytes(values)
+        in_plot = factor != 1.0 and series.plot is not None
+        return [*columns, any_column(IN_PLOT, values / factor)] if in_plot else columns
 
     def _changes(self, path: str, batch: Sequence[Frame], state: Callable[[Frame], str]) -> Iterable[Rows]:
         """Yield rows only for frames whose state differs from that of the previous frame."""
@@ -372,19 +344,6 @@ class BatchEncoder:
                 changed.append(frame)
         if changed:
             yield state_rows(path, Index.of(changed), [state(frame) for frame in changed])
-
-    def _momenta(self, index: Index, batch: Sequence[Frame]) -> Rows:
-        linear = [np.nan if f.momentum_error is None else f.momentum_error for f in batch]
-        angular = [np.nan if f.angular_momentum_error is None else f.angular_momentum_error for f in batch]
-        arrays = {
-            "momentum": np.concatenate([frame.momentum for frame in batch]),
-            "momentum_error": np.array(linear),
-            "angular_momentum": np.concatenate([frame.angular_momentum for frame in batch]),
-            "angular_momentum_error": np.array(angular),
-        }
-        count = len(batch)
-        columns = [any_column(name, array, len(array) // count) for name, array in arrays.items()]
-        return frame_rows(MOMENTUM, index, columns, array_bytes(*arrays.values()))
 
 
 def graph_colours(pairs: IntArray, bodies: int) -> ColourArray:
@@ -403,30 +362,21 @@ def _stacked(name: str, batch: Sequence[Frame], store: FrameStore | None) -> Flo
 
 def state_rows(path: str, index: Index, states: Sequence[str]) -> Rows:
     """Return one row for each change of a state, such as the phase."""
-    return frame_rows(path, index, list(rr.StateChange.columns(state=states)), sum(map(len, states)))
+    return Rows(path, index, list(rr.StateChange.columns(state=states)))
 
 
 def event_rows(events: Sequence[Event]) -> Rows:
     """Return one row of the log for each event."""
     log = rr.TextLog.columns(text=[e.text for e in events], level=[e.level for e in events])
     columns = [*log, any_column("kind", [e.kind for e in events])]
-    size = sum(len(e.text) + len(e.level) + len(e.kind) + 16 for e in events)  # 16: step and time
     index = Index(np.array([e.step for e in events]), np.array([e.time for e in events]))
-    return Rows(EVENTS, index, columns, size)
+    return Rows(EVENTS, index, columns)
 
 
 def refuse_wrong_arrays(header: Header, batch: Sequence[Frame], before: Frame | Checkpoint | None) -> None:
     """Refuse frames whose arrays have other lengths than the recording has bodies, or whose contacts name no body.
 
-    Parameters
-    ----------
-    before
-        The frame before the first; None if there is none.
-
-    Raises
-    ------
-    RecorderError
-        The message names the step and the array.
+    Raises RecorderError, which names the step and the array. ``before`` is the frame before the batch, if any.
     """
     n = header.bodies
     expected: list[tuple[str, Any, tuple[int, ...]]]  # the name of each array, its values and their shape

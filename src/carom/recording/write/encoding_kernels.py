@@ -103,10 +103,7 @@ def draw_arrows(
 ) -> None:
     """Write arrows along the torques of the bodies listed, by the law of `carom.recording.layout.drawing`.
 
-    Parameters
-    ----------
-    unit
-        (n,) N m, the torque of each body for which its arrow extends by half of ``l_max``.
+    At the torque ``unit``, (n,) N m, the arrow of a body extends by half of ``l_max``.
     """
     (torque, each, body, magnitude), (origin, vector) = torques, arrows
     c = 0
@@ -133,16 +130,9 @@ def draw_edges(
 ) -> None:
     """Write lines (m, 6) between the centres of touching bodies, to the nearest image, and their colours (m,).
 
-    A line to a plane ends at the foot of the perpendicular.
-
-    Parameters
-    ----------
-    points
-        (frames, n, 3)
-    stages
-        The colour of each stage; the last one is used for all later stages.
-    extremes
-        (frames, 3), overwritten: the deepest overlap in m, the deepest over the smaller radius, the number of colours.
+    A line to a plane ends at the foot of the perpendicular. ``stages`` are the colours of the stages; the last one is
+    that of all later stages. The ``extremes`` (frames, 3) are the deepest overlap (m), the deepest over the smaller
+    radius, and the number of colours.
     """
     pairs, normals, overlaps, colours = contacts.pairs, contacts.normals, contacts.overlaps, contacts.colours
     e = 0
@@ -178,14 +168,8 @@ def write_contacts(
     """Write the data of the contacts, and how edges are drawn by their impulses; return the number of edges written.
 
     It ends at the first edge without a contact. There are more contacts than edges if some contacts opened within the
-    step.
-
-    Parameters
-    ----------
-    middles
-        (frames,) N s, the impulse in the middle of each scale.
-    scale, widths
-        (levels,) colours and radii in ascending order of impulse.
+    step. ``middles`` (frames,) are the impulses (N s) in the middle of each scale; ``scale`` and ``widths`` are colours
+    and radii in ascending order of impulse.
     """
     pairs, rows = contacts.pairs, contacts.rows
     e, end_of_rows = 0, 0
@@ -270,14 +254,8 @@ def pick_strongest(
 ) -> None:
     """Select the rows with the largest normal impulses of each frame, in their order; of equal ones the first.
 
-    Parameters
-    ----------
-    each, counts
-        (frames,) number of rows, and of those to select.
-    scratch
-        At least as many numbers as rows of any frame, overwritten.
-    chosen, picked
-        Overwritten: the indices of the selected rows in their frames, and copies of the rows.
+    ``each`` and ``counts`` (frames,) are the numbers of rows and of rows to select. The indices of the selected rows in
+    their frames are written to ``chosen``, the rows to ``picked``. ``scratch`` is as long as the rows of any frame.
     """
     begin, found = 0, 0
     for f in range(len(each)):
@@ -302,10 +280,7 @@ def pick_strongest(
 def count_moved(position: FloatArray, before: SingleArray, moved: IntArray) -> None:
     """Count the bodies of each frame, (frames, n, 3), that are drawn at other positions than in the previous frame.
 
-    Parameters
-    ----------
-    before
-        (n, 3), positions in the previous frame, overwritten by those of the last.
+    ``before`` (n, 3), the positions in the previous frame, are overwritten by those in the last.
     """
     for f in range(len(position)):
         moved[f] = 0

@@ -23,7 +23,7 @@ from carom.recording.layout.drawing import single
 from carom.recording.schema.header import Header
 from carom.recording.schema.paths import IMPACT_SPINS
 from carom.recording.write.impact_plan import orientations_at, positions_at
-from carom.recording.write.rows import Index, Rows, any_column, array_bytes, plain_column, vector_column
+from carom.recording.write.rows import NO_STEPS, NO_TIMES, Index, Rows, any_column, plain_column, vector_column
 
 STEPPING = (  # the series that change at an impact, in the order of `Instant.energies`
     "energy/translational",
@@ -58,14 +58,8 @@ def instants(
 ) -> list[Instant]:
     """Determine the state at some impacts between two frames.
 
-    Parameters
-    ----------
-    before, frame
-        The frames on both sides.
-    impacts
-        All impacts between them, `CONTACT_ROW`, in order of time.
-    chosen, numbers
-        Indices of the chosen impacts, (k,), and their numbers in the run.
+    ``impacts`` are all impacts between them, `CONTACT_ROW`, in order of time; ``chosen`` and ``numbers``, (k,), are the
+    indices of the chosen ones and their numbers in the run.
     """
     box = np.zeros(3) if header.box is None else np.asarray(header.box, dtype=np.float64)
     times = impacts["time"][chosen]
@@ -167,6 +161,7 @@ class _Jumps:
         return gains
 
     def _part(self, time: float) -> float:
+        """Return the fraction of the interval that has passed at a time (s)."""
         start, end = self._ends
         return min(max((time - start) / (end - start), 0.0), 1.0)
 
@@ -192,13 +187,7 @@ def _terms(energy: Energy) -> FloatArray:
 
 
 def spin_rows(header: Header, found: Sequence[Instant], points: SingleArray) -> Iterable[Rows]:
-    """Draw the spins of the bodies that meet, the earlier spins in grey; on the timeline of impacts only.
-
-    Parameters
-    ----------
-    points
-        (k, n, 3) m, the bodies as drawn.
-    """
+    """Draw the spins of bodies at (k, n, 3) m that meet, the earlier spins in grey; on the timeline of impacts only."""
     spinning = [(one, places, one.spins) for one, places in zip(found, points, strict=True) if one.spins is not None]
     if not spinning:
         return
@@ -222,5 +211,5 @@ def spin_rows(header: Header, found: Sequence[Instant], points: SingleArray) -> 
         any_column("before", before.ravel(), 3 * each),
         any_column("after", after.ravel(), 3 * each),
     ]
-    size = array_bytes(arrows, at, colours, widths, bodies, before, after)
-    yield Rows(IMPACT_SPINS, Index.of_impacts(np.array([one.number for one, *_ in spinning])), columns, size)
+    numbers = np.array([one.number for one, *_ in spinning])
+    yield Rows(IMPACT_SPINS, Index(NO_STEPS, NO_TIMES, numbers), columns)

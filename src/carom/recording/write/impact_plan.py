@@ -20,7 +20,7 @@ from carom.recording.schema.header import Header
 from carom.recording.schema.paths import IMPACT_ENERGY, IMPACTS
 from carom.recording.schema.series import IMPULSES, IN_PLOT
 from carom.recording.write.encoding_kernels import count_moved
-from carom.recording.write.rows import Index, Rows, any_column, array_bytes, plain_column, vector_column
+from carom.recording.write.rows import Index, Rows, any_column, plain_column, vector_column
 from carom.scene.schema.shear import Shear
 
 # Positions of the bodies at impacts between two frames. A body with impacts between the frames is at the contact point
@@ -37,20 +37,10 @@ def positions_at(
     box: FloatArray,
     shear: Shear | None = None,
 ) -> FloatArray:
-    """Return positions (k, n, 3) m at some times (k,) s.
+    """Return positions (k, n, 3) m at some times (k,) s between two frames.
 
-    Parameters
-    ----------
-    before, after
-        The frames on both sides.
-    impacts
-        All impacts between them, `CONTACT_ROW`, in order of time.
-    radius
-        (n,) m.
-    box
-        (3,) m, of a periodic domain; zeros in open space.
-    shear
-        Of the domain.
+    ``impacts`` are all impacts between them, `CONTACT_ROW`, in order of time. The periodic box, (3,) m, is zero in open
+    space.
     """
     start, dt, images, last = before.position, after.time - before.time, box, after.velocity
     path = minimum_images(after.position - start, shear.cell(box, after.time) if shear else box)
@@ -61,8 +51,11 @@ def positions_at(
     s = np.clip((times - before.time) / dt, 0.0, 1.0)[:, None, None]
     own, other = before.velocity * dt - path, path - last * dt  # Hermite's, about the straight line
     found: FloatArray = start + s * path + s * (1.0 - s) * ((1.0 - s) * own + s * other)
-    own_impacts = _by_body(impacts, len(radius))
-    most = int(np.diff(own_impacts.first).max(initial=0)) + 2  # with both frames
+    struck = np.column_stack((impacts["i"], impacts["j"])).ravel()
+    order = np.argsort(struck, kind="stable")
+    first = np.searchsorted(struck[order], np.arange(len(radius) + 1))
+    own_impacts = _ImpactsByBody(impacts, first, order // 2)
+    most = int(np.diff(first).max(initial=0)) + 2  # with both frames
     motion = _Motion(before.time, after.time, start, path, radius, images)
     _pass_through(times, motion, own_impacts, _Corners(np.empty(most), np.empty((most, 3))), found)
     return found
@@ -95,13 +88,6 @@ class _Corners(NamedTuple):
 
     time: FloatArray  # s
     position: FloatArray  # (…, 3) m, from the start
-
-
-def _by_body(impacts: Records, bodies: int) -> _ImpactsByBody:
-    """Return the impacts of each body."""
-    struck = np.column_stack((impacts["i"], impacts["j"])).ravel()
-    order = np.argsort(struck, kind="stable")
-    return _ImpactsByBody(impacts, np.searchsorted(struck[order], np.arange(bodies + 1)), order // 2)
 
 
 def orientations_at(times: FloatArray, before: Frame | Checkpoint, after: Frame) -> FloatArray | None:
@@ -207,18 +193,16 @@ class ImpactPlan:
     Impacts get frames at their exact times from a budget, which the first impacts of a crowded scene use up. After
     that, much harder impacts still get a frame: at most ten for each decade of impulses, whatever the length of the
     run.
-
-    Parameters
-    ----------
-    everything
-        Whether to keep all impacts and draw arrows at all contacts, whatever their size.
-    oriented, turned
-        Whether bodies have orientations and torques.
-    exceeds
-        Whether much harder impacts get frames beyond the budget; False for version 1 of the rules of drawing.
     """
 
-    def __init__(self, *, everything: bool, oriented: bool, turned: bool, exceeds: bool = True) -> None:
+    def __init__(
+        self,
+        *,
+        everything: bool,  # whether to keep all impacts and draw arrows at all contacts, whatever their size
+        oriented: bool,  # whether bodies have orientations
+        turned: bool,  # whether bodies have torques
+        exceeds: bool = True,  # whether much harder impacts get frames beyond the budget: from drawing rules 2 on
+    ) -> None:
         self._everything, self._columns = everything, _BodyColumns(oriented, turned)
         self._budget = np.zeros(1, _BUDGET)
         self._budget["others"] = FILE_BYTES
@@ -237,14 +221,8 @@ class ImpactPlan:
     ) -> Kept:
         """Decide for the next frames.
 
-        Parameters
-        ----------
-        position
-            (frames, n, 3) m.
-        edges, contacts, impacts
-            (frames,) their numbers.
-        hardest
-            (frames,) N s, the largest normal impulse of an impact.
+        Positions are (frames, n, 3) m. The numbers of edges, contacts and impacts, and the largest normal impulse of an
+        impact (N s), are those of each frame, (frames,).
         """
         if self._before is None:
             self._before = np.full(position.shape[1:], np.nan, dtype=np.float32)
@@ -313,9 +291,6 @@ def _size(bodies: int, moved: float, edges: int, columns: _BodyColumns) -> float
     return 1.08 * (drawn + arrows + (5 + 12 * moved) * edges + _SCALARS)
 
 
-_INDEX_BYTES = 24  # of a row: step, time and number
-
-
 def impact_rows(
     impacts: Records,
     numbers: IntArray,
@@ -323,26 +298,15 @@ def impact_rows(
     header: Header,
     origin: FloatArray,
 ) -> Rows:
-    """Return one row for each impact.
+    """Return one row for each of the impacts, (k,) `CONTACT_ROW`, whose numbers in the run, (k,), begin with 1.
 
-    Parameters
-    ----------
-    impacts
-        (k,) `CONTACT_ROW`, at least one.
-    numbers
-        (k,) their numbers among all impacts of the run, from 1.
-    references
-        The impulse (N s) and the energy (J) in the middle of their scales.
-    header
-        Of the recording.
-    origin
-        (3,) m, of what is drawn.
+    ``references`` are the impulse (N s) and the energy (J) in the middle of their scales, ``origin`` (3,) m is that of
+    the drawing.
     """
-    point = np.stack([impacts["x"], impacts["y"], impacts["z"]], axis=1) - origin
+    positions = single(np.stack([impacts["x"], impacts["y"], impacts["z"]], axis=1) - origin)
     friction = np.stack([impacts["friction_x"], impacts["friction_y"], impacts["friction_z"]])
     lost = impacts["restitution_loss"] + impacts["friction_loss"]
     sizes = drawing.point_radii(header.radius)
-    positions = single(point)
     radii = sizes[drawing.level(impacts["normal_impulse"], references.get(IMPACTS, 1.0))]
     colours = drawing.COLOURS[drawing.level(lost, references.get(IMPACT_ENERGY, np.inf))]
     bodies = np.stack([impacts["i"], impacts["j"]], axis=1).astype(np.uint32)
@@ -355,17 +319,14 @@ def impact_rows(
     }
     if (factor := header.plot_factor(IMPULSES.unit)) != 1.0:
         scalars[IN_PLOT] = impacts["normal_impulse"] / factor
-    rounded = {name: single(values) for name, values in scalars.items()}
-    mode = np.ascontiguousarray(impacts["mode"])
     columns = [
         vector_column(rr.Points3D.descriptor_positions(), positions),
         plain_column(rr.Points3D.descriptor_radii(), radii),
         plain_column(rr.Points3D.descriptor_colors(), colours),
         any_column("bodies", bodies.ravel(), 2),
         any_column("normal", normal.ravel(), 3),
-        *(any_column(name, values) for name, values in rounded.items()),
-        any_column("mode", mode),
+        *(any_column(name, single(values)) for name, values in scalars.items()),
+        any_column("mode", np.ascontiguousarray(impacts["mode"])),
     ]
-    size = array_bytes(positions, radii, colours, bodies, normal, mode, *rounded.values()) + _INDEX_BYTES * len(impacts)
     steps, times = np.ascontiguousarray(impacts["step"]), np.ascontiguousarray(impacts["time"])
-    return Rows(IMPACTS, Index(steps, times, numbers), columns, size)
+    return Rows(IMPACTS, Index(steps, times, numbers), columns)

@@ -8,7 +8,6 @@ import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from types import TracebackType
 from typing import Generic, Self, TypeVar
 
 import numpy as np
@@ -109,18 +108,13 @@ class CheckpointPlan:
     The first frame always carries one. The frame before a warning also carries one, until these have used another
     tenth. The choice depends on the frames but not on the batches, so that the same run always has the same
     checkpoints.
-
-    Parameters
-    ----------
-    every_frame
-        Whether every frame carries one, as for runs that cannot be repeated.
     """
 
     _SHARE = 0.1
     _WARNINGS_AT_LEAST = 4
 
     def __init__(self, every_frame: bool = False) -> None:
-        self._every_frame = every_frame
+        self._every_frame = every_frame  # as for runs that cannot be repeated
         self._others = 0  # bytes of all frames so far, without checkpoints
         self._regular = 0  # bytes of checkpoints
         self._warned = 0
@@ -139,24 +133,17 @@ class CheckpointPlan:
             self._others += drawn + 28 * len(frame.contacts) + 20 * 24
             room, cost = self._SHARE * self._others, size(frame)
             before, self._before = self._before, frame
-            if before and before.step != self._last_kept and self._may_warn(frame, before, room):
-                kept.append(before)
-                self._last_kept = before.step
+            warns = any(event.level == "WARN" for event in frame.events)
+            if warns and before and before.step != self._last_kept:
+                warned = self._warned + size(before)
+                if self._warnings < self._WARNINGS_AT_LEAST or warned <= room:
+                    self._warnings, self._warned, self._last_kept = self._warnings + 1, warned, before.step
+                    kept.append(before)
             if self._last_kept < 0 or self._regular + cost <= room:
                 self._regular += cost
                 kept.append(frame)
                 self._last_kept = frame.step
         return kept
-
-    def _may_warn(self, frame: Frame, before: Frame, room: float) -> bool:
-        if not any(event.level == "WARN" for event in frame.events):
-            return False
-        cost = size(before)
-        if self._warnings >= self._WARNINGS_AT_LEAST and self._warned + cost > room:
-            return False
-        self._warnings += 1
-        self._warned += cost
-        return True
 
 
 _BATCH_FRAMES, _QUEUE_FRAMES = 2048, 512
@@ -271,9 +258,7 @@ class FrameRecorder:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
-    ) -> None:
+    def __exit__(self, kind: object, error: BaseException | None, traceback: object) -> None:
         """Close an unfinished recording with the outcome "interrupted"."""
         if not self._closed and self._error is None:
             reason = "interrupted" if error is None else f"interrupted: {type(error).__name__}: {error}"
@@ -293,12 +278,8 @@ class FrameRecorder:
         except RecordingError as error:
             self._fail(error)
         except MemoryError:
-            self._fail(
-                RecorderError(
-                    f"cannot write more of {self.path}: no memory is left; lower the number of bodies, or raise the "
-                    "limit of the address space (`ulimit -v`)"
-                )
-            )
+            remedy = "lower the number of bodies, or raise the limit of the address space (`ulimit -v`)"
+            self._fail(RecorderError(f"cannot write more of {self.path}: no memory is left; {remedy}"))
         except Exception as error:  # the physics thread must learn of any failure
             self._fail(RecorderError(f"recording {self.path} failed: {type(error).__name__}: {error}"))
         finally:
@@ -431,13 +412,7 @@ class FrameRecorder:
 
 
 def _new_file(path: Path) -> Path:
-    """Return the file to write for a path: a new one beside an existing recording, in place of that of a killed run.
-
-    Raises
-    ------
-    RecordingError
-        If the latter cannot be removed.
-    """
+    """Return the file to write for a path: a new one beside an existing recording, in place of that of a killed run."""
     try:
         path = path.resolve()
         if not path.exists():

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from rerun import ComponentColumn
 
 from carom.arrays import FloatArray, Int32Array, IntArray, SingleArray
+from carom.recording.read.entities import plain
 
 if TYPE_CHECKING:
     from carom.physics.frame import Frame
@@ -93,8 +94,7 @@ def _offsets(each: Each, count: int) -> Int32Array:
     return found
 
 
-_INDEX_BYTES = 16  # a row's step and simulated time
-NO_STEPS, _NO_TIMES = np.empty(0, dtype=np.int64), np.empty(0)
+NO_STEPS, NO_TIMES = np.empty(0, dtype=np.int64), np.empty(0)
 
 
 class Index(NamedTuple):
@@ -104,7 +104,7 @@ class Index(NamedTuple):
     times: FloatArray  # s
     impacts: IntArray = NO_STEPS  # numbers of impacts, where the rows are on their timeline
     # s, for rows within a step: times of the next frames, before whose nanosecond the rows must lie
-    ends: FloatArray = _NO_TIMES
+    ends: FloatArray = NO_TIMES
 
     @classmethod
     def of(cls, frames: Sequence[Frame]) -> Index:
@@ -116,11 +116,6 @@ class Index(NamedTuple):
         """Return an index of one row at a time (s) within a step, which is not on the timeline of steps."""
         return cls(NO_STEPS, np.array([time]))
 
-    @classmethod
-    def of_impacts(cls, numbers: IntArray) -> Index:
-        """Return an index of rows that are on the timeline of impacts only."""
-        return cls(NO_STEPS, _NO_TIMES, numbers)
-
 
 @dataclass(frozen=True, slots=True)
 class Rows:
@@ -129,17 +124,18 @@ class Rows:
     path: str
     index: Index
     columns: Iterable[ComponentColumn]
-    bytes: int  # of the arrays in it, indices included
 
     @property
     def steps(self) -> IntArray:
-        """The steps of the rows; empty if the rows are only on the timeline of impacts."""
+        """The steps of the rows; empty if they have none."""
         return self.index.steps
 
-
-def frame_rows(path: str, index: Index, columns: Iterable[ComponentColumn], size: int) -> Rows:
-    """Return one row for each frame."""
-    return Rows(path, index, columns, size + _INDEX_BYTES * len(index.steps))
+    @property
+    def bytes(self) -> int:
+        """Bytes of all values, and of the positions of the rows on the timelines."""
+        steps, times, impacts, _ = self.index
+        values: list[int] = [plain(column.as_arrow_array()).nbytes for column in self.columns]
+        return steps.nbytes + times.nbytes + impacts.nbytes + sum(values)
 
 
 def kind_of(rows: Rows) -> tuple[str, bool, bool, bool, tuple[str, ...]]:
@@ -159,9 +155,4 @@ def joined(batches: Sequence[Rows]) -> Rows:
         for same in zip(*(rows.columns for rows in batches), strict=True)
     ]
     index = Index(*(np.concatenate(arrays) for arrays in zip(*(rows.index for rows in batches), strict=True)))
-    return Rows(first.path, index, columns, sum(rows.bytes for rows in batches))
-
-
-def array_bytes(*arrays: NDArray[np.generic] | None) -> int:
-    """Return the total bytes of arrays; None counts as 0."""
-    return sum(array.nbytes for array in arrays if array is not None)
+    return Rows(first.path, index, columns)

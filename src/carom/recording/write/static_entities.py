@@ -37,32 +37,21 @@ _MESH_RINGS = 8  # from pole to pole; enough for one sphere among thousands to l
 
 def statics(header: Header, clock: TimeScale, origin: FloatArray, reach: float) -> Iterable[Static]:
     """Yield the static data, entity by entity; initially all bodies are within ``reach`` (m) of the origin."""
-    yield (
-        paths.SCENE,
-        rr.TextDocument(scene_document(header, clock, origin), media_type=rr.MediaType.MARKDOWN),
-    )
+    yield paths.SCENE, rr.TextDocument(_scene_document(header, clock, origin), media_type=rr.MediaType.MARKDOWN)
     yield paths.SCENE_TOML, rr.TextDocument(header.scene_toml, media_type=rr.MediaType.TEXT)
     yield paths.WORLD, rr.ViewCoordinates.RIGHT_HAND_Z_UP
     yield from _bodies(header)
     yield from _surroundings(header, origin, reach)
-    fixed: dict[str, Any] = {} if header.fixed is None else {"fixed": header.fixed}
-    yield (
-        paths.STATIC_STATE,
-        rr.AnyValues(
-            **encode_names(header.names),
-            group=header.group,
-            mass=header.mass,
-            radius=header.radius,
-            inertia=header.inertia,
-            **fixed,
-        ),
-    )
+    state = {name: getattr(header, name) for name in ("group", "mass", "radius", "inertia")}
+    state |= {} if header.fixed is None else {"fixed": header.fixed}
+    yield paths.STATIC_STATE, rr.AnyValues(**encode_names(header.names), **state)
     if header.data:
         yield paths.GIVEN_STATE, rr.AnyValues(**encode_bodies(header.data))
     yield from arrow_styles(header)
     if header.collides:
         yield paths.CONTACTS, rr.LineStrips3D.from_fields(radii=rr.Radius.ui_points(_EDGE_POINTS))
-    yield from _series(header)
+    for series in recorded(header):
+        yield series.path, curve_style(series.legend, series.colour, series.width)
     yield paths.PHASE, _states(palette.PHASES)
     yield paths.DT_LIMIT, _states(palette.DT_LIMITS)
 
@@ -146,17 +135,15 @@ def _bodies(header: Header) -> Iterable[Static]:
             half_sizes = np.repeat(radius, 3).reshape(-1, 3)
             see_through = header.has_orientation or header.collides
             fill = FillMode.TransparentFillMajorWireframe if see_through else FillMode.Solid
-            yield (
-                paths.BODIES,
-                rr.Ellipsoids3D.from_fields(
-                    half_sizes=half_sizes,
-                    colors=colours,
-                    fill_mode=fill,
-                    line_radii=rr.Radius.ui_points(0.75),
-                    labels=list(header.names),
-                    show_labels=False,
-                ),
+            spheres = rr.Ellipsoids3D.from_fields(
+                half_sizes=half_sizes,
+                colors=colours,
+                fill_mode=fill,
+                line_radii=rr.Radius.ui_points(0.75),
+                labels=list(header.names),
+                show_labels=False,
             )
+            yield paths.BODIES, spheres
         case "points":
             yield paths.BODIES, rr.Points3D.from_fields(radii=radius, colors=colours)
         case _:
@@ -165,32 +152,26 @@ def _bodies(header: Header) -> Iterable[Static]:
 
 def _surroundings(header: Header, origin: FloatArray, reach: float) -> Iterable[Static]:
     """Draw the walls or the periodic box, and each plane as a square grid."""
+    wire: dict[str, Any] = {
+        "colors": palette.GREY,
+        "radii": rr.Radius.ui_points(1.0),
+        "fill_mode": FillMode.MajorWireframe,
+    }
     for path, size in ((paths.WALLS, header.walls), (paths.PERIODIC_BOX, header.drawn_box)):
         if size is not None:
-            yield (
-                path,
-                rr.Boxes3D(
-                    centers=[-origin],
-                    sizes=[size],
-                    colors=palette.GREY,
-                    radii=rr.Radius.ui_points(1.0),
-                    fill_mode=FillMode.MajorWireframe,
-                ),
-            )
+            yield path, rr.Boxes3D(centers=[-origin], sizes=[size], **wire)
     yield from plane_grids(header, origin, np.zeros(3), reach)
     if header.shapes:
         meshes = [shape_called(wall.shape).mesh(wall.section, origin, _PLANE_REACH * reach) for wall in header.shapes]
         for k, mesh in enumerate(meshes) if header.draws_motion else ():
             yield _wall(f"{paths.MOVING}/wall-{k}", header, mesh, origin)
         first = np.cumsum([0, *(len(mesh.corners) for mesh in meshes[:-1])])
-        yield (
-            paths.SHAPES,
-            rr.Mesh3D(
-                vertex_positions=np.concatenate([mesh.corners for mesh in meshes]) - origin,
-                triangle_indices=np.concatenate([mesh.triangles + k for mesh, k in zip(meshes, first, strict=True)]),
-                albedo_factor=_TRANSLUCENT,
-            ),
+        together = rr.Mesh3D(
+            vertex_positions=np.concatenate([mesh.corners for mesh in meshes]) - origin,
+            triangle_indices=np.concatenate([mesh.triangles + k for mesh, k in zip(meshes, first, strict=True)]),
+            albedo_factor=_TRANSLUCENT,
         )
+        yield paths.SHAPES, together
 
 
 def _wall(path: str, header: Header, mesh: Mesh, origin: FloatArray) -> Static:
@@ -214,13 +195,10 @@ def plane_grids(header: Header, origin: FloatArray, centre: FloatArray, reach: f
     if header.planes is not None and len(header.planes):
         planes = zip(header.planes.normal, header.planes.offset, strict=True)
         grids = [_grid(normal, offset - normal @ origin, centre, reach) for normal, offset in planes]
+        radii = rr.Radius.ui_points(0.6)
         for k, grid in enumerate(grids) if header.draws_motion else ():
-            radii = rr.Radius.ui_points(0.6)
             yield f"{paths.MOVING}/plane-{k}", rr.LineStrips3D(grid, colors=palette.GREY, radii=radii)
-        yield (
-            paths.PLANES,
-            rr.LineStrips3D(np.concatenate(grids), colors=palette.GREY, radii=rr.Radius.ui_points(0.6)),
-        )
+        yield paths.PLANES, rr.LineStrips3D(np.concatenate(grids), colors=palette.GREY, radii=radii)
 
 
 def _grid(normal: FloatArray, offset: float, centre: FloatArray, reach: float) -> SingleArray:
@@ -267,20 +245,15 @@ def arrow_styles(header: Header, theme: str = "dark") -> Iterable[Static]:
         yield path, rr.Arrows3D.from_fields(radii=width, colors=colour)
 
 
-def _series(header: Header) -> Iterable[Static]:
-    for series in recorded(header):
-        yield series.path, curve_style(series.legend, series.colour, series.width)
-
-
 def _states(colours: dict[str, int]) -> rr.StateConfiguration:
     return rr.StateConfiguration(values=list(colours), colors=np.array(list(colours.values()), dtype=np.uint32))
 
 
-def scene_document(header: Header, clock: TimeScale, origin: np.ndarray[tuple[int], np.dtype[np.float64]]) -> str:
+def _scene_document(header: Header, clock: TimeScale, origin: FloatArray) -> str:
     """Return the text at /scene, in Markdown: the run, the scales and the colours."""
     parts = [f"# {header.title}", header.description.strip(), _run(header), _data(header)]
-    parts.append(_scales(header, clock, origin))
-    return "\n\n".join(part for part in [*parts, _legend(header), _contacts(header)] if part) + "\n"
+    parts += [_scales(header, clock, origin), _legend(header), _contacts(header)]
+    return "\n\n".join(part for part in parts if part) + "\n"
 
 
 def _run(header: Header) -> str:
@@ -305,13 +278,19 @@ def _data(header: Header) -> str:
     return "\n".join(["## Data", *(f"- `{note}`" for note in notes)]) if notes else ""
 
 
-def _scales(header: Header, clock: TimeScale, origin: np.ndarray[tuple[int], np.dtype[np.float64]]) -> str:
+def _scales(header: Header, clock: TimeScale, origin: FloatArray) -> str:
     units = header.units
     x, y, z = (units.shown(each, LENGTH) for each in origin.tolist())
     torque, turning = (_drawn(header, unit) for unit in ("N m", "rad/s²"))
-    lines = ["## Scales", *_units(header)]
+    lines = ["## Scales"]
+    if units.own:
+        lines.append("- The numbers have no units." if units.dimensionless else f"- Numbers are in {units.named}.")
+    elif not units.is_si:
+        own = f"- Plots, legends and texts are in the units of the scene, {units.named}; the recorded data are in SI."
+        lines.append(own)
     at = f"({x:g}, {y:g}, {z:g}) {units.unit(LENGTH)}".rstrip()
-    lines.append(f"{_lengths(header)} from the centre of mass of the first frame at {at}.")
+    lengths = "Positions are" if units.own else "Lengths are metres,"
+    lines.append(f"- {lengths} from the centre of mass of the first frame at {at}.")
     if clock.scale != 1.0 or header.units.own:
         scaled = "**Time is scaled**: one" if clock.scale != 1.0 else "One"
         stands_for = f"{units.text(clock.scale, TIME, 'g')} of the simulation"
@@ -350,20 +329,6 @@ def _drawn(header: Header, si: str) -> str:
     """Return the unit of recorded numbers, after a space, given its name in SI; empty for pure numbers."""
     unit = header.units.recorded_unit(si)
     return "" if unit == "1" else f" {unit}"
-
-
-def _units(header: Header) -> list[str]:
-    """Name the units of the scene, unless they are SI."""
-    units = header.units
-    if units.is_si:
-        return []
-    if units.own:
-        return ["- The numbers have no units." if units.dimensionless else f"- Numbers are in {units.named}."]
-    return [f"- Plots, legends and texts are in the units of the scene, {units.named}; the recorded data are in SI."]
-
-
-def _lengths(header: Header) -> str:
-    return "- Positions are" if header.units.own else "- Lengths are metres,"
 
 
 def _legend(header: Header) -> str:

@@ -36,10 +36,18 @@ class LiveView:
     """Sends the recorded data also to a running viewer."""
 
     def __init__(self, address: str, application_id: str, run_id: str) -> None:
-        host, port = _host_and_port(address)
-        _probe(host, port)  # without a listener, a sink would block for seconds, now and at exit
+        host, separator, port = address.rpartition(":")
+        if not separator or not port.isdigit():
+            raise RecordingError(f"a live viewer's address is HOST:PORT, for example 127.0.0.1:9876, not {address!r}")
+        host = host or "127.0.0.1"
+        try:  # without a listener, a sink would block for seconds, now and at exit
+            socket.create_connection((host, int(port)), timeout=_PROBE).close()
+        except OSError as error:
+            raise RecordingError(
+                f"no viewer listens at {host}:{port} ({error.strerror or error}); start one with: rerun --bind {host}"
+            ) from error
         self._stream: rr.RecordingStream | None = rr.RecordingStream(application_id, recording_id=run_id)
-        self._stream.set_sinks(rr.GrpcSink(f"rerun+http://{host}:{port}/proxy"))
+        self._stream.set_sinks(rr.GrpcSink(f"rerun+http://{host}:{int(port)}/proxy"))
 
     def streams(self) -> tuple[rr.RecordingStream, ...]:
         """Return the stream to send to, or none once the viewer has closed."""
@@ -69,22 +77,6 @@ class LiveView:
             self._stream = None
 
 
-def _host_and_port(address: str) -> tuple[str, int]:
-    host, separator, port = address.rpartition(":")
-    if not separator or not port.isdigit():
-        raise RecordingError(f"a live viewer's address is HOST:PORT, for example 127.0.0.1:9876, not {address!r}")
-    return host or "127.0.0.1", int(port)
-
-
-def _probe(host: str, port: int) -> None:
-    try:
-        socket.create_connection((host, port), timeout=_PROBE).close()
-    except OSError as error:
-        raise RecordingError(
-            f"no viewer listens at {host}:{port} ({error.strerror or error}); start one with: rerun --bind {host}"
-        ) from error
-
-
 BATCH_BYTES = 4_000_000  # a batch costs some milliseconds, whatever its size
 
 # Rerun's encoder keeps 5.7 kB of memory and 1.2 kB of the footer for each message, and a batch has some 60. A long run
@@ -108,12 +100,7 @@ def frames_in_batch(bodies: int) -> int:
 class Stream:
     """Sends recorded data to the file. It counts the bytes of all arrays, and raises when the disk is full.
 
-    Parameters
-    ----------
-    path
-        The recording's name, for messages.
-    file
-        The new file that is written; by default ``path``.
+    The data go to a new ``file``, by default ``path``, which messages name.
     """
 
     def __init__(
@@ -153,7 +140,7 @@ class Stream:
         self._waiting.setdefault((kind_of(rows), clock), []).append(rows)
         self._waiting_bytes += rows.bytes
         if self._live is not None:
-            self._send(rows, clock, tuple(self._live.streams()))
+            self._send(rows, clock, self._live.streams())
 
     def _send(self, rows: Rows, clock: TimeScale, streams: Iterable[rr.RecordingStream]) -> None:
         if (index := rows.index) is not self._indexed:  # most entities of a batch share it
@@ -186,9 +173,8 @@ class Stream:
         for chunk in continued.chunks():
             for stream in self._streams():
                 stream.send_chunks(rerun_chunks(chunk.batch))
-            size = chunk.batch.nbytes
-            self.payload_bytes += size
-            sent += size
+            self.payload_bytes += chunk.batch.nbytes
+            sent += chunk.batch.nbytes
             del chunk
             if sent > _CONTINUED_BYTES:
                 sent = 0

@@ -17,7 +17,7 @@ from carom.physics.frame import Frame
 from carom.recording.layout.drawing import single
 from carom.recording.schema.header import Header
 from carom.recording.schema.paths import MOVING
-from carom.recording.write.rows import Index, Rows, array_bytes, vector_column
+from carom.recording.write.rows import Index, Rows, vector_column
 from carom.scene.portable_math import cosine_and_sine
 from carom.scene.schema.motion import WallMotion
 from carom.scene.wall_shapes import shape_called
@@ -62,13 +62,13 @@ def piston_rows(header: Header, index: Index, frames: Sequence[Frame]) -> Iterab
     displacement = np.array([0.0 if state is None else state[0] for state in states])
     places = single(displacement[:, None] * header.planes.normal[header.piston])
     column = vector_column(rr.Transform3D.descriptor_translation(), places)
-    yield Rows(f"{MOVING}/plane-{header.piston}", index, [column], array_bytes(places))
+    yield Rows(f"{MOVING}/plane-{header.piston}", index, [column])
 
 
 def wall_rows(walls: Mapping[str, MovingWall], index: Index, origin: FloatArray) -> Iterable[Rows]:
     """Yield the transform of each wall at the times of an index; ``origin`` is (3,) m, that of the drawing."""
     for path, wall in walls.items():
-        columns, turned = [], None
+        columns = []
         shift = wall.motion.displacement(index.times, wall.normal)
         if wall.axis is not None:
             turns = wall.turns(index.times)
@@ -76,8 +76,5 @@ def wall_rows(walls: Mapping[str, MovingWall], index: Index, origin: FloatArray)
             vector, scalar = turns[:, :3], turns[:, 3:]
             twice = 2.0 * np.cross(vector, np.broadcast_to(point, vector.shape))
             shift = shift - scalar * twice - np.cross(vector, twice)  # c - R c, about a point c
-            turned = single(turns)
-            columns.append(vector_column(rr.Transform3D.descriptor_quaternion(), turned))
-        places = single(shift)
-        columns.insert(0, vector_column(rr.Transform3D.descriptor_translation(), places))
-        yield Rows(path, index, columns, array_bytes(places, turned))
+            columns.append(vector_column(rr.Transform3D.descriptor_quaternion(), single(turns)))
+        yield Rows(path, index, [vector_column(rr.Transform3D.descriptor_translation(), single(shift)), *columns])

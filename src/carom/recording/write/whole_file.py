@@ -13,7 +13,6 @@ import secrets
 import shutil
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from types import TracebackType
 from typing import Self
 
 import rerun as rr
@@ -33,25 +32,13 @@ RECORDINGS = Path("recordings")
 
 
 def default_output(name: str) -> Path:
-    """Return the path of the recording of a scene, and make its folder.
-
-    Raises
-    ------
-    RecordingError
-        If it cannot be made.
-    """
+    """Return the path of the recording of a scene, and make its folder. Raises RecordingError if it cannot be made."""
     output_folder(RECORDINGS)
     return RECORDINGS / f"{name}.rrd"
 
 
 def refuse_name(path: Path) -> None:
-    """Refuse a name that the viewer would not recognise as a recording.
-
-    Raises
-    ------
-    RecordingError
-        With the path and a valid one.
-    """
+    """Raise RecordingError for a name that the viewer would not recognise as a recording."""
     if path.suffix == ".rrd":
         return
     with contextlib.suppress(OSError):  # folders and devices are refused where they are opened
@@ -61,32 +48,16 @@ def refuse_name(path: Path) -> None:
 
 
 def refuse_itself(path: Path, source: Path, what: str = "recording") -> None:
-    """Refuse to replace the source of an output, even where files may be replaced.
+    """Raise RecordingError if an output is its own source, even where files may be replaced.
 
-    Parameters
-    ----------
-    path, source
-        The output and its source.
-    what
-        The kind of source, in a word.
-
-    Raises
-    ------
-    RecordingError
-        If both are the same file.
+    ``what`` names the kind of source in the message.
     """
     if path.exists() and source.exists() and path.samefile(source):
         raise RecordingError(f"{path} is the {what} itself; choose another file with -o")
 
 
 def refuse_scene_output(path: Path, source: str, force: bool) -> None:
-    """Refuse an unsuitable path for a scene that is made from another.
-
-    Raises
-    ------
-    RecordingError
-        With the path and a valid one.
-    """
+    """Raise RecordingError, with the remedy, for an unsuitable path of a scene that is made from another."""
     if path.suffix != ".toml" and not path.is_dir():
         raise RecordingError(f"cannot write {_short(path)}: a scene is a .toml file")
     refuse_itself(path, Path(source), "scene or recording")
@@ -94,13 +65,7 @@ def refuse_scene_output(path: Path, source: str, force: bool) -> None:
 
 
 def refuse_output(path: Path, force: bool) -> None:
-    """Refuse an unsuitable path before anything is computed for it.
-
-    Raises
-    ------
-    RecordingError
-        With the path and a valid one.
-    """
+    """Raise RecordingError, with the remedy, for an unsuitable path, before anything is computed for it."""
     try:
         if is_link_of_another(path):
             raise RecordingError(f"{path}: a link of another user; name another file")
@@ -125,10 +90,7 @@ def is_link_of_another(path: Path) -> bool:
 def claimed_output(path: Path, force: bool) -> Iterator[Claim]:
     """Check a path with `refuse_output`, and claim it for this process while the context lasts.
 
-    Raises
-    ------
-    RecordingError
-        With the path and a valid one; also if another process writes it.
+    Raises RecordingError also if another process writes it.
     """
     refuse_output(path, force)
     with Claim(path) as claim:
@@ -137,13 +99,7 @@ def claimed_output(path: Path, force: bool) -> Iterator[Claim]:
 
 
 def output_folder(path: Path) -> None:
-    """Make a folder for recordings if it does not exist.
-
-    Raises
-    ------
-    RecordingError
-        If it cannot be made.
-    """
+    """Make a folder for recordings if it does not exist. Raises RecordingError if it cannot be made."""
     try:
         path.mkdir(parents=True, exist_ok=True)
     except FileExistsError:
@@ -168,12 +124,7 @@ class Claim:
 
     The lock is on a file beside the output, ``.NAME.lock``, because the output itself may be replaced while it is
     claimed. A killed process leaves that file, without its lock. File systems without locks, such as some network ones,
-    do not refuse the second writer.
-
-    Raises
-    ------
-    RecordingError
-        If another process writes the path, or it cannot be written.
+    do not refuse the second writer. Raises RecordingError if another process writes the path, or it cannot be written.
     """
 
     def __init__(self, path: Path) -> None:
@@ -193,9 +144,7 @@ class Claim:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         self.release()
 
     def release(self) -> None:
@@ -301,16 +250,15 @@ class Writer:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
-    ) -> None:
+    def __exit__(self, kind: object, error: BaseException | None, traceback: object) -> None:
         """Close the file. Raise RecordingError if some of the data are not in it."""
         try:
             self._stream.disconnect()
             self._sink.close()
             if error is None:
                 self._fail_if_full()
-                self._check()
+                if not Container.open(self._part).finished:
+                    raise RecordingError(f"{self.path} was written, but not completed")
                 self._part.replace(self.path)
         finally:
             self._part.unlink(missing_ok=True)
@@ -342,10 +290,6 @@ class Writer:
         self._stream.flush(timeout_sec=FLUSH)
         self._sink.drain()
         self._fail_if_full()
-
-    def _check(self) -> None:
-        if not Container.open(self._part).finished:
-            raise RecordingError(f"{self.path} was written, but not completed")
 
     def _fail_if_full(self) -> None:
         if self._sink.error is not None:
