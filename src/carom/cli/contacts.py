@@ -13,8 +13,9 @@ from carom.cli.options import (
     OptionalTime,
     RecordingArgument,
     StepTimeOption,
-    seconds,
+    output_option,
     simulated_or_none,
+    time_option,
 )
 from carom.cli.printing import say, say_json
 from carom.scene.units.dimension import ANGULAR_IMPULSE, ENERGY, FORCE, IMPULSE, TIME, VELOCITY, Dimension
@@ -40,51 +41,25 @@ _MEASURED = (
 _FORCES = (("normal_force", "normal", FORCE), ("tangential_force", "friction", FORCE))
 
 
+_BODY = "Only contacts of this body. Two --body options: only contacts between these two."
+_IMPACTS = "List the impacts of the run, or of an interval, instead of the contacts of a step."
+_STATISTICS = "Measure statistics of the run, or of an interval: free paths, rates, stress and more."
+_REPLAY = "Recompute the steps, for all rows and columns in double precision."
+_OUTPUT = "File to write: .parquet or .csv; statistics also as a figure: .png or .svg."
+
+
 def contacts(
     file: RecordingArgument,
     at: StepTimeOption = None,
-    bodies: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--body",
-            metavar="N|NAME",
-            help="Only contacts of this body. Two --body options: only contacts between these two.",
-        ),
-    ] = None,
-    impacts: Annotated[
-        bool,
-        typer.Option(
-            "--impacts", help="List the impacts of the run, or of an interval, instead of the contacts of a step."
-        ),
-    ] = False,
-    statistics: Annotated[
-        bool,
-        typer.Option(
-            "--statistics", help="Measure statistics of the run, or of an interval: free paths, rates, stress and more."
-        ),
-    ] = False,
-    start: Annotated[
-        OptionalTime,
-        typer.Option("--from", parser=seconds, metavar="T", help="First time of --impacts or --statistics."),
-    ] = None,
-    end: Annotated[
-        OptionalTime,
-        typer.Option("--to", parser=seconds, metavar="T", help="Last time of --impacts or --statistics."),
-    ] = None,
-    again: Annotated[
-        bool, typer.Option("--replay", help="Recompute the steps, for all rows and columns in double precision.")
-    ] = False,
+    bodies: Annotated[list[str] | None, typer.Option("--body", metavar="N|NAME", help=_BODY)] = None,
+    impacts: Annotated[bool, typer.Option("--impacts", help=_IMPACTS)] = False,
+    statistics: Annotated[bool, typer.Option("--statistics", help=_STATISTICS)] = False,
+    start: Annotated[OptionalTime, time_option("--from", "First time of --impacts or --statistics.")] = None,
+    end: Annotated[OptionalTime, time_option("--to", "Last time of --impacts or --statistics.")] = None,
+    again: Annotated[bool, typer.Option("--replay", help=_REPLAY)] = False,
     as_json: JsonOption = False,
     as_csv: Annotated[bool, typer.Option("--csv", help="Print as CSV.")] = False,
-    output: Annotated[
-        Path | None,
-        typer.Option(
-            "-o",
-            "--output",
-            metavar="FILE",
-            help="File to write: .parquet or .csv; statistics also as a figure: .png or .svg.",
-        ),
-    ] = None,
+    output: Annotated[Path | None, output_option("FILE", _OUTPUT)] = None,
     force: ForceOption = False,
 ) -> None:
     """List who touches whom at a moment, or all impacts, with impulses, modes and energies, or measure statistics.
@@ -97,7 +72,24 @@ def contacts(
     from carom.recording.read.recording import Recording
     from carom.recording.write.whole_file import refuse_output
 
-    _refuse_contradictions(at, impacts, statistics, start, end, bodies, as_json + as_csv + (output is not None))
+    bodies = bodies or []
+    if as_json + as_csv + (output is not None) > 1:
+        raise RecordingError("give only one of --json, --csv and -o")
+    if len(bodies) > 2:
+        raise RecordingError(
+            f"--body is given {len(bodies)} times; give it at most twice, once for each body of a contact"
+        )
+    if impacts and statistics:
+        raise RecordingError("give only one of --impacts and --statistics")
+    if statistics and bodies:
+        raise RecordingError("--statistics are those of all bodies; leave --body out")
+    if (impacts or statistics) and at is not None:
+        option = "--impacts" if impacts else "--statistics"
+        raise RecordingError(f"--at selects the contacts of one step; with {option}, use --from and --to")
+    if not (impacts or statistics) and (start is not None or end is not None):
+        raise RecordingError(
+            "--from and --to select an interval; add --impacts or --statistics, or select one step with --at"
+        )
     if output is not None:
         refuse_format(output, (*FORMATS, *FIGURES) if statistics else FORMATS)
         refuse_output(output, force)
@@ -113,7 +105,7 @@ def contacts(
         if statistics:
             _measure(recording, start, end, again, as_json, as_csv, output)
             return
-        table = _table(recording, at, bodies or [], impacts, start, end, again)
+        table = _table(recording, at, bodies, impacts, start, end, again)
         if output is not None:
             _write_table(_named(recording, table), output)
             say(f"{output} written: {counted(table.num_rows, 'row')}, {_source(table)}.")
@@ -123,36 +115,6 @@ def contacts(
             say_json(_json(recording, table))
         else:
             _print(recording, table, None if impacts else recording.moment(at))
-
-
-def _refuse_contradictions(
-    at: OptionalTime,
-    impacts: bool,
-    statistics: bool,
-    start: OptionalTime,
-    end: OptionalTime,
-    bodies: list[str] | None,
-    forms: int,
-) -> None:
-    from carom.errors import RecordingError
-
-    if forms > 1:
-        raise RecordingError("give only one of --json, --csv and -o")
-    if bodies is not None and len(bodies) > 2:
-        raise RecordingError(
-            f"--body is given {len(bodies)} times; give it at most twice, once for each body of a contact"
-        )
-    if impacts and statistics:
-        raise RecordingError("give only one of --impacts and --statistics")
-    if statistics and bodies is not None:
-        raise RecordingError("--statistics are those of all bodies; leave --body out")
-    if (impacts or statistics) and at is not None:
-        option = "--impacts" if impacts else "--statistics"
-        raise RecordingError(f"--at selects the contacts of one step; with {option}, use --from and --to")
-    if not (impacts or statistics) and (start is not None or end is not None):
-        raise RecordingError(
-            "--from and --to select an interval; add --impacts or --statistics, or select one step with --at"
-        )
 
 
 def _table(
@@ -165,15 +127,14 @@ def _table(
     again: bool,
 ) -> pa.Table:
     """Return the contacts of the recording that concern the bodies."""
+    from carom.cli.terminal import replaying
     from carom.errors import RecordingError
-    from carom.recording.read.lookup import shown_body
+    from carom.recording.read.lookup import names_of, shown_body
     from carom.recording.read.recorded_contacts import of_body
 
     numbers = [shown_body(recording, body) for body in bodies]
     if len(set(numbers)) < len(numbers):
         raise RecordingError(f"--body {bodies[0]} --body {bodies[1]}: a body has no contact with itself")
-    from carom.cli.terminal import replaying
-
     with replaying(recording) as watch:
         if impacts:
             table = recording.impacts(start, end, replay=again, watch=watch)
@@ -183,9 +144,9 @@ def _table(
     for number in numbers:
         table = of_body(table, number)
     if len(numbers) == 2 and table.num_rows == 0:
-        names = _names(recording)
+        pair = names_of(recording).pair(numbers)
         when = "in that time" if impacts else f"at t = {recording.units.text(recording.moment(at), TIME, '.9g')}"
-        raise RecordingError(f"{recording.path}: {names.of(numbers[0])} and {names.of(numbers[1])} do not touch {when}")
+        raise RecordingError(f"{recording.path}: {pair} do not touch {when}")
     return table
 
 
@@ -220,7 +181,7 @@ def _measure(
 
 
 def _hardest(recording: Recording, bodies: list[int]) -> OptionalTime:
-    """Return the time of these bodies' hardest recorded impact; None without one."""
+    """Return the time of the bodies' hardest recorded impact; None without one."""
     import numpy as np
 
     from carom.recording.read.recorded_contacts import of_body
@@ -233,12 +194,6 @@ def _hardest(recording: Recording, bodies: list[int]) -> OptionalTime:
     if table.num_rows == 0:
         return None
     return float(table["time"][int(np.argmax(table["normal_impulse"].to_numpy()))].as_py())
-
-
-def _names(recording: Recording) -> Any:
-    from carom.recording.read.lookup import names_of
-
-    return names_of(recording)
 
 
 def _write_table(table: pa.Table, path: Path) -> None:
@@ -272,9 +227,10 @@ def _named(recording: Recording, table: pa.Table) -> pa.Table:
     """Add the names of both bodies or planes, and to each field its unit."""
     import pyarrow as pa
 
+    from carom.recording.read.lookup import names_of
     from carom.recording.read.recorded_contacts import UNITS
 
-    names, fields = _names(recording), []
+    names, fields = names_of(recording), []
     for field in table.schema:
         unit = {"unit": UNITS[field.name]} if field.name in UNITS else None
         fields.append(field.with_metadata(unit))
@@ -293,28 +249,30 @@ def _with_units(table: pa.Table) -> pa.Table:
 
 
 def _json(recording: Recording, table: pa.Table) -> dict[str, Any]:
-    names = _names(recording)
+    from carom.recording.read.lookup import names_of
+
+    names, about = names_of(recording), table.schema.metadata
     rows = [{**row, "between": [names.of(row["i"]), names.of(row["j"])]} for row in table.to_pylist()]
-    told = {key.decode(): value.decode() for key, value in (table.schema.metadata or {}).items()}
-    left_out = {"left_out": int(told["left_out"])} if "left_out" in told else {}
-    return {"source": told["source"], "units": recording.units.recorded, **left_out, "contacts": rows}
+    left_out = {"left_out": int(about[b"left_out"])} if b"left_out" in about else {}
+    return {"source": about[b"source"].decode(), "units": recording.units.recorded, **left_out, "contacts": rows}
 
 
 def _source(table: pa.Table) -> str:
     """Describe the source of the rows, and missing rows."""
-    told = {key.decode(): value.decode() for key, value in (table.schema.metadata or {}).items()}
-    left_out = int(told.get("left_out", "0"))
+    about = table.schema.metadata
+    left_out = int(about.get(b"left_out", 0))
     more = f"; {left_out} smaller impacts were not recorded, list them with --replay" if left_out else ""
-    return f"{told['source']}{more}"
+    return f"{about[b'source'].decode()}{more}"
 
 
 def _print(recording: Recording, table: pa.Table, at: OptionalTime) -> None:
-    """Print contacts of the step that a time (s) is in, or without one impacts."""
+    """Print the contacts of the step that contains a time (s), or impacts if no time is given."""
     from rich.table import Table
 
     from carom.cli.terminal import print_whole
+    from carom.recording.read.lookup import names_of
 
-    names = _names(recording)
+    names = names_of(recording)
     count, units, moment = counted(table.num_rows, "impact" if at is None else "contact"), recording.units, ""
     if at is not None:  # impacts have their own times within the step
         moment = f" in step {table['step'][0]}" if table.num_rows else f" at t = {units.text(at, TIME, '.9g')}"
@@ -325,16 +283,19 @@ def _print(recording: Recording, table: pa.Table, at: OptionalTime) -> None:
     shown = Table(box=None, padding=(0, 1), header_style="bold")
     shown.add_column(units.labelled("t", TIME), justify="right", no_wrap=True)
     shown.add_column("step", justify="right", no_wrap=True)
-    shown.add_column("between", no_wrap=True)
-    shown.add_column("mode", no_wrap=True)
+    for heading in ("between", "mode"):
+        shown.add_column(heading, no_wrap=True)
     measured = [*_MEASURED, *(_FORCES if table["normal_force"].null_count < table.num_rows else ())]
     for _, label, dimension in measured:
         shown.add_column(units.labelled(label, dimension), justify="right", no_wrap=True)
-    spins = _rubs(table)
+    spins = False  # whether a contact exerts an angular impulse that is more than rounding of its impulse
+    if not table["angular_impulse_i"].null_count:
+        normal, tangential = (table[f"{name}_impulse"].to_numpy() for name in ("normal", "tangential"))
+        spins = bool((tangential > _ROUNDING * normal).any())
     if spins:
         shown.add_column(units.labelled("angular", ANGULAR_IMPULSE), justify="right", no_wrap=True)
     for row in map(_without_rounding, table.slice(0, MOST_ROWS).to_pylist()):
-        pair = f"{names.of(row['i'])} and {names.of(row['j'])}"
+        pair = names.pair((row["i"], row["j"]))
         values = [_number(row[name], dimension, units) for name, _, dimension in measured]
         if spins:
             both = (_number(row[f"angular_impulse_{end}"], ANGULAR_IMPULSE, units) for end in "ij")
@@ -355,14 +316,6 @@ def _without_rounding(row: dict[str, Any]) -> dict[str, Any]:
     if row["energy_lost"] is not None and abs(row["energy_lost"]) <= _ROUNDING * impulse * approach:
         zeros["energy_lost"] = 0.0
     return row | zeros
-
-
-def _rubs(table: pa.Table) -> bool:
-    """Return whether a contact exerts an angular impulse that is more than rounding of its impulse."""
-    if table["angular_impulse_i"].null_count:
-        return False
-    normal, tangential = (table[f"{name}_impulse"].to_numpy() for name in ("normal", "tangential"))
-    return bool((tangential > _ROUNDING * normal).any())
 
 
 def _in_next_step(recording: Recording, at: float) -> str:

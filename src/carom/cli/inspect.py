@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING, Any
 
 from carom.cli.options import JsonOption, RecordingArgument
 from carom.cli.printing import materials_table, mention_killed_run, say_json, warning_lines
+from carom.event import Event
 from carom.scene.units.dimension import TIME
 from carom.scene.wording import command, counted
 
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from carom.recording.read.recording import Recording
     from carom.scene.units.system import UnitSystem
 
 NOT_RECORDED = "not recorded, or lost"
@@ -25,10 +25,7 @@ AROUND = 20  # frames in a clip around a moment
 Row = tuple[str, str]  # name and text
 
 
-def inspect(
-    file: RecordingArgument,
-    as_json: JsonOption = False,
-) -> None:
+def inspect(file: RecordingArgument, as_json: JsonOption = False) -> None:
     """Summarise a recording: outcome, energy, contacts, the moments worth looking at, run time, versions.
 
     For a file that compares runs, such as one by `carom fork`, it prints their names and the verdict.
@@ -41,45 +38,40 @@ def inspect(
     mention_killed_run(file)
     with opened(file) as path:
         recording = Recording.open(path)
-        if recording.is_overlay:
-            _print_comparison(recording, file, as_json)
-            return
-        refuse_missing_extensions(recording)
-        summary, units = recording.summary(), recording.units
-        summary["description"] = description(recording.scene_toml)
+        units = recording.units
+        if recording.is_overlay:  # the runs in a comparison, and the verdict
+            summary = {"title": recording.title, **recording.overlaid}
+        else:
+            refuse_missing_extensions(recording)
+            summary = recording.summary() | {"description": description(recording.scene_toml)}
     if as_json:
         say_json(summary)
         return
     from carom.cli.terminal import Terminal
 
     console = Terminal(soft_wrap=True)
+    if recording.is_overlay:
+        table = _grid()
+        for name, text in (*summary.items(), ("next", command("view", file))):
+            table.add_row(name, str(text))
+        console.print(table)
+        return
     console.print(_overview(summary, units))
     console.print()
     if "materials" in summary:
         console.print(materials_table(summary["materials"]))
         console.print()
-    for line in _warnings(summary, units):
-        console.print(line)
+    if summary["warnings"]:
+        console.print(f"Warnings: {len(summary['warnings'])}")
+        warnings = [Event(**warning) for warning in summary["warnings"]]
+        for line in warning_lines(warnings, units, in_full=True):
+            console.print(line)
+        console.print()
     for line in _moments(summary, file, units):
         console.print(line)
     if summary["profile"]:
         console.print()
         console.print(_profile(summary["profile"]))
-
-
-def _print_comparison(recording: Recording, file: Path, as_json: bool) -> None:
-    """Print the runs in a comparison, and the verdict."""
-    from carom.cli.terminal import Terminal
-
-    compared = {"title": recording.title, **recording.overlaid}
-    if as_json:
-        say_json(compared)
-        return
-    table = _grid()
-    for name, text in compared.items():
-        table.add_row(name, str(text))
-    table.add_row("next", command("view", file))
-    Terminal(soft_wrap=True).print(table)
 
 
 def _grid() -> Table:
@@ -136,11 +128,11 @@ def _conservation(summary: dict[str, Any], units: UnitSystem) -> Iterator[Row]:
         return
     linear, angular = summary["momentum"]["max_error"], summary["angular_momentum"]["max_error"]
     yield from zip_longest(("energy",), energy_texts(summary, units), fillvalue="")
-    taken_up = "not checked, since planes, walls or fixed bodies may change it"
     if linear is not None and math.isnan(linear):
         yield "momentum", NOT_RECORDED
         return
-    yield "momentum", taken_up if linear is None else f"error at most {error_text(linear)}"
+    unchecked = "not checked, since planes, walls or fixed bodies may change it"
+    yield "momentum", unchecked if linear is None else f"error at most {error_text(linear)}"
     unknown = "not conserved in a periodic box" if linear is not None else "not checked, for the same reason"
     yield "angular momentum", unknown if angular is None else f"error at most {error_text(angular)}"
 
@@ -174,16 +166,6 @@ def _judgements(summary: dict[str, Any], units: UnitSystem) -> Iterator[Row]:
     for law, broken in summary.get("laws", {}).items():
         first = f"first at step {broken['step']}, t = {units.text(broken['time'], TIME)}"
         yield "law broken", f"{law.replace('-', ' ')}, {first}; in {counted(broken['frames'], 'frame')}"
-
-
-def _warnings(summary: dict[str, Any], units: UnitSystem) -> Iterator[str]:
-    """Show the warnings of the run, and an empty line after them."""
-    from carom.event import Event
-
-    if summary["warnings"]:
-        yield f"Warnings: {len(summary['warnings'])}"
-        yield from warning_lines([Event(**warning) for warning in summary["warnings"]], units, in_full=True)
-        yield ""
 
 
 def _moments(summary: dict[str, Any], file: Path, units: UnitSystem) -> Iterator[str]:

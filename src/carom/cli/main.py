@@ -1,7 +1,7 @@
 """The `carom` command: the table of commands, and the process with its streams, signals, messages and exit code.
 
 A command is a function. Its module is imported when the command runs or shows its help. Other packages are imported
-only when it runs, so that `carom --help` does not wait for a compiler and a viewer.
+only when it runs: `carom --help` then does not load a compiler and a viewer.
 """
 
 from __future__ import annotations
@@ -99,7 +99,7 @@ class _Commands(Mapping[str, Any]):
 
 
 class CommandGroup(TyperGroup):
-    """The command above the others; it also has the commands of installed packages."""
+    """`carom` itself, with its own commands and those of installed packages."""
 
     def __init__(self, **keywords: Any) -> None:
         super().__init__(**keywords)
@@ -126,24 +126,13 @@ class CommandGroup(TyperGroup):
         try:
             return _made(cmd_name, registry.load("commands", cmd_name), EXTENSIONS)
         except registry.ExtensionError as error:
-            return _made(cmd_name, _raising(error), EXTENSIONS)
+            refusal = error
 
+            def broken() -> None:
+                raise refusal
 
-def _made(name: str, function: Any, panel: str) -> Any:
-    """Return a command that calls a function."""
-    app = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode="rich")
-    app.command(name, cls=Command, rich_help_panel=panel)(function)
-    return typer.main.get_command(app)
-
-
-def _raising(error: registry.ExtensionError) -> Any:
-    """Return a replacement for a command that cannot be loaded: its help shows the error, and a call raises it."""
-
-    def broken() -> None:
-        raise error
-
-    broken.__doc__ = str(error)
-    return broken
+            broken.__doc__ = str(error)  # its help
+            return _made(cmd_name, broken, EXTENSIONS)
 
 
 def _plain(parameters: list[Any]) -> list[Any]:
@@ -152,6 +141,13 @@ def _plain(parameters: list[Any]) -> list[Any]:
         if getattr(parameter, "is_bool_flag", False):
             parameter.metavar = ""
     return parameters
+
+
+def _made(name: str, function: Any, panel: str) -> Any:
+    """Return a command that calls a function."""
+    app = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode="rich")
+    app.command(name, cls=Command, rich_help_panel=panel)(function)
+    return typer.main.get_command(app)
 
 
 _INTERRUPTED = 130  # Typer's exit code for a KeyboardInterrupt that no command handled
@@ -192,7 +188,7 @@ def main() -> NoReturn:
 
 
 def _leave() -> NoReturn:
-    """Exit at once after a signal; the traceback stays alive, because closing Rerun's streams may never return."""
+    """Exit at once after a signal, without unwinding: closing Rerun's streams may never return."""
     typer.echo("carom: interrupted", err=True)
     sys.stdout.flush()
     remove_private_folder()
@@ -236,11 +232,7 @@ def _say_warnings_once() -> None:
 
 
 def run_command() -> None:
-    """Run the command, and report what it raises.
-
-    A mistake of the user ends with one message and exit code 2, a failure of the system with one message and exit
-    code 1. Neither prints a traceback.
-    """
+    """Run the command; report a user's mistake (exit code 2) or a failure of the system (1) without a traceback."""
     # imported now: at the limit of open files, imports fail
     from carom.cli.printing import say
     from carom.errors import ExistsError, ExperimentError, PhysicsError, RecordingError, SceneError
@@ -274,34 +266,21 @@ def run_command() -> None:
         sys.exit(2)
 
 
-class Lossy(io.RawIOBase):
-    """A file descriptor that never ends a command: after the first failure, everything written is dropped."""
+class Lossy(io.FileIO):
+    """A stream whose failures never end a command: after the first one, everything written is dropped."""
 
     def __init__(self, descriptor: int) -> None:
-        super().__init__()
+        super().__init__(descriptor, "w", closefd=False)
         self.error: OSError | None = None
-        self._descriptor = descriptor
 
     def write(self, data: ReadableBuffer, /) -> int:
         """Write or drop the data; return the number of bytes handled."""
         if self.error is None:
             try:
-                return os.write(self._descriptor, data)
+                return os.write(self.fileno(), data)
             except OSError as error:
                 self.error = error
         return memoryview(data).nbytes
-
-    def fileno(self) -> int:
-        """Return the descriptor."""
-        return self._descriptor
-
-    def isatty(self) -> bool:
-        """Return whether the descriptor is a terminal."""
-        return os.isatty(self._descriptor)
-
-    def writable(self) -> bool:
-        """Return True."""
-        return True
 
 
 def replace_streams() -> Lossy:
@@ -309,7 +288,7 @@ def replace_streams() -> Lossy:
 
     Characters that the encoding of a terminal lacks are printed as question marks.
     """
-    for descriptor in range(3):  # otherwise a recording could be opened as standard error, to which libraries print
+    for descriptor in range(3):  # a recording must not be opened as standard error, to which libraries print
         try:
             os.fstat(descriptor)
         except OSError:
@@ -321,7 +300,7 @@ def replace_streams() -> Lossy:
 
 
 def _text(raw: Lossy, before: TextIO | None) -> io.TextIOWrapper:
-    """Return a text stream with the encoding of the previous one, which is None if the descriptor was closed."""
+    """Return a text stream with the encoding of the stream before; None if its descriptor was closed."""
     encoding = before.encoding if before is not None else "utf-8"
     buffered = io.BufferedWriter(raw)
     return io.TextIOWrapper(buffered, encoding, errors="replace", line_buffering=raw.isatty() or raw.fileno() == 2)

@@ -24,7 +24,7 @@ class Seconds(float):
 
 
 def seconds(text: str) -> float:
-    """Read a time: a plain number, or one with a unit, which becomes `Seconds`. NaN is refused."""
+    """Parse a time: a plain number, or one with a unit, which becomes `Seconds`. NaN is refused."""
     from carom.scene.units.dimension import UnitError, nearest_float, quantity
 
     try:
@@ -41,19 +41,17 @@ def seconds(text: str) -> float:
 
 
 def simulated(given: float, units: UnitSystem) -> float:
-    """Return a time of the simulation, given as an option; a plain number is in the units of the scene."""
-    if isinstance(given, Seconds):
-        return units.of_si(float(given), TIME)
-    return units.converted(given, TIME)
+    """Convert a parsed time to simulated time; a plain number is in the units of the scene."""
+    return units.of_si(float(given), TIME) if isinstance(given, Seconds) else units.converted(given, TIME)
 
 
 def simulated_or_none(given: float | None, units: UnitSystem) -> float | None:
-    """Return a time of the simulation, or None if none was given."""
+    """Convert a parsed time to simulated time; None stays None."""
     return None if given is None else simulated(given, units)
 
 
 def work_time(text: str | float) -> float:
-    """Read a limit of computing time, such as 60s, 10min or 2h; a default is already in s."""
+    """Parse a limit of computing time (s), such as 60s, 10min or 2h."""
     matched = _WORK_TIME.fullmatch(str(text))
     with suppress(ValueError):
         if matched and float(matched[1]) > 0:
@@ -65,13 +63,12 @@ def bundled(incomplete: str) -> list[str]:
     """Complete the name of a bundled scene; if none matches, the shell completes files."""
     from carom.scene.scene_file import bundled_scenes, crosscheck_scenes, extreme_scenes
 
-    return [
-        name for name in (*bundled_scenes(), *extreme_scenes(), *crosscheck_scenes()) if name.startswith(incomplete)
-    ]
+    names = (*bundled_scenes(), *extreme_scenes(), *crosscheck_scenes())
+    return [name for name in names if name.startswith(incomplete)]
 
 
 def not_a_folder(path: Path) -> Path:
-    """Return the path of a recording; refuse a folder such as ``.``, after which no other file could be named."""
+    """Return the path of a recording; refuse a folder such as ``.``, from which no name of an output follows."""
     from carom.errors import RecordingError
 
     with suppress(OSError):  # such as a name that is too long, which is refused when it is opened
@@ -80,51 +77,43 @@ def not_a_folder(path: Path) -> Path:
     return path
 
 
-def recording_to_write(path: Path | None) -> Path | None:
-    """Return the path of a recording to write; refuse a name that the viewer would not recognise as a recording."""
-    from carom.recording.write.whole_file import refuse_name
+def time_option(name: str, help: str, metavar: str = "T") -> Any:
+    """Return an option for a simulated time."""
+    return typer.Option(name, parser=seconds, metavar=metavar, help=help, show_default=False)
 
-    if path is not None:
-        refuse_name(path)
-    return path
+
+def output_option(metavar: str, help: str) -> Any:
+    """Return the option ``-o`` of a command that writes a file or a folder."""
+    return typer.Option("-o", "--output", metavar=metavar, help=help)
 
 
 def recording_option(help: str) -> Any:
-    """Return the option ``-o`` of a command that writes a recording."""
-    return typer.Option("-o", "--output", metavar="FILE.rrd", help=help, callback=recording_to_write)
+    """Return the option ``-o`` of a command that writes a recording, with a name that the viewer recognises."""
+
+    def checked(path: Path | None) -> Path | None:
+        from carom.recording.write.whole_file import refuse_name
+
+        if path is not None:
+            refuse_name(path)
+        return path
+
+    return typer.Option("-o", "--output", metavar="FILE.rrd", help=help, callback=checked)
 
 
-SceneArgument = Annotated[
-    str,
-    typer.Argument(
-        metavar="SCENE", help="A scene file (.toml) or the name of a bundled scene.", autocompletion=bundled
-    ),
-]
+_SCENE = "A scene file (.toml) or the name of a bundled scene."
+SceneArgument = Annotated[str, typer.Argument(metavar="SCENE", help=_SCENE, autocompletion=bundled)]
 RecordingsArgument = Annotated[
     list[Path],
     typer.Argument(metavar="FILE...", help="Recordings (.rrd).", callback=lambda files: [*map(not_a_folder, files)]),
 ]
 RecordingArgument = Annotated[Path, typer.Argument(metavar="FILE", help="A recording (.rrd).", callback=not_a_folder)]
-ThreadsOption = Annotated[
-    int | None,
-    typer.Option(
-        "--threads", metavar="N", help="Number of threads; results do not depend on it. Default: one per core.", min=1
-    ),
-]
-SetOption = Annotated[
-    list[str] | None,
-    typer.Option("--set", metavar="KEY=VALUE", help="Override one key of the scene. Repeatable."),
-]
+_THREADS = "Number of threads; results do not depend on it. Default: one per core."
+ThreadsOption = Annotated[int | None, typer.Option("--threads", metavar="N", help=_THREADS, min=1)]
+_SET = "Override one key of the scene. Repeatable."
+SetOption = Annotated[list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help=_SET)]
 OutputOption = Annotated[Path | None, recording_option("File to write. Default: beside FILE, named after it.")]
 ForceOption = Annotated[bool, typer.Option("--force", help="Replace an existing file.")]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON.")]
-StepTimeOption = Annotated[
-    float | None,
-    typer.Option(
-        "--at",
-        parser=seconds,
-        metavar="T",
-        help="Simulated time within the step. Default: the hardest impact; without any, the most contacts or the end.",
-    ),
-]
+_STEP = "Simulated time within the step. Default: the hardest impact; without any, the most contacts or the end."
+StepTimeOption = Annotated[OptionalTime, time_option("--at", _STEP)]
 LiveOption = Annotated[bool, typer.Option("--live", help="Show the run in a viewer window while it is recorded.")]

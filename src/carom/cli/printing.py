@@ -27,12 +27,12 @@ COLOUR = "colour by material"  # used where `colour_by` is "material"; bodies us
 
 
 def say(text: str, *, err: bool = False) -> None:
-    """Print a line without control characters: text from files may contain some, and a terminal would execute them."""
+    """Print a line without control characters, which text from files may contain and a terminal would execute."""
     typer.echo(escaped(text), err=err)
 
 
 def mention_killed_run(file: Path) -> None:
-    """Report a run that was killed before it replaced a recording, since the recording does not show it."""
+    """Report a run that was killed before it replaced a recording; the recording itself shows no trace of it."""
     from carom.recording.write.whole_file import killed_run_of
 
     if (left := killed_run_of(file)) is not None:
@@ -86,16 +86,9 @@ def bytes_text(count: float) -> str:
 
 
 def warning_lines(warnings: Sequence[Event], units: UnitSystem, *, in_full: bool = False) -> Iterator[str]:
-    """Yield the warnings of a run by kind, in the order of first occurrence: the first few of each and their number.
+    """Yield the first few warnings of each kind and the number of the others, given all warnings in order of time.
 
-    Parameters
-    ----------
-    warnings
-        In order of time.
-    units
-        Of the scene.
-    in_full
-        Whether the first warning of each kind is shown with all its lines, which name contacts and bodies.
+    With ``in_full``, the first warning of each kind has all its lines, which name contacts and bodies.
     """
     kinds: dict[str, list[Event]] = {}
     for event in warnings:

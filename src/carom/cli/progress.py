@@ -47,8 +47,15 @@ class RunProgress(LiveLine):
         self.say(f"{self._heading}{scene.title}: {counted(scene.count, 'body')}, {length}")
         for note in notes_on(scene):
             self.say(note)
-        if warning := _many_steps(scene):
-            self.say(warning)
+        # the largest allowed step may make the run long, unless another key sets the step
+        time, largest = scene.time, largest_step(scene)
+        if time.fixed_dt is None and time.accuracy is None and time.duration / largest >= MANY_STEPS:
+            longest = scene.unit_system.text(largest, TIME, "g")
+            default = ", its default," if time.max_dt == "auto" else ""
+            self.say(
+                f"carom: time.max_dt = {longest}{default} causes at least {time.duration / largest:.2g} steps; for "
+                "fewer steps, raise it or set time.accuracy (`carom explain` shows the limit that then applies)"
+            )
         return super().__enter__()
 
     def announce(self, scene: Scene) -> None:
@@ -124,19 +131,14 @@ def notes_on(scene: Scene) -> list[str]:
             f"{count} of {counted(scene.count, 'body')} {are} (mass 0): attracted, but not attracting; the checks of "
             "energy and momentum do not cover them"
         )
-    if inexact := inexact_impacts(scene):
-        notes.append(inexact)
-    if ended := ended_bounces(scene):
-        notes.append(ended)
-    return notes + doubts(scene)
+    return [*notes, *filter(None, (inexact_impacts(scene), ended_bounces(scene))), *doubts(scene)]
 
 
 def preparing(scene: Scene, beside: LiveLine) -> Patience:
     """Announce long work before the first step: placing bodies, or the look-ahead of an accuracy."""
     if scene.time.accuracy is None or scene.promise is not None:
         return Patience(f"preparing {scene.count} bodies …", beside)
-    text = f"choosing the step for accuracy = {scene.time.accuracy:g}:"
-    return Patience(text, beside, everywhere=True)
+    return Patience(f"choosing the step for accuracy = {scene.time.accuracy:g}:", beside, everywhere=True)
 
 
 def watch_look_ahead(scene: Scene, patience: Patience) -> Watcher:
@@ -164,17 +166,4 @@ def _fewer_frames(scene: Scene, outcome: Outcome) -> str:
     return (
         f"{expected:.0f} frames were requested, but frames are recorded only at ends of steps, and most steps are "
         f"longer than record.every; time.max_dt = {limit} records all frames"
-    )
-
-
-def _many_steps(scene: Scene) -> str:
-    """Return a warning if the largest allowed step makes a run long; empty if another key sets the step."""
-    time, largest = scene.time, largest_step(scene)
-    if time.fixed_dt is not None or time.accuracy is not None or time.duration / largest < MANY_STEPS:
-        return ""
-    longest = scene.unit_system.text(largest, TIME, "g")
-    default = ", its default," if time.max_dt == "auto" else ""
-    return (
-        f"carom: time.max_dt = {longest}{default} causes at least {time.duration / largest:.2g} steps; for fewer "
-        "steps, raise it or set time.accuracy (`carom explain` shows the limit that then applies)"
     )

@@ -14,42 +14,27 @@ from carom.cli.options import (
     OutputOption,
     RecordingArgument,
     StepTimeOption,
-    seconds,
+    output_option,
     simulated_or_none,
+    time_option,
 )
 from carom.cli.printing import bytes_text, mention_killed_run, say, say_json
 from carom.scene.units.dimension import TIME
 from carom.scene.wording import counted
 
 if TYPE_CHECKING:
-    from carom.recording.edit.clip import Clip
     from carom.scene.units.system import UnitSystem
+
+_BODIES = "Keep only these bodies, by number or name, and the contacts among them."
 
 
 def clip(
     file: RecordingArgument,
-    start: Annotated[
-        OptionalTime, typer.Option("--from", parser=seconds, metavar="T", help="Keep frames from this time on.")
-    ] = None,
-    end: Annotated[
-        OptionalTime, typer.Option("--to", parser=seconds, metavar="T", help="Keep frames up to this time.")
-    ] = None,
-    around: Annotated[
-        OptionalTime,
-        typer.Option("--around", parser=seconds, metavar="T", help="Keep frames around this time; needs --window."),
-    ] = None,
-    window: Annotated[
-        OptionalTime,
-        typer.Option("--window", parser=seconds, metavar="W", help="Length of time to keep, with --around."),
-    ] = None,
-    bodies: Annotated[
-        str | None,
-        typer.Option(
-            "--bodies",
-            metavar="A,B",
-            help="Keep only these bodies, by number or name, and the contacts among them.",
-        ),
-    ] = None,
+    start: Annotated[OptionalTime, time_option("--from", "Keep frames from this time on.")] = None,
+    end: Annotated[OptionalTime, time_option("--to", "Keep frames up to this time.")] = None,
+    around: Annotated[OptionalTime, time_option("--around", "Keep frames around this time; needs --window.")] = None,
+    window: Annotated[OptionalTime, time_option("--window", "Length of time to keep, with --around.", "W")] = None,
+    bodies: Annotated[str | None, typer.Option("--bodies", metavar="A,B", help=_BODIES)] = None,
     output: OutputOption = None,
     force: ForceOption = False,
     as_json: JsonOption = False,
@@ -62,9 +47,10 @@ def clip(
 
     from carom.recording.edit.bundle import opened
     from carom.recording.edit.clip import clip as cut
+    from carom.recording.read.lookup import body_number, split_at_commas
     from carom.recording.read.recording import Recording
     from carom.recording.write.whole_file import refuse_itself, refuse_output
-    from carom.scene.wording import bodies_called, counted
+    from carom.scene.wording import bodies_called
 
     path = output or file.with_name(f"{file.stem}-clip.rrd")
     with opened(file) as source:
@@ -73,20 +59,18 @@ def clip(
         interval = _interval(units, *(simulated_or_none(time, units) for time in (start, end, around, window)))
         refuse_itself(path, file)
         refuse_output(path, force)
-        made = cut(source, path, *interval, bodies=_numbers(source, bodies))
+        kept = None if bodies is None else [body_number(recording, body) for body in split_at_commas(bodies, names)]
+        made = cut(source, path, *interval, bodies=kept)
     if as_json:
         say_json({"units": units.recorded, **asdict(made), "path": str(made.path)})
         return
     shown = "" if made.bodies is None else f", {bodies_called(made.bodies, names)}"
-    say(f"{path} written: {counted(made.frames, 'frame')}, {_reach(made, units)}{shown}, {bytes_text(made.size)}.")
+    reach = f"steps {made.first_step} to {made.last_step}, {units.span(made.start, made.end, TIME)}"
+    if made.frames == 1:
+        reach = f"step {made.first_step}, at {units.text(made.start, TIME)}"
+    say(f"{path} written: {counted(made.frames, 'frame')}, {reach}{shown}, {bytes_text(made.size)}.")
     if made.replays_from is None:
         say(f"{file} has no exact state before that time, so the clip cannot be replayed.", err=True)
-
-
-def _reach(made: Clip, units: UnitSystem) -> str:
-    if made.frames == 1:
-        return f"step {made.first_step}, at {units.text(made.start, TIME)}"
-    return f"steps {made.first_step} to {made.last_step}, {units.span(made.start, made.end, TIME)}"
 
 
 def _interval(
@@ -112,17 +96,6 @@ def _interval(
     return first, last
 
 
-def _numbers(file: Path, bodies: str | None) -> list[int] | None:
-    """Return the numbers of the bodies, given by number or name."""
-    from carom.recording.read.lookup import body_number, split_at_commas
-    from carom.recording.read.recording import Recording
-
-    if bodies is None:
-        return None
-    recording = Recording.open(file)
-    return [body_number(recording, part) for part in split_at_commas(bodies, recording.bodies.name)]
-
-
 def repair(
     file: RecordingArgument,
     output: OutputOption = None,
@@ -144,7 +117,11 @@ def repair(
     from carom.recording.write.whole_file import Claim, refuse_output
 
     mention_killed_run(file)
-    path = _path(file, output, in_place)
+    if in_place and output is not None:
+        raise RecordingError("give --in-place or -o, not both")
+    path = output or file.with_name(f".{file.stem}.repaired.rrd" if in_place else f"{file.stem}-repaired.rrd")
+    if path.exists() and file.exists() and path.samefile(file):
+        raise RecordingError(f"{path} is the damaged recording itself; choose another file or give --in-place")
     torn = file.with_name(f"{file.name}.torn")
     if in_place and torn.exists() and not force:
         raise RecordingError(f"{torn}: exists, from an earlier repair; move it away, or give --force to replace it")
@@ -169,25 +146,9 @@ def repair(
             say(f"lost: {piece}")
 
 
-def _path(file: Path, output: Path | None, in_place: bool) -> Path:
-    from carom.errors import RecordingError
-
-    if in_place and output is not None:
-        raise RecordingError("give --in-place or -o, not both")
-    if in_place:
-        return file.with_name(f".{file.stem}.repaired.rrd")
-    path = output or file.with_name(f"{file.stem}-repaired.rrd")
-    if path.exists() and file.exists() and path.samefile(file):
-        raise RecordingError(f"{path} is the damaged recording itself; choose another file or give --in-place")
-    return path
-
-
 def export(
     file: RecordingArgument,
-    output: Annotated[
-        Path,
-        typer.Option("-o", "--output", metavar="FILE", help="File to write: .parquet, .csv, .npz, .vtk or .extxyz."),
-    ],
+    output: Annotated[Path, output_option("FILE", "File to write: .parquet, .csv, .npz, .vtk or .extxyz.")],
     at: StepTimeOption = None,
     everything: Annotated[bool, typer.Option("--all", help="Export all recorded frames instead of one step.")] = False,
     force: ForceOption = False,
@@ -228,14 +189,9 @@ def export(
 def report(
     file: RecordingArgument,
     at: Annotated[
-        float | None,
-        typer.Option(
-            "--at", parser=seconds, metavar="T", help="Simulated time to report. Default: the worst moment of the run."
-        ),
+        OptionalTime, time_option("--at", "Simulated time to report. Default: the worst moment of the run.")
     ] = None,
-    output: Annotated[
-        Path | None, typer.Option("-o", "--output", metavar="ZIP", help="Zip to write. Default: FILE-report.zip.")
-    ] = None,
+    output: Annotated[Path | None, output_option("ZIP", "Zip to write. Default: FILE-report.zip.")] = None,
     force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> None:

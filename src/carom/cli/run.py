@@ -12,6 +12,7 @@ import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -21,14 +22,16 @@ from carom.cli.options import (
     ForceOption,
     JsonOption,
     LiveOption,
+    OptionalTime,
     RecordingArgument,
     SceneArgument,
     SetOption,
     ThreadsOption,
+    output_option,
     recording_option,
-    seconds,
     simulated,
     simulated_or_none,
+    time_option,
 )
 from carom.cli.printing import duration_text, mention_killed_run, say, say_json
 from carom.physics import jit
@@ -44,6 +47,7 @@ if TYPE_CHECKING:
     from carom.scene.units.system import UnitSystem
 
 ASKS_ABOVE = 60.0  # s; a longer replay requires consent
+_CHECKS = "Check energy and momentum every N steps. Default: as the scene says."
 
 
 def run(
@@ -51,14 +55,7 @@ def run(
     output: Annotated[Path | None, recording_option("Recording to write. Default: recordings/SCENE.rrd.")] = None,
     overrides: SetOption = None,
     check_every: Annotated[
-        int | None,
-        typer.Option(
-            "--check-every",
-            "--log-freq",
-            metavar="N",
-            help="Check energy and momentum every N steps. Default: as the scene says.",
-            min=1,
-        ),
+        int | None, typer.Option("--check-every", "--log-freq", metavar="N", help=_CHECKS, min=1)
     ] = None,
     live: LiveOption = False,
     threads: ThreadsOption = None,
@@ -77,7 +74,6 @@ def run(
     from carom.recording.write.whole_file import claimed_output, default_output
 
     path = output or default_output(Path(scene).stem)
-
     with claimed_output(path, force) as claim:
         from carom.cli.progress import RunProgress, preparing, watch_look_ahead
         from carom.runs.environment import leave_pandas_out
@@ -90,14 +86,14 @@ def run(
             space = recording_space(loaded, threads, watch_look_ahead(loaded, patience))
         progress.announce(space.scene)
         address = live_viewer() if live else None
-        with progress, telling_of(path):
+        with progress, naming_the_repair(path):
             outcome = simulate(space, path, claim=claim, live=address, watch=progress.update)
     report(outcome, progress, as_json)
 
 
 @contextmanager
-def telling_of(path: Path) -> Iterator[None]:
-    """Name the repair command if a second interrupt ends the run at once."""
+def naming_the_repair(path: Path) -> Iterator[None]:
+    """Name the command that repairs a file if a second interrupt ends the run at once."""
     try:
         yield
     except KeyboardInterrupt:
@@ -136,22 +132,11 @@ def live_viewer() -> str | None:
 def resume(
     file: RecordingArgument,
     until: Annotated[
-        float | None,
-        typer.Option(
-            "--until",
-            parser=seconds,
-            metavar="T",
-            help="Continue to this simulated time. Default: the scene's duration.",
-        ),
+        OptionalTime, time_option("--until", "Continue to this simulated time. Default: the scene's duration.")
     ] = None,
     output: Annotated[
         Path | None,
-        typer.Option(
-            "-o",
-            "--output",
-            metavar="FILE",
-            help="Recording to write. Default: replace FILE when the new one is complete.",
-        ),
+        output_option("FILE", "Recording to write. Default: replace FILE when the new one is complete."),
     ] = None,
     live: LiveOption = False,
     threads: ThreadsOption = None,
@@ -177,7 +162,7 @@ def resume(
         announce_compilation(progress.say)
         space = run.space(threads)
         address = live_viewer() if live else None
-        with progress, telling_of(under_way(output or file)):
+        with progress, naming_the_repair(under_way(output or file)):
             outcome = go_on(run, space, output, force=force, claim=claim, live=address, watch=progress.update)
     report(outcome, progress, as_json)
 
@@ -185,21 +170,9 @@ def resume(
 def replay(
     file: RecordingArgument,
     begin: Annotated[
-        float,
-        typer.Option(
-            "--from",
-            parser=seconds,
-            metavar="T",
-            help="Start at the last checkpoint before this time. Default: the beginning.",
-            show_default=False,
-        ),
+        float, time_option("--from", "Start at the last checkpoint before this time. Default: the beginning.")
     ] = 0.0,
-    end: Annotated[
-        float,
-        typer.Option(
-            "--to", parser=seconds, metavar="T", help="Stop at this time. Default: the end.", show_default=False
-        ),
-    ] = float("inf"),
+    end: Annotated[float, time_option("--to", "Stop at this time. Default: the end.")] = float("inf"),
     every: Annotated[
         str | None,
         typer.Option("--every", metavar="step", help="Record every step between --from and --to in a new file."),
@@ -216,6 +189,8 @@ def replay(
 
     FILE may be the zip that `carom report` made.
     """
+    from dataclasses import asdict
+
     from carom.errors import PhysicsError
     from carom.recording.edit.bundle import opened
     from carom.recording.read.recording import Recording
@@ -234,37 +209,28 @@ def replay(
             if stop < start:
                 before, after = units.text(stop, TIME, "g"), units.text(start, TIME, "g")
                 raise typer.BadParameter(f"{before} is before --from {after}", param_hint="--to")
-            result = run_again(
-                recording,
-                start,
-                stop,
-                threads=threads,
-                dense=dense,
-                force=force,
-                consent=lambda seconds: yes or _agreed(seconds),
-            )
+            consent = partial(_agreed, yes)
+            result = run_again(recording, start, stop, threads=threads, dense=dense, force=force, consent=consent)
     except PhysicsError as error:
         if as_json:
             say_json({"same": False, "ended": str(error)})
         say(f"carom: the replay failed: {error}", err=True)
         raise typer.Exit(1) from None
     if as_json:
-        from dataclasses import asdict
-
         written = None if result.dense is None else str(result.dense)
-        found = {"units": units.recorded, **asdict(result), "dense": written, "same": result.same}
+        document = {"units": units.recorded, **asdict(result), "dense": written, "same": result.same}
         if result.difference:
-            found["difference"]["unit"] = units.recorded_unit(result.difference.unit)
-        say_json(found)
+            document["difference"]["unit"] = units.recorded_unit(result.difference.unit)
+        say_json(document)
     else:
         _print(result, units)
     if not result.same:
         raise typer.Exit(1)
 
 
-def _agreed(seconds: float) -> bool:
-    """Ask for consent to a long replay; refuse it if there is no terminal."""
-    if seconds <= ASKS_ABOVE:
+def _agreed(yes: bool, seconds: float) -> bool:
+    """Ask for consent to a long replay, unless --yes is given; refuse it if there is no terminal."""
+    if yes or seconds <= ASKS_ABOVE:
         return True
     text = f"The remaining steps will take about {duration_text(seconds)}"
     if not sys.stdin.isatty():
@@ -295,10 +261,7 @@ NO_CACHE = "no cache folder is writable; set NUMBA_CACHE_DIR to a folder of your
 
 
 def start_compiling() -> subprocess.Popen[bytes] | None:
-    """Start a second process that compiles kernels beside the first run; return None on one core.
-
-    It ends with this process and leaves no files except the kernels.
-    """
+    """Start a second process that compiles kernels beside the first run, and ends with it; return None on one core."""
     if cores() < 2:
         return None
     try:
@@ -315,10 +278,9 @@ def start_compiling() -> subprocess.Popen[bytes] | None:
 
 
 def start_on_a_new_installation() -> subprocess.Popen[bytes] | None:
-    """Start the second process if no kernel has been compiled since the installation; otherwise return None.
+    """Start the second process before the run loads its modules, if the default cache folder contains no kernel.
 
-    It then compiles while the run loads its modules. Only the default cache folder is checked; with another folder, the
-    second process starts at the first compilation.
+    With another cache folder, the second process starts at the first compilation.
     """
     folder = Path(jit.__file__).parent / "__pycache__"
     new = "NUMBA_CACHE_DIR" not in os.environ and os.access(folder, os.W_OK) and not any(folder.glob("*.nbc"))
@@ -337,7 +299,7 @@ def announce_compilation(
     helped
         Whether the second process has already been started.
     scene
-        The scene, if it is known. Walls and contact laws need further kernels, which take longer to compile.
+        The scene, if it is known; walls and contact laws take longer to compile.
     """
     from carom.physics.jit.decorators import cache_folder, on_compilation
 
@@ -347,10 +309,7 @@ def announce_compilation(
         text = f"Compiling kernels ({takes}), at every start: {NO_CACHE} …"
 
     def announce() -> None:
-        if say:
-            say(text)
-        else:
-            typer.echo(text, err=True)
+        (say or partial(typer.echo, err=True))(text)
         if not helped and cache_folder():
             start_compiling()
 

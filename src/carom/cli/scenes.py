@@ -19,10 +19,13 @@ if TYPE_CHECKING:
     from carom.scene.schema import Scene
 
 
+_SCHEMA = "Print the JSON schema of scene files, for editors."
+_FROM = "Copy this bundled scene, such as incline or cradle."
+_PART = "Switch on a part of the model that the scene does not require. Repeatable."
+
+
 def scenes(
-    schema: Annotated[
-        bool, typer.Option("--schema", help="Print the JSON schema of scene files, for editors.")
-    ] = False,
+    schema: Annotated[bool, typer.Option("--schema", help=_SCHEMA)] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print the list as JSON.")] = False,
 ) -> None:
     """List the bundled scenes."""
@@ -36,11 +39,8 @@ def scenes(
         return
     found = {name: (path, Scene.load(path)) for name, path in bundled_scenes().items()}
     if as_json:
-        rows = [
-            {"name": name, "title": scene.title, "bodies": scene.count, "path": str(path)}
-            for name, (path, scene) in found.items()
-        ]
-        say_json(rows)
+        rows = ((name, scene.title, scene.count, str(path)) for name, (path, scene) in found.items())
+        say_json([dict(zip(("name", "title", "bodies", "path"), row, strict=True)) for row in rows])
         return
     from rich.table import Table
 
@@ -57,9 +57,7 @@ def scenes(
 
 def new(
     name: Annotated[str, typer.Argument(metavar="NAME", help="File to write; .toml is added if missing.")],
-    source: Annotated[
-        str, typer.Option("--from", metavar="SCENE", help="Copy this bundled scene, such as incline or cradle.")
-    ] = "",
+    source: Annotated[str, typer.Option("--from", metavar="SCENE", help=_FROM)] = "",
     force: ForceOption = False,
 ) -> None:
     """Write a scene file to start from, with comments on the most important keys."""
@@ -80,43 +78,48 @@ def new(
     if path.exists() and not force:
         raise SceneError(f"{path}: exists; give --force to replace it, or another name")
     text = without_schema_line(bundled[source].read_text(encoding="utf-8")) if source else starter()
-    data = data_files(bundled[source]) if source else []
-    for there in (path.with_name(file.name) for file in data):
-        if there.exists() and not force:
-            raise SceneError(f"{there}: exists; give --force to replace it")
+    copies = {path.with_name(file.name): file for file in (data_files(bundled[source]) if source else [])}
+    for copy in copies:
+        if copy.exists() and not force:
+            raise SceneError(f"{copy}: exists; give --force to replace it")
     try:
-        for file in data:
-            with whole_file(path.with_name(file.name)) as part:
+        for copy, file in copies.items():
+            with whole_file(copy) as part:
                 part.write_bytes(file.read_bytes())
         write_whole(path, text)
     except OSError as error:
         raise SceneError(f"{path}: cannot be written: {error.strerror}") from None
-    written = " and ".join(str(each) for each in (path, *(path.with_name(file.name) for file in data)))
+    written = " and ".join(map(str, (path, *copies)))
     typer.echo(f"{written} written. Next: {command('explain', path)}, then {command('run', path)}")
 
 
 def explain(
     scene: SceneArgument,
     overrides: SetOption = None,
-    parts: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--model", metavar="PART", help="Switch on a part of the model that the scene does not require. Repeatable."
-        ),
-    ] = None,
+    parts: Annotated[list[str] | None, typer.Option("--model", metavar="PART", help=_PART)] = None,
     forced: Annotated[list[str] | None, typer.Option("--force", hidden=True)] = None,  # its former name
     as_json: JsonOption = False,
 ) -> None:
     """Show what parts of the model a scene needs and why, and estimate the cost of the run and the size of its file."""
+    import json
     from dataclasses import asdict
 
     from carom.cli.progress import notes_on, preparing, watch_look_ahead
     from carom.cli.run import announce_compilation
-    from carom.cli.terminal import LiveLine, Patience
+    from carom.cli.terminal import LiveLine, Patience, Terminal
+    from carom.errors import SceneError
     from carom.recording.schema.header import ShownMaterials
     from carom.runs.estimate import estimate
+    from carom.scene.parts import PARTS, unknown
+    from carom.scene.schema import Scene
 
-    loaded = _with_parts(scene, list(overrides or []), [*(parts or []), *(forced or [])])
+    changes, further = list(overrides or []), [*(parts or []), *(forced or [])]
+    for part in further:
+        if part not in PARTS:
+            raise SceneError(f"--model {part}: {unknown(part)}")
+    loaded = Scene.load(scene, changes)
+    if further:
+        loaded = Scene.load(scene, [*changes, f"model.force={json.dumps([*loaded.model.force, *further])}"])
     announce_compilation()
     line = LiveLine(quiet=as_json)
     looks = loaded.time.accuracy is not None and loaded.promise is None
@@ -132,8 +135,6 @@ def explain(
             document["notes"] = notes
         say_json(document)
         return
-    from carom.cli.terminal import Terminal
-
     console, cost = Terminal(), found.cost
     console.print(loaded.title, style="bold", end="")
     console.print(f": {counted(loaded.count, 'body')}, {simulated_text(loaded.time.duration, loaded.unit_system)}\n")
@@ -178,23 +179,6 @@ def _steps(cost: Cost, scene: Scene) -> str:
     return f"{count}\n  set by: {shares}" + (f"; for fewer steps, raise {remedy}" if remedy else "")
 
 
-def _with_parts(scene: str, overrides: list[str], parts: list[str]) -> Scene:
-    """Load a scene with further parts switched on."""
-    import json
-
-    from carom.errors import SceneError
-    from carom.scene.parts import PARTS, unknown
-    from carom.scene.schema import Scene
-
-    for part in parts:
-        if part not in PARTS:
-            raise SceneError(f"--model {part}: {unknown(part)}")
-    loaded = Scene.load(scene, overrides)
-    if not parts:
-        return loaded
-    return Scene.load(scene, [*overrides, f"model.force={json.dumps([*loaded.model.force, *parts])}"])
-
-
 def _table(first: str, share: str) -> Table:
     from rich.table import Table
 
@@ -213,7 +197,7 @@ def _parts(parts: list[PartCost]) -> Table:
 
 
 def _entities(entities: list[EntityCost]) -> Table:
-    """Show the entities; entities of one folder with the same reason share a row, recorded or not."""
+    """Show the entities: a row for those of one folder with the same reason, and one for those not recorded."""
     from carom.recording.schema.series import ONCE
 
     rows: dict[tuple[str, str], list[EntityCost]] = {}

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from carom.cli.options import SetOption
+from carom.cli.options import JsonOption, SetOption, output_option
 from carom.cli.printing import duration_text, say_json
 from carom.errors import SceneError
 from carom.scene.scene_file import EXTREMES, extreme_scenes
@@ -22,9 +22,9 @@ if TYPE_CHECKING:
     from carom.runs.outcome import Verdict
     from carom.runs.run import Outcome, Watcher
     from carom.scene.schema import Scene
-    from carom.scene.units.system import UnitSystem
 
 PIPE_WIDTH = 140  # characters of the table where the output is not a terminal
+_FOLDER = Path("recordings/stress")
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,7 +32,7 @@ class Trial:
     """An extreme scene and the result of its run."""
 
     name: str
-    title: str  # of the scene
+    scene: Scene
     outcome: Outcome | None  # None if the scene was refused before the run
     refusal: str = ""
 
@@ -68,10 +68,7 @@ class Trial:
 
 
 def extremes(name: str | None = None) -> dict[str, Path]:
-    """Return the scene files of all extremes by their short names, or of the one named.
-
-    SceneError if the name is unknown.
-    """
+    """Return the scene files of all extremes, or of the one named, by short name; refuse an unknown name."""
     known = {full.removeprefix(f"{EXTREMES}/"): path for full, path in extreme_scenes().items()}
     if name is None:
         return known
@@ -82,31 +79,31 @@ def extremes(name: str | None = None) -> dict[str, Path]:
 
 
 def attempt(name: str, scene: Scene, folder: Path, *, watch: Watcher | None = None) -> Trial:
-    """Run an extreme and record it, replacing an earlier recording.
-
-    ``name`` is the short name, as in `extremes`, and the name of the recording.
-    """
+    """Run an extreme and record it under its short name, replacing an earlier recording."""
     from carom.runs.run import recording_space, simulate
 
     try:
         space = recording_space(scene)
     except SceneError as error:
-        return Trial(name, scene.title, None, str(error))
-    return Trial(name, scene.title, simulate(space, folder / f"{name}.rrd", force=True, watch=watch))
+        return Trial(name, scene, None, str(error))
+    return Trial(name, scene, simulate(space, folder / f"{name}.rrd", force=True, watch=watch))
 
 
 def stress(
     name: Annotated[str | None, typer.Argument(metavar="NAME", help="One of the extremes. Default: all.")] = None,
-    folder: Annotated[
-        Path, typer.Option("-o", "--output", metavar="DIR", help="Folder for the recordings; replaces earlier ones.")
-    ] = Path("recordings/stress"),
+    folder: Annotated[Path, output_option("DIR", "Folder for the recordings; replaces earlier ones.")] = _FOLDER,
     overrides: SetOption = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+    as_json: JsonOption = False,
 ) -> None:
     """Run the scenes at the limits of the method and compare each with its criteria; exit with 1 on a miss."""
+    from rich.markup import escape
+
     from carom.cli.progress import RunProgress
     from carom.cli.run import announce_compilation
+    from carom.cli.terminal import Terminal
     from carom.recording.write.whole_file import output_folder
+    from carom.runs.environment import versions
+    from carom.runs.outcome import in_words
     from carom.scene.schema import Scene
 
     scenes = {short: Scene.load(path, overrides) for short, path in extremes(name).items()}
@@ -122,41 +119,23 @@ def stress(
                 break
     except KeyboardInterrupt:  # between two runs; an interrupted run reports its own end
         pass
-    if as_json:
-        from carom.runs.environment import versions
-
-        say_json(
-            {
-                "met": sum(trial.met for trial in trials),
-                "asked": len(scenes),
-                "versions": versions(),
-                "extremes": [_entry(trial, scenes[trial.name].unit_system) for trial in trials],
-            }
-        )
-    else:
-        _show(trials, scenes)
-    if sum(trial.met for trial in trials) < len(scenes):
-        raise typer.Exit(1)
-
-
-def _show(trials: list[Trial], scenes: dict[str, Scene]) -> None:
-    """Print the table, then each miss with its worst moments."""
-    from rich.markup import escape
-
-    from carom.cli.terminal import Terminal
-    from carom.runs.outcome import in_words
-
-    console = Terminal(markup=True, piped=PIPE_WIDTH)
-    console.print(_table(trials))
-    for trial in trials:
-        if not trial.met:
-            console.print(
-                f"\n[red]{trial.name}[/red]: {in_words(trial.status)}: {escape(trial.reason)}", soft_wrap=True
-            )
-            console.print(_worst(trial, scenes[trial.name].unit_system), soft_wrap=True)
     met = sum(trial.met for trial in trials)
-    not_run = f"; {len(scenes) - len(trials)} were not run" if len(trials) < len(scenes) else ""
-    console.print(f"\n{met} of {len(scenes)} extremes met their criteria{not_run}.")
+    if as_json:
+        entries = [_entry(trial) for trial in trials]
+        say_json({"met": met, "asked": len(scenes), "versions": versions(), "extremes": entries})
+    else:
+        # the table, then each miss with its worst moments
+        console = Terminal(markup=True, piped=PIPE_WIDTH)
+        console.print(_table(trials))
+        for trial in trials:
+            if not trial.met:
+                status = f"\n[red]{trial.name}[/red]: {in_words(trial.status)}"
+                console.print(f"{status}: {escape(trial.reason)}", soft_wrap=True)
+                console.print(_worst(trial), soft_wrap=True)
+        not_run = f"; {len(scenes) - len(trials)} were not run" if len(trials) < len(scenes) else ""
+        console.print(f"\n{met} of {len(scenes)} extremes met their criteria{not_run}.")
+    if met < len(scenes):
+        raise typer.Exit(1)
 
 
 def _table(trials: list[Trial]) -> Table:
@@ -173,28 +152,26 @@ def _table(trials: list[Trial]) -> Table:
         table.add_column(heading, no_wrap=True)
     for trial in trials:
         verdicts, outcome = trial.verdicts, trial.outcome
-        table.add_row(
-            trial.name,
-            escape(trial.title) + (f"\n[dim]{escape(str(outcome.path))}[/dim]" if outcome else ""),
-            "\n".join(f"{verdict.name} {'≥' if verdict.at_least else '≤'} {verdict.limit:.3g}" for verdict in verdicts),
-            "\n".join(f"{verdict.measured:.2g}" for verdict in verdicts),
-            "\n".join(
-                "not judged" if not verdict.judged else "yes" if verdict.met else "[red]NO[/red]"
-                for verdict in verdicts
-            )
-            if trial.met or trial.status == "expectation missed"
-            else f"[red]{in_words(trial.status)}[/red]",
-            duration_text(outcome.wall_time) if outcome else "",
-        )
+        recorded = f"\n[dim]{escape(str(outcome.path))}[/dim]" if outcome else ""
+        limits = [f"{verdict.name} {'≥' if verdict.at_least else '≤'} {verdict.limit:.3g}" for verdict in verdicts]
+        measured = [f"{verdict.measured:.2g}" for verdict in verdicts]
+        met = [
+            "not judged" if not verdict.judged else "yes" if verdict.met else "[red]NO[/red]" for verdict in verdicts
+        ]
+        if not trial.met and trial.status != "expectation missed":
+            met = [f"[red]{in_words(trial.status)}[/red]"]
+        cells = ("\n".join(lines) for lines in (limits, measured, met))
+        wall_time = duration_text(outcome.wall_time) if outcome else ""
+        table.add_row(trial.name, escape(trial.scene.title) + recorded, *cells, wall_time)
     return table
 
 
-def _worst(trial: Trial, units: UnitSystem) -> Table:
+def _worst(trial: Trial) -> Table:
     """Show each worst moment with the command that displays it."""
     from rich.markup import escape
     from rich.table import Table
 
-    table = Table.grid(padding=(0, 2))
+    table, units = Table.grid(padding=(0, 2)), trial.scene.unit_system
     for what, moment in trial.worst.items():
         time = units.shown(moment.time, TIME)
         look = command("view", trial.outcome.path, "--at", f"{time:.6g}") if trial.outcome else ""
@@ -203,13 +180,11 @@ def _worst(trial: Trial, units: UnitSystem) -> Table:
     return table
 
 
-def _entry(trial: Trial, units: UnitSystem) -> dict[str, Any]:
-    from dataclasses import asdict
-
+def _entry(trial: Trial) -> dict[str, Any]:
     entry: dict[str, Any] = {
         "name": trial.name,
-        "title": trial.title,
-        "units": units.recorded,
+        "title": trial.scene.title,
+        "units": trial.scene.unit_system.recorded,
         "met": trial.met,
         "status": trial.status,
         "reason": trial.reason,
@@ -219,8 +194,7 @@ def _entry(trial: Trial, units: UnitSystem) -> dict[str, Any]:
         ],
         "worst": {what: asdict(moment) for what, moment in trial.worst.items()},
     }
-    if trial.outcome:
-        outcome = trial.outcome
-        entry |= {"recording": str(outcome.path), "steps": outcome.steps, "sim_time": outcome.sim_time}
-        entry |= {"wall_time": outcome.wall_time}
+    if outcome := trial.outcome:
+        entry |= {name: getattr(outcome, name) for name in ("steps", "sim_time", "wall_time")}
+        entry["recording"] = str(outcome.path)
     return entry

@@ -32,10 +32,7 @@ PATIENCE = 1.0  # s of work before a line names it
 
 
 class Terminal(Console):
-    """A console that prints text unchanged: no markup unless requested, and control characters as escapes.
-
-    ``piped`` is the width in characters where the output is not a terminal.
-    """
+    """A console without markup by default, with control characters as escapes; ``piped`` is its width in a pipe."""
 
     def __init__(self, *, piped: int | None = None, **options: Any) -> None:
         super().__init__(**{"markup": False, "highlight": False, **options})
@@ -96,14 +93,8 @@ class LiveLine:
 class Patience(LiveLine):
     """A line on the terminal that names work which takes longer than `PATIENCE`.
 
-    Parameters
-    ----------
-    text
-        The name of the work.
-    beside
-        The line that it replaces.
-    everywhere
-        Whether to print it every `LINE_EVERY` where the output is not a terminal.
+    It replaces the line ``beside``. With ``everywhere``, it is also printed every `LINE_EVERY` where the output is not
+    a terminal.
     """
 
     def __init__(self, text: str, beside: LiveLine, *, everywhere: bool = False) -> None:
@@ -156,39 +147,27 @@ def bar(done: float) -> str:
 def replaying(recording: Recording) -> Iterator[Callable[[StepStatus], None]]:
     """Show the progress of a replay if it takes a while; yield the function to call after each frame."""
     length = float(recording.fingerprints()["time"][-1].as_py()) if recording.frames else 0.0
+    with LiveLine() as line:
 
-    def text(status: StepStatus) -> str:
-        return recording.units.text(status.time, TIME, ".5g")
-
-    class Line(LiveLine):
-        def update(self, status: StepStatus) -> None:
+        def update(status: StepStatus) -> None:
             done = min(1.0, status.time / length) if length else 1.0
-            self._show(lambda now: f"{bar(done)} {done:4.0%}  rerun up to t = {text(status)}")
+            reached = recording.units.text(status.time, TIME, ".5g")
+            line._show(lambda now: f"{bar(done)} {done:4.0%}  rerun up to t = {reached}")
 
-    with Line() as line:
-        yield line.update
+        yield update
 
 
 class MovieProgress(LiveLine):
-    """Progress of a movie: pictures made, time for each, and time left."""
+    """Progress of a movie whose pictures show the frames at given times (s)."""
 
     def __init__(self, path: Path, times: FloatArray, units: UnitSystem) -> None:
         super().__init__()
-        self._path = path
-        self._units = units
-        self._times = times  # s, times of the frames in the pictures
-        self._made = 0
+        self._made, self._count = 0, len(times)
         self._first: float | None = None  # time of the first picture, before which the viewers were starting
         self._last = 0.0
-
-    def __enter__(self) -> Self:
-        self._restart()
-        times = self._times
         frames = len(set(times.tolist()))
         shown = "" if frames == len(times) else f", of {frames} recorded frames"
-        span = self._units.span(times[0], times[-1], TIME)
-        self.say(f"{self._path}: {len(times)} pictures{shown}, from {span}")
-        return super().__enter__()
+        self.say(f"{path}: {len(times)} pictures{shown}, from {units.span(times[0], times[-1], TIME)}")
 
     def watched(self, pictures: Iterable[bytes]) -> Iterator[bytes]:
         """Yield the pictures, and show their number."""
@@ -200,14 +179,14 @@ class MovieProgress(LiveLine):
             yield picture
 
     def summary(self) -> str:
-        """Describe the number of pictures and the time for each."""
+        """Describe the number of pictures and the mean time to render one."""
         return f"{self._made} pictures, rendered in {self._pace():.2g} s each"
 
     def _pace(self) -> float:
-        """Return the seconds for a picture, without the start of the viewers."""
+        """Return the mean time (s) to render a picture, without the start of the viewers."""
         return (self._last - (self._first or self._last)) / max(1, self._made - 1)
 
     def _line(self, now: float) -> str:
-        left = duration_text(self._pace() * (len(self._times) - self._made)) if self._made > 1 else "?"
-        done = self._made / len(self._times)
-        return f"{bar(done)} {done:4.0%}  picture {self._made} of {len(self._times)}  {left} left"
+        left = duration_text(self._pace() * (self._count - self._made)) if self._made > 1 else "?"
+        done = self._made / self._count
+        return f"{bar(done)} {done:4.0%}  picture {self._made} of {self._count}  {left} left"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from enum import StrEnum
 from pathlib import Path
 from time import sleep
@@ -12,11 +13,13 @@ import typer
 from carom.cli.options import (
     ForceOption,
     JsonOption,
+    OptionalTime,
     RecordingArgument,
     RecordingsArgument,
+    output_option,
     seconds,
-    simulated,
     simulated_or_none,
+    time_option,
 )
 from carom.cli.printing import bytes_text, duration_text, say, say_json
 from carom.scene.units.dimension import TIME
@@ -25,35 +28,21 @@ from carom.scene.wording import counted
 if TYPE_CHECKING:
     from carom.show.request import Request
 
-AtOption = Annotated[
-    float | None,
-    typer.Option(
-        "--at",
-        parser=seconds,
-        metavar="T",
-        help="Simulated time to show. Default: the hardest impact or, without any, the most contacts or the end.",
-    ),
-]
-EventOption = Annotated[
-    str | None,
-    typer.Option(
-        "--event",
-        metavar="NAME",
-        help="Event to show: a moment that `carom inspect` lists, a kind of event, or impact:N for the Nth impact.",
-    ),
-]
-BodiesOption = Annotated[
-    str | None,
-    typer.Option("--bodies", metavar="A,B", help="Bodies to show close up, by number or name."),
-]
-PlotOption = Annotated[
-    str | None,
-    typer.Option(
-        "--plot",
-        metavar="BODY.QUANTITY,…",
-        help="Plot bodies over time, such as top.z,3.speed: x y z, vx vy vz speed, wx wy wz omega.",
-    ),
-]
+_AT = "Simulated time to show. Default: the hardest impact or, without any, the most contacts or the end."
+_EVENT = "Event to show: a moment that `carom inspect` lists, a kind of event, or impact:N for the Nth impact."
+_BODIES = "Bodies to show close up, by number or name."
+_PLOT = "Plot bodies over time, such as top.z,3.speed: x y z, vx vy vz speed, wx wy wz omega."
+_COLOUR = "Quantity shown by the colours of the bodies. Default: record.colour_by of the scene."
+_THEME = "Theme of the viewer. The light theme needs Xvfb, as do names in non-Latin scripts."
+_WEB = "Show the recording in a browser; the server listens on 127.0.0.1 only."
+_PORT = "Port for --web. Default: any free one."
+_CAMERA = (
+    "Keep the camera still, follow the centre of the bodies, or orbit it once. Default: still with a plane, a wall or "
+    "a field; otherwise follow bodies that move away."
+)
+_PICTURE = "Picture to write. Default: FILE.png, or FILE-picture.png if another command wrote FILE.png."
+_PAGE = "Folder to write. Default: FILE-page, beside FILE; of several recordings, recordings-page."
+SMALLEST, LARGEST = 100, 8192  # pixels; textures of software renderers end at 8192
 
 
 class ColourBy(StrEnum):
@@ -64,17 +53,6 @@ class ColourBy(StrEnum):
     SPEED = "speed"
     GRAPH = "graph"
     ISLAND = "island"
-
-
-ColourOption = Annotated[
-    ColourBy | None,
-    typer.Option(
-        "--colour-by",
-        "--color-by",
-        help="Quantity shown by the colours of the bodies. Default: record.colour_by of the scene.",
-    ),
-]
-SMALLEST, LARGEST = 100, 8192  # pixels; textures of software renderers end at 8192
 
 
 class PictureView(StrEnum):
@@ -95,10 +73,13 @@ class Theme(StrEnum):
     LIGHT = "light"
 
 
-ThemeOption = Annotated[
-    Theme,
-    typer.Option("--theme", help="Theme of the viewer. The light theme needs Xvfb, as do names in non-Latin scripts."),
-]
+AtOption = Annotated[OptionalTime, time_option("--at", _AT)]
+EventOption = Annotated[str | None, typer.Option("--event", metavar="NAME", help=_EVENT)]
+BodiesOption = Annotated[str | None, typer.Option("--bodies", metavar="A,B", help=_BODIES)]
+PlotOption = Annotated[str | None, typer.Option("--plot", metavar="BODY.QUANTITY,…", help=_PLOT)]
+ColourOption = Annotated[ColourBy | None, typer.Option("--colour-by", "--color-by", help=_COLOUR)]
+ThemeOption = Annotated[Theme, typer.Option("--theme", help=_THEME)]
+SizeOption = Annotated[str, typer.Option("--size", metavar="WxH", help="Width and height in pixels.")]
 
 
 def view(
@@ -108,20 +89,8 @@ def view(
     bodies: BodiesOption = None,
     plot: PlotOption = None,
     colour_by: ColourOption = None,
-    web: Annotated[
-        bool, typer.Option("--web", help="Show the recording in a browser; the server listens on 127.0.0.1 only.")
-    ] = False,
-    port: Annotated[
-        int,
-        typer.Option(
-            "--port",
-            metavar="N",
-            min=0,
-            max=65535,
-            help="Port for --web. Default: any free one.",
-            show_default=False,
-        ),
-    ] = 0,
+    web: Annotated[bool, typer.Option("--web", help=_WEB)] = False,
+    port: Annotated[int, typer.Option("--port", metavar="N", min=0, max=65535, help=_PORT, show_default=False)] = 0,
 ) -> None:
     """Open a recording in the Rerun viewer, paused at a moment.
 
@@ -179,15 +148,7 @@ def _view_in_browser(file: Path, request: Request, port: int) -> None:
 
 def picture(
     file: RecordingArgument,
-    output: Annotated[
-        Path | None,
-        typer.Option(
-            "-o",
-            "--output",
-            metavar="PNG",
-            help="Picture to write. Default: FILE.png, or FILE-picture.png if another command wrote FILE.png.",
-        ),
-    ] = None,
+    output: Annotated[Path | None, output_option("PNG", _PICTURE)] = None,
     at: AtOption = None,
     event: EventOption = None,
     bodies: BodiesOption = None,
@@ -195,7 +156,7 @@ def picture(
     colour_by: ColourOption = None,
     view: Annotated[PictureView, typer.Option("--view", help="View to render.")] = PictureView.ALL,
     theme: ThemeOption = Theme.DARK,
-    size: Annotated[str, typer.Option("--size", metavar="WxH", help="Width and height in pixels.")] = "1600x1000",
+    size: SizeOption = "1600x1000",
     force: Annotated[bool, typer.Option("--force", help="Replace a file that `carom picture` did not write.")] = False,
 ) -> None:
     """Render a moment of a recording to a PNG; needs no screen.
@@ -224,10 +185,10 @@ def picture(
 
 
 def _simulated(file: Path, at: float | None) -> float | None:
-    """Convert a given moment to a time of the simulation."""
+    """Convert a parsed time to simulated time."""
     from carom.recording.read.recording import Recording
 
-    return None if at is None else simulated(at, Recording.open(file).units)
+    return simulated_or_none(at, Recording.open(file).units)
 
 
 def _announce_replay(file: Path, plot: str | None, *, alone: bool = False) -> None:
@@ -254,12 +215,11 @@ def _say_missing(reason: str) -> None:
 
 
 def pixels_of(size: str) -> tuple[int, int]:
-    """Read WIDTHxHEIGHT."""
+    """Parse WIDTHxHEIGHT."""
     from carom.errors import RecordingError
 
-    width, _, height = size.partition("x")
-    if width.isascii() and width.isdigit() and height.isascii() and height.isdigit():
-        pixels = int(width[:9]), int(height[:9])
+    if match := re.fullmatch(r"([0-9]+)x([0-9]+)", size):
+        pixels = int(match[1][:9]), int(match[2][:9])
         if all(SMALLEST <= side <= LARGEST for side in pixels):
             return pixels
     raise RecordingError(
@@ -269,15 +229,7 @@ def pixels_of(size: str) -> tuple[int, int]:
 
 def publish(
     files: RecordingsArgument,
-    output: Annotated[
-        Path | None,
-        typer.Option(
-            "-o",
-            "--output",
-            metavar="DIR",
-            help="Folder to write. Default: FILE-page, beside FILE; of several recordings, recordings-page.",
-        ),
-    ] = None,
+    output: Annotated[Path | None, output_option("DIR", _PAGE)] = None,
     force: Annotated[bool, typer.Option("--force", help="Replace a folder that carom published before.")] = False,
     as_json: JsonOption = False,
 ) -> None:
@@ -340,12 +292,8 @@ class MovieView(StrEnum):
 
 def movie(
     file: RecordingArgument,
-    start: Annotated[
-        float | None, typer.Option("--from", parser=seconds, metavar="T", help="Start at this simulated time.")
-    ] = None,
-    end: Annotated[
-        float | None, typer.Option("--to", parser=seconds, metavar="T", help="End at this simulated time.")
-    ] = None,
+    start: Annotated[OptionalTime, time_option("--from", "Start at this simulated time.")] = None,
+    end: Annotated[OptionalTime, time_option("--to", "End at this simulated time.")] = None,
     length: Annotated[
         float, typer.Option("--seconds", parser=seconds, metavar="S", help="Length of the movie in seconds.")
     ] = 10.0,
@@ -359,19 +307,11 @@ def movie(
         typer.Option("--event", metavar="NAME", help="Event whose bodies a close-up follows, such as impact:3."),
     ] = None,
     bodies: BodiesOption = None,
-    camera: Annotated[
-        Camera | None,
-        typer.Option(
-            "--camera",
-            help="Keep the camera still, follow the centre of the bodies, or orbit it once. Default: still with a "
-            "plane, a wall or a field; otherwise follow bodies that move away.",
-        ),
-    ] = None,
+    camera: Annotated[Camera | None, typer.Option("--camera", help=_CAMERA)] = None,
     theme: ThemeOption = Theme.DARK,
-    size: Annotated[str, typer.Option("--size", metavar="WxH", help="Width and height in pixels.")] = "1280x720",
+    size: SizeOption = "1280x720",
     output: Annotated[
-        Path | None,
-        typer.Option("-o", "--output", metavar="FILE", help="Movie to write, .mp4 or .gif. Default: FILE with .mp4."),
+        Path | None, output_option("FILE", "Movie to write, .mp4 or .gif. Default: FILE with .mp4.")
     ] = None,
     force: ForceOption = False,
 ) -> None:
