@@ -20,10 +20,12 @@ if TYPE_CHECKING:
     from carom.cli.options import ThreadsOption as ThreadsOption
     from carom.cli.options import bundled as bundled
     from carom.cli.options import not_a_folder as not_a_folder
+    from carom.cli.options import output_option as output_option
     from carom.cli.options import recording_option as recording_option
     from carom.cli.options import seconds as seconds
     from carom.cli.options import simulated as simulated
     from carom.cli.options import simulated_or_none as simulated_or_none
+    from carom.cli.options import time_option as time_option
     from carom.cli.options import work_time as work_time
     from carom.cli.printing import duration_text as duration_text
     from carom.cli.printing import finite as finite
@@ -255,7 +257,8 @@ SECTIONS = {  # purpose → module → names
     "Commands": {
         "carom.cli.options": (
             "ForceOption JsonOption OptionalTime RecordingArgument SceneArgument SetOption ThreadsOption "
-            "bundled not_a_folder recording_option seconds simulated simulated_or_none work_time"
+            "bundled not_a_folder output_option recording_option seconds simulated simulated_or_none time_option "
+            "work_time"
         ),
         "carom.cli.printing": "say say_json finite duration_text",
         "carom.cli.terminal": "Terminal print_whole LiveLine bar replaying",

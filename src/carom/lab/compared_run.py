@@ -22,11 +22,12 @@ from carom.arrays import FloatArray, IntArray
 from carom.errors import ExperimentError, PhysicsError
 from carom.extend import TIME, auto, every, minimum_images, whole_file, write_whole
 
-# A compared run is bounded by a number of steps, which is the same on every machine, and by a CPU time.
 TELLING = 5.0  # s between two lines of progress
-
-
 STEPS = (4.0, 2.0, 1.0, 0.5)  # step factors of each integrator, if only the integrator matters
+SAMPLES = 200  # times at which trajectories are compared
+EARLIER = (3.0 - 5.0**0.5) / 2.0  # of the time between two samples; the golden section avoids simple ratios
+LATE = 0.9  # of the samples; after it, bodies are assumed to have come to rest
+MORE_SAMPLES_UP_TO, MORE_SAMPLES = 20, 600  # more samples of few bodies cost nothing, and their paths can be drawn
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,13 +40,7 @@ class Setting:
     engine: str = ""  # another engine, to whose own keys `overrides` belong; empty for carom
 
     def apply(self, scene: Scene) -> Scene:
-        """Return the scene with this setting.
-
-        Raises
-        ------
-        SceneError
-            If a key or a value is wrong.
-        """
+        """Return the scene with this setting; SceneError if a key or a value is wrong."""
         return scene.changed(list(self.overrides))
 
 
@@ -53,15 +48,7 @@ AS_WRITTEN = Setting("as written", ())
 
 
 class RunStoppedError(ExperimentError):
-    """A run was stopped at its bound.
-
-    Parameters
-    ----------
-    reached
-        The simulated time as text, with its unit.
-    by_limit
-        Whether the bound was that of the CPU time, ``--limit``.
-    """
+    """A run was stopped at its bound: that of the CPU time, ``--limit``, or of the steps. ``reached`` has its unit."""
 
     def __init__(self, steps: int, seconds: float, reached: str, *, by_limit: bool) -> None:
         self.steps, self.seconds = steps, seconds
@@ -73,17 +60,14 @@ class RunStoppedError(ExperimentError):
 class RunBound:
     """The bound of a run."""
 
-    steps: float = math.inf
+    steps: float = math.inf  # the same on every machine
     seconds: float = math.inf  # of CPU time
 
 
 class RunGuard:
-    """Observes a run from its start: reports its progress, and decides when to stop it.
+    """Observes a run from its start; decides when to stop it, and calls ``tell`` every `TELLING` seconds.
 
-    Parameters
-    ----------
-    tell
-        Called with a step and a simulated time in s, every `TELLING` seconds.
+    ``tell`` receives the step and the simulated time in s.
     """
 
     def __init__(self, bound: RunBound, tell: Callable[[int, float], None]) -> None:
@@ -106,15 +90,6 @@ class RunGuard:
     def is_late(self) -> bool:
         """Whether the CPU time has run out, rather than the number of steps."""
         return self.seconds > self._bound.seconds
-
-
-SAMPLES = 200  # times at which trajectories are compared
-EARLIER = (3.0 - 5.0**0.5) / 2.0  # of the time between two samples; the golden section avoids simple ratios
-LATE = 0.9  # of the samples; after it, bodies are assumed to have come to rest
-MORE_SAMPLES_UP_TO, MORE_SAMPLES = 20, 600  # more samples of few bodies cost nothing, and their paths can be drawn
-
-
-UNBOUNDED = RunBound()
 
 
 @dataclass(frozen=True, slots=True)
@@ -178,24 +153,17 @@ def sample_times(scene: Scene) -> FloatArray:
 def follow(
     space: Space,
     times: FloatArray,
-    bound: RunBound = UNBOUNDED,
+    bound: RunBound = RunBound(),
     tell: Callable[[int, float], None] = lambda step, time: None,
 ) -> Trajectory:
-    """Run a space to its end and collect its data, without changing its steps.
-
-    Parameters
-    ----------
-    times
-        (K,) s, at which it is sampled.
-    tell
-        Called with the step and the time in s, every `TELLING` seconds.
+    """Run a space to its end and sample it at some times, (K,) s, without changing its steps.
 
     Raises
     ------
     PhysicsError
         If the state is no longer finite.
     RunStoppedError
-        If it exceeds its bound.
+        If it exceeds its bound; see `RunGuard` for ``tell``.
     """
     guard = RunGuard(bound, tell)
     watch = _Watch(space, times, guard)
@@ -210,7 +178,7 @@ def follow(
     if len(watch.position) < len(times):
         raise PhysicsError(f"the run stopped at t = {space.scene.unit_system.text(space.time, TIME)}")
     extremes, n = space.extremes, len(space.state) + len(space.planes)
-    collides = space.requirements.contact.modelled
+    overlap = extremes.overlap.value if extremes.overlap else 0.0
     met = np.array(list(watch.met), dtype=np.int64)
     return Trajectory(
         time=times,
@@ -222,7 +190,7 @@ def follow(
         energy_gain=extremes.energy_gain.value,
         momentum_error=extremes.momentum_error.value if extremes.momentum_error else np.nan,
         angular_momentum_error=extremes.angular_momentum_error.value if extremes.angular_momentum_error else np.nan,
-        overlap=(extremes.overlap.value if extremes.overlap else 0.0) if collides else np.nan,
+        overlap=overlap if space.requirements.contact.modelled else np.nan,
         sinking=watch.sinking if space.requirements.resting.modelled else np.nan,
         impacts=extremes.impacts,
         steps=space.step,
@@ -248,10 +216,7 @@ class _Watch:
         self._before: tuple[float, FloatArray, FloatArray, FloatArray]
 
     def __call__(self, step: int, before: float, time: float) -> bool:
-        """Copy the state before a step, once its length is known and before anything moves.
-
-        An integrator with a solution within its steps calls this after the step.
-        """
+        """Copy the state before a step of known length; integrators with a solution within steps call it afterwards."""
         if self._space.has_solution:
             self._began = before
             self.see_contacts(time)
@@ -323,9 +288,8 @@ class _Watch:
             while flown < len(impacts) and impacts.time[flown] < h:
                 flight.bend(impacts.pairs[flown], float(impacts.time[flown]), impacts.after[flown])
                 flown += 1
-            moved, velocity = (
-                np.where(struck[:n], bent, even) for bent, even in zip(flight.at(h), smooth, strict=True)
-            )
+            pairs = zip(flight.at(h), smooth, strict=True)
+            moved, velocity = (np.where(struck[:n], bent, even) for bent, even in pairs)
             if h == dt:
                 moved, velocity = way, frame.velocity
             self.position.append(x + moved)
@@ -335,7 +299,7 @@ class _Watch:
 class _Flight:
     """The paths of all bodies from the beginning of a step, with their impacts.
 
-    Accelerations change linearly; drag, -v/τ, is excluded from them and solved in closed form.
+    Accelerations without drag change linearly; drag, -v/τ, has a closed form.
     """
 
     def __init__(self, v: FloatArray, a: FloatArray, jerk: FloatArray, scene: Scene) -> None:

@@ -9,6 +9,7 @@ import ast
 import math
 import operator
 from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -55,18 +56,9 @@ class UnknownNameError(Exception):
 
 
 class Expression:
-    """A condition on a summary.
+    """A condition on a summary: comparisons of names, numbers and texts, joined by ``and``, ``or`` and ``not``.
 
-    Parameters
-    ----------
-    text
-        Comparisons of names, numbers and texts, joined by ``and``, ``or`` and ``not``. Names are the keys of
-        ``carom inspect --json``, with dots between the levels.
-
-    Raises
-    ------
-    ExperimentError
-        If it cannot be read.
+    Names are the keys of ``carom inspect --json``, with dots between the levels. ExperimentError if it cannot be read.
     """
 
     def __init__(self, text: str, option: str = "--while") -> None:
@@ -82,13 +74,7 @@ class Expression:
             raise ExperimentError(f"{option} {text}: contains no quantity of a run; {_EXAMPLE}")
 
     def holds(self, summary: Mapping[str, Any]) -> bool:
-        """Return whether the condition holds.
-
-        Raises
-        ------
-        UnknownNameError
-            If the summary lacks a name.
-        """
+        """Return whether the condition holds; UnknownNameError if the summary lacks a name."""
         try:
             return bool(self._value(self._tree, summary))
         except (TypeError, ZeroDivisionError, OverflowError):  # such as null > 1: momentum is not conserved
@@ -196,22 +182,14 @@ STEADY = 0.01  # of the smaller radius: an overlap at rest changes less in `LAST
 
 
 class Touches:
-    """The pairs that touched so far. Pairs are identified by names, which do not change when other bodies are left out.
-
-    Attributes
-    ----------
-    pairs
-        All pairs that touched.
-    sunk
-        The pairs that overlap at rest, with the overlap over the smaller radius.
-    """
+    """The pairs that touched so far, identified by names, which do not change when other bodies are left out."""
 
     def __init__(self, space: Space) -> None:
         self._names = Names(list(space.names), names_of_solids(space.scene))
         self._radius = space.state.radius
         self._since: dict[Pair, tuple[int, float]] = {}  # first step of a steady overlap, and the overlap
         self.pairs: set[Pair] = set()
-        self.sunk: dict[Pair, float] = {}
+        self.sunk: dict[Pair, float] = {}  # pairs that overlap at rest, with the overlap over the smaller radius
 
     def see(self, frame: Frame) -> None:
         """Add the impacts since the previous frame, and measure overlaps that last."""
@@ -235,45 +213,20 @@ def end_name(names: Names, end: int) -> str:
     return names.bodies[end] if end < len(names.bodies) else names.of(end)
 
 
+@dataclass(eq=False)
 class Observation:
-    """A run up to a frame.
+    """A run up to a frame."""
 
-    Parameters
-    ----------
-    space
-        The run.
-    initial
-        J, its energy at the start.
-    frames
-        Number of frames so far.
-    warnings
-        The warnings so far.
-    touches
-        The pairs that met so far.
-    error
-        The error message of a failed run; empty otherwise.
-    stated
-        Whether the error is a PhysicsError, whose message gives the reason.
-    """
+    space: Space
+    initial: float  # J, the energy at the start
+    frames: int
+    warnings: list[Event]
+    touches: Touches
+    error: str = ""  # the message of a failed run
+    stated: bool = False  # whether the error is a PhysicsError, whose message gives the reason
 
-    def __init__(
-        self,
-        space: Space,
-        initial: float,
-        frames: int,
-        warnings: list[Event],
-        touches: Touches,
-        error: str = "",
-        stated: bool = False,
-    ) -> None:
-        self.space = space
-        self.error = error
-        self.stated = stated
-        self.warned = frozenset(warning.kind for warning in warnings)
-        self.touches = touches
-        self._initial = initial
-        self._frames = frames
-        self._warnings = warnings
+    def __post_init__(self) -> None:
+        self.warned = frozenset(warning.kind for warning in self.warnings)
 
     @cached_property
     def verdicts(self) -> list[Verdict]:
@@ -299,7 +252,7 @@ class Observation:
         for section in ("momentum", "angular_momentum"):
             closing.setdefault(section, {"max_error": None})
         final = space.status.energy.total
-        energy = {"initial": self._initial, "final": final, "max_error": 0.0} | closing.pop("energy", {})
+        energy = {"initial": self.initial, "final": final, "max_error": 0.0} | closing.pop("energy", {})
         contacts = {"total": 0, "max_overlap": 0.0} | closing.pop("contacts", {})
         closing.pop("profile", None)
         missed = [str(verdict) for verdict in self.verdicts if not verdict.met]
@@ -307,11 +260,11 @@ class Observation:
         return {
             "scene": {"title": space.scene.title},
             "bodies": len(space.state),
-            "frames": self._frames,
+            "frames": self.frames,
             "outcome": outcome,
             "energy": energy,
             "contacts": contacts,
-            "warnings": [{"step": w.step, "time": w.time, "text": w.text, "kind": w.kind} for w in self._warnings],
+            "warnings": [{"step": w.step, "time": w.time, "text": w.text, "kind": w.kind} for w in self.warnings],
             "moments": {},
             "accuracy": {},
             "versions": versions(),

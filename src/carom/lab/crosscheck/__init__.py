@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from carom.extend import TIME, SetOption, ThreadsOption, bundled, command, say, say_json
+from carom.extend import TIME, JsonOption, SetOption, ThreadsOption, bundled, command, output_option, say, say_json
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -20,59 +20,27 @@ if TYPE_CHECKING:
 
 
 SEVERAL_LIMIT = 30.0  # s, of each run and reference, if there are several scenes
+_SCENES = "Scene files (.toml) or bundled scenes; `extremes` and `crosscheck` select all scenes of that folder."
+_ENGINES = "Engines to compare with: rebound, mujoco, box3d, pybullet, newton. Needs their packages."
+_LIMIT = (
+    "Limit of the CPU time of a run, and of the time of a reference, in seconds. Default: none for one scene, "
+    f"{SEVERAL_LIMIT:g} for several."
+)
+_FOLDER = "Folder of the results, or the parent folder for several scenes. Default: recordings/crosscheck/SCENE."
+_WORKERS = "Number of processes for the untimed runs. Default: one per core if there are many runs."
 
 
 def crosscheck_command(
-    scenes: Annotated[
-        list[str],
-        typer.Argument(
-            metavar="SCENE...",
-            help="Scene files (.toml) or bundled scenes; `extremes` and `crosscheck` select all scenes of that folder.",
-            autocompletion=bundled,
-        ),
-    ],
-    engines: Annotated[
-        list[str],
-        typer.Option(
-            "--engine",
-            metavar="A,B,C",
-            help="Engines to compare with: rebound, mujoco, box3d, pybullet, newton. Needs their packages.",
-        ),
-    ],
+    scenes: Annotated[list[str], typer.Argument(metavar="SCENE...", help=_SCENES, autocompletion=bundled)],
+    engines: Annotated[list[str], typer.Option("--engine", metavar="A,B,C", help=_ENGINES)],
     repeats: Annotated[int, typer.Option("--repeats", metavar="N", help="Time each run N times.", min=1)] = 3,
-    limit: Annotated[
-        float | None,
-        typer.Option(
-            "--limit",
-            metavar="SECONDS",
-            help="Limit of the CPU time of a run, and of the time of a reference, in seconds. Default: none for one "
-            f"scene, {SEVERAL_LIMIT:g} for several.",
-            min=0.0,
-        ),
-    ] = None,
-    folder: Annotated[
-        Path | None,
-        typer.Option(
-            "-o",
-            "--output",
-            metavar="DIR",
-            help="Folder of the results, or the parent folder for several scenes. Default: "
-            "recordings/crosscheck/SCENE.",
-        ),
-    ] = None,
+    limit: Annotated[float | None, typer.Option("--limit", metavar="SECONDS", help=_LIMIT, min=0.0)] = None,
+    folder: Annotated[Path | None, output_option("DIR", _FOLDER)] = None,
     overrides: SetOption = None,
     threads: ThreadsOption = None,
-    workers: Annotated[
-        int | None,
-        typer.Option(
-            "--workers",
-            metavar="N",
-            help="Number of processes for the untimed runs. Default: one per core if there are many runs.",
-            min=1,
-        ),
-    ] = None,
+    workers: Annotated[int | None, typer.Option("--workers", metavar="N", help=_WORKERS, min=1)] = None,
     force: Annotated[bool, typer.Option("--force", help="Start over and replace earlier results.")] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+    as_json: JsonOption = False,
 ) -> None:
     """Run a scene in other engines: errors, cost, criteria, where each diverges from the reference, and the broken law.
 
@@ -163,12 +131,9 @@ def _show_several(
         console.print(escape(f"{name}: {reason}"), soft_wrap=True)
     versions = dict.fromkeys(each for document in documents.values() for each in document["versions"].values())
     console.print(f"Versions: {', '.join(versions)}.", soft_wrap=True)
-    ran_by = sum(1 for document in documents.values() if document["runs"])
-    console.print(
-        f"{ran_by} scenes; {len(refused)} cannot be represented by any of the engines. Figures and recordings: "
-        f"{folder}/SCENE.",
-        soft_wrap=True,
-    )
+    count = sum(1 for document in documents.values() if document["runs"])
+    without = f"{len(refused)} cannot be represented by any of the engines"
+    console.print(f"{count} scenes; {without}. Figures and recordings: {folder}/SCENE.", soft_wrap=True)
 
 
 def _console() -> Terminal:
@@ -218,19 +183,12 @@ def _table(document: dict[str, Any], units: UnitSystem) -> Table:
     from rich.table import Table
 
     table, reference = Table(box=box.SIMPLE_HEAD, pad_edge=False), document["reference"]
-    for heading in (
-        "run",
-        "cost / s",
-        "±",
-        "steps",
-        "position" if reference is None or reference["complete"] else f"position {_extent(reference, units)}",
-        "overlap",
-        "energy change",
-        "criteria",
-        "diverges from the reference at",
-    ):
-        table.add_column(heading, justify="left" if heading in ("run", "diverges from the reference at") else "right")
-    table.add_column("laws broken there")
+    compared = "" if reference is None or reference["complete"] else f" {_extent(reference, units)}"
+    table.add_column("run")
+    for heading in ("cost / s", "±", "steps", f"position{compared}", "overlap", "energy change", "criteria"):
+        table.add_column(heading, justify="right")
+    for heading in ("diverges from the reference at", "laws broken there"):
+        table.add_column(heading)
     for run in document["runs"]:
         errors = run["errors"] or {}
         cost = (f"{run['cost']:.3g}", f"{run['spread']:.0%}") if run["cost"] is not None else ("", "")
@@ -263,7 +221,7 @@ def _extent(reference: dict[str, Any], units: UnitSystem) -> str:
 
 
 def _parting(run: dict[str, Any], reference: dict[str, Any] | None, units: UnitSystem) -> str:
-    """Describe where a run diverges from the reference; "nowhere" requires a comparison up to the end of the scene."""
+    """Describe where a run diverges from the reference; "nowhere" if it was compared up to the end of the scene."""
     if run["status"] != "measured" or "parting" not in run:
         return run["status"] if run["status"] != "measured" else ""
     parting = run["parting"]
@@ -278,7 +236,7 @@ def _parting(run: dict[str, Any], reference: dict[str, Any] | None, units: UnitS
 
 
 def _energy(energy: dict[str, float | None]) -> str:
-    """Return the change of the energy and, for another engine with contacts, the part that no contact explains."""
+    """Describe the change of the energy and, for another engine with contacts, the part that no contact explains."""
     change, other = energy.get("change"), energy.get("without_contact")
     if change is None:
         return ""

@@ -21,7 +21,6 @@ from carom.extend import (
     Ended,
     LocalWorkers,
     Names,
-    Outcome,
     Verdict,
     WorkerDiedError,
     cores,
@@ -52,37 +51,6 @@ class Examination:
     energy: dict[str, float | None]  # changes over the energy scale; see `energy_changes`
 
 
-def examined_own(name: str, outcome: Outcome, parting: dict[str, Any] | None) -> Examination:
-    """Return the examination of a run of carom; its warnings are the violated laws."""
-    warned = {event.kind: event for event in reversed(outcome.warnings)}
-    laws = {
-        kind: {"step": event.step, "time": event.time, "text": event.text.splitlines()[0], "frames": 1}
-        for kind, event in warned.items()
-    }
-    criteria = [_entry(v) for v in outcome.verdicts]
-    return Examination(name, criteria, laws, parting, outcome.path.name, energy_changes(outcome.path))
-
-
-def examined_other(
-    name: str, scene: Scene, seen: Watched, parting: dict[str, Any] | None, recording: Path
-) -> Examination:
-    """Return the examination of a run of another engine, without criteria that need a run of carom."""
-    whole, touched = seen.outcome == COMPLETED, math.isnan(seen.trajectory.energy_error)
-    verdicts = judge(scene, seen.extremes, scene.time.duration if whole else seen.extremes.kinetic.time)
-    laws = {
-        fault.law: {"step": fault.step, "time": fault.time, "text": fault.text, "frames": seen.counts[fault.law]}
-        for fault in seen.faults
-    }
-    criteria = [
-        # A run that ended early might have exceeded a limit later. Where bodies touched, only a lower bound of the
-        # integrator's error is known, because the energy that contacts absorbed cannot be separated from it.
-        _entry(v, judged=not v.met) if not whole or (v.name == "energy_error" and touched) else _entry(v)
-        for v in verdicts
-        if v.name != "contact_audit" and not v.name.startswith("warned_")
-    ]
-    return Examination(name, criteria, laws, parting, recording.name, energy_changes(recording))
-
-
 def energy_changes(path: Path) -> dict[str, float | None]:
     """Return the changes of the energy in a recording, over the energy scale.
 
@@ -109,7 +77,7 @@ def _entry(verdict: Verdict, judged: bool = True) -> dict[str, Any]:
     }
 
 
-# Runs of engines are followed in several processes at a time; nothing is timed meanwhile.
+# Several processes follow runs of engines at the same time; nothing is timed meanwhile.
 MIN_RUNS_FOR_PROCESSES = 8  # with fewer, starting processes takes longer than they save
 _TICK = 60.0  # s, the longest wait for results at a time
 
@@ -149,13 +117,10 @@ def execute(task: CrosscheckTask) -> Followed:
 
 
 class Runs(ExitStack):
-    """Follows runs; as a context, it ends the processes of unfinished runs.
+    """Follows runs in some processes; as a context, it ends the processes of unfinished runs.
 
-    Parameters
-    ----------
-    workers
-        Number of processes. None: one per core if there are at least `MIN_RUNS_FOR_PROCESSES` runs; 1: only this
-        process.
+    ``workers`` is the number of processes; 1 is this process alone. None means one per core if there are at least
+    `MIN_RUNS_FOR_PROCESSES` runs.
     """
 
     def __init__(self, workers: int | None) -> None:
@@ -171,7 +136,7 @@ class Runs(ExitStack):
         self._tasks[task.path] = task
 
     def begin(self) -> None:
-        """Start all registered runs, if other processes follow them."""
+        """Start all registered runs in other processes, unless this process follows them."""
         workers = self._workers or (cores() if len(self._tasks) >= MIN_RUNS_FOR_PROCESSES else 1)
         if workers == 1 or len(self._tasks) < 2:
             return
@@ -210,21 +175,6 @@ Teller = Callable[[str], None]
 class Crosscheck:
     """A scene in several engines, measured and examined.
 
-    Parameters
-    ----------
-    engines
-        The engines to compare carom with.
-    folder
-        Folder of the results. Results of an interrupted crosscheck of the same scene are kept.
-    threads
-        For carom's kernels.
-    force
-        Whether to start over.
-    limit
-        CPU time in s for following each run of an engine, and time in s for the reference; longer runs are stopped.
-    runs
-        Follows the runs of engines.
-
     Raises
     ------
     ExperimentError
@@ -232,11 +182,11 @@ class Crosscheck:
     """
 
     scene: Scene
-    engines: list[Engine]
-    folder: Path
-    threads: int | None = None
-    force: bool = False
-    limit: float = math.inf
+    engines: list[Engine]  # to compare carom with
+    folder: Path  # of the results; those of an interrupted crosscheck of the same scene are kept
+    threads: int | None = None  # of carom's kernels
+    force: bool = False  # whether to start over
+    limit: float = math.inf  # s of CPU time of each engine's run, and s of the reference; longer runs are stopped
     runs: Runs = field(default_factory=lambda: Runs(1))
     refused: dict[str, str] = field(default_factory=dict)  # engine → why it cannot run the scene
     examinations: dict[str, Examination] = field(default_factory=dict)  # by the names of the settings
@@ -245,16 +195,13 @@ class Crosscheck:
     def __post_init__(self) -> None:
         for engine in self.engines:
             engine.ensure_installed()
-        able = []
-        for engine in self.engines:
             try:
                 engine.check(self.scene)
-                able.append(engine)
             except ExperimentError as error:
                 self.refused[engine.name] = str(error)
-        if not able:
+        self.engines = [engine for engine in self.engines if engine.name not in self.refused]
+        if not self.engines:
             raise ExperimentError("; ".join(self.refused.values()))
-        self.engines = able
         own = (DOCUMENT, FIGURE, OVERLAY, REFERENCE, *(self._recording(setting).name for setting in self._settings()))
         self.study = Study(self.scene, self.folder, threads=self.threads, force=self.force, limit=self.limit, files=own)
         self.study.follow_engine, self.study.examine = self._follow, self._examine
@@ -291,23 +238,19 @@ class Crosscheck:
 
     def document(self) -> dict[str, Any]:
         """Return all results as one JSON document."""
-        notes = {engine.name: engine.notes(self.scene) for engine in self.engines}
-        reference = self.study.document()["reference"]
         runs = []
         for result in self.results:
             examined = self.examinations.get(result.setting.name)
             runs.append({**result_entry(result), **({} if examined is None else asdict(examined))})
+        engines = self.engines
         return {
             "version": VERSION,
             "units": self.scene.unit_system.recorded,
             "scene": {"title": self.scene.title, "bodies": self.scene.count, "toml": self.scene.toml},
-            "reference": reference,
+            "reference": self.study.document()["reference"],
             "refused": self.refused,
-            "notes": notes,
-            "versions": {
-                engine.name: named_version(engine.name, getattr(engine, "distribution", None))
-                for engine in self.engines
-            },
+            "notes": {engine.name: engine.notes(self.scene) for engine in engines},
+            "versions": {each.name: named_version(each.name, getattr(each, "package", None)) for each in engines},
             "runs": runs,
         }
 
@@ -329,17 +272,42 @@ class Crosscheck:
 
     def _examined(self, result: SettingResult) -> Examination:
         """Return the examination of a measured run."""
-        setting = result.setting
-        if not setting.engine:
+        setting, scene = result.setting, self.scene
+        path = self._recording(setting)
+        if not setting.engine:  # the warnings of carom are the violated laws
             try:
-                outcome = simulate(recording_space(self.scene, self.threads), self._recording(OWN), force=True)
+                outcome = simulate(recording_space(scene, self.threads), path, force=True)
             except (PhysicsError, RecordingError) as error:
                 raise ExperimentError(f"carom: {error}") from error
-            broken = [(event.time, event.kind) for event in outcome.warnings]
-            return examined_own(OWN.name, outcome, self._parting(result, broken, 0.0))
-        seen = self._seen.pop(setting.name, None) or self.runs.result(self._task(setting)).watched
-        parting = self._parting(result, seen.broken, seen.dt)
-        return examined_other(setting.name, self.scene, seen, parting, self._recording(setting))
+            broken, dt = [(event.time, event.kind) for event in outcome.warnings], 0.0
+            laws = {
+                event.kind: {"step": event.step, "time": event.time, "text": event.text.splitlines()[0], "frames": 1}
+                for event in reversed(outcome.warnings)
+            }
+            criteria = [_entry(v) for v in outcome.verdicts]
+        else:
+            seen = self._seen.pop(setting.name, None) or self.runs.result(self._task(setting)).watched
+            broken, dt = seen.broken, seen.dt
+            laws = {
+                fault.law: {
+                    "step": fault.step,
+                    "time": fault.time,
+                    "text": fault.text,
+                    "frames": seen.counts[fault.law],
+                }
+                for fault in seen.faults
+            }
+            whole, touched = seen.outcome == COMPLETED, math.isnan(seen.trajectory.energy_error)
+            verdicts = judge(scene, seen.extremes, scene.time.duration if whole else seen.extremes.kinetic.time)
+            criteria = [
+                # A run that ended early might have exceeded a limit later. Where bodies touched, only a lower bound of
+                # the integrator's error is known: the energy that contacts absorbed cannot be separated from it.
+                _entry(v, judged=not v.met) if not whole or (v.name == "energy_error" and touched) else _entry(v)
+                for v in verdicts
+                if v.name != "contact_audit" and not v.name.startswith("warned_")  # these need a run of carom
+            ]
+        parting = self._parting(result, broken, dt)
+        return Examination(setting.name, criteria, laws, parting, path.name, energy_changes(path))
 
     def _recording(self, setting: Setting) -> Path:
         kept = "".join(letter if letter.isalnum() or letter == "." else "-" for letter in setting.name)

@@ -80,25 +80,16 @@ def parting_of(
     names: Names,
     numbered: NumberedImpacts,
 ) -> Parting | None:
-    """Return the divergence of a run from a reference.
+    """Return the divergence of a run from a reference up to the reference's horizon; None without one.
 
     Parameters
     ----------
-    reference
-        The reference; samples up to the horizon are compared.
     broken
         Times (s) and laws of the frames that violate one, in order.
     dt
         s, the step of the run.
-    names
-        Names of bodies and planes.
     numbered
         The impacts of carom's own run.
-
-    Returns
-    -------
-    parting
-        None without a divergence.
     """
     best = reference.trajectory.until(reference.samples)
     apart, _ = reference.scale.apart(run.until(reference.samples), best)
@@ -162,13 +153,7 @@ MOST_IMPACTS = 40  # that are marked; more would fill the figure
 
 
 def draw(check: Crosscheck, path: Path) -> None:
-    """Draw a crosscheck into a PNG or SVG.
-
-    Raises
-    ------
-    ExperimentError
-        If matplotlib is not there, or nothing is measured.
-    """
+    """Draw a crosscheck into a PNG or SVG. Raises ExperimentError without matplotlib or measurements."""
     look = styled(9)
     reference, units = check.study.reference, check.scene.unit_system
     runs = [result for result in check.results if result.status == "measured"]
@@ -187,20 +172,13 @@ def draw(check: Crosscheck, path: Path) -> None:
         marks = "grey lines: first contacts; crosses: first violation of a law"
         if sure < ends:
             ax.axvspan(sure, ends, color=FAINT, alpha=0.12, linewidth=0.0)
-            marks += (
-                "; shaded: not compared, as the reference is no longer certain"
-                if reference.whole
-                else ("; shaded: not compared, as the reference ends")
-            )
+            why = "is no longer certain" if reference.whole else "ends"
+            marks += f"; shaded: not compared, as the reference {why}"
         ax.axhline(PARTED, color=FAINT, linewidth=0.8, linestyle=":")
         ax.annotate("diverged", (1.0, PARTED), xycoords=("axes fraction", "data"), ha="right", va="bottom", color=FAINT)
         ax.set_title(f"{check.scene.title}\n{marks}", fontsize=10)
-        ax.set(
-            yscale="log",
-            xlabel=units.labelled("time", TIME),
-            ylabel="rms distance from the reference / size",
-            xlim=(0.0, ends),
-        )
+        ylabel = "rms distance from the reference / size"
+        ax.set(yscale="log", xlabel=units.labelled("time", TIME), ylabel=ylabel, xlim=(0.0, ends))
         ax.spines[["top", "right"]].set_visible(False)
         ax.legend(frameon=False, fontsize=8, loc="center left", bbox_to_anchor=(1.0, 0.5))
         with whole_file(path) as part:

@@ -34,17 +34,14 @@ if TYPE_CHECKING:
     from carom.lab.diff.divergence import FirstBits
 
 ROWS = 12  # rows in the table of the growing difference
-KEYS = 50  # largest number of different keys of the scene that are printed; --json has all
+KEYS = 50  # of the scene that differ are printed at most; --json has all
 
-FirstArgument = Annotated[
-    Path, typer.Argument(metavar="A", help="A recording (.rrd), or the zip of `carom report`.", callback=not_a_folder)
-]
-SecondArgument = Annotated[Path, typer.Argument(metavar="B", help="Another one.", callback=not_a_folder)]
+_FIRST = "A recording (.rrd), or the zip of `carom report`."
 
 
 def diff_command(
-    a: FirstArgument,
-    b: SecondArgument,
+    a: Annotated[Path, typer.Argument(metavar="A", help=_FIRST, callback=not_a_folder)],
+    b: Annotated[Path, typer.Argument(metavar="B", help="Another one.", callback=not_a_folder)],
     output: Annotated[Path | None, recording_option("Write both recordings into one .rrd for the viewer.")] = None,
     force: ForceOption = False,
     as_json: JsonOption = False,
@@ -79,13 +76,15 @@ def diff_command(
 
 
 def _document(found: Diff, names: Names, units: UnitSystem) -> dict[str, Any]:
-    """Return the result as a document."""
     from dataclasses import asdict
 
-    curve, verdict = found.curve, found.verdict
+    curve, verdict, bits = found.curve, found.verdict, None
     first = verdict.first
     keys = ("step", "time", "rms", "floor", "energy")
     rows = zip(*(getattr(curve, key).tolist() for key in keys), strict=True)
+    if (state := found.first_bits) is not None:
+        contact = state.contact and asdict(state.contact) | {"between": names.pair(state.contact.ends)}
+        bits = asdict(state) | {"names": [names.of(body) for body in state.bodies], "contact": contact}
     return {
         "a": str(found.paths[0]),
         "b": str(found.paths[1]),
@@ -103,7 +102,7 @@ def _document(found: Diff, names: Names, units: UnitSystem) -> dict[str, Any]:
         },
         "engines": list(found.engines),
         "first_difference": None if first is None else {"step": int(curve.step[first]), "time": curve.time[first]},
-        "first_bits": None if found.first_bits is None else _bits_document(found.first_bits, names),
+        "first_bits": bits,
         "impacts": None if found.impacts is None else _impacts_document(found.impacts, names),
         **({"lives": [asdict(life) for life in found.lives]} if found.lives else {}),
         "growth": None if found.divergence is None else asdict(found.divergence),
@@ -112,35 +111,20 @@ def _document(found: Diff, names: Names, units: UnitSystem) -> dict[str, Any]:
     }
 
 
-def _bits_document(found: FirstBits, names: Names) -> dict[str, Any]:
+def _impacts_document(found: ImpactDivergence, names: Names) -> dict[str, Any]:
     from dataclasses import asdict
 
-    contact = None if found.contact is None else asdict(found.contact) | {"between": names.pair(found.contact.ends)}
-    return asdict(found) | {"names": [names.of(body) for body in found.bodies], "contact": contact}
-
-
-def _impacts_document(found: ImpactDivergence, names: Names) -> dict[str, Any]:
-    def nested(pair: ImpactPair | None) -> dict[str, Any] | None:
+    def both(pair: ImpactPair | None) -> dict[str, Any] | None:
         return None if pair is None else {"a": of(pair.a), "b": of(pair.b)}
 
     def of(impact: Impact | None) -> dict[str, Any] | None:
-        if impact is None:
-            return None
-        return {
-            "number": impact.number,
-            "bodies": list(impact.bodies),
-            "between": names.pair(impact.bodies),
-            "time": impact.time,
-            "approach_speed": impact.approach_speed,
-            "normal_impulse": impact.normal_impulse,
-            "mode": impact.mode,
-        }
+        return None if impact is None else asdict(impact) | {"between": names.pair(impact.bodies)}
 
     return {
         "counts": None if found.counts is None else list(found.counts),
         "compared": found.compared,
-        "first_difference": nested(found.first),
-        "first_in_one_only": nested(found.alone),
+        "first_difference": both(found.first),
+        "first_in_one_only": both(found.alone),
     }
 
 
@@ -183,11 +167,10 @@ def _overview(found: Diff, names: Names, units: UnitSystem) -> Table:
         if len(differing) > KEYS:
             table.add_row("", f"… and {len(differing) - KEYS} more keys")
     table.add_row("in common", f"{counted(len(found.curve.step), 'frame')}, matched by {found.matched_by}")
-    if found.first_bits is not None:
-        for k, line in enumerate(_bits_lines(found.first_bits, names, units)):
-            table.add_row("" if k else "first bits", line)
-    for k, line in enumerate(_impact_lines(found.impacts, names, units)):
-        table.add_row("" if k else "impacts", line)
+    bits = () if found.first_bits is None else _bits_lines(found.first_bits, names, units)
+    for name, lines in (("first bits", bits), ("impacts", _impact_lines(found.impacts, names, units))):
+        for k, line in enumerate(lines):
+            table.add_row("" if k else name, line)
     return table
 
 
@@ -216,19 +199,13 @@ def _impact_lines(found: ImpactDivergence | None, names: Names, units: UnitSyste
 
 
 def _called(pair: ImpactPair, names: Names, units: UnitSystem) -> str:
-    """Describe an impact: its numbers in both runs, and the differences between them."""
+    """Describe an impact: its numbers in both runs, and the differences between them, B - A."""
     a, b = pair.a, pair.b
     one = a or b
     assert one is not None, "only one has it"
     what = f"{names.pair(one.bodies)}, t = {units.text(one.time, TIME, '.9g')}"
     if a is None or b is None:
         return f"first in {'B' if a is None else 'A'} only: impact {one.number}, {what}"
-    number = f"{a.number}" if a.number == b.number else f"{a.number} in A, {b.number} in B"
-    return f"first different: impact {number}, {what}: {_by_how_much(a, b, units)}"
-
-
-def _by_how_much(a: Impact, b: Impact, units: UnitSystem) -> str:
-    """List the differences of an impact, B - A."""
     differences = (
         (b.time - a.time, TIME, "time"),
         (b.approach_speed - a.approach_speed, VELOCITY, "approach speed"),
@@ -236,11 +213,13 @@ def _by_how_much(a: Impact, b: Impact, units: UnitSystem) -> str:
     )
     parts = [f"{units.text(value, dimension, '+.2e')} in {what}" for value, dimension, what in differences if value]
     parts += [f"{a.mode} in A, {b.mode} in B"] if a.mode != b.mode else []
-    return f"{', '.join(parts)} (B - A)" if parts else "in direction, friction or energy loss"
+    number = f"{a.number}" if a.number == b.number else f"{a.number} in A, {b.number} in B"
+    by = f"{', '.join(parts)} (B - A)" if parts else "in direction, friction or energy loss"
+    return f"first different: impact {number}, {what}: {by}"
 
 
 def _curve(found: Diff, units: UnitSystem) -> Table:
-    """Show a dozen frames from the first difference on."""
+    """Show some frames from the first difference on."""
     import numpy as np
     from rich.table import Table
 

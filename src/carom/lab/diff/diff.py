@@ -76,7 +76,7 @@ def other_lives(a: Recording, b: Recording) -> list[OtherLife]:
 
 
 def _spans(recording: Recording, begin: float, end: float) -> FloatArray:
-    """Return the times (n, 2) in s of the first and the last frame with each body in an interval; NaN without one."""
+    """Return the times (n, 2) in s of the first and last frame of an interval with each body; NaN without one."""
     table, n = recording.fingerprints(), int(recording.info["bodies"])
     if recording.lives is None:
         return np.tile((begin, end), (n, 1))
@@ -130,7 +130,7 @@ class ImpactDivergence:
     counts: tuple[int, int] | None  # up to the last frame at a common time; None without such a frame
     compared: int  # impacts in both recordings
     first: ImpactPair | None  # the first of these that differs
-    alone: ImpactPair | None  # the first impact that only one run has, if the other recording has all its impacts there
+    alone: ImpactPair | None  # the first impact that only one run has, if the other recorded all its impacts
 
     @property
     def same(self) -> bool:
@@ -139,13 +139,7 @@ class ImpactDivergence:
 
 
 def impact_divergence(a: Recording, b: Recording) -> ImpactDivergence | None:
-    """Compare the impacts in both recordings; None if one has no impacts, as recordings of other engines.
-
-    Raises
-    ------
-    RecordingError
-        If impacts cannot be read.
-    """
+    """Compare the impacts in both recordings; None if one has no impacts, as recordings of other engines."""
     if not (a.records_contacts and b.records_contacts) or a.engine or b.engine:
         return None
     numbers = impacts_by_number(a)[0], impacts_by_number(b)[0]
@@ -154,7 +148,10 @@ def impact_divergence(a: Recording, b: Recording) -> ImpactDivergence | None:
     times = tuple(table["time"].to_numpy() for table in tables)
     rows = _matched(ends, times)
     common = [table.take(pa.array(row)) for table, row in zip(tables, rows, strict=True)]
-    differs = _times_differ(a, b, *(table["time"].to_numpy() for table in common))
+    # times may differ by the unit of the timeline, scaled nanoseconds
+    scales = [1e-9 * float(recording.info["time_scale"]) for recording in (a, b)]
+    rounding = 0.0 if scales[0] == scales[1] else max(scales)
+    differs: BoolArray = np.abs(np.subtract(*(table["time"].to_numpy() for table in common))) > rounding
     differs |= np.array(common[0]["mode"].to_pylist(), object) != np.array(common[1]["mode"].to_pylist(), object)
     for name in _VALUES:
         in_a, in_b = (table[name].to_numpy() for table in common)
@@ -169,18 +166,16 @@ def impact_divergence(a: Recording, b: Recording) -> ImpactDivergence | None:
 
 def _matched(ends: tuple[IntArray, ...], times: tuple[FloatArray, ...]) -> tuple[IntArray, IntArray]:
     """Return the rows of matched impacts in both runs, in the order of time in the first."""
-    found: tuple[list[IntArray], list[IntArray]] = ([], [])
+    none = np.empty(0, np.int64)
+    found: list[list[IntArray]] = [[none], [none]]
     groups = [_rows_by_ends(each) for each in ends]
     for key in groups[0].keys() & groups[1].keys():
         rows = groups[0][key], groups[1][key]
-        short, long = sorted(rows, key=len)
-        chosen = long[_nearest_in_order(*(times[0 if each is rows[0] else 1][each] for each in (short, long)))]
-        one, other = (short, chosen) if short is rows[0] else (chosen, short)
-        found[0].append(one)
-        found[1].append(other)
-    if not found[0]:
-        return np.empty(0, np.int64), np.empty(0, np.int64)
-    one, other = np.concatenate(found[0]), np.concatenate(found[1])
+        short, long = (0, 1) if len(rows[0]) <= len(rows[1]) else (1, 0)
+        found[short].append(rows[short])
+        nearest = _nearest_in_order(times[short][rows[short]], times[long][rows[long]])
+        found[long].append(rows[long][nearest])
+    one, other = map(np.concatenate, found)
     order = np.argsort(one, kind="stable")
     return one[order], other[order]
 
@@ -199,8 +194,8 @@ def _rows_by_ends(ends: IntArray) -> dict[tuple[int, int], IntArray]:
 def _nearest_in_order(short: FloatArray, long: FloatArray) -> IntArray:
     """Match each time of the shorter list with one of the longer, in order, with the smallest sum of differences.
 
-    This is dynamic programming over the number of skipped times. If the longer list has more than `MOST_SKIPPED`
-    surplus times, its last times are ignored.
+    This is dynamic programming over the number of skipped times. Of a list with more than `MOST_SKIPPED` surplus times,
+    the last are ignored.
     """
     skips = min(len(long) - len(short), MOST_SKIPPED)
     if skips == 0:
@@ -241,13 +236,6 @@ def _alone(
     return min(found, key=lambda pair: pair.time, default=None)
 
 
-def _times_differ(a: Recording, b: Recording, one: FloatArray, other: FloatArray) -> BoolArray:
-    """Return whether times differ by more than the unit of the timeline, scaled nanoseconds."""
-    units = [1e-9 * float(recording.info["time_scale"]) for recording in (a, b)]
-    rounding = 0.0 if units[0] == units[1] else max(units)
-    return np.asarray(np.abs(one - other) > rounding)
-
-
 def _counts(a: Recording, b: Recording) -> tuple[int, int] | None:
     """Count all impacts, recorded or not, up to the last frame with the same time in both recordings."""
     frames = [recording.fingerprints() for recording in (a, b)]
@@ -262,14 +250,8 @@ def _counts(a: Recording, b: Recording) -> tuple[int, int] | None:
 
 def _impact(table: pa.Table, numbers: IntArray, row: int) -> Impact:
     (values,) = table.slice(row, 1).to_pylist()
-    return Impact(
-        int(numbers[row]),
-        (values["i"], values["j"]),
-        values["time"],
-        values["approach_speed"],
-        values["normal_impulse"],
-        values["mode"],
-    )
+    measured = (values[name] for name in ("time", "approach_speed", "normal_impulse", "mode"))
+    return Impact(int(numbers[row]), (values["i"], values["j"]), *measured)
 
 
 @dataclass(frozen=True, slots=True)
@@ -292,18 +274,12 @@ class Diff:
 
     @property
     def same(self) -> bool:
-        """Whether all common frames and impacts have the same bits.
-
-        In a comparison with another engine, whose bits always differ: whether no difference was measured.
-        """
+        """Whether all common frames and impacts have the same bits or, with another engine, no measured difference."""
         return self.verdict.kind == "same" and (self.impacts is None or self.impacts.same)
 
 
 def diff(a: Recording, b: Recording) -> Diff:
-    """Compare two recordings.
-
-    Frames are matched by step if both have the same times, otherwise by time, with positions and energies of the second
-    interpolated linearly.
+    """Compare two recordings, with their frames matched as in `FrameAlignment`.
 
     Raises
     ------
@@ -312,7 +288,11 @@ def diff(a: Recording, b: Recording) -> Diff:
     """
     for recording in (a, b):
         recording.refuse_overlay()
-    refuse_other_units(a, b)
+    first, second = (recording.units.named if recording.units.own else "SI" for recording in (a, b))
+    if first != second:
+        raise RecordingError(
+            f"{a.path} is in {first or 'no units'} and {b.path} in {second or 'no units'}; they cannot be compared"
+        )
     matched = FrameAlignment(a, b)
     curve = matched.curve()
     divergence = divergence_of(curve)
@@ -340,15 +320,6 @@ def diff(a: Recording, b: Recording) -> Diff:
         engines=engines,
         lives=other_lives(a, b),
     )
-
-
-def refuse_other_units(a: Recording, b: Recording) -> None:
-    """Raise RecordingError if the numbers of two recordings are not in the same units."""
-    first, second = (recording.units.named if recording.units.own else "SI" for recording in (a, b))
-    if first != second:
-        raise RecordingError(
-            f"{a.path} is in {first or 'no units'} and {b.path} in {second or 'no units'}; they cannot be compared"
-        )
 
 
 def overlay(a: Recording, b: Recording, found: Diff, out: Path) -> None:
@@ -398,9 +369,8 @@ def _written_otherwise(a: Recording, b: Recording, differing: Mapping[str, tuple
     with_unit = [key for key, values in both.items() if any(isinstance(value, str) for value in values)]
     if not with_unit:
         return set()
-    scenes = _validated(a), _validated(b)
-    found = {key: tuple(_value(scene, key) for scene in scenes) for key in with_unit}
-    return {key for key, (first, second) in found.items() if first is not None and first == second}
+    one, other = _validated(a), _validated(b)
+    return {key for key in with_unit if (value := _value(one, key)) is not None and value == _value(other, key)}
 
 
 def _validated(recording: Recording) -> Scene | None:

@@ -99,7 +99,7 @@ def divergence_of(curve: DistanceCurve) -> Divergence | None:
 
 
 def verdict(curve: DistanceCurve, divergence: Divergence | None, units: UnitSystem = SI) -> DiffVerdict:
-    """Return whether a difference is grown round-off or a bug."""
+    """Return whether grown round-off explains a difference."""
     if not curve.differs.any():
         alike = "same bits" if curve.of_bits else "no difference within the precision of the recordings"
         return DiffVerdict("same", f"{alike} in all {len(curve.time)} common frames", None, 0.0, 0.0)
@@ -112,49 +112,43 @@ def verdict(curve: DistanceCurve, divergence: Divergence | None, units: UnitSyst
     rate = divergence.rate if divergence is not None and divergence.is_exponential else 0.0
     stretched = np.exp(min(rate * (curve.time[first] - curve.time[before]), 700.0))
     allowed = float(_GRAZING * steps * _ROUNDING * curve.reach * stretched)
-    how = _grows(curve, divergence, units)
+    if divergence is None:
+        how = (
+            f"no growth rate; it needs {_POINTS} frames over which it grows tenfold, all below a tenth of the "
+            f"system's size ({units.text(_SATURATED * curve.size, LENGTH, '.2g')})"
+        )
+    elif divergence.is_exponential:
+        how = (
+            f"it grows as e^(λt), λ = {rate_text(divergence.rate, divergence.standard_error, units)}, and doubles "
+            f"every {units.text(divergence.doubling_time, TIME, '.3g')}"
+        )
+    else:
+        how = f"it grows as a power of time, t^{divergence.power:.2g}, not exponentially"
     apart, resolved = units.text(jump, LENGTH, ".2e"), units.text(curve.floor[first], LENGTH, ".0e")
     seen = apart if jump else f"less than the precision of the recording, {resolved}"
     if first == 0:
-        return DiffVerdict(
-            "start", f"different from the first frame on ({when}), by {seen}; {how}", first, jump, allowed
-        )
-    if jump > allowed:
+        kind, text = "start", f"different from the first frame on ({when}), by {seen}; {how}"
+    elif jump > allowed:
         alike = "with the same bits" if curve.of_bits else "without a difference"
-        return DiffVerdict(
-            "jump",
+        kind = "jump"
+        text = (
             f"a jump, not round-off: at {when}, one frame after the last {alike}, bodies are {apart} "
-            f"apart, {jump / allowed:.1e} times what round-off could have grown to; {how}",
-            first,
-            jump,
-            allowed,
+            f"apart, {jump / allowed:.1e} times what round-off could have grown to; {how}"
         )
-    if divergence is None:
+    elif divergence is None:
         largest = units.text(float(np.max(curve.rms[first:])), LENGTH, ".1e")
-        text = f"small: {seen} at {when}, at most {largest} later; {how}; its cause is therefore unknown"
-        return DiffVerdict("small", text, first, jump, allowed)
-    kind = "chaos" if divergence.is_exponential else "drift"
-    return DiffVerdict(kind, f"{kind}: {seen} at {when}; {how}", first, jump, allowed)
+        kind = "small"
+        text = f"{kind}: {seen} at {when}, at most {largest} later; {how}; its cause is therefore unknown"
+    else:
+        kind = "chaos" if divergence.is_exponential else "drift"
+        text = f"{kind}: {seen} at {when}; {how}"
+    return DiffVerdict(kind, text, first, jump, allowed)
 
 
 def rate_text(rate: float, error: float, units: UnitSystem) -> str:
     """Write a rate of growth and its error (1/s) in the units of the scene, such as "0.3 ± 0.02 /day"."""
     unit = units.unit(TIME)
     return f"{units.shown(rate, RATE):.3g} ± {units.shown(error, RATE):.1g}{f' /{unit}' if unit else ''}"
-
-
-def _grows(curve: DistanceCurve, divergence: Divergence | None, units: UnitSystem) -> str:
-    if divergence is None:
-        return (
-            f"no growth rate; it needs {_POINTS} frames over which it grows tenfold, all below a tenth of the "
-            f"system's size ({units.text(_SATURATED * curve.size, LENGTH, '.2g')})"
-        )
-    if divergence.is_exponential:
-        return (
-            f"it grows as e^(λt), λ = {rate_text(divergence.rate, divergence.standard_error, units)}, and doubles "
-            f"every {units.text(divergence.doubling_time, TIME, '.3g')}"
-        )
-    return f"it grows as a power of time, t^{divergence.power:.2g}, not exponentially"
 
 
 def _line(x: FloatArray, y: FloatArray) -> tuple[float, float, float]:
@@ -173,12 +167,8 @@ def _line(x: FloatArray, y: FloatArray) -> tuple[float, float, float]:
 class FrameAlignment:
     """Frames matched by step if equal steps have equal times up to the end, otherwise by time.
 
-    Matching by time interpolates the second recording linearly between its frames.
-
-    Raises
-    ------
-    RecordingError
-        If they have no frame in common, or do not show the same bodies.
+    Matching by time interpolates the second recording linearly between its frames. Recordings without a common frame,
+    or of other bodies, are refused.
     """
 
     def __init__(self, a: Recording, b: Recording) -> None:
@@ -190,13 +180,16 @@ class FrameAlignment:
             raise RecordingError(f"{a.path} and {b.path} contain different bodies and cannot be compared")
         # the number of bodies that both recordings number; None if all bodies always exist
         self._common = min(map(len, shown)) if changing else None
-        self._a, self._b = _Frames(a), _Frames(b)
+        self._a, self._b = _Frames(a, self._common), _Frames(b, self._common)
         self._of_bits = bool(a.engine) == bool(b.engine)
         self._cell = a.cell
         _, first, second = np.intersect1d(self._a.step, self._b.step, return_indices=True)
         self.by = "step"
-        same = np.allclose(self._a.time[first], self._b.time[second], rtol=SAME_TIME, atol=0.0)
-        if not (same and self._reaches_the_end(first)):
+        # With different steps, frames with equal numbers and times may occur at the start only, or by chance.
+        times, end = self._a.time[first], min(self._a.time[-1], self._b.time[-1])
+        gap = _GAPS_AT_THE_END * np.diff(times).max(initial=0.0)
+        same = len(first) > 0 and np.allclose(times, self._b.time[second], rtol=SAME_TIME, atol=0.0)
+        if not (same and end - times[-1] <= gap):
             self.by = "sim_time"
             first = np.flatnonzero((self._a.time >= self._b.time[0]) & (self._a.time <= self._b.time[-1]))
             second = np.searchsorted(self._b.time, self._a.time[first] * (1.0 - SAME_TIME))
@@ -204,21 +197,11 @@ class FrameAlignment:
             raise RecordingError(f"{a.path} and {b.path} have no frame in common")
         self._first, self._second = first, second
 
-    def _reaches_the_end(self, common: IntArray) -> bool:
-        """Return whether the common frames reach the last common time.
-
-        If the runs have different steps, frames with equal numbers and times may occur only at the start, or by chance.
-        """
-        if len(common) == 0:
-            return False
-        times, end = self._a.time[common], min(self._a.time[-1], self._b.time[-1])
-        return bool(end - times[-1] <= _GAPS_AT_THE_END * np.diff(times).max(initial=0.0))
-
     def __len__(self) -> int:
         return len(self._first)
 
     def at(self, k: int) -> tuple[FloatArray, FloatArray, float]:
-        """Return both recordings' positions (m), and the smallest rms difference (m) that rounding cannot explain.
+        """Return both recordings' positions (m), and the largest rms difference (m) that rounding explains.
 
         Where bodies come and go, only the bodies that exist in both frames are included.
         """
@@ -229,16 +212,16 @@ class FrameAlignment:
         return one[both], other[both], rounding
 
     def everywhere(self, k: int) -> tuple[FloatArray, FloatArray, float]:
-        """Return what `at` returns, but for all bodies; bodies that do not exist have the position NaN."""
+        """Return the same as `at` for all bodies; those that do not exist have the position NaN."""
         i, j, part = self._place(k)
         if part == 1.0:
-            exact = self._a.exact(i, self._common), self._b.exact(j, self._common)
+            exact = self._a.exact(i), self._b.exact(j)
             if exact[0] is not None and exact[1] is not None:
                 return exact[0], self._near(exact[0], exact[1], self._a.time[i]), 0.0
-        one, other = self._a.drawn(i, self._common), self._b.drawn(j, self._common)
+        one, other = self._a.drawn(i), self._b.drawn(j)
         rounding = _rounding(self._existing(one) - self._a.origin) + _rounding(self._existing(other) - self._b.origin)
         if part < 1.0:
-            earlier = self._near(other, self._b.drawn(j - 1, self._common), self._b.time[j - 1])
+            earlier = self._near(other, self._b.drawn(j - 1), self._b.time[j - 1])
             rounding += 4.0 * part * (1.0 - part) * self._bend(j, earlier, other)
             other = earlier + part * (other - earlier)
         return one, self._near(one, other, self._a.time[i]), rounding
@@ -268,7 +251,7 @@ class FrameAlignment:
         )
 
     def _place(self, k: int) -> tuple[int, int, float]:
-        """Return the frames of the first and second recording, and the fraction of the interval before the latter."""
+        """Return a frame of each recording, and the place (0 to 1) of the first in the interval before the second."""
         i, j = int(self._first[k]), int(self._second[k])
         time, reached = self._a.time[i], self._b.time[j]
         if self.by == "step" or abs(reached - time) <= SAME_TIME * abs(time) or j == 0:
@@ -286,15 +269,15 @@ class FrameAlignment:
     def _bend(self, j: int, earlier: FloatArray, later: FloatArray) -> float:
         """Bound the error of linear interpolation at the midpoint: an eighth of the acceleration times h².
 
-        Frames need not be equally spaced. The bound is twice the larger acceleration at both ends, because three frames
-        understate the curvature of an orbit between them.
+        Frames need not be equally spaced. The acceleration is at most twice the larger second difference at both ends:
+        three frames understate the curvature of an orbit between them.
         """
         time, largest = self._b.time, 0.0
         h = time[j] - time[j - 1]
         speed = (later - earlier) / h
         for third, near, side in ((j - 2, earlier, -1.0), (j + 1, later, 1.0)):
             if 0 <= third < len(time):
-                beyond = self._near(near, self._b.drawn(third, self._common), self._b.time[third])
+                beyond = self._near(near, self._b.drawn(third), self._b.time[third])
                 span = abs(time[third] - time[j if third > j else j - 1])
                 change = side * (beyond - near) / span - speed
                 largest = max(largest, _UNSEEN * 2.0 * _rms(self._existing(change)) / (h + span))
@@ -312,9 +295,10 @@ class FrameAlignment:
 
 
 class _Frames:
-    """The frames of one recording."""
+    """The frames of one recording, with its first ``count`` bodies; None: all."""
 
-    def __init__(self, recording: Recording) -> None:
+    def __init__(self, recording: Recording, count: int | None) -> None:
+        self._count = count
         prints: Any = recording.fingerprints()
         self.step: list[int] = prints["step"].to_pylist()
         self.time: FloatArray = prints["time"].to_numpy()
@@ -325,14 +309,14 @@ class _Frames:
         table = recording.energy("total")
         self._energy = dict(zip(table["step"].to_pylist(), table["total"].to_pylist(), strict=True))
 
-    def drawn(self, frame: int, common: int | None) -> FloatArray:
-        """Return the drawn positions (m) of the first ``common`` bodies, by default of all."""
-        return self.positions.drawn(self.step[frame])[:common]
+    def drawn(self, frame: int) -> FloatArray:
+        """Return the drawn positions (m)."""
+        return self.positions.drawn(self.step[frame])[: self._count]
 
-    def exact(self, frame: int, common: int | None) -> FloatArray | None:
-        """Return their exact positions (m); None without a checkpoint."""
+    def exact(self, frame: int) -> FloatArray | None:
+        """Return the exact positions (m); None without a checkpoint."""
         found = self.positions.exact(self.step[frame])
-        return None if found is None else found[:common]
+        return None if found is None else found[: self._count]
 
     def energy(self, frame: int) -> float:
         """Total energy (J); NaN where it is missing from the recording."""
@@ -390,10 +374,9 @@ def first_bits(a: Recording, b: Recording, step: int) -> FirstBits | None:
         arrays += [name.replace("_", " ")] if changed.any() else []
     if not arrays:
         return None
-    bodies = np.flatnonzero(differs)
-    said = [event.text for run in (a, b) for event in run.warnings() if event.step == step]
-    contact = _first_contact(a, b, one.time, bodies.tolist())
-    return FirstBits(step, one.time, bodies.tolist(), arrays, contact, list(dict.fromkeys(said)))
+    bodies = np.flatnonzero(differs).tolist()
+    laws = dict.fromkeys(event.text for run in (a, b) for event in run.warnings() if event.step == step)
+    return FirstBits(step, one.time, bodies, arrays, _first_contact(a, b, one.time, bodies), list(laws))
 
 
 def _first_contact(a: Recording, b: Recording, time: float, bodies: list[int]) -> FirstContact | None:

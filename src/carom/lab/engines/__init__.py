@@ -1,25 +1,24 @@
-"""The interface of an engine that is compared with carom, `SteppedEngine`, which advances by equal steps, and `watch`.
+"""`Engine`, the interface of an engine that is compared with carom, and `watch`, which runs a scene in one.
 
-A stepped engine has spheres, planes, a uniform field and Coulomb friction. `watch` runs a scene in an engine, and
-collects its trajectory, its extremes, violated laws, and a recording.
+`SteppedEngine` is the base of engines with spheres, planes, a uniform field and Coulomb friction. `watch` collects the
+trajectory of a run, its extremes and violated laws, and may record it.
 """
 
 from __future__ import annotations
 
 import math
 import time
-from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
 from time import process_time as clock
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
 from carom import Frame, Scene, Space, registry
-from carom.arrays import FloatArray
+from carom.arrays import FloatArray, IntArray
 from carom.errors import ExperimentError, RecordingError
 from carom.extend import (
     SI,
@@ -60,18 +59,13 @@ class Problem:
     duration: float  # s
 
     @property
-    def extent(self) -> float:
-        """Distance (m) from the initial middle of the bodies to the farthest one, at least the largest radius."""
-        centre = self.start.position.mean(axis=0)
-        away = np.linalg.norm(self.start.position - centre, axis=1)
-        return float(max(away.max(), self.start.radius.max()))
-
-    @property
     def reach(self) -> float:
         """Extent (m) of a plane, for bodies that keep the largest speed for the whole run."""
-        speed = float(np.linalg.norm(self.start.velocity, axis=1).max())
+        start = self.start
+        away = np.linalg.norm(start.position - start.position.mean(axis=0), axis=1)
+        speed = float(np.linalg.norm(start.velocity, axis=1).max())
         fall = 0.5 * float(np.linalg.norm(self.field)) * self.duration**2
-        return 10.0 * (self.extent + speed * self.duration + fall)
+        return 10.0 * (float(max(away.max(), start.radius.max())) + speed * self.duration + fall)
 
     def named(self, model: Model) -> Model:
         """Return an engine's model, which lacks names, with the names of the scene's bodies and planes."""
@@ -80,13 +74,7 @@ class Problem:
 
 
 def problem_of(engine: str, scene: Scene) -> Problem:
-    """Translate a scene for an engine of rigid bodies.
-
-    Raises
-    ------
-    ExperimentError
-        If the scene has features that such engines lack; the message names each.
-    """
+    """Translate a scene for an engine of rigid bodies; refuse features that such engines lack."""
     parts, coefficients, force = require(scene), pair_coefficients(scene), further(scene)
     lacks = {
         "the bodies' own gravity": parts.gravity.modelled,
@@ -99,14 +87,14 @@ def problem_of(engine: str, scene: Scene) -> Problem:
         "bodies of several materials": len(coefficients.places) > 0,
     }
     refuse(engine, lacks)
-    start, solids = place(scene), half_spaces(scene)
+    start = place(scene)
     solid_spheres = np.allclose(start.inertia, SPHERE * start.mass * start.radius**2, rtol=1e-12)
     refuse(engine, {"test particles (mass = 0)": not start.mass.all()})
     refuse(engine, {"moments of inertia other than those of solid spheres": not solid_spheres})
     laws = [Coefficients(*row.tolist()) for row in coefficients.rows]
     return Problem(
         start=start,
-        planes=solids,
+        planes=half_spaces(scene),
         between=laws[0],
         at_planes=laws[1:],
         field=np.array(scene.gravity.uniform, dtype=np.float64),
@@ -134,75 +122,6 @@ class EngineSimulation:
     dt: float  # s; 0 if the engine chooses its steps
 
 
-class SteppedEngine(ABC):
-    """An engine of rigid bodies; see `Engine`."""
-
-    name: str
-    package: str  # that is imported
-    distribution: str  # that is installed
-
-    @abstractmethod
-    def check(self, scene: Scene) -> None:
-        """Raise ExperimentError if the engine cannot represent a scene; nothing is built yet."""
-
-    @abstractmethod
-    def begin(self, scene: Scene, setting: Setting) -> EngineSimulation:
-        """Build a scene at its start."""
-
-    @abstractmethod
-    def notes(self, scene: Scene) -> list[str]:
-        """Describe each difference of the translated scene in a clause."""
-
-    def ensure_installed(self) -> None:
-        """Raise ExperimentError, with the command that installs the engine, if it is missing."""
-        try:
-            engine_package(self.package, self.distribution)
-        except RecordingError as error:
-            raise ExperimentError(f"--engine {self.name}: {error}") from None
-
-    def settings(self, scene: Scene) -> list[Setting]:
-        """Return the scene's own step and a quarter of it."""
-        self.ensure_installed()
-        self.check(scene)
-        step = scene.time.fixed_dt or Space(scene, 1).first_dt
-        return [self.setting(step / finer, scene.unit_system) for finer in FINER]
-
-    def examined(self, scene: Scene) -> list[Setting]:
-        """Return the settings for `carom crosscheck`."""
-        return self.settings(scene)
-
-    def setting(self, step: float, units: UnitSystem = SI) -> Setting:
-        """Return the setting of a step in s, named in the units of the scene."""
-        return Setting(f"{self.name}, dt = {units.text(step, TIME, '.4g')}", (f"dt={step!r}",), engine=self.name)
-
-    def follow(self, scene: Scene, setting: Setting, times: FloatArray, limit: float = math.inf) -> Trajectory:
-        """Run a scene and sample it; see `Engine`."""
-        return watch(self.begin(scene, setting), scene, times, limit=limit).trajectory
-
-    def samples_steps(self, scene: Scene) -> bool:
-        """Return True: `follow` takes its samples from the ends of steps."""
-        return True
-
-    def run(self, scene: Scene, setting: Setting) -> float:
-        """Run a scene without reading its state; return the time (s)."""
-        simulation = self.begin(scene, setting)
-        count, step = steps_of(scene, simulation.dt), simulation.step
-        began = time.perf_counter()
-        for _ in range(count):
-            step()
-        return time.perf_counter() - began
-
-
-def steps_of(scene: Scene, dt: float) -> int:
-    """Return the number of steps of a scene at a dt (s); the last step may end slightly after the scene."""
-    return math.ceil(scene.time.duration / dt * (1.0 - ROUNDING))
-
-
-def dt_of(setting: Setting) -> float:
-    """Return the step of a setting in s."""
-    return float(dict(key.split("=") for key in setting.overrides)["dt"])
-
-
 class Engine(Protocol):
     """An engine that runs a scene with one of its own settings."""
 
@@ -219,20 +138,14 @@ class Engine(Protocol):
     def notes(self, scene: Scene) -> list[str]:
         """Describe each difference of the translated scene in a clause."""
 
+    def settings(self, scene: Scene) -> list[Setting]:
+        """Return the settings that are worth comparing on a scene, after `ensure_installed` and `check`."""
+
     def examined(self, scene: Scene) -> list[Setting]:
         """Return the few settings for `carom crosscheck`."""
 
     def begin(self, scene: Scene, setting: Setting) -> EngineSimulation:
         """Build a scene at its start, to be advanced step by step."""
-
-    def settings(self, scene: Scene) -> list[Setting]:
-        """Return the engine's settings that are worth comparing on a scene.
-
-        Raises
-        ------
-        ExperimentError
-            If the engine is not installed, or cannot represent the scene; the message names the missing feature.
-        """
 
     def follow(self, scene: Scene, setting: Setting, times: FloatArray, limit: float = math.inf) -> Trajectory:
         """Run a scene and sample it at some times in s; stop it after ``limit`` s of CPU time.
@@ -248,6 +161,72 @@ class Engine(Protocol):
 
     def run(self, scene: Scene, setting: Setting) -> float:
         """Run a scene without sampling; return the seconds that the engine took: CPU time if it uses one thread."""
+
+
+class SteppedEngine(Engine):
+    """An engine of rigid bodies, which advances by equal steps."""
+
+    name: str
+    package: str  # that is installed and imported
+    differences: tuple[str, ...] = ()  # of every translated scene
+
+    def check(self, scene: Scene) -> None:
+        """Raise ExperimentError if the engine cannot represent a scene; nothing is built yet."""
+        problem_of(self.name, scene)
+
+    def notes(self, scene: Scene) -> list[str]:
+        """Describe each difference of the translated scene in a clause."""
+        friction = ["one coefficient of friction, the kinetic one"] if scene.contact.static_friction > 0.0 else []
+        return [*self.differences, *friction]
+
+    def ensure_installed(self) -> None:
+        """Raise ExperimentError, with the command that installs the engine, if it is missing."""
+        try:
+            engine_package(self.package)
+        except RecordingError as error:
+            raise ExperimentError(f"--engine {self.name}: {error}") from None
+
+    def settings(self, scene: Scene) -> list[Setting]:
+        """Return the scene's own step and a quarter of it."""
+        self.ensure_installed()
+        self.check(scene)
+        return [self.setting(own_step(scene) / finer, scene.unit_system) for finer in FINER]
+
+    def examined(self, scene: Scene) -> list[Setting]:
+        """Return all settings."""
+        return self.settings(scene)
+
+    def setting(self, step: float, units: UnitSystem = SI) -> Setting:
+        """Return the setting of a step in s, named in the units of the scene."""
+        return Setting(f"{self.name}, dt = {units.text(step, TIME, '.4g')}", (f"dt={step!r}",), engine=self.name)
+
+    def follow(self, scene: Scene, setting: Setting, times: FloatArray, limit: float = math.inf) -> Trajectory:
+        """Run a scene and sample it at some times in s."""
+        return watch(self.begin(scene, setting), scene, times, limit=limit).trajectory
+
+    def samples_steps(self, scene: Scene) -> bool:
+        """Return True."""
+        return True
+
+    def run(self, scene: Scene, setting: Setting) -> float:
+        """Run a scene without reading its state; return the time (s)."""
+        simulation = self.begin(scene, setting)
+        # the last step may end slightly after the scene
+        count, step = math.ceil(scene.time.duration / simulation.dt * (1.0 - ROUNDING)), simulation.step
+        began = time.perf_counter()
+        for _ in range(count):
+            step()
+        return time.perf_counter() - began
+
+
+def own_step(scene: Scene) -> float:
+    """Return the fixed step (s) of a scene, or else its first step."""
+    return scene.time.fixed_dt or Space(scene, 1).first_dt
+
+
+def dt_of(setting: Setting) -> float:
+    """Return the step of a setting in s."""
+    return float(dict(key.split("=") for key in setting.overrides)["dt"])
 
 
 def engine_called(name: str) -> Engine:
@@ -290,14 +269,10 @@ class Watched:
 def watch(
     simulation: EngineSimulation, scene: Scene, times: FloatArray, path: Path | None = None, limit: float = np.inf
 ) -> Watched:
-    """Run a simulation to the end of its scene.
-
-    If nothing can touch, at most `MOST_SEEN` steps are examined.
+    """Run a simulation from its start to the end of its scene; examine at most `MOST_SEEN` steps if nothing can touch.
 
     Parameters
     ----------
-    simulation
-        At its start.
     times
         (K,) s, at which it is sampled.
     path
@@ -308,8 +283,8 @@ def watch(
     Raises
     ------
     ExperimentError
-        If the state is no longer finite, and the run is not recorded; `RunStoppedError` if it took
-        longer than the limit.
+        If the run is not recorded and its state is no longer finite; `RunStoppedError` if it took longer than the
+        limit.
     """
     first = simulation.source.state()
     setup = setup_of(simulation.source.model, first)
@@ -436,6 +411,23 @@ class _Log:
         if frame.time >= min(self._due, end * (1.0 - ROUNDING)) or frame.events:
             self.recorder.put(frame)
             self._due = frame.time + end / FRAMES if frame.step else 0.0
+
+
+class InOrder:
+    """A source whose bodies are put into the order of the scene, (n,) indices of the source's bodies, with names."""
+
+    def __init__(self, source: Source, order: IntArray, names: Sequence[str]) -> None:
+        model = source.model
+        given = {name: getattr(model, name) for name in ("mass", "radius", "inertia", "fixed", "judged")}
+        own: dict[str, Any] = {name: np.asarray(each)[order] for name, each in given.items() if each is not None}
+        self._source, self._order = source, order
+        self.model = replace(model, names=names, **own)
+
+    def state(self) -> State:
+        """Return the present state, without contacts."""
+        state = self._source.state()
+        arrays = (state.position, state.velocity, state.orientation, state.angular_velocity)
+        return State(state.time, *(None if each is None else each[self._order] for each in arrays))
 
 
 def _copied(state: State) -> State:

@@ -69,14 +69,14 @@ class Box3DSource:
         judged = [size is not None and not size[1] and not jointed for size in known]
         self._forces = Box3DForces(self._backend, world, chosen, judged, planes) if contacts else None
         mass = np.array([body.mass for body in chosen])
-        # drawn as a sphere of water with the mass of the body
+        # the radii of spheres of water, as which bodies without a sphere are drawn
+        water = (3.0 * np.maximum(mass, 1e-9) / (4.0e3 * np.pi)) ** (1.0 / 3.0)
         self.model = Model(
             engine=_version(),
             mass=np.where(moves, mass, 1.0),
-            radius=[
-                float((3.0 * max(body.mass, 1e-9) / (4.0e3 * np.pi)) ** (1.0 / 3.0)) if size is None else size[0]
-                for body, size in zip(chosen, known, strict=True)
-            ],
+            radius=np.where(
+                [size is None for size in known], water, [0.0 if size is None else size[0] for size in known]
+            ),
             names=[body.name or f"body {k}" for k, body in enumerate(chosen)],
             fixed=~moves,
             judged=judged,
@@ -150,18 +150,13 @@ def box3d(
 ) -> Box3DSource | ChangingBox3DSource:
     """Return the source of a robox3d.World; see `Box3DSource`.
 
-    Parameters
-    ----------
-    world, planes, contacts
-        As in `Box3DSource`.
-    changing
-        Whether bodies are created or destroyed while it is recorded.
+    ``changing`` says whether bodies are created or destroyed while it is recorded.
     """
     return (ChangingBox3DSource if changing else Box3DSource)(world, planes, contacts)
 
 
 def _identity(body: Any) -> int:
-    """Return a number that no other body of the world has, even if Box3D reuses the place of a destroyed one."""
+    """Return a number that is unique in the world, although Box3D reuses the indices of destroyed bodies."""
     return int(body.id.index1) << 16 | int(body.id.generation)
 
 
@@ -186,10 +181,10 @@ class Box3DForces:
     """Reads the forces of contacts between the recorded bodies, and with planes.
 
     Box3D has the impulses of its last substep, and sums over all substeps, in which a substep may count twice. Neither
-    is the impulse of a step with an impact. Among spheres, impulses are therefore those that change the normal
-    velocities of touching bodies as observed in the step, as near as possible to the impulses of the last substep. For
-    other shapes and in large piles, they are the impulses of the last substep or, in an impact, their sum over the
-    step. Friction is always taken from the last substep.
+    is the impulse of a step with an impact. Among spheres, impulses are therefore fitted to the observed changes of
+    normal velocities, as close as possible to the impulses of the last substep. For other shapes and in large piles,
+    they are the impulses of the last substep or, in an impact, their sum over the step. Friction is always that of the
+    last substep.
 
     Parameters
     ----------
@@ -329,40 +324,26 @@ SUBSTEPS = 4  # in a step, the default
 class Box3D(SteppedEngine):
     """Runs scenes with Box3D's solver, without sleep and without a minimum speed for bounces."""
 
-    name = "box3d"
-    package = PACKAGE
-    distribution = PACKAGE
+    name, package = "box3d", PACKAGE
+    differences = (f"single precision, {SUBSTEPS} substeps",)
 
     def check(self, scene: Scene) -> None:
         """Raise ExperimentError if Box3D cannot represent a scene."""
         problem = problem_of(self.name, scene)
-        duller = any(plane.restitution < problem.between.restitution for plane in problem.at_planes)
-        slippery = (
-            problem.between.kinetic_friction
-            == 0.0
-            < max((plane.kinetic_friction for plane in problem.at_planes), default=0.0)
-        )
-        refuse(
-            self.name,
-            {
-                "a plane with less restitution than the bodies, because it uses the larger restitution": duller,
-                "a plane with friction and bodies without, because it multiplies the coefficients": slippery,
-                "contact.enabled = false": not problem.collides and not scene.contact.enabled,
-            },
-        )
-
-    def notes(self, scene: Scene) -> list[str]:
-        """Describe the differences of the translated scene."""
-        found = [f"single precision, {SUBSTEPS} substeps"]
-        return found + (["one coefficient of friction, the kinetic one"] if scene.contact.static_friction > 0.0 else [])
+        law, planes = problem.between, problem.at_planes
+        duller = any(plane.restitution < law.restitution for plane in planes)
+        slippery = law.kinetic_friction == 0.0 and any(plane.kinetic_friction > 0.0 for plane in planes)
+        lacks = {
+            "a plane with less restitution than the bodies, because it uses the larger restitution": duller,
+            "a plane with friction and bodies without, because it multiplies the coefficients": slippery,
+            "contact.enabled = false": not problem.collides and not scene.contact.enabled,
+        }
+        refuse(self.name, lacks)
 
     def begin(self, scene: Scene, setting: Setting) -> EngineSimulation:
         """Build a scene at its start."""
         engine, problem, dt = engine_package(PACKAGE), problem_of(self.name, scene), dt_of(setting)
-        backend, turns = (
-            engine_package(f"{PACKAGE}._ffi", PACKAGE),
-            engine_package(f"{PACKAGE}.math", PACKAGE),
-        )
+        backend, turns = (engine_package(f"{PACKAGE}.{part}", PACKAGE) for part in ("_ffi", "math"))
         world = engine.World(gravity=problem.field.tolist(), substeps=SUBSTEPS)
         backend.lib.b3World_SetRestitutionThreshold(world.id, 0.0)
         start, law, planes = problem.start, problem.between, []

@@ -9,18 +9,16 @@ scene's coefficient of restitution and a bounce of `BOUNCE` steps.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from carom import Scene
-from carom.arrays import IntArray, Records
+from carom.arrays import FloatArray, IntArray, Records
 from carom.errors import RecordingError
 from carom.extend import Coefficients, engine_package, named_version
 from carom.lab.compared_run import Setting
-from carom.lab.engines import EngineSimulation, SteppedEngine, dt_of, problem_of
+from carom.lab.engines import EngineSimulation, InOrder, SteppedEngine, dt_of, problem_of
 from carom.record import CONTACT, Model, Plane, Source, State
 
 WORLD = 0  # the body that owns everything static
@@ -47,20 +45,12 @@ class MuJoCoSource:
         shapes = package.mjtGeom
         owner, kind = model.geom_bodyid, model.geom_type
         solid = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
+        static = solid & (model.body_weldid[owner] == WORLD)
         moving = [b for b in range(1, model.nbody) if model.body_mass[b] > 0.0 and model.body_weldid[b] != WORLD]
-        still = [
-            int(g)
-            for g in np.flatnonzero((kind == shapes.mjGEOM_SPHERE) & solid)
-            if model.body_weldid[owner[g]] == WORLD
-        ]
         if not moving:
             raise RecordingError("mujoco: the model has no body with a mass that can move")
-        self._moving, self._still = np.array(moving), np.array(still, dtype=np.int64)
-        planes = [
-            int(g)
-            for g in np.flatnonzero((kind == shapes.mjGEOM_PLANE) & solid)
-            if model.body_weldid[owner[g]] == WORLD
-        ]
+        still, planes = (np.flatnonzero((kind == own) & static) for own in (shapes.mjGEOM_SPHERE, shapes.mjGEOM_PLANE))
+        self._moving, self._still = np.array(moving), still
         package.mj_kinematics(model, data)
         package.mj_comPos(model, data)
         own = [np.flatnonzero(owner == b) for b in moving]
@@ -69,13 +59,10 @@ class MuJoCoSource:
         self._simple = bool(free.all())
         self._joint = model.body_jntadr[self._moving]
         # the end of each shape: a body, a plane (numbers from n on), or -1 for none
-        ends = np.full(model.ngeom, -1)
-        of_body = {body: k for k, body in enumerate(moving)}
-        for geom in range(model.ngeom):
-            ends[geom] = of_body.get(int(model.geom_bodyid[geom]), -1)
-        for k, geom in enumerate([*still, *planes]):
-            ends[geom] = len(moving) + k
-        self._end_of = ends
+        end_of_body = np.full(model.nbody, -1)
+        end_of_body[moving] = np.arange(len(moving))
+        self._end_of = end_of_body[owner]
+        self._end_of[np.concatenate((still, planes))] = len(moving) + np.arange(len(still) + len(planes))
         self._forces, self._wrench = contacts, np.empty(6)
         self._velocity = np.empty(6)
         n = len(moving) + len(still)
@@ -86,17 +73,17 @@ class MuJoCoSource:
         if self._simple:
             self._places = model.jnt_qposadr[self._joint][:, None] + np.arange(7)
             self._rates = model.jnt_dofadr[self._joint][:, None] + np.arange(6)
+        names = [*(model.body(b).name for b in moving), *(model.geom(g).name for g in still)]
         self.model = Model(
             engine=named_version("mujoco"),
             mass=np.concatenate((model.body_mass[self._moving], np.ones(len(still)))),
             radius=np.concatenate((radius, model.geom_size[self._still, 0])),
             inertia=np.concatenate((model.body_inertia[self._moving].mean(axis=1), np.ones(len(still)))),
-            names=[_named(model.body(b).name, k) for k, b in enumerate(moving)]
-            + [_named(model.geom(g).name, len(moving) + k) for k, g in enumerate(still)],
+            names=[name or f"body {k}" for k, name in enumerate(names)],
             fixed=np.arange(n) >= len(moving),
             judged=np.concatenate((free, np.ones(len(still), bool))),
             gravity=model.opt.gravity,
-            planes=[_plane(model, data, g) for g in planes],
+            planes=[_plane(model, data, int(g)) for g in planes],
             time_step=model.opt.timestep,
         )
 
@@ -114,7 +101,16 @@ class MuJoCoSource:
             twice = 2.0 * np.cross(axis, local)
             self._spin[:k] = local + w * twice + np.cross(axis, twice)
         else:
-            self._of_any_bodies(k)
+            package, model = self._package, self._model
+            package.mj_kinematics(model, data)
+            package.mj_comPos(model, data)
+            package.mj_comVel(model, data)
+            self._position[:k] = data.xipos[self._moving]
+            turn = data.xquat[self._moving]
+            self._turn[:k, :3], self._turn[:k, 3] = turn[:, 1:], turn[:, 0]
+            for row, body in enumerate(self._moving):
+                package.mj_objectVelocity(model, data, package.mjtObj.mjOBJ_BODY, int(body), self._velocity, 0)
+                self._spin[row], self._speed[row] = self._velocity[:3], self._velocity[3:]  # of the centre of mass
         forces = self.forces() if self._forces else None
         return State(data.time, self._position, self._speed, self._turn, self._spin, forces)
 
@@ -135,18 +131,6 @@ class MuJoCoSource:
         found["point"], found["normal"], found["force"] = contacts.pos[known], frames[:, 0], local[:, 0]
         found["friction"] = local[:, 1:2] * frames[:, 1] + local[:, 2:] * frames[:, 2]
         return found
-
-    def _of_any_bodies(self, k: int) -> None:
-        package, model, data = self._package, self._model, self._data
-        package.mj_kinematics(model, data)
-        package.mj_comPos(model, data)
-        package.mj_comVel(model, data)
-        self._position[:k] = data.xipos[self._moving]
-        turn = data.xquat[self._moving]
-        self._turn[:k, :3], self._turn[:k, 3] = turn[:, 1:], turn[:, 0]
-        for row, body in enumerate(self._moving):
-            package.mj_objectVelocity(model, data, package.mjtObj.mjOBJ_BODY, int(body), self._velocity, 0)
-            self._spin[row], self._speed[row] = self._velocity[:3], self._velocity[3:]  # of the centre of mass
 
 
 def mujoco(model: Any, data: Any, contacts: bool = True) -> MuJoCoSource:
@@ -181,10 +165,6 @@ def _plane(model: Any, data: Any, geom: int) -> Plane:
     return Plane((x, y, z), float(normal @ data.geom_xpos[geom]), model.geom(geom).name)
 
 
-def _named(name: str, number: int) -> str:
-    return name or f"body {number}"
-
-
 BOUNCE = 20.0  # steps per bounce, so that the spring is resolved
 IMPEDANCE = 0.99  # of a contact; 1 would be rigid, which MuJoCo does not allow
 
@@ -192,18 +172,8 @@ IMPEDANCE = 0.99  # of a contact; 1 would be rigid, which MuJoCo does not allow
 class MuJoCo(SteppedEngine):
     """Runs scenes with MuJoCo's default integrator and solver."""
 
-    name = "mujoco"
-    package = "mujoco"
-    distribution = "mujoco"
-
-    def check(self, scene: Scene) -> None:
-        """Raise ExperimentError if MuJoCo cannot represent a scene."""
-        problem_of(self.name, scene)
-
-    def notes(self, scene: Scene) -> list[str]:
-        """Describe the differences of the translated scene."""
-        found = [f"contacts are springs whose bounces take {BOUNCE:g} steps"]
-        return found + (["one coefficient of friction, the kinetic one"] if scene.contact.static_friction > 0.0 else [])
+    name = package = "mujoco"
+    differences = (f"contacts are springs whose bounces take {BOUNCE:g} steps",)
 
     def begin(self, scene: Scene, setting: Setting) -> EngineSimulation:
         """Build a scene at its start."""
@@ -240,33 +210,9 @@ class MuJoCo(SteppedEngine):
         data.qvel[:] = np.concatenate((start.velocity[moving], start.angular_velocity[moving]), axis=1).ravel()
         source: Source = MuJoCoSource(model, data)
         if start.fixed.any():
-            source = _InOrder(source, np.argsort(np.argsort(start.fixed, kind="stable")), names)
+            # MuJoCo puts fixed bodies at the end, without names
+            source = InOrder(source, np.argsort(np.argsort(start.fixed, kind="stable")), names)
         return EngineSimulation(source, lambda: engine.mj_step(model, data), dt)
-
-
-class _InOrder:
-    """A source with its bodies in the order of the scene; MuJoCo puts fixed bodies at the end, without names.
-
-    Parameters
-    ----------
-    place
-        (n,) indices of the scene's bodies in the source.
-    names
-        Names of the scene's bodies.
-    """
-
-    def __init__(self, source: Source, place: IntArray, names: Sequence[str]) -> None:
-        self._source, self._place = source, place
-        model = source.model
-        by_body = ("mass", "radius", "inertia", "fixed", "judged")
-        own: dict[str, Any] = {name: np.asarray(getattr(model, name))[place] for name in by_body}
-        self.model = replace(model, names=names, **own)
-
-    def state(self) -> State:
-        """Return the present state."""
-        found, place = self._source.state(), self._place
-        turn, spin = found.orientation[place], found.angular_velocity[place]
-        return State(found.time, found.position[place], found.velocity[place], turn, spin)
 
 
 def _set_law(geom: Any, law: Coefficients, dt: float) -> None:
@@ -284,7 +230,7 @@ def _set_law(geom: Any, law: Coefficients, dt: float) -> None:
     geom.condim = 3 if law.kinetic_friction > 0.0 else 1
 
 
-def _turn(normal: np.ndarray[Any, np.dtype[np.float64]]) -> list[float]:
+def _turn(normal: FloatArray) -> list[float]:
     """Return the quaternion, wxyz, that rotates z into a normal."""
     w, axis = 1.0 + normal[2], np.cross([0.0, 0.0, 1.0], normal)
     if w < 1e-12:

@@ -142,18 +142,8 @@ ITERATIONS = 2  # of the solver in a step, its default
 class Newton(SteppedEngine):
     """Runs scenes with Newton's solver XPBD, with its default iterations and relaxation."""
 
-    name = "newton"
-    package = "newton"
-    distribution = "newton"
-
-    def check(self, scene: Scene) -> None:
-        """Raise ExperimentError if Newton cannot represent a scene."""
-        problem_of(self.name, scene)
-
-    def notes(self, scene: Scene) -> list[str]:
-        """Describe the differences of the translated scene."""
-        found = [f"single precision, XPBD with {ITERATIONS} iterations"]
-        return found + (["one coefficient of friction, the kinetic one"] if scene.contact.static_friction > 0.0 else [])
+    name = package = "newton"
+    differences = (f"single precision, XPBD with {ITERATIONS} iterations",)
 
     def ensure_installed(self) -> None:
         """Raise ExperimentError if Newton is not installed; keep Warp from reporting what it loads."""

@@ -75,21 +75,14 @@ class PyBulletSource:
         dynamics = [package.getDynamicsInfo(b, BASE, client) for b in self.bodies]
         mass = np.array([found[0] for found in dynamics])
         spheres = np.array([_is_sphere(package, b, shapes[b], client) for b in self.bodies])
-        radius = np.array(
-            [
-                shapes[b][0][3][0] if round_ else _reach(package, b, client)
-                for b, round_ in zip(self.bodies, spheres, strict=True)
-            ]
-        )
+        known = zip(self.bodies, spheres, strict=True)
+        radius = np.array([shapes[b][0][3][0] if sphere else _reach(package, b, client) for b, sphere in known])
+        own_inertia = [np.mean(found[2]) for found in dynamics]
         self.model = Model(
             engine=named_version("pybullet"),
             mass=np.where(mass > 0.0, mass, 1.0),
             radius=radius,
-            inertia=np.where(
-                mass > 0.0,
-                [np.mean(found[2]) for found in dynamics],
-                SPHERE * np.where(mass > 0, mass, 1.0) * radius**2,
-            ),
+            inertia=np.where(mass > 0.0, own_inertia, SPHERE * radius**2),  # of 1 kg if the mass is 0, a fixed body
             names=[_name(package, b, k, client) for k, b in enumerate(self.bodies)],
             fixed=mass == 0.0,
             judged=spheres,
@@ -191,14 +184,8 @@ def pybullet(
 ) -> PyBulletSource | ChangingPyBulletSource:
     """Return the source of a physics server; see `PyBulletSource`.
 
-    Parameters
-    ----------
-    time_step, gravity, client, steps_per_frame
-        As in `PyBulletSource`.
-    contacts
-        Whether to record the forces of contacts.
-    changing
-        Whether bodies are added or removed while it is recorded. They are then marked with user data, "carom".
+    ``changing`` says whether bodies are added or removed while it is recorded. They are then marked with user data,
+    "carom".
     """
     kind = ChangingPyBulletSource if changing else PyBulletSource
     return kind(time_step, gravity, client, steps_per_frame, contacts)
@@ -252,34 +239,23 @@ def _name(package: Any, body: int, number: int, client: int) -> str:
 
 
 ITERATIONS = 50  # of the solver, its default
-_NO_DAMPING = {
-    "linearDamping": 0.0,
-    "angularDamping": 0.0,
-    "rollingFriction": 0.0,
-    "spinningFriction": 0.0,
-    "contactProcessingThreshold": 0.0,
-}
+_DAMPING = ("linearDamping", "angularDamping", "rollingFriction", "spinningFriction", "contactProcessingThreshold")
+_NO_DAMPING = dict.fromkeys(_DAMPING, 0.0)
 
 
 class PyBullet(SteppedEngine):
     """Runs scenes with PyBullet's default solver."""
 
-    name = "pybullet"
-    package = "pybullet"
-    distribution = "pybullet"
+    name = package = "pybullet"
 
     def check(self, scene: Scene) -> None:
         """Raise ExperimentError if PyBullet cannot represent a scene."""
         problem = problem_of(self.name, scene)
-        between = problem.between
-        bounces = any(plane.restitution > 0.0 for plane in problem.at_planes) and between.restitution == 0.0
-        rubs = any(plane.kinetic_friction > 0.0 for plane in problem.at_planes) and between.kinetic_friction == 0.0
+        law, planes = problem.between, problem.at_planes
+        bounces = law.restitution == 0.0 and any(plane.restitution > 0.0 for plane in planes)
+        rubs = law.kinetic_friction == 0.0 and any(plane.kinetic_friction > 0.0 for plane in planes)
         what = "a plane that {} where bodies do not: it multiplies the coefficients"
         refuse(self.name, {what.format("bounces"): bounces, what.format("rubs"): rubs})
-
-    def notes(self, scene: Scene) -> list[str]:
-        """Describe the differences of the translated scene."""
-        return ["one coefficient of friction, the kinetic one"] if scene.contact.static_friction > 0.0 else []
 
     def begin(self, scene: Scene, setting: Setting) -> EngineSimulation:
         """Build a scene at its start."""
@@ -298,27 +274,22 @@ class PyBullet(SteppedEngine):
             ball = engine.createCollisionShape(engine.GEOM_SPHERE, radius=start.radius[k], physicsClientId=client)
             mass = 0.0 if start.fixed[k] else start.mass[k]
             body = engine.createMultiBody(mass, ball, basePosition=start.position[k].tolist(), physicsClientId=client)
-            engine.resetBaseVelocity(
-                body, start.velocity[k].tolist(), start.angular_velocity[k].tolist(), physicsClientId=client
-            )
-            engine.changeDynamics(
-                body, -1, restitution=bounce, lateralFriction=rub, physicsClientId=client, **_NO_DAMPING
-            )
+            rates = start.velocity[k].tolist(), start.angular_velocity[k].tolist()
+            engine.resetBaseVelocity(body, *rates, physicsClientId=client)
+            law_of_body = {"restitution": bounce, "lateralFriction": rub} | _NO_DAMPING
+            engine.changeDynamics(body, BASE, physicsClientId=client, **law_of_body)
             bodies.append(body)
         for normal, offset, own in zip(problem.planes.normal, problem.planes.offset, problem.at_planes, strict=True):
             shape = engine.createCollisionShape(engine.GEOM_PLANE, planeNormal=normal.tolist(), physicsClientId=client)
             plane = engine.createMultiBody(0.0, shape, basePosition=(offset * normal).tolist(), physicsClientId=client)
+            restitution = own.restitution / bounce if bounce else 0.0
+            friction = own.kinetic_friction / rub if rub else 0.0
             engine.changeDynamics(
-                plane,
-                -1,
-                restitution=own.restitution / bounce if bounce else 0.0,
-                lateralFriction=own.kinetic_friction / rub if rub else 0.0,
-                physicsClientId=client,
+                plane, BASE, restitution=restitution, lateralFriction=friction, physicsClientId=client
             )
             bodies.append(plane)
-        if not problem.collides:
-            for one, other in itertools.combinations(bodies, 2):
-                engine.setCollisionFilterPair(one, other, -1, -1, 0, physicsClientId=client)
+        for one, other in itertools.combinations(bodies, 2) if not problem.collides else ():
+            engine.setCollisionFilterPair(one, other, BASE, BASE, 0, physicsClientId=client)
         x, y, z = (float(g) for g in np.asarray(problem.field))
         source = PyBulletSource(dt, (x, y, z), client)
         source.model = problem.named(source.model)

@@ -10,7 +10,6 @@ from __future__ import annotations
 import ctypes
 import math
 import time
-from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -34,7 +33,7 @@ from carom.extend import (
     units_of_rebound,
 )
 from carom.lab.compared_run import STEPS, RunStoppedError, Setting, Trajectory
-from carom.lab.engines import FINER, EngineSimulation, refuse, watch
+from carom.lab.engines import FINER, EngineSimulation, InOrder, own_step, refuse, watch
 from carom.record import Model, Source, State, StateMemory
 
 G_SI = 6.674e-11  # m³ kg⁻¹ s⁻²; REBOUND's own differs in the fifth digit
@@ -59,7 +58,8 @@ class ReboundSource:
         self._stride = _size_of(engine_package("rebound").Particle)
         self._simulation = simulation
         self._all, self._n = simulation.N, simulation.N - _variational(simulation)
-        self._address, self._particles = 0, np.empty(0, ROW)  # a view of the particles in memory
+        self._address = 0
+        self._particles: Records = np.empty(0, ROW)  # a view of positions and velocities in memory
         mass, size = np.zeros(simulation.N), np.zeros(simulation.N)
         simulation.serialize_particle_data(m=mass, r=size)
         mass, size = mass[: self._n], size[: self._n]
@@ -107,7 +107,9 @@ class ReboundSource:
             simulation.synchronize()
         address = ctypes.addressof(simulation._particles.contents)  # `simulation.particles` would create objects
         if address != self._address:
-            self._address, self._particles = address, _particles_at(address, self._stride, self._n)
+            raw = (ctypes.c_char * (self._stride * self._n)).from_address(address)
+            self._particles = np.ndarray((self._n,), ROW, memoryview(raw), strides=(self._stride,))
+            self._address = address
         into.parts[0][:] = self._particles
         into.state.time = simulation.t
 
@@ -133,7 +135,9 @@ class ChangingReboundSource:
                 "rebound: the field `ap` of a particle is used, by REBOUNDx or another package; carom needs it to "
                 "follow particles that come and go"
             )
-        self.model = replace(ReboundSource(simulation, radius).model, collides=self._collides())
+        radii = [particle.r for particle in simulation.particles]
+        collides = _setting_name(simulation, "collision") != "none" and min(radii, default=0.0) > 0.0
+        self.model = replace(ReboundSource(simulation, radius).model, collides=collides)
 
     def state(self) -> State:
         """Return the present particles."""
@@ -155,23 +159,12 @@ class ChangingReboundSource:
         ids = rows["id"].astype(np.int64)
         return State(simulation.t, position, velocity, ids=ids, mass=rows["mass"].copy(), radius=size)
 
-    def _collides(self) -> bool:
-        """Return whether particles touch each other."""
-        radii = [particle.r for particle in self._simulation.particles]
-        return _setting_name(self._simulation, "collision") != "none" and min(radii, default=0.0) > 0.0
-
 
 def rebound(simulation: Any, radius: float | None = None, *, changing: bool = False) -> Source:
-    """Return the source of a rebound.Simulation.
+    """Return the source of a rebound.Simulation; see `ReboundSource`.
 
-    Parameters
-    ----------
-    simulation
-        A rebound.Simulation.
-    radius
-        m, drawn for particles without a radius; by default a hundredth of their extent.
-    changing
-        Whether particles merge, come or go while it is recorded. They are then numbered in their field ``ap``.
+    ``changing`` says whether particles merge, come or go while it is recorded. They are then numbered in their field
+    ``ap``.
     """
     return ChangingReboundSource(simulation, radius) if changing else ReboundSource(simulation, radius)
 
@@ -193,16 +186,10 @@ def _size_of(particle: Any) -> int:
     return ctypes.sizeof(particle)
 
 
-def _particles_at(address: int, size: int, count: int) -> Records:
-    """Return a view of the positions and velocities of particles that take ``size`` bytes each, (n,) rows."""
-    raw = (ctypes.c_char * (size * count)).from_address(address)
-    return np.ndarray((count,), ROW, memoryview(raw), strides=(size,))
-
-
 NAME = "rebound"
 INSTALL = "the engine rebound needs the package of that name: pip install 'rebound>=5'"
 OLDEST = 5  # major version; earlier versions name the settings of integrators differently
-ANY = ("leapfrog",)  # name of the setting with the scene's own step
+ANY = "leapfrog"  # the setting with the scene's own step
 DOMINATED = ("whfast", "mercurius", "trace")
 UNSYNCHRONISED = ("whfast", "mercurius")  # their steps end with a readable state only on request
 TOUCHING = "leapfrog, hard spheres"  # the one setting of scenes with contacts, at several steps
@@ -219,25 +206,20 @@ class Rebound:
         """Return IAS15, leapfrog at the scene's steps, and the maps for a dominant body; see `Engine`."""
         self.ensure_installed()
         self.check(scene)
-        units = scene.unit_system
+        units, step = scene.unit_system, own_step(scene)
         if require(scene).contact.modelled:
-            step = scene.time.fixed_dt or Space(scene, 1).first_dt
             return [_setting(TOUCHING, units, step / finer) for finer in FINER]
-        found = [_setting("ias15", units)]
-        step = scene.time.fixed_dt or Space(scene, 1).first_dt
-        found += [_setting(name, units, step * factor) for name in ANY for factor in STEPS]
+        found = [_setting("ias15", units), *(_setting(ANY, units, step * factor) for factor in STEPS)]
         if period := shortest_period(scene):
             found += [_setting(name, units, period / part) for name in DOMINATED for part in PARTS]
         return found
 
     def examined(self, scene: Scene) -> list[Setting]:
         """Return the settings for `carom crosscheck`."""
-        known = {setting.overrides: setting for setting in self.settings(scene)}
+        settings, units = self.settings(scene), scene.unit_system
         if require(scene).contact.modelled:
-            return list(known.values())
-        step = scene.time.fixed_dt or Space(scene, 1).first_dt
-        units = scene.unit_system
-        return [known[_setting("ias15", units).overrides], known[_setting(ANY[0], units, step).overrides]]
+            return settings
+        return [_setting("ias15", units), _setting(ANY, units, own_step(scene))]
 
     def ensure_installed(self) -> None:
         """Raise ExperimentError if REBOUND is not installed."""
@@ -272,7 +254,7 @@ class Rebound:
         start = place(scene)
         order = np.argsort(_heaviest_first(start.mass))
         dt = simulation.dt if "dt=" in " ".join(setting.overrides) else 0.0
-        return EngineSimulation(_InOrder(ReboundSource(simulation), order, start.name), lambda: simulation.steps(1), dt)
+        return EngineSimulation(InOrder(ReboundSource(simulation), order, start.name), lambda: simulation.steps(1), dt)
 
     def follow(self, scene: Scene, setting: Setting, times: FloatArray, limit: float = math.inf) -> Trajectory:
         """Run a scene and sample it; a copy of the simulation integrates back from the end of a step to each time."""
@@ -301,7 +283,11 @@ class Rebound:
             momenta.append(_momenta(simulation, mass))
         energy, momentum = np.array(energies), np.array(momenta)
         moved = np.abs(momentum - momentum[0]).max(axis=(0, 2))
-        scales = _momentum_scales(positions[0], velocities[0], mass)
+        # over Σ m |v| and Σ m |x| |v| about the centre of mass
+        speed, away = (
+            np.linalg.norm(each - mass @ each / mass.sum(), axis=1) for each in (velocities[0], positions[0])
+        )
+        scales = float(mass @ speed) or 1.0, float(mass @ (away * speed)) or 1.0
         return Trajectory(
             time=times,
             position=np.array(positions),
@@ -356,13 +342,7 @@ def _setting(integrator: str, units: UnitSystem, step: float = 0.0) -> Setting:
 
 
 def _simulation(scene: Scene, setting: Setting, *, safe: bool) -> Any:
-    """Build a simulation in the frame of the scene.
-
-    Parameters
-    ----------
-    safe
-        Whether every step ends with a readable state; between outputs, symplectic maps do not need one.
-    """
+    """Build a simulation in the frame of the scene; with ``safe``, every step ends with a readable state."""
     rebound, start, keys = _package(), place(scene), dict(key.split("=") for key in setting.overrides)
     simulation = rebound.Simulation()
     simulation.rand_seed = SEED
@@ -387,20 +367,6 @@ def _simulation(scene: Scene, setting: Setting, *, safe: bool) -> Any:
     return simulation
 
 
-class _InOrder:
-    """A source whose bodies are put into the order of the scene, with their names."""
-
-    def __init__(self, source: Source, order: IntArray, names: Sequence[str]) -> None:
-        model = source.model
-        self._source, self._order = source, order
-        self.model = replace(model, mass=model.mass[order], radius=model.radius[order], names=names)
-
-    def state(self) -> State:
-        """Return the present state."""
-        state = self._source.state()
-        return State(state.time, state.position[self._order], state.velocity[self._order])
-
-
 def _heaviest_first(mass: FloatArray) -> IntArray:
     """Return the bodies in the order in which the maps for a dominant body need them."""
     return np.argsort(np.arange(len(mass)) != np.argmax(mass), kind="stable")
@@ -419,13 +385,6 @@ def _momenta(simulation: Any, mass: FloatArray) -> FloatArray:
     """Return momentum and angular momentum, (2, 3)."""
     position, velocity = _state(simulation, mass)
     return np.array([mass @ velocity, mass @ np.cross(position, velocity)])
-
-
-def _momentum_scales(position: FloatArray, velocity: FloatArray, mass: FloatArray) -> tuple[float, float]:
-    """Return Σ m |v| and Σ m |x| |v| about the centre of mass."""
-    heavy = np.linalg.norm(velocity - mass @ velocity / mass.sum(), axis=1)
-    away = np.linalg.norm(position - mass @ position / mass.sum(), axis=1)
-    return float(mass @ heavy) or 1.0, float(mass @ (away * heavy)) or 1.0
 
 
 def _package() -> Any:

@@ -19,8 +19,8 @@ from carom.extend import (
     recording_option,
     say,
     say_json,
-    seconds,
     simulated,
+    time_option,
 )
 
 if TYPE_CHECKING:
@@ -31,44 +31,29 @@ if TYPE_CHECKING:
 
 MOST_SEEDS, MOST_TIMES = 100_000, 1000
 DEFAULT_TIMES = 8
+_PERTURB = "Change every coordinate by some units in the last place, such as 1ulp."
+_OUTCOME = (
+    "Count the forks that satisfy this condition at their end, such as 'x_3 > 1'. Names: x_3, speed_3, or those of "
+    "`carom inspect --json`."
+)
+_TIMES = (
+    "Fork at N times from T on, to show how the probability of the --outcome depends on the time. Default: "
+    f"{DEFAULT_TIMES}."
+)
+_WHEN = "Find the moment from which the --outcome was inevitable."
 
 
 def fork_command(
     file: RecordingArgument,
-    at: Annotated[float, typer.Option("--at", parser=seconds, metavar="T", help="Simulated time of the fork.")],
+    at: Annotated[float, time_option("--at", "Simulated time of the fork.")],
     overrides: SetOption = None,
-    perturb: Annotated[
-        str | None,
-        typer.Option(
-            "--perturb", metavar="ULPS", help="Change every coordinate by some units in the last place, such as 1ulp."
-        ),
-    ] = None,
+    perturb: Annotated[str | None, typer.Option("--perturb", metavar="ULPS", help=_PERTURB)] = None,
     seeds: Annotated[
         int, typer.Option("--seeds", metavar="N", min=1, max=MOST_SEEDS, help="Number of perturbed forks.")
     ] = 1,
-    outcome: Annotated[
-        str | None,
-        typer.Option(
-            "--outcome",
-            metavar="CONDITION",
-            help="Count the forks that satisfy this condition at their end, such as 'x_3 > 1'. Names: x_3, speed_3, "
-            "or those of `carom inspect --json`.",
-        ),
-    ] = None,
-    times: Annotated[
-        int | None,
-        typer.Option(
-            "--times",
-            metavar="N",
-            min=1,
-            max=MOST_TIMES,
-            help="Fork at N times from T on, to show how the probability of the --outcome depends on the time. "
-            f"Default: {DEFAULT_TIMES}.",
-        ),
-    ] = None,
-    when: Annotated[
-        bool, typer.Option("--inevitable", help="Find the moment from which the --outcome was inevitable.")
-    ] = False,
+    outcome: Annotated[str | None, typer.Option("--outcome", metavar="CONDITION", help=_OUTCOME)] = None,
+    times: Annotated[int | None, typer.Option("--times", metavar="N", min=1, max=MOST_TIMES, help=_TIMES)] = None,
+    when: Annotated[bool, typer.Option("--inevitable", help=_WHEN)] = False,
     output: Annotated[Path | None, recording_option("File for the viewer. Default: FILE-fork.rrd.")] = None,
     force: ForceOption = False,
     as_json: JsonOption = False,
@@ -83,15 +68,19 @@ def fork_command(
     from carom.extend import opened, refuse_itself, refuse_output
     from carom.lab.fork.branch import Branch, start_of
 
-    ulps = _ulps(perturb)
+    ulps = 0
+    if perturb is not None:
+        match = re.fullmatch(r"\s*(\d{1,9})\s*(ulps?)?\s*", perturb)
+        ulps = int(match[1]) if match else 0
+        if ulps == 0:
+            raise typer.BadParameter(f"{perturb}: expected a number of units in the last place, such as 1ulp")
     if overrides is None and perturb is None:
         raise ExperimentError("nothing to change: give --set KEY=VALUE or --perturb 1ulp")
     if perturb is None and (seeds > 1 or when):
         raise ExperimentError("without --perturb all forks have the same bits; add --perturb 1ulp")
-    if when and outcome is None:
-        raise ExperimentError('--inevitable needs an --outcome, such as "x_0 < 0"')
-    if times is not None and outcome is None:
-        raise ExperimentError('--times needs an --outcome, such as "x_0 < 0"')
+    for option, given in (("--inevitable", when), ("--times", times is not None)):
+        if given and outcome is None:
+            raise ExperimentError(f'{option} needs an --outcome, such as "x_0 < 0"')
     if outcome is not None and seeds == 1:
         raise ExperimentError("--outcome counts forks: add --perturb 1ulp --seeds 100")
     target = output or file.with_name(f"{file.stem}-fork.rrd")
@@ -112,16 +101,6 @@ def fork_command(
             say(line)
     if early:
         raise typer.Exit(1)
-
-
-def _ulps(text: str | None) -> int:
-    """Read ``1ulp`` or ``3 ulps``."""
-    if text is None:
-        return 0
-    match = re.fullmatch(r"\s*(\d{1,9})\s*(ulps?)?\s*", text)
-    if match is None or int(match[1]) == 0:
-        raise typer.BadParameter(f"{text}: expected a number of units in the last place, such as 1ulp")
-    return int(match[1])
 
 
 def _one(start: ForkStart, target: Path, shift: int | None, ulps: int) -> tuple[dict[str, Any], list[str], bool]:
@@ -150,9 +129,10 @@ def _one(start: ForkStart, target: Path, shift: int | None, ulps: int) -> tuple[
         lines.append(early)
     elif not found.outcome.ok:
         lines.append(f"The fork missed a promise of its scene: {found.outcome.reason}.")
-    if found.diff.divergence is not None and found.diff.divergence.is_exponential:
-        rate, error = found.diff.divergence.rate, found.diff.divergence.standard_error
-        lines.append(f"The distance grows as e^(λt), λ = {rate_text(rate, error, start.scene.unit_system)}.")
+    growth = found.diff.divergence
+    if growth is not None and growth.is_exponential:
+        rate = rate_text(growth.rate, growth.standard_error, start.scene.unit_system)
+        lines.append(f"The distance grows as e^(λt), λ = {rate}.")
     return document, lines, bool(early)
 
 
@@ -168,19 +148,18 @@ def _many(
     units = start.scene.unit_system
     expression = None if outcome is None else outcome_of(start, outcome)  # before the workers start
 
-    class Line(LiveLine):
-        def update(self, done: int, at: float = start.checkpoint.time) -> None:
-            self._show(lambda now: f"{bar(done / seeds)} {done} of {seeds} forks at t = {units.text(at, TIME)}")
+    with LocalWorkers(min(cores(), seeds)) as workers, LiveLine() as line:
 
-    with LocalWorkers(min(cores(), seeds)) as workers, Line() as line:
+        def update(done: int, at: float = start.checkpoint.time) -> None:
+            line._show(lambda now: f"{bar(done / seeds)} {done} of {seeds} forks at t = {units.text(at, TIME)}")
 
         def draw(time: float) -> Iterator[bool]:
             tasks = [PerturbedTask(replace(branch, at=time), seed, ulps, outcome) for seed in range(1, seeds + 1)]
             for done, result in enumerate(by_seed(results_of(tasks, workers)), 1):
-                line.update(done, time)
+                update(done, time)
                 yield bool(result.outcome)
 
-        found = ensemble(start, branch, seeds, ulps, lambda tasks: results_of(tasks, workers), expression, line.update)
+        found = ensemble(start, branch, seeds, ulps, lambda tasks: results_of(tasks, workers), expression, update)
         begin, end, moment = start.checkpoint.time, start.scene.time.duration, None
         if outcome is not None:
             here = Chance(begin, sum(found.outcomes), len(found.outcomes))
@@ -201,6 +180,19 @@ def _document(start: ForkStart, found: Ensemble, outcome: str | None, moment: In
 
     import numpy as np
 
+    answer = None
+    if outcome is not None:
+        answer = {
+            "condition": outcome,
+            "unperturbed": found.reference_outcome,
+            "forks": len(found.outcomes),
+            "hits": sum(found.outcomes),
+            "chances": [
+                asdict(chance) | {"probability": chance.probability, "band": list(chance.band)}
+                for chance in found.chances
+            ],
+            "inevitable": None if moment is None else asdict(moment),
+        }
     return {
         "units": start.scene.unit_system.recorded,
         "at": start.checkpoint.time,
@@ -217,19 +209,7 @@ def _document(start: ForkStart, found: Ensemble, outcome: str | None, moment: In
             "spread": found.rate_error,
         },
         "spread": found.spread[-1].tolist() if len(found.spread) else [],
-        "outcome": None
-        if outcome is None
-        else {
-            "condition": outcome,
-            "unperturbed": found.reference_outcome,
-            "forks": len(found.outcomes),
-            "hits": sum(found.outcomes),
-            "chances": [
-                {"time": c.time, "hits": c.hits, "forks": c.forks, "probability": c.probability, "band": list(c.band)}
-                for c in found.chances
-            ],
-            "inevitable": None if moment is None else asdict(moment),
-        },
+        "outcome": answer,
     }
 
 

@@ -54,17 +54,16 @@ class ForkStart:
     def space(self, threads: int | None = None, shift: int | None = None, ulps: int = 1) -> Space:
         """Build a space at the fork.
 
-        Parameters
-        ----------
-        threads
-            For the kernels.
-        shift
-            Seed of a perturbation that moves each coordinate of each position by ``ulps`` units in the last place, up
-            or down; None for no perturbation.
-        ulps
-            Number of units.
+        With a ``shift``, the seed of a perturbation, each coordinate moves by ``ulps`` units in the last place, up or
+        down.
         """
-        checkpoint = self.checkpoint if shift is None else _shifted(self.checkpoint, shift, ulps)
+        checkpoint = self.checkpoint
+        if shift is not None:
+            position = checkpoint.position
+            up = np.random.default_rng(shift).integers(0, 2, position.shape).astype(bool)
+            for _ in range(ulps):
+                position = np.where(up, np.nextafter(position, np.inf), np.nextafter(position, -np.inf))
+            checkpoint = replace(checkpoint, position=np.ascontiguousarray(position))
         records = self.recording.records_contacts
         space = space_of(self.recording, self.scene, checkpoint, threads, False, records)
         begun = space.frame().checkpoint  # with the forces of the new parameters at this state
@@ -79,10 +78,7 @@ class ForkStart:
 def start_of(branch: Branch) -> ForkStart:
     """Return the state at the end of the step that contains the time of the fork.
 
-    Raises
-    ------
-    RecordingError, SceneError, ExperimentError
-        If the recording cannot be run again, or an override changes what a checkpoint holds.
+    It refuses recordings that cannot be run again, and overrides that change what a checkpoint holds.
     """
     recording = Recording.open(branch.path)
     recording.refuse_overlay()
@@ -140,16 +136,6 @@ def _checkpoint_at(recording: Recording, scene: Scene, time: float) -> Checkpoin
     raise RecordingError(f"{recording.path} ends before {scene.unit_system.text(time, TIME, '.9g')} when it is rerun")
 
 
-def _shifted(checkpoint: Checkpoint, seed: int, ulps: int) -> Checkpoint:
-    """Move each coordinate by some units in the last place, up or down."""
-    rng = np.random.default_rng(seed)
-    up = rng.integers(0, 2, checkpoint.position.shape).astype(bool)
-    position = checkpoint.position
-    for _ in range(ulps):
-        position = np.where(up, np.nextafter(position, np.inf), np.nextafter(position, -np.inf))
-    return replace(checkpoint, position=np.ascontiguousarray(position))
-
-
 OPTION = "--outcome"
 MOST_FRAMES = 200
 _MULTIPLE = 1e-9  # relative, as in `Every`
@@ -165,31 +151,22 @@ class BranchPath:
     outcome: bool | None  # None if none is requested
 
 
-def interval_of(start: ForkStart) -> float:
-    """Return the interval (s) at which branches are compared: that of the frames, or longer for many frames."""
-    return float(
-        max(auto.frame_interval(start.scene), (start.scene.time.duration - start.checkpoint.time) / MOST_FRAMES)
-    )
-
-
 def path_of(
     start: ForkStart, shift: int | None, ulps: int, outcome: Expression | None, threads: int | None = 1
 ) -> BranchPath:
     """Run a branch to its end.
 
-    Frames come at the first step at or after each multiple, and at the end. Bodies are moved back along their
-    velocities to the exact multiple, because steps differ between branches.
+    Branches are compared at multiples of the interval of frames, or of a longer one for many frames, and at the end.
+    Each branch has a frame at the first step at or after a multiple. Since steps differ between branches, bodies are
+    moved back along their velocities to the exact multiple.
     """
-    interval = interval_of(start)
+    begin, end = start.checkpoint.time, start.scene.time.duration
+    interval = float(max(auto.frame_interval(start.scene), (end - begin) / MOST_FRAMES))
     space = start.space(threads, shift, ulps)
-    # multiples of the interval, and the end
-    first, last = (
-        int(np.floor(time / interval * (1.0 + _MULTIPLE)))
-        for time in (start.checkpoint.time, start.scene.time.duration)
-    )
+    first, last = (int(np.floor(time / interval * (1.0 + _MULTIPLE))) for time in (begin, end))
     time = interval * np.arange(first + 1, last + 1).astype(np.float64)
-    if not len(time) or time[-1] * (1.0 + _MULTIPLE) < start.scene.time.duration:
-        time = np.append(time, start.scene.time.duration)
+    if not len(time) or time[-1] * (1.0 + _MULTIPLE) < end:
+        time = np.append(time, end)
     position = np.full((len(time), *space.state.position.shape), np.nan)
     seen, initial, count, filled = Touches(space), space.status.energy.total, 0, 0
     for frame in space.run(schedule=Every(interval)):
@@ -211,13 +188,7 @@ def path_of(
 
 
 def outcome_of(start: ForkStart, text: str) -> Expression:
-    """Parse an outcome before any branch is run.
-
-    Raises
-    ------
-    ExperimentError
-        If it cannot be parsed, or uses a name that no branch will have.
-    """
+    """Parse an outcome; raise ExperimentError before any branch is run if it uses a name that no branch will have."""
     outcome, space = Expression(text, OPTION), start.space()
     summary = _summary(outcome, space, Observation(space, space.status.energy.total, 0, [], Touches(space)))
     for name in outcome.unknown(summary):
@@ -273,15 +244,7 @@ class PerturbedResult:
 
 
 def results_of(tasks: Iterable[PerturbedTask], workers: Workers) -> Iterator[PerturbedResult]:
-    """Yield results as they arrive; waiting tasks are cancelled when the caller stops.
-
-    The bits do not depend on the number of workers.
-
-    Raises
-    ------
-    ExperimentError
-        If the workers died.
-    """
+    """Yield results as they arrive; tasks that still wait are cancelled when the caller stops."""
     left = {task.seed: task for task in tasks}
     workers.send(execute, left)
     try:

@@ -1,7 +1,7 @@
 """Branches of a recording: runs that continue from one of its states, or from states that differ by a few bits.
 
 `Ensemble` describes the spread of many branches and the probability of an outcome. `inevitable` finds the time from
-which an outcome was inevitable: it bisects the time of the fork with a sequential test. Branches are run until Wald's
+which an outcome was inevitable: it bisects the time of the fork. At each time, branches are run until Wald's sequential
 test of the probability p of the outcome decides between p ≥ 0.99 and p ≤ 0.9, with errors of 5 %. After k outcomes in m
 branches, the logarithm of the likelihood ratio is
 
@@ -163,16 +163,10 @@ def ensemble(
 
     Parameters
     ----------
-    start
-        The state at the fork.
-    branch
-        The branch, for workers.
-    seeds
-        Number of branches.
+    start, branch
+        The state at the fork, and the branch for workers.
     ulps
         Units in the last place by which each coordinate of a position is moved.
-    run
-        Runs the branches.
     outcome
         Condition on the summary of each branch, from `outcome_of`.
     watch
@@ -232,22 +226,7 @@ class Fork:
 
 
 def fork(start: ForkStart, out: Path, shift: int | None, ulps: int) -> Fork:
-    """Run one branch to its end, and write it and the recording into one file.
-
-    Parameters
-    ----------
-    start
-        The state at the fork.
-    out
-        The ``.rrd`` to write.
-    shift, ulps
-        Seed and size of a perturbation; see `ForkStart.space`.
-
-    Raises
-    ------
-    RecordingError
-        If it cannot be written.
-    """
+    """Run one branch to its end, perturbed as in `ForkStart.space`, and write it and the recording into one file."""
     with temporary_folder() as folder:
         part = folder / f"{out.stem}.rrd"
         outcome = simulate(start.space(None, shift, ulps), part)

@@ -8,34 +8,24 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from carom.extend import JsonOption, counted, say, say_json, work_time
+from carom.extend import JsonOption, counted, output_option, say, say_json, work_time
 
 if TYPE_CHECKING:
     from carom.lab.hunt.hunt import Hunt, Miss, Tally
 
+_BUDGET = "How long to hunt, such as 60s or 2h. Default: 10min."
+_SEED = "Random seed; the same seed draws the same scenes. Default: a new one."
+_FOLDER = Path("recordings/hunt")
+
 
 def hunt_command(
     seconds: Annotated[
-        float,
-        typer.Option(
-            "--budget",
-            parser=work_time,
-            metavar="TIME",
-            help="How long to hunt, such as 60s or 2h. Default: 10min.",
-            show_default=False,
-        ),
+        float, typer.Option("--budget", parser=work_time, metavar="TIME", help=_BUDGET, show_default=False)
     ] = 600.0,
-    seed: Annotated[
-        int | None,
-        typer.Option(
-            "--seed", metavar="N", help="Random seed; the same seed draws the same scenes. Default: a new one.", min=0
-        ),
-    ] = None,
+    seed: Annotated[int | None, typer.Option("--seed", metavar="N", help=_SEED, min=0)] = None,
     first: Annotated[int, typer.Option("--from", metavar="N", help="Number of the first scene.", min=0)] = 0,
     scenes: Annotated[int | None, typer.Option("--scenes", metavar="N", help="Check at most N scenes.", min=1)] = None,
-    folder: Annotated[
-        Path, typer.Option("-o", "--output", metavar="DIR", help="Folder for the scenes and recordings of violations.")
-    ] = Path("recordings/hunt"),
+    folder: Annotated[Path, output_option("DIR", "Folder for the scenes and recordings of violations.")] = _FOLDER,
     as_json: JsonOption = False,
 ) -> None:
     """Draw random scenes and check each against the laws: ledger, momenta, impulses, replay, stated errors.

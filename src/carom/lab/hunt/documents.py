@@ -1,7 +1,7 @@
 """Random scenes as documents: bodies about to meet, softened bodies that attract each other, pairs that meet once.
 
-Sizes, speeds and masses span decades, in units that are not powers of two, so that sums are rounded. Numbers are drawn
-from coarse grids, by a random number generator or a test library. Ties, exact contacts and exact zeros, which reveal
+Sizes, speeds and masses span decades, in units that are not powers of two, so that sums are rounded. A random number
+generator or a test library draws numbers from coarse grids. Ties, exact contacts and exact zeros, which reveal
 mistakes, are therefore frequent.
 """
 
@@ -18,8 +18,7 @@ from carom.arrays import FloatArray
 
 Value = TypeVar("Value")
 
-# Vectors of multiples of 1/4 up to 1, the simplest first. Each is a single draw: three draws would take most of the
-# time.
+# Vectors of multiples of 1/4 up to 1, the simplest first; one draw for each, since three would take most of the time
 QUARTERS = np.array(sorted(itertools.product(np.arange(-4, 5) / 4, repeat=3), key=lambda v: (np.abs(v).sum(), *v)))
 DIRECTIONS = QUARTERS[1:] / np.linalg.norm(QUARTERS[1:], axis=1, keepdims=True)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -37,17 +38,13 @@ CONSERVED = 1e-9  # of the largest momentum
 
 @dataclass(frozen=True, slots=True)
 class HuntedLaw:
-    """A law: its name, its statement, the condition that violates it, and the scenes to which it applies."""
+    """A law: its name, its statement, the condition under which a run violates it, and the scenes it applies to."""
 
     name: str
     says: str
     condition: str
     applies: Callable[[Scene, Requirements], bool]
     kinds: tuple[str, ...] = ()  # of scenes; empty: all
-
-    def broken(self) -> Condition:
-        """Return the condition under which a run violates the law."""
-        return condition_from(self.condition)
 
 
 def laws_of(scene: Scene, kind: str = "") -> list[HuntedLaw]:
@@ -84,10 +81,10 @@ def _invariance(name: str, says: str, *kinds: str) -> HuntedLaw:
     return HuntedLaw(name, says, f"invariance {name}", lambda scene, needs: applies(name, scene), kinds)
 
 
-ERROR = HuntedLaw("error", "a run reaches its end or reports an error", "crash", lambda scene, needs: True)
+ERROR = HuntedLaw("error", "a run reaches its end or reports an error", "crash", lambda *_: True)
 LAWS = [
     ERROR,
-    HuntedLaw("finite", "positions, velocities and the energy stay finite", "not finite", lambda scene, needs: True),
+    HuntedLaw("finite", "positions, velocities and the energy stay finite", "not finite", lambda *_: True),
     HuntedLaw(
         "ledger", "the ledger explains every change of the energy", f"energy.max_error > {LEDGER:g}", _flies_exactly
     ),
@@ -138,7 +135,6 @@ class Finding:
     condition: Condition
     index: int  # of the scene, for the same seed
     scene: Scene
-    bodies: int
     said: str  # what its run shows
 
 
@@ -169,33 +165,14 @@ class Tally:
 
 @dataclass(slots=True)
 class Hunt:
-    """Hunts for scenes that violate a law.
-
-    Parameters
-    ----------
-    seed
-        Seed of the scenes.
-    folder
-        Folder in which misses are saved.
-    seconds
-        s, the budget.
-    first, most
-        Number of the first scene, and the largest number of scenes.
-    watch
-        Called after each scene.
-
-    Raises
-    ------
-    RecordingError
-        If the folder cannot be made, before anything is run.
-    """
+    """Hunts for scenes that violate a law. Raises RecordingError if its folder cannot be made."""
 
     seed: int
-    folder: Path
-    seconds: float = math.inf
-    first: int = 0
-    most: int | None = None
-    watch: Callable[[Tally], None] = lambda tally: None
+    folder: Path  # in which misses are saved
+    seconds: float = math.inf  # s, the budget
+    first: int = 0  # number of the first scene
+    most: int | None = None  # the largest number of scenes
+    watch: Callable[[Tally], None] = lambda tally: None  # called after each scene
     tally: Tally = field(init=False)
     _new: bool = field(init=False)  # whether the hunt made the folder
 
@@ -207,27 +184,20 @@ class Hunt:
     def hunt(self) -> Tally:
         """Hunt until the budget is spent, the scenes are judged, or the user ends it."""
         try:
-            return self._hunted()
+            with Interrupts() as interrupts:
+                budget = Budget(self.seconds, interrupts)
+                for index in itertools.islice(itertools.count(self.first), self.most):
+                    budget.check()
+                    for finding in self.judge(index, budget):
+                        self._file(finding)
+                    self.tally.seconds = budget.spent
+                    self.watch(self.tally)
+        except OutOfTime as ended:
+            self.tally.stopped = str(ended)
         finally:
             if self._new:
                 with contextlib.suppress(OSError):  # it holds misses
                     self.folder.rmdir()
-
-    def _hunted(self) -> Tally:
-        with Interrupts() as interrupts:
-            budget = Budget(self.seconds, interrupts)
-            index = self.first
-            while self.most is None or index < self.first + self.most:
-                try:
-                    budget.check()
-                    for finding in self.judge(index, budget):
-                        self._file(finding)
-                except OutOfTime as ended:
-                    self.tally.stopped = str(ended)
-                    break
-                self.tally.seconds = budget.spent
-                self.watch(self.tally)
-                index += 1
         return self.tally
 
     def judge(self, index: int, budget: Budget) -> list[Finding]:
@@ -246,9 +216,9 @@ class Hunt:
                 self.tally.given_up += 1
                 return []
             self.tally.stated += bool(seen.error)
-            conditions = [(law, law.broken()) for law in laws]
+            conditions = [(law, condition_from(law.condition)) for law in laws]
             return [
-                Finding(law, condition, index, scene, scene.count, condition.said(seen))
+                Finding(law, condition, index, scene, condition.said(seen))
                 for law, condition in conditions
                 if condition.holds(seen)
             ]
@@ -261,11 +231,11 @@ class Hunt:
             self.tally.stated += 1
             return []
         except Exception as error:  # an error before the first step counts as well
-            return [Finding(ERROR, ERROR.broken(), index, scene, scene.count, said_by(error))]
+            return [Finding(ERROR, condition_from(ERROR.condition), index, scene, said_by(error))]
 
     def _file(self, finding: Finding) -> None:
         """Shrink a scene that violates a law, record it, and add it to the misses."""
-        law, index, said, bodies = finding.law, finding.index, finding.said, finding.bodies
+        law, index, said, bodies = finding.law, finding.index, finding.said, finding.scene.count
         if any(miss.law == law.name for miss in self.tally.misses):
             self.tally.misses.append(Miss(law.name, index, said, None, bodies))
             return

@@ -1,8 +1,8 @@
 """The data of the statistics, from the frames of an interval, and the form of their results.
 
-The interval begins and ends with a frame, so that the time in which impacts are counted is exact. Impacts, contacts and
-drawn positions are read from the recording. Velocities are known at checkpoints only. With ``replay``, impacts,
-contacts and velocities are computed again.
+The interval begins and ends with a frame, so that the time in which impacts are counted is exact. The recording has
+impacts, contacts and drawn positions, but exact velocities only at checkpoints. With ``replay``, impacts, contacts and
+velocities are computed again.
 """
 
 from __future__ import annotations
@@ -90,13 +90,7 @@ class Interval:
 
     @classmethod
     def of(cls, recording: Recording, start: float | None, end: float | None, replay: bool, watch: Watcher) -> Interval:
-        """Choose the frames from one time to another (s), both included; by default all.
-
-        Raises
-        ------
-        RecordingError
-            If there is no frame, or the recording shows only some of its bodies.
-        """
+        """Choose the frames from one time to another (s), both included; by default all."""
         recording.refuse_some_bodies()
         recording.require_frames()
         first, last = -np.inf if start is None else start, np.inf if end is None else end
@@ -150,10 +144,6 @@ class Interval:
             return np.asarray(~self.recording.fixed)
         return ~start_of(self.recording, self.scene, self.recording.checkpoint(first)).fixed
 
-    def moving_at(self, step: int) -> BoolArray:
-        """Return a mask (n,) of the bodies that exist in a step and are not fixed."""
-        return np.asarray(self.moving & self.recording.present(step))
-
     @cached_property
     def scene(self) -> Scene | None:
         """The scene; None if another engine made the run, or this version cannot read it."""
@@ -167,30 +157,20 @@ class Interval:
         """Positions of the frames."""
         return RecordedPositions(self.recording)
 
-    def require_contacts(self) -> None:
-        """Raise RecordingError if no bodies can touch."""
+    def _require_contacts(self) -> None:
         if not self.recording.info["collides"]:
             raise RecordingError("no bodies of this run can touch, so there are no contacts to measure")
 
     @cached_property
     def _impact_table(self) -> pa.Table:
-        self.require_contacts()
-        self._require_frames()
         return self.recording.impacts(self.time[0], self.time[-1], replay=self.replay, watch=self.watch)
-
-    def _require_frames(self) -> None:
-        if self.duration == 0.0:
-            raise RecordingError("impacts are counted between frames, and the interval has only one")
 
     @cached_property
     def impacts(self) -> ImpactColumns:
-        """The impacts after the first frame.
-
-        Raises
-        ------
-        RecordingError
-            If there are none.
-        """
+        """The impacts after the first frame; `NothingThereError` if there are none."""
+        self._require_contacts()
+        if self.duration == 0.0:
+            raise RecordingError("impacts are counted between frames, and the interval has only one")
         if self.recording.engine:
             return self._impacts_of_engine()
         table = self._impact_table
@@ -198,11 +178,9 @@ class Interval:
         table = table.filter(pa.array((step > self.step[0]) & (step <= self.step[-1])))
         if table.num_rows == 0:
             raise NothingThereError(f"there are no impacts from {self.text}")
-        point, normal = _vectors(table, _POINT), _vectors(table, _NORMAL)
-        step, time, i, j, speed, impulse = (
-            table[name].to_numpy() for name in (STEP, "time", "i", "j", "approach_speed", "normal_impulse")
-        )
-        return ImpactColumns(step, time, i, j, point, normal, speed, impulse)
+        names = (STEP, "time", "i", "j", "approach_speed", "normal_impulse")
+        step, time, i, j, speed, impulse = (table[name].to_numpy() for name in names)
+        return ImpactColumns(step, time, i, j, _vectors(table, _POINT), _vectors(table, _NORMAL), speed, impulse)
 
     def _impacts_of_engine(self) -> ImpactColumns:
         """Return the impacts in a recording of another engine: contacts that begin, between bodies that close.
@@ -210,8 +188,6 @@ class Interval:
         A contact begins in a frame if its pair has none in the frame before. Its approach speed is that of the exact
         states of the frame before, since another engine may resolve an impact over several steps.
         """
-        self.require_contacts()
-        self._require_frames()
         recording, steps = self.recording, self.step.tolist()
         if not recording.records_contacts:
             raise RecordingError(
@@ -239,10 +215,11 @@ class Interval:
         table, step = np.concatenate(found), np.repeat(steps, [len(each) for each in found])
         if len(table) == 0:
             raise NothingThereError(f"there are no impacts from {self.text}")
-        point, normal = _vectors(table, _POINT), _vectors(table, _NORMAL)
-        pair = table["i"].astype(np.int64), table["j"].astype(np.int64)
-        impulse = table["normal_impulse"].astype(np.float64)
-        return ImpactColumns(step, table["time"], *pair, point, normal, np.concatenate(speeds), impulse)
+        i, j = table["i"].astype(np.int64), table["j"].astype(np.int64)
+        point, normal, speed = _vectors(table, _POINT), _vectors(table, _NORMAL), np.concatenate(speeds)
+        return ImpactColumns(
+            step, table["time"], i, j, point, normal, speed, table["normal_impulse"].astype(np.float64)
+        )
 
     @cached_property
     def impacts_left_out(self) -> int:
@@ -256,14 +233,8 @@ class Interval:
 
     @property
     def contacts(self) -> ContactColumns:
-        """The lasting contacts of some frames, without impacts.
-
-        Raises
-        ------
-        RecordingError
-            If there are none.
-        """
-        self.require_contacts()
+        """The lasting contacts of some frames, without impacts; `NothingThereError` if there are none."""
+        self._require_contacts()
         if self.recording.engine and not self.recording.records_contacts:
             raise RecordingError(f"forces of contacts are not in this recording of {self.recording.engine}")
         if not len(self._contacts.i):
@@ -289,22 +260,17 @@ class Interval:
         frame, i, j = (table[name].to_numpy() for name in ("frame", "i", "j"))
         steps = self.recording.steps("dt")
         dt = steps["dt"].to_numpy()[np.isin(steps[STEP].to_numpy(), self.step[rows])]
-        held = np.ones(len(rows)) if self.scene is None or self.scene.drag is None else self._held_fraction(dt)
+        held = np.ones(len(rows))
+        if self.scene is not None and self.scene.drag is not None:
+            # The impulse that balances a constant force F in a step under drag, over F dt, is (h φ₂ + k₂)/h of
+            # docs/physics.md, section 6: drag removes a part of the momentum of the first kick.
+            z = dt / self.scene.drag.relaxation_time
+            phi1 = -np.expm1(-z) / z
+            phi2 = (1 - phi1) / z
+            held = phi2 + phi1 - np.exp(-z) * phi2 / phi1
         force, friction = force / held[frame], friction / held[frame]
-        moving = np.stack([self.moving_at(int(step)) for step in self.step[rows]])
+        moving = np.stack([self.moving & self.recording.present(int(step)) for step in self.step[rows]])
         return ContactColumns(moving, float((dt * held).sum()), frame, i, j, normal, impulse, force, friction)
-
-    def _held_fraction(self, dt: FloatArray) -> FloatArray:
-        """Return the impulse that balances a constant force F in a step under drag, over F dt.
-
-        It is (h φ₂ + k₂)/h of docs/physics.md, section 6: drag removes a part of the momentum of the first kick.
-        """
-        assert self.scene is not None and self.scene.drag is not None
-        z = dt / self.scene.drag.relaxation_time
-        decay = np.exp(-z)
-        phi1 = -np.expm1(-z) / z
-        phi2 = (1 - phi1) / z
-        return np.asarray(phi2 + phi1 - decay * phi2 / phi1)
 
     def groups(self, among: BoolArray | None = None) -> list[tuple[str, BoolArray]]:
         """Return the name of each group of bodies, and a mask of its members among all bodies or some.
@@ -339,10 +305,7 @@ class Interval:
 
     @cached_property
     def velocities(self) -> FloatArray:
-        """Exact velocities of some moments of the interval, (k, n, 3) m/s; NaN of bodies that do not exist.
-
-        In a sheared box they are relative to the flow.
-        """
+        """Exact velocities at some moments, (k, n, 3) m/s, relative to the flow of a sheared box; NaN if absent."""
         most = max(1, min(MOST_STATES, MOST_VELOCITIES // self.bodies))
         if self.replay:
             window = self.recording.rerun(float(self.time[0]), watch=self.watch)

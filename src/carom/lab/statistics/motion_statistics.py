@@ -56,11 +56,10 @@ def measure_free_paths(interval: Interval) -> Statistic:
     interval.refuse_shear("free paths")
     if interval.recording.lives is not None:
         raise RecordingError("free paths are not measured in recordings whose bodies come and go")
-    impacts, moving = interval.impacts, interval.moving
+    impacts, moving, left_out = interval.impacts, interval.moving, interval.impacts_left_out
     ends = np.concatenate([impacts.i, impacts.j])
-    all_of_them = 1.0 + interval.impacts_left_out / len(impacts.step)
-    # an impact of two bodies is two collisions
-    collisions = np.count_nonzero(moving[ends[ends < interval.bodies]]) * all_of_them
+    # an impact of two bodies is two collisions; impacts that were not recorded count in the same proportion
+    collisions = np.count_nonzero(moving[ends[ends < interval.bodies]]) * (1.0 + left_out / len(impacts.step))
     exposure = np.count_nonzero(moving) * interval.duration
     paths = paths_of(interval)
     spread = 1.0 / np.sqrt(len(impacts.step))  # relative error of a count of independent impacts
@@ -69,7 +68,7 @@ def measure_free_paths(interval: Interval) -> Statistic:
         return MeasuredValue(label, value, dimension, value * spread)
 
     values = {
-        "impacts": MeasuredValue("impacts", len(impacts.step) + interval.impacts_left_out),
+        "impacts": MeasuredValue("impacts", len(impacts.step) + left_out),
         "collision_rate": known("collisions of a body", collisions / exposure, RATE),
         "mean_free_time": known("mean free time", exposure / collisions, TIME),
         "mean_free_path": known("mean free path", paths.length / collisions, LENGTH),
@@ -78,16 +77,15 @@ def measure_free_paths(interval: Interval) -> Statistic:
         "free_times": Histogram.of("free time", paths.free_times, TIME, falls=True),
         "free_paths": Histogram.of("free path", paths.free_paths, LENGTH, falls=True),
     }
-    left_out = interval.impacts_left_out
     lack = f"of these impacts, {left_out} were not recorded; with --replay they are computed again" if left_out else ""
     return Statistic(values, histograms, note=lack)
 
 
 def paths_of(interval: Interval) -> Paths:
     """Follow all bodies from frame to frame and from impact to impact."""
-    impacts, n = interval.impacts, interval.bodies
+    impacts, n, moving = interval.impacts, interval.bodies, interval.moving
+    radius = interval.recording.bodies.radius
     box = np.zeros(3) if interval.box is None else interval.box
-    moving = interval.moving
     since = np.zeros(n)  # m, the path of each body since its last impact
     last = np.full(n, -np.inf)  # s, the time of that impact
     total, times, lengths = 0.0, [np.empty(0)], [np.empty(0)]
@@ -96,11 +94,9 @@ def paths_of(interval: Interval) -> Paths:
     for frame in range(1, len(interval.step)):
         after = interval.positions.drawn(int(interval.step[frame]))
         rows = slice(bounds[frame - 1], bounds[frame])
-        impacts, radius = interval.impacts, interval.recording.bodies.radius
-        i, j, time, point, normal = (
-            column[rows] for column in (impacts.i, impacts.j, impacts.time, impacts.point, impacts.normal)
-        )
-        pair = j < interval.bodies  # impacts of two bodies; the others are on planes
+        columns = (impacts.i, impacts.j, impacts.time, impacts.point, impacts.normal)
+        i, j, time, point, normal = (column[rows] for column in columns)
+        pair = j < n  # impacts of two bodies; the others are on planes
         centres = point - radius[i][:, None] * normal, point[pair] + radius[j[pair]][:, None] * normal[pair]
         body, time, centre = np.concatenate([i, j[pair]]), np.concatenate([time, time[pair]]), np.concatenate(centres)
         involved = np.unique(body)

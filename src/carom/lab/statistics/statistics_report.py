@@ -51,13 +51,7 @@ class Statistics(NamedTuple):
     def of(
         cls, recording: Recording, start: float | None, end: float | None, replay: bool, watch: Watcher
     ) -> Statistics:
-        """Measure all statistics from one time to another (s).
-
-        Raises
-        ------
-        RecordingError
-            If the recording has no data for any statistic.
-        """
+        """Measure all statistics from one time to another (s); RecordingError if there is no data for any."""
         interval = Interval.of(recording, start, end, replay, watch)
         kinds = dict[str, Statistic]()
         for name, (_, measure) in KINDS.items():
@@ -127,21 +121,21 @@ class Statistics(NamedTuple):
                 shown.add_row(f" {measured.label}", text(measured, self.units))
             print_whole(shown)
             if kind.rows:
-                print_whole(self._shown_rows(kind))
+                shown = Table(box=None, padding=(0, 1), header_style="bold")
+                for key, value in kind.rows[0].items():
+                    if isinstance(value, MeasuredValue):
+                        label = self.units.labelled(value.label, value.dimension)
+                        shown.add_column(label, justify="right", no_wrap=True)
+                    else:
+                        shown.add_column(key, no_wrap=True)
+                for row in kind.rows[:MOST_ROWS]:
+                    shown.add_row(*(self._cell(value) for value in row.values()))
+                print_whole(shown)
             if kind.note:
                 say(f"  {kind.note}")
 
-    def _shown_rows(self, kind: Statistic) -> Table:
-        """Lay out the rows of one kind."""
-        shown = Table(box=None, padding=(0, 1), header_style="bold")
-        for key, value in kind.rows[0].items():
-            number = isinstance(value, MeasuredValue)
-            label = self.units.labelled(value.label, value.dimension) if isinstance(value, MeasuredValue) else key
-            shown.add_column(label, justify="right" if number else "left", no_wrap=True)
-        for row in kind.rows[:MOST_ROWS]:
-            texts = (text(v, self.units, unit=False) if isinstance(v, MeasuredValue) else str(v) for v in row.values())
-            shown.add_row(*texts)
-        return shown
+    def _cell(self, value: Any) -> str:
+        return text(value, self.units, unit=False) if isinstance(value, MeasuredValue) else str(value)
 
 
 def text(measured: MeasuredValue, units: UnitSystem, *, unit: bool = True) -> str:
@@ -163,34 +157,20 @@ def text(measured: MeasuredValue, units: UnitSystem, *, unit: bool = True) -> st
 def draw(statistics: Statistics, path: Path) -> None:
     """Draw all histograms into a PNG or SVG, in the units of the scene.
 
-    Raises
-    ------
-    RecordingError
-        If there is no histogram.
-    ExperimentError
-        If matplotlib is not installed.
+    Raises RecordingError if there is no histogram, ExperimentError if matplotlib is not installed.
     """
     with needing("plot", "a figure", "matplotlib"):
         import matplotlib as mpl  # noqa: PLC0415 - an extra
         from matplotlib.figure import Figure  # noqa: PLC0415
-    histograms = [
-        histogram
-        for kind in statistics.kinds.values()
-        for histogram in kind.histograms.values()
-        if len(histogram.values) >= FEWEST_BINS
-    ]
+    known = [histogram for kind in statistics.kinds.values() for histogram in kind.histograms.values()]
+    histograms = [histogram for histogram in known if len(histogram.values) >= FEWEST_BINS]
     if not histograms:
         raise RecordingError("there are too few impacts and contacts for a figure")
     interval = statistics.interval
     columns = min(COLUMNS, len(histograms))
     rows = -(-len(histograms) // columns)
-    style: Any = {
-        "font.size": 8,
-        "axes.edgecolor": FAINT,
-        "text.color": INK,
-        "axes.labelcolor": INK,
-        "svg.fonttype": "none",
-    }
+    colours = {"axes.edgecolor": FAINT, "text.color": INK, "axes.labelcolor": INK}
+    style: Any = {"font.size": 8, "svg.fonttype": "none"} | colours
     with mpl.rc_context(style):
         figure = Figure(figsize=(PANEL[0] * columns, PANEL[1] * rows + 0.4), layout="constrained", dpi=150)
         panels = figure.subplots(rows, columns, squeeze=False).ravel()

@@ -61,27 +61,23 @@ def measure_network(interval: Interval) -> Statistic:
     each, of_held = np.concatenate(counts), np.concatenate(held_counts)
     fabric = contacts.normal.T @ contacts.normal / len(contacts.normal)
     principal, axes = np.linalg.eigh(fabric)
-    frames, bodies = len(contacts.moving), np.count_nonzero(contacts.moving)
+    frames, bodies, held_count = len(contacts.moving), np.count_nonzero(contacts.moving), len(of_held)
+    of_held_body, over_held = (float(of_held.mean()), kept_contacts / held_count) if held_count else (np.nan, np.nan)
     values = {
         "frames": MeasuredValue("frames with their contacts", frames),
         "contacts": MeasuredValue("contacts that carry an impulse, of a frame", len(contacts.i) / frames),
         "coordination": MeasuredValue("contacts of a body", float(each.mean())),
         "rattlers": MeasuredValue(f"rattlers, held by fewer than {fewest} contacts", rattlers / bodies),
-        "coordination_of_held": MeasuredValue(
-            "contacts of a body without rattlers", float(of_held.mean()) if len(of_held) else np.nan
-        ),
-        "contacts_over_held": MeasuredValue(
-            "contacts / bodies without rattlers", kept_contacts / len(of_held) if len(of_held) else np.nan
-        ),
+        "coordination_of_held": MeasuredValue("contacts of a body without rattlers", of_held_body),
+        "contacts_over_held": MeasuredValue("contacts / bodies without rattlers", over_held),
         "fabric": MeasuredValue("fabric", fabric),
         "anisotropy": MeasuredValue("… largest less smallest principal value", float(principal[-1] - principal[0])),
         "principal_direction": MeasuredValue("… direction of the largest", axes[:, -1]),
     }
     edges = np.arange(int(each.max()) + 2, dtype=np.float64) - 0.5
     share = np.histogram(each, edges)[0] / len(each)
-    return Statistic(
-        values, {"contacts_of_a_body": Histogram("contacts of a body", edges, share, function="fraction of the bodies")}
-    )
+    histogram = Histogram("contacts of a body", edges, share, function="fraction of the bodies")
+    return Statistic(values, {"contacts_of_a_body": histogram})
 
 
 def contact_counts(pairs: IntArray, bodies: int) -> IntArray:
@@ -109,16 +105,11 @@ def measure_forces(interval: Interval) -> Statistic:
     contacts = interval.contacts
     mean = float(contacts.force.mean())
     ratio, frames = contacts.force / mean, len(contacts.moving)
-    chains = [
-        size
-        for frame in range(frames)
-        for size in chains_of(
-            np.stack([contacts.i, contacts.j], axis=1)[contacts.frame == frame],
-            contacts.normal[contacts.frame == frame],
-            contacts.force[contacts.frame == frame],
-            interval.recording.bodies.radius,
-        )
-    ]
+    pairs, chains = np.stack([contacts.i, contacts.j], axis=1), list[int]()
+    for frame in range(frames):
+        own = contacts.frame == frame
+        radius = interval.recording.bodies.radius
+        chains += chains_of(pairs[own], contacts.normal[own], contacts.force[own], radius)
     bodies = np.count_nonzero(contacts.moving)
     values = {
         "mean_force": MeasuredValue("mean normal force", mean, FORCE),
@@ -137,16 +128,8 @@ def measure_forces(interval: Interval) -> Statistic:
 def chains_of(pairs: IntArray, normal: FloatArray, force: FloatArray, radius: FloatArray) -> list[int]:
     """Return the number of bodies of each force chain.
 
-    Parameters
-    ----------
-    pairs
-        (k, 2) the ends of contacts; numbers from n on are planes.
-    normal
-        (k, 3) from the first end to the second.
-    force
-        (k,) N.
-    radius
-        (n,) m.
+    Contacts have two ends, (k, 2), of which numbers from n on are planes, normals (k, 3) from the first end to the
+    second, and forces (k,) N; radii are (n,) m.
     """
     n, bodies = len(radius), pairs < len(radius)
     stress = np.zeros((n, 3, 3))
@@ -193,7 +176,13 @@ def measure_pair_correlation(interval: Interval) -> Statistic:
         there = recording.present(step)
         return interval.positions.drawn(step)[there], recording.bodies.radius[there]
 
-    largest = _largest_distance(*present(steps[-1]), box)
+    # the largest distance at which pairs are counted, over the sum of the radii
+    position, radius = present(steps[-1])
+    size = np.ptp(position, axis=0) if box is None else box
+    spacing, widest = float((np.prod(size) / len(position)) ** (1 / 3)), 2 * float(radius.max())
+    largest = min(max(RANGE * widest, SPACINGS * spacing), float(size.min()) / (4 if box is None else 2)) / widest
+    if largest <= 1.0:
+        raise RecordingError("the bodies are too few, or too flat a layer, for a pair correlation in space")
     shells = max(1, round(SHELLS / largest))  # up to s = 1
     edges = np.arange(int(largest * shells) + 1) / shells
     counts, near = np.zeros((2, len(edges) - 1)), np.zeros((2, len(NEAR) - 1))
@@ -210,37 +199,14 @@ def measure_pair_correlation(interval: Interval) -> Statistic:
     return Statistic(values, {"pair_correlation": histogram})
 
 
-def _largest_distance(position: FloatArray, radius: FloatArray, box: FloatArray | None) -> float:
-    """Return the largest distance at which pairs are counted, over the sum of the radii."""
-    size = np.ptp(position, axis=0) if box is None else box
-    spacing = float((np.prod(size) / len(position)) ** (1 / 3))
-    widest = 2 * float(radius.max())
-    largest = min(max(RANGE * widest, SPACINGS * spacing), float(size.min()) / (4 if box is None else 2)) / widest
-    if largest <= 1.0:
-        raise RecordingError("the bodies are too few, or too flat a layer, for a pair correlation in space")
-    return largest
-
-
 def distances_of(position: FloatArray, radius: FloatArray, box: FloatArray | None, largest: float) -> Distances:
-    """Find the distances of one frame, up to a largest one over the sum of the radii.
-
-    Parameters
-    ----------
-    position
-        (n, 3) m.
-    radius
-        (n,) m.
-    box
-        Size of the periodic box, (3,) m; None without one.
-    """
+    """Find the distances of one frame, up to a largest one over the sum of the radii; None: without a periodic box."""
     n, reach = len(position), largest * 2 * float(radius.max())
-    low = position.min(axis=0)
     size = np.ptp(position, axis=0) if box is None else box
-    place = position - low
+    place = position - position.min(axis=0)
     if box is not None:
         place = np.where(place % box < box, place % box, 0.0)
-        others = n - 1
-        inner = np.arange(n)
+        others, inner = n - 1, np.arange(n)
     else:
         others = n - 7  # without the centre itself and the six bodies that define the faces
         inner = np.flatnonzero(((place >= reach) & (place <= size - reach)).all(axis=1))

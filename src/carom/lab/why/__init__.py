@@ -22,8 +22,8 @@ from carom.extend import (
     recording_option,
     say,
     say_json,
-    seconds,
     simulated_or_none,
+    time_option,
 )
 
 if TYPE_CHECKING:
@@ -42,34 +42,17 @@ _ROUNDED = 1e-3  # of the largest change of velocity in an account: smaller part
 _OF_ENGINE = (
     "Impulses are the engine's contact forces times the time between frames; what they leave of a velocity's change"
 )
+_BODY = "The body whose velocity is in question."
+_EVENT = "Explain why two bodies touch: an event that `carom inspect` lists, or impact:N for the Nth impact."
+_FROM = "Trace causes back to this time. Default: as far as a few seconds of computing allow."
 
 
 def why_command(
     file: RecordingArgument,
-    body: Annotated[
-        str | None, typer.Option("--body", metavar="N|NAME", help="The body whose velocity is in question.")
-    ] = None,
-    at: Annotated[
-        OptionalTime,
-        typer.Option("--at", parser=seconds, metavar="T", help="Time of the question. Default: the end."),
-    ] = None,
-    event: Annotated[
-        str | None,
-        typer.Option(
-            "--event",
-            metavar="EVENT",
-            help="Explain why two bodies touch: an event that `carom inspect` lists, or impact:N for the Nth impact.",
-        ),
-    ] = None,
-    start: Annotated[
-        OptionalTime,
-        typer.Option(
-            "--from",
-            parser=seconds,
-            metavar="T",
-            help="Trace causes back to this time. Default: as far as a few seconds of computing allow.",
-        ),
-    ] = None,
+    body: Annotated[str | None, typer.Option("--body", metavar="N|NAME", help=_BODY)] = None,
+    at: Annotated[OptionalTime, time_option("--at", "Time of the question. Default: the end.")] = None,
+    event: Annotated[str | None, typer.Option("--event", metavar="EVENT", help=_EVENT)] = None,
+    start: Annotated[OptionalTime, time_option("--from", _FROM)] = None,
     output: Annotated[Path | None, recording_option("Write a recording of the causes for the viewer.")] = None,
     force: ForceOption = False,
     as_json: JsonOption = False,
@@ -96,7 +79,7 @@ def why_command(
             answer = answer_to(recording, question, simulated_or_none(start, units), watch)
         names = names_of(recording)
         if output is not None:
-            write_answer(output, recording, answer, _markdown(answer, names, units))
+            _write(output, recording, answer, _markdown(answer, names, units))
         if as_json:
             say_json(_document(answer, names, units))
         else:
@@ -106,6 +89,8 @@ def why_command(
 
 
 def _document(answer: Answer, names: Names, units: UnitSystem) -> dict[str, Any]:
+    from dataclasses import asdict
+
     question, cone = answer.question, answer.cone
     return {
         "units": units.recorded,
@@ -120,18 +105,7 @@ def _document(answer: Answer, names: Names, units: UnitSystem) -> dict[str, Any]
         "window": {"begin": answer.begin, "begin_step": answer.begin_step, "source": answer.source},
         "answer": answer.kind,
         "accounts": [_account_document(account, names, answer.knows_field) for account in answer.accounts],
-        "chain": [
-            {
-                "time": link.time,
-                "step": link.step,
-                "body": link.body,
-                "by": link.by,
-                "between": [names.of(link.by), names.of(link.body)],
-                "impulse": link.impulse,
-                "share": link.share,
-            }
-            for link in answer.chain
-        ],
+        "chain": [asdict(link) | {"between": [names.of(link.by), names.of(link.body)]} for link in answer.chain],
         "first_cause": {"body": answer.first_cause, "name": names.of(answer.first_cause)},
         "cone": {
             "closed": answer.closed.tolist(),
@@ -144,51 +118,28 @@ def _document(answer: Answer, names: Names, units: UnitSystem) -> dict[str, Any]
                 }
                 for b in answer.bodies
             ],
-            "edges": [
-                {
-                    "i": edge.i,
-                    "j": edge.j,
-                    "first": edge.first,
-                    "last": edge.last,
-                    "impulse": edge.impulse,
-                    "impulses": edge.count,
-                    "share": edge.share,
-                }
-                for edge in answer.edges
-            ],
+            "edges": [asdict(edge) for edge in answer.edges],
         },
     }
 
 
 def _account_document(account: Account, names: Names, knows_field: bool) -> dict[str, Any]:
+    vectors = ("velocity", "start_velocity", "by_contacts", "by_forces")
+    own = ("kind", "first", "last", "step", "moment", "work", "share", "approach_speed", "energy_lost")
     return {
         "body": account.body,
         "name": names.of(account.body),
         "mass": account.mass,
-        "velocity": account.velocity.tolist(),
-        "start_velocity": account.start_velocity.tolist(),
-        "by_contacts": account.by_contacts.tolist(),
-        "by_forces": account.by_forces.tolist(),
-        "unexplained": account.unexplained,
-        "rests": account.rests,
-        "start_share": account.start_share,
-        "forces_share": account.forces_share,
+        **{name: getattr(account, name).tolist() for name in vectors},
+        **{name: getattr(account, name) for name in ("unexplained", "rests", "start_share", "forces_share")},
         **({"by_gravity": account.by_field.tolist(), "gravity_share": account.field_share} if knows_field else {}),
         "causes": [
             {
                 "with": cause.partner,
                 "name": names.of(cause.partner),
-                "kind": cause.kind,
-                "first": cause.first,
-                "last": cause.last,
-                "step": cause.step,
-                "moment": cause.moment,
+                **{name: getattr(cause, name) for name in own},
                 "impulse": cause.impulse.tolist(),
                 "impulse_size": cause.size,
-                "work": cause.work,
-                "share": cause.share,
-                "approach_speed": cause.approach_speed,
-                "energy_lost": cause.energy_lost,
             }
             for cause in account.causes
         ],
@@ -219,11 +170,12 @@ def _print(answer: Answer, names: Names, units: UnitSystem, file: Path, oldest: 
         say(f"{_OF_ENGINE}{also} is due to forces, or to contacts that the engine does not report.")
     if answer.begin_step > oldest:
         say("Earlier causes were not examined; --from 0 goes back to the beginning.")
-    best = _to_look_at(answer)
-    if best is not None:
-        time, ends = best
-        pair = f"--bodies {ends[0]},{ends[1]}" if max(ends) < len(names.bodies) else ""
-        say(f"Look: {command('view', file, '--at', f'{units.shown(time, TIME):.9g}', *pair.split())}")
+    causes = [(cause, account.body) for account in answer.accounts for cause in account.causes]
+    if causes:
+        cause, body = max(causes, key=lambda each: each[0].share)
+        low, high = sorted((body, cause.partner))
+        pair = ("--bodies", f"{low},{high}") if high < len(names.bodies) else ()
+        say(f"Look: {command('view', file, '--at', f'{units.shown(cause.moment, TIME):.9g}', *pair)}")
 
 
 def _summary(account: Account, answer: Answer, names: Names, units: UnitSystem) -> Iterator[str]:
@@ -263,8 +215,8 @@ def _print_causes(account: Account, names: Names, units: UnitSystem) -> None:
         return
     table = Table(box=None, padding=(0, 1), header_style="bold")
     table.add_column(units.labelled("look at t", TIME), justify="right", no_wrap=True)
-    table.add_column("with", no_wrap=True)
-    table.add_column("kind", no_wrap=True)
+    for column in ("with", "kind"):
+        table.add_column(column, no_wrap=True)
     knows_losses = all(cause.energy_lost is not None for cause in account.causes)
     measured = (("impulse", IMPULSE), ("work", ENERGY), *([("lost", ENERGY)] if knows_losses else []))
     for column in (*(units.labelled(*each) for each in measured), *([] if account.rests else ["of the speed"])):
@@ -319,7 +271,7 @@ def _behind(answer: Answer, names: Names, units: UnitSystem) -> Iterator[str]:
             between = names.pair((edge.i, edge.j))
             impulse = units.text(edge.impulse, IMPULSE, ".4g")
             share = "" if resting else f"{edge.share:6.1%}  "
-            yield f"  {share}{between}: {impulse} in {counted(edge.count, 'impulse')}"
+            yield f"  {share}{between}: {impulse} in {counted(edge.impulses, 'impulse')}"
     elif answer.chain:
         yield "The chain of causes, backwards:"
         what = "the velocity" if len(answer.question.bodies) == 1 else "both velocities"
@@ -328,9 +280,8 @@ def _behind(answer: Answer, names: Names, units: UnitSystem) -> Iterator[str]:
                 f"  t = {units.text(link.time, TIME, '.9g')}: {names.of(link.by)} hits {names.of(link.body)}, "
                 f"{units.text(link.impulse, IMPULSE, '.4g')}; {link.share:.1%} of {what} came this way"
             )
-        first = answer.first_cause
         given = "already had its velocity, or gained it from forces"
-        yield f"  {names.of(first)} {given}: it is the first cause."
+        yield f"  {names.of(answer.first_cause)} {given}: it is the first cause."
     else:
         passed = cone.passed_to(answer.question.bodies)
         each = f", none of them more than {max(passed):.1%}" if len(passed) > 1 else ""
@@ -351,35 +302,15 @@ def _behind(answer: Answer, names: Names, units: UnitSystem) -> Iterator[str]:
     yield f"Overall contributions: velocities at t = {since} {left:.0%}, {further} {forces:.0%}."
 
 
-def _to_look_at(answer: Answer) -> tuple[float, tuple[int, int]] | None:
-    causes = [(cause, account) for account in answer.accounts for cause in account.causes]
-    if not causes:
-        return None
-    cause, account = max(causes, key=lambda found: found[0].share)
-    low, high = sorted((account.body, cause.partner))
-    return cause.moment, (low, high)
-
-
-def write_answer(out: Path, recording: Recording, answer: Answer, text: str) -> None:
-    """Write the bodies and contacts behind an answer. Raises RecordingError if they cannot be written."""
+def _write(out: Path, recording: Recording, answer: Answer, text: str) -> None:
+    """Write a recording of the bodies and contacts behind an answer."""
     from carom.extend import CauseEdge, Causes, write_causes
 
-    cone = answer.cone
+    cone, question = answer.cone, answer.question
     edges = [
         CauseEdge(edge.i, edge.j, edge.first, edge.share, edge.impulse, edge.last)
         for edge in answer.edges
         if edge.j < cone.count
     ]
-    write_causes(
-        out,
-        recording,
-        Causes(
-            title=answer.question.text,
-            text=text,
-            begin=answer.begin,
-            end=answer.time,
-            asked=answer.question.bodies,
-            share=cone.shares + cone.from_forces,
-            edges=edges,
-        ),
-    )
+    share = cone.shares + cone.from_forces
+    write_causes(out, recording, Causes(question.text, text, answer.begin, answer.time, question.bodies, share, edges))

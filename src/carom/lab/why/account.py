@@ -43,7 +43,7 @@ class Cause:
         return "stop" if self.approach_speed is None else "impact"
 
     def takes(self, earlier: Cause, adjoins: bool) -> bool:
-        """Return whether an earlier contact with the same partner, in the step before, is part of this one."""
+        """Return whether this contact continues an earlier one, which ``adjoins`` if it was in the step before."""
         goes_on = self.holds or (self.lasts and earlier.lasts)
         return adjoins and goes_on and earlier.holds == self.holds and earlier.partner == self.partner
 
@@ -112,20 +112,21 @@ class Account:
         return sum(cause.share for cause in self.causes if cause.kind in kinds)
 
     def take(self, step: Step, rows: Records, kicks: list[FloatArray], impacts: Records, contacts: Records) -> None:
-        """Go back through a step, or its beginning.
+        """Go back through a step, or through its beginning up to a moment.
 
         Parameters
         ----------
-        step
-            Its data.
         rows
-            Its impulses on this body up to the moment, in order.
+            The impulses on this body up to the moment, in order.
         kicks
             (3,) m/s each, velocity changes of this body by forces up to the moment.
         impacts, contacts
             (k,) and (m,) `CONTACT_ROW`, of this step; no contacts for its beginning alone.
         """
-        self._lost, self._before = self._lost_at_rest(contacts, impacts), step.before_step
+        self._lost, self._before = {}, step.before_step  # losses of all contacts less those of impacts
+        for some, sign in ((contacts, 1.0), (impacts, -1.0)) if len(contacts) else ():
+            for row in impulses_on(self.body, some):
+                self._lost[self._other(row)] = self._lost.get(self._other(row), 0.0) + sign * _loss(row)
         if self._bearing is None:
             self._bearing = float(np.linalg.norm(self._impulses(rows[rows["holds"]]), axis=1).sum()) / self.mass
         shares = self._divide(rows, sum(kicks, np.zeros(3)), step.by_field, step.before[self.body])
@@ -150,8 +151,8 @@ class Account:
     def _divide(self, rows: Records, forces: FloatArray, field: FloatArray, start: FloatArray) -> FloatArray:
         """Divide the remaining share of the velocity as in `Cone`; return the shares of impulses, (k,).
 
-        Forces changed the velocity by (3,) m/s from ``start``, the velocity at the beginning of the step; ``field`` is
-        the part of the uniform field.
+        ``forces`` changed the velocity by (3,) m/s from ``start``, that at the beginning of the step; ``field`` is the
+        contribution of the uniform field.
         """
         shares = np.zeros(len(rows))
         changes = self._impulses(rows) / self.mass
@@ -188,16 +189,6 @@ class Account:
         impulses[rows["i"] == self.body] *= -1.0
         return impulses
 
-    def _lost_at_rest(self, contacts: Records, impacts: Records) -> dict[int, float]:
-        """Return the energies (J) that contacts dissipated in a step, without impacts, by the other end."""
-        lost: dict[int, float] = {}
-        if len(contacts) == 0:
-            return lost
-        for rows, sign in ((contacts, 1.0), (impacts, -1.0)):
-            for row in impulses_on(self.body, rows):
-                lost[self._other(row)] = lost.get(self._other(row), 0.0) + sign * _loss(row)
-        return lost
-
     def _other(self, row: np.void) -> int:
         """Return the other end of a contact."""
         return int(row["i"]) if row["j"] == self.body else int(row["j"])
@@ -207,8 +198,8 @@ class Account:
     ) -> FloatArray:
         """Undo impulses that act together, given their shares, (k,); return the velocity before them.
 
-        Contacts at rest and lasting contacts cancel a ``kick``, (3,) m/s, of the forces. Their work is computed with
-        the mean velocity without this kick: the normal force of a floor does no work on a ball that slides on it.
+        Contacts at rest and lasting contacts cancel a ``kick``, (3,) m/s, of the forces. Their work follows from the
+        mean velocity without this kick: the normal force of a floor does no work on a ball that slides on it.
         """
         impulses = self._impulses(rows)
         sizes = np.sqrt((impulses * impulses).sum(axis=1))
@@ -224,17 +215,16 @@ class Account:
         return before
 
     def _add(self, row: np.void, impulse: FloatArray, size: float, work: float, share: float, impacts: Records) -> None:
-        partner = self._other(row)
-        time, step, holds = float(row["time"]), int(row["step"]), bool(row["holds"])
-        lasts = bool(row["lasts"])
+        partner, time, step = self._other(row), float(row["time"]), int(row["step"])
+        holds, lasts = bool(row["holds"]), bool(row["lasts"])
         cause = Cause(partner, holds, time, time, step, impulse, size, work, time, size, share=share, lasts=lasts)
         if not holds:
-            # approach speed and energy loss are taken from the recorded impact
-            low, high = min(self.body, cause.partner), max(self.body, cause.partner)
-            own = impacts[(impacts["i"] == low) & (impacts["j"] == high) & (impacts["time"] == cause.moment)]
+            # approach speed and energy loss are those of the recorded impact
+            low, high = sorted((self.body, partner))
+            own = impacts[(impacts["i"] == low) & (impacts["j"] == high) & (impacts["time"] == time)]
             if len(own):  # a pair may meet several times at one moment
                 squares = (own[name] ** 2 for name in ("normal_impulse", "friction_x", "friction_y", "friction_z"))
-                met = own[int(np.argmin(np.abs(np.asarray(np.sqrt(sum(squares))) - cause.size)))]
+                met = own[int(np.argmin(np.abs(np.asarray(np.sqrt(sum(squares))) - size)))]
                 cause.approach_speed, cause.energy_lost = float(met["approach_speed"]), _loss(met)
         if lasts:
             cause.energy_lost = None

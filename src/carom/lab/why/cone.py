@@ -8,8 +8,8 @@ is divided in two ways:
   the velocity v after the step. This share is divided among the forces and contacts with a component along N, in
   proportion to these components.
 - **Over an instant with impacts**, the share is divided among the velocity before and the impulses, in proportion to
-the magnitudes of their components along e, |v⁻·e| : |J₁·e|/m : |J₂·e|/m … If the impacts stop the body, the whole
-magnitudes count.
+  the magnitudes of their components along e, |v⁻·e| : |J₁·e|/m : |J₂·e|/m … If the impacts stop the body, the whole
+  magnitudes count.
 
 A sum over many short steps converges, so shares depend on the step no more than the motion does. Impacts of other
 engines last for some steps, so their shares are divided like the shares of forces. A share contributed by forces has
@@ -27,7 +27,6 @@ from dataclasses import dataclass, field
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
@@ -61,23 +60,15 @@ class Edge:
     first: float  # s
     last: float  # s
     impulse: float = 0.0  # N s, Σ |J|
-    count: int = 0  # impulses
+    impulses: int = 0  # their number
     share: float = 0.0  # share of the answer that passed over it
 
 
 @dataclass(slots=True)
 class Cone:
-    """The bodies behind an answer, their shares, and the contacts between them.
+    """The bodies behind an answer, their shares, and the contacts between them."""
 
-    Parameters
-    ----------
-    inverse_mass
-        (n + p,) 1/kg.
-    shares
-        The bodies of the question, and the share of each.
-    """
-
-    inverse_mass: FloatArray
+    inverse_mass: FloatArray  # (n + p,) 1/kg
     count: int  # of bodies
     shares: FloatArray  # (n,) of the answer, that each body carries at the present moment
     reached: BoolArray  # (n,) whether it could have had an effect
@@ -91,23 +82,17 @@ class Cone:
 
     @classmethod
     def of(cls, inverse_mass: FloatArray, count: int, shares: dict[int, float], time: float) -> Cone:
-        """Begin at a moment in s."""
+        """Begin at a moment in s, with the share of each body of the question."""
         carried, since = np.zeros(count), np.full(count, np.nan)
         for body, share in shares.items():
             carried[body], since[body] = share, time
         return cls(inverse_mass, count, carried, ~np.isnan(since), since, np.zeros(count))
 
     def take(self, step: Step, rows: Records, velocity: FloatArray, kicked: bool) -> None:
-        """Go back through a step, or its beginning.
+        """Go back through a step, or through its beginning up to a moment.
 
-        Parameters
-        ----------
-        rows
-            Its impulses up to the moment, in order.
-        velocity
-            (n, 3) m/s, right after the last of them.
-        kicked
-            Whether forces act.
+        ``rows`` are its impulses up to the moment, in order, and ``velocity``, (n, 3) m/s, follows the last of them.
+        Forces act if it is ``kicked``.
         """
         between = rows["j"] < self.count
         self.pairs.append(np.stack([rows["i"][between], rows["j"][between]], axis=1))
@@ -157,7 +142,7 @@ class Cone:
     def closed(self) -> BoolArray:
         """Return a mask (n,) of the bodies connected to the cone by contacts before the moment.
 
-        Only these can matter: a body outside the cone may have kept a body of the cone from touching another.
+        Only these matter: a body outside the cone may have kept a body of the cone from touching another.
         """
         pairs = np.concatenate([np.empty((0, 2), dtype=np.int64), *self.pairs])
         graph = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(self.count, self.count))
@@ -224,8 +209,8 @@ class Cone:
         self.shares[ends[bodies]] = np.where(whole > 0.0, rate * kept, shares)[bodies]
         flow: FloatArray = given * rate[to]
         opposite = np.roll(np.arange(2 * m), m)
-        further = np.maximum(0.0, total[origin] - taken[opposite])
-        further[~bodies[origin] | (further <= NEGLIGIBLE * total[origin])] = 0.0
+        others = np.maximum(0.0, total[origin] - taken[opposite])  # of the further impulses on the other end
+        further = np.where(~bodies[origin] | (others <= NEGLIGIBLE * total[origin]), 0.0, others)
         passed, back_again = np.zeros(2 * m), np.zeros(2 * m)
         for _ in range(_ROUNDS):
             passed += flow
@@ -233,7 +218,10 @@ class Cone:
             back_again += returned
             if onward.sum() < NEGLIGIBLE:
                 break
-            flow = self._onward(to, origin, taken, total, onward, opposite)
+            # divide the forwarded shares among the further impulses on the other ends
+            per_impulse = np.divide(onward, others, out=np.zeros(2 * m), where=others > 0.0)
+            arriving = np.bincount(origin, weights=per_impulse, minlength=len(ends))
+            flow = np.maximum(0.0, taken * (arriving[to] - per_impulse[opposite]))
         else:
             self._arrive(ends[origin], flow)
         self._note(rows, passed, passed - back_again)
@@ -243,14 +231,8 @@ class Cone:
     ) -> tuple[FloatArray, FloatArray]:
         """Divide the shares that pass over contacts between their ends; return the forwarded and the returned shares.
 
-        Parameters
-        ----------
-        flow
-            (2k,) share of the answer, of i over each contact, then of j.
-        further
-            (2k,) m/s, by the other impulses on the other end.
-        before
-            (n, 3) m/s, velocities before the impulses.
+        ``flow``, (2k,), has the shares of the answer that pass to i, then to j. ``further``, (2k,) m/s, is due to other
+        impulses on the other end. Velocities before the impulses are (n, 3) m/s.
         """
         to, origin = np.concatenate((rows["i"], rows["j"])), np.concatenate((rows["j"], rows["i"]))
         along = _units(_vectors(rows))
@@ -266,22 +248,6 @@ class Cone:
         self._arrive(to, returned)
         return further * scale, returned
 
-    def _onward(
-        self,
-        to: IntArray,
-        origin: IntArray,
-        taken: FloatArray,
-        total: FloatArray,
-        onward: FloatArray,
-        opposite: NDArray[np.integer],
-    ) -> FloatArray:
-        """Divide forwarded shares among the further impulses on the other ends, excluding the forwarding impulse."""
-        others = np.maximum(total[origin] - taken[opposite], 0.0)
-        rate = np.divide(onward, others, out=np.zeros(len(onward)), where=others > 0.0)
-        arriving = np.bincount(origin, weights=rate, minlength=len(total))  # per unit of impulse, at each end
-        flow: FloatArray = np.maximum(0.0, taken * (arriving[to] - rate[opposite]))
-        return flow
-
     def _arrive(self, ends: IntArray, parts: FloatArray) -> None:
         bodies = ends < self.count
         np.add.at(self.shares, ends[bodies], parts[bodies])
@@ -295,7 +261,7 @@ class Cone:
                 edge = self.edges[i, j] = Edge(i, j, time, time)
             edge.first = time
             edge.impulse += float(size[k])
-            edge.count += 1
+            edge.impulses += 1
             edge.share += float(passed[k] + passed[m + k])
             to_i, to_j = float(kept[k]), float(kept[m + k])
             if not row["impact"] or max(to_i, to_j) <= NEGLIGIBLE:
@@ -315,7 +281,7 @@ class Cone:
 def gained(before: FloatArray, after: FloatArray, acting: FloatArray) -> FloatArray:
     """Return the fractions of speeds, (k,), that are due to the changes of velocities, (k, 3) m/s.
 
-    A change counts as rounding if the contributions, ``acting`` (k,) m/s in all, cancel.
+    A change is rounding if contributions of ``acting``, (k,) m/s in all, cancel.
     """
     change = after - before
     squared, gain = (after * after).sum(axis=1), (change * after).sum(axis=1)
@@ -371,10 +337,10 @@ class Link:
 
 
 def chain_of(cone: Cone, bodies: tuple[int, ...]) -> list[Link]:
-    """Return the impacts of the chain, the latest first.
+    """Return the impacts of the chain, the latest first; none if no impact passed on a tenth of the answer.
 
-    From each body it follows the earlier impact with the largest share of the answer, until the body's own motion has a
-    larger share. There is none if no impact passed on a tenth of the answer.
+    From each body, the chain follows the earlier impact with the largest share of the answer, until the body's own
+    motion has a larger share.
     """
     left = list(cone.passages)
     links: list[Link] = []

@@ -88,13 +88,7 @@ class History:
     def replay(
         cls, recording: Recording, begin: Checkpoint, end: float, bodies: tuple[int, ...], watch: Watcher
     ) -> History:
-        """Run a recording again from a checkpoint up to the step that contains a time (s).
-
-        Raises
-        ------
-        RecordingError, SceneError
-            If it cannot be run again.
-        """
+        """Run a recording again from a checkpoint up to the step that contains a time (s)."""
         scene = recorded_scene(recording)
         audited = scene.expect.model_copy(update={"contact_audit": _AUDIT})  # records the kicks of forces
         space = space_of(recording, scene.model_copy(update={"expect": audited}), begin, record_contacts=True)
@@ -171,21 +165,10 @@ class Question:
 
 
 def question_of(recording: Recording, body: str | None, at: float | None, event: str | None) -> Question:
-    """Read a question.
+    """Return a question about a body, given by number or name, or about an event, named as for `carom view`.
 
-    Parameters
-    ----------
-    body
-        Number or name of a body.
-    at
-        s; by default the end of the recording.
-    event
-        Name of an event, as for `carom view`.
-
-    Raises
-    ------
-    RecordingError
-        If there is no such body, moment or event, or unless exactly one of a body and an event is given.
+    The time ``at`` is in s; by default it is the end of the recording. RecordingError if there is no such body, moment
+    or event, or unless exactly one of a body and an event is given.
     """
     if (body is None) == (event is None):
         raise RecordingError("choose a body with --body, or an impact with --event")
@@ -214,17 +197,14 @@ def question_of(recording: Recording, body: str | None, at: float | None, event:
 
 
 def recorded_history(recording: Recording, question: Question, start: float | None) -> History:
-    """Return the history of the frames up to the moment of a question.
+    """Return the history of the frames up to the moment of a question, for a recording of another engine.
 
-    A step lasts from one exact state to the next. An impulse is a contact's force times the time between frames. What
-    changes a velocity beyond these impulses is a kick: forces, and contacts that the engine does not report. A contact
-    is an impact while it closes or parts faster than these kicks could make it, and otherwise holds.
+    A step lasts from one exact state to the next. An impulse is a contact's force times the time between frames. A kick
+    is the change of velocity beyond these impulses, by forces and by contacts that the engine does not report. A
+    contact is an impact while it closes or separates faster than these kicks could make it; otherwise it holds.
 
-    Parameters
-    ----------
-    start
-        s; the history begins with the last exact state before it. By default it goes back `MOST_FRAMES` frames, or
-        fewer with many bodies.
+    The history begins with the last exact state before ``start`` (s). By default it goes back `MOST_FRAMES` frames, or
+    fewer with many bodies.
 
     Raises
     ------
@@ -305,16 +285,14 @@ def _step(
     for end, sign in (("i", -1.0), ("j", 1.0)):
         np.add.at(given, rows[end], sign * inverse_mass[rows[end], None] * J)
         np.add.at(acted, rows[end], inverse_mass[rows[end]] * np.linalg.norm(J, axis=1))
-    # bodies that come in this step begin with the velocity that their contacts leave unexplained, bodies that go keep
-    # theirs
+    # a body that comes begins with the part of its velocity that contacts do not explain; one that goes keeps its own
     began = np.where(np.isnan(before.velocity), after.velocity - given[:n], before.velocity)
     ended = np.where(np.isnan(after.velocity), began + given[:n], after.velocity)
     began, ended = np.nan_to_num(began), np.nan_to_num(ended)
     kick = ended - began - given[:n]
     kick[inverse_mass[:n] == 0.0] = 0.0
-    noise = np.zeros(len(inverse_mass))
-    noise[:n] = np.linalg.norm(kick, axis=1)
-    noise += _ROUNDED * acted
+    noise = _ROUNDED * acted
+    noise[:n] += np.linalg.norm(kick, axis=1)
     closing = [closing_speeds(contacts, state, inverse_mass[:n] > 0.0) for state in (before, after)]
     limit = noise[rows["i"]] + noise[rows["j"]]
     rows["impact"] = J.any(axis=1) & (np.maximum(np.abs(closing[0]), np.abs(closing[1])) > limit)
@@ -323,5 +301,4 @@ def _step(
     struck["step"], struck["mode"] = after.step, IMPACT_MODE
     struck["approach_speed"] = np.maximum(0.0, closing[0][rows["impact"]])
     kicks = [np.zeros((len(bodies), 3)), kick[list(bodies)]]
-    one = Step(after.step, before.step, after.time, before.time, began, ended, rows, kicks, contacts[:0])
-    return one, struck
+    return Step(after.step, before.step, after.time, before.time, began, ended, rows, kicks, contacts[:0]), struck

@@ -57,7 +57,7 @@ class Answer:
     def closed(self) -> IntArray:
         """The cone and all bodies connected to it by contacts: nothing else could change the answer.
 
-        This holds bit for bit where no forces act between bodies and steps have a fixed length.
+        Without forces between bodies and with a fixed step, this holds bit for bit.
         """
         return np.flatnonzero(self.cone.closed())
 
@@ -82,8 +82,6 @@ def why(
 
     Parameters
     ----------
-    recording
-        The recording of the run.
     start
         s; the window begins at the last checkpoint before it. By default it goes back as far as is cheap, and at least
         to the last checkpoint before the moment.
@@ -93,7 +91,7 @@ def why(
     Raises
     ------
     RecordingError, SceneError
-        If the recording cannot be run again, or has no contact forces of another engine.
+        If the recording cannot be run again, or lacks the contact forces of another engine.
     ExperimentError
         If the window lacks the bodies or the event.
     """
@@ -191,16 +189,16 @@ class _Backwards:
             question=self._question,
             time=self._time,
             step=self._step.step,
-            begin=begin.begin.time,
-            begin_step=begin.begin.step,
-            source=f"replayed from step {begin.begin.step}, {same}",
+            begin=begin.time,
+            begin_step=begin.step,
+            source=f"replayed from step {begin.step}, {same}",
             accounts=self._accounts,
             cone=self._cone,
             chain=chain_of(self._cone, self._question.bodies),
         )
 
     def _rest(self, history: History, end: int) -> None:
-        self._begin, self._impacts = history, impacts_by_step(history)
+        self._begin, self._impacts = history.begin, impacts_by_step(history)
         for step in history.steps[end - 1 :: -1] if end > 0 else []:
             self._take(history, step, step.impulses, step.kicks, step.after.copy())
 
@@ -234,25 +232,18 @@ def _moment(question: Question, history: History) -> tuple[Step, Records, list[F
         return last, last.impulses, last.kicks, last.impulses[:0]
     place = bisect_left(history.steps, question.time - tolerance(question.time), key=lambda step: step.time)
     near = history.steps[max(0, place - 1) : place + 2]
-    found = [(step, row) for step in near for row in _rows_of(step, question.ends)]
+    # the nearest impulse between the two ends, an impact rather than one at rest
+    found: list[tuple[float, bool, int, int]] = []
+    for number, each in enumerate(near):
+        rows = each.impulses
+        acts = (rows["x"] != 0.0) | (rows["y"] != 0.0) | (rows["z"] != 0.0)
+        for row in np.flatnonzero((rows["i"] == question.ends[0]) & (rows["j"] == question.ends[1]) & acts).tolist():
+            found.append((abs(float(rows["time"][row]) - question.time), bool(rows["holds"][row]), number, row))
     if not found:
         raise ExperimentError(f"{question.event}: no impulse acted between the two bodies at t = {time}")
-
-    def off(one: tuple[Step, int]) -> tuple[float, bool]:
-        row = one[0].impulses[one[1]]
-        return abs(float(row["time"]) - question.time), bool(row["holds"])
-
-    step, row = min(found, key=off)
+    *_, number, row = min(found)
+    step = near[number]
     first = int(np.searchsorted(step.impulses["instant"], step.impulses["instant"][row]))
     late = step.impulses[first:]
     kicks = step.kicks if late["time"][0] >= step.time else step.kicks[:1]
     return step, step.impulses[:first], kicks, late
-
-
-def _rows_of(step: Step, ends: tuple[int, int]) -> list[int]:
-    """Return a mask of the impulses of a step between two ends."""
-    rows = step.impulses
-    own = (
-        (rows["i"] == ends[0]) & (rows["j"] == ends[1]) & ((rows["x"] != 0.0) | (rows["y"] != 0.0) | (rows["z"] != 0.0))
-    )
-    return [int(row) for row in np.flatnonzero(own)]
