@@ -43,35 +43,16 @@ _CAMERA = (
 _PICTURE = "Picture to write. Default: FILE.png, or FILE-picture.png if another command wrote FILE.png."
 _PAGE = "Folder to write. Default: FILE-page, beside FILE; of several recordings, recordings-page."
 SMALLEST, LARGEST = 100, 8192  # pixels; textures of software renderers end at 8192
-
-
-class ColourBy(StrEnum):
-    """The property that sets the colours of bodies."""
-
-    GROUP = "group"
-    MATERIAL = "material"
-    SPEED = "speed"
-    GRAPH = "graph"
-    ISLAND = "island"
-
-
-class PictureView(StrEnum):
-    """What a picture shows."""
-
-    BODIES = "bodies"
-    GRAPH = "graph"
-    CLOSE_UP = "close-up"
-    ENERGY = "energy"
-    PLOT = "plot"
-    ALL = "all"
-
-
-class Theme(StrEnum):
-    """The viewer's theme."""
-
-    DARK = "dark"
-    LIGHT = "light"
-
+ColourBy = StrEnum("ColourBy", ["GROUP", "MATERIAL", "SPEED", "GRAPH", "ISLAND"])
+Theme = StrEnum("Theme", ["DARK", "LIGHT"])
+Camera = StrEnum("Camera", ["STILL", "FOLLOW", "ORBIT"])  # its motion in a movie
+MovieView = StrEnum(
+    "MovieView", {"BODIES": "bodies", "GRAPH": "graph", "CLOSE_UP": "close-up", "ENERGY": "energy", "ALL": "all"}
+)
+PictureView = StrEnum(
+    "PictureView",
+    {"BODIES": "bodies", "GRAPH": "graph", "CLOSE_UP": "close-up", "ENERGY": "energy", "PLOT": "plot", "ALL": "all"},
+)
 
 AtOption = Annotated[OptionalTime, time_option("--at", _AT)]
 EventOption = Annotated[str | None, typer.Option("--event", metavar="NAME", help=_EVENT)]
@@ -270,24 +251,6 @@ def publish(
 LONGEST = 3600.0  # s, of a movie
 FASTEST = 120.0  # pictures a second
 GIF_FPS, MP4_FPS = 20.0, 30.0  # many viewers slow down faster GIFs
-
-
-class Camera(StrEnum):
-    """How a movie's camera moves."""
-
-    STILL = "still"
-    FOLLOW = "follow"
-    ORBIT = "orbit"
-
-
-class MovieView(StrEnum):
-    """What a movie shows."""
-
-    BODIES = "bodies"
-    GRAPH = "graph"
-    CLOSE_UP = "close-up"
-    ENERGY = "energy"
-    ALL = "all"
 
 
 def movie(

@@ -1,6 +1,6 @@
 """The summary of a run without a recording, and expressions over its numbers, such as ``energy.max_error > 1e-3``.
 
-An expression is parsed into a tree and evaluated node by node; nothing in it is executed.
+Each node of an expression becomes a function of the summary; nothing in the text is executed.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ import operator
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -44,6 +45,7 @@ _SIGNS: dict[type[ast.unaryop], Callable[[Any], Any]] = {
     ast.USub: operator.neg,
     ast.UAdd: operator.pos,
 }
+Evaluator = Callable[[Mapping[str, Any]], Any]  # value of a node, for a summary
 _FUNCTIONS: dict[str, Callable[..., Any]] = {"abs": abs, "min": min, "max": max, "len": len}
 
 
@@ -63,20 +65,20 @@ class Expression:
 
     def __init__(self, text: str, option: str = "--while") -> None:
         self.text, self.option = text, option
+        self.names: list[str] = []
         try:
             if len(text) > LONGEST:
                 raise ExperimentError(f"{option}: {len(text)} characters are too many; at most {LONGEST}")
-            self._tree = ast.parse(text.strip(), mode="eval").body
+            self._evaluate = self._compiled(ast.parse(text.strip(), mode="eval").body)
         except (SyntaxError, ValueError, RecursionError, MemoryError):
             raise ExperimentError(f"{option} {text}: {_EXAMPLE}") from None
-        self.names = list(dict.fromkeys(self._names(self._tree)))
         if not self.names:
             raise ExperimentError(f"{option} {text}: contains no quantity of a run; {_EXAMPLE}")
 
     def holds(self, summary: Mapping[str, Any]) -> bool:
         """Return whether the condition holds; UnknownNameError if the summary lacks a name."""
         try:
-            return bool(self._value(self._tree, summary))
+            return bool(self._evaluate(summary))
         except (TypeError, ZeroDivisionError, OverflowError):  # such as null > 1: momentum is not conserved
             return False
 
@@ -95,30 +97,41 @@ class Expression:
         """Describe the value of each name, for a message."""
         return ", ".join(f"{name} is {_shown(_looked_up(name, summary))}" for name in self.names)
 
-    def _names(self, node: ast.expr) -> Iterator[str]:
-        """Yield all names; refuse every node that a condition cannot contain."""
+    def _compiled(self, node: ast.expr) -> Evaluator:
+        """Return the function that evaluates a node, and store its names; refuse what a condition cannot contain."""
         match node:
             case ast.Name() | ast.Attribute():
                 name = self._dotted(node)
-                if name not in _WORDS:
-                    yield name
-                return
-            case ast.Constant(value=bool() | int() | float() | str()):
-                return
-            case ast.List(elts=parts) | ast.Tuple(elts=parts) | ast.BoolOp(values=parts):
-                pass
+                if name in _WORDS:
+                    return lambda summary: _WORDS[name]
+                self.names += [name] if name not in self.names else []
+                return lambda summary: _looked_up(name, summary)
+            case ast.Constant(value=bool() | int() | float() | str() as value):
+                return lambda summary: value
+            case ast.List(elts=nodes) | ast.Tuple(elts=nodes):
+                parts = [*map(self._compiled, nodes)]
+                return lambda summary: [part(summary) for part in parts]
+            case ast.BoolOp(op=op, values=nodes):
+                parts, joined = [*map(self._compiled, nodes)], all if isinstance(op, ast.And) else any
+                return lambda summary: joined(part(summary) for part in parts)
             case ast.Compare(left=left, ops=ops, comparators=others) if all(type(op) in _COMPARISONS for op in ops):
-                parts = [left, *others]
+                parts, tests = [*map(self._compiled, (left, *others))], [_COMPARISONS[type(op)] for op in ops]
+
+                def compared(summary: Mapping[str, Any]) -> bool:
+                    values = [part(summary) for part in parts]
+                    return all(test(*pair) for test, pair in zip(tests, pairwise(values), strict=True))
+
+                return compared
             case ast.BinOp(left=left, op=op, right=right) if type(op) in _OPERATIONS:
-                parts = [left, right]
+                one, other, operation = self._compiled(left), self._compiled(right), _OPERATIONS[type(op)]
+                return lambda summary: operation(one(summary), other(summary))
             case ast.UnaryOp(op=sign, operand=operand) if type(sign) in _SIGNS:
-                parts = [operand]
-            case ast.Call(func=ast.Name(id=function), args=parts, keywords=[]) if function in _FUNCTIONS:
-                pass
-            case _:
-                raise ExperimentError(f"{self.option} {self.text}: {ast.unparse(node)} is not allowed; {_EXAMPLE}")
-        for part in parts:
-            yield from self._names(part)
+                one, signed = self._compiled(operand), _SIGNS[type(sign)]
+                return lambda summary: signed(one(summary))
+            case ast.Call(func=ast.Name(id=name), args=nodes, keywords=[]) if name in _FUNCTIONS:
+                parts = [*map(self._compiled, nodes)]
+                return lambda summary: _FUNCTIONS[name](*(part(summary) for part in parts))
+        raise ExperimentError(f"{self.option} {self.text}: {ast.unparse(node)} is not allowed; {_EXAMPLE}")
 
     def _dotted(self, node: ast.expr) -> str:
         if isinstance(node, ast.Name):
@@ -126,31 +139,6 @@ class Expression:
         if isinstance(node, ast.Attribute):
             return f"{self._dotted(node.value)}.{node.attr}"
         raise ExperimentError(f"{self.option} {self.text}: {ast.unparse(node)} is not a name; {_EXAMPLE}")
-
-    def _value(self, node: ast.expr, summary: Mapping[str, Any]) -> Any:
-        match node:
-            case ast.Name() | ast.Attribute():
-                name = self._dotted(node)
-                return _WORDS[name] if name in _WORDS else _looked_up(name, summary)
-            case ast.Constant(value=value):
-                return value
-            case ast.List(elts=parts) | ast.Tuple(elts=parts):
-                return [self._value(part, summary) for part in parts]
-            case ast.BoolOp(op=ast.And(), values=parts):
-                return all(self._value(part, summary) for part in parts)
-            case ast.BoolOp(values=parts):
-                return any(self._value(part, summary) for part in parts)
-            case ast.Compare(left=left, ops=ops, comparators=others):
-                values = [self._value(part, summary) for part in (left, *others)]
-                pairs = zip(values, ops, values[1:], strict=False)
-                return all(_COMPARISONS[type(op)](one, other) for one, op, other in pairs)
-            case ast.BinOp(left=left, op=op, right=right):
-                return _OPERATIONS[type(op)](self._value(left, summary), self._value(right, summary))
-            case ast.UnaryOp(op=sign, operand=operand):
-                return _SIGNS[type(sign)](self._value(operand, summary))
-            case ast.Call(func=ast.Name(id=function), args=parts):
-                return _FUNCTIONS[function](*(self._value(part, summary) for part in parts))
-        raise AssertionError(f"{ast.dump(node)} was let through")
 
 
 def _looked_up(name: str, summary: Mapping[str, Any]) -> Any:

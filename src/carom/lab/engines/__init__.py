@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Iterable, Sequence
-from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
 from time import process_time as clock
@@ -289,14 +288,15 @@ def watch(
     first = simulation.source.state()
     setup = setup_of(simulation.source.model, first)
     walk = _Walk(simulation, scene, Observer(setup, first, Tolerances(), scene.unit_system), times)
-    with ExitStack() as stack:
-        log = None if path is None else _Log(stack, path, scene, walk.observer)
-        outcome = walk.run(first, log, limit)
-        if log is not None:
+    if path is None:
+        outcome = walk.run(first, limit)
+        if outcome != COMPLETED:
+            raise ExperimentError(outcome.removeprefix("failed: "))
+    else:
+        with observed_recording(path, walk.observer, scene) as walk.recorder:
+            outcome = walk.run(first, limit)
             totals = observed_totals(walk.observer, walk.frame.step, walk.frame.time)
-            log.recorder.finish(outcome, totals, walk.observer.highlights())
-    if outcome != COMPLETED and path is None:
-        raise ExperimentError(outcome.removeprefix("failed: "))
+            walk.recorder.finish(outcome, totals, walk.observer.highlights())
     audit = walk.observer.audit
     return Watched(
         outcome=outcome,
@@ -315,6 +315,8 @@ class _Walk:
     def __init__(self, simulation: EngineSimulation, scene: Scene, observer: Observer, times: FloatArray) -> None:
         self.observer = observer
         self.frame: Frame  # the last one
+        self.recorder: Any = None  # None if the run is not recorded
+        self._due = 0.0  # s, of the next recorded frame
         self._simulation, self._scene, self._times = simulation, scene, times
         self._position: list[FloatArray] = []  # at the first of the times, interpolated between the ends of steps
         self._velocity: list[FloatArray] = []
@@ -324,25 +326,29 @@ class _Walk:
         many = math.ceil(scene.time.duration / simulation.dt / MOST_SEEN) if simulation.dt else 1
         self._stride = 1 if observer.setup.collides else many  # steps between two examined ones
 
-    def run(self, first: State, log: _Log | None, limit: float) -> str:
+    def run(self, first: State, limit: float) -> str:
         """Run until the scene ends, the state is not finite, or ``limit`` s of CPU time pass; return the outcome."""
         units, began = self._scene.unit_system, clock()
         self.frame = self.observer.frame(0, _copied(first))
-        if log is not None:
-            log.see(self.frame)
+        self._record()
         while self.frame.time < self._end:
             spent = clock() - began
             if spent > limit:
                 reached = units.text(self.frame.time, TIME)
-                if log is None:
+                if self.recorder is None:
                     raise RunStoppedError(self._step, spent, reached, by_limit=True)
                 return f"failed: stopped at t = {reached}: it took more than {limit:g} s of CPU time (--limit)"
-            wrong = self._advance()
-            if wrong:
+            if wrong := self._advance():
                 return f"failed: {wrong}"
-            if log is not None:
-                log.see(self.frame)
+            self._record()
         return COMPLETED
+
+    def _record(self) -> None:
+        """Record `FRAMES` frames of the run, the last one, and all frames that violate a law."""
+        frame, end = self.frame, self._scene.time.duration
+        if self.recorder is not None and (frame.time >= min(self._due, self._end) or frame.events):
+            self.recorder.put(frame)
+            self._due = frame.time + end / FRAMES if frame.step else 0.0
 
     def trajectory(self) -> Trajectory:
         """Return the samples, and the extremes so far."""
@@ -396,21 +402,6 @@ class _Walk:
         for pair in self.frame.contacts.pairs.tolist():
             self._met.setdefault((pair[0], pair[1]), self.frame.time)
         return ""
-
-
-class _Log:
-    """The recording of a run: `FRAMES` of its frames, and all frames that violate a law."""
-
-    def __init__(self, stack: ExitStack, path: Path, scene: Scene, observer: Observer) -> None:
-        self._scene, self._due = scene, 0.0  # s, of the next recorded frame
-        self.recorder = stack.enter_context(observed_recording(path, observer, scene))
-
-    def see(self, frame: Frame) -> None:
-        """Record a frame if it is due, the last, or in the log."""
-        end = self._scene.time.duration
-        if frame.time >= min(self._due, end * (1.0 - ROUNDING)) or frame.events:
-            self.recorder.put(frame)
-            self._due = frame.time + end / FRAMES if frame.step else 0.0
 
 
 class InOrder:

@@ -244,18 +244,15 @@ def recorded_history(recording: Recording, question: Question, start: float | No
 
 def _steps(recording: Recording, question: Question, start: float | None) -> list[int]:
     """Return the steps of the exact states from the beginning of the history to the moment, ascending."""
-    times, units = recording.checkpoint_times, recording.units
+    times = recording.checkpoint_times
     if not times:
         raise RecordingError(f"{recording.path} has no exact state: {recording.outcome}")
-    moment = units.text(question.time, TIME, ".9g")
-    if start is not None and start > question.time:
-        begin = units.text(start, TIME, "g")
-        raise ExperimentError(f"--from {begin} is later than {moment}, the time of the question")
     known = list(times)
     last = next((k for k, step in enumerate(known) if times[step] >= question.time - tolerance(question.time)), -1)
     known = known[: last + 1] if last >= 0 else known
     for body in question.bodies:
         if not recording.present(known[-1])[body]:
+            moment = recording.units.text(question.time, TIME, ".9g")
             raise ExperimentError(f"{names_of(recording).of(body)} does not exist at t = {moment}")
     if recording.lives is not None:  # an account begins when its body has come
         came = max(int(recording.lives[body, 0]) for body in question.bodies)

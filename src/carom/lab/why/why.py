@@ -95,6 +95,10 @@ def why(
     ExperimentError
         If the window lacks the bodies or the event.
     """
+    if start is not None and start > question.time:
+        units = recording.units
+        begin, moment = units.text(start, TIME, "g"), units.text(question.time, TIME, ".9g")
+        raise ExperimentError(f"--from {begin} is later than {moment}, the time of the question")
     mass = recording.bodies.mass
     if not recording.engine:
         return answer_from(question, _histories(recording, question, start, watch), mass)
@@ -117,23 +121,10 @@ def answer_from(question: Question, histories: Iterable[History], mass: FloatArr
 
 
 def _histories(recording: Recording, question: Question, start: float | None, watch: Watcher) -> Iterator[History]:
-    """Run windows again, the latest first, up to the moment of the question."""
-    end = question.time - tolerance(question.time)
-    for begin in _windows(recording, question.time, start):
-        checkpoint = recording.checkpoint(begin)
-        yield History.replay(recording, checkpoint, end, question.bodies, watch)
-        end = checkpoint.time
-
-
-def _windows(recording: Recording, time: float, start: float | None) -> list[int]:
-    """Return the steps of the checkpoints to begin at, the latest first."""
-    times = recording.checkpoint_times
+    """Run windows that begin at checkpoints again, the latest first, up to the moment of the question."""
+    times, time = recording.checkpoint_times, question.time
     if not times:
         raise RecordingError(f"{recording.path} has no checkpoint to start from: {recording.outcome}")
-    if start is not None and start > time:
-        units = recording.units
-        begin, moment = units.text(start, TIME, "g"), units.text(time, TIME, ".9g")
-        raise ExperimentError(f"--from {begin} is later than {moment}, the time of the question")
     earlier = [step for step, at in times.items() if at < time - tolerance(time)] or [next(iter(times))]
     chosen = [earlier.pop()]
     frames = recording.fingerprints()
@@ -145,7 +136,11 @@ def _windows(recording: Recording, time: float, start: float | None) -> list[int
         if start is not None and times[chosen[-1]] <= start:
             break
         chosen.append(earlier.pop())
-    return chosen
+    end = time - tolerance(time)
+    for step in chosen:
+        checkpoint = recording.checkpoint(step)
+        yield History.replay(recording, checkpoint, end, question.bodies, watch)
+        end = checkpoint.time
 
 
 class _Backwards:
