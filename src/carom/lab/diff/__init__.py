@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
     from carom import Recording
     from carom.extend import Names, UnitSystem
-    from carom.lab.diff.diff import Diff, Impact, ImpactDivergence, ImpactPair
+    from carom.lab.diff.diff import Diff, ImpactDivergence, ImpactPair
     from carom.lab.diff.divergence import FirstBits
 
 ROWS = 12  # rows in the table of the growing difference
@@ -115,10 +115,10 @@ def _impacts_document(found: ImpactDivergence, names: Names) -> dict[str, Any]:
     from dataclasses import asdict
 
     def both(pair: ImpactPair | None) -> dict[str, Any] | None:
-        return None if pair is None else {"a": of(pair.a), "b": of(pair.b)}
-
-    def of(impact: Impact | None) -> dict[str, Any] | None:
-        return None if impact is None else asdict(impact) | {"between": names.pair(impact.bodies)}
+        if pair is None:
+            return None
+        impacts = {"a": pair.a, "b": pair.b}
+        return {run: each and asdict(each) | {"between": names.pair(each.bodies)} for run, each in impacts.items()}
 
     return {
         "counts": None if found.counts is None else list(found.counts),
@@ -132,12 +132,7 @@ def _print(found: Diff, names: Names, recordings: tuple[Recording, Recording], o
     from carom.extend import Terminal
 
     console, units = Terminal(soft_wrap=True), recordings[0].units
-    table = _overview(found, names, units)
-    for k, life in enumerate(found.lives[:KEYS]):
-        table.add_row("" if k else "bodies", life.text(units))
-    if len(found.lives) > KEYS:
-        table.add_row("", f"… and {len(found.lives) - KEYS} more")
-    console.print(table)
+    console.print(_overview(found, names, units))
     if not found.same:
         console.print()
         console.print(_curve(found, units))
@@ -168,7 +163,10 @@ def _overview(found: Diff, names: Names, units: UnitSystem) -> Table:
             table.add_row("", f"… and {len(differing) - KEYS} more keys")
     table.add_row("in common", f"{counted(len(found.curve.step), 'frame')}, matched by {found.matched_by}")
     bits = () if found.first_bits is None else _bits_lines(found.first_bits, names, units)
-    for name, lines in (("first bits", bits), ("impacts", _impact_lines(found.impacts, names, units))):
+    lives = [life.text(units) for life in found.lives[:KEYS]]
+    lives += [f"… and {len(found.lives) - KEYS} more"] if len(found.lives) > KEYS else []
+    impacts = _impact_lines(found.impacts, names, units)
+    for name, lines in (("first bits", bits), ("impacts", impacts), ("bodies", lives)):
         for k, line in enumerate(lines):
             table.add_row("" if k else name, line)
     return table

@@ -55,11 +55,10 @@ class NewtonSource:
         count = np.bincount(owner[owner != WORLD], minlength=len(mass))
         radius = np.zeros(len(mass))
         radius[owner[sphere]] = scale[sphere, 0]
-        tied = np.zeros(len(mass), bool)
-        for joint in np.flatnonzero(model.joint_type.numpy() != int(package.JointType.FREE)).tolist():
-            tied[[b for b in (model.joint_parent.numpy()[joint], model.joint_child.numpy()[joint]) if b != WORLD]] = (
-                True
-            )
+        tied = np.zeros(len(mass), bool)  # whether a body has a joint other than a free one
+        jointed = np.stack((model.joint_parent.numpy(), model.joint_child.numpy()))
+        jointed = jointed[:, model.joint_type.numpy() != int(package.JointType.FREE)]
+        tied[jointed[jointed != WORLD]] = True
         simple = (radius > 0.0) & (count == 1) & ~tied & (np.abs(self._centre).max(axis=1) == 0.0)
         inertia = model.body_inertia.numpy().astype(np.float64).trace(axis1=1, axis2=2) / 3.0
         size = np.where(radius > 0.0, radius, np.sqrt(2.5 * inertia / np.where(mass > 0.0, mass, 1.0)))
@@ -171,7 +170,7 @@ class Newton(SteppedEngine):
         ):
             equation = (*normal.tolist(), -float(offset))
             # the mean of these and the bodies' coefficients equals the plane's own
-            mirrored = Coefficients(*(2.0 * np.array(_numbers(own)) - _numbers(law)).tolist())
+            mirrored = Coefficients(*(2.0 * np.array(own) - law).tolist())
             config = _config(engine, mirrored, problem.collides)
             builder.add_shape_plane(plane=equation, width=0.0, length=0.0, cfg=config, label=name)
         model = builder.finalize(device="cpu")
@@ -212,7 +211,3 @@ def _config(engine: Any, law: Coefficients, collides: bool) -> Any:
         mu_rolling=0.0,
         has_shape_collision=collides,
     )
-
-
-def _numbers(law: Coefficients) -> tuple[float, ...]:
-    return law.restitution, law.static_friction, law.kinetic_friction
