@@ -142,10 +142,7 @@ def explain(detail: Any, path: KeyPath, places: KeyPlaces, data: Any, units: Uni
 
 
 def with_words(details: Sequence[Any]) -> Iterator[Any]:
-    """Yield the details of mistakes, one for each.
-
-    For a key that accepts words or numbers, a single detail names both.
-    """
+    """Yield one detail for each mistake; for a key that accepts words or numbers, it names both."""
     words = {detail["loc"][:-1]: detail for detail in details if detail["type"] == "literal_error"}
     numbers = {detail["loc"][:-1] for detail in details if "constrained-" in str(detail["loc"][-1:])}
     members = {detail["loc"][:-1] for detail in details}

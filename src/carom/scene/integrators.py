@@ -92,11 +92,10 @@ class Integrator:
     def force_sums(self) -> int:
         """Number of force evaluations per step; a lower bound if the number of iterations depends on the error."""
         if self.controls_error:
-            return 1 if self.hierarchical else RADAU_NODES
-        return len(self.substeps) if self.ends_with_forces else len(self.substeps) - 1
+            return 1 if self.hierarchical else 8  # nodes of Gauss–Radau
+        return len(self.substeps) - (not self.ends_with_forces)
 
 
-RADAU_NODES = 8
 ENCOUNTERS_BY = "gauss-radau15"  # takes over from hierarchical integrators in close encounters
 _W1 = 1.3512071919596578  # 1 / (2 - 2^{1/3})
 _W0 = 1.0 - 2.0 * _W1

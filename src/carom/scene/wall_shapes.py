@@ -36,8 +36,9 @@ class WallShape:
     """A shape of a wall.
 
     carom compiles ``nearest`` with Numba, like the functions of a `carom.extend.BodyForce`. Its last result, the focal
-    distance, bounds the curvature: where the level surfaces of the distance in a ball of that radius about the point
-    bend towards the bodies, their centres of curvature are outside the ball. It is infinite where they do not bend so.
+    distance, bounds the curvature. In a ball of that radius about the point, a level surface of the distance that
+    curves towards the bodies has its centres of curvature outside the ball. The focal distance is infinite if no level
+    surface curves towards the bodies.
     """
 
     section: type[Any]  # of the scene: a `carom.extend.Section` whose docstring says "[wall.NAME]: what it is"

@@ -1,7 +1,7 @@
-"""Writes the bodies and contacts behind an answer for the viewer: edges by impulse, everything else faded, and a graph.
+"""Writes the causes of an event for the viewer: bodies, contacts as edges coloured by impulse, and a graph of both.
 
-Bodies have their own colours. An edge stays at the position of its last impulse, so that impacts mark where they
-happened while the bodies move on.
+These bodies have their own colours, and the others are faded. An edge stays at the position of its last impulse, so
+that it marks the place of an impact while the bodies move on.
 
 The graph has bodies in rows, from the first cause down to the bodies in question, connected by impulses. Rerun's own
 graphs (0.41) have edges without widths, colours or labels, and their labels overlap. This one consists of lines and

@@ -173,7 +173,7 @@ class CloseUp:
             yield from self._placed(Index.of(frames), position, turned)
 
     def _placed(self, index: Index, position: NDArray[np.floating], turned: SingleArray | None) -> Iterable[Rows]:
-        """Place the bodies at (frames, b, 3) m, and two points around them whose distance sets that of the camera."""
+        """Place the bodies at (frames, b, 3) m, and two points around them that set the distance of the camera."""
         places = zip(position.astype(np.float64), index.times.tolist(), strict=True)
         placed = np.stack([_nearest_images(place, self.cell(time)) for place, time in places])
         centres = single(placed.reshape(-1, 3))

@@ -47,7 +47,7 @@ class LegendLine:
 
     text: str
     colour: int  # 0xRRGGBBAA
-    views: Sequence[str] = ()  # that have a legend of their own with this line, in a picture of one of them
+    views: Sequence[str] = ()  # views whose legend has this line in a picture of a single view
 
     @property
     def width(self) -> float:
@@ -81,7 +81,7 @@ class Legend:
     theme: str = "dark"
 
     def wrapped(self, width: float) -> Legend:
-        """Return the lines, of which none is wider than a view of this width (points), unless by a single word."""
+        """Return the lines, broken between words where they are wider than a view of this width (points)."""
         found = list[LegendLine]()
         for entry in self.entries:
             line, *words = entry.text.split(" ")
@@ -313,7 +313,7 @@ def _has_arrows(recording: Recording, path: str) -> bool:
 
 
 def drawn_at(frame: Frame, header: Header) -> LegendContents:
-    """Return what is drawn at the end of a step, or at an instant, but for points of impacts."""
+    """Return what is drawn at the end of a step, or at an instant, except points of impacts."""
     rows = frame.contact_rows if header.records_contacts else None
     largest = 0.0 if rows is None or not len(rows) else float(rows["normal_impulse"].max())
     rubs = False

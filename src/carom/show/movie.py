@@ -191,7 +191,7 @@ def _layout(
     view: str,
     motion: CameraMotion | None = None,
 ) -> Supplement:
-    """Lay out the views, with the camera fitted to the bodies at all times, and for paper with colours for it."""
+    """Lay out the views with a camera fitted to the bodies at all times and, in the light theme, legible colours."""
     header, recorded = header_of_recording(recording), RecordedPositions(recording)
     table = recording.fingerprints()
     rows = np.searchsorted(table["time"].to_numpy(), times)
@@ -233,7 +233,7 @@ def _layout(
     seen = bodies_eye(staging.camera, area, added)
     if view == ALL:
         statics += words.wrapped(legend_area(laid_out, canvas, close=False).width).statics()
-    if seen.motion is CameraMotion.STILL:  # otherwise what stands in a corner would leave it
+    if seen.motion is CameraMotion.STILL:  # with a moving camera, nothing stays in a corner
         added = replace(added, inset=words.of(view).size)
         area = replace(area, inset=added.inset)
         seen = bodies_eye(staging.camera, area, added)

@@ -244,7 +244,10 @@ def write_trajectories(path: Path, space: Space, time: FloatArray, trajectories:
         and have wires and paths in the colour of the run.
     """
     title, radius = space.scene.title, space.state.radius
-    bodies = _own_colours(space) if len(radius) <= PATHS_UP_TO else None
+    bodies = None  # colours of few bodies: of materials, or of groups
+    if len(radius) <= PATHS_UP_TO:
+        materials = ShownMaterials.of(space.scene)
+        bodies = materials.body_colours() if materials and materials.has_colours else palette.body_colours(space.groups)
     clock = TimeScale.fitting(float(time[-1]), float(time[0]))
     origin = trajectories[0].position[0].mean(axis=0)
     layout = hashlib.sha256("\n".join(("tradeoff", title, *(each.name for each in trajectories))).encode()).hexdigest()
@@ -296,12 +299,6 @@ def write_trajectories(path: Path, space: Space, time: FloatArray, trajectories:
         stacked = rrb.Vertical(*panels, row_shares=list(_ROWS))
         writer.send_layout(paused(side_by_side if beside else stacked))
         writer.flush()
-
-
-def _own_colours(space: Space) -> ColourArray:
-    """Return the colours (n,) of the bodies of a scene, those of materials or of groups."""
-    materials = ShownMaterials.of(space.scene)
-    return materials.body_colours() if materials and materials.has_colours else palette.body_colours(space.groups)
 
 
 def _send_trajectories(
@@ -408,11 +405,9 @@ def write_forecast(out: Path, recording: Recording, forecast: Forecast) -> None:
         colours = np.concatenate([shades(row, radius) for row in forecast.spread])
         centres = shown.reshape(-1, 3).astype(np.float32)
         writer.send_columns(_BODIES, index, rr.Ellipsoids3D.columns(centers=centres, colors=colours).partition(count))
-        with np.errstate(divide="ignore"):
-            logarithms = np.log10(forecast.band / recording.units.factor(LENGTH))
+        logarithms = _logarithm(forecast.band / recording.units.factor(LENGTH))
         for (path, _, _), values in zip(_BAND, logarithms, strict=True):
-            drawn = np.where(np.isfinite(values), values, np.nan)
-            writer.send_columns(path, index, rr.Scalars.columns(scalars=drawn))
+            writer.send_columns(path, index, rr.Scalars.columns(scalars=values))
         for (path, name, colour), values in zip(_CHANCE, forecast.chances.T[1:], strict=True):
             if len(values):
                 times = forecast.chances[:, 0]

@@ -104,8 +104,16 @@ def render(
         If the recording cannot be read, there is no Vulkan driver, or no Xvfb where one is needed, or a view has
         nothing to show.
     """
-    recording = Recording.open(path)
-    _refuse_unwritable(Path(out_png))
+    recording, out = Recording.open(path), Path(out_png)
+    # a file that cannot be written is refused before a minute of rendering
+    if out.is_dir():
+        raise RecordingError(f"cannot write {out}: it is a folder; name a file")
+    if out.suffix.lower() != ".png":
+        raise RecordingError(f"cannot write {out}: a picture is a .png")
+    if not out.parent.is_dir():
+        raise RecordingError(f"cannot write {out}: there is no folder {out.parent}")
+    if not os.access(out if out.exists() else out.parent, os.W_OK):
+        raise RecordingError(f"cannot write {out}: permission denied")
     whole = view == ALL or recording.is_overlay
     if recording.is_overlay:
         moment, extra, missing = recording.moment(request.at), None, ""
@@ -118,7 +126,7 @@ def render(
         viewer.go_to(recording, moment)
         if extra is not None:
             viewer.add(extra)
-        _save(viewer, recording, None if whole else viewer.only_view(), Path(out_png))
+        _save(viewer, recording, None if whole else viewer.only_view(), out)
     return Picture(moment, missing)
 
 
@@ -178,18 +186,6 @@ def _marked(png: bytes) -> bytes:
     """Add a chunk of text to a PNG, behind its header, by which `is_picture_of_carom` knows it."""
     data = b"tEXt" + _MARK
     return png[:_HEAD] + struct.pack(">I", len(_MARK)) + data + struct.pack(">I", zlib.crc32(data)) + png[_HEAD:]
-
-
-def _refuse_unwritable(path: Path) -> None:
-    """Raise RecordingError for a file that cannot be written, before a minute of rendering."""
-    if path.is_dir():
-        raise RecordingError(f"cannot write {path}: it is a folder; name a file")
-    if path.suffix.lower() != ".png":
-        raise RecordingError(f"cannot write {path}: a picture is a .png")
-    if not path.parent.is_dir():
-        raise RecordingError(f"cannot write {path}: there is no folder {path.parent}")
-    if not os.access(path if path.exists() else path.parent, os.W_OK):
-        raise RecordingError(f"cannot write {path}: permission denied")
 
 
 def window_of(size: tuple[int, int], whole: bool) -> tuple[int, int]:

@@ -192,7 +192,7 @@ def presentation(
         statics += plots.statics()
     if recoloured:
         rows.append(colours.rows(header))
-    # with repeated steps, so that peaks between frames fit in
+    # add the repeated steps, so that peaks between frames fit into the plots
     curves = recorded_curves(recording)
     for series in repeated:
         if series.path in curves:

@@ -309,7 +309,7 @@ def _run(
 ) -> ShownStep | None:
     """Repeat the steps up to the one that contains a time (s), or to the next frame; None if that takes too long.
 
-    At the end of one step and the start of the next, ``within`` is the number of the one that is meant.
+    If the time is the end of one step and the start of the next, ``within`` is the number of the step to show.
     """
     own = int(np.searchsorted(times, goal))
     earlier = float(times[max(0, own - 1)])

@@ -76,7 +76,7 @@ class Staging:
         trails = Trails(recording, header, colours) if has_trails(recording) else None
         if trails is not None:
             trails.show(camera, until)
-            # where nothing touches, orbits of bodies that may all be near their pericentres
+            # without contacts, show whole orbits: all bodies may be near their pericentres now
             if not header.collides or recording.closing.get("contacts.total") == 0:
                 camera.show_all()
         elif recording.frames > 1:

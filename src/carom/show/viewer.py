@@ -210,10 +210,9 @@ def start_live_viewer() -> str:
 
 def broken_off(said: str) -> str | None:
     """Return the last message of a viewer that crashed; None if it did not crash."""
-    found = _GLYPH.search(said)
-    if found:
+    if glyph := _GLYPH.search(said):
         return (
-            f"the viewer that renders without a screen cannot draw {found[1]}, which its font lacks: rename what has "
+            f"the viewer that renders without a screen cannot draw {glyph[1]}, which its font lacks: rename what has "
             "it in its name, or look at the recording with `carom view`"
         )
     found = _PANIC.search(said)
@@ -242,18 +241,19 @@ def _lacks_driver(said: str) -> bool:
 
 def reason_of(said: str) -> str:
     """Return the reason why a viewer ended, according to its log, and a remedy."""
-    return broken_off(said) or f"the viewer could not start: {_reason(said)}"
-
-
-def _reason(said: str) -> str:
-    if "xvfb" in said.lower():
-        return f"{said.strip().splitlines()[-1]}: {virtual_screen()}; {drawing()}"
-    if _lacks_driver(said):
-        return drawing()
+    last = said.strip().splitlines()[-1] if said.strip() else "it ended without a word"
     lowered = said.lower()
-    if "display" in lowered or "winit" in lowered or "wayland" in lowered:
-        return _NO_SCREEN
-    return f"{said.strip().splitlines()[-1] if said.strip() else 'it ended without a word'}; {drawing()}"
+    if broken := broken_off(said):
+        return broken
+    if "xvfb" in lowered:
+        reason = f"{last}: {virtual_screen()}; {drawing()}"
+    elif _lacks_driver(said):
+        reason = drawing()
+    elif "display" in lowered or "winit" in lowered or "wayland" in lowered:
+        reason = _NO_SCREEN
+    else:
+        reason = f"{last}; {drawing()}"
+    return f"the viewer could not start: {reason}"
 
 
 def binary() -> str:

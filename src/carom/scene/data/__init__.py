@@ -19,9 +19,7 @@ from carom.scene.wording import suggestion
 
 MOST_ROWS = 50_000_000  # a run takes 1 kB per body
 MOST_BYTES = 100 * MOST_ROWS  # of one column as an array
-
 MOST_COLUMNS = 10_000
-
 ROOMY = 200_000_000  # bytes to which any file may decompress, such as 3 million identical bodies
 NUMBER = 8  # bytes of a number in memory
 MOST_TIMES = 100  # largest ratio of the decompressed size to the size of the file; distinct positions hardly compress
@@ -99,7 +97,7 @@ def refuse_many_rows(called: str, rows: int) -> None:
 
 
 def refuse_many_columns(called: str, columns: int, each: int = 1) -> None:
-    """Refuse a table with more columns, or parts of columns of which one has some, than any table of bodies has."""
+    """Refuse a table with more columns than any table of bodies; ``columns`` counts each of them ``each`` times."""
     if columns > each * MOST_COLUMNS:
         raise SceneError(f"{called}: {columns} columns are too many; at most {MOST_COLUMNS}")
 

@@ -1,8 +1,8 @@
 """Binary files of arrays: HDF5, NumPy's .npz, GSD of HOOMD-blue, and Simulationarchives of REBOUND.
 
-The packages h5py, gsd and rebound read them. In HDF5, datasets may be anywhere in the file and are named by their names
-or full paths; Gadget snapshots are known. An .npz is only data: pickled objects are refused. A Simulationarchive also
-has the law of motion of its particles.
+The packages h5py, gsd and rebound read them. A scene names a dataset of HDF5 by its name or its full path; snapshots of
+Gadget are recognised. Pickled objects in an .npz are refused. A Simulationarchive also has the law of motion of its
+particles.
 """
 
 from __future__ import annotations
@@ -355,7 +355,7 @@ def _package(called: str) -> Any:
 
 
 def _attracting(simulation: Any, mass: FloatArray, called: str, notes: list[str]) -> FloatArray:
-    """Return the masses that attract: REBOUND's test particles, whose mass may be given, attract nothing."""
+    """Return the attracting masses: 0 for REBOUND's test particles, which attract nothing even if they have a mass."""
     n, active = len(mass), int(simulation.N_active)
     # by default all are active: N_active is -1 or the largest integer
     light = mass[active:] if 0 <= active < n else mass[n:]

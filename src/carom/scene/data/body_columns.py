@@ -303,7 +303,7 @@ class _Reader:
         return column_factor(self._called, column, quantity, _DIMENSIONS[quantity], self._units)
 
     def _snapshot(self, quantity: str, name: str, array: Raw) -> Raw:
-        """Return one of several steps after checking the shape."""
+        """Return a column or, if it has several steps, the chosen one; check its shape."""
         dimensions = 2 if quantity in VECTORS and len(self._mapping[quantity]) == 1 else 1
         if array.ndim == dimensions + 1:
             array = array[step_at(self._called, self._section.snapshot, len(array), whose=name)]

@@ -62,7 +62,7 @@ class Body(Matter):
 
     @model_validator(mode="after")
     def _a_fixed_body_does_not_move(self) -> Self:
-        if self.fixed and (any(self.velocity) or any(self.angular_velocity)):
+        if self.fixed and any((*self.velocity, *self.angular_velocity)):
             raise ValueError(
                 "fixed = true with a velocity or an angular_velocity; leave them out, or set fixed = false"
             )
@@ -72,12 +72,8 @@ class Body(Matter):
 Name = Annotated[str, Field(strict=True, min_length=1)]
 Axes = tuple[Name, Name, Name]
 DIGEST = r"^[0-9a-f]{64}$"
-_RIVALS = {
-    "mass": "density",
-    "density": "mass",
-    "inertia": "inertia_factor",
-    "diameter": "radius",
-}  # pairs that determine each other
+# pairs that determine each other
+_RIVALS = {"mass": "density", "density": "mass", "inertia": "inertia_factor", "diameter": "radius"}
 
 
 class Columns(Section):
@@ -96,11 +92,6 @@ class Columns(Section):
     header: tuple[Name, ...] | None = Field(
         None, description="names of all columns, for a text file without a header; also columns = [...]"
     )
-
-
-def _list_as_header(value: Any) -> Any:
-    """Read a list of names as the names of all columns."""
-    return {"header": value} if isinstance(value, list | tuple) else value
 
 
 class _OrNames:
@@ -144,9 +135,11 @@ class BodyData(Matter):
         description=".csv, .txt, .parquet, .arrow, .npz, .h5, .bin (REBOUND) or another of docs/data.md; relative to "
         "the scene",
     )
-    columns: Annotated[Columns, _OrNames(), BeforeValidator(_list_as_header)] = Field(
-        Columns(), description="names of the columns; by default the usual names"
-    )
+    columns: Annotated[
+        Columns,
+        _OrNames(),
+        BeforeValidator(lambda value: {"header": value} if isinstance(value, list | tuple) else value),
+    ] = Field(Columns(), description="names of the columns; by default the usual names")
     snapshot: Annotated[int, Field(strict=True)] = Field(
         -1, description="step of a file with several steps, counted from 0, or from the end: -1 is the last"
     )
@@ -248,7 +241,7 @@ class RadiusRange(Section):
 class Region(Section):
     """Where the bodies of a group are placed.
 
-    Every sphere lies entirely inside; in a plummer region, its centre does.
+    Spheres lie entirely inside; in a plummer region, only their centres do.
     """
 
     shape: Literal["ball", "box", "cylinder", "shell", "plummer"] = Field(

@@ -7,11 +7,9 @@ from __future__ import annotations
 
 import json
 import re
-from functools import cache
 from typing import Annotated, Any, Literal, NamedTuple, Self
 
 from pydantic import AfterValidator, Field, PrivateAttr, ValidationError, model_validator
-from pydantic.fields import FieldInfo
 
 from carom import registry
 from carom.scene.contact_laws import DEFAULT_LAW, functions_of, geometric_mean
@@ -116,24 +114,6 @@ def section_of(kind: str, name: str) -> Any:
         return type("NotLoaded", (_NotLoaded,), {"__doc__": str(error), "__module__": __name__})
 
 
-@cache
-def know_installed_forces(*holders: type[Section]) -> None:
-    """Add a field for each force of an installed package to `InstalledForces` and the models that contain it.
-
-    This is done when a scene is first used, not when this module is imported: a package that defines a force imports
-    this module.
-    """
-    names = registry.installed("forces")
-    for name in names:
-        section = section_of("forces", name)
-        meaning = (section.__doc__ or "").partition(": ")[2] or section.__doc__
-        InstalledForces.model_fields[name] = FieldInfo(annotation=section | None, default=None, description=meaning)
-    if names:
-        InstalledForces.model_rebuild(force=True)
-        for model in holders:
-            model.model_rebuild(force=True)
-
-
 class Coefficients(NamedTuple):
     """Coefficients of the contact law."""
 
@@ -183,7 +163,7 @@ class Surface(Section):
     @property
     def given(self) -> list[str]:
         """The coefficients and the sections of contact laws that are given."""
-        return [name for name in (*Coefficients._fields, *_known_laws) if getattr(self, name, None) is not None]
+        return [name for name in (*Coefficients._fields, *KNOWN_LAWS) if getattr(self, name, None) is not None]
 
     def completed(self, default: Coefficients) -> Coefficients:
         """Return all coefficients; a missing coefficient of friction adapts to the one that is given."""
@@ -337,25 +317,17 @@ class ContactSettings(Section):
         return data
 
     @model_validator(mode="after")
-    def _sliding_is_not_harder_than_starting(self) -> Self:
+    def _is_consistent(self) -> Self:
         if self.kinetic_friction > self.static_friction:
             raise ValueError(
                 f"kinetic_friction = {self.kinetic_friction:g} is above static_friction = {self.static_friction:g}; "
                 "a sliding contact cannot resist more than a sticking one, so kinetic_friction must be the smaller"
             )
-        return self
-
-    @model_validator(mode="after")
-    def _only_lasting_contacts_sleep(self) -> Self:
         if self.sleep is not None and self.solver != "lasting":
             raise ValueError(
                 f'sleep needs impulses that last; remove it, or set solver = "lasting" instead of "{self.solver}"'
             )
-        return self
-
-    @model_validator(mode="after")
-    def _has_the_coefficients_of_its_law(self) -> Self:
-        """Refuse coefficients of laws not chosen; a law whose coefficients all have defaults needs no section."""
+        # laws that are not chosen have no sections; a law whose coefficients all have defaults needs none
         for name in law_sections(self):
             if name not in self.laws:
                 raise SectionError((name,), f'needs contact.law = "{name}"; set it, or remove this section')
@@ -408,29 +380,9 @@ class ContactSettings(Section):
         return Coefficients(self.restitution, self.static_friction, self.kinetic_friction)
 
 
-_known_laws: list[str] = []  # laws with a section
+KNOWN_LAWS: list[str] = []  # contact laws with a section; see `know_installed_parts`
 
 
 def law_sections(holder: Surface | ContactSettings) -> list[str]:
     """Return the names of the contact laws that have a section here."""
-    return [name for name in _known_laws if getattr(holder, name, None) is not None]
-
-
-@cache
-def know_contact_laws(*holders: type[Section]) -> None:
-    """Add a section for each contact law to the models that hold coefficients; see `know_installed_forces`.
-
-    ``holders`` are the models with coefficients, and the models that contain them.
-    """
-    for name in registry.names("contact_laws"):
-        section = None if name == DEFAULT_LAW else section_of("contact_laws", name)
-        if section is None:
-            continue
-        _known_laws.append(name)
-        meaning = (section.__doc__ or "").partition(": ")[2] or section.__doc__
-        for model in holders:
-            if issubclass(model, Surface | ContactSettings):
-                model.model_fields[name] = FieldInfo(annotation=section | None, default=None, description=meaning)
-    if _known_laws:
-        for model in holders:
-            model.model_rebuild(force=True)
+    return [name for name in KNOWN_LAWS if getattr(holder, name, None) is not None]

@@ -58,7 +58,7 @@ class WallMotion(Section):
     def displacement(self, time: float | FloatArray, normal: FloatArray | None = None) -> FloatArray:
         """Return D(t) in m at times (...) in s, (..., 3); steps compute it in a kernel.
 
-        With a ``normal`` (3,), velocities count only along it, as those of a plane that is drawn.
+        With a ``normal`` (3,), only the components of velocities along it count, as for a drawn plane.
         """
         t = np.asarray(time, dtype=np.float64)
         velocities = [np.array(each) for each in (self.velocity, *self.velocities)]

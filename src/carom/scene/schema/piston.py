@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 class Piston(Section):
     """[plane.piston]: a mass that moves along the normal of the plane only, under a force and gravity.
 
-    Contacts move it, so its force on the bodies is the given one whenever it does not accelerate.
+    Contacts move it, so it exerts the given force on the bodies whenever it does not accelerate.
     """
 
     mass: Annotated[Positive, MASS] = Field(description="kg, more than 0")

@@ -3,29 +3,33 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import cache
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any, Self, cast
 
 from pydantic import Field, PrivateAttr, model_validator
+from pydantic.fields import FieldInfo
 
+from carom import registry
 from carom.scene.schema.body import Body, BodyData, BodyGroup, SolidPlane
 from carom.scene.schema.contact import (
     DEFAULT,
+    KNOWN_LAWS,
     ContactSettings,
     Forces,
+    InstalledForces,
     Material,
     MaterialPair,
-    know_contact_laws,
-    know_installed_forces,
     law_sections,
+    section_of,
 )
 from carom.scene.schema.piston import piston_of, refuse_what_has_no_piston
 from carom.scene.schema.promise import Expect, Promise, Sweep
-from carom.scene.schema.quantity import SectionError
+from carom.scene.schema.quantity import Section, SectionError
 from carom.scene.schema.settings import Domain, ForcedParts, Heading, Record
 from carom.scene.schema.shear import refuse_what_is_not_sheared
-from carom.scene.schema.wall import Wall, know_wall_shapes
+from carom.scene.schema.wall import KNOWN_SHAPES, Wall
 from carom.scene.units.system import SI, UnitSystem
 from carom.scene.wall_shapes import shape_called
 from carom.scene.wording import suggestion
@@ -78,14 +82,12 @@ class Scene(Forces, Heading):
     @property
     def unit_system(self) -> UnitSystem:
         """The units in which the scene is written, simulated and printed."""
-        units: UnitSystem = self._private("_unit_system")
-        return units
+        return cast("UnitSystem", self._private("_unit_system"))
 
     @property
     def places(self) -> KeyPlaces | None:
         """The places of its keys; None if it was not read from a text."""
-        places: KeyPlaces | None = self._private("_places")
-        return places
+        return cast("KeyPlaces | None", self._private("_places"))
 
     @property
     def contact_rules(self) -> int:
@@ -112,20 +114,17 @@ class Scene(Forces, Heading):
     @property
     def held(self) -> HeldBodies | None:
         """The bodies of all [[bodies]] tables, and their sources."""
-        held: HeldBodies | None = self._private("_held")
-        return held
+        return cast("HeldBodies | None", self._private("_held"))
 
     @property
     def data(self) -> tuple[BodyColumns, ...]:
         """The bodies of each [[bodies]] table."""
-        held = self.held
-        return () if held is None else tuple(bodies.columns for bodies in held.bodies)
+        return () if self.held is None else tuple(bodies.columns for bodies in self.held.bodies)
 
     @property
     def notes(self) -> list[tuple[str, ...]]:
         """Notes for each [[bodies]] table: parts of its file that are unused or reinterpreted."""
-        held = self.held
-        return [] if held is None else [bodies.notes for bodies in held.bodies]
+        return [] if self.held is None else [bodies.notes for bodies in self.held.bodies]
 
     def _private(self, name: str) -> Any:
         """Return a private attribute. Pydantic's own look-up takes 2 µs, and a starting run needs 250 of them."""
@@ -291,10 +290,7 @@ class Scene(Forces, Heading):
             raise ValueError("contact.sleep with a [drag]: a medium may move sleeping bodies; remove one of them")
         if self.promise is not None and self.time.accuracy is None:
             raise ValueError("a [promise] without time.accuracy; carom writes it, so remove it")
-        return self
-
-    @model_validator(mode="after")
-    def _a_field_along_a_periodic_axis_meets_resistance(self) -> Self:
+        # bodies that fall along a periodic axis must meet resistance
         along = [axis for axis in self.domain.repeating if self.gravity.uniform[axis]]
         if along and not self.anchored and self.drag is None:
             if isinstance(self.domain.boundary, tuple):
@@ -310,7 +306,7 @@ class Scene(Forces, Heading):
         return self
 
     @model_validator(mode="after")
-    def _periodic_space_has_no_planes(self) -> Self:
+    def _planes_suit_the_space_and_its_motion(self) -> Self:
         if isinstance(self.domain.boundary, tuple):
             for axis in self.domain.repeating:
                 slanted = next((k for k, plane in enumerate(self.plane) if plane.normal[axis]), None)
@@ -324,17 +320,12 @@ class Scene(Forces, Heading):
                 'domain.boundary = "periodic" with a [[plane]]: a periodic space cannot contain planes; use '
                 'boundary = "walls" or "open", or remove the plane'
             )
-        return self
-
-    @model_validator(mode="after")
-    def _has_shear_and_pistons_where_it_can(self) -> Self:
         refuse_what_is_not_sheared(self)
         refuse_what_has_no_piston(self)
         return self
 
     @model_validator(mode="after")
-    def _has_no_walls_with_what_ignores_them(self) -> Self:
-        """Refuse parts of the model that have no form for walls yet."""
+    def _walls_and_moving_planes_are_supported(self) -> Self:
         unsupported = {
             "time.accuracy": self.time.accuracy is not None,
             "a [drag]": self.drag is not None,
@@ -354,7 +345,7 @@ class Scene(Forces, Heading):
         return self
 
     @model_validator(mode="after")
-    def _walls_in_periodic_space_are_endless(self) -> Self:
+    def _periodic_space_has_endless_walls_and_no_self_gravity(self) -> Self:
         size = self.domain.size or (0.0, 0.0, 0.0)
         for axis in self.domain.repeating:
             for index, wall in enumerate(self.wall):
@@ -364,12 +355,7 @@ class Scene(Forces, Heading):
                         f"space repeats along {'xyz'[axis]}, where this wall ends or bends; use a cylinder along that "
                         "axis, or a rectangle with a side along it that is at least as long as the box",
                     )
-        return self
-
-    @model_validator(mode="after")
-    def _periodic_space_has_no_self_gravity(self) -> Self:
-        pulls = self.gravity.constant > 0 and self.gravity.method != "none"
-        if self.domain.is_periodic and pulls:
+        if self.domain.is_periodic and self.gravity.constant > 0 and self.gravity.method != "none":
             raise ValueError(
                 'domain.boundary = "periodic" with self-gravity: the sum over infinitely many images does not '
                 "converge, so there is no correct result; set gravity.constant = 0"
@@ -380,6 +366,7 @@ class Scene(Forces, Heading):
 def check_materials(scene: Scene) -> None:
     """Refuse names of materials that are unknown or used twice, and bodies that contradict their material."""
     known: dict[str, Material | None] = {DEFAULT: None}
+    twice = 'given, but material = "{}" has one; remove one of the two'
 
     def check_name(path: KeyPath, name: str) -> None:
         if name not in known:
@@ -388,9 +375,8 @@ def check_materials(scene: Scene) -> None:
 
     for index, material in enumerate(scene.material):
         if material.name in known:
-            raise SectionError(
-                ("material", index, "name"), f'a second material "{material.name}"; rename one of the two'
-            )
+            path = ("material", index, "name")
+            raise SectionError(path, f'a second material "{material.name}"; rename one of the two')
         known[material.name] = material
     pairs: set[frozenset[str]] = set()
     for index, pair in enumerate(scene.pair):
@@ -408,20 +394,14 @@ def check_materials(scene: Scene) -> None:
             check_name((section, index, "material"), matter.material)
             for key in ("density", "inertia_factor"):
                 if getattr(matter, key) is not None and getattr(known[matter.material], key, None) is not None:
-                    raise SectionError(
-                        (section, index, key),
-                        f'given, but material = "{matter.material}" has one; remove one of the two',
-                    )
+                    raise SectionError((section, index, key), twice.format(matter.material))
     solids: tuple[tuple[str, tuple[SolidPlane | Wall, ...]], ...] = (("plane", scene.plane), ("wall", scene.wall))
     for section, walls in solids:
         for index, wall in enumerate(walls):
             if wall.material is not None:
                 check_name((section, index, "material"), wall.material)
                 if wall.given:
-                    raise SectionError(
-                        (section, index, wall.given[0]),
-                        f'given, but material = "{wall.material}" has one; remove one of the two',
-                    )
+                    raise SectionError((section, index, wall.given[0]), twice.format(wall.material))
     for section, surfaces in (("material", scene.material), ("pair", scene.pair), *solids):
         for index, surface in enumerate(surfaces):
             for name in law_sections(surface):
@@ -433,8 +413,25 @@ def check_materials(scene: Scene) -> None:
         check_name(("domain", "material"), scene.domain.material)
 
 
+@cache
 def know_installed_parts() -> None:
-    """Add the sections of forces, contact laws and shapes of walls to scenes."""
-    know_installed_forces(Scene)
-    know_contact_laws(ContactSettings, Material, MaterialPair, SolidPlane, Wall, Scene)
-    know_wall_shapes(Wall, Scene)
+    """Add a field for each force, contact law and shape of walls to the models that hold its section.
+
+    This is done when a scene is first used, not when this module is imported, since modules of these parts import it.
+    """
+    surfaces: tuple[type[Section], ...] = (ContactSettings, Material, MaterialPair, SolidPlane, Wall)
+    parts: tuple[tuple[str, tuple[str, ...], tuple[type[Section], ...], list[str]], ...] = (
+        ("forces", registry.installed("forces"), (InstalledForces,), []),
+        ("contact_laws", registry.names("contact_laws"), surfaces, KNOWN_LAWS),
+        ("walls", registry.names("walls"), (Wall,), KNOWN_SHAPES),
+    )
+    for kind, names, holders, known in parts:
+        for name in names:
+            section = section_of(kind, name)
+            if section is not None:  # a law may have no coefficients
+                known.append(name)
+                meaning = (section.__doc__ or "").partition(": ")[2] or section.__doc__
+                for model in holders:
+                    model.model_fields[name] = FieldInfo(annotation=section | None, default=None, description=meaning)
+    for model in (InstalledForces, *surfaces, Scene):
+        model.model_rebuild(force=True)

@@ -277,22 +277,13 @@ class Domain(Section):
         return boundary[0] if isinstance(boundary, tuple) and len(set(boundary)) == 1 else boundary
 
     @model_validator(mode="after")
-    def _walls_have_a_material(self) -> Self:
+    def _keys_suit_the_boundary(self) -> Self:
+        shown = f'"{self.boundary}"' if isinstance(self.boundary, str) else str(list(self.boundary))
         if self.material is not None and not self.walled:
             raise ValueError(f'material = "{self.material}" without walls; set boundary = "walls", or remove it')
-        return self
-
-    @model_validator(mode="after")
-    def _shear_needs_images(self) -> Self:
         if self.shear is not None and self.boundary != "periodic":
-            shown = f'"{self.boundary}"' if isinstance(self.boundary, str) else str(list(self.boundary))
             raise ValueError(f'shear with boundary = {shown}; set boundary = "periodic", or remove shear')
-        return self
-
-    @model_validator(mode="after")
-    def _a_box_has_a_size(self) -> Self:
         if self.boundary != "open" and self.size is None:
-            shown = f'"{self.boundary}"' if isinstance(self.boundary, str) else str(list(self.boundary))
             raise ValueError(f"boundary = {shown} needs size = [x, y, z]")
         if self.size is not None and "boundary" not in self.model_fields_set:
             raise ValueError('size without a boundary; add boundary = "walls" or "periodic", or remove it')

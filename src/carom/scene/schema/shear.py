@@ -22,8 +22,8 @@ Axis = Literal["x", "y", "z"]
 class Shear(Section):
     """[domain.shear]: uniform shear of a periodic box, whose mean velocity is ``rate`` times the gradient's coordinate.
 
-    The images of the box along the gradient move along the flow. Groups start with the velocity of the flow at their
-    places in addition to their own; velocities of single bodies and of data are those in the box.
+    The images of the box along the gradient move along the flow. The velocity of the flow is added to the initial
+    velocities of groups, but not to those of single bodies and of data.
     """
 
     rate: Annotated[Real, RATE] = Field(description="1/s, change of the velocity along the gradient")
@@ -88,7 +88,7 @@ def refuse_what_is_not_sheared(scene: Scene) -> None:
             'set it to false, or timing to "end-of-step"',
             contact.allow_overlap and contact.timing != "end-of-step",
         ),
-        "model.force": ("it follows from the shear which parts are needed", "remove it", bool(scene.model.force)),
+        "model.force": ("the shear determines which parts are needed", "remove it", bool(scene.model.force)),
     }
     for what, (why, remedy, given) in refused.items():
         if given:

@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-from functools import cache
 from typing import Any, Self
 
 from pydantic import Field, model_validator
-from pydantic.fields import FieldInfo
 
-from carom import registry
-from carom.scene.schema.contact import Surface, section_of
+from carom.scene.schema.contact import Surface
 from carom.scene.schema.motion import WallMotion
-from carom.scene.schema.quantity import Section
 from carom.scene.wall_shapes import shape_called
 
-_shapes: list[str] = []
+KNOWN_SHAPES: list[str] = []  # see `know_installed_parts`
 
 
 class Wall(Surface):
@@ -30,7 +26,7 @@ class Wall(Surface):
     @property
     def shapes(self) -> list[str]:
         """The shapes of which it has a section."""
-        return [name for name in _shapes if getattr(self, name, None) is not None]
+        return [name for name in KNOWN_SHAPES if getattr(self, name, None) is not None]
 
     @property
     def shape(self) -> str:
@@ -55,21 +51,9 @@ class Wall(Surface):
     @model_validator(mode="after")
     def _has_one_shape(self) -> Self:
         if not self.shapes:
-            raise ValueError(f"has no shape; add the section of one: {', '.join(_shapes)}")
+            raise ValueError(f"has no shape; add the section of one: {', '.join(KNOWN_SHAPES)}")
         if len(self.shapes) > 1:
             raise ValueError(f"has the shapes {' and '.join(self.shapes)}; leave all but one out")
         if self.motion is not None and self.motion.rotation and shape_called(self.shape).axis is None:
             raise ValueError(f"motion.rotation of a {self.shape}, which has no axis; use a disc, or remove the motion")
         return self
-
-
-@cache
-def know_wall_shapes(*holders: type[Section]) -> None:
-    """Add a field for each shape to `Wall`, and rebuild the models that hold one; see `know_installed_forces`."""
-    for name in registry.names("walls"):
-        section = section_of("walls", name)
-        _shapes.append(name)
-        meaning = (section.__doc__ or "").partition(": ")[2] or section.__doc__
-        Wall.model_fields[name] = FieldInfo(annotation=section | None, default=None, description=meaning)
-    for model in holders:
-        model.model_rebuild(force=True)
