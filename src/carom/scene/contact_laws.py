@@ -59,11 +59,6 @@ class ContactLaw:
     coefficients: Callable[[Any], Numbers] = numbers_of  # of a section, in SI units
     combined: Callable[[Numbers, Numbers], Numbers] = geometric_means  # of two materials
 
-    @property
-    def exerts_torque(self) -> bool:
-        """Whether contacts resist rolling or twisting."""
-        return self.rolling is not None or self.twisting is not None
-
 
 COULOMB = ContactLaw(None)
 DEFAULT_LAW = "coulomb"
@@ -99,4 +94,4 @@ def functions_of(laws: Iterable[str]) -> dict[str, Callable[..., Any]]:
 
 def exerts_torque(laws: Iterable[str]) -> bool:
     """Return whether contacts under these laws resist rolling or twisting."""
-    return any(law_called(name).exerts_torque for name in laws)
+    return any(law.rolling is not None or law.twisting is not None for law in map(law_called, laws))

@@ -25,19 +25,12 @@ MOST = 4  # places that a message lists
 ALIKE, ALIKE_ELSEWHERE = 0.75, 0.8  # required similarity in the same section, and in other sections
 SHORTEST = 3  # characters of an abbreviated key
 OTHER_WORDS = {
-    "sphere": "body",
-    "spheres": "body",
-    "ball": "body",
-    "balls": "body",
-    "particle": "body",
+    **dict.fromkeys(("sphere", "spheres", "ball", "balls", "particle"), "body"),
+    **dict.fromkeys(("floor", "ground"), "plane"),
+    **dict.fromkeys(("dt", "timestep"), "time.fixed_dt"),
+    **dict.fromkeys(("bounce", "elasticity"), "contact.restitution"),
     "particles": "group",
     "walls": "domain.boundary",
-    "floor": "plane",
-    "ground": "plane",
-    "dt": "time.fixed_dt",
-    "timestep": "time.fixed_dt",
-    "bounce": "contact.restitution",
-    "elasticity": "contact.restitution",
     "friction": "contact.static_friction",
     "diameter": "radius",
     "omega": "angular_velocity",
@@ -207,12 +200,7 @@ def _wrong(detail: Any, path: KeyPath) -> str:
         case "float_type" if type(detail["input"]) is int:  # a whole number with hundreds of digits
             return "must be a finite number"
         case "float_type" | "int_type" | "int_from_float" | "string_type" | "bool_type":
-            kinds = {
-                "float": "a number",
-                "int": "a whole number",
-                "string": "text in quotes",
-                "bool": "true or false",
-            }
+            kinds = {"float": "a number", "int": "a whole number", "string": "text in quotes", "bool": "true or false"}
             words = f"{detail['words']}, or " if "words" in detail else ""
             return f"must be {words}{kinds[detail['type'].split('_')[0]]}"
         case "literal_error":
@@ -243,11 +231,8 @@ def _list_at(path: KeyPath) -> str:
         return "a list" if model_in(annotation) is None else "a list of sections; write it in double brackets"
     if len(members) == 2:
         return "a list of two"
-    return (
-        "the names of three columns"
-        if any(str in parts_of(member) for member in members)
-        else "three numbers [x, y, z]"
-    )
+    named = any(str in parts_of(member) for member in members)
+    return "the names of three columns" if named else "three numbers [x, y, z]"
 
 
 def _field(path: KeyPath) -> FieldInfo | None:

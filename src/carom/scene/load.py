@@ -217,7 +217,7 @@ def _validate(data: dict[str, Any], text: str, places: KeyPlaces, bodies: BodySo
 
 
 def _refuse(messages: Sequence[Callable[[], str]], more: int = 0) -> None:
-    """Refuse a scene, with a line for each of the first mistakes; ``more`` have no message."""
+    """Refuse a scene, with a line for each of the first mistakes; ``more`` is the number of mistakes without one."""
     more += len(messages) - MOST_MESSAGES
     if messages:
         shown = [message() for message in messages[:MOST_MESSAGES]]

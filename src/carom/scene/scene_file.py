@@ -17,6 +17,7 @@ import tomllib
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -265,13 +266,13 @@ def _split(dotted: str) -> KeyPath:
     return tuple(part.strip().strip("\"'") for part in dotted.split("."))
 
 
+@dataclass(eq=False)
 class KeyPlaces:
     """The place of each key: a line of a file, or an override."""
 
-    def __init__(self, file: str, text: str, overrides: dict[KeyPath, str]) -> None:
-        self.file = file
-        self.text = text
-        self.overrides = overrides
+    file: str
+    text: str
+    overrides: dict[KeyPath, str]
 
     def __eq__(self, other: object) -> bool:
         """Compare equal to any other `KeyPlaces`: places do not affect the equality of scenes."""

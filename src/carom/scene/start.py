@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
 
 from carom.arrays import BoolArray, FloatArray, IntArray
 from carom.scene.schema import Scene
+from carom.scene.wall_shapes import unit_vector
 from carom.scene.wording import joined
 
 
@@ -30,21 +31,12 @@ class InitialBodies:
 
 def join(parts: list[InitialBodies]) -> InitialBodies:
     """Return the bodies of all parts, in order."""
-
-    def stacked(key: str) -> FloatArray:
-        return np.ascontiguousarray(np.concatenate([getattr(part, key) for part in parts]))
-
-    return InitialBodies(
-        name=joined([part.name for part in parts]),
-        group=np.concatenate([part.group for part in parts]),
-        position=stacked("position"),
-        velocity=stacked("velocity"),
-        angular_velocity=stacked("angular_velocity"),
-        mass=stacked("mass"),
-        radius=stacked("radius"),
-        inertia=stacked("inertia"),
-        fixed=np.concatenate([part.fixed for part in parts]),
-    )
+    arrays: dict[str, Any] = {
+        field.name: np.ascontiguousarray(np.concatenate([getattr(part, field.name) for part in parts]))
+        for field in fields(InitialBodies)
+        if field.name != "name"
+    }
+    return InitialBodies(joined([part.name for part in parts]), **arrays)
 
 
 WALLS = (
@@ -129,9 +121,7 @@ class HalfSpaces:
 
 def planes_of(scene: Scene) -> HalfSpaces:
     """Return the planes of a scene, in their order."""
-    # scale normals to length 1; dividing by the largest component first avoids overflow
-    scaled = [np.array(plane.normal) / np.max(np.abs(plane.normal)) for plane in scene.plane]
-    normals = [np.asarray(direction / np.sqrt((direction * direction).sum())) for direction in scaled]
+    normals = [unit_vector(plane.normal) for plane in scene.plane]
     return HalfSpaces(
         name=[plane.name or f"plane {index}" for index, plane in enumerate(scene.plane)],
         normal=np.array(normals).reshape(-1, 3),

@@ -114,34 +114,34 @@ class _LazyNames(Sequence[str]):
     __hash__ = None  # type: ignore[assignment]
 
 
+@dataclass(eq=False)
 class NumberedNames(_LazyNames):
     """``PREFIX FIRST``, ``PREFIX FIRST+1`` and so on."""
 
-    def __init__(self, prefix: str, count: int, first: int = 0) -> None:
-        self.prefix = prefix
-        self.first = first
-        self._count = count
+    prefix: str
+    length: int
+    first: int = 0
 
     def __len__(self) -> int:
-        return self._count
+        return self.length
 
     def _at(self, place: int) -> str:
         return f"{self.prefix} {self.first + place}"
 
 
+@dataclass(eq=False)
 class SomeNames(_LazyNames):
     """Names of which only some are known; the others are numbered."""
 
-    def __init__(self, prefix: str, count: int, known: Mapping[int, str]) -> None:
-        self._prefix = prefix
-        self._count = count
-        self._known = known
+    prefix: str
+    length: int
+    known: Mapping[int, str]
 
     def __len__(self) -> int:
-        return self._count
+        return self.length
 
     def _at(self, place: int) -> str:
-        return self._known.get(place, f"{self._prefix} {place}")
+        return self.known.get(place, f"{self.prefix} {place}")
 
 
 class JoinedNames(_LazyNames):

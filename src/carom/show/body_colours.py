@@ -156,9 +156,7 @@ def _by_speed(recording: Recording, header: Header, step: ShownStep) -> Iterator
     drawn = drawn_paths(recording, range(len(header.radius)))
     steps, times = _times(recording, drawn.steps)
     if len(times) < 2:
-        raise RecordingError(
-            f"{recording.path} has only one frame, which does not show speeds; colour by another property"
-        )
+        raise RecordingError(f"{recording.path} has one frame, which does not show speeds; colour by another property")
     mass = header.mass[recording.shown]
     velocity = np.gradient(drawn.position.astype(np.float64), np.maximum.accumulate(times), axis=0)
     speed = np.stack([drawing.speeds(velocity[row], mass) for row in range(len(velocity))])

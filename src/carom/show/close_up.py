@@ -259,9 +259,8 @@ class CloseUp:
         """Yield a row at the step or at the instant, and then an empty one, which clears it."""
         if self.instant is not None:
             empty = Index(np.array([self.step.step]), np.array([self.step.time]))
-            both = [
-                (column.component_descriptor(), column.as_arrow_array()) for column in columns.partition([count, 0])
-            ]
+            parts = columns.partition([count, 0])
+            both = [(column.component_descriptor(), column.as_arrow_array()) for column in parts]
             for row, index in enumerate((Index.within_step(self.instant.time), empty)):
                 yield Rows(path, index, [BatchColumn.of_rows(what, rows.slice(row, 1)) for what, rows in both])
             return

@@ -418,9 +418,8 @@ def write_forecast(out: Path, recording: Recording, forecast: Forecast) -> None:
         plots = [_plot(f"{recording.units.labelled('log₁₀ of rms distance', LENGTH)}: median, 5 and 95 %", _BAND)]
         if len(forecast.chances):
             plots.append(_plot("Probability of the outcome over the time of the fork", _CHANCE))
-        panels = rrb.Vertical(
-            *plots, rrb.TextDocumentView(name="Fork", origin=_FORK), row_shares=[3] * len(plots) + [2]
-        )
+        text = rrb.TextDocumentView(name="Fork", origin=_FORK)
+        panels = rrb.Vertical(*plots, text, row_shares=[3] * len(plots) + [2])
         view = camera.view(BESIDE.aspect)
         writer.send_layout(beside_bodies("Bodies by spread: blue is known, red is not", [_BODIES], view, panels))
         writer.flush()

@@ -211,10 +211,8 @@ def field_arrows(
     )
     texts = [text, "x", "y", "z"]
     ends = np.vstack([top + 0.5 * vectors[0], corner + 1.15 * vectors[1:]])
-    yield (
-        f"{FIELD}/labels",
-        rr.Points3D(single(ends), radii=1e-6 * length, labels=texts, colors=ink, show_labels=True),
-    )
+    labels = rr.Points3D(single(ends), radii=1e-6 * length, labels=texts, colors=ink, show_labels=True)
+    yield f"{FIELD}/labels", labels
 
 
 def names_that_fit(header: Header, position: FloatArray, view: View, area: Area) -> tuple[str, ...]:

@@ -70,8 +70,7 @@ class Supplement:
 
 
 _MOST_FRAMES = 2000  # of longer paths, every k-th frame is used
-# points of a path drawn as a curve through fewer frames, since integrators of high order take long steps
-_POINTS = 1000
+_POINTS = 1000  # of a smooth path with fewer frames, since integrators of high order take long steps
 
 
 class Trails:

@@ -336,14 +336,10 @@ class _Reader:
         for what, rows in wrong.items():
             if rows.any():
                 place = np.unravel_index(int(np.argmax(rows)), rows.shape)
-                hint = (
-                    f"; missing = {{ {key} = … }} gives it a value"
-                    if gaps[place] and key in Missing.model_fields
-                    else ""
-                )
-                raise SceneError(
-                    f"{self._called}: column {column}, row {self.row(int(place[0]))}: {given[place]:g} {what}{hint}"
-                )
+                may_replace = gaps[place] and key in Missing.model_fields
+                hint = f"; missing = {{ {key} = … }} gives it a value" if may_replace else ""
+                row = self.row(int(place[0]))
+                raise SceneError(f"{self._called}: column {column}, row {row}: {given[place]:g} {what}{hint}")
         if values.size:
             least, most = self._ranges.get(quantity, (math.inf, -math.inf))
             self._ranges[quantity] = (min(least, float(values.min())), max(most, float(values.max())))

@@ -102,9 +102,8 @@ def changed_files(sections: Iterable[BodyData], folders: Sequence[Path]) -> list
     """Return the names of the data files in these folders whose digests differ from the scene's."""
     changed = list[str]()
     for section in sections:
-        path = next(
-            (folder / section.file for folder in folders if section.file and (folder / section.file).is_file()), None
-        )
+        paths = [folder / section.file for folder in folders if section.file]
+        path = next(filter(Path.is_file, paths), None)
         with contextlib.suppress(OSError):
             if path is not None and path.stat().st_size <= LARGEST_DATA and _digest(path) != section.sha256:
                 changed.append(str(section.file))
@@ -171,9 +170,8 @@ def take_over_laws(
             elif number == 0.0 and key == "softening" and own > 0.0:
                 notes.append(f"it has no softening, but the scene has {own:g}")
             elif not math.isclose(own, number, rel_tol=_SAME_LAW):
-                refuted[index] = (
-                    f"gravity.{key} is {number!r} in it, but {own!r} here; leave gravity.{key} out, or set that"
-                )
+                remedy = f"leave gravity.{key} out, or set that"
+                refuted[index] = f"gravity.{key} is {number!r} in it, but {own!r} here; {remedy}"
         if law.box is not None:
             x, y, z = law.box
             size = scene.domain.size or (0.0, 0.0, 0.0)
@@ -199,10 +197,10 @@ def take_over_laws(
                 "box, and none in open space"
             )
         if law.integrated and scene.time.integrator != (law.integrator or None):
-            same = (
-                f'time.integrator = "{law.integrator}" is this method' if law.integrator else "carom lacks this method"
+            known = f'time.integrator = "{law.integrator}" is this method'
+            notes.append(
+                f"{law.integrated} is not taken over; {known if law.integrator else 'carom lacks this method'}"
             )
-            notes.append(f"{law.integrated} is not taken over; {same}")
         if not law.collides and scene.contact.enabled:
             notes.append("its bodies pass through each other; contact.enabled = false does the same here")
         called = scene.bodies[index].called

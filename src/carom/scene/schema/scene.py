@@ -433,5 +433,6 @@ def know_installed_parts() -> None:
                 meaning = (section.__doc__ or "").partition(": ")[2] or section.__doc__
                 for model in holders:
                     model.model_fields[name] = FieldInfo(annotation=section | None, default=None, description=meaning)
-    for model in (InstalledForces, *surfaces, Scene):
+    rebuilt: tuple[type[Section], ...] = (InstalledForces, *surfaces, Scene)
+    for model in rebuilt:
         model.model_rebuild(force=True)
