@@ -12,7 +12,7 @@ from carom.arrays import IntArray
 _HEADER = 2  # field of a Message: its RecordBatch
 _DATA = 1  # field of a DictionaryBatch: its RecordBatch
 _FIELDS = 1  # field of a Schema: its columns
-_SIZE = 8  # bytes before a compressed buffer
+_SIZE = 8  # bytes of the uncompressed size before a compressed buffer
 _LENGTH, _NODES, _BUFFERS, _COMPRESSION = 0, 1, 2, 3  # fields of a RecordBatch
 
 
@@ -23,7 +23,7 @@ class Claims:
     rows: int
     lengths: IntArray  # of each array and of each child of one
     buffer_bytes: int  # summed over all buffers
-    compressed: bool  # its buffers are compressed and state their uncompressed sizes themselves
+    compressed: bool  # whether each buffer is compressed, and begins with its uncompressed size
     buffers: IntArray  # (b, 2) offset in the body and length of each buffer
 
 

@@ -47,7 +47,7 @@ class RecordingError(Exception):
 
 
 class RecorderError(RecordingError):
-    """The recorder stopped by an error of the program or of an extension, or for lack of memory; its file is closed."""
+    """An error of the program or of an extension, or lack of memory, stopped the recorder; its file is closed."""
 
 
 class DroppedRunWarning(UserWarning):

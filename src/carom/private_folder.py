@@ -23,7 +23,7 @@ from pathlib import Path
 
 PREFIX = "carom-"
 MARK = "made-by-carom"  # in each locked folder; a folder without it is never removed
-_above: list[Path] = []  # the folder of the process that started this one
+_above: list[Path] = []  # the folder of the parent process
 _guard = threading.Lock()
 _made: dict[int, tuple[Path, int]] = {}  # by process: its folder, and the descriptor that locks it
 
@@ -43,7 +43,7 @@ def private_folder() -> Path:
 
 
 def move_into(folder: Path) -> None:
-    """Make this process's folder within that of the process that started it, which removes both."""
+    """Make this process's folder inside a folder of its parent process, which removes both."""
     _above.append(folder)
 
 
@@ -76,7 +76,7 @@ def is_own(folder: Path) -> bool:
 
 
 def is_fixed(path: Path) -> bool:
-    """Return whether only this user and the system can replace the file at a path, by write access to its parents."""
+    """Return whether the permissions of the parents of a path let only this user and the system replace it."""
     try:
         # the owner of the root folder can do anything; in a container, that may be "nobody"
         trusted = (0, os.getuid(), Path("/").stat().st_uid)

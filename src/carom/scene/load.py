@@ -115,7 +115,7 @@ def scene_from_text(
 
 
 def longest_text(bodies: int) -> int:
-    """Return the largest number of characters in a scene; every scene that runs stays below it and can be read back."""
+    """Return the largest number of characters of a scene. Longer ones are refused, so that recordings can be read."""
     return min(LARGEST_FILE, _LARGEST_BESIDES_BODIES + _LARGEST_BODY * bodies)
 
 

@@ -78,7 +78,7 @@ class BodyMaterials:
 
 @dataclass(frozen=True)
 class PairCoefficients:
-    """Coefficients of the contacts between n bodies of a materials, and with p planes and walls.
+    """Coefficients of the contacts between n bodies, which have ``a`` materials, and with p planes and walls.
 
     If all bodies have one material, there is one row for contacts between bodies, and one for each plane. Otherwise
     each material has a + p rows: one for contacts with each material, and one for each plane. The contact of body i

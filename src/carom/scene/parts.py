@@ -40,7 +40,7 @@ PARTS = (  # in the order in which a step uses them
     "torque",
     "energy",
 )
-PROPERTY = "extension."  # before kind.name, in the properties of a recording that state the package and its version
+PROPERTY = "extension."  # prefix of kind.name in the properties of a recording, for its package and version
 
 
 @dataclass(frozen=True)

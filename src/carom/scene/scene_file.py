@@ -150,7 +150,7 @@ def _read_bytes(path: Path) -> bytes:
 
 
 def toml_text(data: Mapping[str, Any]) -> str:
-    """Write a document: plain keys first, then a section for each table and each table of a list.
+    """Write a document: plain keys first, then a section for each table and for each table in a list.
 
     It takes ten microseconds per body; tomlkit, which keeps comments, takes a millisecond.
 

@@ -97,7 +97,7 @@ class HalfSpaces:
 
     @property
     def curves(self) -> bool:
-        """Whether there is a wall, which need not be flat, among them."""
+        """Whether a [[wall]], which may be curved, is among them."""
         return False
 
     def depth(self, position: FloatArray, radius: FloatArray) -> FloatArray:

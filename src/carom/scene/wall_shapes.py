@@ -44,7 +44,7 @@ class WallShape:
     section: type[Any]  # of the scene: a `carom.extend.Section` whose docstring says "[wall.NAME]: what it is"
     nearest: Callable[..., tuple[float, float, float, float, float]]  # (p, x, y, z) → the unit normal that points from
     # the nearest point of the wall to the bodies, (3,); the distance in m, negative behind it; the focal distance in m
-    mesh: Callable[[Any, FloatArray, float], Mesh]  # (section, centre, reach) → what is within about reach of it
+    mesh: Callable[[Any, FloatArray, float], Mesh]  # (section, centre, reach) → the wall within about reach of centre
     fields: tuple[str, ...]  # of p
     parameters: Callable[[Any], Mapping[str, float]] = numbers_of  # (section) → the fields by name, in SI units
     thin: bool = False  # whether bodies may be on both sides, so that the distance is never negative

@@ -69,10 +69,10 @@ def change_with_time(header: Header, by: str) -> bool:
 
 
 def body_colours(recording: Recording, header: Header, by: str, step: ShownStep | None = None) -> BodyColours:
-    """Return the colours of the bodies at all frames and at repeated steps, by a property.
+    """Return the colours of the bodies by a property.
 
-    These are the recorded colours if the recording was coloured by that property; otherwise the repeated steps of
-    ``step`` have colours, too. Raises RecordingError if the recording lacks the data for them.
+    If the recording was coloured by it, these are the recorded colours. Otherwise, they are computed for all frames,
+    and for the repeated steps of ``step``. Raises RecordingError if the recording lacks the data for them.
     """
     n = len(header.radius)
     own = by == header.coloured_by
@@ -98,7 +98,7 @@ def body_colours(recording: Recording, header: Header, by: str, step: ShownStep 
 
 
 def recorded_colours(recording: Recording, header: Header, places: Sequence[int]) -> BodyColours:
-    """Return the recorded, changing colours of the bodies with some indices; with none, nothing is read."""
+    """Return the recorded, changing colours of the bodies with these indices; without indices, nothing is read."""
     is_read = places and len(recording.shown) * recording.frames <= _MOST
     return _of_rows(recording, header, places, list(_as_recorded(recording, places)) if is_read else [])
 

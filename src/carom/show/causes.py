@@ -36,7 +36,7 @@ from carom.show.supplement import Static
 
 GRAPH = "graph"
 _LINES, _MARKED, _LABELS = (f"{GRAPH}/{name}" for name in ("edges", "asked", "impulses"))
-MOST_NODES = 12  # limit of the space
+MOST_NODES = 12  # more would not fit
 
 _NODE = 8.0  # points, radius
 _WIDEST = 4.0  # points, radius of the line of a large impulse
@@ -205,7 +205,7 @@ class Causes:
 
 
 def write_causes(out: Path, recording: Recording, causes: Causes) -> None:
-    """Write a recording for the viewer. RecordingError if it cannot be written."""
+    """Write a recording for the viewer; raises RecordingError if it cannot be written."""
     radius = recording.bodies.radius
     recording.refuse_some_bodies()
     steps, times, position = _frames(recording, causes)
@@ -289,11 +289,7 @@ def _levels(edges: Sequence[CauseEdge]) -> IntArray:
 
 
 def _edges(
-    writer: Writer,
-    index: list[rr.TimeColumn],
-    edges: Sequence[CauseEdge],
-    times: FloatArray,
-    position: SingleArray,
+    writer: Writer, index: list[rr.TimeColumn], edges: Sequence[CauseEdge], times: FloatArray, position: SingleArray
 ) -> None:
     """Draw each edge from its first impulse on and, after its last impulse, at the position of that impulse."""
     levels = _levels(edges)

@@ -202,7 +202,7 @@ class CloseUp:
                 columns = rr.Arrows3D.columns(vectors=single(arrows.vectors), origins=single(arrows.origins))
                 yield from self._once(arrows.path, columns, len(arrows.vectors))
         labelled.append(self._angular_impulses(contact, header))
-        # labels of one of two bodies begin with its name, if there is room
+        # with two bodies, a label begins with the name of its body if there is space
         texts = [text for arrows in labelled for text in arrows.labels]
         owners = [arrows.bodies[k] if arrows.bodies else -1 for arrows in labelled for k in range(len(arrows.labels))]
         named = [text if k < 0 else f"{self.called[k]}: {text}" for text, k in zip(texts, owners, strict=True)]
@@ -210,7 +210,7 @@ class CloseUp:
         if len(self.bodies) == 2 and widest < self.area.width:
             texts = named
         wanted = [(a.origins + a.along * a.vectors)[: len(a.labels)] for a in labelled]
-        point = 2.0 / self.area.height  # the rows of the legend are placed labels
+        point = 2.0 / self.area.height  # the rows of the legend count as labels that are placed first
         wide, tall = 0.5 * point * self.area.inset[0], 0.5 * point * self.area.inset[1]
         x, top = self.corner[0] * (self.area.aspect - wide), self.corner[1] * (1.0 - tall) + tall
         legend = [(wide, x, top - down) for down in np.arange(0.0, 2.0 * tall, _LABEL_HEIGHT * point).tolist()]

@@ -82,15 +82,15 @@ def screen_is_remote() -> bool:
 
 
 def isolate() -> bool:
-    """Move this process into a network namespace of its own, in which only loopback exists; return whether it has.
+    """Move this process into a network namespace of its own, in which only loopback exists; return whether it succeeds.
 
-    Only a process of one thread can move as a whole.
+    Only a process with a single thread can move.
     """
     if sys.platform != "linux" or len(list(Path("/proc/self/task").iterdir())) != 1:
         return False
     # Root keeps its rights over other users' files only without a user namespace.
     for flags in (_NEW_NET, _NEW_USER | _NEW_NET) if os.geteuid() == 0 else (_NEW_USER | _NEW_NET,):
-        trial = os.fork()  # because a part of it may succeed, and cannot be undone
+        trial = os.fork()  # in a child, since a part may succeed and cannot be undone
         if trial == 0:
             os._exit(0 if _unshare(flags) else 1)
         if os.waitpid(trial, 0)[1] == 0:

@@ -59,7 +59,7 @@ class LegendLine:
 
 @dataclass(frozen=True, slots=True)
 class LegendContents:
-    """What there is to explain, at the moment of a picture or during the run."""
+    """What is drawn, and therefore explained, in a picture or during the run."""
 
     contacts: bool = False
     impulses: bool = False  # arrows, and widths of edges
@@ -69,7 +69,7 @@ class LegendContents:
     trails: bool = False
 
     def __or__(self, other: LegendContents) -> LegendContents:
-        """Return what one of both has."""
+        """Return the contents of either."""
         return LegendContents(*(one or another for one, another in zip(astuple(self), astuple(other), strict=True)))
 
 

@@ -46,7 +46,7 @@ from carom.show.viewer import Viewer
 FORMATS = (".mp4", ".gif")
 
 _MOST_VIEWERS = 4
-_FRAMES_EACH = 20  # pictures for which starting another viewer, which takes seconds, pays
+_FRAMES_EACH = 20  # pictures for which it pays to start another viewer, which takes seconds
 _LOOKS = 50  # frames among which a legend finds a free corner
 _LIMIT = 60.0  # s, in which a picture must settle
 
@@ -118,7 +118,7 @@ def pictures(
 
 
 def _taken(times: FloatArray, studio: Callable[[ExitStack], _Studio]) -> Iterator[bytes]:
-    """Take the pictures in as many studios as pay."""
+    """Take the pictures, with another studio for every `_FRAMES_EACH` of them."""
     different = list(dict.fromkeys(times.tolist()))
     count = max(1, min(_MOST_VIEWERS, os.cpu_count() or 1, len(different) // _FRAMES_EACH))
     with ExitStack() as stack:
@@ -185,11 +185,7 @@ class _Studio:
 
 
 def _layout(
-    recording: Recording,
-    times: Sequence[float],
-    canvas: Canvas,
-    view: str,
-    motion: CameraMotion | None = None,
+    recording: Recording, times: Sequence[float], canvas: Canvas, view: str, motion: CameraMotion | None = None
 ) -> Supplement:
     """Lay out the views with a camera fitted to the bodies at all times and, in the light theme, legible colours."""
     header, recorded = header_of_recording(recording), RecordedPositions(recording)

@@ -276,7 +276,7 @@ def write_trajectories(path: Path, space: Space, time: FloatArray, trajectories:
         index = clock.columns(list(range(1, len(time) + 1)), time.tolist())
         send_times(writer, index, time)
         legends = [trajectory.name for trajectory in trajectories if len(trajectory.distance)]
-        # all positions are in the picture, above the curves and beside them
+        # all positions are in view, above the curves and beside them
         position = trajectories[0].position - origin
         camera = CameraFit(radius, position[0], motion=CameraMotion.STILL)
         camera.look(position)
@@ -389,7 +389,7 @@ def shades(spread: FloatArray, radius: FloatArray) -> ColourArray:
 
 
 def write_forecast(out: Path, recording: Recording, forecast: Forecast) -> None:
-    """Write a recording for the viewer. RecordingError if it cannot be written."""
+    """Write a recording for the viewer; raises RecordingError if it cannot be written."""
     radius, origin, steps = recording.bodies.radius, recording.origin, list(range(len(forecast.time)))
     count = [len(radius)] * len(steps)
     shown = forecast.position - origin

@@ -142,7 +142,7 @@ class Shot:
 def try_to_render(recording: Recording, shots: Sequence[Shot], size: tuple[int, int] = (1000, 640)) -> str:
     """Render moments of a recording, in order of time, with one viewer.
 
-    Return the reason if a picture fails, such as a missing driver; otherwise nothing. The pictures before it exist.
+    Return the reason if a picture fails, such as a missing driver; otherwise nothing. Pictures before it are kept.
     """
     canvas, last = Canvas(*size, framed=False, rendered=True), ""
     try:

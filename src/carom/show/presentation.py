@@ -333,7 +333,7 @@ def _arrow_tips(
 
 
 def _states_after(recording: Recording, step: int) -> Iterator[Rows]:
-    """Yield the recorded states at the first frame after a step, since frames have rows of them only at changes."""
+    """Yield the recorded states at the first frame after a step, since states are recorded only where they change."""
     table = recording.fingerprints()
     later = np.flatnonzero(table[STEP].to_numpy() > step)
     if len(later):

@@ -72,7 +72,7 @@ def named_pair(recording: Recording, text: str) -> Pair:
 
 
 def pair_of_extreme(recording: Recording, name: str) -> Pair | None:
-    """Return the pair of an extreme of the run, such as ``impact``, the hardest; None if no shown pair is recorded."""
+    """Return the pair of an extreme, such as ``impact`` for the hardest; None if it is not recorded, or not shown."""
     closing = dict(recording.closing)
     texts = (str(closing.get(f"moments.{name}.{what}", "")).split(",") for what in ("bodies", "planes"))
     found, planes = ([int(part) for part in parts if part.strip().isdigit()] for parts in texts)
@@ -189,12 +189,7 @@ class ShownStep:
 
 
 def shown_step(
-    recording: Recording,
-    at: float,
-    within: int | None = None,
-    *,
-    dense: bool = False,
-    watch: Watcher = lambda _: None,
+    recording: Recording, at: float, within: int | None = None, *, dense: bool = False, watch: Watcher = lambda _: None
 ) -> ShownStep:
     """Find the step that contains a time (s), and repeat it if that takes no more than a minute.
 
@@ -299,13 +294,7 @@ def _row_of(step: int, steps: IntArray) -> int | None:
 
 
 def _run(
-    recording: Recording,
-    goal: float,
-    times: FloatArray,
-    within: int | None,
-    limit: float,
-    dense: bool,
-    watch: Watcher,
+    recording: Recording, goal: float, times: FloatArray, within: int | None, limit: float, dense: bool, watch: Watcher
 ) -> ShownStep | None:
     """Repeat the steps up to the one that contains a time (s), or to the next frame; None if that takes too long.
 

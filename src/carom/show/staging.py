@@ -119,9 +119,9 @@ class Staging:
 
 
 def impact_strip(recording: Recording) -> tuple[Curves, list[Rows], list[Static]]:
-    """Return the outline of impulses, a band for each impact, which lasts until the next, and the bands' colours.
+    """Return the outline of impulses, a band from each impact to the next, and the colours of the bands.
 
-    If there are too many impacts there are no bands, and if there are far too many no outline.
+    With more than `MOST_BANDS` impacts there are no bands, with more than `MOST_POINTS` there is no outline.
     """
     entries = [entry for entry in recording.store.entries if entry.entity_path == paths.IMPACTS]
     if not 0 < sum(entry.rows for entry in entries if not entry.is_static) <= MOST_POINTS:
@@ -177,8 +177,8 @@ def field_arrows(
 ) -> Iterator[Static]:
     """Draw a uniform field (3,) m/s² as an arrow at the upper border of a view, and the axes of space at the lower.
 
-    Each is on the left, unless it would cover less on the right of what is ``drawn``, points (k, 3) m with a radius
-    (k,) m; in the corner of a legend, beside it.
+    Each is on the side where it covers less of what is ``drawn``, points (k, 3) m with radii (k,) m, and on the left if
+    both are equal. In a corner with a legend, it is beside the legend.
     """
     height, size = view.height(), float(np.linalg.norm(field))
     right, up = view.axes()
@@ -218,7 +218,7 @@ def field_arrows(
 def names_that_fit(header: Header, position: FloatArray, view: View, area: Area) -> tuple[str, ...]:
     """Return the names (n,) of bodies at (n, 3) m if they are few, otherwise ().
 
-    Of two names that would overlap in a view of this area, only that of the larger body is not empty.
+    Of two names that would overlap in a view of this area, that of the smaller body is empty.
     """
     n = len(position)
     if not any(header.names) or n > MOST_NAMES or n != len(header.names) or shape(header) != "ellipsoids":

@@ -69,7 +69,7 @@ class Supplement:
             stream.disconnect()
 
 
-_MOST_FRAMES = 2000  # of longer paths, every k-th frame is used
+_MOST_FRAMES = 2000  # of a longer path, every k-th frame is used
 _POINTS = 1000  # of a smooth path with fewer frames, since integrators of high order take long steps
 
 

@@ -134,7 +134,7 @@ class Viewer:
         return self._ask(lambda: self.client.take_screenshot(view))
 
     def only_view(self, before: str = "") -> str:
-        """Wait until a layout with a single view is laid out; return the view's id, which is not that of `before`."""
+        """Wait for a layout whose single view is not ``before``; return the view's id."""
         shown: list[str] = []
 
         def is_laid_out() -> bool:

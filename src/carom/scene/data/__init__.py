@@ -97,7 +97,7 @@ def refuse_many_rows(called: str, rows: int) -> None:
 
 
 def refuse_many_columns(called: str, columns: int, each: int = 1) -> None:
-    """Refuse a table with more columns than any table of bodies; ``columns`` counts each of them ``each`` times."""
+    """Refuse a table with more columns than any table of bodies; ``columns`` counts each column ``each`` times."""
     if columns > each * MOST_COLUMNS:
         raise SceneError(f"{called}: {columns} columns are too many; at most {MOST_COLUMNS}")
 
@@ -110,14 +110,14 @@ def refuse_large(called: str, what: str, size: int, most: int | None = None) -> 
 
 
 def step_at(called: str, snapshot: int, steps: int, whose: str = "it") -> int:
-    """Return the index of a snapshot, which counts from the last if negative; raises SceneError if there is none."""
+    """Return the index of a snapshot, where -1 is the last; raises SceneError if there is no such snapshot."""
     if not -steps <= snapshot < steps:
         raise SceneError(f"{called}: there is no snapshot {snapshot}: {whose} has {steps}")
     return snapshot % steps
 
 
 def periodic_note(called: str, size: Sequence[float] = (), axes: str = "xyz") -> str:
-    """Return the note that a file's box, periodic along some axes, is ignored, with its size if known."""
+    """Return the note that the periodic box of a file is ignored, with its size if known."""
     shown = f" of {' × '.join(f'{length:g}' for length in size)}" if len(size) else ""
     along, wanted = "", '"periodic"'
     if axes != "xyz":
@@ -135,7 +135,7 @@ def refuse_bomb(called: str, claimed: int, stored: int) -> None:
 
 
 def numbers_of(called: str, column: str, raw: Raw, with_gaps: bool = False) -> FloatArray:
-    """Return a column as float64; values that are missing are NaN if it may have gaps.
+    """Return a column as float64; with gaps allowed, missing values are NaN.
 
     Raises SceneError, which names the first row that is not a number.
     """
@@ -262,7 +262,7 @@ class _Guarded(DataTable):
 
 @contextlib.contextmanager
 def _reading(called: str, form: DataFormat) -> Iterator[None]:
-    """Convert any exception of a library about a damaged file to one sentence."""
+    """Convert an exception of a library, such as one about a damaged file, to one sentence."""
     try:
         yield
     except SceneError:

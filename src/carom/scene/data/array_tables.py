@@ -39,7 +39,7 @@ from carom.scene.wording import counted
 
 _MOST_DATASETS = 10_000
 _MOST_NODES = 20_000  # groups and datasets; looking through them takes half a second
-_LONGEST_PATH = 1000  # characters; HDF5 takes a time that grows as the square of the depth
+_LONGEST_PATH = 1000  # characters; the time that HDF5 takes grows as the square of the depth
 _HEADER = "Header"  # group in the snapshots of Gadget, AREPO, GIZMO and SWIFT
 _OF_TYPE = re.compile(r"PartType(\d)/(\w+)")
 _MASSES = "Masses"
@@ -217,7 +217,8 @@ _CHUNKS = ("position", "velocity", "mass", "diameter", "angmom", "moment_inertia
 def open_gsd(path: Path, called: str, snapshot: int) -> DataTable:
     """Open a GSD file at one of its frames.
 
-    HOOMD omits data equal to the first frame's, and defaults: a mass or a diameter of 1, which the scene must state.
+    HOOMD omits data that equal those of the first frame, and default masses and diameters of 1, which the scene must
+    state.
     """
     try:
         from gsd import fl  # noqa: PLC0415 - an extra
@@ -254,13 +255,13 @@ GSD = DataFormat("a GSD file", open_gsd)
 
 
 _GRAVITY = ("basic", "compensated", "tree", "jacobi", "mercurius", "trace")  # methods of summing the same forces
-_INTEGRATORS = {  # of REBOUND, by the names of the same methods
+_INTEGRATORS = {  # REBOUND's name → the same method in carom
     "ias15": "gauss-radau15",
     "leapfrog": "leapfrog-dkd",
     "whfast": "wisdom-holman",
 }
 _CHOOSING = ("ias15", "bs", "none")  # integrators without a fixed step
-_FUNCTIONS = "function pointers"  # in the warning about an archive of a simulation with functions of its program
+_FUNCTIONS = "function pointers"  # in the warning about a simulation with function pointers
 _DAMAGED = "corrupted"  # in the warning about a truncated archive
 _KNOWN = (
     "test particle (type 0) has finite mass",

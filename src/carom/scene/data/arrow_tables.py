@@ -40,9 +40,9 @@ from carom.scene.data import (
 from carom.scene.data.mapping import printable
 from carom.scene.wording import counted
 
-_HEAD = 1_000_000  # bytes from which a file is recognised; no line is longer
+_HEAD = 1_000_000  # bytes by which a file is recognised; a longer line is refused
 _SAMPLE = 50  # lines of these bytes
-_LARGEST = 500_000_000  # bytes of a file that must be rewritten in memory
+_LARGEST = 500_000_000  # bytes of the largest file that is rewritten in memory
 _COMMENTS = ("#", "%", "!", "//")
 _SEPARATORS = {";": "semicolons", "\t": "tabs", ",": "commas", " ": "blanks"}
 _USUAL = {".csv": ",", ".tsv": "\t"}  # by suffix, if no separator divides all lines alike
@@ -50,12 +50,12 @@ _COMMA = re.compile(r"[+-]?\d*,\d+(?:[eEdD][+-]?\d+)?")  # a number with a decim
 _YADE = re.compile(r"#\s*format\s+(\S+)")  # columns in YADE's text export, such as x_y_z_r
 _UNIT = re.compile(r"\s+(?=[\[(])")  # blanks before the unit of a name
 _STREAM_IN_FILE = 8  # bytes before the stream in an Arrow file
-# beginnings in text files of any format, whatever their suffix
+# texts that identify a format, whatever the suffix of the file
 _SIGNS = {b"$$SOE": "horizons", b"ITEM: TIMESTEP": "dump", b"Des'n": "mpcorb"}
-_PARQUET_END = 8  # bytes of the length of a footer and of the mark after it
-_FOOTER_HEAD = 32  # bytes of a footer that have the number of its elements
+_PARQUET_END = 8  # bytes at the end: the length of the footer, and a mark
+_FOOTER_HEAD = 32  # first bytes of a footer, which contain the number of its elements
 _FOOTER = re.compile(rb"\x15[\x80-\xff]*[\x00-\x7f]\x19\xfc([\x80-\xff]*[\x00-\x7f])", re.S)  # of 15 or more elements
-_ELEMENTS = 4  # of a schema for each column: a list has three
+_ELEMENTS = 4  # largest number of elements of a schema for a column; a list has three
 _Read = Callable[[list[str], Sequence[str]], pa.Table]
 
 

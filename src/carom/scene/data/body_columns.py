@@ -127,11 +127,7 @@ _DIMENSIONS = {  # dimensions whose product is the dimension of a quantity
 
 
 def read_columns(
-    section: BodyData,
-    table: DataTable,
-    units: UnitSystem,
-    material: Material | None = None,
-    constant: float = 0.0,
+    section: BodyData, table: DataTable, units: UnitSystem, material: Material | None = None, constant: float = 0.0
 ) -> tuple[BodyColumns, tuple[str, ...]]:
     """Read and check the bodies of a [[bodies]] table, whose numbers are in the units of the scene.
 
@@ -212,7 +208,7 @@ class _Reader:
         for name, array in self._raw.items():
             if len(array) != self._rows:
                 raise SceneError(f"{called}: column {name} has {len(array)} rows, and {first} has {self._rows}")
-        self._row = np.arange(self._rows)  # number in the file of each row that is read
+        self._row = np.arange(self._rows)  # row numbers in the file
         self.notes = list[str]()
         if section.missing is not None and section.missing.leave_out:
             # leave out the rows without a position

@@ -204,6 +204,6 @@ def take_over_laws(
         if not law.collides and scene.contact.enabled:
             notes.append("its bodies pass through each other; contact.enabled = false does the same here")
         called = scene.bodies[index].called
-        new = [f"{called}: {note}" for note in notes]  # bodies of a scene that is changed have earlier notes
+        new = [f"{called}: {note}" for note in notes]  # a changed scene already has its earlier notes
         each_bodies[index] = bodies._replace(notes=(*bodies.notes, *(note for note in new if note not in bodies.notes)))
     return taken, refuted

@@ -37,7 +37,7 @@ USUAL_AXES: dict[str, tuple[str, ...]] = {  # with x, y and z instead of the sta
     "velocity": ("v*", "v_*", "vel*", "vel_*", "velocity*", "velocity_*"),
     "angular_velocity": ("w*", "w_*", "omega*", "omega_*", "angvel*", "angvel_*", "angular_velocity_*"),
 }
-ELEMENTS = {  # columns of orbital elements; capitals differ from small letters
+ELEMENTS = {  # columns of orbital elements; case matters
     "a": ("a", "semi_major_axis", "sma"),
     "q": ("q", "perihelion_distance", "pericentre_distance"),
     "e": ("e", "ecc", "eccentricity"),

@@ -29,7 +29,7 @@ _LABELLED = re.compile(r"\b(V?[XYZ])\s*=\s*(\S+)")  # a value in a table that is
 _EPOCH = re.compile(r"\s*(\d{7}\.\d+)\s*=", re.MULTILINE)
 _VECTOR = ("X", "Y", "Z", "VX", "VY", "VZ")
 _LARGEST = 200_000_000  # bytes
-_PLACES = {  # the elements with their units, first and last column, counted from 1
+_PLACES = {  # element with unit → its first and last column, counted from 1
     "epoch [day]": (21, 25),
     "ma [deg]": (27, 35),
     "w [deg]": (38, 46),

@@ -54,7 +54,7 @@ class OrbitTable(DataTable):
         is_of_jpl = bool(_OF_JPL & set(table.names))
         units_of = _UNITS_OF_JPL if is_of_jpl else {}
         self._inner = {f"{name} [{units_of[name]}]" if name in units_of else name: name for name in table.names}
-        if "full_name" in table.names:  # it has a designation where an object has no name
+        if "full_name" in table.names:  # a designation, for an object without a name
             self._inner |= {"name": "full_name"}
             del self._inner["full_name"]
         self._columns = elements_in(list(self._inner))
@@ -118,7 +118,7 @@ class OrbitTable(DataTable):
         """Return the positions and velocities (n, 3) at the epoch."""
         e = self._element("e")
         beta, q = self._shape(e)
-        # √μ t since the pericentre, for an ellipse reduced to within half a period of the pericentre
+        # √μ t since the pericentre, for an ellipse since the nearest one
         ellipse, root_mu = beta > 0.0, math.sqrt(self._mu)
         rate = np.abs(beta) * np.sqrt(np.abs(beta))  # rate of the mean anomaly with √μ t
         elapsed = self._elapsed(len(e)) * root_mu

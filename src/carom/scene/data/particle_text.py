@@ -150,7 +150,7 @@ class _Dump(DataTable):
         return {name: self._length(column, raw[column])[order] for name, column in zip(names, wanted, strict=True)}
 
     def _length(self, column: str, raw: Raw) -> Raw:
-        """Return a column; a scaled position as a length."""
+        """Return a column, with scaled positions converted to lengths."""
         if column not in self._scaled:
             return raw
         if self._skewed or self._box is None:

@@ -259,7 +259,7 @@ def _values(blocks: _Blocks, element: ElementTree.Element, kind: np.dtype[np.gen
 
 
 def _unpacked(blocks: _Blocks, data: bytes, raw: bool, size: int) -> bytes:
-    """Return the bytes of an array, of which there should be ``size``."""
+    """Return the ``size`` bytes of an array; fewer if the file is damaged."""
     word = blocks.header.itemsize
 
     def part(begin: int, length: int) -> bytes:

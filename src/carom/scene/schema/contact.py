@@ -221,8 +221,8 @@ class MaterialPair(Surface):
 
 
 Sweeps = Literal["auto", "converged", "as-needed", "quick"]
-# Version of the meaning of `sweeps = "auto"`. In 1, of the first recordings, it is "converged"; in 2, a round of
-# conjugate gradients has no limit of its own in meshed islands.
+# Version of the meaning of `sweeps = "auto"`. In version 1, of the first recordings, it means "converged"; in version
+# 2, a round of conjugate gradients has no limit of its own in meshed islands.
 CONTACT_RULES = 3
 
 
@@ -294,8 +294,7 @@ class ContactSettings(Section):
         "cheaper for falling heaps, with deeper overlaps (quick); or at most this number, up to 10000",
     )
     sleep: Sleep | None = Field(
-        None,
-        description="skip islands at rest on something fixed until something disturbs them; none by default",
+        None, description="skip islands at rest on something fixed until something disturbs them; none by default"
     )
     allow_overlap: Annotated[bool, Field(strict=True)] = Field(
         False, description="true: explicit bodies may overlap at the start"

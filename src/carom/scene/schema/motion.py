@@ -1,6 +1,6 @@
 """The prescribed motion of a plane or a wall: rotation about its axis, and translation.
 
-A wall that translates is displaced from where its section puts it by
+The displacement of a translating wall from its place in the scene is
 
     D(t) = V t + ∫ V_k dt + A sin(2π f t + φ)
 
@@ -22,7 +22,7 @@ from carom.scene.units.dimension import ANGLE, ANGULAR_VELOCITY, LENGTH, RATE, T
 
 
 class WallMotion(Section):
-    """[plane.motion], [wall.motion]: a prescribed motion, whose work the ledger has as an entry."""
+    """[plane.motion], [wall.motion]: a prescribed motion, whose work is an entry of the ledger."""
 
     rotation: Annotated[Real, ANGULAR_VELOCITY] = Field(
         0.0,
@@ -52,7 +52,7 @@ class WallMotion(Section):
 
     @property
     def moves(self) -> bool:
-        """Whether anything of it moves."""
+        """Whether the wall rotates or translates."""
         return self.translates or self.rotation != 0.0
 
     def displacement(self, time: float | FloatArray, normal: FloatArray | None = None) -> FloatArray:

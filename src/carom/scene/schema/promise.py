@@ -35,12 +35,10 @@ class Expect(Section):
     )
     impacts: Count | None = Field(None, description="smallest number of impacts; 1 or more")
     contact_audit: NonNegative | None = Field(
-        None,
-        description="largest change of a speed or of the ledger in a step that impulses and forces do not explain",
+        None, description="largest change of a speed or of the ledger in a step that impulses and forces do not explain"
     )
     duration: Annotated[Positive, TIME] | None = Field(
-        None,
-        description="s, the duration to which final_kinetic, impacts and warned apply; by default that of [time]",
+        None, description="s, the duration to which final_kinetic, impacts and warned apply; by default that of [time]"
     )
     warned: tuple[Literal["energy-rise", "energy-ledger", "energy-lost", "limit"], ...] = Field(
         (), description='kinds of warnings that the run must give, such as "energy-lost"'

@@ -22,7 +22,7 @@ AnyReal = Annotated[float, Field(strict=True, allow_inf_nan=False)]
 Real = Annotated[float, Field(strict=True, allow_inf_nan=False), _Sized]
 Positive = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0), _Sized]
 NonNegative = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0), _Sized]
-Friction = Annotated[float, Field(strict=True, ge=0, le=LARGEST)]  # without a unit that could be changed
+Friction = Annotated[float, Field(strict=True, ge=0, le=LARGEST)]  # dimensionless: other units cannot change its size
 Count = Annotated[int, Field(strict=True, ge=1)]
 Vector = tuple[Real, Real, Real]
 ORIGIN: Vector = (0.0, 0.0, 0.0)

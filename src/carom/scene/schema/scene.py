@@ -91,7 +91,7 @@ class Scene(Forces, Heading):
 
     @property
     def contact_rules(self) -> int:
-        """The version of the meaning of `contact.sweeps`; older recordings run again by theirs."""
+        """The version of the meaning of `contact.sweeps`; older recordings are replayed by theirs."""
         return self.contact.rules
 
     @property

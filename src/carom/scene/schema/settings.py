@@ -63,7 +63,7 @@ else:
 
 
 LARGEST_ACCURACY = 1e-2
-_STEP_KEYS = {  # keys of [time] that set the step, each with the default, which does not set it
+_STEP_KEYS = {  # keys of [time] that set the step, unless they have these defaults
     "fixed_dt": None,
     **dict.fromkeys(("target_dx", "cfl", "pull_fraction", "smoothing"), "auto"),
     "velocity_limit": "every-body",

@@ -42,9 +42,9 @@ class Shear(Section):
         return "xyz".index(self.flow), "xyz".index(self.gradient)
 
     def shift(self, size: FloatArray, time: float) -> float:
-        """Return by how much the next image along the gradient is displaced along the flow at a time (s).
+        """Return the displacement (m) along the flow, at a time (s), of the next image along the gradient.
 
-        The result is in m, less whole lengths of the box, whose size is (3,) m.
+        Whole lengths of the box, whose size is (3,) m, are subtracted.
         """
         flow, gradient = self.axes
         path, width = self.rate * float(size[gradient]) * time, float(size[flow])

@@ -101,7 +101,7 @@ ENERGY = Dimension("energy", "J", (2, -2, 1, 0), "3 kJ", "energy")
 DIMENSIONS: Sequence[Dimension] = [each for each in list(globals().values()) if isinstance(each, Dimension)]
 NAMED = {dimension.plain: dimension for dimension in DIMENSIONS if dimension.plain}  # by the key of [units]
 OF_UNIT = {dimension.unit: dimension for dimension in DIMENSIONS}  # by SI unit
-# torque is excluded: it has the exponents of an energy
+# an energy, which has the exponents of a torque, replaces it
 OF_EXPONENTS = {dimension.exponents: dimension for dimension in DIMENSIONS}
 
 
@@ -132,7 +132,7 @@ _BESIDE = re.compile(r"(?<=[\w°)])\s+(?=[^\W\d]|[°(])")  # the space between t
 
 
 class UnitError(ValueError):
-    """A text is not the name of a unit, or of a unit of another dimension."""
+    """A text is not a unit, or not one of the expected dimension."""
 
 
 class UnknownUnitError(UnitError):

@@ -76,7 +76,7 @@ class PageNames:
         return f"{self.stem}_{number}" if self.stem else f"moment-{number}"
 
     def viewer(self, recording: Recording, at: float | None = None, show: str = "") -> str:
-        """Return the address of the viewer, paused at a time (s), with what is shown of a moment."""
+        """Return the address of the viewer, paused at a time (s), with the name of a moment to show."""
         at_ns = None if at is None else TimeScale(float(recording.info["time_scale"])).nanoseconds([at])[0]
         given = {"of": self.stem or None, "at": at_ns, "show": show or None}
         asked = "&".join(f"{key}={value}" for key, value in given.items() if value is not None)
@@ -129,7 +129,7 @@ def _copy_web_viewer(folder: Path) -> None:
 
 
 def _web_assembly(program: mmap.mmap) -> slice:
-    """Return where a program holds a module of WebAssembly: a header, and sections with their sizes."""
+    """Return the place of a WebAssembly module in a program: a header, and sections with their sizes."""
     start = program.find(_MODULE_STARTS)
     if start < 0:
         raise RecordingError(_NO_WEB_VIEWER)
@@ -199,11 +199,11 @@ class _Server(ThreadingHTTPServer):
 
     daemon_threads = True
     files: Mapping[str, Path] = {}
-    entrance = ""  # a path from which connections of this user are led to the link
+    entrance = ""  # a path that redirects connections of this user to the link
     link = ""
 
     def knows_us(self, peer: tuple[str, int] | None = None) -> bool:
-        """Return whether a connection, by default a new one of this process, is known to be of this user."""
+        """Return whether a connection, by default a new one of this process, is recognised as one of this user."""
         here = (HOST, self.server_port)
         if peer is not None:
             return is_ours(peer, here)
