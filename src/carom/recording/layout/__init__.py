@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
 import rerun as rr
@@ -31,9 +31,6 @@ from carom.recording.schema import palette, paths
 from carom.recording.schema.header import Header, TimeScale
 from carom.recording.schema.paths import SIM_TIME, STEP
 
-if TYPE_CHECKING:
-    from carom.show.supplement import BodyPlots
-
 OF_LATE = 1 / 300  # fraction of the duration for which an impact stays visible
 
 
@@ -44,48 +41,28 @@ def force_arrows(header: Header) -> list[str]:
     return [paths.FORCE_NORMAL, *([paths.FORCE_FRICTION] if header.has_friction else [])]
 
 
-def edges_by_impulse(header: Header, theme: str) -> Overrides:
+def _edges_by_impulse(header: Header, theme: str) -> Overrides:
     """Draw the edges of the collision graph with widths and colours by impulse, as force chains.
 
     On white paper the bright end of the colours would be invisible, so only the width shows the impulse.
     """
     if not header.records_contacts:
-        return plain_edges(header, theme)
-    widths = {"LineStrips3D:radii": "impulse_width"}
-    if theme == "light":
-        edges = rr.LineStrips3D.from_fields(colors=palette.VERMILION).visualizer(mappings=taken_from(widths))
-    else:
-        colours = {"LineStrips3D:colors": "impulse_colour"}
-        edges = rr.LineStrips3D.from_fields().visualizer(mappings=taken_from(colours | widths))
-    return {paths.CONTACTS: edges}
+        return _plain_edges(header, theme)
+    sources, colour = {"LineStrips3D:radii": "impulse_width"}, palette.VERMILION if theme == "light" else None
+    if colour is None:
+        sources["LineStrips3D:colors"] = "impulse_colour"
+    return {paths.CONTACTS: rr.LineStrips3D.from_fields(colors=colour).visualizer(mappings=taken_from(sources))}
 
 
-def plain_edges(header: Header, theme: str) -> Overrides:
+def _plain_edges(header: Header, theme: str) -> Overrides:
     """Draw edges in one colour on white paper, where the yellow and white edges of some stages would be invisible."""
     if theme == "dark" or not header.collides:
         return {}
     return {paths.CONTACTS: rr.LineStrips3D.from_fields(colors=palette.VERMILION)}
 
 
-def recent_impacts(header: Header) -> Overrides:
-    """Return overrides that show impacts for a short time; by default each stays visible until the next."""
-    if not header.records_contacts:
-        return {}
-    clock = TimeScale.fitting(header.duration, header.shortest_dt_hint)
-    start = rr.TimeRangeBoundary.cursor_relative(nanos=-int(1e9 * header.duration * OF_LATE / clock.scale))
-    end = rr.TimeRangeBoundary.cursor_relative()
-    return {paths.IMPACTS: rrb.VisibleTimeRanges(timeline=SIM_TIME, start=start, end=end)}
-
-
 TRAILS = "trails"
 FIELD = "field"  # the arrow of a uniform field, and axes
-
-
-def up_to_cursor() -> dict[EntityPathLike, VisualizerLike]:
-    """Return the override with which a view shows all pieces up to the cursor."""
-    start, end = rr.TimeRangeBoundary.infinite(), rr.TimeRangeBoundary.cursor_relative()
-    ranges = [rrb.VisibleTimeRange(timeline, start=start, end=end) for timeline in (SIM_TIME, STEP)]
-    return {TRAILS: rrb.VisibleTimeRanges(ranges)}
 
 
 # Overrides with which a view draws bodies: colours other than the recorded ones, and a minimum size on the screen.
@@ -98,7 +75,7 @@ _HIDDEN = 1e-12  # of a body's radius; size of the dot if the body itself is lar
 Overrides = dict[EntityPathLike, VisualizerLike | list[VisualizerLike]]
 
 
-def drawn_bodies(
+def _drawn_bodies(
     header: Header, view: View, area: Area, recoloured: bool = False, named: tuple[str, ...] = ()
 ) -> Overrides:
     """Return overrides that add dots to small bodies and names to few, and apply the colours of a `Supplement`."""
@@ -131,19 +108,24 @@ def _points(radii: SingleArray, centres: str, colours: str) -> VisualizerLike:
 
 def bodies_eye(camera: CameraFit, area: Area, added: Additions) -> View:
     """Return the camera of `bodies_view`."""
-    return camera.view(
-        area.aspect,
-        narrow=area.rendered,
-        tips=added.marks,
-        inset=area.inset_share,
-        pictured=added.moment,
-    )
+    inset, moment = area.inset_share, added.moment
+    return camera.view(area.aspect, narrow=area.rendered, tips=added.marks, inset=inset, pictured=moment)
 
 
 def bodies_view(header: Header, camera: CameraFit, area: Area, added: Additions = NONE) -> rrb.Spatial3DView:
     """Show bodies, contacts, planes, walls and the box."""
     view = bodies_eye(camera, area, added)
     name = "Bodies and contacts" if header.collides else "Bodies"
+    overrides = _drawn_bodies(header, view, area, added.recoloured, added.named) | _plain_edges(header, area.theme)
+    cursor = rr.TimeRangeBoundary.cursor_relative()
+    if added.trails:  # all pieces up to the cursor
+        start = rr.TimeRangeBoundary.infinite()
+        ranges = [rrb.VisibleTimeRange(timeline, start=start, end=cursor) for timeline in (SIM_TIME, STEP)]
+        overrides[TRAILS] = rrb.VisibleTimeRanges(ranges)
+    if header.records_contacts:  # by default each impact stays visible until the next
+        clock = TimeScale.fitting(header.duration, header.shortest_dt_hint)
+        start = rr.TimeRangeBoundary.cursor_relative(nanos=-int(1e9 * header.duration * OF_LATE / clock.scale))
+        overrides[paths.IMPACTS] = rrb.VisibleTimeRanges(timeline=SIM_TIME, start=start, end=cursor)
     return spatial_view(
         f"{name} ({view.outside} outside)" if area.rendered and view.outside else name,
         view,
@@ -157,12 +139,7 @@ def bodies_view(header: Header, camera: CameraFit, area: Area, added: Additions 
             *([paths.IMPACTS] if header.records_contacts else []),
             *([paths.IMPACT_SPINS] if header.records_contacts and header.spins else []),
         ],
-        {
-            **drawn_bodies(header, view, area, added.recoloured, added.named),
-            **(up_to_cursor() if added.trails else {}),
-            **recent_impacts(header),
-            **plain_edges(header, area.theme),
-        },
+        overrides,
         theme=area.theme,
     )
 
@@ -179,20 +156,15 @@ def graph_eye(header: Header, camera: CameraFit, area: Area, added: Additions) -
     """Return the camera of `graph_view`."""
     # how far (m) arrows of medium length extend from the bodies
     room = arrow_length(header, paths.ANGULAR_ACCELERATION) / 4 if header.has_torque else 0.0
-    return camera.view(
-        *(area.aspect, room),
-        narrow=area.rendered,
-        trails=False,
-        tips=added.tips,
-        moment=added.moment,
-        inset=area.inset_share,
-    )
+    seen = {"trails": False, "moment": added.moment}
+    return camera.view(area.aspect, room, narrow=area.rendered, tips=added.tips, inset=area.inset_share, **seen)
 
 
 def graph_view(header: Header, camera: CameraFit, area: Area, added: Additions = NONE) -> rrb.Spatial3DView:
-    """Return the view; edges are drawn by their impulses if these are recorded."""
+    """Show the collision graph; its edges are drawn by their impulses if these are recorded."""
+    edges = "Impulses" if header.records_contacts else "Collision graph"
     return spatial_view(
-        _name(header),
+        f"{edges}, torques, angular accelerations" if header.has_torque else edges,
         graph_eye(header, camera, area, added),
         [
             paths.BODIES,
@@ -202,14 +174,9 @@ def graph_view(header: Header, camera: CameraFit, area: Area, added: Additions =
             *([paths.TORQUE, paths.ANGULAR_ACCELERATION] if header.has_torque else []),
             *([LEGEND] if area.inset[0] else []),
         ],
-        faint_bodies(header, added.recoloured) | edges_by_impulse(header, area.theme),
+        faint_bodies(header, added.recoloured) | _edges_by_impulse(header, area.theme),
         theme=area.theme,
     )
-
-
-def _name(header: Header) -> str:
-    edges = "Impulses" if header.records_contacts else "Collision graph"
-    return f"{edges}, torques, angular accelerations" if header.has_torque else edges
 
 
 def faint_bodies(header: Header, recoloured: bool = False) -> Overrides:
@@ -243,34 +210,14 @@ def blueprint(
     only: str = ALL,
     added: Additions = NONE,
 ) -> rrb.Blueprint:
-    """Lay out a recording of this scene, with the camera fitted if possible.
+    """Lay out a recording for a window, with a camera that is fitted to the bodies; ``curves`` is None during the run.
 
-    Parameters
-    ----------
-    header
-        The recording's header.
-    camera
-        The camera, fitted to the bodies.
-    curves
-        The recorded series; None during the run.
-    canvas
-        The window that the layout is for.
-    only
-        The view that fills the window: "bodies", "graph", "close-up", "energy", "plot", or `ALL`.
-    added
-        Parts that are not in the file.
-
-    Raises
-    ------
-    RecordingError
-        If the recording has nothing to show in the view.
+    ``only`` is the view that fills the window: "bodies", "graph", "close-up", "energy", "plot", or `ALL`. Raises
+    RecordingError if the recording has nothing to show in it.
     """
     header = as_happened(header, curves)
     parts = header, camera, curves, canvas, added
-    if only == PLOT:
-        root: rrb.View | rrb.Container = _plot(added.plots, canvas)
-    else:
-        root = _all(*parts) if only == ALL else _single(*parts, only)
+    root: rrb.View | rrb.Container = _all(*parts) if only == ALL else _single(*parts, only)
     panel: Literal["collapsed", "hidden"] = "collapsed" if canvas.framed else "hidden"
     return rrb.Blueprint(
         root,
@@ -334,20 +281,20 @@ def _all(header: Header, camera: CameraFit, curves: Curves | None, canvas: Canva
     if added.plots is not None:
         heights.insert(1, _ROWS[1])
     plots = canvas.area(1.0, _ROWS[1] / sum(heights))
+    events = rrb.TextLogView(
+        name=f"Events ({added.viewer_time})" if added.viewer_time else "Events",
+        origin=paths.EVENTS,
+        columns=rrb.TextLogColumns(text_log_columns=["LogLevel", "Body"]),  # without the entity, always the same
+    )
+    scene = rrb.TextDocumentView(name="Scene", origin=paths.SCENE, contents=[paths.SCENE])
+    texts = rrb.Tabs(events, scene, rrb.TextDocumentView(name="Scene file", origin=paths.SCENE_TOML))
     return rrb.Vertical(
         rrb.Horizontal(*views, column_shares=shares),
         *([] if added.plots is None else [rrb.Horizontal(*added.plots.views(plots))]),
         rrb.Horizontal(*plot_views(header, curves, plots, added)),
-        rrb.Horizontal(_texts(added), _states(canvas, added), column_shares=[3, 2]),
+        rrb.Horizontal(texts, _states(canvas, added), column_shares=[3, 2]),
         row_shares=heights,
     )
-
-
-def _plot(bodies: BodyPlots | None, canvas: Canvas) -> rrb.View:
-    """Lay out the plot of single bodies alone; all have the same unit."""
-    if bodies is None:
-        raise RecordingError("there are no bodies to plot")
-    return bodies.view(bodies.units[0], canvas.area())
 
 
 def _single(
@@ -366,22 +313,12 @@ def _single(
             return added.close.view(header, added.recoloured)
         case "close-up":
             raise RecordingError("there is no known impact for a close-up; name two bodies")
+        case "plot" if added.plots is not None:  # of single bodies, all with the same unit
+            return added.plots.view(added.plots.units[0], canvas.area())
+        case "plot":
+            raise RecordingError("there are no bodies to plot")
         case _:
             return energy_view(header, curves, canvas.area(), added.span)
-
-
-def _texts(added: Additions) -> rrb.Container:
-    name = f"Events ({added.viewer_time})" if added.viewer_time else "Events"
-    return rrb.Tabs(
-        rrb.TextLogView(name=name, origin=paths.EVENTS, columns=_event_columns()),
-        rrb.TextDocumentView(name="Scene", origin=paths.SCENE, contents=[paths.SCENE]),
-        rrb.TextDocumentView(name="Scene file", origin=paths.SCENE_TOML),
-    )
-
-
-def _event_columns() -> rrb.TextLogColumns:
-    """Omit the column of the entity path, which is the same in each row."""
-    return rrb.TextLogColumns(text_log_columns=["LogLevel", "Body"])
 
 
 def _states(canvas: Canvas, added: Additions) -> rrb.View:

@@ -90,34 +90,19 @@ class _Frame:
 class CameraFit:
     """Fits the camera to the bodies at a first moment, and at other moments unless it would move too far away.
 
-    Parameters
-    ----------
-    radius
-        (n,) m.
-    first
-        (n, 3) m, positions at the first moment shown.
-    corners
-        (k, 3) m, points that should be inside the view, such as the corners of walls.
-    to_eye
-        (3,) unit vector towards the eye; by default it is determined by the principal axes of the motion.
-    up
-        (3,) unit vector against gravity.
-    edge_on
-        (3,) horizontal unit vector along which slopes are seen edge-on; None without a slope.
-    motion
-        How the camera moves. None: it follows bodies that move away together, unless they are few and all of their
-        motion fits into the picture.
+    If no motion of the camera is given, it follows bodies that move away together, unless they are few and all of their
+    motion fits into the picture.
     """
 
     def __init__(
         self,
-        radius: FloatArray,
-        first: FloatArray,
-        corners: FloatArray | None = None,
-        to_eye: FloatArray | None = None,
-        up: FloatArray = UP,
+        radius: FloatArray,  # (n,) m
+        first: FloatArray,  # (n, 3) m, positions at the first moment shown
+        corners: FloatArray | None = None,  # (k, 3) m, points that should be inside the view, such as those of walls
+        to_eye: FloatArray | None = None,  # (3,) unit vector; by default from the principal axes of the motion
+        up: FloatArray = UP,  # (3,) unit vector against gravity
         motion: CameraMotion | None = None,
-        edge_on: FloatArray | None = None,
+        edge_on: FloatArray | None = None,  # (3,) horizontal unit vector along which slopes are seen edge-on
     ) -> None:
         self._bodies = len(radius)
         self._shown: slice | IntArray = slice(None)
@@ -223,37 +208,17 @@ class CameraFit:
 
     def view(
         self,
-        aspect: float = ASPECT,
-        room: float = 0.0,
+        aspect: float = ASPECT,  # width of the picture over its height
+        room: float = 0.0,  # m, margin around the bodies for arrows; smaller if bodies would look too small
         *,
-        narrow: bool = False,
-        trails: bool = True,
-        tips: FloatArray | None = None,
-        moment: bool = False,
-        inset: tuple[float, float] = (0.0, 0.0),
-        pictured: bool = False,
+        narrow: bool = False,  # whether the eye is far away, with a narrow field: equal spheres have equal sizes
+        trails: bool = True,  # whether the view may show the paths of few bodies, which should all be inside
+        tips: FloatArray | None = None,  # (k, 3) m, ends of arrows of the first moment; those of few bodies are inside
+        moment: bool = False,  # whether the picture shows the first moment alone
+        inset: tuple[float, float] = (0.0, 0.0),  # size of a legend in a corner, in widths and heights of the picture
+        pictured: bool = False,  # whether the legend may be where bodies are at other moments
     ) -> View:
-        """Return a view of the first moment and, unless bodies would be too small, of all others.
-
-        Parameters
-        ----------
-        aspect
-            Width of the picture over its height.
-        room
-            m, margin around the bodies for arrows; smaller if bodies would look too small.
-        narrow
-            Whether the eye has a narrow field of view and is far away, so that equal spheres have equal sizes.
-        trails
-            Whether the view may show the paths of few bodies, which should all be inside.
-        tips
-            (k, 3) m, ends of arrows of the first moment; those of few bodies are inside.
-        moment
-            Whether the picture shows the first moment alone.
-        inset
-            Width and height of a legend, as fractions of those of the picture. One of its corners has room for it.
-        pictured
-            Whether the legend may be where bodies are at other moments.
-        """
+        """Return a view of the first moment and, unless bodies would be too small, of all others."""
         has_paths = trails and self.is_few
         ends = tips if tips is not None and self.is_few else np.zeros((0, 3))
         alone, now = moment and not has_paths, pictured and not has_paths

@@ -121,14 +121,9 @@ CORNERS = ((1, 1), (-1, 1), (1, -1), (-1, -1))  # right and up are positive
 def free_corner(
     view: View, aspect: float, inset: tuple[float, float], position: FloatArray, radius: FloatArray
 ) -> tuple[int, int] | None:
-    """Return a corner of a picture in which a legend covers no sphere; None without any.
+    """Return a corner of a picture in which a legend covers no sphere, (k, 3) and (k,) m; None without any.
 
-    Parameters
-    ----------
-    inset
-        Width and height of the legend, as fractions of those of the picture.
-    position, radius
-        (k, 3) and (k,) m, of the spheres.
+    ``inset`` is the width and height of the legend, as fractions of those of the picture.
     """
     places, sizes = view.on_screen(position), view.radius_on_screen(position, radius)[:, None]
     half, whole = np.array([inset[0] * aspect, inset[1]]), np.array([aspect, 1.0])
@@ -170,16 +165,17 @@ class Canvas:
 
     width: int = 1600
     height: int = 1000
-    framed: bool = True  # whether nobody can rotate the view, so that it may have a narrow lens
+    framed: bool = True  # whether the window has title bars and panels, which take some of its height
     rendered: bool = False  # whether nobody can rotate the view, so that it may have a narrow lens
     theme: str = "dark"
 
     def area(self, across: float = 1.0, down: float = 1.0) -> Area:
         """Return the area of a view that fills these fractions of the width and of the height."""
-        if not self.framed:
-            return Area(self.width * across, self.height * down, self.rendered, self.theme)
-        height = self.height - _TOP_PANEL - _TIME_PANEL
-        return Area(max(1.0, self.width * across), max(1.0, height * down - _TITLE), self.rendered, self.theme)
+        width, height = self.width * across, self.height * down
+        if self.framed:
+            panels = _TOP_PANEL + _TIME_PANEL
+            width, height = max(1.0, width), max(1.0, (self.height - panels) * down - _TITLE)
+        return Area(width, height, self.rendered, self.theme)
 
 
 @dataclass(frozen=True, slots=True)
@@ -271,7 +267,7 @@ class Lens:
         )
 
     def pose(self) -> rr.Transform3D:
-        """Return the position of the camera, and its target."""
+        """Return the position and the axes of the camera."""
         axes = screen(self.view.to_eye, self.view.up)
         return rr.Transform3D(translation=self.larger * self.view.eye, mat3x3=axes.T)
 
@@ -305,21 +301,18 @@ def spatial_view(
     tracked = follows or (paths.BODIES if view.motion is CameraMotion.FOLLOW else None)
     lens = None
     if view.slope != SLOPE:
-        key = "".join(character for character in name if character.isalnum())
+        key = "".join(filter(str.isalnum, name))
         lens = Lens(f"{origin.rstrip('/')}/{_LENS}/{key}", view, larger)
         tracked, contents = lens.path, [*contents, lens.path]
+    place, target = larger * view.eye, larger * view.target
+    eye = rrb.EyeControls3D(position=place, look_target=target, eye_up=view.up, tracking_entity=tracked)
     shown = (LensView if lens else rrb.Spatial3DView)(
         name=name,
         origin=origin,
         contents=list(contents),
         background=rrb.Background(color=palette.GROUNDS[theme], kind=rrb.BackgroundKind.SolidColor),
         line_grid=False,
-        eye_controls=rrb.EyeControls3D(
-            position=larger * view.eye,
-            look_target=larger * view.target,
-            eye_up=view.up,
-            tracking_entity=tracked,
-        ),
+        eye_controls=eye,
         overrides=overrides,
     )
     if isinstance(shown, LensView) and lens:

@@ -64,15 +64,7 @@ _POINTS = 40.0  # of the screen, for the radius of a body
 
 
 def line_radii(share: ArrayLike, body: float) -> SingleArray:
-    """Return radii for the viewer.
-
-    Parameters
-    ----------
-    share
-        (...) radii of lines in radii of a body.
-    body
-        m, the radius of the body.
-    """
+    """Return radii of lines for the viewer, given as shares (...) of the radius of a body in m."""
     shares = np.asarray(share, dtype=np.float64)
     radii = shares * body
     drawn = radii.min() >= _LEAST and radii.max() <= _LARGEST
@@ -86,11 +78,6 @@ def part_of_longest(magnitude: Any, unit: Any) -> Any:
     """Return L / L_max of magnitudes in a unit, both numbers or arrays; 1 where the magnitude is infinite."""
     s = np.cbrt(magnitude / unit)
     return 1.0 - 1.0 / (1.0 + s)
-
-
-def longest(radius: FloatArray, reach: float) -> float:
-    """Return L_max in metres."""
-    return reach * float(np.median(radius))
 
 
 def magnitudes(vectors: FloatArray) -> FloatArray:
@@ -108,17 +95,11 @@ def reference(magnitude: FloatArray, natural_unit: float) -> float:
 
 
 class References(dict[str, float]):
-    """Magnitudes m_ref by name. The first frame with arrows determines the magnitudes that are not given.
-
-    Attributes
-    ----------
-    chosen
-        The values chosen by the frames, also where a magnitude was given.
-    """
+    """Magnitudes m_ref by name. The first frame with arrows determines the magnitudes that are not given."""
 
     def __init__(self, given: Mapping[str, float]) -> None:
         super().__init__(given)
-        self.chosen: dict[str, float] = {}
+        self.chosen: dict[str, float] = {}  # by the frames, also where a magnitude was given
 
     def choose(self, name: str, magnitude: float) -> None:
         """Set a magnitude, unless one was given."""
@@ -126,17 +107,13 @@ class References(dict[str, float]):
         self.setdefault(name, magnitude)
 
 
-REACH = {  # L_max in median body radii
-    TORQUE: 2.0,
-    ANGULAR_ACCELERATION: 4.0,
-    FORCE_NORMAL: 2.0,
-    FORCE_FRICTION: 2.0,
-}
+# L_max in median body radii
+REACH = {TORQUE: 2.0, ANGULAR_ACCELERATION: 4.0, FORCE_NORMAL: 2.0, FORCE_FRICTION: 2.0}
 
 
 def arrow_length(header: Header, path: str) -> float:
     """Return L_max (m) of the arrows at an entity."""
-    return longest(header.radius, REACH[path])
+    return REACH[path] * float(np.median(header.radius))
 
 
 def magnitude_at(radii: float, reach: float, reference: float) -> float:

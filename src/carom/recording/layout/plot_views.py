@@ -66,8 +66,11 @@ class CurveOutline:
             self._last, self._begun = later[-1:], True
         self._time = np.concatenate((self._time, time))
         self._low, self._high = np.concatenate((self._low, value)), np.concatenate((self._high, value))
-        while len(self._time) > 2 * _SPANS:
-            self._merge()
+        while len(self._time) > 2 * _SPANS:  # join the spans in pairs
+            pairs = np.arange(0, len(self._time), 2)
+            self._time = self._time[pairs]
+            self._low = np.minimum.reduceat(self._low, pairs)
+            self._high = np.maximum.reduceat(self._high, pairs)
 
     def insert(self, time: FloatArray, value: FloatArray) -> None:
         """Add values that are finite, at any times (s)."""
@@ -79,17 +82,17 @@ class CurveOutline:
     @property
     def largest(self) -> float:
         """The largest absolute value; 0 if there is none."""
-        return max(float(np.abs(self._low).max(initial=0.0)), float(np.abs(self._high).max(initial=0.0)))
+        return float(self._sizes().max(initial=0.0))
 
     @property
     def first(self) -> float:
         """The largest absolute value of the first span; 0 if there is none."""
-        return max(float(np.abs(self._low[:1]).max(initial=0.0)), float(np.abs(self._high[:1]).max(initial=0.0)))
+        return float(self._sizes()[:1].max(initial=0.0))
 
     @property
     def usual(self) -> float:
         """The median of the largest absolute values of the spans; 0 if there is none."""
-        return float(np.median(np.maximum(np.abs(self._low), np.abs(self._high)))) if len(self._time) else 0.0
+        return float(np.median(self._sizes())) if len(self._time) else 0.0
 
     @property
     def is_flat(self) -> bool:
@@ -116,24 +119,16 @@ class CurveOutline:
         # a span that starts before the interval may extend into it
         first = max(0, int(np.searchsorted(self._time, start, side="right")) - 1)
         last = int(np.searchsorted(self._time, end, side="right"))
-        return (
-            float(self._low[first:last].min(initial=np.inf)),
-            float(self._high[first:last].max(initial=-np.inf)),
-        )
+        low, high = self._low[first:last], self._high[first:last]
+        return float(low.min(initial=np.inf)), float(high.max(initial=-np.inf))
 
-    def _merge(self) -> None:
-        """Join the spans in pairs."""
-        pairs = np.arange(0, len(self._time), 2)
-        self._time = self._time[pairs]
-        self._low = np.minimum.reduceat(self._low, pairs)
-        self._high = np.maximum.reduceat(self._high, pairs)
+    def _sizes(self) -> FloatArray:
+        """Return the largest absolute value in each span."""
+        return np.maximum(np.abs(self._low), np.abs(self._high))
 
 
 def curve_style(legend: str, colour: int, width: float = THIN) -> rr.SeriesLines:
-    """Style a curve.
-
-    A pixel that represents many frames shows their lowest and highest value, so that no peak is lost.
-    """
+    """Style a curve: a pixel of many frames shows their lowest and highest value, so that no peak is lost."""
     return rr.SeriesLines(names=legend, colors=colour, widths=width, aggregation_policy=AggregationPolicy.MinMax)
 
 
@@ -158,16 +153,9 @@ class Place:
 
 
 def place_legend(legends: Sequence[str], curves: Sequence[CurveOutline], plot: Area) -> Place:
-    """Choose the corner of a legend and the range of the axis.
+    """Choose the corner of a legend, given its lines, and the range of the axis, for an area between the axes.
 
-    Parameters
-    ----------
-    legends
-        The lines of the legend; without any the plot has none.
-    curves
-        The outlines of the curves; empty if they are unknown.
-    plot
-        The area between its axes.
+    Without lines, the plot has no legend; without curves, they are unknown.
     """
     low, high = _union(curves)
     if not high >= low:
@@ -181,50 +169,40 @@ def place_legend(legends: Sequence[str], curves: Sequence[CurveOutline], plot: A
     wide = min(1.0, _width(legends) / plot.width)
     start, end = min(curve.times()[0] for curve in curves), max(curve.times()[1] for curve in curves)
     left, right = (start, start + wide * (end - start)), (end - wide * (end - start), end)
-    places = []
+    ranges = {}
     for corner, window in ((rrb.Corner2D.LeftTop, left), (rrb.Corner2D.RightTop, right)):
         reach = _union(curves, *window)[1]
-        places.append(Place(corner, (bottom, max(top, (reach - tall * bottom) / (1.0 - tall)))))
+        ranges[corner] = bottom, max(top, (reach - tall * bottom) / (1.0 - tall))
     for corner, window in ((rrb.Corner2D.RightBottom, right), (rrb.Corner2D.LeftBottom, left)):
         reach = _union(curves, *window)[0]
-        places.append(Place(corner, (min(bottom, (reach - tall * top) / (1.0 - tall)), top)))
-    return min(places, key=_length)
+        ranges[corner] = min(bottom, (reach - tall * top) / (1.0 - tall)), top
+    return Place(*min(ranges.items(), key=lambda place: place[1][1] - place[1][0]))
 
 
 def time_beside_legend(legends: Sequence[str], nanoseconds: IntArray, width: float) -> rrb.TimeAxis:
-    """Return a time axis that is long enough for a legend to the right of all curves.
+    """Return a time axis that is long enough for the lines of a legend to the right of all curves.
 
-    Parameters
-    ----------
-    legends
-        The lines of the legend.
-    nanoseconds
-        The first and the last time, as recorded, (2,).
-    width
-        Of the plot, in px.
+    ``nanoseconds``, (2,), are the first and the last time, as recorded; the width is that of the plot in px.
     """
     start, end = nanoseconds.tolist()
     wide = min(_LARGEST, _width(legends) / width) if legends else 0.0
-    later = int(end + (end - start) * wide / (1.0 - wide))
-    absolute = [rr.TimeRangeBoundary.absolute(nanos=at) for at in (start, later)]
-    return rrb.TimeAxis(view_range=rr.TimeRange(start=absolute[0], end=absolute[1]))
+    return _axis(start, int(end + (end - start) * wide / (1.0 - wide)))
+
+
+def _axis(start: int, end: int) -> rrb.TimeAxis:
+    """Return an axis from one time to another, in ns as recorded."""
+    first, last = (rr.TimeRangeBoundary.absolute(nanos=at) for at in (start, end))
+    return rrb.TimeAxis(view_range=rr.TimeRange(start=first, end=last))
 
 
 def _width(legends: Sequence[str]) -> float:
     return _LETTER * max(map(len, legends)) + _DOT
 
 
-def _length(place: Place) -> float:
-    assert place.range is not None
-    return place.range[1] - place.range[0]
-
-
 def _union(curves: Sequence[CurveOutline], *window: float) -> tuple[float, float]:
     """Return the lowest and the highest value of all curves in a window of time."""
-    ranges = [curve.range(*window) for curve in curves]
-    return min((low for low, _ in ranges), default=float("inf")), max(
-        (high for _, high in ranges), default=-float("inf")
-    )
+    ranges = [(np.inf, -np.inf), *(curve.range(*window) for curve in curves)]
+    return min(low for low, _ in ranges), max(high for _, high in ranges)
 
 
 Curves = Mapping[str, CurveOutline]  # by the paths of the series
@@ -241,19 +219,10 @@ _NUMBERS = (60.0, 18.0)  # points, width of the numbers beside a plot and height
 def plot_views(
     header: Header, curves: Curves | None, row: Area, added: Additions = NONE
 ) -> list[rrb.View | rrb.Container]:
-    """Lay out the plots of a recording as columns of tabs; the first tab is in view.
+    """Lay out the plots of a recording as columns of tabs, in an area for all columns; the first tab is in view.
 
-    Parameters
-    ----------
-    header
-        Of the recording; it determines the series.
-    curves
-        The outlines of the recorded series; None during the run. Plots are omitted if all their curves stay at 0, or
-        show only rounding errors of energies, errors or overlaps.
-    row
-        The area of all columns together.
-    added
-        Parts that are not in the file.
+    ``curves`` is None during the run. Plots are omitted if all their curves stay at 0, or show only rounding errors of
+    energies, errors or overlaps.
     """
     columns: list[list[Plot]] = []
     for column in all_plots(recorded(header)):
@@ -315,17 +284,12 @@ def shown_series(header: Header, plot: Plot, curves: Curves | None = None) -> li
     if curves is None:
         return series
     energies = (curves[each.path].largest for each in every if each.unit == "J" and each.path in curves)
-    negligible = _ROUNDING * max(energies, default=0.0)
-    return [each for each in series if _speaks(each, curves, negligible)]
-
-
-def _speaks(series: Series, curves: Curves, negligible: float) -> bool:
-    """Return whether a series is worth a plot; ``negligible`` is an energy in J."""
-    curve = curves.get(series.path)
-    rounding = negligible if series.unit == "J" else _ROUNDING if series.path in _SHARES else 0.0
-    if curve is None or curve.largest <= rounding:
-        return False
-    return not (series.flat_is_dull and curve.is_flat)
+    rounding = {"J": _ROUNDING * max(energies, default=0.0)} | dict.fromkeys(_SHARES, _ROUNDING)
+    series = [each for each in series if each.path in curves]
+    series = [
+        e for e in series if curves[e.path].largest > rounding.get(e.path, rounding["J"] if e.unit == "J" else 0.0)
+    ]
+    return [each for each in series if not (each.flat_is_dull and curves[each.path].is_flat)]
 
 
 def _plot(header: Header, plot: Plot, curves: Curves | None, area: Area, span: IntArray | None) -> rrb.TimeSeriesView:
@@ -380,24 +344,9 @@ def time_series_view(
     styles: Mapping[EntityPathLike, VisualizerLike] = MappingProxyType({}),
     span: IntArray | None = None,
 ) -> rrb.TimeSeriesView:
-    """Lay out a plot whose legend covers no curve.
+    """Lay out a plot of some entities whose legend, given its lines, covers no curve; during a run, none are known.
 
-    Parameters
-    ----------
-    title
-        Title above the plot, unless the plot fills the picture.
-    entities
-        Of the series.
-    legends
-        The lines of the legend; without any the plot has none.
-    curves
-        The outlines of the series; empty during the run.
-    area
-        Of the plot.
-    styles
-        By path, the overrides of the recorded style of a series.
-    span
-        (2,) ns, as for `time_axis`.
+    ``styles`` override the recorded styles of the series by path; ``span`` is that of `time_axis`.
     """
     between_axes = Area(max(1.0, area.width - _NUMBERS[0]), max(1.0, area.height - _NUMBERS[1]))
     place = place_legend(legends, curves, between_axes)
@@ -421,9 +370,7 @@ def time_axis(area: Area, span: IntArray | None) -> rrb.TimeAxis:
     if span is None:
         return whole_time()
     start, end = span.tolist()
-    later = end + int((end - start) * _NUMBER / max(_NUMBER, area.width - _NUMBERS[0] - _NUMBER))
-    absolute = [rr.TimeRangeBoundary.absolute(nanos=at) for at in (start, later)]
-    return rrb.TimeAxis(view_range=rr.TimeRange(start=absolute[0], end=absolute[1]))
+    return _axis(start, end + int((end - start) * _NUMBER / max(_NUMBER, area.width - _NUMBERS[0] - _NUMBER)))
 
 
 def whole_time() -> rrb.TimeAxis:

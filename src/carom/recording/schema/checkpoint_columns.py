@@ -32,7 +32,7 @@ _LEDGER = ("restitution", "friction", "stabilisation")
 _DIGEST = "digest"
 _NOT_DIGESTED = (_DIGEST, STEP)  # in a clip, the step is a component, too
 _BOOKS = TypeAdapter(Books)
-_BY_NAME = ("forces", "others")  # energies by name, which are JSON objects
+_BY_NAME = ("forces", "others")  # energies by name, in JSON an object
 _IF_ASKED = ("contact_audit",)  # extremes that only some runs measure
 _BOOKS_BYTES = 1200  # bytes as JSON
 _CONTACT_BYTES = 56  # bytes: two indices, the speed, four components of the impulse
@@ -89,20 +89,15 @@ def spread(found: Checkpoint, present: IntArray, bodies: int) -> PartialCheckpoi
 
 def size(frame: Frame) -> int:
     """Return the bytes of the checkpoint of a frame."""
-    contacts = 0 if frame.memory is None else len(frame.memory.pairs)
-    if frame.memory is not None and frame.memory.sleep is not None:  # sleep adds 4 numbers per body
-        contacts += len(frame.memory.sleep.pairs) + 32 * len(frame.position) // _CONTACT_BYTES
+    memory, carried = frame.memory, frame.integrator
+    contacts = 0 if memory is None else len(memory.pairs)
+    if memory is not None and memory.sleep is not None:  # sleep adds 4 numbers per body
+        contacts += len(memory.sleep.pairs) + 32 * len(frame.position) // _CONTACT_BYTES
+    numbers = 0 if carried is None else 1 + sum(getattr(carried, name).size for name in _INTEGRATOR_ARRAYS)
+    if carried is not None and carried.orbits is not None:
+        numbers += _SERIES + sum(getattr(carried.orbits, name).size for name in _ORBIT_ARRAYS)
     further = len(frame.energy.others) + len(frame.energy.ledger.forces)
-    return _size(len(frame.position), frame.angular_velocity is not None, contacts, further) + _carried_size(frame)
-
-
-def _carried_size(frame: Frame) -> int:
-    if frame.integrator is None:
-        return 0
-    numbers: int = 1 + sum(getattr(frame.integrator, name).size for name in _INTEGRATOR_ARRAYS)
-    if frame.integrator.orbits is not None:
-        numbers += _SERIES + sum(getattr(frame.integrator.orbits, name).size for name in _ORBIT_ARRAYS)
-    return 8 * numbers
+    return _size(len(frame.position), frame.angular_velocity is not None, contacts, further) + 8 * numbers
 
 
 def largest_size(header: Header) -> int:
@@ -126,12 +121,9 @@ def encode(checkpoints: Sequence[Checkpoint]) -> dict[str, Column]:
 
 
 def _column(parts: Sequence[Values]) -> Column:
-    """Join the values of a component in all rows.
-
-    A single row is not copied, since it takes 130 MB for a million bodies.
-    """
+    """Join the values of a component in all rows."""
     each = [len(part) for part in parts]
-    if len(parts) == 1:
+    if len(parts) == 1:  # not copied, since it takes 130 MB for a million bodies
         return parts[0], each
     texts = [text for part in parts if isinstance(part, list) for text in part]
     return (texts, each) if texts else (np.concatenate(parts), each)
@@ -175,10 +167,7 @@ def _row_of(checkpoint: Checkpoint) -> dict[str, Values]:
 
 
 def _plain(value: Any) -> Any:
-    """Return a value that JSON can hold.
-
-    `dataclasses.asdict` would copy every number, which takes most of the time.
-    """
+    """Return a value that JSON can hold. `dataclasses.asdict` would copy every number, which takes most of the time."""
     names = _fields_of(value.__class__)
     if names is None:
         return value
@@ -195,49 +184,32 @@ def _fields_of(kind: type) -> tuple[str, ...] | None:
     return tuple(field.name for field in fields(kind)) if is_dataclass(kind) else None
 
 
-def _books_of(text: str) -> Books:
-    """Undo `_books`."""
-
-    def entries(found: dict[str, Any]) -> dict[str, Any]:
-        by_name = {key: found[key] for key in _BY_NAME if isinstance(found.get(key), dict)}
-        return {**found, **{key: tuple(value.items()) for key, value in by_name.items()}}
-
-    return _BOOKS.validate_python(json.loads(text, object_hook=entries))
-
-
 def _contacts_of(memory: ContactCheckpoint) -> dict[str, Values]:
     # the impulses usually belong to the step's own contacts, whose pairs are then stored only once
     own = np.array_equal(memory.held_pairs, memory.pairs)
-    return {
+    found: dict[str, Values] = {
         "contact_pairs": memory.pairs.ravel().astype(np.uint32),
         "contact_rest_speed": memory.rest_speed,
         "contact_dt": np.array([memory.dt]),
         "held_pairs": (memory.held_pairs[:0] if own else memory.held_pairs).ravel().astype(np.uint32),
         "held_impulse": memory.impulse[:, :4].ravel(),
-        **({"held_angular": memory.impulse[:, 4:].ravel()} if memory.impulse.shape[1] > 4 else {}),
         "held_kick": np.array([memory.kick]),
-        **({} if memory.sleep is None else _sleep_of(memory.sleep)),
-        **({} if memory.piston is None else {"piston": memory.piston}),
     }
-
-
-def _sleep_of(sleep: SleepCheckpoint) -> dict[str, Values]:
-    return {
-        "sleep_calm": sleep.calm,
-        "sleep_reference": sleep.reference.ravel(),
-        "sleep_pairs": sleep.pairs.ravel().astype(np.uint32),
-        "sleep_force": sleep.force.ravel(),
-    }
+    if memory.impulse.shape[1] > 4:
+        found["held_angular"] = memory.impulse[:, 4:].ravel()
+    if (sleep := memory.sleep) is not None:
+        found |= {"sleep_calm": sleep.calm, "sleep_reference": sleep.reference.ravel()}
+        found |= {"sleep_pairs": sleep.pairs.ravel().astype(np.uint32), "sleep_force": sleep.force.ravel()}
+    if memory.piston is not None:
+        found["piston"] = memory.piston
+    return found
 
 
 def decode(step: int, stored: Mapping[str, NDArray[Any] | list[Any]], bodies: int) -> Checkpoint:
-    """Undo :func:`encode` for one row.
+    """Undo `encode` for one row; rows of old recordings have no digest.
 
-    Raises
-    ------
-    RecordingError
-        If the row is incomplete, has another number of bodies, is not finite, or differs from its digest, since a file
-        from a stranger may contain anything. Rows of old recordings have no digest, and are accepted without one.
+    Raises RecordingError if the row is incomplete, has another number of bodies, is not finite, or differs from its
+    digest, since a file from a stranger may contain anything.
     """
     try:
         present = stored.get(_PRESENT)
@@ -259,7 +231,7 @@ def decode(step: int, stored: Mapping[str, NDArray[Any] | list[Any]], bodies: in
                 others=row.further("energy_", _ENERGIES),
             ),
             contacts=row.contacts() if "contact_pairs" in stored else None,
-            books=_books_of(row.text("books")),
+            books=row.books(),
             integrator=row.integrator() if _INTEGRATOR + "last_dt" in stored else None,
         )
         if _DIGEST in stored:
@@ -292,10 +264,16 @@ class _Row:
         names = sorted(name.removeprefix(prefix) for name in self._stored if name.startswith(prefix))
         return tuple((name, self.number(prefix + name)) for name in names if name not in known)
 
-    def text(self, name: str) -> str:
-        if name not in self._stored:
-            raise ValueError(f"it has no {name}: it was recorded by a version of carom that does not support resuming")
-        return str(self._stored[name][0])
+    def books(self) -> Books:
+        """Undo `_plain`."""
+        if "books" not in self._stored:
+            raise ValueError("it has no books: it was recorded by a version of carom that does not support resuming")
+
+        def entries(found: dict[str, Any]) -> dict[str, Any]:
+            by_name = {key: found[key] for key in _BY_NAME if isinstance(found.get(key), dict)}
+            return found | {key: tuple(value.items()) for key, value in by_name.items()}
+
+        return _BOOKS.validate_python(json.loads(str(self._stored["books"][0]), object_hook=entries))
 
     def vectors(self, name: str, width: int) -> FloatArray:
         values = self._finite(name, width * self._bodies).reshape(self._bodies, width)

@@ -160,9 +160,7 @@ class Header:
     properties: Mapping[str, Scalar] = field(default_factory=dict)  # versions, command, git, cpu …
     member: SweepMember | None = None  # None for a single run
     engine: str = ""  # name and version of the engine that computed the run; empty for carom
-    uniform_field: FloatArray | None = (
-        None  # (3,) m/s², uniform field of another engine; None for carom, and if unknown
-    )
+    uniform_field: FloatArray | None = None  # (3,) m/s², of another engine; None for carom, and if unknown
     exact: bool = False  # whether every frame has a checkpoint
     fixed: BoolArray | None = None  # (n,) bodies of another engine that never move; for carom, the scene names them
     drawn_as: str = ""  # the shape of drawn bodies, where it does not follow from their number
@@ -295,45 +293,35 @@ _VALID: dict[str, Callable[[Any], bool]] = {
     ),
     _NUMBERS: lambda value: isinstance(value, str) and re.fullmatch(r"([0-9]{1,9}(,[0-9]{1,9})*)?", value) is not None,
 }
-_KEYS: dict[str, dict[str, str]] = {
+_KEYS: dict[str, dict[str, tuple[str, ...]]] = {  # by property: the keys whose values are of a kind
     "carom": {
-        "title": _TEXT,
-        **dict.fromkeys(("units", "units.*"), _TEXT),
-        **dict.fromkeys(("colour_by", "drawn_as", "engine"), _TEXT),
-        "plane_names": _TEXT,
-        "data_notes.*": _TEXT,
-        "bodies": _COUNT,
-        **dict.fromkeys(("time_scale", "check_interval"), _POSITIVE),
-        "origin": _VECTOR,
-        **dict.fromkeys(("box", "uniform_field"), _VECTOR),
-        "schema_version": _WHOLE,
-        "drawing_rules": _WHOLE,
-        "contact_rules": _WHOLE,
-        **dict.fromkeys(("seed", "piston"), _WHOLE),
-        "duration": _NUMBER,
-        "arrow_length.*": _NUMBER,
-        **dict.fromkeys(("spins", "has_*", "gravitates", "collides", "stabilises", "promises", "drives"), _FLAG),
-        **dict.fromkeys(("body_colouring", "records_contacts", "states_at_impacts"), _FLAG),
-    },
-    "run": {"version.*": _TEXT, "command": _TEXT, "git": _TEXT, "platform": _TEXT, "cpu": _TEXT},
-    "arrows": {"*": _NUMBER},
-    "clip": {"source": _TEXT, "recording_id": _TEXT, "from": _NUMBER, "to": _NUMBER, "bodies": _BODIES},
-    "outcome": {
-        "outcome": _TEXT,
-        **dict.fromkeys(("frames", "steps", "contacts.total", "contacts.impacts", "moments.*.step"), _WHOLE),
-        **dict.fromkeys(("impacts.*", "audit.judged"), _WHOLE),
-        **dict.fromkeys(
-            ("sim_time", "wall_time", "energy.*", "momentum.*", "angular_momentum.*", "accuracy.*"), _NUMBER
+        _TEXT: ("title", "units", "units.*", "colour_by", "drawn_as", "engine", "plane_names", "data_notes.*"),
+        _COUNT: ("bodies",),
+        _POSITIVE: ("time_scale", "check_interval"),
+        _VECTOR: ("origin", "box", "uniform_field"),
+        _WHOLE: ("schema_version", "drawing_rules", "contact_rules", "seed", "piston"),
+        _NUMBER: ("duration", "arrow_length.*"),
+        _FLAG: (
+            *("spins", "has_*", "gravitates", "collides", "stabilises", "promises", "drives"),
+            *("body_colouring", "records_contacts", "states_at_impacts"),
         ),
-        **dict.fromkeys(("contacts.max_overlap", "moments.*.value", "moments.*.time", "profile.*"), _NUMBER),
-        **dict.fromkeys(("moments.*.bodies", "moments.*.planes"), _NUMBERS),
-        "moments.*.between": _TEXT,
-        "expect.*.bound": _TEXT,
-        **dict.fromkeys(("laws.*.step", "laws.*.frames"), _WHOLE),
-        "laws.*.time": _NUMBER,
-        "laws.*.text": _TEXT,
-        **dict.fromkeys(("expect.*.limit", "expect.*.measured"), _NUMBER),
-        **dict.fromkeys(("expect.*.met", "expect.*.judged"), _FLAG),
+    },
+    "run": {_TEXT: ("version.*", "command", "git", "platform", "cpu")},
+    "arrows": {_NUMBER: ("*",)},
+    "clip": {_TEXT: ("source", "recording_id"), _NUMBER: ("from", "to"), _BODIES: ("bodies",)},
+    "outcome": {
+        _TEXT: ("outcome", "moments.*.between", "expect.*.bound", "laws.*.text"),
+        _WHOLE: (
+            *("frames", "steps", "contacts.total", "contacts.impacts", "moments.*.step", "impacts.*", "audit.judged"),
+            *("laws.*.step", "laws.*.frames"),
+        ),
+        _NUMBER: (
+            *("sim_time", "wall_time", "energy.*", "momentum.*", "angular_momentum.*", "accuracy.*", "profile.*"),
+            *("contacts.max_overlap", "moments.*.value", "moments.*.time", "laws.*.time"),
+            *("expect.*.limit", "expect.*.measured"),
+        ),
+        _NUMBERS: ("moments.*.bodies", "moments.*.planes"),
+        _FLAG: ("expect.*.met", "expect.*.judged"),
     },
 }
 _REQUIRED = {"carom": ("bodies", "time_scale"), "clip": ("source", "from", "to"), "outcome": ("outcome",)}
@@ -342,17 +330,14 @@ _REQUIRED = {"carom": ("bodies", "time_scale"), "clip": ("source", "from", "to")
 def checked(name: str, values: Mapping[str, Any]) -> dict[str, Any]:
     """Return a property after checking the values of all known keys; an empty property was never written.
 
-    Raises
-    ------
-    DamageError
-        The message names the key and the valid values, if a value is wrong.
+    Raises DamageError, which names the key and the valid values, if a value is wrong.
     """
     for key in _REQUIRED.get(name, ()) if values else ():
         if key not in values:
             raise DamageError(f"its property {name} has no {key}")
     for key, value in values.items():
-        for pattern, kind in _KEYS.get(name, {}).items():
-            if fnmatchcase(key, pattern) and not _VALID[kind](value):
+        for kind, patterns in _KEYS.get(name, {}).items():
+            if any(fnmatchcase(key, pattern) for pattern in patterns) and not _VALID[kind](value):
                 raise DamageError(f"its property {name} has {key} = {str(value)[:40]!r} instead of {kind}")
     return dict(values)
 

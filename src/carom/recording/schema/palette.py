@@ -11,7 +11,7 @@ import itertools
 from collections.abc import Iterable, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from carom.arrays import IntArray
 from carom.recording.schema import paths
@@ -96,37 +96,39 @@ _BRIGHTEST, _DARKEST = 0.3, 0.12  # luminance with a contrast of 3 to 1 on white
 def legible(colours: Iterable[int], theme: str = "") -> NDArray[np.uint32]:
     """Return colours of the same hues that have a contrast of at least 3 to 1 on a background.
 
-    Parameters
-    ----------
-    theme
-        "dark" leaves them unchanged, since the palette is for a dark background; "light" darkens bright ones for white
-        paper. By default the colours suit both, as those of curves must: plots have the background of the viewer's
-        theme.
+    The theme "dark" leaves them unchanged, since the palette is for a dark background; "light" darkens bright ones for
+    white paper. By default the colours suit both, as those of curves must: plots have the background of the viewer's
+    theme.
     """
     given = np.array([*colours], dtype=np.uint32)
     if theme == "dark":
         return given
-    channels = np.stack([(given >> np.uint32(shift)) & np.uint32(0xFF) for shift in (24, 16, 8)], axis=1) / 255.0
-    linear = np.where(channels <= 0.04045, channels / 12.92, ((channels + 0.055) / 1.055) ** 2.4)  # sRGB
+    channels = _channels(given)
+    shares = channels[:, :3] / 255.0
+    linear = np.where(shares <= 0.04045, shares / 12.92, ((shares + 0.055) / 1.055) ** 2.4)  # sRGB
     luminance = (linear @ np.array([0.2126, 0.7152, 0.0722]))[:, None]
     linear = linear * np.minimum(1.0, _BRIGHTEST / np.maximum(luminance, _BRIGHTEST))
     if not theme:
         linear += (1.0 - linear) * np.maximum(0.0, (_DARKEST - luminance) / (1.0 - luminance).clip(_DARKEST))
-    channels = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1.0 / 2.4) - 0.055)
-    whole = np.round(255.0 * channels).astype(np.uint32)
-    result: NDArray[np.uint32] = given & np.uint32(0xFF)
-    for channel, shift in enumerate((24, 16, 8)):
-        result |= whole[:, channel] << np.uint32(shift)
-    return result
+    shares = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1.0 / 2.4) - 0.055)
+    channels[:, :3] = np.round(255.0 * shares)
+    return _colours(channels)
 
 
 def readable(colours: Sequence[int], theme: str) -> NDArray[np.uint32]:
     """Return colours of text with a contrast of at least 3 to 1 on the ground of a theme."""
     if theme == "light":
         return legible(colours, theme)
-    given, both = np.array(colours, dtype=np.uint32), legible(colours)
-    channels = (np.uint32(0xFF << shift) for shift in (24, 16, 8, 0))
-    return np.asarray(sum(np.maximum(given & channel, both & channel) for channel in channels), dtype=np.uint32)
+    return _colours(np.maximum(_channels(colours), _channels(legible(colours))))
+
+
+def _channels(colours: ArrayLike) -> NDArray[np.uint8]:
+    """Return red, green, blue and opacity of colours, (n, 4)."""
+    return np.array(colours, dtype=">u4").view(np.uint8).reshape(-1, 4)
+
+
+def _colours(channels: NDArray[np.uint8]) -> NDArray[np.uint32]:
+    return channels.view(">u4").ravel().astype(np.uint32)
 
 
 def node_colours(body_colours: IntArray) -> NDArray[np.uint32]:
@@ -140,21 +142,17 @@ def body_colours(group: IntArray) -> NDArray[np.uint32]:
 
     Up to `MOST_SINGLE` single bodies get separate hues; more share one hue.
     """
-    count, turn, single = len(group), group, np.flatnonzero(group == -1)
+    count, index, single = len(group), group, np.flatnonzero(group == -1)
     few = count <= len(BODIES)
     if few:
-        turn = np.arange(count)
+        index = np.arange(count)
     elif len(single) <= MOST_SINGLE:
-        turn = group.copy()
-        turn[single] = group.max() + 1 + np.arange(len(single))
-    hue = np.array(BODIES, dtype=np.uint32)[turn % len(BODIES)]
+        index = group.copy()
+        index[single] = group.max() + 1 + np.arange(len(single))
+    channels = _channels(np.array(BODIES)[index % len(BODIES)])
     darker = np.zeros(count) if few else _SHADE * ((np.arange(count) * _GOLDEN) % 1.0)
-    shade = np.asarray(1.0 - darker)
-    result = np.full(len(hue), 0xFF, dtype=np.uint32)
-    for shift in (24, 16, 8):
-        channel = ((hue >> np.uint32(shift)) & np.uint32(0xFF)) * shade
-        result |= channel.astype(np.uint32) << np.uint32(shift)
-    return result
+    channels[:, :3] = channels[:, :3] * (1.0 - darker)[:, None]
+    return _colours(channels)
 
 
 def material_colours(given: Sequence[str | None]) -> list[int]:

@@ -129,34 +129,12 @@ def _largest_force(sample: Sample) -> float:
     return float(rows["normal_impulse"][rows["mode"] != IMPACT_MODE].max(initial=0.0)) / dt
 
 
-def _potential(kind: ForceKind) -> Series:
-    """Return the series of a force with a potential."""
-    term = kind.potential
-    return Series(
-        f"{ENERGY}/{term}",
-        "J",
-        kind.legend,
-        LINES[kind.colour],
-        _ENERGY,
-        lambda s: s.energy.term(term),
-        kind.meaning,
-        kind.recorded_with,
-    )
-
-
-def _loss(kind: ForceKind) -> Series:
-    """Return the series of a force without a potential."""
-    entry = kind.loss
-    return Series(
-        f"{ENERGY}/ledger/{entry}",
-        "J",
-        kind.legend,
-        LINES[kind.colour],
-        _TAKEN,
-        lambda s: s.energy.ledger.entry(entry),
-        kind.meaning,
-        kind.recorded_with,
-    )
+def _energy_of(kind: ForceKind) -> Series:
+    """Return the series of a force: its potential energy or, without a potential, the energy that it has removed."""
+    path, plot, value = f"{ENERGY}/ledger/{kind.loss}", _TAKEN, lambda s: s.energy.ledger.entry(kind.loss)
+    if kind.potential:
+        path, plot, value = f"{ENERGY}/{kind.potential}", _ENERGY, lambda s: s.energy.term(kind.potential)
+    return Series(path, "J", kind.legend, LINES[kind.colour], plot, value, kind.meaning, kind.recorded_with)
 
 
 def _piston(state: Frame | Checkpoint) -> FloatArray:
@@ -182,7 +160,7 @@ SERIES = (
            lambda s: s.energy.translational, "Σ ½ m v²"),
     Series("energy/rotational", "J", "rotational", RED, _ENERGY,
            lambda s: s.energy.rotational, "Σ ½ I ω²", "spin"),
-    *(_potential(kind) for kind in FORCES if kind.potential),
+    *(_energy_of(kind) for kind in FORCES if kind.potential),
     Series("energy/total", "J", "total", GREY, _ENERGY,
            lambda s: s.energy.total, "sum of the energies above", width=THICK),
     Series("energy/ledger/restitution", "J", "restitution", BLUE, _TAKEN,
@@ -193,7 +171,7 @@ SERIES = (
     Series("energy/ledger/stabilisation", "J", "stabilisation (put in)", GREEN, _TAKEN,
            lambda s: s.energy.ledger.stabilisation, "added by the correction of overlaps since the "
                "start", "stabilisation"),
-    *(_loss(kind) for kind in FORCES if kind.loss),
+    *(_energy_of(kind) for kind in FORCES if kind.loss),
     Series("energy/ledger/walls", "J", "moving walls", ORANGE, _TAKEN,
            lambda s: s.energy.ledger.entry("walls"), "removed by moving walls since the start; negative if they drive "
                "the bodies", "wall.motion"),
@@ -260,8 +238,11 @@ def all_series(extensions: Mapping[str, str]) -> tuple[Series, ...]:
     """Return carom's own series, and those of the installed extensions that a scene uses; see `extensions_of`."""
     forces = [name for name in names_of("forces", extensions) if name in registry.installed("forces")]
     others = [name for name in names_of("series", extensions) if name in registry.installed("series")]
-    energies = (_potential(kind) if kind.potential else _loss(kind) for kind in map(kind_called, forces))
-    return (*SERIES, *energies, *(registry.load("series", name) for name in others))
+    return (
+        *SERIES,
+        *(_energy_of(kind_called(name)) for name in forces),
+        *(registry.load("series", name) for name in others),
+    )
 
 
 def all_plots(series: Iterable[Series]) -> tuple[tuple[Plot, ...], ...]:
@@ -273,47 +254,32 @@ def all_plots(series: Iterable[Series]) -> tuple[tuple[Plot, ...], ...]:
 
 def recorded(header: Header) -> Iterator[Series]:
     """Return the series that a recording of this scene has."""
-    seen: Iterator[Series] = iter(all_series(header.extensions))
-    if header.engine:
-        seen = (_of_engine(series) for series in SERIES if not series.inside)
-    return (series for series in seen if series.part is None or header.models(series.part))
-
-
-def _of_engine(series: Series) -> Series:
-    """Return a series of another engine's run, with the legend and meaning for that run."""
-    if series.path not in OF_ENGINES:
-        return series
-    legend, meaning = OF_ENGINES[series.path]
-    return replace(series, legend=legend, meaning=meaning)
+    for series in SERIES if header.engine else all_series(header.extensions):
+        if (series.inside and header.engine) or not (series.part is None or header.models(series.part)):
+            continue
+        if header.engine and series.path in OF_ENGINES:
+            legend, meaning = OF_ENGINES[series.path]
+            yield replace(series, legend=legend, meaning=meaning)
+        else:
+            yield series
 
 
 def names_below(root: str) -> list[str]:
     """Return the last parts of the paths of all series below a root, in order."""
-    return [_last_part(series) for series in _below(root)]
+    return [series.path.rpartition("/")[2] for series in SERIES if series.path.startswith(f"{root}/")]
 
 
 def is_recorded(root: str, name: str, properties: Mapping[str, Any]) -> bool:
     """Return whether a recording with these properties has a series, by the first and last name in its path."""
-    rows = [row for row in _below(root) if _last_part(row) == name]
+    rows = [row for row in SERIES if row.path.startswith(f"{root}/") and row.path.endswith(f"/{name}")]
     rows = [row for row in rows if not (row.inside and properties.get("engine"))]
     return any(row.part is None or bool(properties.get(flag_of(row.part))) for row in rows)
 
 
-def _below(root: str) -> list[Series]:
-    return [series for series in SERIES if series.path.startswith(f"{root}/")]
-
-
-def _last_part(series: Series) -> str:
-    return series.path.rpartition("/")[2]
-
-
 ONCE = "once, however long it is"
 
-_PARTS = {  # entity → the part of the model that it requires
-    paths.CONTACTS: "contact",
-    paths.TORQUE: "torque",
-    paths.ANGULAR_ACCELERATION: "torque",
-}
+# entity → the part of the model that it requires
+_PARTS = {paths.CONTACTS: "contact", paths.TORQUE: "torque", paths.ANGULAR_ACCELERATION: "torque"}
 _ALWAYS = {  # entity → why it is recorded
     paths.DT_LIMIT: "adaptive or not",
     paths.PHASE: "where it changes",
@@ -337,20 +303,15 @@ class Content(NamedTuple):
 
 
 def _contact_data(header: Header) -> Iterator[Content]:
-    without = "no contact" if not header.collides else 'record.impacts = "none"'
+    records, without = header.records_contacts, 'record.impacts = "none"' if header.collides else "no contact"
     kept = "all" if header.record_impacts == "all" else "at most a fifth of the file, else the largest"
-    spins = header.records_contacts and header.spins
-    for series in SERIES:
-        if series.part == _TABLE:
-            yield Content(series.path, header.records_contacts, "contact" if header.records_contacts else without)
-    yield Content(
-        paths.IMPACT_SPINS, spins, "of the bodies that meet" if spins else without if header.spins else "no spin"
-    )
-    for path, why in ((paths.IMPACTS, kept), (paths.FORCE_NORMAL, "the largest impulses")):
-        yield Content(path, header.records_contacts, why if header.records_contacts else without)
-    rubs = header.records_contacts and header.has_friction
-    why = "the same contacts" if rubs else without if not header.records_contacts else "no friction"
-    yield Content(paths.FORCE_FRICTION, rubs, why)
+    table = [(series.path, "contact") for series in SERIES if series.part == _TABLE]
+    for path, why in (*table, (paths.IMPACTS, kept), (paths.FORCE_NORMAL, "the largest impulses")):
+        yield Content(path, records, why if records else without)
+    spins, rubs = records and header.spins, records and header.has_friction
+    without_spins, without_friction = without if header.spins else "no spin", "no friction" if records else without
+    yield Content(paths.IMPACT_SPINS, spins, "of the bodies that meet" if spins else without_spins)
+    yield Content(paths.FORCE_FRICTION, rubs, "the same contacts" if rubs else without_friction)
 
 
 def contents(header: Header, needs: Requirements) -> Iterator[Content]:
@@ -359,16 +320,19 @@ def contents(header: Header, needs: Requirements) -> Iterator[Content]:
     yield Content(paths.BODIES, True, "centres and quaternions" if header.has_orientation else "centres")
     needed = [*_PARTS.items(), *((series.path, series.part) for series in all_series(header.extensions))]
     for path, name in needed:
-        if name == _TABLE:
+        if name == _TABLE:  # in `_contact_data`
             continue
         there = name is None or (header.models(name) if name in _DRIVES else parts[name])
         yield Content(path, there, (name or "always") if there else f"no {name}")
     yield from _contact_data(header)
     for path, why in _ALWAYS.items():
         yield Content(path, True, why)
-    yield Content(paths.PLANES, header.planes is not None, ONCE if header.planes is not None else "no planes")
-    yield Content(paths.WALLS, header.walls is not None, ONCE if header.walls is not None else "no walls")
     moving = header.draws_motion
-    yield Content(paths.MOVING, moving, "planes and walls, each" if moving else "nothing of them moves")
-    yield Content(paths.SHAPES, header.shapes is not None, ONCE if header.shapes is not None else "no [[wall]]")
-    yield Content(paths.PERIODIC_BOX, header.box is not None, ONCE if header.box is not None else "no periodic box")
+    yield Content(paths.MOVING, moving, "planes and walls, each" if moving else "none of them moves")
+    for path, part, without in (
+        (paths.PLANES, header.planes, "no planes"),
+        (paths.WALLS, header.walls, "no walls"),
+        (paths.SHAPES, header.shapes, "no [[wall]]"),
+        (paths.PERIODIC_BOX, header.box, "no periodic box"),
+    ):
+        yield Content(path, part is not None, without if part is None else ONCE)
