@@ -46,10 +46,7 @@ def is_bundle(path: Path) -> bool:
 def pack(path: Path, members: Mapping[str, bytes | Path]) -> int:
     """Write a bundle atomically; return its size in bytes.
 
-    Raises
-    ------
-    RecordingError
-        If it cannot be written, or another process writes it.
+    Raises RecordingError if it cannot be written, or another process writes it.
     """
     with Claim(path):
         try:
@@ -68,10 +65,7 @@ def pack(path: Path, members: Mapping[str, bytes | Path]) -> int:
 def opened(path: Path) -> Iterator[Path]:
     """Yield the path of a recording: the file itself, or one unpacked from a bundle while the context lasts.
 
-    Raises
-    ------
-    RecordingError
-        If a bundle is damaged, or contains no recording or a malformed one.
+    Raises RecordingError if a bundle is damaged, or contains no recording or a malformed one.
     """
     if not is_bundle(path):
         yield path

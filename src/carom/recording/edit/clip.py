@@ -6,7 +6,6 @@ import uuid
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -15,7 +14,7 @@ import rerun as rr
 
 from carom.arrays import BoolArray, FloatArray, IntArray, SingleArray
 from carom.errors import RecordingError
-from carom.recording.read.entities import reading
+from carom.recording.read.entities import centres_of, plain, reading
 from carom.recording.read.lookup import tolerance
 from carom.recording.read.recorded_contacts import join_some
 from carom.recording.read.recording import Recording
@@ -38,20 +37,15 @@ class Selection:
     A contact is kept if both of its bodies are kept, or if its body is kept and the other end is a plane. Recordings
     before schema 3 lack the numbers of a contact's bodies. They are derived from the ends of its line, so the chunk
     with the centres must come before the chunk with the contacts.
-
-    Parameters
-    ----------
-    numbers
-        Numbers of the bodies to keep.
-    shown
-        Numbers of the bodies that the source shows.
-    box
-        (3,) m, of a periodic domain.
-    bodies
-        Number of bodies.
     """
 
-    def __init__(self, numbers: Sequence[int], shown: Sequence[int], box: FloatArray | None, bodies: int) -> None:
+    def __init__(
+        self,
+        numbers: Sequence[int],  # of the bodies to keep
+        shown: Sequence[int],  # numbers of the bodies that the source shows
+        box: FloatArray | None,  # (3,) m, of a periodic domain
+        bodies: int,  # number of all bodies
+    ) -> None:
         self._numbers = np.array(sorted(set(numbers)), dtype=np.int64)
         # indices among the bodies that the source shows
         self._places = np.searchsorted(np.asarray(shown), self._numbers)
@@ -64,7 +58,8 @@ class Selection:
         """Return a chunk with only the values of the kept bodies."""
         match chunk.entity_path:
             case paths.BODIES:
-                self._remember(chunk)
+                if (centres := centres_of(chunk)) is not None and STEP in chunk.batch.schema.names:
+                    self._centres |= dict(zip(chunk.batch[STEP].to_pylist(), _vectors(centres), strict=True))
                 return self._bodies(chunk)
             case paths.TORQUE | paths.ANGULAR_ACCELERATION if not chunk.is_static:
                 return _masked(chunk, [np.isin(row, self._numbers) for row in _rows(chunk, "body")])
@@ -74,11 +69,9 @@ class Selection:
                 kept = [bool(self._joins(row).all()) for row in _rows(chunk, "bodies")]
                 return Chunk(chunk.entity_path, chunk.batch.filter(pa.array(kept, pa.bool_())))
             case paths.CONTACTS if not chunk.is_static:
-                strips = [
-                    np.asarray(row, np.float32).reshape(-1, 2, 3) for row in _vectors(chunk, "LineStrips3D:strips")
-                ]
-                steps = chunk.batch[STEP].to_pylist()
-                return _masked(chunk, [self._among(k, lines) for k, lines in zip(steps, strips, strict=True)])
+                lines = _vectors(chunk.batch["LineStrips3D:strips"])
+                rows = zip(chunk.batch[STEP].to_pylist(), lines, strict=True)
+                return _masked(chunk, [self._among(step, row.reshape(-1, 2, 3)) for step, row in rows])
         return chunk
 
     def _joins(self, ends: IntArray) -> BoolArray:
@@ -94,12 +87,6 @@ class Selection:
                 taken = (np.arange(chunk.batch.num_rows)[:, None] * self._shown + self._places).ravel()
                 columns[name] = _lists(chunk.batch[name], taken, np.full(chunk.batch.num_rows, len(self._places)))
         return _replaced(chunk, columns)
-
-    def _remember(self, chunk: Chunk) -> None:
-        for name in paths.CENTRES:
-            if name in chunk.components and STEP in chunk.batch.schema.names:
-                rows = _vectors(chunk, name)
-                self._centres |= dict(zip(chunk.batch[STEP].to_pylist(), rows, strict=True))
 
     def _among(self, step: int, lines: SingleArray) -> BoolArray:
         """Return a mask of a frame's lines (m, 2, 3) that connect kept bodies, or a kept body and a plane."""
@@ -126,15 +113,9 @@ def _rows(chunk: Chunk, name: str) -> list[IntArray]:
     return [np.asarray(row.values.to_numpy(), dtype=np.int64) for row in chunk.batch[name]]
 
 
-def _vectors(chunk: Chunk, name: str) -> list[SingleArray]:
+def _vectors(column: pa.ListArray) -> list[SingleArray]:
     """Read the vectors of each row, (k, 3), from vectors or from lists of vectors."""
-    found = []
-    for row in chunk.batch[name]:
-        values = row.values
-        while not pa.types.is_floating(values.type):
-            values = values.flatten()
-        found.append(values.to_numpy().reshape(-1, 3))
-    return found
+    return [plain(row.values).to_numpy().reshape(-1, 3) for row in column]
 
 
 def _masked(chunk: Chunk, masks: list[BoolArray]) -> Chunk:
@@ -209,27 +190,13 @@ def clip(
 ) -> Clip:
     """Cut the frames of an interval of simulated time out of a recording.
 
-    Only the chunks that overlap the interval are read. Exact states and fingerprints still describe all bodies, so a
-    clip of a few bodies can be replayed, too.
+    Both times (s) are included. An existing file is replaced when the clip is complete. ``bodies`` are the numbers of
+    the bodies to show; None shows all. Exact states and fingerprints describe all bodies, so a clip of a few bodies can
+    be replayed, too. Without exact states, the clip is smaller and contains nothing about the other bodies, but cannot
+    be replayed.
 
-    Parameters
-    ----------
-    source
-        The recording.
-    out
-        The ``.rrd`` to write; an existing file is replaced when the clip is complete.
-    start, end
-        Simulated times in seconds, both included.
-    bodies
-        Numbers of the bodies to show; None shows all.
-    exact
-        Whether the clip contains the exact states of all bodies. Without them, the clip is smaller and contains nothing
-        about the other bodies, but cannot be replayed.
-
-    Raises
-    ------
-    RecordingError
-        If the source cannot be read, has no frame in the interval or no such body, or the clip cannot be written.
+    Raises RecordingError if the source cannot be read, has no frame in the interval or no such body, or the clip cannot
+    be written.
     """
     recording = Recording.open(source)
     with reading(recording.path):
@@ -239,18 +206,17 @@ def clip(
         selection = None if bodies is None else _selection(recording, bodies)
         first = _start(recording, cut) if exact else None
         with Writer(Path(out), recording.store.application_id, str(uuid.uuid4())) as writer:
-            gone = {
-                paths.START,
-                f"__properties/{PROPERTY}",
-                *(() if exact else (paths.STATIC_STATE, paths.GIVEN_STATE)),
-            }
+            gone = {paths.START, f"__properties/{PROPERTY}"}
+            gone |= set() if exact else {paths.STATIC_STATE, paths.GIVEN_STATE}
             static = (e for e in recording.store.entries if e.is_static and e.entity_path not in gone)
             for chunk in recording.chunks(static):
                 writer.send(chunk if selection is None else selection.of(chunk))
             if first is not None:
                 writer.send(first)
             if not exact:
-                writer.log(paths.STATIC_STATE, rr.AnyValues(**_properties_of(recording, shown)))
+                table = recording.bodies
+                values = {name: getattr(table, name)[shown] for name in ("group", "mass", "radius", "inertia")}
+                writer.log(paths.STATIC_STATE, rr.AnyValues(name=[table.name[body] for body in shown], **values))
             about: dict[str, Scalar | IntArray] = {"source": recording.path.name, "from": cut.start, "to": cut.end}
             about["recording_id"] = recording.store.store_id
             if not exact:
@@ -317,22 +283,9 @@ def _selection(recording: Recording, bodies: Sequence[int]) -> Selection:
     return Selection(bodies, shown, size, int(recording.info["bodies"]))
 
 
-def _properties_of(recording: Recording, shown: Sequence[int]) -> dict[str, Any]:
-    """Return the static properties of the bodies that are shown."""
-    table = recording.bodies
-    numbers = np.asarray(shown)
-    names = [table.name[body] for body in shown]
-    values = {name: getattr(table, name)[numbers] for name in ("group", "mass", "radius", "inertia")}
-    return {"name": names, **values}
-
-
 def _moving(recording: Recording, cut: _Cut) -> Iterator[Chunk]:
     """Read the chunks that overlap the cut, centres before the contacts that connect them."""
-    entries = [
-        entry
-        for entry in recording.store.entries
-        if entry.first_step is not None and entry.first_step <= cut.last and (entry.last_step or 0) >= cut.first
-    ]
+    entries = [entry for entry in recording.store.entries if entry.overlaps(cut.first, cut.last)]
     last = {path: _last_before(recording.store.entries, path, cut.first) for path in _STATES}
     entries += [entry for entry in last.values() if entry is not None and entry not in entries]
     for chunk in recording.chunks(sorted(entries, key=_order)):

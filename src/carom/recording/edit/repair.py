@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -16,7 +15,7 @@ from carom.arrays import IntArray
 from carom.errors import DamageError, RecordingError
 from carom.recording.layout import blueprint
 from carom.recording.layout.camera import CameraFit
-from carom.recording.read.entities import FINGERPRINTS, join_rows, reading
+from carom.recording.read.entities import FINGERPRINTS, centres_of, join_rows, plain, reading
 from carom.recording.read.recorded_scene import header_of_recording, recorded_curves
 from carom.recording.read.recording import Recording
 from carom.recording.read.statics import UNFINISHED
@@ -38,14 +37,13 @@ def new_layout(recording: Recording) -> rrb.Blueprint:
     """Lay out a recording as the recorder would have done. Raises RecordingError if too little of it is left."""
     header = header_of_recording(recording)
     entries = recording.store.frames_of(paths.BODIES)
-    entries = sorted(entries, key=lambda entry: entry.first_step or 0)
     some = [entries[k] for k in sorted(set(np.linspace(0, len(entries) - 1, _LOOKS).astype(int)))] if entries else []
     fit = None
     for chunk in recording.chunks(some):
-        centres = next((chunk.batch[name] for name in paths.CENTRES if name in chunk.components), None)
+        centres = centres_of(chunk)
         if centres is None:  # the component's name is damaged
             continue
-        first, last = (centres[row].values.flatten().to_numpy().reshape(-1, 3) for row in (0, len(centres) - 1))
+        first, last = (plain(centres[row].values).to_numpy().reshape(-1, 3) for row in (0, len(centres) - 1))
         fit = fit or CameraFit.of_scene(header, recording.origin, first)
         fit.look(last)
     if fit is None:
@@ -72,10 +70,8 @@ class Repaired:
 def repair(source: str | Path, out: str | Path) -> Repaired:
     """Write the readable parts of a recording to a new one, with a footer, a layout, and an outcome that says so.
 
-    Raises
-    ------
-    RecordingError
-        If there is no such file, it is not carom's, nothing in it is readable, or the new one cannot be written.
+    Raises RecordingError if there is no such file, it is not carom's, nothing in it is readable, or the new one cannot
+    be written.
     """
     source, out = Path(source), Path(out)
     with reading(source):
@@ -89,9 +85,13 @@ def repair(source: str | Path, out: str | Path) -> Repaired:
             raise RecordingError(f"nothing of {source} can be read as a recording")
         if schema_version(store.application_id) is None:
             raise RecordingError(f"{source} was not made by carom, but by {store.application_id!r}")
-        recording = Recording(Container(source, [store, *_layouts(found, store)], finished=False), store)
-        if found.finished and _has_frames(recording):
-            return Repaired(None)
+        own = [layout for layout in found.stores if layout.application_id == store.application_id]
+        layouts = [layout for layout in own if layout.kind == BLUEPRINT and _is_whole(layout, found)]
+        recording = Recording(Container(source, [store, *layouts], finished=False), store)
+        if found.finished:
+            with contextlib.suppress(RecordingError):
+                recording.fingerprints()  # the table of frames, which everything else needs
+                return Repaired(None)
         try:  # refuse a file without the static data that its frames require
             known = bool(recording.info)
         except RecordingError:
@@ -102,15 +102,6 @@ def repair(source: str | Path, out: str | Path) -> Repaired:
                 "needed to read frames is lost"
             )
         return _rewrite(recording, out, found)
-
-
-def _layouts(found: Salvage, store: Store) -> list[Store]:
-    """Return the complete layouts."""
-    return [
-        layout
-        for layout in found.stores
-        if layout.kind == BLUEPRINT and layout.application_id == store.application_id and _is_whole(layout, found)
-    ]
 
 
 def _is_whole(layout: Store, found: Salvage) -> bool:
@@ -147,29 +138,15 @@ def _rewrite(recording: Recording, out: Path, found: Salvage) -> Repaired:
                 writer.send_layout(new_layout(recording))
                 added.append("layout")
         writer.flush()
-    _refuse_unreadable(out, recording.path)
-    if recording.lives is not None:
-        widen(out)
-    return Repaired(out, out.stat().st_size, len(steps), step, end, lost, added)
-
-
-def _has_frames(recording: Recording) -> bool:
-    """Return whether the table of frames can be read, which everything else needs."""
-    try:
-        recording.fingerprints()
-    except RecordingError:
-        return False
-    return True
-
-
-def _refuse_unreadable(out: Path, source: Path) -> None:
-    """Delete a repaired file whose frames cannot be read, since it would be useless."""
     try:
         Recording.open(out).fingerprints()
     except RecordingError as error:
-        out.unlink()
+        out.unlink()  # without frames, it is useless
         reason = error.__cause__ if isinstance(error.__cause__, DamageError) else error
-        raise RecordingError(f"nothing of {source} can be recovered: its frames have {reason}") from error
+        raise RecordingError(f"nothing of {recording.path} can be recovered: its frames have {reason}") from error
+    if recording.lives is not None:
+        widen(out)
+    return Repaired(out, out.stat().st_size, len(steps), step, end, lost, added)
 
 
 def units_of(recording: Recording) -> UnitSystem:
@@ -209,28 +186,29 @@ def _named(entry: Entry) -> str:
 
 
 _WITH_ENDS = (paths.CONTACTS, paths.FORCE_NORMAL, paths.FORCE_FRICTION)
+_RENEWED = (paths.SCENE, paths.BODIES, paths.STATIC_STATE, paths.LIVES)  # sent again whenever bodies come or go
 
 
 def widen(path: Path) -> None:
     """Rewrite a recording whose frames have a place only for each body that had come by then.
 
-    Raises
-    ------
-    RecordingError
-        If it cannot be read, or the new file cannot be written.
+    Raises RecordingError if it cannot be read, or the new file cannot be written.
     """
     recording = Recording.open(path)
     n, header = int(recording.info["bodies"]), header_of_recording(recording)
     steps, counts = _places(recording)
     fit = None
     with Writer(path, recording.store.application_id, recording.store.store_id) as writer:
-        for chunk in recording.chunks(_last_statics(recording)):
+        statics = sorted((e for e in recording.store.entries if e.is_static), key=lambda entry: entry.offset)
+        last = {entry.entity_path: entry for entry in statics}  # of these, only the last is sent
+        kept = [entry for entry in statics if entry.entity_path not in _RENEWED or last[entry.entity_path] is entry]
+        for chunk in recording.chunks(kept):
             writer.send(chunk)
         for chunk in recording.temporal_chunks():
             if chunk.entity_path == paths.BODIES:
                 wide = _padded(chunk, n)
                 for row in (0, wide.batch.num_rows - 1):
-                    position = np.asarray(wide.batch[_centres(wide)][row].values.flatten().to_numpy()).reshape(-1, 3)
+                    position = np.asarray(plain(_centres(wide)[row].values).to_numpy()).reshape(-1, 3)
                     fit = fit or CameraFit.of_scene(header, recording.origin, position)
                     fit.look(position)
                 writer.send(wide)
@@ -244,34 +222,26 @@ def widen(path: Path) -> None:
         writer.flush()
 
 
-def _last_statics(recording: Recording) -> Iterator[Entry]:
-    """Yield static chunks; for an entity that was sent more than once, the chunks of the last time."""
-    entries = [entry for entry in recording.store.entries if entry.is_static]
-    renewed = (paths.SCENE, paths.BODIES, paths.STATIC_STATE, paths.LIVES)
-    last = {entry.entity_path: entry for entry in sorted(entries, key=lambda entry: entry.offset)}
-    for entry in entries:
-        if entry.entity_path not in renewed or last[entry.entity_path] is entry:
-            yield entry
-
-
 def _places(recording: Recording) -> tuple[IntArray, IntArray]:
     """Return the steps of all frames, ascending, and the number of places in each."""
     steps, counts = [np.empty(0, np.int64)], [np.empty(0, np.int64)]
-    entries = recording.store.frames_of(paths.BODIES)
-    for chunk in recording.chunks(entries):
+    for chunk in recording.chunks(recording.store.frames_of(paths.BODIES)):
         steps.append(chunk.batch[STEP].to_numpy())
-        counts.append(pc.list_value_length(chunk.batch[_centres(chunk)]).to_numpy())
+        counts.append(pc.list_value_length(_centres(chunk)).to_numpy())
     order = np.argsort(np.concatenate(steps))
     return np.concatenate(steps)[order], np.concatenate(counts).astype(np.int64)[order]
 
 
-def _centres(chunk: Chunk) -> str:
-    return next(name for name in paths.CENTRES if name in chunk.components)
+def _centres(chunk: Chunk) -> pa.ListArray:
+    centres = centres_of(chunk)
+    if centres is None:
+        raise DamageError(f"rows of /{chunk.entity_path} without centres")
+    return centres
 
 
 def _padded(chunk: Chunk, n: int) -> Chunk:
     """Return rows of drawn bodies with n values each: the positions of bodies that do not exist yet are NaN."""
-    counts = pc.list_value_length(chunk.batch[_centres(chunk)]).to_numpy().astype(np.int64)
+    counts = pc.list_value_length(_centres(chunk)).to_numpy().astype(np.int64)
     rows = len(counts)
     arrays = []
     for name in chunk.batch.schema.names:

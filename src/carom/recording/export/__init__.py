@@ -58,14 +58,9 @@ class Snapshot:
 def snapshots(
     recording: Recording, at: float | None, *, everything: bool, watch: Watcher | None = None
 ) -> Iterator[Snapshot]:
-    """Yield the state at a time (s), or all recorded frames.
+    """Yield the state at a time (s), or all recorded frames; steps between checkpoints are recomputed.
 
-    Steps between checkpoints are recomputed with the same bits.
-
-    Raises
-    ------
-    RecordingError
-        If there is no such moment, or a rerun does not give the same bits.
+    Raises RecordingError if there is no such moment, or a rerun does not give the same bits.
     """
     table = recording.fingerprints()
     times, steps = table["time"].to_numpy(), table[STEP].to_numpy()
@@ -144,26 +139,22 @@ def write(path: Path, snapshots: Iterator[Snapshot], series: bool) -> tuple[Path
     """Write snapshots to a file that appears when it is complete; return its path and the number of steps.
 
     A .vtk holds one step. Several steps go into a folder ``NAME-vtk`` beside ``NAME.vtk.series``, which lists their
-    times.
-
-    Raises
-    ------
-    RecordingError
-        If it cannot be written.
+    times. Raises RecordingError if it cannot be written.
     """
-    counted = _Counted(snapshots)
+    numbers = itertools.count()  # the next one is the number of steps that have been written
+    counted = (snapshot for snapshot, _ in zip(snapshots, numbers, strict=False))
     try:
         with tempfile.TemporaryDirectory(dir=path.parent, prefix=f".{path.name}.") as folder:
             part = Path(folder) / path.name
             if path.suffix == VTK and series:
-                return _write_series(path, counted, Path(folder)), counted.count
+                return _write_series(path, counted, Path(folder)), next(numbers)
             first = next(counted)
             write_steps = registry.load("export_formats", path.suffix[1:])
             write_steps(part, first) if path.suffix == VTK else write_steps(part, first, counted)
             part.replace(path)
     except OSError as error:
         raise RecordingError(f"cannot write {path}: {error.strerror or error}") from error
-    return path, counted.count
+    return path, next(numbers)
 
 
 def series_of(path: Path) -> tuple[Path, Path]:
@@ -185,16 +176,3 @@ def _write_series(path: Path, snapshots: Iterator[Snapshot], scratch: Path) -> P
         file.replace(folder / file.name)
     (scratch / listed.name).replace(listed)
     return listed
-
-
-class _Counted(Iterator[Snapshot]):
-    """Counts snapshots as they are written."""
-
-    def __init__(self, snapshots: Iterator[Snapshot]) -> None:
-        self._snapshots = snapshots
-        self.count = 0
-
-    def __next__(self) -> Snapshot:
-        snapshot = next(self._snapshots)
-        self.count += 1
-        return snapshot

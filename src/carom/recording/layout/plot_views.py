@@ -284,12 +284,13 @@ def shown_series(header: Header, plot: Plot, curves: Curves | None = None) -> li
     if curves is None:
         return series
     energies = (curves[each.path].largest for each in every if each.unit == "J" and each.path in curves)
-    rounding = {"J": _ROUNDING * max(energies, default=0.0)} | dict.fromkeys(_SHARES, _ROUNDING)
-    series = [each for each in series if each.path in curves]
-    series = [
-        e for e in series if curves[e.path].largest > rounding.get(e.path, rounding["J"] if e.unit == "J" else 0.0)
-    ]
-    return [each for each in series if not (each.flat_is_dull and curves[each.path].is_flat)]
+    negligible, kept = _ROUNDING * max(energies, default=0.0), list[Series]()
+    for each in series:
+        curve = curves.get(each.path)
+        rounding = negligible if each.unit == "J" else _ROUNDING if each.path in _SHARES else 0.0
+        if curve is not None and curve.largest > rounding and not (each.flat_is_dull and curve.is_flat):
+            kept.append(each)
+    return kept
 
 
 def _plot(header: Header, plot: Plot, curves: Curves | None, area: Area, span: IntArray | None) -> rrb.TimeSeriesView:

@@ -238,11 +238,8 @@ def all_series(extensions: Mapping[str, str]) -> tuple[Series, ...]:
     """Return carom's own series, and those of the installed extensions that a scene uses; see `extensions_of`."""
     forces = [name for name in names_of("forces", extensions) if name in registry.installed("forces")]
     others = [name for name in names_of("series", extensions) if name in registry.installed("series")]
-    return (
-        *SERIES,
-        *(_energy_of(kind_called(name)) for name in forces),
-        *(registry.load("series", name) for name in others),
-    )
+    energies = (_energy_of(kind_called(name)) for name in forces)
+    return (*SERIES, *energies, *(registry.load("series", name) for name in others))
 
 
 def all_plots(series: Iterable[Series]) -> tuple[tuple[Plot, ...], ...]:

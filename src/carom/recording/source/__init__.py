@@ -36,56 +36,26 @@ class Plane(NamedTuple):
 class Model:
     """The constants of a run.
 
-    Parameters
-    ----------
-    engine
-        Name and version, such as ``mujoco 4.0.0``.
-    mass, radius
-        (n,) kg and m. A mass of 0 is a test particle, a radius of 0 a point mass, which nothing touches.
-    inertia
-        (n,) kg m², by default those of solid spheres.
-    names
-        (n,) of the bodies.
-    fixed
-        (n,) whether a body never moves; by default none.
-    judged
-        (n,) whether a body is a free sphere, whose laws the audit can check; by default all are. Other bodies are drawn
-        as spheres, and bodies that touch them are not judged.
-    gravity
-        (3,) m/s², a uniform field.
-    constant, softening
-        m³ kg⁻¹ s⁻² and m, of the bodies' own gravity.
-    planes
-        Static half-spaces.
-    box
-        (3,) m, the size of a periodic box.
-    collides
-        Whether bodies touch each other and the planes.
-    time_step
-        s, the shortest step to expect; 0 if unknown.
-    units
-        Units of all numbers, as in `Recorder`; empty for SI.
-    every
-        Calls of `Recorder.frame` per recorded frame, unless the recorder sets it; above 1 for engines whose states are
-        slow to copy.
+    The audit checks the laws of ``judged`` bodies, which are free spheres, by default all. Other bodies are drawn as
+    spheres, and bodies that touch them are not judged.
     """
 
-    engine: str
-    mass: Any
-    radius: Any
-    inertia: Any = None
-    names: Sequence[str] | None = None
-    fixed: Any = None
-    judged: Any = None
-    gravity: Sequence[float] = (0.0, 0.0, 0.0)
-    constant: float = 0.0
-    softening: float = 0.0
-    planes: Sequence[Plane] = field(default_factory=tuple)
-    box: Any = None
-    collides: bool = True
-    time_step: float = 0.0
-    units: str = ""
-    every: int = 1
+    engine: str  # name and version, such as ``mujoco 4.0.0``
+    mass: Any  # (n,) kg; 0 for a test particle
+    radius: Any  # (n,) m; 0 for a point mass, which nothing touches
+    inertia: Any = None  # (n,) kg m², by default those of solid spheres
+    names: Sequence[str] | None = None  # (n,) of the bodies
+    fixed: Any = None  # (n,) whether a body never moves; by default none
+    judged: Any = None  # (n,)
+    gravity: Sequence[float] = (0.0, 0.0, 0.0)  # m/s², a uniform field
+    constant: float = 0.0  # m³ kg⁻¹ s⁻², of the bodies' own gravity
+    softening: float = 0.0  # m
+    planes: Sequence[Plane] = field(default_factory=tuple)  # static half-spaces
+    box: Any = None  # (3,) m, the size of a periodic box
+    collides: bool = True  # whether bodies touch each other and the planes
+    time_step: float = 0.0  # s, the shortest step to expect; 0 if unknown
+    units: str = ""  # of all numbers, as in `Recorder`; empty for SI
+    every: int = 1  # calls of `Recorder.frame` per frame, by default; above 1 if the engine's states are slow to copy
 
 
 @dataclass(slots=True)
@@ -154,13 +124,7 @@ class Setup:
 
 
 def setup_of(model: Model, first: State) -> Setup:
-    """Check a model and its first state, and complete missing arrays.
-
-    Raises
-    ------
-    RecordingError
-        The message names the array and the body.
-    """
+    """Check a model and its first state, and complete missing arrays. RecordingError names a wrong array and body."""
     engine = model.engine
     if not isinstance(engine, str) or not engine:
         raise RecordingError(f'engine is {engine!r}; it must be a name, such as "mine 1.0"')
@@ -181,6 +145,9 @@ def setup_of(model: Model, first: State) -> Setup:
     names = [f"body {k}" for k in range(n)] if model.names is None else [str(name) for name in model.names]
     if len(names) != n:
         raise RecordingError(f"{engine}: names has {len(names)} entries for {n} bodies")
+    box = np.zeros(3) if model.box is None else array_of(engine, "box", model.box, (3,))
+    if model.box is not None and not box.min() > 0.0:
+        raise RecordingError(f"{engine}: box is {box.tolist()}; all three sizes must be positive, or it must be None")
     meets = n > 1 or len(model.planes) > 0 or first.ids is not None
     collides = model.collides and bool(touches.any()) and meets
     return Setup(
@@ -195,7 +162,7 @@ def setup_of(model: Model, first: State) -> Setup:
         constant=_not_negative(engine, "constant", model.constant),
         softening=_not_negative(engine, "softening", model.softening),
         planes=_planes(engine, model.planes),
-        box=_box(engine, model.box),
+        box=box,
         collides=collides,
         touches=touches,
         time_step=_not_negative(engine, "time_step", model.time_step),
@@ -212,9 +179,8 @@ def array_of(engine: str, name: str, values: Any, shape: tuple[int, ...]) -> Flo
         raise RecordingError(f"{engine}: {name} has the shape {array.shape} instead of {shape}")
     if not np.isfinite(array).all():
         row = np.argwhere(~np.isfinite(array))[0]
-        raise RecordingError(
-            f"{engine}: {name}[{', '.join(map(str, row))}] is {array[tuple(row)]}, which is not finite"
-        )
+        place = ", ".join(map(str, row))
+        raise RecordingError(f"{engine}: {name}[{place}] is {array[tuple(row)]}, which is not finite")
     return array
 
 
@@ -243,16 +209,6 @@ def _numbers(engine: str, name: str, values: Any) -> FloatArray:
         return np.array(values, dtype=np.float64)
     except (TypeError, ValueError) as error:
         raise RecordingError(f"{engine}: {name} is no array of numbers: {error}") from None
-
-
-def _box(engine: str, size: Any) -> FloatArray:
-    """Return the size of the box, zeros in open space."""
-    if size is None:
-        return np.zeros(3)
-    box = array_of(engine, "box", size, (3,))
-    if not box.min() > 0.0:
-        raise RecordingError(f"{engine}: box is {box.tolist()}; all three sizes must be positive, or it must be None")
-    return box
 
 
 def _column(engine: str, name: str, values: Any, n: int | None = None) -> FloatArray:
@@ -305,7 +261,7 @@ def _planes(engine: str, planes: Sequence[Plane]) -> HalfSpaces:
 
 _LEAST, _MOST = np.minimum.reduce, np.maximum.reduce  # the methods `min` and `max` would call Python code
 _WIDTHS = {"position": 3, "velocity": 3, "orientation": 4, "angular_velocity": 3}
-_ARRAYS = tuple(_WIDTHS)
+
 
 _Floats = NDArray[np.floating[Any]]
 
@@ -314,16 +270,8 @@ class StateMemory:
     """Memory that holds one state at a time.
 
     The engine's thread fills it with few calls: one copy per array, and two passes over the block to check that all
-    numbers are finite.
-
-    Parameters
-    ----------
-    state
-        A state whose arrays are views of the block.
-    block
-        The array that holds all numbers of the state.
-    parts
-        Views of the block that a `BulkSource` fills.
+    numbers are finite. The block holds all numbers; the arrays of the state, and the parts that a `BulkSource` fills,
+    are views of it.
     """
 
     def __init__(self, state: State, block: _Floats, parts: tuple[NDArray[Any], ...] = ()) -> None:
@@ -333,7 +281,7 @@ class StateMemory:
     @classmethod
     def like(cls, state: State) -> StateMemory:
         """Return memory in float64 for states with the same arrays as a first one."""
-        there = [name for name in _ARRAYS if getattr(state, name) is not None]
+        there = [name for name in _WIDTHS if getattr(state, name) is not None]
         shapes = [np.shape(getattr(state, name)) for name in there]
         ends = np.cumsum([0, *(int(np.prod(shape)) for shape in shapes)])
         block = np.empty(int(ends[-1]))
@@ -344,9 +292,18 @@ class StateMemory:
         """Copy a state. Raises RecordingError if its arrays have other shapes, or its time is no number."""
         own = self.state
         own.time = time_of(state)
-        if state.ids is not None:
-            self._take_bodies(state)
-        for name in _ARRAYS:
+        if state.ids is not None:  # the bodies of this state
+            for name in ("ids", "mass", "radius", "names", "fixed", "judged"):
+                values = getattr(state, name)
+                setattr(own, name, None if values is None else np.array(values))
+            count = np.shape(state.position)[:1]
+            if count and count != own.position.shape[:1]:  # fit the memory to their number
+                there = [name for name in _WIDTHS if getattr(own, name) is not None]
+                other = StateMemory.like(State(own.time, **{name: np.empty((*count, _WIDTHS[name])) for name in there}))
+                self.block = other.block
+                for name in there:
+                    setattr(own, name, getattr(other.state, name))
+        for name in _WIDTHS:
             view = getattr(own, name)
             if view is not None:
                 values = getattr(state, name)
@@ -358,31 +315,15 @@ class StateMemory:
                 view[:] = values
         own.contacts = None if state.contacts is None else np.array(state.contacts)
 
-    def _take_bodies(self, state: State) -> None:
-        """Copy the ids, sizes and names of a state's bodies, and fit the memory to their number."""
-        own = self.state
-        for name in ("ids", "mass", "radius", "names", "fixed", "judged"):
-            values = getattr(state, name)
-            setattr(own, name, None if values is None else np.array(values))
-        count = np.shape(state.position)[:1]
-        if count and count != own.position.shape[:1]:
-            there = [name for name in _ARRAYS if getattr(own, name) is not None]
-            like = {name: np.empty((*count, _WIDTHS[name])) for name in there}
-            other = StateMemory.like(State(own.time, **like))
-            self.block = other.block
-            for name in like:
-                setattr(own, name, getattr(other.state, name))
-
     @property
     def bounded(self) -> bool:
         """Whether all numbers are finite and below the overflow bound."""
-        # with NaN both return NaN, which fails the comparison; Python floats are compared, since LARGEST exceeds
-        # float32
-        return (
-            -LARGEST <= self.state.time <= LARGEST
-            and (self.block.size == 0 or float(_LEAST(self.block, None)) >= -LARGEST)
-            and (self.block.size == 0 or float(_MOST(self.block, None)) <= LARGEST)
-        )
+        if not -LARGEST <= self.state.time <= LARGEST:
+            return False
+        if self.block.size == 0:
+            return True
+        # both are NaN if a number is NaN, and fail; Python floats are compared, since LARGEST exceeds float32
+        return float(_LEAST(self.block, None)) >= -LARGEST and float(_MOST(self.block, None)) <= LARGEST
 
 
 @runtime_checkable
@@ -407,13 +348,7 @@ def reader_of(source: Source) -> Callable[[StateMemory], None]:
 
 
 def engine_package(name: str, distribution: str | None = None) -> Any:
-    """Import an engine's package.
-
-    Raises
-    ------
-    RecordingError
-        If it is not installed; the message names the line that installs it.
-    """
+    """Import an engine's package. Raises RecordingError, with the line that installs it, if it is missing."""
     try:
         return importlib.import_module(name)
     except ImportError:

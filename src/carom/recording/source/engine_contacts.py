@@ -36,13 +36,7 @@ def has_forces(contacts: Any) -> bool:
 
 
 def checked_contacts(engine: str, contacts: Any, bodies: int, ends: int) -> Records:
-    """Return contacts as (m,) `CONTACT`.
-
-    Raises
-    ------
-    RecordingError
-        With the field and the row of the first invalid value.
-    """
+    """Return contacts as (m,) `CONTACT`. RecordingError names the field and the row of the first invalid value."""
     names = CONTACT.names or ()
     if missing := [name for name in names if name not in contacts.dtype.names]:
         raise RecordingError(f"{engine}: contacts lack the field {missing[0]}; make them as carom.record.CONTACT")
@@ -192,11 +186,16 @@ class Proximity:
         if not parts:
             numbers, vectors = np.empty(0), np.empty((0, 3))
             return Near(np.empty((0, 2), np.int64), *[numbers] * 2, *[vectors] * 2, *[numbers] * 2, *[vectors] * 3)
-        return Near(*(np.concatenate(column) for column in zip(*map(_columns, parts), strict=True)))
+        names = [field.name for field in fields(Near)]
+        return Near(**{name: np.concatenate([getattr(part, name) for part in parts]) for name in names})
 
     def graph(self, near: Near, known: IntArray | None) -> CollisionGraph:
         """Return the contacts at a moment: the pairs reported by the engine, or otherwise all near pairs."""
-        which = near.gap_now <= TOUCH * near.small if known is None else self._is_named(near, known)
+        which = near.gap_now <= TOUCH * near.small
+        if known is not None:
+            total = len(self._setup) + len(self._setup.planes)
+            low, high = np.sort(known, axis=1).T
+            which = np.isin(near.pairs[:, 0] * total + near.pairs[:, 1], low * total + high)
         touching = np.flatnonzero(which)
         if len(touching) == 0:
             return empty_graph()
@@ -220,13 +219,6 @@ class Proximity:
         overlap[plane] = setup.radius[a] - height
         normals = np.stack([rows["nx"], rows["ny"], rows["nz"]], axis=1)
         return CollisionGraph(pairs, normals, overlap, np.zeros(len(rows), dtype=np.int64))
-
-    def _is_named(self, near: Near, known: IntArray) -> BoolArray:
-        """Return a mask of the near pairs that the engine reports."""
-        total = len(self._setup) + len(self._setup.planes)
-        keys = near.pairs[:, 0] * total + near.pairs[:, 1]
-        ordered = np.sort(known, axis=1)
-        return np.isin(keys, ordered[:, 0] * total + ordered[:, 1])
 
     def _bodies(self, before: EngineMoment, now: EngineMoment, travel: FloatArray) -> Near:
         assert self._grid is not None
@@ -277,12 +269,7 @@ class Proximity:
 
     def _image(self, apart: FloatArray) -> FloatArray:
         """Return the differences of positions, to the nearest periodic image."""
-        box = self._setup.box
-        return minimum_images(apart, box)
-
-
-def _columns(near: Near) -> tuple[Any, ...]:
-    return tuple(getattr(near, field.name) for field in fields(Near))
+        return minimum_images(apart, self._setup.box)
 
 
 def lengths(vectors: FloatArray) -> FloatArray:

@@ -128,24 +128,15 @@ TOLD = 3  # events reported for each law
 
 
 class LawAudit:
-    """Judges moments one after another.
-
-    Parameters
-    ----------
-    setup
-        Of the run.
-    tolerances
-        Largest accepted errors.
-    names
-        Of the bodies and planes.
-    units
-        Of the numbers, and of the numbers in messages of faults.
-    ends
-        (n + p,) the numbers of bodies and planes in names and faults; by default their indices.
-    """
+    """Judges moments one after another."""
 
     def __init__(
-        self, setup: Setup, tolerances: Tolerances, names: Names, units: UnitSystem = SI, ends: IntArray | None = None
+        self,
+        setup: Setup,
+        tolerances: Tolerances,
+        names: Names,  # of bodies and planes
+        units: UnitSystem = SI,  # of the numbers, and of the numbers in messages of faults
+        ends: IntArray | None = None,  # (n + p,) numbers of bodies and planes in names and faults; or their indices
     ) -> None:
         self._setup = setup
         self._ends = np.arange(len(setup) + len(setup.planes)) if ends is None else ends
@@ -163,18 +154,9 @@ class LawAudit:
     def see(
         self, step: int, before: EngineMoment, now: EngineMoment, near: Near, potentials: tuple[float, float] | None
     ) -> AuditFinding:
-        """Judge a moment.
+        """Judge a moment after that of the previous frame, given the pairs that may have touched in between.
 
-        Parameters
-        ----------
-        step
-            Its number.
-        before, now
-            The moment of the previous frame, and this moment.
-        near
-            The pairs that may have touched in between.
-        potentials
-            J, of the bodies' own gravity at both moments; None without gravity.
+        The potential energies (J) of the bodies' own gravity are those of both moments; None without gravity.
         """
         found = AuditFinding()
         relative = now.velocity - self._setup.mass @ now.velocity / self._setup.mass.sum()
@@ -186,7 +168,7 @@ class LawAudit:
             *self._energy(place, before, now, clusters, potentials, found),
             *self._contacts(place, now.time - before.time, near, found),
         ]
-        found.faults = [fault for fault in faults if self._tell(fault)]
+        found.faults = [fault for fault in faults if self.note(fault)]
         return found
 
     def drifted(self, step: int, time: float, energy: Energy) -> Fault | None:
@@ -198,7 +180,7 @@ class LawAudit:
         way = "risen" if error > 0.0 else "fallen"
         text = f"Energy has {way} by {abs(relative):.2%} of its scale since the start, and no contact explains it."
         fault = Fault("energy", step, time, abs(relative), text)
-        return fault if self._tell(fault) else None
+        return fault if self.note(fault) else None
 
     def closing(self) -> Iterator[tuple[str, str | int | float]]:
         """Yield the first fault of each law and the number of its frames, under the dotted keys of `outcome`.
@@ -208,21 +190,17 @@ class LawAudit:
         if not self._setup.judged.all():
             yield "audit.judged", int(np.count_nonzero(self._setup.judged))
         for law, first in self.first.items():
-            key = f"laws.{law}"
-            yield f"{key}.frames", self.counts[law]
-            yield from ((f"{key}.step", first.step), (f"{key}.time", first.time), (f"{key}.text", first.text))
+            found: dict[str, str | int | float]
+            found = {"frames": self.counts[law], "step": first.step, "time": first.time, "text": first.text}
+            yield from ((f"laws.{law}.{name}", value) for name, value in found.items())
 
     def go_on(self, earlier: LawAudit) -> None:
         """Continue the counts of an earlier audit, of other bodies."""
         self.counts, self.first, self.broken = earlier.counts, earlier.first, earlier.broken
         self._typical, self._scale, self._allowed = earlier._typical, earlier._scale, earlier._allowed
 
-    def note(self, fault: Fault) -> None:
-        """Count a fault that another check reports."""
-        self._tell(fault)
-
-    def _tell(self, fault: Fault) -> bool:
-        """Count a fault; return whether it is among the first of its law."""
+    def note(self, fault: Fault) -> bool:
+        """Count a fault, also of another check; return whether it is among the first of its law."""
         self.first.setdefault(fault.law, fault)
         self.broken.append((fault.time, fault.law))
         self.counts[fault.law] = self.counts.get(fault.law, 0) + 1
@@ -277,11 +255,10 @@ class LawAudit:
             return
         members = np.flatnonzero(clusters.label == worst)
         called, what = self._called(members), law.replace("-", " ").capitalize()
-        meanwhile = (
-            "in a contact among themselves" if len(members) > 1 and clusters.touched[worst] else "while nothing touched"
-        )
-        if len(members) > 1 and not clusters.touched[worst]:
-            meanwhile = "while they attracted each other"
+        meanwhile = "while nothing touched"
+        if len(members) > 1:
+            touched = clusters.touched[worst]
+            meanwhile = "in a contact among themselves" if touched else "while they attracted each other"
         text = f"{what} of {called} changed by {share[worst]:.2%} {meanwhile}."
         yield Fault(law, *place, float(share[worst]), text, tuple(self._ends[members[:MOST_NAMED]].tolist()))
 
@@ -388,10 +365,8 @@ class LawAudit:
         struck = np.where(weight > 0.0, 0.5 * closing**2 / np.where(weight > 0.0, weight, 1.0), 0.0)
         found.struck, found.impacts = float(struck.sum()), int(np.count_nonzero(struck))
         hardest = int(np.argmax(struck))
-        found.hardest, found.hardest_pair = (
-            float(struck[hardest]),
-            (int(near.pairs[hardest, 0]), int(near.pairs[hardest, 1])),
-        )
+        found.hardest = float(struck[hardest])
+        found.hardest_pair = int(near.pairs[hardest, 0]), int(near.pairs[hardest, 1])
 
     def _pair(self, near: Near, row: int) -> str:
         text = self._names.pair(self._ends[near.pairs[row]].tolist())

@@ -44,29 +44,15 @@ DT_LIMIT = "engine"  # the recorded limit of dt
 
 
 class Observer:
-    """Converts states to frames with energies, momenta, contacts and the faults found by the audit.
-
-    Parameters
-    ----------
-    setup
-        The constants of the run.
-    first
-        The first state.
-    tolerances
-        Of the audit.
-    units
-        Units of the numbers, and of the numbers in messages about faults.
-    present
-        Where bodies come and go, the bodies that exist; ``setup`` has their constants.
-    """
+    """Converts states to frames with energies, momenta, contacts and the faults found by the audit."""
 
     def __init__(
         self,
         setup: Setup,
         first: State,
         tolerances: Tolerances,
-        units: UnitSystem = SI,
-        present: Present | None = None,
+        units: UnitSystem = SI,  # of the numbers, and of the numbers in messages about faults
+        present: Present | None = None,  # where bodies come and go, those that exist, whose constants ``setup`` has
     ) -> None:
         self.setup = setup
         self.units = units
@@ -173,7 +159,12 @@ class Observer:
         """Update the extremes of the run; return the events of the frame."""
         drift = self.audit.drifted(step, time, energy)
         faults = seen.faults if drift is None else [*seen.faults, drift]
-        events = [*self._first_contact(step, time, contacts), *(fault.event for fault in faults)]
+        events = [fault.event for fault in faults]
+        if len(contacts) and not self.extremes.total_contacts:
+            pair = contacts.pairs[contacts.first]
+            ends = pair if self._ends is None else self._ends[pair]
+            text = f"First contact: {self.names.pair(ends.tolist())}."
+            events.insert(0, Event(step, time, "INFO", text, "first-contact"))
         statistics = self._statistics(contacts, seen)
         if statistics.contacts or statistics.impacts:  # otherwise there is no extreme to name
             self.extremes.add_contacts(step, time, statistics)
@@ -256,14 +247,6 @@ class Observer:
             deepest_pair=pair,
         )
 
-    def _first_contact(self, step: int, time: float, contacts: CollisionGraph) -> list[Event]:
-        if self.extremes.total_contacts or len(contacts) == 0:
-            return []
-        pair = contacts.pairs[contacts.first]
-        ends = pair if self._ends is None else self._ends[pair]
-        text = f"First contact: {self.names.pair(ends.tolist())}."
-        return [Event(step, time, "INFO", text, "first-contact")]
-
     def _books(self) -> Books:
         assert self._energies.baseline is not None, "the first frame sets it"
         return Books(
@@ -287,13 +270,7 @@ def header_of_source(
     properties: dict[str, Scalar],
     units: UnitSystem = SI,
 ) -> Header:
-    """Return the header of a recording of another engine.
-
-    Parameters
-    ----------
-    exact
-        Whether every frame has the exact state.
-    """
+    """Return the header of a recording of another engine; with ``exact``, every frame has the exact state."""
     forces = {GRAVITY.name: setup.constant != 0.0, UNIFORM_FIELD.name: bool(setup.gravity.any())}
     return Header(
         title=called(title),

@@ -65,16 +65,8 @@ class PartialFrame(Frame):
 class Population:
     """Numbers the bodies of states by their ids.
 
-    If the mass or radius of a body changes, as in a merger, this body ends and another begins.
-
-    Parameters
-    ----------
-    setup
-        The constants of the first state.
-    model
-        The model from which these constants were made.
-    ids
-        (n,) ids of the bodies of the model.
+    If the mass or radius of a body changes, as in a merger, this body ends and another begins. The setup of the first
+    state was made from the model, whose bodies have the ids (n,).
     """
 
     def __init__(self, setup: Setup, model: Model, ids: IntArray) -> None:
@@ -90,10 +82,7 @@ class Population:
     def find(self, state: State) -> Present:
         """Return the bodies of a state; if none came or went, the same object as for the previous state.
 
-        Raises
-        ------
-        RecordingError
-            If an id occurs twice, or the mass or the radius of a new body is unknown.
+        Raises RecordingError if an id occurs twice, or the mass or the radius of a new body is unknown.
         """
         engine, known = self.whole.engine, self.present
         if state.ids is None:
@@ -230,16 +219,10 @@ def _renumbered(rows: Records, ends: IntArray) -> Records:
 
 
 class Lives:
-    """Records which bodies exist in the frames of a run.
-
-    Attributes
-    ----------
-    change
-        Whether a body has come or gone so far.
-    """
+    """Records which bodies exist in the frames of a run."""
 
     def __init__(self, bodies: int) -> None:
-        self.change = False
+        self.change = False  # whether a body has come or gone so far
         self._first, self._last = np.full((2, bodies), -1, dtype=np.int64)
         self._present: IntArray | None = None  # of the last frame
 
