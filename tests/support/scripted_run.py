@@ -180,4 +180,4 @@ def write_events_without_kinds(monkeypatch: pytest.MonkeyPatch) -> None:
         )
 
     monkeypatch.setattr(encoder, "event_rows", without_kinds)
-    monkeypatch.setattr("carom.recording.write.stream.event_rows", without_kinds)
+    monkeypatch.setattr("carom.recording.write.recorder.event_rows", without_kinds)

@@ -190,10 +190,6 @@ class Continuation:
         contacts = found.contacts if found.contacts is not None and found.contacts.piston is not None else None
         return replace(found, acceleration=found.acceleration[:0].copy(), contacts=contacts, integrator=None)
 
-    def first_position(self) -> FloatArray:
-        """Positions of the bodies at the first checkpoint, (n, 3) m."""
-        return self.recording.checkpoint(self.recording.checkpoint_steps[0]).position
-
     def chunks(self) -> Iterator[Chunk]:
         """Yield all rows up to the checkpoint, without the events that closed the recording."""
         for chunk in self.recording.temporal_chunks():

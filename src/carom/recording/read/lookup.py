@@ -39,9 +39,8 @@ def body_number(recording: Recording, body: int | str) -> int:
         found = [number for number, name in enumerate(names) if name == body]
         if len(found) > 1:
             such = f'"#{found[0]}"' if str(found[0]) in names else str(found[0])
-            raise RecordingError(
-                f'{recording.path} has {len(found)} bodies called "{body}"; give a number, such as {such}'
-            )
+            several = f'{len(found)} bodies called "{body}"'
+            raise RecordingError(f"{recording.path} has {several}; give a number, such as {such}")
         if found:
             return found[0]
     number = text.removeprefix("#")
@@ -54,10 +53,8 @@ def shown_body(recording: Recording, body: int | str) -> int:
     """Return the number of a body, see `body_number`; raises RecordingError if a clip does not show it, too."""
     number, names, shown = body_number(recording, body), recording.bodies.name, recording.shown
     if number not in shown:
-        raise RecordingError(
-            f"{recording.path} does not contain {body_called(number, names[number])}: it is a clip of "
-            f"{bodies_called(shown, names)}"
-        )
+        called, others = body_called(number, names[number]), bodies_called(shown, names)
+        raise RecordingError(f"{recording.path} does not contain {called}: it is a clip of {others}")
     return number
 
 

@@ -26,35 +26,26 @@ if TYPE_CHECKING:
     from carom.runs.window import Watcher
 
 
-SCHEMA = pa.schema(
-    [
-        ("step", pa.int64()),
-        ("time", pa.float64()),  # s, of the impact, or the end of the step
-        ("i", pa.int64()),  # i < j
-        ("j", pa.int64()),  # n and above: planes and walls
-        *((name, pa.float64()) for name in ("x", "y", "z")),  # m, the contact point
-        *((name, pa.float64()) for name in ("nx", "ny", "nz")),  # the normal, from i to j
-        ("approach_speed", pa.float64()),  # m/s
-        ("normal_impulse", pa.float64()),  # N s
-        ("tangential_impulse", pa.float64()),  # N s
-        ("mode", pa.string()),
-        ("energy_lost", pa.float64()),  # J
-        ("normal_force", pa.float64()),  # N, the impulse over the length of the step; null for impacts
-        ("tangential_force", pa.float64()),  # N, null for impacts
-        ("angular_impulse_i", pa.float64()),  # N m s, |r × J| about the centre; null without spins
-        ("angular_impulse_j", pa.float64()),  # N m s, null for planes and walls, too
-    ]
+_COLUMNS = (  # name, type and unit
+    ("step", pa.int64(), ""),
+    ("time", pa.float64(), "s"),  # of the impact, or the end of the step
+    ("i", pa.int64(), ""),  # i < j
+    ("j", pa.int64(), ""),  # n and above: planes and walls
+    *((name, pa.float64(), "m") for name in ("x", "y", "z")),  # the contact point
+    *((name, pa.float64(), "") for name in ("nx", "ny", "nz")),  # the normal, from i to j
+    ("approach_speed", pa.float64(), "m/s"),
+    ("normal_impulse", pa.float64(), "N s"),
+    ("tangential_impulse", pa.float64(), "N s"),
+    ("mode", pa.string(), ""),
+    ("energy_lost", pa.float64(), "J"),
+    ("normal_force", pa.float64(), "N"),  # the impulse over the length of the step; null for impacts
+    ("tangential_force", pa.float64(), "N"),  # null for impacts
+    ("angular_impulse_i", pa.float64(), "N m s"),  # |r × J| about the centre; null without spins
+    ("angular_impulse_j", pa.float64(), "N m s"),  # null for planes and walls, too
 )
+SCHEMA = pa.schema([(name, kind) for name, kind, _ in _COLUMNS])
+UNITS = {name: unit for name, _, unit in _COLUMNS if unit}
 MEASURED = ("approach_speed", "normal_impulse", "tangential_impulse", "energy_lost")  # recorded in float32
-UNITS = {  # of the columns that have a unit
-    "time": "s",
-    **dict.fromkeys(("x", "y", "z"), "m"),
-    "approach_speed": "m/s",
-    **dict.fromkeys(("normal_impulse", "tangential_impulse"), "N s"),
-    "energy_lost": "J",
-    **dict.fromkeys(("normal_force", "tangential_force"), "N"),
-    **dict.fromkeys(("angular_impulse_i", "angular_impulse_j"), "N m s"),
-}
 SOURCE = "source"  # key of a table's metadata: the source of its rows, in words
 
 

@@ -36,35 +36,27 @@ def recorded_scene(recording: Recording, overrides: list[str] | None = None) -> 
 
     Raises RecordingError if it is a recording of another engine or a clip without exact states, or is damaged.
     """
+    path = recording.path
     if recording.engine:
-        raise RecordingError(
-            f"{recording.path} was recorded from {recording.engine}: carom cannot rerun another engine"
-        )
+        raise RecordingError(f"{path} was recorded from {recording.engine}: carom cannot rerun another engine")
     if recording.is_partial:
-        raise RecordingError(
-            f"{recording.path} is a clip of {len(recording.shown)} of {recording.info['bodies']} bodies without exact "
-            "states: it cannot be rerun, but the recording from which it was cut can"
-        )
+        part = f"a clip of {len(recording.shown)} of {recording.info['bodies']} bodies without exact states"
+        raise RecordingError(f"{path} is {part}: it cannot be rerun, but the recording from which it was cut can")
     text, bodies = recording.scene_toml, len(recording.bodies.mass)
     if len(text) > longest_text(bodies):
-        raise RecordingError(
-            f"{recording.path} has a scene of {len(text)} characters for {bodies} bodies: it is damaged"
-        )
+        raise RecordingError(f"{path} has a scene of {len(text)} characters for {bodies} bodies: it is damaged")
     stated = recording.info.get("scene_sha256")
     if stated is not None and stated != scene_digest(text):
-        raise RecordingError(
-            f"{recording.path}: its scene was altered after the recording (the SHA-256 differs), so it cannot be rerun"
-        )
+        altered = "its scene was altered after the recording (the SHA-256 differs)"
+        raise RecordingError(f"{path}: {altered}, so it cannot be rerun")
     refuse_missing_extensions(recording)
-    source = f"the scene in {recording.path}"
+    source = f"the scene in {path}"
     scene = scene_from_text(text, source, bodies=RecordedBodies(recording))
     if overrides:
         scene = scene_from_text(text, source, overrides, scene.held)
     scene = scene.by_contact_rules(recording.contact_rules)
-    if scene.count != len(recording.bodies.mass):
-        raise RecordingError(
-            f"{recording.path} has {len(recording.bodies.mass)} bodies, but its scene has {scene.count}: it is damaged"
-        )
+    if scene.count != bodies:
+        raise RecordingError(f"{path} has {bodies} bodies, but its scene has {scene.count}: it is damaged")
     return scene
 
 

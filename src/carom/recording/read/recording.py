@@ -51,9 +51,8 @@ class Recording(FrameTables):
         if version is None:
             raise RecordingError(f"{path} was not made by carom, but by {store.application_id!r}")
         if version > paths.SCHEMA_VERSION:
-            raise RecordingError(
-                f"{path} has schema version {version}; this carom reads up to {paths.SCHEMA_VERSION}: upgrade carom"
-            )
+            known = f"this carom reads up to {paths.SCHEMA_VERSION}"
+            raise RecordingError(f"{path} has schema version {version}; {known}: upgrade carom")
         return cls(container, store)
 
     @cached_property
@@ -140,6 +139,8 @@ class Recording(FrameTables):
     ) -> pa.Table:
         """Return the path of one body, with one row per frame.
 
+        Raises RecordingError if there is no such body or no frame in the interval, or the run cannot be repeated.
+
         Parameters
         ----------
         body
@@ -156,11 +157,6 @@ class Recording(FrameTables):
             wz (rad/s), and ``exact``: whether the row is in float64. Without a replay, only rows of checkpoints are
             exact; the others have float32 positions and nulls elsewhere. The metadata of the schema state the
             ``source``.
-
-        Raises
-        ------
-        RecordingError
-            If there is no such body or no frame in the interval, or the run cannot be repeated.
         """
         check_times(start=start, end=end)
         return trajectory(self, body, start, end, replay=replay)
@@ -177,7 +173,8 @@ class Recording(FrameTables):
         """Return the impacts of an interval in order of time.
 
         If they are not recorded, the steps are recomputed. A clip also holds the impacts of the step before its first
-        frame. A clip of selected bodies holds only impacts among them or with planes.
+        frame. A clip of selected bodies holds only impacts among them or with planes. Raises RecordingError if there is
+        no such body or it is not shown, no part of the interval is recorded, or the run cannot be repeated.
 
         Parameters
         ----------
@@ -198,12 +195,6 @@ class Recording(FrameTables):
             normal_force, tangential_force (null: an impact has no force), angular_impulse_i, angular_impulse_j (N m s,
             |r × J| about the centre of each body; null without spins, and for planes and walls). The metadata of the
             schema state the ``source`` and how many impacts were ``left_out`` of the recording.
-
-        Raises
-        ------
-        RecordingError
-            If there is no such body or it is not shown, no part of the interval is recorded, or the run cannot be
-            repeated.
         """
         check_times(start=start, end=end)
         return impacts(self, start, end, body, replay=replay, watch=watch)
@@ -211,7 +202,8 @@ class Recording(FrameTables):
     def contacts(self, at: float | None = None, *, replay: bool = False, watch: Watcher | None = None) -> pa.Table:
         """Return the contacts of the step that contains a time, by pair.
 
-        A step without a frame or without recorded contacts is recomputed.
+        A step without a frame or without recorded contacts is recomputed. Raises RecordingError if the time is not in
+        the recording, or the run cannot be repeated.
 
         Parameters
         ----------
@@ -229,11 +221,6 @@ class Recording(FrameTables):
             step or, for a pair that has separated by then, at its hardest impact. Recorded contacts have approach_speed
             and energy_lost only for impacts (null otherwise). They do not include contacts that held after the first
             kick but opened within the step. The metadata of the schema state the ``source``.
-
-        Raises
-        ------
-        RecordingError
-            If the time is not in the recording, or the run cannot be repeated.
         """
         check_times(at=at)
         return contacts(self, at, replay=replay, watch=watch)
@@ -277,16 +264,12 @@ class Recording(FrameTables):
     def checkpoint(self, step: int) -> Checkpoint:
         """Decode the exact state at one of :attr:`checkpoint_steps`.
 
-        Raises
-        ------
-        RecordingError
-            If there is none at this step, or it is damaged: not finite, or different from its digest or from the
-            fingerprint of its frame.
+        Raises RecordingError if there is none at this step, or it is damaged: not finite, or different from its digest
+        or from the fingerprint of its frame.
         """
         if isinstance(step, bool) or not isinstance(step, (int, np.integer)):
-            raise RecordingError(
-                f"checkpoint {step!r}: give one of checkpoint_steps, such as {self.checkpoint_steps[:1]}"
-            )
+            known = f"give one of checkpoint_steps, such as {self.checkpoint_steps[:1]}"
+            raise RecordingError(f"checkpoint {step!r}: {known}")
         return next(self.checkpoints([int(step)]))
 
     def checkpoints(self, steps: Iterable[int] | None = None) -> Iterator[Checkpoint]:
@@ -304,12 +287,8 @@ class Recording(FrameTables):
         """Return the time (s) to show: the given one, or that of the hardest impact, the most contacts, or the end.
 
         A closed run has recorded its hardest impact; otherwise the frames are searched. In a clip of some bodies, the
-        impact of these bodies with the largest impulse counts.
-
-        Raises
-        ------
-        RecordingError
-            If there is no frame, or the given time is not in the recording.
+        impact of these bodies with the largest impulse counts. Raises RecordingError if there is no frame, or the given
+        time is not in the recording.
         """
         check_times(at=at)
         return moment(self, at)
@@ -331,6 +310,8 @@ class Recording(FrameTables):
     def view(self, at: float | None = None, *, event: str | None = None, bodies: str | None = None) -> None:
         """Open Rerun's viewer in a window, paused at a moment; return when the window is closed.
 
+        Raises RecordingError if there is no such moment, event or body, or no screen.
+
         Parameters
         ----------
         at
@@ -339,11 +320,6 @@ class Recording(FrameTables):
             The name of an event, whose bodies the close-up view shows.
         bodies
             The bodies of the close-up view, by numbers or names separated by a comma.
-
-        Raises
-        ------
-        RecordingError
-            If there is no such moment, event or body, or no screen.
         """
         from carom.show.request import Request  # noqa: PLC0415 - readers need no viewer
         from carom.show.viewer import open_window  # noqa: PLC0415
@@ -355,21 +331,8 @@ class Recording(FrameTables):
     ) -> None:
         """Display Rerun's viewer below the cell of a notebook, paused at a moment. Needs `carom[notebook]`.
 
-        Parameters
-        ----------
-        at
-            s; without it, the event or otherwise the most interesting moment.
-        height
-            Pixels; the width is that of the cell.
-        event
-            The name of an event, whose bodies the close-up view shows.
-        bodies
-            The bodies of the close-up view, by numbers or names separated by a comma.
-
-        Raises
-        ------
-        RecordingError
-            If there is no such moment, event or body, or rerun-notebook is not installed.
+        The moment, the event and the bodies are those of `view`; the height is in pixels, the width that of the cell.
+        Raises RecordingError if there is no such moment, event or body, or rerun-notebook is not installed.
         """
         from carom.show.notebook import show  # noqa: PLC0415 - readers need no viewer
         from carom.show.request import Request  # noqa: PLC0415

@@ -64,23 +64,14 @@ class BodyTable:
     def __call__(self, at: float | None = None) -> pa.Table:
         """Return the state of all bodies at the end of the step that contains a time, in float64.
 
-        It is read from a checkpoint, or recomputed from the previous one.
-
-        Parameters
-        ----------
-        at
-            s, by default the moment of `Recording.moment`.
+        It is read from a checkpoint, or recomputed from the previous one. By default, the time (s) is that of
+        `Recording.moment`. Raises RecordingError if it is not in the recording, or the run cannot be repeated.
 
         Returns
         -------
         states
             Columns body, name, x, y, z (m), vx, vy, vz (m/s), with orientations qx, qy, qz, qw, with spins wx, wy, wz
             (rad/s). The metadata of its schema state the ``step``, the ``time`` (s) and the ``source``.
-
-        Raises
-        ------
-        RecordingError
-            If the time is not in the recording, or the run cannot be repeated.
         """
         return self._states(at)
 

@@ -181,9 +181,8 @@ class FrameTables(Statics):
             if name not in known and name not in scalars:
                 raise RecordingError(f"there is no series {root}/{name}; there are {', '.join(known)}")
             if name not in scalars and self.frames and is_recorded(root, name, self.info):
-                raise RecordingError(
-                    f"{self.path} has no /{root}/{name}: a part of the file is missing, or an older carom made it"
-                )
+                reason = "a part of the file is missing, or an older carom made it"
+                raise RecordingError(f"{self.path} has no /{root}/{name}: {reason}")
         columns = {name: frames[name] for name in (STEP, SIM_TIME, "time")}
         columns |= {name: rows["Scalars:scalars"] for name, rows in scalars.items()}
         steps = {name: rows[STEP].to_numpy() for name, rows in scalars.items()}
@@ -329,8 +328,6 @@ def checkpoints_at(recording: Recording, start: dict[str, Values], steps: Iterab
         found = decode(step, row, len(recording.bodies.mass))
         frame = int(np.searchsorted(known, step))
         if frame < len(known) and known[frame] == step and int(bits[frame]) != found.fingerprint:
-            raise RecordingError(
-                f"{recording.path}: the checkpoint at step {step} does not match the fingerprint of its frame; one of "
-                "the two is damaged"
-            )
+            differs = f"the checkpoint at step {step} does not match the fingerprint of its frame"
+            raise RecordingError(f"{recording.path}: {differs}; one of the two is damaged")
         yield found

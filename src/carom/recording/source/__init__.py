@@ -197,10 +197,8 @@ def refuse_no_rotation(engine: str, orientation: FloatArray) -> None:
     length = np.linalg.norm(orientation, axis=1)
     wrong = np.flatnonzero(np.abs(length - 1.0) > ROUGHLY)
     if len(wrong):
-        body = int(wrong[0])
-        raise RecordingError(
-            f"{engine}: orientation[{body}] has the length {length[body]:g}; it must be a quaternion of length 1, xyzw"
-        )
+        wrong_one = f"orientation[{wrong[0]}] has the length {length[wrong[0]]:g}"
+        raise RecordingError(f"{engine}: {wrong_one}; it must be a quaternion of length 1, xyzw")
 
 
 def _numbers(engine: str, name: str, values: Any) -> FloatArray:
@@ -308,10 +306,8 @@ class StateMemory:
             if view is not None:
                 values = getattr(state, name)
                 if np.shape(values) != view.shape:  # otherwise NumPy would broadcast the rows
-                    raise RecordingError(
-                        f"{name} has the shape {np.shape(values)}, but had {view.shape}; where bodies come and go, "
-                        "give each state their ids"
-                    )
+                    changed = f"{name} has the shape {np.shape(values)}, but had {view.shape}"
+                    raise RecordingError(f"{changed}; where bodies come and go, give each state their ids")
                 view[:] = values
         own.contacts = None if state.contacts is None else np.array(state.contacts)
 

@@ -110,10 +110,11 @@ class Observer:
         self._ledger = Ledger(restitution=self._ledger.restitution + seen.taken + seen.unjudged)
         motion = TotalMotion.of(self.bodies)
         energy = self._energies.balance(motion, potentials, self._ledger)
+        baseline = self._energies.baseline
+        assert baseline is not None, "the call above set it"
         if before is None and self._last_time is not None:  # bodies came or went
-            assert self._energies.baseline is not None, "the call above set it"
-            known = self._energies.baseline
-            self._energies.baseline = replace(known, initial=known.initial + energy.integration_error - self._error)
+            baseline = replace(baseline, initial=baseline.initial + energy.integration_error - self._error)
+            self._energies.baseline = baseline
             energy = self._energies.balance(motion, potentials, self._ledger)
         self._error = energy.integration_error
         momentum = self._momenta.balance(motion, now.time - self._began)
@@ -146,7 +147,15 @@ class Observer:
             events=tuple(events),
             previous_dt=dt,
             memory=None,
-            books=self._books(),
+            books=Books(
+                energy=baseline,
+                momentum=self._momenta.baseline,
+                watch=MonitorState(),
+                moments=self.extremes.copy(),
+                activity=self._activity.impact_energy,
+                phase=self._activity.phase,
+                limits=(),
+            ),
             momentum_error=momentum.linear_error,
             angular_momentum_error=momentum.angular_error,
             slot=slot,
@@ -245,18 +254,6 @@ class Observer:
             hardest_pair=hardest,
             deepest=deepest,
             deepest_pair=pair,
-        )
-
-    def _books(self) -> Books:
-        assert self._energies.baseline is not None, "the first frame sets it"
-        return Books(
-            energy=self._energies.baseline,
-            momentum=self._momenta.baseline,
-            watch=MonitorState(),
-            moments=self.extremes.copy(),
-            activity=self._activity.impact_energy,
-            phase=self._activity.phase,
-            limits=(),
         )
 
 

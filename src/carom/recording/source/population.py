@@ -112,9 +112,8 @@ class Population:
         new = np.flatnonzero(numbers < 0)
         unknown = new[np.isnan(sizes[new]).any(axis=1)]
         if len(unknown):
-            raise RecordingError(
-                f"{whole.engine}: the body with the id {ids[unknown[0]]} is new; give its mass and its radius"
-            )
+            new_body = f"the body with the id {ids[unknown[0]]} is new"
+            raise RecordingError(f"{whole.engine}: {new_body}; give its mass and its radius")
         numbers[new] = len(whole) + np.arange(len(new))
         names = list(whole.names)
         for row in new.tolist():

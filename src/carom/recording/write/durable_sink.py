@@ -235,7 +235,8 @@ class AddressReserve:
         contacts = [len(frame.contacts.pairs) for frame in batch]
         encoding = _FRAME_PER_CONTACT * sum(contacts) + _CHECKPOINT_PER_CONTACT * max(contacts)
         closing = self._least + _CLOSING_PER_CONTACT * max(contacts)
-        if not self._keep(closing) or _in_use() + encoding > self._limit:
+        pages = int(_STATM.read_text(encoding="ascii").split()[0])  # in use
+        if not self._keep(closing) or pages * resource.getpagesize() + encoding > self._limit:
             needed = f"{(encoding + closing) / 1e9:.2g} GB of address space"
             raise RecorderError(
                 f"cannot write more of {path}: frames of {max(contacts)} contacts need {needed}, more than `ulimit "
@@ -257,8 +258,3 @@ class AddressReserve:
         if self._kept is not None:
             self._kept.close()
         self._kept, self._size = None, 0
-
-
-def _in_use() -> int:
-    """Return the address space (bytes) that this process uses."""
-    return int(_STATM.read_text(encoding="ascii").split()[0]) * resource.getpagesize()

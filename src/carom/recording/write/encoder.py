@@ -22,21 +22,8 @@ from carom.recording.layout import drawing
 from carom.recording.layout.drawing import arrow_length, shape, single
 from carom.recording.layout.plot_views import CurveOutline
 from carom.recording.read.recorded_impacts import RecordedImpacts
-from carom.recording.schema import checkpoint_columns, palette
+from carom.recording.schema import checkpoint_columns, palette, paths
 from carom.recording.schema.header import Header
-from carom.recording.schema.paths import (
-    ANGULAR_ACCELERATION,
-    BODIES,
-    CHECKPOINT,
-    CONTACTS,
-    DT_LIMIT,
-    EVENTS,
-    FINGERPRINT,
-    FORCE_NORMAL,
-    MOMENTUM,
-    PHASE,
-    TORQUE,
-)
 from carom.recording.schema.series import IN_PLOT, Sample, Series, recorded
 from carom.recording.write import encoding_kernels as encoding
 from carom.recording.write.contact_encoder import (
@@ -120,7 +107,7 @@ class BatchEncoder:
         if self.header.has_orientation:
             turned = np.empty((len(batch) * self.header.bodies, 4), dtype=np.float32)
             encoding.cast_orientations(_stacked("orientation", batch, store), turned.reshape(len(batch), -1, 4))
-        yield Rows(BODIES, index, self._drawn(points.reshape(-1, 3), turned, self._node_colours(batch)))
+        yield Rows(paths.BODIES, index, self._drawn(points.reshape(-1, 3), turned, self._node_colours(batch)))
         yield from wall_rows(self._walls, index, self.origin)
         yield from piston_rows(self.header, index, batch)
         if self.header.has_torque:
@@ -130,7 +117,7 @@ class BatchEncoder:
             contacts = BatchContacts(batch)
             columns = self._edges(contacts, points, extremes, index.times.tolist())
             columns += self._contacts.columns(batch, contacts, position) if self._contacts else []
-            yield Rows(CONTACTS, index, columns)
+            yield Rows(paths.CONTACTS, index, columns)
         found = list[Instant]()
         if self._contacts:
             yield from self._contacts.rows(index)
@@ -141,12 +128,12 @@ class BatchEncoder:
                 column, *_ = rows.columns
                 self.curves[rows.path].insert(rows.index.times, column.as_arrow_array().flatten().to_numpy())
             yield rows
-        yield from self._changes(DT_LIMIT, batch, lambda frame: frame.dt_limit)
-        yield from self._changes(PHASE, batch, lambda frame: frame.phase)
+        yield from self._changes(paths.DT_LIMIT, batch, lambda frame: frame.dt_limit)
+        yield from self._changes(paths.PHASE, batch, lambda frame: frame.phase)
         if events := [event for frame in batch for event in frame.events]:
             yield event_rows(events)
         bits = np.array([frame.fingerprint for frame in batch], dtype=np.uint64)
-        yield Rows(FINGERPRINT, index, [any_column("fingerprint", bits), any_column("time", index.times)])
+        yield Rows(paths.FINGERPRINT, index, [any_column("fingerprint", bits), any_column("time", index.times)])
         # an error is NaN where it is not defined
         linear = np.array([f.momentum_error for f in batch], dtype=np.float64)
         angular = np.array([f.angular_momentum_error for f in batch], dtype=np.float64)
@@ -156,13 +143,13 @@ class BatchEncoder:
             any_column("angular_momentum", np.concatenate([frame.angular_momentum for frame in batch]), 3),
             any_column("angular_momentum_error", angular),
         ]
-        yield Rows(MOMENTUM, index, columns)
+        yield Rows(paths.MOMENTUM, index, columns)
 
     def checkpoints(self, frames: Sequence[Frame]) -> Rows:
         """Encode the exact state of some frames."""
         encoded = checkpoint_columns.encode([frame.checkpoint for frame in frames])
         columns = [any_column(name, values, np.array(each)) for name, (values, each) in encoded.items()]
-        return Rows(CHECKPOINT, Index.of(frames), columns)
+        return Rows(paths.CHECKPOINT, Index.of(frames), columns)
 
     def at_impacts(self, found: Sequence[Instant]) -> Iterable[Rows]:
         """Draw the states at some impacts; these rows are on the timelines of time and of impacts, and have no step."""
@@ -174,13 +161,13 @@ class BatchEncoder:
         points = single(np.stack([frame.position for frame in frames]) - self.origin)
         turned = [frame.orientation for frame in frames if frame.orientation is not None]
         turns = single(np.concatenate(turned)) if turned else None
-        yield Rows(BODIES, index, self._drawn(points.reshape(-1, 3), turns, None))
+        yield Rows(paths.BODIES, index, self._drawn(points.reshape(-1, 3), turns, None))
         yield from wall_rows(self._walls, index, self.origin)
         contacts = BatchContacts(frames)
         edges = self._edges(contacts, points, np.zeros((len(found), 3)), index.times.tolist())
         middle = contacts.middles()
-        yield Rows(CONTACTS, index, [*edges, *contact_columns(contacts, middle, self.header.radius)])
-        longest = arrow_length(self.header, FORCE_NORMAL)
+        yield Rows(paths.CONTACTS, index, [*edges, *contact_columns(contacts, middle, self.header.radius)])
+        longest = arrow_length(self.header, paths.FORCE_NORMAL)
         rubs, floors = self.header.has_friction, self._floors.alone(contacts.largest())
         yield from force_rows(index, contacts, middle, contacts.contacts, longest, self.origin, rubs, floors)
         twice = Index(NO_STEPS, np.repeat(index.times, 2), np.repeat(numbers, 2), np.repeat(ends, 2))
@@ -245,14 +232,14 @@ class BatchEncoder:
         each, body, magnitude = np.zeros(len(batch), dtype=np.int64), np.empty(most, dtype=np.uint32), np.empty(most)
         total = encoding.list_torques(TorqueList(torque, each, body, magnitude))
         torques = TorqueList(torque, each, body[:total], magnitude[:total])
-        for path in (TORQUE, ANGULAR_ACCELERATION):
+        for path in (paths.TORQUE, paths.ANGULAR_ACCELERATION):
             yield self._arrow_rows(path, index, batch, torques, points)
 
     def _arrow_rows(
         self, path: str, index: Index, batch: Sequence[Frame], torques: TorqueList, points: SingleArray
     ) -> Rows:
         """Return arrows of one kind, without those of rounding noise."""
-        inertia = np.ones(self.header.bodies) if path == TORQUE else self.header.inertia
+        inertia = np.ones(self.header.bodies) if path == paths.TORQUE else self.header.inertia
         torques, floors = self._above_floor(path, torques, inertia)
         each, body, magnitude = torques.each, torques.body, torques.magnitude
         if len(body) and path not in self.arrow_references.chosen:
@@ -370,7 +357,7 @@ def event_rows(events: Sequence[Event]) -> Rows:
     log = rr.TextLog.columns(text=[e.text for e in events], level=[e.level for e in events])
     columns = [*log, any_column("kind", [e.kind for e in events])]
     index = Index(np.array([e.step for e in events]), np.array([e.time for e in events]))
-    return Rows(EVENTS, index, columns)
+    return Rows(paths.EVENTS, index, columns)
 
 
 def refuse_wrong_arrays(header: Header, batch: Sequence[Frame], before: Frame | Checkpoint | None) -> None:

@@ -28,7 +28,7 @@ from carom.recording.schema.checkpoint_columns import size
 from carom.recording.schema.header import Header, Scalar, TimeScale, viewer_time
 from carom.recording.source.population import Lives
 from carom.recording.write.durable_sink import AddressReserve
-from carom.recording.write.encoder import BatchEncoder
+from carom.recording.write.encoder import BatchEncoder, event_rows
 from carom.recording.write.stream import BATCH_BYTES, Stream, frames_in_batch
 from carom.recording.write.whole_file import name_until_whole
 
@@ -332,7 +332,8 @@ class FrameRecorder:
         self._addresses.release()
         continued = self._continued
         if continued is not None:
-            position, origin = continued.first_position(), continued.origin
+            first = continued.recording.checkpoint_steps[0]
+            position, origin = continued.recording.checkpoint(first).position, continued.origin
             self._encoder = BatchEncoder(
                 *(self.header, origin, continued.arrow_references, continued.last_state, continued.last()),
                 impacts_before=continued.impacts,
@@ -385,7 +386,7 @@ class FrameRecorder:
                     self._stream.send(encoder.checkpoints([last]), self._clock)
                 level = "INFO" if outcome == "completed" else "WARN"
                 for event in (*events, Event(last.step, last.time, level, f"end: {outcome}", "end")):
-                    self._stream.send_event(event, self._clock)
+                    self._stream.send(event_rows([event]), self._clock)
                 if self._camera_fit is not None:  # a layout that shows the whole recording, without empty plots
                     self._camera_fit.see([last], encoder.origin)
                     layout = blueprint(self.header, self._camera_fit, encoder.curves, added=self._added)

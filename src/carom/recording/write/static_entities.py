@@ -56,27 +56,23 @@ def statics(header: Header, clock: TimeScale, origin: FloatArray, reach: float) 
     yield paths.DT_LIMIT, _states(palette.DT_LIMITS)
 
 
-STATES_AT_IMPACTS = "states_at_impacts"  # in the property `carom`: whether frames at impacts hold more than bodies
+# in the property `carom`
+STATES_AT_IMPACTS = "states_at_impacts"  # whether frames at impacts hold more than bodies
+_STATED = (  # values of the header
+    *("title", "bodies", "seed", "spins", "has_orientation", "has_torque", "has_friction"),
+    *("collides", "stabilises", "body_colouring", "records_contacts"),
+)
+_STATED_IF_TRUE = ("promises", "drives", "has_piston", "has_driving_field")
 
 
 def identity(header: Header, clock: TimeScale, origin: FloatArray) -> dict[str, Scalar | FloatArray]:
     """Return the property `carom`: the scene, the parts of its model, and the style of its drawing."""
     properties: dict[str, Scalar | FloatArray] = {
         "schema_version": paths.SCHEMA_VERSION,
-        "title": header.title,
-        "bodies": header.bodies,
-        "seed": header.seed,
-        "spins": header.spins,
-        "has_orientation": header.has_orientation,
-        "has_torque": header.has_torque,
-        "has_friction": header.has_friction,
+        **{name: getattr(header, name) for name in _STATED},
         GRAVITY.present: GRAVITY.name in header.forces,
-        "collides": header.collides,
-        "stabilises": header.stabilises,
         UNIFORM_FIELD.present: UNIFORM_FIELD.name in header.forces,
-        "body_colouring": header.body_colouring,
         "colour_by": header.coloured_by,
-        "records_contacts": header.records_contacts,
         "duration": float(header.duration),
         "time_scale": clock.scale,
         "origin": origin,
@@ -97,14 +93,9 @@ def identity(header: Header, clock: TimeScale, origin: FloatArray) -> dict[str, 
         properties["drawing_rules"] = header.drawing_rules
     if header.collides and header.contact_rules > 1:
         properties["contact_rules"] = header.contact_rules
-    if header.promises:
-        properties["promises"] = True
-    if header.drives:
-        properties["drives"] = True
+    properties |= {name: True for name in _STATED_IF_TRUE if getattr(header, name)}
     if header.piston is not None:
-        properties |= {"has_piston": True, "piston": header.piston}
-    if header.has_driving_field:
-        properties["has_driving_field"] = True
+        properties["piston"] = header.piston
     if header.shear:
         properties |= {f"shear.{key}": value for key, value in header.shear.model_dump().items()}
     properties |= {kind.present: True for kind in FORCES if kind.name in header.forces}

@@ -14,14 +14,12 @@ import rerun as rr
 
 from carom.arrays import FloatArray
 from carom.errors import RecordingError
-from carom.event import Event
 from carom.recording.read.frame_rows import Continuation
 from carom.recording.rrd.messages import release_memory
 from carom.recording.schema import checkpoint_columns, paths
 from carom.recording.schema.header import Header, Scalar, TimeScale, application_id
 from carom.recording.source.population import Lives
 from carom.recording.write.durable_sink import FLUSH, DurableSink
-from carom.recording.write.encoder import event_rows
 from carom.recording.write.rerun_compat import end_earlier_streams, rerun_chunks, send_layout
 from carom.recording.write.rows import Index, Rows, any_values, joined, kind_of
 from carom.recording.write.static_entities import identity, statics
@@ -180,10 +178,6 @@ class Stream:
                 sent = 0
                 self.flush()
                 release_memory()
-
-    def send_event(self, event: Event, clock: TimeScale) -> None:
-        """Send one line of the log."""
-        self.send(event_rows([event]), clock)
 
     def send_statics(self, clock: TimeScale, origin: FloatArray, reach: float) -> None:
         """Send the static data; at the start all bodies are within ``reach`` (m) of the origin."""
