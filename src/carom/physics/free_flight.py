@@ -29,15 +29,7 @@ from carom.physics.forces.kernel_forces import Parameters, add_forces
 from carom.physics.integrators.kick_drift import KickedBodies, advance, kick_after_drift, kick_before_drift, wrap_rows
 from carom.physics.jit.decorators import borrowing, entry_of, inline, unowned
 from carom.physics.rotation import rotate_one
-from carom.physics.step_rule import (
-    END,
-    FIXED,
-    LIMIT_NAMES,
-    LimitsRecord,
-    RuleRecord,
-    smooth_and_cut,
-    target,
-)
+from carom.physics.step_rule import END, FIXED, LIMIT_NAMES, LimitsRecord, RuleRecord, smooth_and_cut, target
 from carom.physics.time_step import Timestep
 from carom.physics.vector import is_periodic, minimum_image, square, write
 from carom.physics.world import World

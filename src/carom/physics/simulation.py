@@ -24,15 +24,7 @@ from carom.physics.schedule import Checks, Goal, Pause, Schedule, at, every
 from carom.physics.step import KickDriftStepper
 from carom.physics.time_step import Timestep
 from carom.physics.world import World
-from carom.plan.auto import (
-    StepLimits,
-    auto_interval,
-    frame_interval,
-    holding,
-    integrator,
-    step_limits,
-    wider_limits,
-)
+from carom.plan.auto import StepLimits, auto_interval, frame_interval, holding, integrator, step_limits, wider_limits
 from carom.plan.features import require
 from carom.scene.schema import Scene
 from carom.scene.start import InitialBodies

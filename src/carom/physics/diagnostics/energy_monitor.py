@@ -38,13 +38,7 @@ class Suspects:
     angular_velocity: FloatArray | None  # (n + p, 3) rad/s
 
     @classmethod
-    def of(
-        cls,
-        step: int,
-        contact: ContactPipeline,
-        bodies: Bodies,
-        spent: Suspects | None = None,
-    ) -> Suspects:
+    def of(cls, step: int, contact: ContactPipeline, bodies: Bodies, spent: Suspects | None = None) -> Suspects:
         """Copy the values that the next step overwrites; velocities go into the arrays of ``spent``, if given."""
         ends, spins = bodies.ends, len(bodies.angular_velocity) > 0
         velocity = np.empty_like(ends.velocity) if spent is None else spent.velocity

@@ -231,12 +231,7 @@ class FlightSpace(NamedTuple):
 
 @long_kernel
 def fly(
-    sphere: RecordArray[GrowingSphereRecord],
-    movers: int,
-    queue: IntArray,
-    space: FlightSpace,
-    span: float,
-    most: int,
+    sphere: RecordArray[GrowingSphereRecord], movers: int, queue: IntArray, space: FlightSpace, span: float, most: int
 ) -> tuple[float, int]:
     """Fly until a sphere has left its skin, for at most a time span (s) or number of impacts.
 

@@ -139,12 +139,7 @@ MOST_DRAWN = 50_000_000  # candidates, for one size class
 
 
 def positions(
-    index: int,
-    region: Region,
-    radius: FloatArray,
-    around: Surroundings,
-    rng: np.random.Generator,
-    dense: bool = False,
+    index: int, region: Region, radius: FloatArray, around: Surroundings, rng: np.random.Generator, dense: bool = False
 ) -> FloatArray:
     """Place spheres of given radii, the largest size class first, so that small ones fill the gaps.
 

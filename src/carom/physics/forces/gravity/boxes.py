@@ -162,13 +162,7 @@ def _put(queue: Queue, lo: int, hi: int, box: int) -> None:
 
 @long_kernel
 def _sort(
-    lo: int,
-    hi: int,
-    queue: Queue,
-    mass: FloatArray,
-    sorting: Sorting,
-    bodies: SortedBodies,
-    ranges: BoxRanges,
+    lo: int, hi: int, queue: Queue, mass: FloatArray, sorting: Sorting, bodies: SortedBodies, ranges: BoxRanges
 ) -> None:
     """Sort the bodies: each of the threads from lo to hi takes ranges from the queue until all bodies are sorted.
 

@@ -103,13 +103,7 @@ class TreeBuffers(NamedTuple):
 
 
 @long_kernel
-def expand(
-    lo: int,
-    hi: int,
-    taken_so_far: IntArray,
-    tree: BoxTree,
-    theta: float,
-) -> None:
+def expand(lo: int, hi: int, taken_so_far: IntArray, tree: BoxTree, theta: float) -> None:
     """Write the moments of all boxes for an opening angle (rad).
 
     Each of the threads [lo, hi) takes the next `BOXES_PER_TASK` boxes until none are left; ``taken_so_far``, (1,),

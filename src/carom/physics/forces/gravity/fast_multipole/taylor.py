@@ -127,13 +127,7 @@ STEPS = np.array(
 
 @inner
 def _attract_one_by_one(
-    poles: FloatArray,
-    boxes: IntArray,
-    at: int,
-    point: Vector,
-    unit: float,
-    eps2: float,
-    sums: FloatArray,
+    poles: FloatArray, boxes: IntArray, at: int, point: Vector, unit: float, eps2: float, sums: FloatArray
 ) -> None:
     x, y, z = point
     D = np.empty((ORDER + 1, LOCAL))
