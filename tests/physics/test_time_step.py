@@ -13,10 +13,10 @@ from carom.physics.batch_step import BatchStepper
 from carom.physics.jit.team import Team
 from carom.physics.space import Space
 from carom.physics.step import KickDriftStepper
-from carom.physics.step_rule import BODIES_PER_BLOCK, GravityStep, step_of_largest
+from carom.physics.step_rule import BODIES_PER_BLOCK, step_of_largest
 from carom.physics.time_step import MIN_SHARED_BLOCKS, Timestep
 from carom.plan.auto import PAIRS_UP_TO, StepLimits
-from carom.scene.schema import Gravity, Scene, Time
+from carom.scene.schema import Scene, Time
 from small_scenes import kinetic_energy_of, random_bodies
 
 NO_FIELD = np.zeros(3)
@@ -30,26 +30,26 @@ def still() -> Any:
 
 
 def test_without_motion_the_step_is_the_cap() -> None:
-    assert Timestep(Time(), StepLimits(0.7, 0.5, 0.01), None, NO_FIELD).choose(still(), math.inf) == (0.7, "cap")
+    assert Timestep(Time(), StepLimits(0.7, 0.5, 0.01), NO_FIELD).choose(still(), math.inf) == (0.7, "cap")
 
 
 def test_one_body_in_motion_gets_the_cap() -> None:
     bodies = random_bodies(1, seed=1)
     bodies.velocity[:] = [1e6, 0.0, 0.0]
-    assert Timestep(Time(), StepLimits(0.7, 0.5, 0.01), None, NO_FIELD).choose(bodies, math.inf) == (0.7, "cap")
+    assert Timestep(Time(), StepLimits(0.7, 0.5, 0.01), NO_FIELD).choose(bodies, math.inf) == (0.7, "cap")
 
 
 def test_the_largest_acceleration_moves_a_body_no_further_than_target_dx() -> None:
     bodies = still()
     bodies.acceleration[2] = [3.0, 0.0, 4.0]
-    dt, limit = Timestep(Time(), StepLimits(100.0, 0.5, 0.1), None, NO_FIELD).choose(bodies, math.inf)
+    dt, limit = Timestep(Time(), StepLimits(100.0, 0.5, 0.1), NO_FIELD).choose(bodies, math.inf)
     assert limit == "acceleration"
     assert 0.5 * 5.0 * dt * dt == pytest.approx(0.1, rel=1e-15)
 
 
 def test_no_body_crosses_more_than_its_part_of_its_own_radius() -> None:
     bodies = random_bodies(50, seed=3)
-    dt, limit = Timestep(Time(), StepLimits(100.0, 0.3, 0.01), None, NO_FIELD).choose(bodies, math.inf)
+    dt, limit = Timestep(Time(), StepLimits(100.0, 0.3, 0.01), NO_FIELD).choose(bodies, math.inf)
     centre_velocity = bodies.mass @ bodies.velocity / bodies.mass.sum()
     crossed = np.linalg.norm(bodies.velocity - centre_velocity, axis=1) * dt / bodies.radius
     assert limit == "velocity"
@@ -62,7 +62,7 @@ def test_an_acceleration_moves_no_body_further_than_its_part_of_its_radius_eithe
     bodies.acceleration[2] = [0.0, 5.0, 0.0]
     bodies.velocity[2] = [0.1, 0.0, 0.0]
     bodies.mass[2] = 1e-9
-    dt, limit = Timestep(Time(), StepLimits(100.0, 0.5, 0.01), None, NO_FIELD).choose(bodies, math.inf)
+    dt, limit = Timestep(Time(), StepLimits(100.0, 0.5, 0.01), NO_FIELD).choose(bodies, math.inf)
     assert limit == "velocity"
     assert 0.1 * dt + 0.5 * 5.0 * dt * dt == pytest.approx(0.5e-3, rel=1e-7)
 
@@ -71,8 +71,8 @@ def test_a_scene_that_falls_as_a_whole_gets_the_same_steps() -> None:
     field = np.array([0.0, 0.0, -8.0])
     bodies, falling = random_bodies(20, seed=2), random_bodies(20, seed=2)
     falling.acceleration[:] += field
-    at_rest = Timestep(Time(), StepLimits(100.0, 0.5, 0.01), None, NO_FIELD).choose(bodies, math.inf)
-    assert Timestep(Time(), StepLimits(100.0, 0.5, 0.01), None, field).choose(falling, math.inf) == at_rest
+    at_rest = Timestep(Time(), StepLimits(100.0, 0.5, 0.01), NO_FIELD).choose(bodies, math.inf)
+    assert Timestep(Time(), StepLimits(100.0, 0.5, 0.01), field).choose(falling, math.inf) == at_rest
 
 
 @pytest.mark.parametrize("rule", ["every-body", "fastest-body"])
@@ -87,9 +87,7 @@ def test_threads_that_share_the_bodies_find_the_same_step(
     bodies.acceleration[:] = bodies.velocity[::-1]
     bodies.velocity[[3, -3]] = [100.0, 0.0, 0.0]  # which of two equals sets the limit must not depend on them either
     limits = StepLimits(100.0, 0.5, target_dx)
-    chosen = {
-        Timestep(time, limits, None, NO_FIELD, team=Team(threads)).choose(bodies, math.inf) for threads in (1, 2, 4)
-    }
+    chosen = {Timestep(time, limits, NO_FIELD, team=Team(threads)).choose(bodies, math.inf) for threads in (1, 2, 4)}
     assert len(chosen) == 1
 
 
@@ -102,7 +100,7 @@ def test_the_seeds_rule_lets_a_small_body_tunnel_and_ours_does_not() -> None:
     bodies.velocity[1, 1], bodies.velocity[3, 1] = 4.9, -4.9
     limits = StepLimits(100.0, 0.5, 0.01)
     crossed = {
-        rule: Timestep(Time(velocity_limit=rule), limits, None, NO_FIELD).choose(bodies, math.inf)[0] * 4.9 / 0.1
+        rule: Timestep(Time(velocity_limit=rule), limits, NO_FIELD).choose(bodies, math.inf)[0] * 4.9 / 0.1
         for rule in ("every-body", "fastest-body")
     }
     assert crossed["every-body"] == pytest.approx(0.5)
@@ -112,8 +110,8 @@ def test_the_seeds_rule_lets_a_small_body_tunnel_and_ours_does_not() -> None:
 def test_a_scene_that_moves_as_a_whole_gets_the_same_steps() -> None:
     bodies, moving = random_bodies(20, seed=2), random_bodies(20, seed=2)
     moving.velocity[:] += np.array([1e6, -1e6, 1e6])
-    at_rest = Timestep(Time(), StepLimits(100.0, 0.5, 0.01), None, NO_FIELD).choose(bodies, math.inf)[0]
-    boosted = Timestep(Time(), StepLimits(100.0, 0.5, 0.01), None, NO_FIELD).choose(moving, math.inf)[0]
+    at_rest = Timestep(Time(), StepLimits(100.0, 0.5, 0.01), NO_FIELD).choose(bodies, math.inf)[0]
+    boosted = Timestep(Time(), StepLimits(100.0, 0.5, 0.01), NO_FIELD).choose(moving, math.inf)[0]
     # Adding 1e6 m/s rounds speeds of order 1 to 1.2e-10 each.
     assert boosted == pytest.approx(at_rest, rel=1e-9)
 
@@ -121,7 +119,7 @@ def test_a_scene_that_moves_as_a_whole_gets_the_same_steps() -> None:
 def test_growth_is_smoothed_and_a_shrink_is_taken_at_once() -> None:
     bodies = still()
     bodies.radius[:] = 10.0
-    timestep = Timestep(Time(), StepLimits(1.0, 0.5, 0.5, smoothing=0.25), None, NO_FIELD)
+    timestep = Timestep(Time(), StepLimits(1.0, 0.5, 0.5, smoothing=0.25), NO_FIELD)
     bodies.acceleration[0] = [1e4, 0.0, 0.0]
     assert timestep.choose(bodies, math.inf)[0] == pytest.approx(0.01)
     bodies.acceleration[0] = 0.0
@@ -132,7 +130,7 @@ def test_growth_is_smoothed_and_a_shrink_is_taken_at_once() -> None:
 
 
 def test_the_last_step_ends_the_run_exactly_and_is_never_a_sliver() -> None:
-    timestep = Timestep(Time(fixed_dt=0.1), StepLimits(1.0, 0.5, 0.01), None, NO_FIELD)
+    timestep = Timestep(Time(fixed_dt=0.1), StepLimits(1.0, 0.5, 0.01), NO_FIELD)
     assert timestep.choose(still(), 0.25) == (0.1, "fixed")
     assert timestep.choose(still(), 0.05) == (0.05, "end")
     assert timestep.choose(still(), 0.1 + 1e-13) == (0.1 + 1e-13, "end")
@@ -224,15 +222,14 @@ def test_of_many_bodies_the_step_is_never_longer_than_twice_that_of_an_isolated_
     bodies.velocity[:] = 0.0
     bodies.acceleration[:] = 0.0
     bodies.acceleration[:2] = [[1e6, 0.0, 0.0], [-1e6, 0.0, 0.0]]
-    pull = GravityStep.of(Gravity(constant=1.0), 1.0, bodies)
-    assert not pull.examines_pairs
-    assert step_of_largest(1e6, pull.mean, pull.softening, pull.fraction) == pytest.approx(
+    scene = Scene.from_dict({"time": {"pull_fraction": 1.0}, "body": [{"mass": 1.0}]})
+    rule = Timestep.of(scene, StepLimits(math.inf, None, None, pull_fraction=1.0), bodies, NO_FIELD, Team(1)).rule[0]
+    assert not rule["examines_pairs"]
+    assert rule["mean"] == rule["constant"]
+    assert step_of_largest(1e6, 1.0, 0.0, 1.0) == pytest.approx(
         1e-3**1.5, rel=1e-12
     )  # √(r³/G m): a pair at rest has √2 less
-    soft = GravityStep.of(Gravity(constant=1.0, softening=0.1), 1.0, bodies)
-    assert step_of_largest(0.1, soft.mean, soft.softening, soft.fraction) == pytest.approx(
-        max(0.1**-0.75, 1.0), rel=1e-12
-    )
+    assert step_of_largest(0.1, 1.0, 0.1, 1.0) == pytest.approx(max(0.1**-0.75, 1.0), rel=1e-12)
 
 
 @pytest.mark.parametrize(("length", "time"), [(2.0, 1.0), (1.0, 2.0), (2.0**9, 2.0**4), (2.0**-5, 2.0**3)])

@@ -25,19 +25,10 @@ MOST_STRIKES = 100  # impacts at one moment; bodies that still meet after these 
 
 
 class BatchStepper:
-    """Advances a world by a `BatchIntegrator`, which ends a step where bodies meet; see `Stepper`.
+    """Advances a world by a `BatchIntegrator`, which ends a step where bodies meet, and keeps its books.
 
-    Parameters
-    ----------
-    world, books
-        The world to advance, and its books.
-    integrator
-        Takes the steps.
-    timestep
-        Suggests the first step.
-    holder
-        Takes over when contacts come to rest; None where nothing can touch. With an accuracy, the integrator resumes
-        once nothing touches; otherwise the holder finishes the run.
+    ``timestep`` suggests the first step. The ``holder`` takes over when contacts come to rest; it is None where nothing
+    can touch. With an accuracy, the integrator resumes once nothing touches; otherwise the holder finishes the run.
     """
 
     def __init__(
@@ -75,7 +66,7 @@ class BatchStepper:
         return dt if math.isfinite(dt) else FREE_DT
 
     def warm_up(self, dt: float) -> None:
-        """Take a step of about dt seconds."""
+        """Take a step of about dt seconds, to load the kernels."""
         self._integrator.begin(dt)
         self._integrator.advance(0.0, dt, np.inf, 1)
         if self._world.contact and self._holder:
@@ -84,13 +75,13 @@ class BatchStepper:
             self._holder.warm_up(dt)
 
     def begin(self) -> None:
-        """Begin at the present positions and velocities."""
+        """Begin a run at the present positions and velocities."""
         self._integrator.begin(self.first_dt)
         if self._world.contact:
             self._world.contact.forget()
 
     def restore(self, checkpoint: Checkpoint) -> None:
-        """Continue from a checkpoint."""
+        """Continue from a checkpoint, whose bodies are already restored."""
         self._held = checkpoint.integrator is not None and checkpoint.integrator.last_dt == BY_LEAPFROG
         self._took_last = not self._held
         if self._holder and self._held:
@@ -101,7 +92,10 @@ class BatchStepper:
             self._world.contact.recall(checkpoint.contacts)
 
     def advance(self, goal: Goal) -> bool:
-        """Advance up to the goal or the next check; return whether a frame is due."""
+        """Advance up to the goal or the next check; return whether a frame is due.
+
+        Raises PhysicsError if the state is no longer finite, or a step no longer changes the clock.
+        """
         if self._holder and self._held:
             return self._hold(self._holder, goal)
         world, clock, bodies = self._world, self._world.clock, self._world.bodies
@@ -142,7 +136,7 @@ class BatchStepper:
     def _fly(self, end: float, until: float, most: int) -> Batch:
         """Integrate up to a time, the end of the run, a number of steps, or the next impact.
 
-        Impacts at the beginning of the first step are resolved first. No step is made if contacts are at rest there.
+        Impacts at the beginning are resolved first. If contacts are at rest there, the holder takes over instead.
         """
         world, audit = self._world, self._books.impulse_audit
         time, contact, velocity = world.clock.time, world.contact, world.bodies.velocity
@@ -157,20 +151,14 @@ class BatchStepper:
             if batch.meeting.rests:
                 break
             contact.resolve_meeting(ends, 0.0)
-        self._hand_over(ends)
+        if self._holder:
+            self._held = True
+            since = "while they do," if self._takes_back else "from now on"
+            text = f"Contacts come to rest ({world.names.pair(ends)}): {since} leapfrog integrates and holds them."
+            # an event of the step that begins here, since the frame of the last step may have been recorded
+            self._books.log(Event(world.clock.step + 1, time, "INFO", text, "at-rest"))
+            self._holder.take_over()
         return batch
-
-    def _hand_over(self, ends: tuple[int, int]) -> None:
-        """Let the holder take over when a contact comes to rest."""
-        world, holder = self._world, self._holder
-        if holder is None:
-            return
-        self._held = True
-        since = "while they do," if self._takes_back else "from now on"
-        text = f"Contacts come to rest ({world.names.pair(ends)}): {since} leapfrog integrates and holds them."
-        # an event of the step that begins here, since the frame of the last step may have been recorded
-        self._books.log(Event(world.clock.step + 1, world.clock.time, "INFO", text, "at-rest"))
-        holder.take_over()
 
     def _hold(self, holder: KickDriftStepper, goal: Goal) -> bool:
         """Take a step with the holder. Its steps end at pauses, because it has no solution within a step."""

@@ -127,29 +127,15 @@ class Flight(NamedTuple):
 
 
 class FreeFlight:
-    """Takes the steps of a world in which nothing touches.
-
-    Parameters
-    ----------
-    world
-        The world to advance.
-    timestep
-        Chooses the steps.
-
-    Attributes
-    ----------
-    arguments
-        The arguments of the kernel except the clock.
-    """
+    """Takes the steps of a world in which nothing touches; `arguments` are those of the kernel, except the clock."""
 
     def __init__(self, world: World, timestep: Timestep) -> None:
         forces, chosen = world.forces.laws, integrator(world.scene)
         assert forces is not None, "a kernel can sum these forces"
         bodies, planes = world.bodies, world.planes
         self._timestep = timestep
-        self._substeps = np.array(chosen.substeps)
-        self._plan = np.zeros(1, PLAN)
-        plan = self._plan[0]
+        plans = np.zeros(1, PLAN)
+        plan = plans[0]
         plan["fixed_dt"], plan["accelerates"] = timestep.fixed_dt or 0.0, world.needs.accelerates
         plan["attracts"], plan["constant"] = forces.attracts, forces.constant
         plan["softening_squared"] = forces.softening * forces.softening
@@ -157,7 +143,7 @@ class FreeFlight:
         plan["field"] = np.sqrt((world.forces.uniform**2).sum())
         turning = bodies.orientation, bodies.angular_velocity
         self.arguments = (
-            FlightLaws(self._plan, self._substeps, forces.uniform, timestep.rule, forces.others, forces.damping),
+            FlightLaws(plans, np.array(chosen.substeps), forces.uniform, timestep.rule, forces.others, forces.damping),
             MovedState(bodies.position, bodies.velocity, bodies.acceleration, *turning),
             KeptState(
                 *(bodies.radius, bodies.mass, bodies.ends.inverse_mass, NO_SUPPORT, timestep.field),
@@ -171,14 +157,8 @@ class FreeFlight:
     def take(self, time: float, end: float, until: float, most: int, impact_energy: float = 0.0) -> Flight:
         """Take steps until a time or a number of steps is reached, the run ends, or something may touch.
 
-        Parameters
-        ----------
-        time, end, until
-            s; the last step is cut to end at ``end``, but not at ``until``.
-        most
-            Largest number of steps.
-        impact_energy
-            J, the energy of recent impacts.
+        Times are in s. The last step is cut to end at ``end``, but not at ``until``. ``impact_energy`` (J) is that of
+        recent impacts.
         """
         timestep = self._timestep
         clock = FlightClock(time, end, until, min(most, MOST_STEPS), timestep.previous, impact_energy)
@@ -188,15 +168,12 @@ class FreeFlight:
 
 def can_fly(world: World) -> bool:
     """Return whether a world has few enough bodies, and only forces that a kernel can sum."""
-    is_audited = world.scene.expect.contact_audit is not None  # the audit needs each kick
-    loses_turns = world.is_periodic and world.contact is None  # only single steps refuse too many crossings
-    known = world.forces.laws is not None
     return (
         len(world.bodies) <= MAX_IN_ONE_BLOCK
-        and known
+        and world.forces.laws is not None
         and not world.planes.curves
-        and not is_audited
-        and not loses_turns
+        and world.scene.expect.contact_audit is None  # the audit needs each kick
+        and not (world.is_periodic and world.contact is None)  # only single steps refuse too many crossings
         and not world.forces.path_works  # they are booked step by step
         and world.shear is None
     )
@@ -311,10 +288,7 @@ def _fastest(velocity: FloatArray, acceleration: FloatArray) -> tuple[float, flo
 
 @unowned
 def _smallest_gap(x: FloatArray, v: FloatArray, kept: KeptState, dt: float, skin: float) -> tuple[float, float]:
-    """Return the smallest gap, or 0 if one may close to the skin in a drift of dt s, and the rounding of a drift.
-
-    All are in m.
-    """
+    """Return the smallest gap (m), 0 if one may close to the skin in a drift of dt s, and the rounding of a drift."""
     radius, inverse_mass, box, normal, offset = kept.radius, kept.inverse_mass, kept.box, kept.normal, kept.offset
     size = 0.0  # m, of the coordinates
     for i in range(len(x)):

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 from carom.arrays import FloatArray, Records
 from carom.contact_table import NO_ROWS
-from carom.physics.aligned import Buffer
 from carom.physics.batch_step import BatchStepper
 from carom.physics.checkpoint import Checkpoint, fingerprint
 from carom.physics.contact.graph import CollisionGraph, empty_graph
@@ -17,7 +16,7 @@ from carom.physics.diagnostics.energy import Energy
 from carom.physics.diagnostics.run_monitor import PaceMonitor, remedies_of
 from carom.physics.forces.force import Potentials
 from carom.physics.frame import Frame, FrameStore, copies
-from carom.physics.integrators.batch_integrator import IntegratorCheckpoint, batch_integrator_of
+from carom.physics.integrators.batch_integrator import batch_integrator_of
 from carom.physics.jit import cores
 from carom.physics.jit.team import Team
 from carom.physics.schedule import Checks, Goal, Pause, Schedule, at, every
@@ -48,48 +47,7 @@ class StepStatus(NamedTuple):
         return self.energy.relative_error
 
 
-class Stepper(Protocol):
-    """Advances a world and keeps its books."""
-
-    @property
-    def previous_dt(self) -> float:
-        """The step (s) from which the next one is averaged: smoothed, and not cut at the end of a run."""
-
-    @property
-    def checkpoint(self) -> IntegratorCheckpoint | None:
-        """A copy of the integrator's state apart from the bodies; None if it has none."""
-
-    @property
-    def first_dt(self) -> float:
-        """The step (s) that the limits allow in the present state, before smoothing."""
-
-    def warm_up(self, dt: float) -> None:
-        """Take a few steps of dt seconds without booking them, to load the kernels."""
-
-    def begin(self) -> None:
-        """Start a run at the present positions, velocities and accelerations."""
-
-    def restore(self, checkpoint: Checkpoint) -> None:
-        """Continue from a checkpoint, whose bodies are already restored."""
-
-    def advance(self, goal: Goal) -> bool:
-        """Advance by at least one step, and up to a goal if one call takes many; return whether a frame is due.
-
-        Raises
-        ------
-        PhysicsError
-            If the state is no longer finite, or a step no longer changes the clock.
-        """
-
-    @property
-    def has_solution(self) -> bool:
-        """Whether there is a solution between the start and the end of the last step."""
-
-    def between(self, earlier: float) -> tuple[FloatArray, FloatArray] | None:
-        """Return positions and velocities, (n, 3) m and m/s, at a time (s) before the end of the last step.
-
-        None if the integrator has no solution within its steps.
-        """
+Stepper = KickDriftStepper | BatchStepper
 
 
 class Simulation:
@@ -209,7 +167,7 @@ class Simulation:
 
     def begin_as(self, start: Checkpoint) -> None:
         """Measure errors against the references of a recorded start, whose rounding may differ."""
-        if self._books.refer_to(start.books):
+        if self._books.audit.refer_to(start.books):
             self._books.measure(self._world.forces.potentials(), judged=True)
             self._publish()
 
@@ -262,10 +220,7 @@ class Simulation:
         self._stopping = False
 
     def approach(self, time: float, most: int, *, ends_there: bool) -> None:
-        """Take one step, or up to ``most`` steps in one call, towards a time (s), without frames and checks.
-
-        The last step reaches or passes the time, unless ``most`` steps do not suffice.
-        """
+        """Take one step, or up to ``most`` steps in one call, up to a time (s), without frames and checks."""
         end = time if ends_there else self.scene.time.duration
         self._advance(Goal(end, at(()) if ends_there else Pause(time), at(()), most, shows_end=False))
 
@@ -295,8 +250,12 @@ class Simulation:
         books.activity.judge(audit.energy)
         state, needs, momentum = self.state, self.requirements, audit.momentum
         slot = None if store is None else store.keep()
-        room = None if store is None or slot is None else store.contact_rows[slot]
-        impacts, left_out, contact_rows = self._recorded_contacts(room)
+        buffer = None if store is None or slot is None else store.contact_rows[slot]
+        impacts: Records | None = NO_ROWS if self._records_contacts else None
+        contact_rows, left_out = impacts, 0
+        if self._records_contacts and self._contact and self._contact.tap:
+            impacts, left_out = self._contact.tap.pop_impacts()
+            contact_rows = self._contact.rows(buffer)
         arrays = copies(state) if store is None or slot is None else store.kept(slot)
         position, velocity, acceleration, orientation, angular_velocity, torque, angular_acceleration = arrays
         return Frame(
@@ -330,14 +289,6 @@ class Simulation:
             contact_rows=contact_rows,
             expected_error=0.0 if self.scene.promise is None else self.scene.promise.error_at(self.time),
         )
-
-    def _recorded_contacts(self, room: Buffer | None) -> tuple[Records | None, int, Records | None]:
-        """Return the impacts since the last frame, the number of those left out, and the contacts of the last step."""
-        if not self._records_contacts:
-            return None, 0, None
-        if self._contact is None or self._contact.tap is None:
-            return NO_ROWS, 0, NO_ROWS
-        return *self._contact.tap.pop_impacts(), self._contact.rows(room)
 
     def _publish(self) -> None:
         """Replace the status that other threads read; they get either the previous or the new one."""
@@ -377,8 +328,7 @@ def _stepper_of(world: World, books: Bookkeeper, stride: float) -> Stepper:
 def warm_up(world: World, stepper: Stepper) -> Potentials:
     """Take a few tiny steps, then restore the state, so that frame 0 is the scene as written.
 
-    They compute the accelerations for the first adaptive step, and compile the kernels. Return the potential energies
-    in J.
+    The steps load the kernels and compute the accelerations for the first adaptive step. Return the potential energies.
     """
     bodies = world.bodies
     moved = (bodies.position, bodies.velocity, bodies.orientation, bodies.angular_velocity)

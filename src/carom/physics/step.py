@@ -31,16 +31,9 @@ WARM_UP_STEPS = 3
 
 
 class KickDriftStepper:
-    """Advances a world by kicks, drifts and contacts, one step at a time; see `Stepper`.
+    """Advances a world by kicks, drifts and contacts, one step at a time, and keeps its books.
 
-    Parameters
-    ----------
-    world, books
-        The world to advance, and its books.
-    timestep
-        Chooses the steps.
-    asked
-        Chooses the scene's own steps, if ``timestep`` allows longer ones.
+    ``timestep`` chooses the steps. If it allows longer ones than the scene, ``asked`` chooses the scene's own steps.
     """
 
     def __init__(self, world: World, books: Bookkeeper, timestep: Timestep, asked: Timestep | None = None) -> None:
@@ -63,12 +56,12 @@ class KickDriftStepper:
 
     @property
     def previous_dt(self) -> float:
-        """The smoothed step (s)."""
+        """The step (s) from which the next one is averaged: smoothed, and not cut at the end of a run."""
         return self.timestep.previous
 
     @property
     def first_dt(self) -> float:
-        """The step (s) that the limits allow in the present state."""
+        """The step (s) that the limits allow in the present state, before smoothing."""
         return self.timestep.first(self._world.bodies, self.supported_acceleration())
 
     def supported_acceleration(self) -> FloatArray:
@@ -77,7 +70,7 @@ class KickDriftStepper:
         return contact.supported_acceleration if contact and self.timestep.spares_held else NO_SUPPORT
 
     def warm_up(self, dt: float) -> None:
-        """Take a few steps of dt seconds, which also compute the initial accelerations."""
+        """Take a few steps of dt seconds without booking them; they also compute the initial accelerations."""
         for _ in range(WARM_UP_STEPS if self._world.needs.warm_up.modelled else 1):  # a single step loads the kernels
             self._step(dt, with_potential=False)
         if self._flight:
@@ -95,7 +88,7 @@ class KickDriftStepper:
         self.take_over()
 
     def take_over(self) -> None:
-        """Begin at the present state of a run."""
+        """Continue from the present state of a run, in place of another stepper."""
         world = self._world
         if world.needs.adaptive_step.modelled:
             self.timestep.previous = self.timestep.target(world.bodies)[0]
@@ -106,7 +99,7 @@ class KickDriftStepper:
             world.contact.begin(self.first_dt)
 
     def restore(self, checkpoint: Checkpoint) -> None:
-        """Continue from a checkpoint."""
+        """Continue from a checkpoint, whose bodies are already restored."""
         self.timestep.previous = checkpoint.previous_dt
         if self._world.shear:
             self._world.shear.begin(self._world.clock.time)
@@ -115,7 +108,10 @@ class KickDriftStepper:
             self._world.contact.recall(checkpoint.contacts)
 
     def advance(self, goal: Goal) -> bool:
-        """Take a step, or many if nothing touches; return whether a frame is due."""
+        """Take a step, or many if nothing touches; return whether a frame is due.
+
+        Raises PhysicsError if the state is no longer finite, or a step no longer changes the clock.
+        """
         contact, clock, flight = self._world.contact, self._world.clock, self._flight
         if flight is None or looks_before(goal.schedule):
             return self._advance_once(goal)
@@ -211,7 +207,9 @@ class KickDriftStepper:
             contact.boundary.set_span(world.clock.before, world.clock.time)
         if world.shear:
             world.shear.begin(world.clock.before)
-        self._rotate(dt)
+        if world.needs.orientation.modelled:
+            rotate(world.bodies.orientation, world.bodies.angular_velocity, dt, world.team)
+            world.profile.mark("orientation")
         for index, substep in enumerate(self._substeps):
             is_last = index == len(self._substeps) - 1
             damped = damping.step(dt) if damping else None
@@ -219,7 +217,10 @@ class KickDriftStepper:
             booked = first_kick  # s, part of the drift for which the first kick has done the work of the forces
             if damped:
                 booked, last_kick = damped.booked, damped.last_kick
-            self._kick_before_drift(first_kick, damped)
+            if damping and damped:  # drag has its own kicks
+                self._exchange(damping, damping.begin, damped)
+            elif first_kick and world.needs.accelerates:
+                self._kick(first_kick)
             if index == 0 and contact:
                 self._hold(contact, first_kick, dt, booked, damped)
             for work in world.forces.path_works:
@@ -227,8 +228,10 @@ class KickDriftStepper:
             self._drift(substep.drift * dt, booked, damped)
             if world.shear:  # contacts are resolved where the images are at the end of the step
                 world.shear.begin(world.clock.time)
-            if is_last and contact:
-                self._find(contact, dt)
+            if is_last and contact:  # at the final positions
+                clock = world.clock
+                refuse_infinities(world.bodies, world.names.bodies, clock.step, clock.time, clock.units, world.team)
+                contact.find(dt, world.profile)
             for work in world.forces.path_works:
                 work.end()
             if world.shear:
@@ -237,25 +240,14 @@ class KickDriftStepper:
                 wrap(world.bodies.position, world.box, world.team)
             if world.needs.accelerates:
                 potentials = self._sum_forces(is_last, with_potential)
-                self._kick_after_drift(last_kick, damped)
+                if damping and damped:
+                    self._exchange(damping, damping.end, damped)
+                elif last_kick:
+                    self._kick(last_kick)
             world.profile.mark("integrate")
         if contact:
             self._resolve(contact, dt, last_kick)
         return potentials
-
-    def _rotate(self, dt: float) -> None:
-        """Rotate the bodies."""
-        world, bodies = self._world, self._world.bodies
-        if world.needs.orientation.modelled:
-            rotate(bodies.orientation, bodies.angular_velocity, dt, world.team)
-            world.profile.mark("orientation")
-
-    def _kick_before_drift(self, dt: float, damped: DampedStep | None) -> None:
-        """Kick with the forces at the old positions; with drag, the drag's own kick replaces it."""
-        if self._damping and damped:
-            self._exchange(self._damping, self._damping.begin, damped)
-        elif dt and self._world.needs.accelerates:
-            self._kick(dt)
 
     def _hold(self, contact: ContactPipeline, kick: float, dt: float, booked: float, damped: DampedStep | None) -> None:
         """Hold lasting contacts after the first kick, against the accelerations of the bodies; times in s."""
@@ -265,7 +257,8 @@ class KickDriftStepper:
             before = self._world.bodies.ends.velocity.copy()
             contact.hold(damped.held_kick, dt, booked, self._damping.against())
             if len(contact.ledger_apart):
-                self._exchange_energy(self._damping.lost_in_hold(damped, before))
+                loss = self._damping.lost_in_hold(damped, before)
+                self._exchanges.append(Exchange(loss, np.zeros(3), np.zeros(3)))
         else:
             contact.hold(kick, dt, booked)
         profile.mark("resting")
@@ -280,23 +273,19 @@ class KickDriftStepper:
             refuse_many_crossings(bodies.velocity, dt, world.box, clock.step, clock.time, clock.units)
         if world.contact and world.needs.impact_time.modelled:
             refuse_infinities(bodies, world.names.bodies, clock.step, clock.time, clock.units, world.team)
-            self._drift_to_impacts(world.contact, kick, dt, damped)
+            if self._damping and damped:
+                before = bodies.ends.velocity.copy()
+                world.contact.drift(*damped.path[:1], dt, *damped.path[1:])
+                if len(world.contact.impacts):
+                    self._exchanges.append(self._damping.exchange_in_impacts(damped, before, world.contact.impacts))
+                    if self._books.impulse_audit:
+                        self._books.impulse_audit.add_force(before[: len(bodies)])
+            else:
+                world.contact.drift(kick, dt)
             world.profile.mark("impacts")
         else:
             drift(bodies.position, bodies.velocity, dt, world.team)
             world.profile.mark("integrate")
-
-    def _drift_to_impacts(self, contact: ContactPipeline, kick: float, dt: float, damped: DampedStep | None) -> None:
-        """Drift and resolve impacts at their exact times; kick and drift in s."""
-        if not (self._damping and damped):
-            contact.drift(kick, dt)
-            return
-        before = self._world.bodies.ends.velocity.copy()
-        contact.drift(*damped.path[:1], dt, *damped.path[1:])
-        if len(contact.impacts):
-            self._exchanges.append(self._damping.exchange_in_impacts(damped, before, contact.impacts))
-            if self._books.impulse_audit:
-                self._books.impulse_audit.add_force(before[: len(self._world.bodies)])
 
     def _wrap_sheared(self, shear: ShearedBox) -> None:
         """Wrap the bodies into a sheared box at the end of the step, which changes velocities."""
@@ -305,12 +294,6 @@ class KickDriftStepper:
         shear.wrap(bodies, self._world.clock.time)
         if audit and before is not None:
             audit.add_change(before)
-
-    def _find(self, contact: ContactPipeline, dt: float) -> None:
-        """Find contacts at the final positions, and correct the overlaps of resting ones."""
-        world, clock = self._world, self._world.clock
-        refuse_infinities(world.bodies, world.names.bodies, clock.step, clock.time, clock.units, world.team)
-        contact.find(dt, world.profile)
 
     def _sum_forces(self, is_last: bool, with_potential: bool) -> Potentials:
         """Update the accelerations if a kick will use them; return the potential energies if requested."""
@@ -322,13 +305,6 @@ class KickDriftStepper:
         potentials = forces.potentials()
         self._world.profile.mark("gravity")
         return potentials
-
-    def _kick_after_drift(self, dt: float, damped: DampedStep | None) -> None:
-        """Kick with the forces at the new positions; with drag, the drag's own kick replaces it."""
-        if self._damping and damped:
-            self._exchange(self._damping, self._damping.end, damped)
-        elif dt:
-            self._kick(dt)
 
     def _resolve(self, contact: ContactPipeline, dt: float, last_kick: float) -> None:
         """Apply the impulses of the contacts after the last kick, and compute their torques."""
@@ -366,7 +342,3 @@ class KickDriftStepper:
         if audit and before is not None:
             audit.add_change(before)
         self._world.profile.mark(damping.kind.short_name)
-
-    def _exchange_energy(self, loss: float) -> None:
-        """Book a change of the energy (J) dissipated by drag."""
-        self._exchanges.append(Exchange(loss, np.zeros(3), np.zeros(3)))

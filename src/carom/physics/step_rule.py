@@ -19,35 +19,16 @@ common field of many others, this time is shorter than necessary. Softening ε b
 
 from __future__ import annotations
 
-from typing import NamedTuple, Protocol
+from typing import Protocol
 
 import numpy as np
 
 from carom.arrays import FloatArray, RecordArray, dtype_of
-from carom.physics.bodies import Bodies
 from carom.physics.diagnostics.momentum import centre_velocity
 from carom.physics.jit.decorators import borrowing, inline, kernel, long_kernel, unowned
 from carom.physics.vector import Vector
-from carom.plan.auto import PAIRS_UP_TO
-from carom.scene.schema import Gravity
 
 SHORTEST_MEAN = 0.5  # smallest divisor 1 - η τ'/2, which could reach 0 for a large η
-
-
-class GravityStep(NamedTuple):
-    """The constants of the step that gravity allows."""
-
-    fraction: float  # η, the step as a fraction of the shortest time scale
-    constant: float  # m³/(kg s²), G
-    softening: float  # m
-    mean: float  # m³/s², G times the mean mass
-    examines_pairs: bool  # whether each pair is examined
-
-    @classmethod
-    def of(cls, gravity: Gravity, fraction: float, bodies: Bodies) -> GravityStep:
-        """Return the constants for a scene's section and its bodies. Fixed bodies attract others without moving."""
-        mean = gravity.constant * float(np.mean(bodies.mass))
-        return cls(fraction, gravity.constant, gravity.softening, mean, len(bodies) <= PAIRS_UP_TO)
 
 
 @inline
@@ -107,11 +88,11 @@ class RuleRecord(Protocol):
     smoothing: float  # weight of the new step in the average
     anchored: bool  # whether something is fixed; speeds are then relative to it
     measures_bodies: bool  # whether a limit needs the largest values of all bodies
-    gravity_fraction: float
-    examines_pairs: bool  # these and the following as in `GravityStep`
-    constant: float
-    softening: float
-    mean: float
+    gravity_fraction: float  # η, the step as a fraction of the shortest time scale of gravity
+    examines_pairs: bool  # whether that is the time scale of a pair, not of the largest acceleration
+    constant: float  # m³/(kg s²), G
+    softening: float  # m
+    mean: float  # m³/s², G times the mean mass
 
 
 RULE = dtype_of(RuleRecord)
@@ -136,28 +117,15 @@ LIMITS = dtype_of(LimitsRecord)
 def smooth_and_cut(
     dt: float, limit: int, smoothing: float, previous: float, remaining: float
 ) -> tuple[float, int, float]:
-    """Smooth a step that grows, and cut the last one; return it in s, its limit, and the new average in s.
+    """Smooth a step that grows, and cut the last one; return the step, its limit, and the new average, times in s.
 
-    Parameters
-    ----------
-    dt, limit
-        s, the step that the limits allow, and the limit that set it.
-    smoothing, previous
-        Weight of the new step in the average, and the average so far in s; 0 if there is none yet.
-    remaining
-        s, until the end of the run.
+    ``smoothing`` is the weight of the new step in the average. ``previous`` is the average so far, 0 if there is none.
     """
     if 0.0 < previous < dt:
         dt, limit = previous + smoothing * (dt - previous), limit if smoothing == 1.0 else GROWTH
-    if ends_run(dt, remaining):
+    if remaining <= dt * (1.0 + END_TOLERANCE):
         return remaining, END, dt
     return dt, limit, dt
-
-
-@inline
-def ends_run(dt: float, remaining: float) -> bool:
-    """Return whether a step of dt (s) is the last one, given the remaining time (s)."""
-    return remaining <= dt * (1.0 + END_TOLERANCE)
 
 
 MovingBodies = tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]
@@ -175,18 +143,8 @@ def target(
 ) -> tuple[float, int]:
     """Return the step (s) that the limits allow, before smoothing, and the limit that set it.
 
-    Parameters
-    ----------
-    rule
-        (1,) `RULE`.
-    supported
-        (n + p,) m/s², accelerations supported by contacts; empty if there are none.
-    field
-        (3,) m/s², an acceleration common to all bodies, which does not count.
-    limits
-        (k,) `LIMITS`, one row for each block of bodies.
-    are_known
-        Whether ``limits`` has been filled; otherwise it is filled when needed.
+    Contacts support the accelerations ``supported``, (n + p,) m/s², or none if it is empty. The common acceleration
+    ``field``, (3,) m/s², does not count. ``limits`` has a row for each block of bodies, already filled if known.
     """
     R, (x, v, _, _, m, inverse_mass) = rule[0], bodies
     dt, limit = R.max_dt, CAP
@@ -241,18 +199,9 @@ def find_limits(
     V: Vector,
     found: RecordArray[LimitsRecord],
 ) -> None:
-    """Write the limits set by the bodies of the blocks [lo, hi).
+    """Write the limits set by the bodies of the blocks [lo, hi), with speeds relative to V (m/s).
 
-    Parameters
-    ----------
-    discounted
-        Accelerations that contacts support, and the one that does not count, as in `target`.
-    cfl
-        The fraction of a radius that a body may move in a step.
-    V
-        m/s, the velocity that speeds are relative to.
-    found
-        (k,) `LIMITS`, written.
+    ``discounted`` are the accelerations that contacts support, and the common one, as in `target`.
     """
     _, velocity, acceleration, radius, _, _ = bodies
     (supported, field), (Vx, Vy, Vz) = discounted, V
@@ -284,7 +233,7 @@ def find_limits(
 
 @kernel
 def _strictest(found: RecordArray[LimitsRecord]) -> tuple[float, float, float, float, float, float]:
-    """Return the strictest limits of all blocks; a single body sets each, so the division does not matter.
+    """Return the strictest limits of all blocks, which do not depend on the division, since a single body sets each.
 
     They are the first three of `LIMITS`, the steps of all bodies and of the fastest one, and the time of held bodies.
     """

@@ -33,12 +33,11 @@ from carom.physics.step_rule import (
     LIMIT_NAMES,
     LIMITS,
     RULE,
-    GravityStep,
     find_limits,
     smooth_and_cut,
     target,
 )
-from carom.plan.auto import StepLimits
+from carom.plan.auto import PAIRS_UP_TO, StepLimits
 from carom.scene.schema import Scene, Time
 
 MIN_SHARED_BLOCKS = 10
@@ -49,81 +48,49 @@ class Timestep:
 
     Parameters
     ----------
-    time
-        The scene's section.
-    limits
-        Limits of the step; its ``max_dt`` is that of the run, which may be shorter than that of the scene.
-    pull
-        Limit by gravity, from ``limits.pull_fraction``; None for no limit.
+    time, limits
+        The scene's section, and the limits of its steps.
     field
         (3,) m/s², the uniform field if it accelerates all bodies alike; otherwise zeros.
     anchored
         Whether something is fixed; speeds are then relative to it.
-    team
-        Threads that share the work.
-
-    Attributes
-    ----------
-    rule
-        (1,) `RULE`, the limits for `step_rule.target`.
-    fixed_dt
-        s, a constant step instead of these limits; None if there is none.
-    spares_held
-        Whether the choice depends on accelerations supported by contacts.
-    previous
-        s, the moving average; 0 before the first step.
     """
 
     def __init__(
-        self,
-        time: Time,
-        limits: StepLimits,
-        pull: GravityStep | None,
-        field: FloatArray,
-        anchored: bool = False,
-        team: Team = SOLO,
+        self, time: Time, limits: StepLimits, field: FloatArray, anchored: bool = False, team: Team = SOLO
     ) -> None:
-        self.rule = np.zeros(1, RULE)
+        self.rule = np.zeros(1, RULE)  # for `step_rule.target`
         rule = self.rule[0]
         rule["max_dt"], rule["cfl"], rule["target_dx"] = limits.max_dt, limits.cfl or 0.0, limits.target_dx or 0.0
         rule["by_fastest_body"] = time.velocity_limit == "fastest-body"
         rule["held_dx"], rule["held_part"] = limits.held_dx or 0.0, limits.held_part
         rule["smoothing"], rule["anchored"] = limits.smoothing, anchored
-        by_bodies = limits.cfl is not None or limits.target_dx is not None
-        rule["measures_bodies"] = by_bodies or (pull is not None and not pull.examines_pairs)
-        if pull is not None:
-            rule["gravity_fraction"], rule["examines_pairs"] = pull.fraction, pull.examines_pairs
-            rule["constant"], rule["softening"], rule["mean"] = pull.constant, pull.softening, pull.mean
-        self.fixed_dt = time.fixed_dt
+        rule["measures_bodies"] = limits.cfl is not None or limits.target_dx is not None
+        self.fixed_dt = time.fixed_dt  # s, a constant step instead of these limits; None if there is none
         self._smoothing = limits.smoothing
         self.field = field
-        self.spares_held = limits.held_dx is not None
-        self.previous = 0.0
+        self.spares_held = limits.held_dx is not None  # whether a step depends on accelerations supported by contacts
+        self.previous = 0.0  # s, the moving average; 0 before the first step
         self._team = team
         self._found = np.empty(0, LIMITS)
 
     @classmethod
     def of(cls, scene: Scene, limits: StepLimits, bodies: Bodies, field: FloatArray, team: Team) -> Timestep:
-        """Return the rule of a scene with these limits; ``field`` as above."""
-        fraction = limits.pull_fraction
-        pull = None if fraction is None else GravityStep.of(scene.gravity, fraction, bodies)
-        return cls(scene.time, limits, pull, field, scene.anchored, team)
+        """Return the rule of a scene with these limits, including the limit by gravity."""
+        timestep, gravity = cls(scene.time, limits, field, scene.anchored, team), scene.gravity
+        if limits.pull_fraction is not None:
+            rule, by_pairs = timestep.rule[0], len(bodies) <= PAIRS_UP_TO
+            rule["gravity_fraction"], rule["examines_pairs"] = limits.pull_fraction, by_pairs
+            rule["measures_bodies"] |= not by_pairs
+            rule["constant"], rule["softening"] = gravity.constant, gravity.softening
+            rule["mean"] = gravity.constant * float(np.mean(bodies.mass))  # fixed bodies attract others, too
+        return timestep
 
     def choose(self, bodies: Bodies, remaining: float, supported: FloatArray = NO_SUPPORT) -> tuple[float, str]:
-        """Choose the next step.
+        """Return the next step (s), and the limit that set it, one of `LIMIT_NAMES`.
 
-        Parameters
-        ----------
-        remaining
-            s, until the end of the run; the last step is cut to end there.
-        supported
-            (n + p,) m/s², the accelerations supported by lasting contacts; empty if there are none.
-
-        Returns
-        -------
-        dt, limit
-            s, and the limit that set it: "acceleration", "held" (bodies held by contacts), "velocity", "pull", "cap",
-            "growth" (the average), "fixed" or "end".
+        The last step is cut to end after the remaining time (s). Lasting contacts support the accelerations
+        ``supported``, (n + p,) m/s²; it is empty if there are none.
         """
         if self.fixed_dt is not None:
             dt, limit, _ = smooth_and_cut(self.fixed_dt, FIXED, 1.0, 0.0, remaining)

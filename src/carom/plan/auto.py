@@ -33,11 +33,12 @@ SMOOTH_UP_TO = 8  # bodies without contacts; with more, a step that ignores the 
 
 PAIRS_UP_TO = 100  # bodies up to which the step examines each pair; with more, that costs as much as gravity
 PAIR_FRACTION = 0.01  # of the shortest time of a pair: 890 steps in a circular orbit (docs/physics.md, 3)
-PULL_FRACTION = 0.02  # of the time scale of the largest acceleration, which is twice that of a pair of equal bodies
+PULL_FRACTION = 0.02  # of the time scale of the largest acceleration; a pair of equal bodies has half that time scale
 SMOOTHING = 0.2  # weight of the new step in the moving average, where contacts form and break
 
-LATE_CFL = 0.5  # largest motion of a body in a step over its radius, if impacts are resolved at the end
-FREE_CFL = 1.0  # the same with times of impact and without forces, where shorter steps only cost more (docs/trade.md)
+# largest motion of a body in a step over its radius (docs/trade.md)
+LATE_CFL = 0.5  # if impacts are resolved at the end of the step
+FREE_CFL = 1.0  # with exact times of impact and without forces, where shorter steps gain nothing
 
 EXACT_IMPACT = 1e-9  # largest relative error of the approach speed of an exact impact
 
@@ -101,9 +102,8 @@ def why_late(scene: Scene) -> str:
 def inexact_impacts(scene: Scene) -> str:
     """Describe the error of an impact of two bodies that touch nothing else; empty if it is exact.
 
-    A force that varies within a step changes the relative motion of the two bodies. With self-gravity, the relative
-    error is about a dt²/r, below rounding for small and fast bodies. The impulse follows exactly from the approach
-    speed.
+    The impulse follows exactly from the approach speed, which a force that varies within the step changes. With
+    self-gravity, the relative error is about a dt²/r, below rounding for small and fast bodies.
     """
     chosen = integrator(scene)
     if not interactions.contact(scene).modelled or chosen.ends_steps_at_impacts or scene.time.accuracy is not None:
@@ -318,7 +318,7 @@ def smallest_radius(scene: Scene) -> float:
 
 
 def auto_step(scene: Scene) -> float:
-    """Return an "auto" step as a fraction of the time of a fall from rest through the smallest radius."""
+    """Return an "auto" step as a fraction of the time in which a body falls from rest through the smallest radius."""
     return STEP_PER_BODY * min(scene.count, STEP_GROWS_UP_TO)
 
 
@@ -357,7 +357,6 @@ def step_limits(scene: Scene) -> StepLimits:
         cfl=cfl(scene),
         target_dx=target_dx(scene),
         held_dx=held_dx(scene),
-        held_part=HELD_PART,
         pull_fraction=pull_fraction(scene),
         smoothing=smoothing(scene),
     )
@@ -375,10 +374,7 @@ def accurate_limits(scene: Scene, refinement: float, until: float) -> StepLimits
         max_dt=min(largest_step(scene), auto_interval(scene, until)) / refinement,
         cfl=FREE_CFL / refinement if touches else None,
         target_dx=(WIDEST_FALL / refinement) ** 2 * smallest_radius(scene) if touches else None,
-        held_dx=None,
-        held_part=HELD_PART,
         pull_fraction=None if pull_fraction(scene) is None else WIDEST_PULL_FRACTION / refinement,
-        smoothing=1.0,
     )
 
 
@@ -400,5 +396,4 @@ def wider_limits(scene: Scene, stride: float) -> StepLimits:
         held_dx=None if rest is None else min(stride, WIDEST_HELD) ** 2 * rest,
         held_part=min(stride * HELD_PART, WIDEST_HELD_PART),
         pull_fraction=wider(pull_fraction(scene), WIDEST_PULL_FRACTION),
-        smoothing=1.0,
     )

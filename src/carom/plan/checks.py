@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import os
-from typing import NamedTuple
 
 from carom import registry
 from carom.errors import SceneError
@@ -35,16 +34,11 @@ METHOD: KeyPath = ("gravity", "method")
 BOUNDARY: KeyPath = ("domain", "boundary")
 
 
-class _TreeError(NamedTuple):
-    """The error of positions relative to the size of the system, as a power of the opening angle."""
-
-    error: float  # at 1 rad
-    order: int
-
-
-TREE_ERRORS = {  # of a cluster of 6000 points (docs/trade.md)
-    "tree": _TreeError(6e-4, 4),  # with quadrupoles: 5 × 10⁻⁶ at 0.3, 1.2 × 10⁻⁴ at 0.7
-    "fast-multipole": _TreeError(5e-4, 7),  # an upper bound: 1.8 × 10⁻⁸ at 0.3, 1.2 × 10⁻⁶ at 0.5, 1.7 × 10⁻⁵ at 0.7
+# Errors of the positions in a cluster of 6000 points (docs/trade.md): relative to the size of the system at an opening
+# angle of 1 rad, and the power of the angle to which they are proportional.
+TREE_ERRORS = {
+    "tree": (6e-4, 4),  # with quadrupoles: 5 × 10⁻⁶ at 0.3, 1.2 × 10⁻⁴ at 0.7
+    "fast-multipole": (5e-4, 7),  # an upper bound: 1.8 × 10⁻⁸ at 0.3, 1.2 × 10⁻⁶ at 0.5, 1.7 × 10⁻⁵ at 0.7
 }
 MONOPOLES = 19.0  # factor by which the error is larger without quadrupoles, at most
 SMALLEST_ANGLE = 0.1  # rad; below, a direct sum is as fast
@@ -67,10 +61,8 @@ def refuse_impossible(scene: Scene) -> None:
         _refuse_missing_parts(scene)
         _refuse_test_particles(scene)
         _refuse_coarse_tree(scene)
-        _refuse_times_of_impact(scene)
-        _refuse_forces_of_mid_step(scene)
-        _refuse_damping(scene)
-        _refuse_walls(scene)
+        _refuse_integrator(scene)
+        _refuse_thin_walls(scene)
         _refuse_laws_without_coefficients(scene)
         _refuse_further_forces(scene)
         _refuse_what_no_error_controls(scene)
@@ -139,9 +131,10 @@ def _refuse_coarse_tree(scene: Scene) -> None:
     accuracy, gravity, method = scene.time.accuracy, scene.gravity, gravity_method(scene)
     if accuracy is None or method not in TREE_ERRORS:
         return
-    law = TREE_ERRORS[method]
-    worst = law.error if gravity.quadrupoles or method != "tree" else MONOPOLES * law.error
-    error, angle = worst * gravity.opening_angle**law.order, (accuracy / worst) ** (1 / law.order)
+    at_1_rad, order = TREE_ERRORS[method]
+    if method == "tree" and not gravity.quadrupoles:
+        at_1_rad *= MONOPOLES
+    error, angle = at_1_rad * gravity.opening_angle**order, (accuracy / at_1_rad) ** (1 / order)
     if error <= accuracy:
         return
     tree = f'gravity.method = "{method}" and opening_angle = {gravity.opening_angle:g}'
@@ -153,35 +146,24 @@ def _refuse_coarse_tree(scene: Scene) -> None:
     )
 
 
-def _refuse_times_of_impact(scene: Scene) -> None:
-    """Refuse times of impact with integrators whose step has more than one drift."""
-    chosen = integrator(scene)
-    if not chosen.locates_impacts and require(scene).impact_time.modelled:
+def _refuse_integrator(scene: Scene) -> None:
+    """Refuse an integrator that cannot treat the contacts, the damping or the walls of a scene."""
+    chosen, needs = integrator(scene), require(scene)
+    if not chosen.locates_impacts and needs.impact_time.modelled:
         why = "goes back in time within each step" if chosen.steps_back else "drifts twice in each step"
         raise SceneError(
             f'contact.timing = "time-of-impact" with time.integrator = "{chosen.name}", which {why}; '
             'use "leapfrog", or contact.timing = "end-of-step"',
             INTEGRATOR if scene.contact.timing == "auto" else ("contact", "timing"),
         )
-
-
-def _refuse_forces_of_mid_step(scene: Scene) -> None:
-    """Refuse drift-kick-drift where bodies may rest: contacts need the forces at the end of the step."""
-    chosen = integrator(scene)
-    if chosen.controls_error:
-        return
-    if not chosen.holds_contacts and require(scene).resting.modelled:
+    if not (chosen.holds_contacts or chosen.controls_error) and needs.resting.modelled:
         raise SceneError(
             f'time.integrator = "{chosen.name}" where bodies may press on each other: it computes forces in the '
             'middle of the step, but contacts need the forces at the end; use "leapfrog", or set contact.enabled = '
             "false",
             INTEGRATOR,
         )
-
-
-def _refuse_damping(scene: Scene) -> None:
-    """Refuse two forces that depend on velocities, and integrators that support none."""
-    chosen, forces = integrator(scene), dampings(scene)
+    forces = dampings(scene)
     if len(forces) > 1:
         names = " and ".join(f"[{force.name}]" for force in forces)
         raise SceneError(f"{names}: a scene has at most one force that depends on velocities; remove one")
@@ -192,11 +174,6 @@ def _refuse_damping(scene: Scene) -> None:
             'equal kicks; use "leapfrog" or "auto"',
             INTEGRATOR,
         )
-
-
-def _refuse_walls(scene: Scene) -> None:
-    """Refuse walls with integrators that only know planes, and thin walls with late impacts, which would pass them."""
-    chosen = integrator(scene)
     if scene.wall and chosen.controls_error:
         raise SceneError(
             f'time.integrator = "{chosen.name}" does not support a [[wall]]; set time.integrator = "leapfrog"',
@@ -207,6 +184,10 @@ def _refuse_walls(scene: Scene) -> None:
             f'time.integrator = "{chosen.name}" does not support moving planes; set time.integrator = "leapfrog"',
             INTEGRATOR,
         )
+
+
+def _refuse_thin_walls(scene: Scene) -> None:
+    """Refuse thin walls if impacts are resolved late, since bodies would pass through them."""
     needs = require(scene)
     thin = next((wall.shape for wall in scene.wall if shape_called(wall.shape).thin), "")
     if thin and needs.contact.modelled and not needs.impact_time.modelled:
@@ -375,50 +356,39 @@ def _refuse_small_memory(scene: Scene) -> None:
 
 def doubts(scene: Scene) -> list[str]:
     """Return a sentence for each probable mistake in a scene."""
-    return [*_nothing_moves(scene), *_field_of_the_earth(scene), *_default_radius(scene)]
-
-
-def _nothing_moves(scene: Scene) -> list[str]:
-    """Return a sentence if no force acts and every velocity is 0."""
-    if differing(scene) or pushing(scene) or dampings(scene) or scene.contact.allow_overlap:
-        return []
-    moving = scene.domain.shear is not None
+    found, units = list[str](), scene.unit_system
+    moving = bool(differing(scene) or pushing(scene) or dampings(scene) or scene.contact.allow_overlap)
+    moving |= scene.domain.shear is not None
     moving |= any(any(body.velocity) or any(body.angular_velocity) for body in scene.body)
     for columns in scene.data:
         moving |= bool(columns.velocity.any() or columns.angular_velocity.any())
     for group in scene.group:
         moving |= any(group.velocity.mean) or group.velocity.dispersion > 0.0
         moving |= group.spin.dispersion > 0.0 or any(group.bulk_rotation)
-    return [] if moving else ["nothing can move: no force acts, and every velocity is 0"]
-
-
-def _field_of_the_earth(scene: Scene) -> list[str]:
-    """Return a question about a uniform field that has the digits of the Earth's field, but another size."""
+    if not moving:
+        found.append("nothing can move: no force acts, and every velocity is 0")
+    # the digits of the Earth's field, but another size
     size = math.hypot(*scene.gravity.uniform)
-    number = scene.unit_system.shown(size, ACCELERATION)
-    if round(number, 1) != round(EARTH, 1) or math.isclose(size, EARTH, rel_tol=0.01):
-        return []
-    text = scene.unit_system.text(size, ACCELERATION, ".3g")
-    return [
-        f"gravity.uniform has {text}, {size / EARTH:.2g} of the Earth's; for the Earth's field, write \"{EARTH} m/s^2\""
-    ]
-
-
-def _default_radius(scene: Scene) -> list[str]:
-    """Return a sentence about the first body whose mass gives, with the default radius, a density below any solid's."""
+    same_digits = round(units.shown(size, ACCELERATION), 1) == round(EARTH, 1)
+    if same_digits and not math.isclose(size, EARTH, rel_tol=0.01):
+        text = units.text(size, ACCELERATION, ".3g")
+        found.append(
+            f"gravity.uniform has {text}, {size / EARTH:.2g} of the Earth's; for the Earth's field, write "
+            f'"{EARTH} m/s^2"'
+        )
+    # masses that give, with the default radius, a density below that of any solid
     light = [
         (number, density)
         for number, body in enumerate(scene.body)
         if "radius" not in body.model_fields_set and body.mass  # test particles have mass 0
         if (density := body.mass / (4.0 / 3.0 * math.pi * body.radius**3)) < LIGHTEST
     ]
-    if not light:
-        return []
-    number, density = light[0]
-    units = scene.unit_system
-    more = f"; the same holds for {counted(len(light) - 1, 'more body')}" if len(light) > 1 else ""
-    return [
-        f"{body_key(number, scene.body[number].name)} has no radius and uses the default, "
-        f"{units.text(scene.body[number].radius, LENGTH, 'g')}: with its mass, the density is "
-        f"{units.text(density, DENSITY, '.2g')}{more}"
-    ]
+    if light:
+        number, density = light[0]
+        more = f"; the same holds for {counted(len(light) - 1, 'more body')}" if len(light) > 1 else ""
+        found.append(
+            f"{body_key(number, scene.body[number].name)} has no radius and uses the default, "
+            f"{units.text(scene.body[number].radius, LENGTH, 'g')}: with its mass, the density is "
+            f"{units.text(density, DENSITY, '.2g')}{more}"
+        )
+    return found

@@ -128,12 +128,22 @@ def _decide(scene: Scene, forced: Mapping[str, str]) -> Requirements:
             raise SceneError(f"model.force: {forced[part.name]} cannot be forced on: {contradiction}")
         return Part(part.name, True, part.why)
 
+    steps, duration = scene.record.check_every, scene.time.duration
+    times = round(duration / auto_interval(scene, duration))
     forces = {kind.name: decide(interactions.part(kind, scene)) for kind in kinds_of(scene)}
     contact = decide(interactions.contact(scene))
     friction = decide(interactions.friction(scene, contact))
     torque = decide(interactions.torque(friction))
+    if forces[GRAVITY.name].modelled:
+        potential = Part("potential", True, f"every {steps} steps, {times} times a run and at frames")
+    else:
+        potential = Part("potential", False, "no gravity between bodies")
+    if scene.time.fixed_dt is None:
+        warm_up = Part("warm-up", True, "the first adaptive step needs accelerations")
+    else:
+        warm_up = Part("warm-up", False, "time.fixed_dt is set: no first step to determine")
     return Requirements(
-        warm_up=decide(_warm_up(scene)),
+        warm_up=decide(warm_up),
         adaptive_step=decide(_adaptive_step(scene)),
         integrator=_integrator(scene),
         accuracy=decide(_accuracy(scene)),
@@ -147,12 +157,12 @@ def _decide(scene: Scene, forced: Mapping[str, str]) -> Requirements:
         stabilisation=decide(interactions.stabilisation(scene, contact)),
         forces=forces,
         tree=decide(_tree(scene)),
-        potential=decide(_potential(scene, forces[GRAVITY.name])),
+        potential=decide(potential),
         resting=decide(interactions.resting(scene, contact)),
         restitution=decide(interactions.restitution(scene, contact)),
         friction=friction,
         torque=torque,
-        energy=Part("energy", True, f"checked every {scene.record.check_every} steps and {_times(scene)}; the ledger"),
+        energy=Part("energy", True, f"checked every {steps} steps and {times} times a run; the ledger"),
     )
 
 
@@ -188,18 +198,6 @@ def _tree(scene: Scene) -> Part:
         return Part(name, False, f"{why}: a direct sum")
     poles = ", no quadrupoles" if method == "tree" and not scene.gravity.quadrupoles else ""
     return Part(name, True, f"{why}; opening angle {scene.gravity.opening_angle:g}{poles}")
-
-
-def _potential(scene: Scene, gravity: Part) -> Part:
-    if not gravity.modelled:
-        return Part("potential", False, "no gravity between bodies")
-    return Part("potential", True, f"every {scene.record.check_every} steps, {_times(scene)} and at frames")
-
-
-def _times(scene: Scene) -> str:
-    """Describe the times at which a run is checked."""
-    duration = scene.time.duration
-    return f"{round(duration / auto_interval(scene, duration))} times a run"
 
 
 def _impact_time(scene: Scene, contact: Part) -> Part:
@@ -248,13 +246,11 @@ def _integrator(scene: Scene) -> Part:
         return Part(name, True, f"{chosen}: {_why_accurate(scene, chosen)}")
     if chosen == "gauss-radau15" and interactions.contact(scene).modelled:
         why = f"{scene.count} bodies start far apart and seldom collide; impacts end its steps"
-        return Part(name, True, f"{chosen}: {why}")
-    if chosen == "gauss-radau15":
+    elif chosen == "gauss-radau15":
         why = f"{scene.count} bodies attract each other, no contact is modelled, and the scene sets no step"
-        return Part(name, True, f"{chosen}: {why}")
-    if chosen == "yoshida4":
-        return Part(name, True, f"yoshida4: {scene.count} bodies attract each other, and no contact is modelled")
-    if force := interactions.damping(scene):
+    elif chosen == "yoshida4":
+        why = f"{scene.count} bodies attract each other, and no contact is modelled"
+    elif force := interactions.damping(scene):
         why = f"the only integrator that supports {force.name}"
     elif not interactions.differing(scene):
         why = "exact between impacts, since bodies do not attract each other"
@@ -263,13 +259,15 @@ def _integrator(scene: Scene) -> Part:
         why = f"contacts are detected {'at the end' if late else 'in the single drift'} of a step"
     else:
         why = f"{scene.count} bodies, whose encounters the step does not resolve"
-    return Part(name, True, f"leapfrog: {why}")
+    return Part(name, True, f"{chosen}: {why}")
 
 
 def _why_accurate(scene: Scene, chosen: str) -> str:
     """Return why an integrator is the cheapest for an accuracy."""
     if chosen == "yoshida4":
-        return f"the accuracy, and {_not_by_pairs(scene)}"
+        if uses_tree(scene):
+            return "the accuracy, and a tree, whose error gauss-radau15 cannot control"
+        return f"the accuracy, and {scene.count} bodies; gauss-radau15 would sum all pairs several times a step"
     if chosen == "wisdom-holman":
         return "the bodies orbit a dominant one, and it is cheaper than gauss-radau15 at this accuracy"
     if chosen == "gauss-radau15" and interactions.contact(scene).modelled:
@@ -284,13 +282,6 @@ def _why_accurate(scene: Scene, chosen: str) -> str:
     return f"gauss-radau15 does not support {beyond}"
 
 
-def _not_by_pairs(scene: Scene) -> str:
-    """Return why Gauss–Radau integration is too expensive for bodies that attract each other but never touch."""
-    if uses_tree(scene):
-        return "a tree, whose error gauss-radau15 cannot control"
-    return f"{scene.count} bodies; gauss-radau15 would sum all pairs several times a step"
-
-
 def _accuracy(scene: Scene) -> Part:
     name, promise = "accuracy", scene.promise
     if scene.time.accuracy is None:
@@ -300,47 +291,38 @@ def _accuracy(scene: Scene) -> Part:
     kept = (
         "to the end" if promise.horizon is None else f"up to t = {scene.unit_system.text(promise.horizon, TIME, '.4g')}"
     )
-    return Part(name, True, f"{_steps(promise.refinement)}; kept {kept}")
-
-
-def _steps(refinement: float) -> str:
-    if refinement == 1.0:
-        return "steps of the usual length"
-    if refinement < 1.0:
-        return f"steps {1.0 / refinement:.3g} times longer than usual"
-    return f"steps {refinement:.3g} times shorter than usual"
+    length = "of the usual length"
+    if promise.refinement < 1.0:
+        length = f"{1.0 / promise.refinement:.3g} times longer than usual"
+    elif promise.refinement > 1.0:
+        length = f"{promise.refinement:.3g} times shorter than usual"
+    return Part(name, True, f"steps {length}; kept {kept}")
 
 
 def _adaptive_step(scene: Scene) -> Part:
     name = "adaptive-step"
     if scene.time.fixed_dt is not None:
         return Part(name, False, f"time.fixed_dt = {scene.unit_system.text(scene.time.fixed_dt, TIME, 'g')}")
+    capped = "" if math.isinf(largest_step(scene)) else ", and max_dt"
     if integrator(scene).hierarchical:
-        parts = "a twentieth of the shortest orbit, or a fiftieth of those of heavy bodies"
-        return Part(name, True, parts + _capped(scene))
-    if scene.time.accuracy is not None and not integrator(scene).controls_error:
-        return Part(name, True, f"as short as the accuracy requires, by {', '.join(_limits(scene)) or 'max_dt'}")
+        return Part(name, True, f"a twentieth of the shortest orbit, or a fiftieth of those of heavy bodies{capped}")
     if integrator(scene).controls_error:
-        return Part(name, True, "the integrator's own estimate of its error" + _capped(scene))
-    return Part(name, True, ", ".join(_limits(scene)) or "nothing can touch and no force attracts: max_dt")
-
-
-def _capped(scene: Scene) -> str:
-    """Describe the largest step of an integrator that chooses its steps, if there is one."""
-    return "" if math.isinf(largest_step(scene)) else ", and max_dt"
+        return Part(name, True, f"the integrator's own estimate of its error{capped}")
+    limits = ", ".join(_limits(scene))
+    if scene.time.accuracy is not None:
+        return Part(name, True, f"as short as the accuracy requires, by {limits or 'max_dt'}")
+    return Part(name, True, limits or "nothing can touch and no force attracts: max_dt")
 
 
 def _limits(scene: Scene) -> list[str]:
     """Describe the limits of the step other than ``max_dt``."""
     texts = []
-    if (part := cfl(scene)) is not None:
-        texts.append(f"cfl = {part:g}")
-    if (reach := target_dx(scene)) is not None:
-        of_fall = f": {auto_step(scene):g} of the time of a fall through the smallest radius"
-        texts.append(
-            f"target_dx = {scene.unit_system.text(reach, LENGTH, '.3g')}"
-            + (of_fall if scene.time.target_dx == "auto" else "")
-        )
+    if (radii := cfl(scene)) is not None:
+        texts.append(f"cfl = {radii:g}")
+    if (distance := target_dx(scene)) is not None:
+        texts.append(f"target_dx = {scene.unit_system.text(distance, LENGTH, '.3g')}")
+        if scene.time.target_dx == "auto":
+            texts[-1] += f": {auto_step(scene):g} of the time of a fall through the smallest radius"
     if (fraction := pull_fraction(scene)) is not None:
         times = "shortest time of a pair" if scene.count <= PAIRS_UP_TO else "time of the largest pull"
         texts.append(f"pull_fraction = {fraction:g} of the {times}")
@@ -348,9 +330,3 @@ def _limits(scene: Scene) -> list[str]:
         largest = scene.unit_system.text(largest_step(scene), TIME, ".3g")
         texts.append(f"max_dt = {largest}: a strain of {STRAIN_PER_STEP:g}")
     return texts
-
-
-def _warm_up(scene: Scene) -> Part:
-    if scene.time.fixed_dt is not None:
-        return Part("warm-up", False, "time.fixed_dt is set: no first step to determine")
-    return Part("warm-up", True, "the first adaptive step needs accelerations")

@@ -87,10 +87,10 @@ def why_no_hierarchy(scene: Scene) -> str:
         called = body_called(fixed, scene.body[fixed].name)
         return f'with {called} fixed, but all bodies must be free to move; set fixed = false, or use "auto"'
     name, fraction = heaviest(scene)
-    if fraction <= DOMINANT:
-        why = f"{name} has {100.0 * fraction:.4g} % of the mass, but more than 99 % is needed"
-        return f'without a dominant body: {why}; use "auto"'
-    return ""
+    if fraction > DOMINANT:
+        return ""
+    why = f"{name} has {100.0 * fraction:.4g} % of the mass, but more than 99 % is needed"
+    return f'without a dominant body: {why}; use "auto"'
 
 
 def orbits_often(scene: Scene, hill_radii: float = HILL_RADII_APART) -> float:
@@ -116,30 +116,22 @@ def _orbits(scene: Scene) -> list[Orbit] | None:
         points += itertools.starmap(_Point, zip(*state, strict=True))
     centre = max(points, key=lambda point: point.mass)
     orbits = []
-    for point in points:
-        if point is centre:
+    for body in points:
+        if body is centre:
             continue
-        orbit = _orbit(point, centre, scene.gravity.constant)
-        if orbit is None:
+        x = [there - here for there, here in zip(body.position, centre.position, strict=True)]
+        v = [there - here for there, here in zip(body.velocity, centre.velocity, strict=True)]
+        mu, r = scene.gravity.constant * (centre.mass + body.mass), math.hypot(*x)
+        beta = 2.0 * mu / r - math.fsum(u * u for u in v) if r > 0.0 else 0.0
+        if beta <= 0.0:
             return None
-        orbits.append(orbit)
+        axis = mu / beta
+        spin = math.hypot(x[1] * v[2] - x[2] * v[1], x[2] * v[0] - x[0] * v[2], x[0] * v[1] - x[1] * v[0])
+        e = math.sqrt(max(0.0, 1.0 - spin * spin / (mu * axis)))
+        period = 2.0 * math.pi * axis * math.sqrt(axis / mu)
+        hill = axis * (body.mass / (3.0 * centre.mass)) ** (1.0 / 3.0)
+        orbits.append(Orbit(period, axis * (1.0 - e), axis * (1.0 + e), hill))
     return sorted(orbits, key=lambda orbit: orbit.pericentre)
-
-
-def _orbit(body: _Point, centre: _Point, constant: float) -> Orbit | None:
-    """Return the orbit of a body about another one; None if it is not bound."""
-    mass, heavy = body.mass, centre.mass
-    x = [there - here for there, here in zip(body.position, centre.position, strict=True)]
-    v = [there - here for there, here in zip(body.velocity, centre.velocity, strict=True)]
-    mu, r = constant * (heavy + mass), math.hypot(*x)
-    beta = 2.0 * mu / r - math.fsum(u * u for u in v) if r > 0.0 else 0.0
-    if beta <= 0.0:
-        return None
-    axis = mu / beta
-    spin = math.hypot(x[1] * v[2] - x[2] * v[1], x[2] * v[0] - x[0] * v[2], x[0] * v[1] - x[1] * v[0])
-    e = math.sqrt(max(0.0, 1.0 - spin * spin / (mu * axis)))
-    period = 2.0 * math.pi * axis * math.sqrt(axis / mu)
-    return Orbit(period, axis * (1.0 - e), axis * (1.0 + e), axis * (mass / (3.0 * heavy)) ** (1.0 / 3.0))
 
 
 def far_apart(scene: Scene) -> bool:

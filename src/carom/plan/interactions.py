@@ -29,8 +29,7 @@ def gravity(scene: Scene) -> Part:
 
 def differing(scene: Scene) -> str:
     """Return the first force that accelerates bodies at rest differently; empty if there is none."""
-    found = (kind.short_name for kind in kinds_of(scene) if kind.differs and part(kind, scene).modelled)
-    return next(found, "")
+    return next((kind.short_name for kind in kinds_of(scene) if kind.differs and part(kind, scene).modelled), "")
 
 
 def pushing(scene: Scene) -> str:
@@ -45,8 +44,8 @@ def damping(scene: Scene) -> Part | None:
 
 def dampings(scene: Scene) -> list[Part]:
     """Return all forces that depend on velocities; `carom.plan.checks` refuses more than one."""
-    found = (part(kind, scene) for kind in kinds_of(scene) if kind.damps)
-    return [force for force in found if force.modelled]
+    forces = (part(kind, scene) for kind in kinds_of(scene) if kind.damps)
+    return [force for force in forces if force.modelled]
 
 
 def further(scene: Scene) -> str:
@@ -71,7 +70,7 @@ def contact(scene: Scene) -> Part:
 
 
 def moves_relatively(scene: Scene) -> bool:
-    """Return whether two bodies start with different velocities or overlap, and so may move apart or together.
+    """Return whether two bodies may move apart or together without forces: their velocities differ, or they overlap.
 
     A uniform field or a moving medium moves bodies relative to planes, walls and fixed bodies, which it does not move.
     """
@@ -125,8 +124,8 @@ def load(scene: Scene) -> str:
     """Return the force that presses contacts together; empty without one, when every contact is an impact."""
     if force := differing(scene):
         return force
-    if field_presses(scene):
-        return f"the {pushing(scene)}"
+    if scene.anchored and (field := pushing(scene)):
+        return f"the {field}"
     if flow_presses(scene):
         return "the shear"
     return "the piston" if scene.has_piston else ""
@@ -135,26 +134,17 @@ def load(scene: Scene) -> str:
 def flow_presses(scene: Scene) -> bool:
     """Return whether contacts in a sheared box may last: where impacts are resolved at the end of a step.
 
-    "auto" resolves the impacts of a gas at their own times, but not those of a packing, where they hardly end. 150
-    rough spheres at a fraction of 0.55 take 40 times as long with them, and at 0.58 a step may take a minute.
+    "auto" resolves the impacts of a gas at their own times, but not those of a packing, which are too many: 150 rough
+    spheres at a fraction of 0.55 would take 40 times as long, and at 0.58 a step may take a minute.
     """
     if scene.domain.shear is None:
         return False
-    asked = scene.contact.timing
-    return asked == "end-of-step" or (asked == "auto" and filled_fraction(scene) > DENSE)
-
-
-def filled_fraction(scene: Scene) -> float:
-    """Return the volume of all bodies over that of the box."""
+    if scene.contact.timing != "auto":
+        return scene.contact.timing == "end-of-step"
     cubes = sum(body.radius**3 for body in scene.body)
     cubes += sum(float((columns.radius**3).sum()) for columns in scene.data)
     volume = 4.0 / 3.0 * math.pi * cubes + sum(mean_volume(group) * group.count for group in scene.group)
-    return volume / math.prod(scene.domain.size or (math.inf,))
-
-
-def field_presses(scene: Scene) -> bool:
-    """Return whether the uniform field or a medium presses bodies onto something fixed."""
-    return scene.anchored and pushing(scene) != ""
+    return volume / math.prod(scene.domain.size or (math.inf,)) > DENSE
 
 
 def resting(scene: Scene, contact: Part) -> Part:

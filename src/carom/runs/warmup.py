@@ -210,7 +210,7 @@ def compile_ahead() -> None:
     bodies = Bodies.at_start(place(scene), spins=True, orients=True, torques=True)
     _compile_encoding()
     _compile_second_steps(bodies)
-    Timestep(scene.time, StepLimits(0.02, 0.5, 0.01), None, np.zeros(3), team=SOLO).choose(bodies, 1.0)
+    Timestep(scene.time, StepLimits(0.02, 0.5, 0.01), np.zeros(3), team=SOLO).choose(bodies, 1.0)
     count = ALL_PAIRS_UP_TO + 1
     search_by("grid", np.linspace(0.1, 0.2, count), np.zeros(3)).pairs(np.random.default_rng(0).random((count, 3)))
     Space(scene, threads=1).energy()

@@ -19,11 +19,11 @@ from carom.physics.checkpoint import Books, Checkpoint
 from carom.physics.contact.moving_walls import ENTRY
 from carom.physics.contact.pipeline import ContactPipeline
 from carom.physics.diagnostics.energy import Energy, EnergyAccount, EnergyBaseline
-from carom.physics.diagnostics.energy_monitor import EnergyMonitor, MonitorState, Suspects
+from carom.physics.diagnostics.energy_monitor import EnergyMonitor, Suspects
 from carom.physics.diagnostics.extremes import NOTHING, Extreme, Extremes
 from carom.physics.diagnostics.impulse_audit import ImpulseAudit
 from carom.physics.diagnostics.ledger import Ledger
-from carom.physics.diagnostics.momentum import Momentum, MomentumAccount, MomentumBaseline, TotalMotion
+from carom.physics.diagnostics.momentum import Momentum, MomentumAccount, TotalMotion
 from carom.physics.diagnostics.run_monitor import Activity, PaceMonitor, PaceTally, refuse_infinities
 from carom.physics.forces.force import Exchange, Potentials
 from carom.physics.sheared_box import ENTRY as SHEAR
@@ -41,30 +41,12 @@ ROUNDING = 1e-10  # upper bound of the rounding of a sum over 10⁶ bodies
 class BalanceAudit:
     """Energy and momentum as of the last frame or check, compared with those at the start of the run.
 
-    Parameters
-    ----------
-    scene
-        The scene, for its field, boundary and energy tolerance.
-    bodies
-        The state at the start.
-    names
-        Names for warnings.
-    uniform
-        (3,) m/s², acceleration that is the same for all bodies.
-    constant
-        J, the gravitational energy between fixed bodies.
-    losses
-        The ledger's entries for forces without a potential, and for moving walls.
+    ``uniform``, (3,) m/s², is the acceleration that is the same for all bodies, ``constant`` (J) the gravitational
+    energy between fixed bodies. ``losses`` are the ledger's entries for forces without a potential and moving walls.
     """
 
     def __init__(
-        self,
-        scene: Scene,
-        bodies: Bodies,
-        names: Names,
-        uniform: FloatArray,
-        constant: float = 0.0,
-        losses: Iterable[str] = (),
+        self, scene: Scene, bodies: Bodies, names: Names, uniform: FloatArray, constant: float, losses: Iterable[str]
     ) -> None:
         periodic = scene.domain.is_periodic
         self.ledger = Ledger(forces=tuple((entry, 0.0) for entry in losses))
@@ -76,8 +58,8 @@ class BalanceAudit:
         held = scene.anchored or acts_from_outside(scene)
         self._energy = EnergyAccount(bodies, uniform, held, constant)
         booked = len(self.ledger.forces) > 0  # with drag, even the field is booked step by step
-        self._momentum = MomentumAccount(bodies, np.zeros(3) if booked else uniform, periodic, held)
-        self._watch = EnergyMonitor(scene.record.energy_tolerance, names, integrator(scene), scene.unit_system)
+        self.momenta = MomentumAccount(bodies, np.zeros(3) if booked else uniform, periodic, held)
+        self.monitor = EnergyMonitor(scene.record.energy_tolerance, names, integrator(scene), scene.unit_system)
         self._suspects: Suspects | None = None
         self._spent: Suspects | None = None  # suspects of the last check, whose arrays are reused
 
@@ -87,20 +69,10 @@ class BalanceAudit:
         assert self._energy.baseline is not None, "the initial state has been measured"
         return self._energy.baseline
 
-    @property
-    def momentum_baseline(self) -> MomentumBaseline:
-        """The reference values of the momenta."""
-        return self._momentum.baseline
-
-    @property
-    def monitor_state(self) -> MonitorState:
-        """The state of the energy monitor between two checks."""
-        return self._watch.tally
-
     def reopen(self, books: Books, ledger: Ledger) -> None:
         """Continue the audit of an earlier run."""
         self.ledger = ledger
-        self._energy.baseline, self._momentum.baseline, self._watch.tally = books.energy, books.momentum, books.watch
+        self._energy.baseline, self.momenta.baseline, self.monitor.tally = books.energy, books.momentum, books.watch
         self._suspects = None
 
     def refer_to(self, books: Books) -> bool:
@@ -109,14 +81,14 @@ class BalanceAudit:
         Versions before 23 November 2026 summed the centre of mass and Σ m |g| r with BLAS, whose rounding depends on
         the processor.
         """
-        energy, momentum = self.energy_baseline, self.momentum_baseline
+        energy, momentum = self.energy_baseline, self.momenta.baseline
         known = replace(energy, scale=_nearly(books.energy.scale, energy.scale, energy.scale))
         reach = float(np.abs(self._bodies.position).max())
         pairs = zip(books.momentum.centre, momentum.centre, strict=True)
         x, y, z = (_nearly(recorded, own, reach) for recorded, own in pairs)
         moved = replace(momentum, centre=(x, y, z))
         changed = (known, moved) != (energy, momentum)
-        self._energy.baseline, self._momentum.baseline = known, moved
+        self._energy.baseline, self.momenta.baseline = known, moved
         return changed
 
     def book(self, contacts: FloatArray) -> None:
@@ -126,7 +98,7 @@ class BalanceAudit:
     def exchange(self, entry: str, loss: float, impulse: FloatArray, angular_impulse: FloatArray) -> None:
         """Book the energy (J) dissipated by a force without a potential, and its impulses (N s and N m s)."""
         self.ledger = self.ledger.plus_loss(entry, loss)
-        self._momentum.receive(impulse, angular_impulse)
+        self.momenta.receive(impulse, angular_impulse)
 
     def book_work(self, entry: str, work: float) -> None:
         """Book work (J) done on the bodies in an entry of the ledger."""
@@ -134,12 +106,12 @@ class BalanceAudit:
 
     def exchanged(self, entry: str) -> FloatArray:
         """Return the energy dissipated by a force without a potential so far, and the expected momenta, (7,)."""
-        return np.array([self.ledger.entry(entry), *self._momentum.expected])
+        return np.array([self.ledger.entry(entry), *self.momenta.expected])
 
     def exchange_up_to(self, entry: str, exchanged: FloatArray) -> None:
         """Set what `exchanged` returns, after kernels have added to it."""
         self.ledger = self.ledger.with_loss(entry, float(exchanged[0]))
-        self._momentum.expected = exchanged[1:].copy()
+        self.momenta.expected = exchanged[1:].copy()
 
     def suspect(self, step: int, contact: ContactPipeline) -> None:
         """Copy the contacts of a step for a possible warning, before the next step overwrites them."""
@@ -151,7 +123,7 @@ class BalanceAudit:
 
     def momentum_now(self, time: float) -> Momentum:
         """Return the momentum of the present state, at a time in seconds."""
-        return self._momentum.balance(TotalMotion.of(self._bodies), time, judged=False)
+        return self.momenta.balance(TotalMotion.of(self._bodies), time, judged=False)
 
     def measure(self, step: int, time: float, potentials: Mapping[str, float], extremes: Extremes | None) -> None:
         """Compute energy and momentum, and update the extremes of the run, if given, by their errors.
@@ -165,7 +137,7 @@ class BalanceAudit:
         self.energy = self._energy.balance(motion, potentials, self.ledger, judged)
         if not math.isfinite(self.energy.total):
             raise PhysicsError(f"the energy is no longer finite at step {step}, t = {self._units.text(time, TIME)}")
-        self.momentum = self._momentum.balance(motion, time, judged)
+        self.momentum = self.momenta.balance(motion, time, judged)
         if extremes:
             extremes.add_energy(step, time, self.energy)
             extremes.add_momentum(step, time, self.momentum)
@@ -181,7 +153,7 @@ class BalanceAudit:
             present = Suspects.of(self.step, contact, self._bodies) if contact else None
             return [contacts for contacts in (self._suspects, present) if contacts]
 
-        warnings = self._watch.check(self.step, time, self.energy, extremes.contact_gain.value, suspects)
+        warnings = self.monitor.check(self.step, time, self.energy, extremes.contact_gain.value, suspects)
         self._suspects = None
         return warnings
 
@@ -192,28 +164,7 @@ def _nearly(recorded: float, own: float, size: float) -> float:
 
 
 class Bookkeeper:
-    """Books the steps of a world.
-
-    Parameters
-    ----------
-    world
-        The world at the start of the run.
-
-    Attributes
-    ----------
-    extremes
-        The extremes of the run so far.
-    audit
-        Energy and momentum as of the last frame or check, and the ledger.
-    activity
-        The phase of the run.
-    impulse_audit
-        Compares changes of velocities with impulses, if ``expect.contact_audit`` is set.
-    pace
-        Warns of a run that slows down, if limits set its steps.
-    kept_until
-        s, time up to which the accuracy is promised; infinite if nothing is promised, or its end is already logged.
-    """
+    """Books the steps of a world."""
 
     def __init__(self, world: World) -> None:
         scene, bodies, forces = world.scene, world.bodies, world.forces
@@ -226,8 +177,9 @@ class Bookkeeper:
         without_kicks = integrator(scene).controls_error and world.contact is None
         audited = scene.expect.contact_audit is not None and not without_kicks
         self.impulse_audit = ImpulseAudit(bodies) if audited else None
-        self.pace: PaceMonitor | None = None
+        self.pace: PaceMonitor | None = None  # where limits set the steps
         self._events: list[Event] = []
+        # s, up to which the accuracy is promised; infinite if nothing is promised, or its end is already logged
         self.kept_until = np.inf if scene.promise is None else scene.promise.kept_until
         if world.contact:
             self._measure_contacts(world.contact, Extremes())  # without contacts: loads the kernels
@@ -238,8 +190,8 @@ class Bookkeeper:
         contact = self._world.contact
         return Books(
             energy=self.audit.energy_baseline,
-            momentum=self.audit.momentum_baseline,
-            watch=self.audit.monitor_state,
+            momentum=self.audit.momenta.baseline,
+            watch=self.audit.monitor.tally,
             moments=self.extremes.copy(),
             activity=self.activity.impact_energy,
             phase=self.activity.phase,
@@ -260,10 +212,6 @@ class Bookkeeper:
         self._events = []
         if checkpoint.time > self.kept_until:
             self.kept_until = np.inf  # already logged
-
-    def refer_to(self, books: Books) -> bool:
-        """Adopt the references of a recorded start; return whether they differed."""
-        return self.audit.refer_to(books)
 
     def begin_step(self, judged: bool) -> None:
         """Begin a step, after the clock has advanced; the contacts still belong to the step before."""
@@ -292,11 +240,13 @@ class Bookkeeper:
             self._book_contacts(contact)
         else:
             self.activity.add_step(0, 0.0)
+        clock = self._world.clock
         if self.impulse_audit:
-            self._audit_impulses(self.impulse_audit)
+            impulses, work = (contact.impulses(), contact.work()) if contact else ((), np.zeros((0, 3)))
+            worst = self.impulse_audit.finish(impulses, work, self.audit.ledger)
+            self.extremes.add_impulse_audit(clock.step, clock.time, worst)
         if computed:
             self.measure(potentials, judged, contact)
-        clock = self._world.clock
         if clock.time > self.kept_until:
             self.log(end_of_promise(self._world.scene, clock.step, clock.time))
             self.kept_until = np.inf
@@ -361,9 +311,8 @@ class Bookkeeper:
         try:
             self.audit.measure(clock.step, clock.time, potentials, self.extremes if judged else None)
         except PhysicsError:
-            refuse_infinities(
-                world.bodies, world.names.bodies, clock.step, clock.time, clock.units
-            )  # its message names the bodies
+            # its message names the bodies
+            refuse_infinities(world.bodies, world.names.bodies, clock.step, clock.time, clock.units)
             raise
         if judged:
             for warning in self.audit.check(clock.time, self.extremes, contact):
@@ -404,12 +353,6 @@ class Bookkeeper:
         clock = self._world.clock
         self.audit.book(contact.statistics.work)
         extremes.add_contacts(clock.step, clock.time, contact.statistics)
-
-    def _audit_impulses(self, audit: ImpulseAudit) -> None:
-        """Compare the impulses of contacts and forces in this step with the changes of the velocities."""
-        clock, contact = self._world.clock, self._world.contact
-        impulses, work = (contact.impulses(), contact.work()) if contact else ((), np.zeros((0, 3)))
-        self.extremes.add_impulse_audit(clock.step, clock.time, audit.finish(impulses, work, self.audit.ledger))
 
     def _beginning(self, extremes: Extremes) -> Extremes:
         """Return a copy of the extremes so far, with an entry for every quantity that this run measures."""

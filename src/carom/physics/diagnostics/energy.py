@@ -100,17 +100,8 @@ class EnergyAccount:
     - Σ m |g| r, if there is a field: bodies that rest on a plane have no other energy.
 
     If kinetic and gravitational energy cancel at the start, as on a parabola, E_c is the sum of their magnitudes.
-
-    Parameters
-    ----------
-    bodies
-        The bodies of the run.
-    field
-        (3,) m/s², the uniform field and the constant acceleration by a moving medium.
-    anchored
-        Whether something is fixed: speeds in E_c are then relative to it, and otherwise to the centre of mass.
-    constant
-        J, the gravitational energy between fixed bodies, which E_c leaves out.
+    Speeds in E_c are relative to fixed bodies and walls, or without them to the centre of mass. E_c excludes the energy
+    between fixed bodies, ``constant`` (J). ``field``, (3,) m/s², includes the acceleration by a moving medium.
     """
 
     def __init__(self, bodies: Bodies, field: FloatArray, anchored: bool = False, constant: float = 0.0) -> None:
@@ -124,9 +115,7 @@ class EnergyAccount:
     def balance(
         self, motion: TotalMotion, potentials: Mapping[str, float], ledger: Ledger, judged: bool = True
     ) -> Energy:
-        """Return the energy, given the potential energies of the forces in joules.
-
-        The first call sets the initial values.
+        """Return the energy, given the potential energies of the forces; the first call sets the initial values.
 
         ``judged`` marks a check; the scale of later checks is at least as large.
         """
@@ -136,7 +125,7 @@ class EnergyAccount:
         external = of_field + sum(others.values()) if others else of_field
         total = translational + rotational + gravitational + external
         if self.baseline is None:
-            moving = translational if self._anchored else internal_energy(self._bodies)
+            moving = translational if self._anchored else internal_energy(self._bodies.velocity, self._bodies.mass)
             binding = gravitational - self._constant
             conserved, cancelling = moving + binding, moving + abs(binding)
             if abs(conserved) < CANCELLED * cancelling:

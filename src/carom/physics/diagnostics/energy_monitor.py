@@ -40,14 +40,14 @@ class Suspects:
     @classmethod
     def of(cls, step: int, contact: ContactPipeline, bodies: Bodies, spent: Suspects | None = None) -> Suspects:
         """Copy the values that the next step overwrites; velocities go into the arrays of ``spent``, if given."""
-        ends, spins = bodies.ends, len(bodies.angular_velocity) > 0
+        ends = bodies.ends
         velocity = np.empty_like(ends.velocity) if spent is None else spent.velocity
-        turning = None if spent is None else spent.angular_velocity
+        spin = None if spent is None else spent.angular_velocity
         velocity[:] = ends.velocity
-        if spins:
-            turning = np.empty_like(ends.angular_velocity) if turning is None else turning
-            turning[:] = ends.angular_velocity
-        return cls(step, contact.snapshots.snapshot.graph, contact.snapshots.keep_contributions(), velocity, turning)
+        if len(bodies.angular_velocity):
+            spin = np.empty_like(ends.angular_velocity) if spin is None else spin
+            spin[:] = ends.angular_velocity
+        return cls(step, contact.snapshots.snapshot.graph, contact.snapshots.keep_contributions(), velocity, spin)
 
     def describe(self, names: Names, units: UnitSystem) -> str:
         """List the contacts that added most energy, with the states of their bodies."""
@@ -84,18 +84,8 @@ class MonitorState:
 class EnergyMonitor:
     """Checks the energy; warns of a rise, and of an integration error that makes the run useless.
 
-    A rise is relative to the lowest energy since the last warning, so that any rate of checks detects a slow rise.
-
-    Parameters
-    ----------
-    tolerance
-        Smallest rise to report, relative to the energy scale.
-    names
-        Names of the bodies.
-    integrator
-        The integrator of the run, which determines the remedy for a large error.
-    units
-        Units of the energies in warnings.
+    A rise is relative to the lowest energy since the last warning, so that any rate of checks detects a slow rise. It
+    is reported if it exceeds the ``tolerance`` times the energy scale. The integrator determines the remedy.
     """
 
     def __init__(self, tolerance: float, names: Names, integrator: Integrator, units: UnitSystem = SI) -> None:
@@ -108,37 +98,29 @@ class EnergyMonitor:
     def check(
         self, step: int, time: float, energy: Energy, contact_gain: float, suspects: Callable[[], list[Suspects]]
     ) -> list[Event]:
-        """Return the warnings of this check.
+        """Return the warnings of a check at a step.
 
-        Parameters
-        ----------
-        step, time, energy
-            Number, time (s) and energy of the step at the check.
-        contact_gain
-            Largest energy that contact impulses have added so far, relative to the energy scale.
-        suspects
-            Returns the contacts of the previous and of this step, which a warning lists with the states of their
-            bodies. Copying them takes as long as the rest of a check, and warnings are rare.
+        ``contact_gain`` is the largest energy that contact impulses have added so far, relative to the energy scale. A
+        warning lists the contacts of the previous and of this step, ``suspects()``. This is a function, because copying
+        them takes as long as the rest of a check, and warnings are rare.
         """
         tally = self.tally
         lowest = tally.lowest or energy
         now, least = energy.undamped, lowest.undamped
         rose = now - least > self._tolerance * energy.scale
         events = []
+
+        def with_contacts(text: str) -> str:
+            return "\n".join([text, *(step.describe(self._names, self._units) for step in suspects())])
+
         if rose and tally.warnings < MOST_WARNINGS:
-            text = _rise(energy, lowest, tally.since, self._units)
-            text = "\n".join([text, *(step.describe(self._names, self._units) for step in suspects())])
+            text = with_contacts(_rise(energy, lowest, tally.since, self._units))
             if tally.warnings + 1 == MOST_WARNINGS:
                 text += f"\nThis is warning {MOST_WARNINGS}: further ones are not logged."
             events.append(Event(step, time, "WARN", text, "energy-rise"))
         gained = contact_gain > self._tolerance
         if gained and not tally.gained:
-            text = "\n".join(
-                [
-                    _gain(energy, contact_gain, self._units),
-                    *(step.describe(self._names, self._units) for step in suspects()),
-                ]
-            )
+            text = with_contacts(_gain(energy, contact_gain, self._units))
             events.append(Event(step, time, "WARN", text, "energy-ledger"))
         lost = energy.relative_error > LOST
         if lost and not tally.lost:

@@ -67,8 +67,8 @@ class Extremes:
     def add_contacts(self, step: int, time: float, tally: ContactStatistics) -> None:
         """Update by the contacts of a step."""
         if tally.impacts:
-            self.impact = _larger(self.impact, tally.hardest, tally.hardest_pair, step, time)
-        self.overlap = _larger(self.overlap, tally.deepest, tally.deepest_pair, step, time)
+            self.impact = _larger(self.impact, tally.hardest, step, time, tally.hardest_pair)
+        self.overlap = _larger(self.overlap, tally.deepest, step, time, tally.deepest_pair)
         if self.contacts is None or tally.contacts > self.contacts.value:
             self.contacts = Extreme(float(tally.contacts), step, time)
         self.total_contacts += tally.contacts
@@ -96,13 +96,7 @@ class Extremes:
     def highlights(
         self, names: Names, units: UnitSystem, energy_error: str = "integration error at a check"
     ) -> tuple[Event, ...]:
-        """Return the extremes of contacts and energy as events, in order of time.
-
-        Parameters
-        ----------
-        energy_error
-            Description of the energy error.
-        """
+        """Return the extremes of contacts and energy as events in order of time, with a name for the energy error."""
         known = self.named(names)
         overlap = known.overlap if known.overlap and known.overlap.value > ROUNDED_OVERLAP else None
         deepest = 0.0 if overlap is None else 100.0 * overlap.value
@@ -123,7 +117,7 @@ class Extremes:
     def add_energy(self, step: int, time: float, energy: Energy) -> None:
         """Update by the energy of a step."""
         undamped, ledger = energy.undamped, energy.ledger
-        self.energy_error = _worse(self.energy_error, energy.relative_error, step, time)
+        self.energy_error = _larger(self.energy_error, energy.relative_error, step, time)
         self.energy_scale = energy.scale
         self.lowest_energy = min(self.lowest_energy, undamped)
         gain = energy.relative(undamped - self.lowest_energy)
@@ -150,18 +144,14 @@ class Extremes:
     def add_momentum(self, step: int, time: float, momentum: Momentum) -> None:
         """Update by the momenta of a step."""
         linear, angular = momentum.linear_error, momentum.angular_error
-        self.momentum_error = None if linear is None else _worse(self.momentum_error, linear, step, time)
+        self.momentum_error = None if linear is None else _larger(self.momentum_error, linear, step, time)
         self.angular_momentum_error = (
-            None if angular is None else _worse(self.angular_momentum_error, angular, step, time)
+            None if angular is None else _larger(self.angular_momentum_error, angular, step, time)
         )
 
 
 _values: Callable[[Extremes], tuple[Any, ...]] = attrgetter(*(field.name for field in fields(Extremes)))
 
 
-def _worse(known: Extreme | None, value: float, step: int, time: float) -> Extreme:
-    return known if known is not None and value <= known.value else Extreme(value, step, time)
-
-
-def _larger(known: Extreme | None, value: float, pair: tuple[int, int], step: int, time: float) -> Extreme:
+def _larger(known: Extreme | None, value: float, step: int, time: float, pair: tuple[int, ...] = ()) -> Extreme:
     return known if known is not None and value <= known.value else Extreme(value, step, time, pair)

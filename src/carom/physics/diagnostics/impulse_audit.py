@@ -22,13 +22,7 @@ from carom.physics.diagnostics.ledger import Ledger
 
 
 class ImpulseAudit:
-    """Compares the changes of velocity in each step with the sums of impulses and kicks.
-
-    Parameters
-    ----------
-    bodies
-        The state, at the start of the run.
-    """
+    """Compares the changes of velocity in each step with the sums of impulses and kicks."""
 
     def __init__(self, bodies: Bodies) -> None:
         self._bodies = bodies
@@ -39,13 +33,8 @@ class ImpulseAudit:
         bodies = self._bodies
         self._ledger = _terms(ledger)
         self._velocity, self._spin = bodies.velocity.copy(), bodies.angular_velocity.copy()
-        self._kicks: list[FloatArray] = []  # m/s, by forces
+        self.kicks: list[FloatArray] = []  # (n, 3) m/s each, by forces in this step so far, in order
         self._fastest = _largest(self._velocity)  # m/s
-
-    @property
-    def kicks(self) -> list[FloatArray]:
-        """The changes of velocities by forces in this step so far, in order, each (n, 3) m/s."""
-        return self._kicks
 
     def add_kick(self, acceleration: FloatArray, dt: float) -> None:
         """Add a kick of (n, 3) m/s² for dt s."""
@@ -62,7 +51,7 @@ class ImpulseAudit:
 
     def add_force(self, change: FloatArray) -> None:
         """Add changes of velocities by forces, (n, 3) m/s."""
-        self._kicks.append(change)
+        self.kicks.append(change)
         self._fastest = max(self._fastest, _largest(change), _largest(self._bodies.velocity))
 
     def finish(self, impulses: Iterable[Impulses], work: FloatArray, ledger: Ledger) -> tuple[float, tuple[int, ...]]:
@@ -70,20 +59,12 @@ class ImpulseAudit:
 
         Errors of velocities, and of spins times the radius, are relative to the largest speed in the step: of a body,
         or the sum of the magnitudes of its kicks, or of its impulses over its mass. The impulses in a heavy pile may
-        cancel, and each has its own rounding. Errors of the ledger are relative to its largest entry.
-
-        Parameters
-        ----------
-        impulses
-            Impulses of the step.
-        work
-            (k, 3) J, the ledger of each contact.
-        ledger
-            The statistics at the end of the step.
+        cancel, and each has its own rounding. The change of the ledger in the step should be the sum of ``work``,
+        (k, 3) J by contact; errors are relative to its largest entry.
         """
         bodies = self._bodies
         given = _Given.of(impulses, bodies)
-        kicked = sum(self._kicks, np.zeros_like(self._velocity))
+        kicked = sum(self.kicks, np.zeros_like(self._velocity))
         velocity = bodies.velocity - self._velocity - kicked - given.velocity
         spin = (bodies.angular_velocity - self._spin - given.spin) * bodies.radius[: len(self._spin), np.newaxis]
         errors = np.sqrt((velocity * velocity).sum(axis=1))

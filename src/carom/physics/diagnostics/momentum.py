@@ -43,11 +43,6 @@ class TotalMotion(NamedTuple):
         return cls(linear, angular, *_add_up(*state, bodies.mass, bodies.inertia, linear, angular))
 
 
-def internal_energy(bodies: Bodies) -> float:
-    """Return the kinetic energy relative to the centre of mass, Σ ½ m (v - V)², in J."""
-    return _internal_energy(bodies.velocity, bodies.mass)
-
-
 @kernel
 def centre_velocity(velocity: FloatArray, mass: FloatArray) -> tuple[float, float, float]:
     """Return the velocity of the centre of mass, m/s."""
@@ -60,7 +55,8 @@ def centre_velocity(velocity: FloatArray, mass: FloatArray) -> tuple[float, floa
 
 
 @kernel
-def _internal_energy(velocity: FloatArray, mass: FloatArray) -> float:
+def internal_energy(velocity: FloatArray, mass: FloatArray) -> float:
+    """Return the kinetic energy relative to the centre of mass, Σ ½ m (v - V)², in J."""
     Vx, Vy, Vz = centre_velocity(velocity, mass)
     energy = 0.0
     for i in range(len(mass)):
@@ -184,22 +180,16 @@ class MomentumAccount:
         linear_scale, angular_scale = max(self._linear_scale, linear_scale), max(self._angular_scale, angular_scale)
         if judged and (linear_scale > self._linear_scale or angular_scale > self._angular_scale):
             self._linear_scale, self._angular_scale, self._baseline = linear_scale, angular_scale, None
-        expected_linear, expected_angular = self._expected(time)
-        return Momentum(
-            linear=linear,
-            angular=angular,
-            linear_error=None if self._anchored else _relative(linear, expected_linear, linear_scale),
-            angular_error=None
-            if self._periodic or self._anchored
-            else _relative(angular, expected_angular, angular_scale),
-        )
-
-    def _expected(self, time: float) -> tuple[FloatArray, FloatArray]:
-        if not self._has_field:
-            return self._linear, self._angular
-        weight = self._mass * self._field
-        path = self._centre * time + 0.5 * (self._linear / self._mass) * time * time
-        return self._linear + weight * time, self._angular + np.cross(path, weight)
+        if self._anchored:
+            return Momentum(linear, angular, None, None)
+        expected_linear, expected_angular = self._linear, self._angular
+        if self._has_field:
+            weight = self._mass * self._field
+            path = self._centre * time + 0.5 * (self._linear / self._mass) * time * time
+            expected_linear, expected_angular = self._linear + weight * time, self._angular + np.cross(path, weight)
+        linear_error = _relative(linear, expected_linear, linear_scale)
+        angular_error = None if self._periodic else _relative(angular, expected_angular, angular_scale)
+        return Momentum(linear, angular, linear_error, angular_error)
 
 
 def _relative(measured: FloatArray, expected: FloatArray, scale: float) -> float:

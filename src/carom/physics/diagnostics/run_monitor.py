@@ -87,18 +87,11 @@ STILL_BELOW = 1e-4  # of the energy scale; with more kinetic energy, bodies roll
 
 
 class Activity:
-    """Follows the contacts of n bodies from step to step.
+    """Follows the contacts of a number of bodies from step to step.
 
     ``phase`` is "warm-up" before the first step, then "free", "colliding" or "settled". A run has settled if most
-    bodies touch, recent impacts were weak and, with ``from_rest``, the kinetic energy is small.
-
-    Parameters
-    ----------
-    bodies
-        Number of bodies.
-    from_rest
-        Whether there is a uniform field or something fixed, so that a pile at rest has no kinetic energy. Otherwise it
-        may drift and rotate as a whole.
+    bodies touch, recent impacts were weak and, with ``from_rest``, the kinetic energy is small. Without a uniform field
+    or something fixed, a pile at rest may drift and rotate as a whole, so its kinetic energy does not matter.
     """
 
     def __init__(self, bodies: int, from_rest: bool) -> None:
@@ -106,9 +99,7 @@ class Activity:
         self.impact_energy = 0.0  # J, ½ μ v_n² of recent impacts
         self._bodies = bodies
         self._from_rest = from_rest
-        self._contacts: int | None = (
-            None  # contacts of the last step; None before the first step of a new or resumed run
-        )
+        self._contacts: int | None = None  # of the last step; None before the first one of a new or resumed run
 
     def reopen(self, phase: str, impact_energy: float) -> None:
         """Continue an earlier run."""
@@ -175,19 +166,7 @@ class PaceTally:
 
 
 class PaceMonitor:
-    """Checks the step from time to time, and warns once if the run slows down.
-
-    Parameters
-    ----------
-    duration
-        s, the duration of the scene.
-    first_dt
-        s, the step at the start of the run.
-    units
-        Units of the scene.
-    remedies
-        The result of `remedies_of`.
-    """
+    """Checks the step from time to time, and warns once if the run slows down; ``remedies`` are from `remedies_of`."""
 
     def __init__(
         self, duration: float, first_dt: float, units: UnitSystem = SI, remedies: Mapping[str, str] = REMEDY

@@ -69,16 +69,7 @@ class DragLaw(NamedTuple):
 class StokesDrag:
     """Slows all bodies down relative to a medium, at the same rate.
 
-    Parameters
-    ----------
-    drag
-        The scene's section.
-    bodies
-        The bodies in the medium.
-    outer
-        (3,) m/s², the acceleration by other forces that is the same for all bodies.
-    team
-        Threads that work.
+    ``outer``, (3,) m/s², is the acceleration by other forces that is the same for all bodies.
     """
 
     kind = DRAG
@@ -152,8 +143,6 @@ def make(scene: Scene, bodies: Bodies, team: Team) -> StokesDrag:
 
 @chosen_by_type(kick_before_drift)
 def _damped_before(damping: Any, bodies: Any, length: Any, kick: Any) -> Any:
-    """Return what Numba compiles for a call of `kick_before_drift` with this drag."""
-
     def slow_down(damping: DragLaw, bodies: KickedBodies, length: float, kick: float) -> float:
         step = _step_of(damping.rate, length)
         _begin(damping, bodies, step)
@@ -164,8 +153,6 @@ def _damped_before(damping: Any, bodies: Any, length: Any, kick: Any) -> Any:
 
 @chosen_by_type(kick_after_drift)
 def _damped_after(damping: Any, bodies: Any, length: Any, kick: Any) -> Any:
-    """Return what Numba compiles for a call of `kick_after_drift` with this drag."""
-
     def slow_down(damping: DragLaw, bodies: KickedBodies, length: float, kick: float) -> None:
         _end(damping, bodies, _step_of(damping.rate, length))
         for row in range(2):

@@ -23,19 +23,7 @@ MIN_BODIES_PER_TASK = 5000  # about 10 µs of work
 
 
 class UniformField:
-    """Accelerates all bodies alike, by `uniform` in m/s².
-
-    Parameters
-    ----------
-    field
-        (3,) m/s².
-    driving
-        (3,) m/s², its components along periodic axes, which have no potential.
-    mass
-        (n,) kg.
-    team
-        Threads that share the work.
-    """
+    """Accelerates all bodies alike; ``driving`` has the components of the field along periodic axes, (3,) m/s² each."""
 
     kind = UNIFORM_FIELD
 

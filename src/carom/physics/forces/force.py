@@ -35,40 +35,20 @@ Potentials = dict[str, float]  # J, by term of the energy
 
 
 class Force(Protocol):
-    """A force that accelerates bodies.
+    """A force that accelerates bodies."""
 
-    Attributes
-    ----------
-    kind
-        Its condition in a scene, and the name of its energy.
-    uniform
-        (3,) m/s², the part of the acceleration that is the same for every body.
-    """
-
-    kind: ForceKind
-    uniform: FloatArray
+    kind: ForceKind  # its condition in a scene, and the name of its energy
+    uniform: FloatArray  # (3,) m/s², the part of the acceleration that is the same for every body
 
     def accelerate(self, position: FloatArray, acceleration: FloatArray, *, first: bool, potential: bool) -> float:
-        """Add the acceleration at positions, both (n, 3); return the potential energy in joules if requested.
+        """Add the acceleration at positions, (n, 3) m/s² and m; return the potential energy in joules if requested.
 
-        Parameters
-        ----------
-        position
-            m
-        acceleration
-            m/s²
-        first
-            Whether this is the first force: ``acceleration`` is then overwritten.
-        potential
-            Whether the energy is requested. Otherwise, and without a potential, 0 is returned.
+        The ``first`` force overwrites ``acceleration``. A force without a potential returns 0.
         """
 
 
 class DampedPath(NamedTuple):
-    """The change of velocities along a drift whose mean velocity is w.
-
-    See `carom.physics.contact.events.trajectories`.
-    """
+    """The change of velocities along a drift, as in `carom.physics.contact.events.trajectories`."""
 
     kick: float  # s
     damping: float  # 1/s
@@ -102,17 +82,11 @@ class Damping(Force, Protocol):
 
     It defines its own kicks and factors, and books the energy that it dissipates. Its kind has ``damps`` set and names
     the entry of the ledger. A scene has at most one such force.
-
-    Attributes
-    ----------
-    law
-        A named tuple, from which `kick_before_drift` and `kick_after_drift` in kernels compute the force.
-    exchanged
-        (7,) what the medium has exchanged in the run, to which these kernels add: the energy that left the bodies in J,
-        and the momentum and angular momentum that the balance expects, in N s and N m s.
     """
 
-    law: DragLaw
+    law: DragLaw  # from which `kick_before_drift` and `kick_after_drift` in kernels compute the force
+    # (7,), the exchange with the medium in the run, to which these kernels add: the energy that left the bodies in J,
+    # and the momentum and angular momentum that the balance expects, in N s and N m s
     exchanged: FloatArray
 
     def step(self, dt: float) -> DampedStep:
@@ -128,10 +102,7 @@ class Damping(Force, Protocol):
         """Return the accelerations against which contacts are held, (n + p, 3) m/s²: those at the start of the step."""
 
     def lost_in_hold(self, step: DampedStep, before: FloatArray) -> float:
-        """Return the change of its loss because contacts were held, in joules.
-
-        ``before`` are the velocities before the hold, (n + p, 3) m/s.
-        """
+        """Return the change of its loss (J) because contacts were held; velocities were ``before``, (n + p, 3) m/s."""
 
     def exchange_in_impacts(self, step: DampedStep, before: FloatArray, impacts: Impacts) -> Exchange:
         """Return the exchange that is due to impacts during the drift.
@@ -139,13 +110,6 @@ class Damping(Force, Protocol):
         ``before`` are the velocities at the beginning of the drift, (n + p, 3) m/s. They are overwritten by the changes
         of velocities that impacts cause in addition to their impulses over the masses.
         """
-
-
-def forces_of(scene: Scene, needs: Requirements, bodies: Bodies, team: Team) -> list[Force]:
-    """Return the forces that a scene requires, in the order in which accelerations are summed."""
-    kinds = [kind for kind in FORCES if needs.forces[kind.name].modelled]
-    own = [registry.load("forces", kind.name)(scene, bodies, team) for kind in kinds]
-    return [*own, *(kernel_forces.make(name, scene, bodies, team) for name in scene.forces.given)]
 
 
 def accelerate(
@@ -175,16 +139,8 @@ class ForceLaws(NamedTuple):
 class TotalForce:
     """Accelerates the bodies of a scene by all its forces.
 
-    Attributes
-    ----------
-    uniform
-        (3,) m/s², the part of the acceleration that is the same for every body.
-    damping
-        The force that depends on velocities; None if there is none.
-    losses
-        The ledger's entries for forces without a potential.
-    path_works
-        The work of those that do not depend on velocities; booked step by step.
+    `losses` are the ledger's entries for forces without a potential. The work of those that do not depend on
+    velocities, `path_works`, is booked step by step.
     """
 
     def __init__(self, scene: Scene, needs: Requirements, bodies: Bodies, team: Team, profile: Profile) -> None:
@@ -193,7 +149,10 @@ class TotalForce:
         self._team = team
         self._profile = profile
         self._fixed = np.flatnonzero(bodies.ends.inverse_mass[: len(bodies)] == 0.0)
-        self._forces = forces_of(scene, needs, bodies, team)
+        # in the order in which accelerations are summed
+        kinds = [kind for kind in FORCES if needs.forces[kind.name].modelled]
+        self._forces: list[Force] = [registry.load("forces", kind.name)(scene, bodies, team) for kind in kinds]
+        self._forces += [kernel_forces.make(name, scene, bodies, team) for name in scene.forces.given]
         self.uniform: FloatArray = np.sum([np.zeros(3), *(force.uniform for force in self._forces)], axis=0)
         self.damping = next((force for force in self._forces if isinstance(force, Damping)), None)
         self.losses = [force.kind.loss for force in self._forces if force.kind.loss]

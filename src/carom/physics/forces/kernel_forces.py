@@ -42,13 +42,7 @@ _compiled: dict[str, _Compiled] = {}  # by the name of the first field of their 
 
 
 class KernelForce:
-    """A force of an installed package; see `carom.physics.forces.force.Force`.
-
-    Attributes
-    ----------
-    parameters
-        (1,) record of its parameters, for `add_forces`.
-    """
+    """A force of an installed package; see `Force`. `parameters` is its record, (1,), for `add_forces`."""
 
     def __init__(self, kind: ForceKind, parameters: Records, bodies: Bodies, box: FloatArray, team: Team) -> None:
         self.kind = kind
@@ -90,7 +84,7 @@ def parameters_of(name: str, scene: Scene) -> Records:
     force = force_called(name)
     is_pair = isinstance(force, PairForce)
     first = force.attraction if isinstance(force, PairForce) else force.acceleration
-    functions = [first] if force.potential is None else [first, force.potential]
+    functions = [first, force.potential] if force.potential else [first]
     marker = f"{_PAIR if is_pair else _BODY}{name}_{identity_of(*functions)}"
     if marker not in _compiled:
         _compiled[marker] = _Compiled(leaf(first), leaf(force.potential) if force.potential else None)
@@ -109,16 +103,9 @@ def parameters_of_all(scene: Scene) -> Parameters:
 def add_forces(
     forces: Parameters, lo: int, hi: int, x: FloatArray, m: FloatArray, box: FloatArray, a: FloatArray
 ) -> None:
-    """Add accelerations of the bodies in [lo, hi); for kernels.
+    """Add accelerations, (n, 3) m/s², of the bodies in [lo, hi), given records of `parameters_of`; for kernels.
 
-    Parameters
-    ----------
-    forces
-        Records of `parameters_of`.
-    x, m, box
-        (n, 3) m, (n,) kg, and (3,) m, the size of a periodic box, or zeros.
-    a
-        (n, 3) m/s².
+    ``box``, (3,) m, is the size of a periodic box, or zeros.
     """
     raise NotImplementedError("only kernels call it")
 
@@ -129,14 +116,14 @@ def energy_of(forces: Parameters, x: FloatArray, m: FloatArray, box: FloatArray)
 
 
 def _functions(record: Any) -> tuple[bool, _Compiled]:
-    """Return whether the type of a record belongs to a force between bodies, and that force's functions."""
+    """Return whether a force acts between bodies, and its functions, given the type of its record."""
     marker = next(iter(record.dtype.fields))
     return marker.startswith(_PAIR), _compiled[marker]
 
 
 @chosen_by_type(add_forces)
 def _adding(forces: Any, lo: Any, hi: Any, x: Any, m: Any, box: Any, a: Any) -> Any:
-    """Return the code that Numba compiles for a call of `add_forces`: the first force, and a call for the others."""
+    """Return code that adds the first force, and calls `add_forces` for the others."""
     if len(forces) == 0:
         return lambda forces, lo, hi, x, m, box, a: None
     is_pair, functions = _functions(forces[0])
@@ -174,7 +161,6 @@ def _adding(forces: Any, lo: Any, hi: Any, x: Any, m: Any, box: Any, a: Any) -> 
 
 @chosen_by_type(energy_of)
 def _summing(forces: Any, x: Any, m: Any, box: Any) -> Any:
-    """Return the code that Numba compiles for a call of `energy_of`."""
     if len(forces) == 0:
         return lambda forces, x, m, box: 0.0
     is_pair, functions = _functions(forces[0])

@@ -28,16 +28,9 @@ QUADRATURE = ((-_OUTER, _LIGHT), (-_INNER, _HEAVY), (0.0, 128.0 / 225.0), (_INNE
 
 
 class PathWork:
-    """The work of a force in the present step.
+    """The work of a force in the present step; its entry in the ledger has the sign of a loss: -W.
 
-    Parameters
-    ----------
-    entry
-        Its entry in the ledger, which has the sign of a loss: -W.
-    accelerate
-        Writes the accelerations by the force, (n, 3) m/s², at positions, (n, 3) m, to its second argument.
-    bodies
-        The bodies of the run.
+    ``accelerate`` writes the accelerations by the force, (n, 3) m/s², at positions, (n, 3) m, to its second argument.
     """
 
     def __init__(self, entry: str, accelerate: Callable[[FloatArray, FloatArray], object], bodies: Bodies) -> None:

@@ -93,12 +93,7 @@ class BatchIntegrator(Protocol):
     def advance(self, time: float, end: float, until: float, steps: int) -> Batch:
         """Take steps until a time or a number of steps is reached, or the run ends.
 
-        Parameters
-        ----------
-        time, end, until
-            s; the last step is cut to end at ``end``, but not at ``until``.
-        steps
-            Largest number of steps.
+        Times are in s. The last step is cut to end at ``end``, but not at ``until``.
         """
 
     def at(self, earlier: float) -> tuple[FloatArray, FloatArray]:

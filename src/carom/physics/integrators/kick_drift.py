@@ -55,19 +55,9 @@ class KickedBodies(NamedTuple):
 
 
 def kick_before_drift(damping: Any, bodies: KickedBodies, length: float, kick: float) -> float:
-    """Kick before the drift of a step, or let drag take the place of the kick; for kernels.
+    """Kick before the drift of a step, or let drag replace the kick; return `DampedPath.strength`. For kernels.
 
-    Parameters
-    ----------
-    damping
-        `Damping.law` of the force that depends on velocities; an empty tuple without one.
-    length, kick
-        s, the step and, without drag, its first kick.
-
-    Returns
-    -------
-    strength
-        Factor of the accelerations along the paths of the drift, see `DampedPath`.
+    ``damping`` is the `Damping.law` of drag, or an empty tuple. The step and, without drag, its first kick are in s.
     """
     raise NotImplementedError("only kernels call it")
 
@@ -79,7 +69,7 @@ def kick_after_drift(damping: Any, bodies: KickedBodies, length: float, kick: fl
 
 @chosen_by_type(kick_before_drift)
 def _undamped_before(damping: Any, bodies: Any, length: Any, kick: Any) -> Any:
-    """Return what Numba compiles for a call without drag. The module of a drag defines the calls with it."""
+    """Define the calls without drag; the module of a drag defines those with it."""
 
     def kick_only(damping: Any, bodies: KickedBodies, length: float, kick: float) -> float:
         advance(0, len(bodies.v), bodies.v, bodies.a, kick)
@@ -90,8 +80,6 @@ def _undamped_before(damping: Any, bodies: Any, length: Any, kick: Any) -> Any:
 
 @chosen_by_type(kick_after_drift)
 def _undamped_after(damping: Any, bodies: Any, length: Any, kick: Any) -> Any:
-    """Return what Numba compiles for a call without drag."""
-
     def kick_only(damping: Any, bodies: KickedBodies, length: float, kick: float) -> None:
         advance(0, len(bodies.v), bodies.v, bodies.a, kick)
 

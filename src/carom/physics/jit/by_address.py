@@ -62,11 +62,12 @@ def _read(context: Any, builder: Any, kind: Any, address: Any, field: str) -> An
 
 
 @inline
-def _unchanged(fields: Any) -> Any:
-    return fields
+def unchanged(argument: Any) -> Any:
+    """Return the argument, in kernels."""
+    return argument
 
 
-@instruction(_unchanged, returns=lambda known: Located(known["fields"]))
+@instruction(unchanged, returns=lambda known: Located(known["fields"]))
 def by_address(code: Code, fields: Any) -> Any:
     """Return a named tuple as a located one, valid until the caller returns.
 

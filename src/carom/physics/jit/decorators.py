@@ -30,6 +30,7 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 _OWNS = 4  # NumPy's flag of an array that owns its memory; Numba's types do not depend on it
 _entries: dict[tuple[Callable[..., Any], Any], Callable[..., Any]] = {}
 _compiles_all = False
+_typeof: Any = numba.typeof  # the stub lacks its type
 
 # for `entry_if_worthwhile`: numbers of calls of a kernel, each of which saves 0.17 ms
 WORTH_COMPILING = 100_000  # 17 s, where compilation takes 5 s, or 13 s on a busy machine
@@ -128,13 +129,6 @@ def _compiled(function: Function, **options: Any) -> Function:
     return cast("Function", compiled)
 
 
-def compile_for(function: Callable[..., Any], *arguments: Any) -> None:
-    """Compile a kernel for the types of these arguments, or load it, without calling it."""
-    compiled: Any = function
-    kind_of: Any = numba.typeof
-    compiled.compile(tuple(kind_of(argument) for argument in arguments))
-
-
 def entry_of(function: Callable[..., Any], *arguments: Any) -> Callable[..., Any]:
     """Compile a kernel for the types of these arguments, or load it; return it as a function of such arguments only.
 
@@ -147,22 +141,17 @@ def entry_of(function: Callable[..., Any], *arguments: Any) -> Callable[..., Any
         return function
     asked = function, layout_of(arguments)
     if asked not in _entries:
-        kind_of: Any = numba.typeof
-        compile_for(function, *arguments)
         kernel: Any = function
-        _entries[asked] = kernel.overloads[tuple(kind_of(argument) for argument in arguments)].entry_point
+        kinds = tuple(map(_typeof, arguments))
+        kernel.compile(kinds)
+        _entries[asked] = kernel.overloads[kinds].entry_point
     return _entries[asked]
 
 
 def entry_if_worthwhile(function: Callable[..., Any], calls: float, *arguments: Any) -> Callable[..., Any] | None:
-    """Return `entry_of` a kernel that speeds up long runs; None if its compilation takes longer than it saves.
+    """Return `entry_of` a kernel that replaces others in many calls; None if compilation takes longer than it saves.
 
     The decision depends on numbers of calls, never on a clock, and must not change bits.
-
-    Parameters
-    ----------
-    calls
-        How often the kernel will take the place of others.
     """
     if not _compiles_all and calls < (WORTH_LOADING if is_compiled(function, *arguments) else WORTH_COMPILING):
         return None
@@ -187,10 +176,8 @@ def compiles_all() -> bool:
 
 def is_compiled(function: Callable[..., Any], *arguments: Any) -> bool:
     """Return whether a kernel is compiled for the types of these arguments, in this process or in the cache."""
-    kind_of: Any = numba.typeof
     compiled: Any = function
-    kinds = tuple(kind_of(argument) for argument in arguments)
-    kept = compiled._cache
+    kinds, kept = tuple(map(_typeof, arguments)), compiled._cache
     return kinds in compiled.overloads or (isinstance(kept, KernelCache) and kept.has(kinds, compiled.targetctx))
 
 
@@ -211,8 +198,9 @@ def cache_folder() -> str:
 class Compilations(event.Listener):  # type: ignore[misc] # untyped, like all of Numba's inside
     """Counts the kernels that are compiled while it is active, without those loaded from the cache."""
 
-    def __init__(self) -> None:
+    def __init__(self, at_first: Callable[[], None] = lambda: None) -> None:
         self.count = 0
+        self._at_first = at_first
 
     def __enter__(self) -> Compilations:
         event.register("numba:compile", self)
@@ -222,31 +210,18 @@ class Compilations(event.Listener):  # type: ignore[misc] # untyped, like all of
         event.unregister("numba:compile", self)
 
     def on_start(self, event: object) -> None:
-        """Count one."""
+        """Count one, and call back at the first."""
         self.count += 1
+        if self.count == 1:
+            self._at_first()
 
     def on_end(self, event: object) -> None:
         """Do nothing; Numba requires this method."""
 
 
-class _FirstCompilation(event.Listener):  # type: ignore[misc] # untyped, like all of Numba's inside
-    """Calls back once, when the first kernel that is not in the cache is compiled."""
-
-    def __init__(self, callback: Callable[[], None]) -> None:
-        self._callback: Callable[[], None] | None = callback
-
-    def on_start(self, event: object) -> None:
-        callback, self._callback = self._callback, None
-        if callback:
-            callback()
-
-    def on_end(self, event: object) -> None:
-        pass
-
-
 def on_compilation(callback: Callable[[], None]) -> None:
     """Call back once, before the first kernel is compiled; never if all are loaded from the cache."""
-    event.register("numba:compile", _FirstCompilation(callback))
+    event.register("numba:compile", Compilations(callback))
 
 
 def leaf(function: Function) -> Function:

@@ -31,15 +31,7 @@ WORD = ir.IntType(64)
 
 
 class Code:
-    """The code of one instruction in a kernel.
-
-    Attributes
-    ----------
-    context, builder
-        Numba's objects for the code.
-    kinds, values
-        Numba's type of each argument and its value in the code, by name.
-    """
+    """The code of one instruction in a kernel: Numba's objects, and the type and value of each argument by name."""
 
     def __init__(self, context: Any, builder: Any, kinds: dict[str, Any], values: dict[str, Any]) -> None:
         self.context, self.builder = context, builder
@@ -86,13 +78,9 @@ def instruction(
 ) -> Callable[[Callable[..., Any]], Any]:
     """Make an instruction from a function that generates its code, given a `Code` and the arguments.
 
-    Parameters
-    ----------
-    plain
-        The plain form: a kernel with the same bits.
-    returns, **kinds
-        Types of the result and of arguments by name, such as ``"float64"``, or ``"words.dtype"`` for the elements of an
-        array. Arguments that are not named keep their types. The type of the result may be a function of theirs.
+    ``plain`` is a kernel with the same bits. Types of the result and of arguments have names such as ``"float64"``, or
+    ``"words.dtype"`` for the elements of an array. Other arguments keep their types. The type of the result may be a
+    function of theirs.
     """
 
     def add(generate: Callable[..., Any]) -> Any:

@@ -19,8 +19,8 @@ from typing import Any
 import numba
 import numpy as np
 
-from carom.physics.jit.by_address import Located
-from carom.physics.jit.decorators import Function, inline
+from carom.physics.jit.by_address import Located, unchanged
+from carom.physics.jit.decorators import Function
 from carom.physics.jit.inside import PLAIN, callconv, cgutils, ir, types
 from carom.physics.jit.instructions import WORD, Code, instruction
 
@@ -35,16 +35,8 @@ def leading(compile_as: Callable[[Function], Function]) -> Callable[[Function], 
     return (lambda function: function) if PLAIN else compile_as
 
 
-@inline
-def _unchanged(records: Any) -> Any:
-    return records
-
-
-def _with_attributes(records: Any) -> Any:
-    return records.view(np.recarray)
-
-
-led = _with_attributes if PLAIN else _unchanged  # makes records for `leading` functions, with fields as attributes
+# makes records for `leading` functions, with fields as attributes
+led: Callable[[Any], Any] = (lambda records: records.view(np.recarray)) if PLAIN else unchanged
 
 
 class PlainJob:
@@ -108,10 +100,7 @@ def kind_of(code: Code, arguments: Any) -> Any:
 def lay_out(code: Code, kernel: Any, count: Any, pieces: Any, arguments: Any) -> list[Any]:
     """Lay out a job, valid until the caller returns: a kernel to be called on [0, count), divided into pieces.
 
-    Returns
-    -------
-    doer, job
-        Addresses of the function that processes pieces of such a job, and of the job.
+    Return the addresses of the function that processes pieces of such a job, and of the job.
     """
     kinds = (types.int64, types.int64, *code.kinds["arguments"])
     layout = ir.LiteralStructType([WORD] * ARGUMENTS + [code.context.get_value_type(code.kinds["arguments"])])

@@ -50,13 +50,7 @@ PIECES = 16  # most pieces per thread: enough for all threads to finish at about
 
 
 class Team:
-    """A leader and its helpers. Only one thread at a time may lead.
-
-    Parameters
-    ----------
-    threads
-        Number of threads, including the leader.
-    """
+    """A leader and its helpers; ``threads`` is their number. Only one thread at a time may lead."""
 
     least = 2  # grains; smaller work is not shared
 
@@ -75,7 +69,8 @@ class Team:
         if self._pool is None:
             yield ALONE
             return
-        self._lead_alone()
+        if not self._leading.acquire(blocking=False):  # both would share one board
+            raise RuntimeError("two threads use one team at once; only one thread may use a Space at a time")
         try:
             self._rouse()
             yield self._board
@@ -108,26 +103,14 @@ class Team:
             (alone or work)(0, count, *arguments)
         else:
             pieces = max(1, min(count // grain, PIECES * self.size))
-            self._lead_alone()
-            try:
-                self._share(work, count, pieces, arguments)
-            finally:
-                self._leading.release()
-
-    def _share(self, work: Callable[..., None], count: int, pieces: int, arguments: tuple[Any, ...]) -> None:
-        self._rouse()
-        code, kind = self._code.get(work, (0, 0))
-        kind = _lead(self._board, code, kind, count, pieces, arguments)
-        if kind != SHARED:
-            work(0, 0, *arguments)
-            code = address_of(work, kind)
-            self._code[work] = code, kind
-            _lead(self._board, code, kind, count, pieces, arguments)
-
-    def _lead_alone(self) -> None:
-        """Become the leader. Raises RuntimeError if another thread leads, since both would share one board."""
-        if not self._leading.acquire(blocking=False):
-            raise RuntimeError("two threads use one team at once; only one thread may use a Space at a time")
+            with self.leading() as board:
+                code, kind = self._code.get(work, (0, 0))
+                kind = _lead(board, code, kind, count, pieces, arguments)
+                if kind != SHARED:
+                    work(0, 0, *arguments)  # compiles it
+                    code = address_of(work, kind)
+                    self._code[work] = code, kind
+                    _lead(board, code, kind, count, pieces, arguments)
 
     def _rouse(self) -> None:
         """Wake sleeping helpers. A helper that falls asleep before the work is posted wakes for the next job."""
@@ -150,6 +133,7 @@ ALONE: IntArray = np.zeros(0, dtype=np.int64)  # the board of a leader without h
 SOLO = Team(1)
 
 
+# address of the C function that yields the core; 0 if there is none
 OFFER: int = c_function("sched_yield") if hasattr(os, "sched_yield") else 0
 
 
@@ -166,16 +150,6 @@ def claim(board: IntArray) -> bool:
     """Claim a piece of the phase; False if none is left. The leader takes pieces from the front."""
     claimed: bool = atomic_load(board, LEFT) > 0 and atomic_add(board, LEFT, -1) > 0
     return claimed
-
-
-@kernel
-def last_piece(board: IntArray) -> int:
-    """Return the piece for a helper that claimed one, taken from the back.
-
-    Since the leader starts at the front, bodies mostly stay in the same core's cache from phase to phase.
-    """
-    piece: int = atomic_add(board, BACK, -1) - 1
-    return piece
 
 
 @kernel
@@ -221,18 +195,13 @@ def lead_phase(board: IntArray, doer: int, job: int, first: int, pieces: int) ->
 
 @long_kernel
 def _look(board: IntArray, offer: int, looks: int) -> None:
-    """Process pieces of jobs; return after a number of polls without work.
-
-    Parameters
-    ----------
-    offer
-        Address of the C function that yields the core, or 0.
-    """
+    """Process pieces of jobs, and call ``offer``, see `OFFER`; return after a number of polls without work."""
     idle, done = 0, 0
     while idle < looks:
         idle += 1
         if claim(board):
-            piece = board[FIRST] + last_piece(board)
+            # from the back, since the leader starts at the front: bodies mostly stay in the same core's cache
+            piece = board[FIRST] + atomic_add(board, BACK, -1) - 1
             do(board[DOER], board[JOB], piece, piece + 1)
             finish(board)
             idle = 0

@@ -163,15 +163,11 @@ def in_lanes(formula: Callable[..., Any]) -> Callable[..., Any]:
     A formula has no branches that depend on its doubles, except `where`.
     """
     if formula is where:
-        return _where
+        return lambda condition, then, otherwise: then.where(condition, otherwise)
     plain: FunctionType = formula.py_func  # type: ignore[attr-defined]
     named = {name: plain.__globals__.get(name) for name in plain.__code__.co_names}
     called = {name: in_lanes(value) for name, value in named.items() if hasattr(value, "py_func")}
     return FunctionType(plain.__code__, plain.__globals__ | called)
-
-
-def _where(condition: Mask, then: Lanes, otherwise: Lanes | float) -> Lanes:
-    return then.where(condition, otherwise)
 
 
 def greater(first: Lanes | float, second: Lanes) -> Lanes:
@@ -279,19 +275,7 @@ def either(
 
 
 class RecordLanes:
-    """Eight records, with the fields of the lines read so far as attributes.
-
-    Parameters
-    ----------
-    builder
-        Builder of the code.
-    kind
-        Type of the records, which consist of whole cache lines.
-    addresses
-        Addresses of the records.
-    lines
-        Cache lines to read.
-    """
+    """Eight records of whole cache lines, with the fields of the lines read as attributes."""
 
     def __init__(self, builder: Any, kind: np.dtype[np.void], addresses: Sequence[Any], lines: Sequence[int]) -> None:
         self._builder, self._kind, self._addresses = builder, kind, addresses
@@ -361,8 +345,10 @@ class RecordLanes:
 def _read(builder: Any, addresses: Sequence[Any], line: int) -> list[Lanes]:
     """Read a cache line of eight records; return the eight fields."""
     vectors = []
-    for part in range(2):  # halves of two lines form a vector, which saves a step of the transposition
-        halves = [builder.load(_half_of(builder, address, line, part), align=CACHE_LINE // 2) for address in addresses]
+    half = ir.VectorType(DOUBLE, HALF)
+    for offset in (line * CACHE_LINE, line * CACHE_LINE + CACHE_LINE // 2):
+        # halves of two lines form a vector, which saves a step of the transposition
+        halves = [builder.load(_at(builder, address, offset, half), align=CACHE_LINE // 2) for address in addresses]
         pairs = zip(halves[:HALF], halves[HALF:], strict=True)
         vectors += [shuffled(builder, *pair, range(WIDTH)) for pair in pairs]
     return [Lanes(builder, column) for column in _exchanged(builder, vectors, (1, 2))]
@@ -396,10 +382,6 @@ def _exchanged(builder: Any, vectors: list[Any], steps: Sequence[int]) -> list[A
 def line_of(builder: Any, address: Any, line: int) -> Any:
     """Return the address of a cache line of a record, as the address of a vector."""
     return _at(builder, address, line * CACHE_LINE, VECTOR)
-
-
-def _half_of(builder: Any, address: Any, line: int, part: int) -> Any:
-    return _at(builder, address, line * CACHE_LINE + part * CACHE_LINE // 2, ir.VectorType(DOUBLE, HALF))
 
 
 def _at(builder: Any, address: Any, offset: int, kind: Any) -> Any:

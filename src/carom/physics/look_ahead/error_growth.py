@@ -124,18 +124,10 @@ def extrapolate(
 ) -> tuple[float, float, FloatArray]:
     """Return a refinement, the time (s) for which it keeps the accuracy, and its error.
 
-    The refinement is a power of two, so that steps and frames end together, between that of the last trial run but one
-    and `FARTHEST` times that of the last. The coefficient of h^p depends on the position of impacts within their steps,
-    so the largest of the latest distances is used, each scaled by the order.
-
-    Parameters
-    ----------
-    apart
-        (K,) each, distance of each trial run from the next, relative to the size.
-    finest
-        The refinement of the latest trial run.
-    highest
-        Order of the integrator.
+    The refinement is a power of two, so that steps and frames end together. It is at least that of the last trial run
+    but one, and at most `FARTHEST` times that of the last, ``finest``. The distances of each trial run from the next,
+    ``apart``, are (K,) relative to the size. The coefficient of h^p depends on where in their steps impacts are, so the
+    largest of the latest distances is used, each scaled by the order, which is at most ``highest``.
     """
     order = _observed(apart, highest)
     scaled = [each / RATIO ** (order * age) for age, each in enumerate(apart[: -LATEST - 1 : -1])]

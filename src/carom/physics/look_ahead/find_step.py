@@ -144,8 +144,8 @@ class _LookAhead:
         self._kept_at_most = math.inf  # s
         self._times = samples(scene.time.duration, SAMPLES)
         self._scale = Scale.of(scene, start)
-        self._last_bit = EPS * max(1.0, float(np.abs(start.position).max()) / self._scale.size)
-        least = LOWEST * ROUNDING * self._last_bit
+        last_bit = EPS * max(1.0, float(np.abs(start.position).max()) / self._scale.size)
+        least = LOWEST * ROUNDING * last_bit
         if accuracy < least:
             raise SceneError(
                 f"time.accuracy = {accuracy:g}: double precision allows at best {least:.1e} for the coordinates of "
@@ -155,41 +155,30 @@ class _LookAhead:
         if integrator(scene).controls_error:  # its error is rounding, which twins a last bit apart show
             self._twin, self._rounding = displaced(start, 0.0), SPREAD
         else:
-            self._twin, self._rounding = (
-                displaced(start, DISPLACEMENT * self._scale.size),
-                ROUNDING * self._last_bit / DISPLACEMENT,
-            )
+            self._twin = displaced(start, DISPLACEMENT * self._scale.size)
+            self._rounding = ROUNDING * last_bit / DISPLACEMENT
 
     def find(self) -> Scene:
-        if integrator(self._scene).hierarchical:
-            return self._find_for_orbits(persists=True) or self._scene
-        if self._is_rough and orbits_often(self._scene, HILL_RADII) >= FEWEST_ORBITS:
+        scene, chosen = self._scene, integrator(self._scene)
+        if chosen.hierarchical:
+            return self._find_for_orbits(persists=True) or scene
+        # Wisdom–Holman integration may keep a rough accuracy at a lower cost than Gauss–Radau integration
+        has_choice = scene.time.integrator == AUTO and "wisdom-holman" in registry.names("integrators")
+        if has_choice and self._accuracy >= FINEST_OF_ORBITS and orbits_often(scene, HILL_RADII) >= FEWEST_ORBITS:
             promised = self._find_for_orbits(persists=False)
             if promised is not None:
                 return promised
-        if integrator(self._scene).controls_error:
+        if chosen.controls_error:
             return self._find_for_radau()
-        ahead = EXACT if self._scene.count <= EXACT_UP_TO else EXACT_OF_MANY
-        if self._is_exact:
-            _, twins = self._part_at_impacts(ahead)
-            longest = auto_interval(self._scene, self._scene.time.duration) / largest_step(self._scene)
-            return self._promise(min(longest, LONGEST), self._rounding * twins.apart, twins.exponent)
-        if not require(self._scene).accelerates:  # flights and times of impact are exact, whatever the step
-            _, twins = self._part_at_impacts(ahead)
-            return self._promise(LONGEST, self._rounding * twins.apart, twins.exponent)
-        return self._find_for_steps(integrator(self._scene).order)
-
-    @property
-    def _is_exact(self) -> bool:
-        """Whether steps of any length are exact: without contacts, and with uniform fields and drag only."""
-        needs = require(self._scene)
-        return not (needs.contact.modelled or interactions.differing(self._scene))
-
-    @property
-    def _is_rough(self) -> bool:
-        """Whether Wisdom–Holman integration may keep the accuracy at a lower cost than Gauss–Radau integration."""
-        available = "wisdom-holman" in registry.names("integrators")
-        return available and self._scene.time.integrator == AUTO and self._accuracy >= FINEST_OF_ORBITS
+        needs = require(scene)
+        # without contacts, steps of any length are exact under uniform fields and drag
+        is_exact = not (needs.contact.modelled or interactions.differing(scene))
+        if needs.accelerates and not is_exact:
+            return self._find_for_steps(chosen.order)
+        # without forces, flights and times of impact are exact, whatever the step
+        _, twins = self._part_at_impacts(EXACT if scene.count <= EXACT_UP_TO else EXACT_OF_MANY)
+        longest = auto_interval(scene, scene.time.duration) / largest_step(scene) if is_exact else LONGEST
+        return self._promise(min(longest, LONGEST), self._rounding * twins.apart, twins.exponent)
 
     def _find_for_radau(self) -> Scene:
         needs, rests_from = require(self._scene), math.inf
@@ -330,7 +319,11 @@ class _LookAhead:
         duration, many = self._scene.time.duration, self._scene.count > EXACT_UP_TO
         for count in (SAMPLES,) if many else FEWER_SAMPLES:
             self._times = samples(duration, count)
-            run = self._within_budget(refinement)
+            run = self._run(refinement, share=TWIN_SHARE)
+            run.at(count - 1)
+            if run.is_cut and run.reached > 0.0 and run.rests_from == math.inf:  # compare at times that it reaches
+                self._times = samples(run.reached, count)
+                run = self._run(refinement, share=2.0 * TWIN_SHARE)
             known = run.known
             twin = self._run(refinement, self._twin, share=TWIN_SHARE) if many else run.again(self._twin)
             twins = self._part(run, twin)
@@ -341,15 +334,6 @@ class _LookAhead:
         self._cover(times, known)
         self._times = samples(min(duration, self._budget.covered or duration), SAMPLES)
         return run, twins.at(self._times, times, self._began)
-
-    def _within_budget(self, refinement: float) -> TrialRun:
-        """Return a trial run to the end or, if its share of the budget ends earlier, with times up to there."""
-        run = self._run(refinement, share=TWIN_SHARE)
-        run.at(len(run.times) - 1)
-        if run.is_cut and run.reached > 0.0 and run.rests_from == math.inf:
-            self._times = samples(run.reached, len(run.times))
-            run = self._run(refinement, share=2.0 * TWIN_SHARE)
-        return run
 
     def _part(self, run: TrialRun, twin: TrialRun) -> Twins:
         """Return the divergence of a run and its twin."""
@@ -410,7 +394,9 @@ class _LookAhead:
         units, until = self._scene.unit_system, self._scene.time.duration
         best = float(error.min(initial=LARGEST_ERROR))
         if best <= LARGEST_ACCURACY:
-            could = f"{_rounded_up(best):g} could be promised for the first {units.text(covered, TIME, '.2g')} or less"
+            digit = 10.0 ** math.floor(math.log10(max(best, 1e-300)))
+            rounded_up = math.ceil(best / digit) * digit
+            could = f"{rounded_up:g} could be promised for the first {units.text(covered, TIME, '.2g')} or less"
         else:
             could = f"not even {LARGEST_ACCURACY:g} could be promised"
         raise SceneError(
@@ -420,9 +406,3 @@ class _LookAhead:
             "bodies, or remove time.accuracy",
             ("time", "accuracy"),
         )
-
-
-def _rounded_up(error: float) -> float:
-    """Round an error up to one digit."""
-    power = 10.0 ** math.floor(math.log10(max(error, 1e-300)))
-    return math.ceil(error / power) * power

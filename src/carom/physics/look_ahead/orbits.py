@@ -52,26 +52,15 @@ def look_at_orbits(
     persists: bool,
     budget: WorkBudget,
 ) -> OrbitStep:
-    """Find the longest step that keeps an error.
+    """Find the longest step that keeps an error of ``most`` m at the times (s), (K,).
 
-    Parameters
-    ----------
-    times
-        (K,) s.
-    accuracy
-        Requested.
-    most
-        m, largest error allowed.
-    persists
-        Whether to try steps that cost more than gauss-radau15.
-    budget
-        Limits the trial runs: each may spend a third of it.
+    If it ``persists``, steps that cost more than gauss-radau15 are tried, too.
     """
-    compared = COMPARED_ROUGHLY if accuracy >= ROUGH else COMPARED
-    r, s = compared
-    usual = (
-        UNEVEN * _apart(*(_follow(scene, start, each, times, budget) for each in compared)) / (1.0 / r**2 - 1.0 / s**2)
-    )
+    r, s = COMPARED_ROUGHLY if accuracy >= ROUGH else COMPARED
+    d = _follow(scene, start, r, times, budget) - _follow(scene, start, s, times, budget)
+    apart = np.sqrt(np.mean(np.sum(d * d, axis=2), axis=1))
+    apart = np.maximum.accumulate(np.where(np.isnan(apart), math.inf, apart))  # infinite where a run has failed
+    usual = UNEVEN * apart / (1.0 / r**2 - 1.0 / s**2)
     tried = (*CHEAP, *FINER) if persists else CHEAP
     found = next((q for q in tried if q >= r and usual[-1] / q**2 <= most), None)
     q = tried[-1] if found is None else found
@@ -104,10 +93,3 @@ def _follow(scene: Scene, start: InitialBodies, refinement: float, times: FloatA
             budget.spend(fresh, now)
         found[k] = runner.at(now - time)[0] if now > time else state[0]
     return found
-
-
-def _apart(one: FloatArray, other: FloatArray) -> FloatArray:
-    """Return the largest rms distance so far between two runs, (K,) m; infinite where one of them has failed."""
-    d = one - other
-    apart = np.sqrt(np.mean(np.sum(d * d, axis=2), axis=1))
-    return np.asarray(np.maximum.accumulate(np.where(np.isnan(apart), math.inf, apart)))

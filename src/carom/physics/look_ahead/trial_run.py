@@ -91,16 +91,9 @@ def radau_work(bodies: int) -> float:
 
 
 class TrialRun:
-    """A run that advances only as far as its positions are requested.
+    """A run that advances only as far as its positions at the times (s), (K,) ascending, are requested.
 
-    Parameters
-    ----------
-    times
-        (K,) s, ascending.
-    budget
-        Records the work; the actual run is estimated to take ``longer`` times as much.
-    share
-        Fraction of the whole budget for this run.
+    It may spend a ``share`` of the whole budget. The actual run is estimated to take ``longer`` times its work.
     """
 
     def __init__(

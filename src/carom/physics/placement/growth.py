@@ -68,48 +68,25 @@ def densest(radius: FloatArray) -> float:
     return DENSEST + max(0.0, BY_SPREAD * spread + (BY_SKEWNESS * third / spread if spread > 0.0 else 0.0))
 
 
-def shrunken(radius: FloatArray, packing: float) -> FloatArray:
-    """Return radii (n,) with which spheres are placed first, given the packing at their full size."""
-    return np.asarray(radius * _first_size(packing))
-
-
-def _first_size(packing: float) -> float:
-    return min(1.0, float(cube_root(np.array(LOOSE / packing))))
-
-
-def grown(
-    index: int,
+def _arrange(
+    mixture: Mapping[int, BodyGroup],
     region: Region,
-    position: FloatArray,
     radius: FloatArray,
-    packing: float,
     around: Surroundings,
     rng: np.random.Generator,
+    units: UnitSystem,
 ) -> FloatArray:
-    """Return centres, (n, 3) m, at which spheres of full size do not overlap.
-
-    Parameters
-    ----------
-    position
-        Centres of the `shrunken` spheres, (n, 3) m.
-    radius
-        Full size, (n,) m.
-    packing
-        The packing at full size.
-
-    Raises
-    ------
-    SceneError
-        If the spheres jam before they reach their full size.
-    """
+    """Implement `Arrange`; SceneError if the spheres jam before they reach their full size."""
+    index = next(iter(mixture))
+    refuse_too_large(index, region, radius, units)
+    size = min(1.0, float(cube_root(np.array(LOOSE / sum(map(packing_fraction, mixture.values()))))))
+    position = positions(index, region, radius * size, around, rng, dense=True)
     n, centre = len(radius), np.array(region.centre)
     box = np.zeros(3) if around.box is None else around.box
     # the spheres near the region that are already placed
     centres = np.concatenate([np.empty((0, 3)), *(centres for centres, _ in around.spheres)])
     radii = np.concatenate([np.empty(0), *(radii for _, radii in around.spheres)])
-    apart = centres - np.array(region.centre)
-    if around.box is not None:
-        apart = minimum_images(apart, around.box)
+    apart = minimum_images(centres - centre, box)
     near = (np.abs(apart) <= half_extent(region) + radii[:, None]).all(axis=1)
     fixed, fixed_radius = centres[near], radii[near]
     sphere = np.zeros(n + len(fixed), SPHERE)
@@ -122,13 +99,17 @@ def grown(
     border, queue = _borders(region, around), np.empty(n, dtype=np.int64)
     full, widest = 1.0 + INFLATED, float(max(radius.max(), fixed_radius.max(initial=0.0)))
     images = 1 if around.box is not None and box.min() < 4.0 * widest + 8.0 * SKIN * radius.max() else 0
-    size, impacts, rate = _first_size(packing), 0, FASTEST
+    impacts, rate = 0, FASTEST
     while size < full:
         left = (full - size) / rate
         span = min(PASS, left)
         own = sphere[:n]
         own["radius"], own["growth"] = size * radius, rate * radius
-        _reset_speeds(own, radius)
+        # scale velocities to a root mean square of 1 radius/s per axis
+        square = sum((own[f"v{axis}"] / radius) ** 2 for axis in "xyz")
+        scale = math.sqrt(3.0 * n / float(np.sum(square)))
+        for axis in "xyz":
+            own[f"v{axis}"] *= scale
         # list the neighbours of each sphere; those of i are ``others[ends[i]:ends[i + 1]]``
         reach = sphere["radius"] + span * sphere["growth"] + sphere["skin"]
         pairs = HierarchicalGrid(reach, box).pairs(np.stack([sphere[axis] for axis in "xyz"], axis=1))
@@ -146,6 +127,9 @@ def grown(
                 ("group", index, "region"),
             )
     return np.asarray(np.stack([sphere[axis][:n] for axis in "xyz"], axis=1) + centre)
+
+
+COMPRESSED = Arrangement(_arrange, densest, "these radii can be compressed to")
 
 
 def _borders(region: Region, around: Surroundings) -> Records:
@@ -166,14 +150,6 @@ def _borders(region: Region, around: Surroundings) -> Records:
     if region.inner_radius is not None:
         round_.append((False, 0.0, 0.0, 0.0, 0.0, region.inner_radius, False, False))
     return np.array(flat + round_, BORDER)
-
-
-def _reset_speeds(sphere: RecordArray[GrowingSphereRecord], radius: FloatArray) -> None:
-    """Scale velocities to a root mean square of 1 radius/s per axis."""
-    square = sum((sphere[f"v{axis}"] / radius) ** 2 for axis in "xyz")
-    scale = math.sqrt(3.0 * len(sphere) / float(np.sum(square)))
-    for axis in "xyz":
-        sphere[f"v{axis}"] *= scale
 
 
 class GrowingSphereRecord(Protocol):
@@ -233,23 +209,9 @@ class FlightSpace(NamedTuple):
 def fly(
     sphere: RecordArray[GrowingSphereRecord], movers: int, queue: IntArray, space: FlightSpace, span: float, most: int
 ) -> tuple[float, int]:
-    """Fly until a sphere has left its skin, for at most a time span (s) or number of impacts.
+    """Fly until a sphere has left its skin, for at most a time span (s) or number of impacts; return both.
 
-    Parameters
-    ----------
-    sphere
-        (n,) `SPHERE`; spheres from ``movers`` on are fixed.
-    queue
-        (movers,) buffer for the event queue.
-    space
-        Everything that spheres can meet.
-
-    Returns
-    -------
-    time
-        Duration of the flight in s.
-    impacts
-        Number of impacts.
+    Spheres from ``movers`` on are fixed; ``queue`` is a buffer, (movers,).
     """
     size, impacts, border, box = 0, 0, space.border, space.box
     for i in range(len(sphere)):
@@ -397,22 +359,3 @@ def _time_to_border(
         return np.inf
     root = np.sqrt(root2)
     return float(-C / (B + root) if B > 0.0 else (root - B) / A)
-
-
-def _arrange(
-    mixture: Mapping[int, BodyGroup],
-    region: Region,
-    radius: FloatArray,
-    around: Surroundings,
-    rng: np.random.Generator,
-    units: UnitSystem,
-) -> FloatArray:
-    """Implement `Arrange`."""
-    index = next(iter(mixture))
-    refuse_too_large(index, region, radius, units)
-    packing = sum(map(packing_fraction, mixture.values()))
-    loose = positions(index, region, shrunken(radius, packing), around, rng, dense=True)
-    return grown(index, region, loose, radius, packing, around, rng)
-
-
-COMPRESSED = Arrangement(_arrange, densest, "these radii can be compressed to")

@@ -76,10 +76,10 @@ def place(scene: Scene) -> InitialBodies:
                 arrange = arrangement_called(group.arrangement).arrange
                 try:
                     position = arrange(mixture, region, radius, around, streams[index], units)
-                except SceneError:
-                    whole = _whole_domain(scene) if group.region is None else None
-                    if whole is None:
+                except SceneError:  # a region that the scene does not give may be the whole domain
+                    if group.region is not None or scene.domain.size is None or "open" in scene.domain.axes:
                         raise
+                    whole = Region(shape="box", size=scene.domain.size)
                     filling = {index: group.model_copy(update={"region": whole})}
                     position = arrange(filling, whole, radius, around, streams[index], units)
                 ends = np.cumsum([len(radii[member]) for member in mixture])[:-1]
@@ -170,12 +170,6 @@ def _region(mixture: Mapping[int, BodyGroup], radii: Mapping[int, FloatArray], u
     for member in mixture:
         refuse_unresolved(f"group.{member}", ("group", member), reach, float(radii[member].min()), units)
     return region
-
-
-def _whole_domain(scene: Scene) -> Region | None:
-    """Return the domain as a region; None if it has an open side."""
-    size = scene.domain.size
-    return None if size is None or "open" in scene.domain.axes else Region(shape="box", size=size)
 
 
 def _group(

@@ -7,18 +7,18 @@ leave the region or touch a plane or a body placed before.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 
 import numpy as np
 
-from carom.arrays import BoolArray, FloatArray
+from carom.arrays import FloatArray
 from carom.errors import SceneError
 from carom.physics.placement.neighbours import Surroundings, overlapping_pairs
 from carom.physics.placement.region import Arrangement, bounds, contains, volume
 from carom.scene.portable_math import cube_root
 from carom.scene.schema import BodyGroup, Region
 from carom.scene.units.dimension import LENGTH
-from carom.scene.units.system import SI, UnitSystem
+from carom.scene.units.system import UnitSystem
 
 # Edges of the orthogonal cell in multiples of the neighbours' distance, and its points in fractions of these edges.
 CELLS = {
@@ -45,71 +45,44 @@ def _arrange(
 ) -> FloatArray:
     """Implement `Arrange`; nothing is random."""
     index, group = next(iter(mixture.items()))
+    n, largest, key = len(radius), float(radius.max()), ("group", index, "region")
+    least = 2.0 * largest * TOUCHING
 
-    def is_clear(points: FloatArray) -> BoolArray:
-        return around.is_clear(points, np.full(len(points), radius.max()))
+    def free_points(spacing: float) -> FloatArray:
+        points = _points(index, group, region, max(spacing, least), largest)
+        return points[around.is_clear(points, np.full(len(points), largest))]
 
-    centres = lattice(index, group, region, radius, is_clear, units)
+    if group.spacing is not None:
+        given = units.text(group.spacing, LENGTH, "g")
+        if group.spacing < 2.0 * largest:
+            raise SceneError(
+                f"group.{index}.spacing = {given} is less than a diameter, {units.text(2.0 * largest, LENGTH, 'g')}; "
+                "raise it",
+                ("group", index, "spacing"),
+            )
+        centres = free_points(group.spacing)
+        remedy = f"at spacing = {given}; enlarge the region or lower spacing or count"
+    else:
+        edges, points = CELLS[group.arrangement]
+        spacing = WIDEST * float(cube_root(np.array(volume(region) / (n * math.prod(edges) / len(points)))))
+        centres = free_points(spacing)
+        while len(centres) < n and spacing > least:
+            spacing *= NARROWER
+            centres = free_points(spacing)
+        remedy = "on a lattice; enlarge the region or lower count or radius"
+    if len(centres) < n:
+        raise SceneError(f"group.{index}.region has space for {len(centres)} of {n} bodies {remedy}", key)
+    centres = centres[:n]
     if around.box is not None and len(overlapping_pairs(centres, radius, around.box)):
         raise SceneError(
             f"group.{index}.region: bodies of the lattice touch across the periodic boundary; make the region smaller "
             "than the box by one spacing",
-            ("group", index, "region"),
+            key,
         )
     return centres
 
 
 LATTICE = Arrangement(_arrange, lambda radius: math.inf)
-
-
-def lattice(
-    index: int,
-    group: BodyGroup,
-    region: Region,
-    radius: FloatArray,
-    is_clear: Callable[[FloatArray], BoolArray],
-    units: UnitSystem = SI,
-) -> FloatArray:
-    """Return the centres of a group on a lattice, (n, 3) m; ``is_clear`` selects the free points.
-
-    Raises
-    ------
-    SceneError
-        If the region has too few points.
-    """
-    n, least = len(radius), 2.0 * float(radius.max()) * TOUCHING
-    if group.spacing is not None:
-        given = units.text(group.spacing, LENGTH, "g")
-        if group.spacing < 2.0 * radius.max():
-            widest = 2.0 * float(radius.max())
-            raise SceneError(
-                f"group.{index}.spacing = {given} is less than a diameter, {units.text(widest, LENGTH, 'g')}; raise it",
-                ("group", index, "spacing"),
-            )
-        centres = _points(index, group, region, max(group.spacing, least), float(radius.max()))
-        centres = centres[is_clear(centres)]
-        if len(centres) < n:
-            raise SceneError(
-                f"group.{index}.region has space for {len(centres)} of {n} bodies at spacing = {given}; enlarge the "
-                "region or lower spacing or count",
-                ("group", index, "region"),
-            )
-        return centres[:n]
-    edges, points = CELLS[group.arrangement]
-    per_point = math.prod(edges) / len(points)
-    spacing = WIDEST * float(cube_root(np.array(volume(region) / (n * per_point))))
-    while True:
-        centres = _points(index, group, region, max(spacing, least), float(radius.max()))
-        centres = centres[is_clear(centres)]
-        if len(centres) >= n:
-            return centres[:n]
-        if spacing <= least:
-            raise SceneError(
-                f"group.{index}.region has space for {len(centres)} of {n} bodies on a lattice; enlarge the region or "
-                "lower count or radius",
-                ("group", index, "region"),
-            )
-        spacing *= NARROWER
 
 
 def _points(index: int, group: BodyGroup, region: Region, spacing: float, radius: float) -> FloatArray:

@@ -31,26 +31,10 @@ QUERY_MARGIN = 1.0 + 1e-9
 
 
 def overlapping_pairs(position: FloatArray, radius: FloatArray, box: FloatArray | None = None) -> IntArray:
-    """Find all pairs of spheres that touch or overlap.
+    """Return all pairs of spheres that touch or overlap, (m, 2) indices with i < j, sorted by (i, j).
 
-    Parameters
-    ----------
-    position
-        Centres, (n, 3) m.
-    radius
-        (n,) m.
-    box
-        Size of a periodic domain about the origin, (3,) m, or None for open space.
-
-    Returns
-    -------
-    pairs
-        (m, 2) indices with i < j, sorted by (i, j), so that they do not depend on the order of the search.
-
-    Raises
-    ------
-    SceneError
-        If there are more than `MOST_CANDIDATES` pairs to test.
+    ``box`` is the size of a periodic domain about the origin, (3,) m, or None for open space. Raises SceneError if
+    there are more than `MOST_CANDIDATES` pairs to test.
     """
     candidates = np.concatenate([_EMPTY, *_candidates(position, radius, box)])
     candidates.sort(axis=1)

@@ -36,18 +36,9 @@ def drawn_distances(scale: float, cut: float, count: int, rng: np.random.Generat
 def drawn_velocities(
     distance: FloatArray, scale: float, parameter: float, virial: float, rng: np.random.Generator
 ) -> FloatArray:
-    """Draw isotropic velocities, (n, 3) m/s.
+    """Draw isotropic velocities, (n, 3) m/s, at distances from the centre, (n,) m.
 
-    Parameters
-    ----------
-    distance
-        (n,) m, from the centre.
-    scale
-        m, a.
-    parameter
-        m³/s², G M of the whole model.
-    virial
-        Kinetic over potential energy; 0.5 is equilibrium.
+    ``parameter`` is G M of the whole model in m³/s², ``virial`` the kinetic over the potential energy.
     """
     q, missing = np.zeros(len(distance)), np.arange(len(distance))
     while len(missing):

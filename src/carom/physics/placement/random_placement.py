@@ -58,23 +58,17 @@ class _Grid:
         return np.asarray((at[:, 0] * self.shape[1] + at[:, 1]) * self.shape[2] + at[:, 2])
 
     def offsets(self, nearest: float, farthest: float) -> IntArray:
-        """Return the offsets to cells whose distances from a cell are within a range, the nearest first.
+        """Return the offsets to cells within a range of a cell, the nearest first.
 
-        Parameters
-        ----------
-        nearest
-            m; some points of both cells may be this close.
-        farthest
-            m; no two points of both cells are farther apart than this.
+        Some points of both cells may be as close as ``nearest``, and no two are farther apart than ``farthest``, in m.
         """
         steps = math.ceil(nearest / self.cell) + 1
         line = np.arange(-steps, steps + 1)
         x, y, z = (axis.ravel() for axis in np.meshgrid(line, line, line, indexing="ij"))
         apart = [np.maximum(np.abs(axis) - 1, 0) * self.cell for axis in (x, y, z)]
         across = [(np.abs(axis) + 1) * self.cell for axis in (x, y, z)]
-        near = sum(axis * axis for axis in apart) <= (nearest * MARGIN) ** 2
-        inside = sum(axis * axis for axis in across) * MARGIN**2 <= farthest**2
-        chosen = near & inside
+        chosen = sum(axis * axis for axis in apart) <= (nearest * MARGIN) ** 2
+        chosen &= sum(axis * axis for axis in across) * MARGIN**2 <= farthest**2
         order = np.argsort((x * x + y * y + z * z)[chosen], kind="stable")
         return np.asarray(((x * self.shape[1] + y) * self.shape[2] + z)[chosen][order])
 
@@ -82,12 +76,7 @@ class _Grid:
 class Occupancy:
     """The accepted spheres of one size class, whose radii differ by less than a factor of two.
 
-    Parameters
-    ----------
-    low, high
-        (3,) m, corners of the region.
-    radius
-        (n,) m, radii of all spheres of the class.
+    ``low`` and ``high``, (3,) m, are corners of the region, and ``radius``, (n,) m, the radii of the whole class.
     """
 
     def __init__(self, low: FloatArray, high: FloatArray, radius: FloatArray) -> None:
@@ -226,14 +215,9 @@ def _is_inside(corners: tuple[FloatArray, FloatArray], box: FloatArray) -> bool:
 def _clean(
     pool: FloatArray, candidates: FloatArray, accepted: FloatArray, radius: FloatArray, box: FloatArray | None
 ) -> IntArray:
-    """Return the candidates that touch no accepted sphere and no older candidate.
+    """Return the candidates, given the oldest first, that touch no accepted sphere and no older candidate.
 
-    Parameters
-    ----------
-    pool, accepted
-        Centres and radii of the accepted spheres, (k, 3) and (k,) m.
-    candidates, radius
-        Centres and radii of the candidates, the oldest first.
+    ``pool``, (k, 3) m, and ``accepted``, (k,) m, are the centres and radii of the accepted spheres.
     """
     everyone = np.concatenate((pool, candidates))
     if len(everyone) == 0:

@@ -15,7 +15,7 @@ from carom.scene.matter import mean_volume
 from carom.scene.portable_math import cube_root
 from carom.scene.schema import LARGEST, BodyGroup, Region
 from carom.scene.units.dimension import LENGTH
-from carom.scene.units.system import SI, UnitSystem
+from carom.scene.units.system import UnitSystem
 
 if TYPE_CHECKING:
     from carom.physics.placement.neighbours import Surroundings
@@ -150,7 +150,7 @@ def confined(region: Region, position: FloatArray, radius: FloatArray) -> FloatA
     return np.asarray(np.array(region.centre) + offset)
 
 
-def default_region(index: int, radius: FloatArray, units: UnitSystem = SI) -> Region:
+def default_region(index: int, radius: FloatArray, units: UnitSystem) -> Region:
     """Return a ball with the packing `DEFAULT_PACKING`."""
     with np.errstate(over="ignore"):
         volume = np.asarray(np.sum(radius * radius * radius) / DEFAULT_PACKING)
@@ -163,7 +163,7 @@ def default_region(index: int, radius: FloatArray, units: UnitSystem = SI) -> Re
     return Region(radius=size)
 
 
-def refuse_too_large(index: int, region: Region, radius: FloatArray, units: UnitSystem = SI) -> None:
+def refuse_too_large(index: int, region: Region, radius: FloatArray, units: UnitSystem) -> None:
     """Refuse bodies larger than their region."""
     largest = float(half_extent(region).min())
     if region.inner_radius is not None:

@@ -23,17 +23,7 @@ class GravityMethod(Protocol):
     """A method for the gravity between n bodies, with its workspace."""
 
     def accelerate(self, position: FloatArray, acceleration: FloatArray, potential: bool) -> float | None:
-        """Write the acceleration of every body; return the potential energy in joules if requested.
-
-        Parameters
-        ----------
-        position
-            (n, 3) m.
-        acceleration
-            (n, 3) m/s², overwritten.
-        potential
-            Whether to return the energy.
-        """
+        """Write the acceleration of every body, (n, 3) m/s²; return the potential energy in joules if requested."""
 
 
 class MutualGravity:

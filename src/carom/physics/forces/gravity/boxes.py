@@ -80,7 +80,7 @@ class SortedBodies(NamedTuple):
 
 
 class BoxRanges(NamedTuple):
-    """The boxes, as attributes of `Boxes`."""
+    """The boxes, as in `Boxes`."""
 
     first: IntArray
     last: IntArray
@@ -88,29 +88,17 @@ class BoxRanges(NamedTuple):
 
 
 class Boxes:
-    """The boxes of n bodies, with their workspace.
-
-    Attributes
-    ----------
-    position, mass, body
-        Data of the sorted bodies: (3, n) m, (n,) kg, and their indices.
-    count
-        Number of boxes.
-    first, last, skip
-        For each box, its sorted bodies, from first to last - 1, and the next box outside it.
-    groups
-        Where each group of the sorted bodies begins, and the end of the last group.
-    """
+    """The boxes of n bodies, with their workspace."""
 
     def __init__(self, mass: FloatArray, team: Team = SOLO) -> None:
         n = len(mass)
         self.most = 2 * n  # each halving leaves bodies on both sides; unused pages take no memory
-        self.position = np.empty((3, n))
-        self.mass = np.empty(n)
-        self.body = np.empty(n, np.int64)
-        self.count = 0
+        # of the sorted bodies: (3, n) m, (n,) kg, and their indices
+        self.position, self.mass, self.body = np.empty((3, n)), np.empty(n), np.empty(n, np.int64)
+        self.count = 0  # number of boxes
+        # of each box: its sorted bodies, from first to last - 1, and the next box outside it
         self.first, self.last, self.skip = (np.empty(self.most, np.int64) for _ in range(3))
-        self.groups = np.empty(0, np.int64)
+        self.groups = np.empty(0, np.int64)  # where each group of the sorted bodies begins, and where the last one ends
         self._mass = mass
         self._team = team
         ranges = n + team.size
@@ -124,9 +112,8 @@ class Boxes:
     def sort(self, position: FloatArray) -> None:
         """Sort the bodies at (n, 3) m into boxes."""
         n = len(position)
-        self._team.divide(
-            n, MIN_BODIES_PER_TASK, _lay_out, position, self._sorting.rows
-        )  # the same order in every step
+        # the order before the sort is the same in every step
+        self._team.divide(n, MIN_BODIES_PER_TASK, _lay_out, position, self._sorting.rows)
         _begin(self._queue, n)
         arrays = self._queue, self._mass, self._sorting, self._sorted, self._ranges
         self._team.divide(self._team.size, 1, _sort, *arrays)
@@ -250,7 +237,10 @@ def _put_in_order(
 ) -> tuple[int, int]:
     """Join the boxes of all ranges; return the numbers of boxes and of groups."""
     boxes = _close_up(n, first, last, skip)
-    _link(boxes, first, last, skip, begins)
+    begins[len(begins) - 1] = boxes
+    for box in range(boxes - 1, -1, -1):  # the next box outside is the largest one that begins at this one's end
+        skip[box] = begins[last[box]]
+        begins[first[box]] = box
     return boxes, _group(boxes, first, last, skip, edges)
 
 
@@ -265,15 +255,6 @@ def _close_up(n: int, first: IntArray, last: IntArray, boxes: IntArray) -> int:
             count += 1
         box += 2 * bodies - 1 if nested > 0 else 1
     return count
-
-
-@kernel
-def _link(boxes: int, first: IntArray, last: IntArray, skip: IntArray, begins: IntArray) -> None:
-    """Write for each box the next one outside it: the largest box that begins at this one's end."""
-    begins[len(begins) - 1] = boxes
-    for box in range(boxes - 1, -1, -1):
-        skip[box] = begins[last[box]]
-        begins[first[box]] = box
 
 
 @kernel

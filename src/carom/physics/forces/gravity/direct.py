@@ -52,7 +52,10 @@ class DirectGravity:
         self._softening_squared = softening * softening
         self._source = np.zeros((4, blocks * LANES))  # the padding of the last block has mass 0
         self._source[MASS, :n] = mass
-        self._edges = _slabs(blocks, SLABS if n >= PARALLEL_FROM else 1)
+        # slabs of blocks with about equal work; each block is paired with all blocks before it
+        slabs, work = SLABS if n >= PARALLEL_FROM else 1, np.cumsum(np.arange(1, blocks + 1))
+        edges = np.searchsorted(work, work[-1] * np.arange(1, slabs) / slabs)
+        self._edges = np.concatenate(([0], edges, [blocks]))
         self._sums = np.empty((len(self._edges) - 1, 4, blocks * LANES))
         self._potential = np.zeros(n)
         self._team = team if n >= PARALLEL_FROM else SOLO
@@ -63,28 +66,18 @@ class DirectGravity:
             law = self._constant, self._softening_squared
             sum_few(position, self._mass, *law, acceleration, self._potential)
         else:
-            self._sum_lanes(position, acceleration, potential)
+            self._source[X : Z + 1, : len(position)] = position.T
+            into = self._potential if potential else None
+            sources = len(self._mass), self._source, self._softening_squared
+            self._team.divide(len(self._edges) - 1, 1, _sum_blocks, self._edges, *sources, self._sums, into)
+            results = acceleration, self._potential, potential
+            _total(self._edges, self._sums, self._constant, self._softening_squared, self._mass, *results)
         return potential_energy(self._mass, self._potential) if potential else None
-
-    def _sum_lanes(self, position: FloatArray, acceleration: FloatArray, potential: bool) -> None:
-        """Write the accelerations, and the potentials if requested."""
-        self._source[X : Z + 1, : len(position)] = position.T
-        into = self._potential if potential else None
-        law = len(self._mass), self._source, self._softening_squared
-        self._team.divide(len(self._edges) - 1, 1, _sum_blocks, self._edges, *law, self._sums, into)
-        results = acceleration, self._potential, potential
-        _total(self._edges, self._sums, self._constant, self._softening_squared, self._mass, *results)
 
 
 def make(gravity: Gravity, mass: FloatArray, team: Team) -> DirectGravity:
     """Return the direct sum for a scene's section."""
     return DirectGravity(mass, gravity.constant, gravity.softening, team)
-
-
-def _slabs(blocks: int, count: int) -> IntArray:
-    """Divide the blocks into slabs of about equal work; each block is paired with all blocks before it."""
-    work = np.cumsum(np.arange(1, blocks + 1))
-    return np.concatenate(([0], np.searchsorted(work, work[-1] * np.arange(1, count) / count), [blocks]))
 
 
 @kernel

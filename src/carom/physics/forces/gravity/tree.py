@@ -211,9 +211,8 @@ def _walk(
         dy = max(y0 - centre.y, 0.0, centre.y - y1)
         dz = max(z0 - centre.z, 0.0, centre.z - z1)
         if dx * dx + dy * dy + dz * dz > centre.far_squared:
-            prefetch_to_read(
-                tree.moments, box
-            )  # saves 2 to 5 % of the whole, and more if other processes use the cache
+            # saves 2 to 5 % of the whole, and more if other processes use the cache
+            prefetch_to_read(tree.moments, box)
             far[fars] = box
             fars += 1
             box = tree.skip[box]

@@ -81,12 +81,8 @@ class GaussRadau15:
 
     Parameters
     ----------
-    motion
-        The bodies and what accelerates them; see `motion_of`.
-    max_dt
-        s
-    fixed_dt
-        s; None if the error estimate sets the steps.
+    max_dt, fixed_dt
+        s; the second is None if the error estimate sets the steps.
     fraction
         η, the step as a fraction of the shortest time in which an acceleration changes.
     solids
@@ -140,11 +136,10 @@ class GaussRadau15:
 
     def advance(self, time: float, end: float, until: float, steps: int) -> Batch:
         """Take steps until a time, the end of the run, or a number of steps is reached; see `BatchIntegrator`."""
-        progress = self._progress
-        progress["time"], progress["steps"] = time, 0
+        last = self._progress[0]
+        last["time"], last["steps"] = time, 0
         rule = self._max_dt, self._adapts
-        self._advance(self._motion, self._solids, progress, end, until, steps, *rule)
-        last = progress[0]
+        self._advance(self._motion, self._solids, self._progress, end, until, steps, *rule)
         times = float(last["before"]), float(last["time"]), float(last["last_dt"])
         meeting = Meeting((int(last["i"]), int(last["j"])), bool(last["rests"])) if last["meets"] else None
         self._arrival = self._motion.velocity.copy() if meeting else self._motion.velocity

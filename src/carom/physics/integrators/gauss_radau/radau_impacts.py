@@ -91,21 +91,15 @@ def _earlier(
     i: int, j: int, R: float, motion: Motion, solids: Solids, run: ProgressRecord, dt: float, first: float
 ) -> float:
     """Return the earlier of the first impact so far and that of a pair, and note the pair."""
-    negligible = ROUNDING * _pace(motion, i, j, R, dt)
+    v, distance = motion.velocity, R  # m, the sum of R and of the distances that both bodies move
+    for k in range(3):
+        distance += dt * (abs(v[i, k]) + (abs(v[j, k]) if j < len(v) else 0.0))
+    negligible = ROUNDING * distance
     h = _first_root(solids.path, R, rounding(motion.position, i, j, R), negligible)
     if h < first:
         run.i, run.j = i, j
         return h
     return first
-
-
-@unowned
-def _pace(motion: Motion, i: int, j: int, R: float, dt: float) -> float:
-    """Return the sum of R and of the distances in m that two bodies move in a step."""
-    v, distance = motion.velocity, R
-    for k in range(3):
-        distance += dt * (abs(v[i, k]) + (abs(v[j, k]) if j < len(v) else 0.0))
-    return distance
 
 
 @unowned
@@ -217,18 +211,10 @@ def _bounds(path: FloatArray) -> tuple[float, float, float]:
 
 @unowned
 def _first_root(path: FloatArray, R: float, gap: float, negligible: float) -> float:
-    """Return the first h at which bodies touch and close, `NONE` or `AT_REST`.
+    """Return the first h at which bodies touch and close, `NONE` or `AT_REST`, with lengths in m.
 
-    Parameters
-    ----------
-    path
-        (COEFFICIENTS, 3) m, of d.
-    R
-        m.
-    gap
-        m, rounding of d.
-    negligible
-        m, change of d in a step by a closing speed that is rounding.
+    ``path``, (COEFFICIENTS, 3), is d, and ``gap`` its rounding. A closing speed that is rounding changes d by
+    ``negligible`` in the step.
     """
     fastest, M, third = _bounds(path)
     still = negligible * R

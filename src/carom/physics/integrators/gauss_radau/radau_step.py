@@ -126,22 +126,9 @@ def motion_of(
     mass: FloatArray | None = None,
     forces: Parameters = (),
 ) -> Motion:
-    """Return the arrays of an integration.
+    """Return the arrays of an integration, which moves positions and velocities in place.
 
-    Parameters
-    ----------
-    position, velocity
-        (n, 3) m and m/s, moved in place.
-    gm
-        (n,) m³/s², G m of each body.
-    fixed
-        Indices of bodies that do not move.
-    field
-        (3,) m/s², uniform acceleration.
-    softening
-        m
-    mass, forces
-        (n,) kg, and the forces of installed packages, which need it.
+    ``fixed`` are the indices of bodies that do not move. Only the forces of installed packages need masses.
     """
     n = len(position)
     moves = np.ones(n)

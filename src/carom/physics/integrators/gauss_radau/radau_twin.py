@@ -92,21 +92,17 @@ def diverge(
     iterations: int,
     goes_on: GoesOn = always,
 ) -> tuple[FollowedOrbits, FloatArray]:
-    """Integrate the bodies of a scene without contacts, and their twins.
+    """Integrate the bodies of a scene without contacts, and their twins; return the orbits, and the twins' distances.
 
-    Return the orbits, and the rms distance of the twins in m, (K,). Beyond the first distance that is large enough,
-    both are infinite.
+    The rms distances, (K,) m, are those at ascending times (s). Beyond the first that is ``enough`` (m), both results
+    are infinite.
 
     Parameters
     ----------
-    start, twin
-        The initial bodies, and the initial positions of the twins, (n, 3) m.
+    twin
+        The initial positions of the twins, (n, 3) m.
     refinement
         Ratio of the usual step to the step taken.
-    times
-        (K,) s, ascending.
-    enough
-        m
     iterations
         Of the twin in each step; `CONVERGES` for as many as it needs.
     goes_on

@@ -84,10 +84,7 @@ def conics(position: FloatArray, velocity: FloatArray, gm: FloatArray, first: in
 
 
 def near(conics: Conics, hill_ratio: FloatArray, first: int) -> FloatArray:
-    """Return the distances (m) below which bodies are close to others, (n,).
-
-    ``hill_ratio`` holds the Hill radii over the semi-major axes, (n,).
-    """
+    """Return the distances (m) below which bodies are close to others, given Hill radii over semi-major axes, (n,)."""
     hill = hill_ratio * np.minimum(conics.size, np.where(conics.axis < np.inf, np.inf, conics.pericentre))
     close = HILL_RADII * hill
     close[first] = 0.0
@@ -102,22 +99,10 @@ def near(conics: Conics, hill_ratio: FloatArray, first: int) -> FloatArray:
 
 
 class WisdomHolman:
-    """Integrates bodies that orbit a dominant one, many steps per call.
+    """Integrates bodies that orbit a dominant one, many steps per call, in place.
 
-    Parameters
-    ----------
-    position, velocity
-        (n, 3) m and m/s, moved in place.
-    gm
-        (n,) m³/s², G m of each body.
-    max_dt
-        s
-    fixed_dt
-        s; None for a fraction of the shortest orbit.
-    resolves
-        Whether close encounters of light bodies are left to Gauss–Radau integration.
-    refinement
-        Factor by which steps that are a fraction of the shortest orbit are shorter than usual.
+    Without a ``fixed_dt``, steps are a fraction of the shortest orbit, divided by ``refinement``. If it ``resolves``
+    them, close encounters of light bodies are left to Gauss–Radau integration. ``gm`` is G m of each body, (n,) m³/s².
     """
 
     def __init__(
@@ -159,17 +144,12 @@ class WisdomHolman:
         self._radau = GaussRadau15(motion_of(position, velocity, gm, none_fixed, no_field, 0.0), max_dt, None)
         self._phase = ANEW
         self._by_radau = False  # whether it took the last step
-        self._encounters = 0
+        self.encounters = 0  # how often Gauss–Radau integration took over
 
     @property
     def next_dt(self) -> float:
         """The next step in seconds."""
         return self._radau.next_dt if self._phase == CLOSE else float(self._run["dt"][0])
-
-    @property
-    def encounters(self) -> int:
-        """How often Gauss–Radau integration took over."""
-        return self._encounters
 
     def begin(self, dt: float) -> None:
         """Start anew at the present positions and velocities, which determine the first step."""
@@ -248,7 +228,7 @@ class WisdomHolman:
     def _meet(self) -> None:
         """Let Gauss–Radau integration continue."""
         self._phase = CLOSE
-        self._encounters += 1
+        self.encounters += 1
         self._radau.begin(FIRST_FRACTION * float(self._run["dt"][0]))
 
     def _start(self, time: float) -> None:
@@ -282,7 +262,6 @@ class WisdomHolman:
 
 def make(scene: Scene, needs: Requirements, bodies: Bodies, uniform: FloatArray) -> WisdomHolman:
     """Return the integrator of a scene's bodies; scenes with a uniform field have been refused."""
-    gm = scene.gravity.constant * bodies.mass
-    rule = scene.time
+    gm, rule = scene.gravity.constant * bodies.mass, scene.time
     steps, resolves = (largest_step(scene), rule.fixed_dt), rule.encounters == "resolve"
     return WisdomHolman(bodies.position, bodies.velocity, gm, *steps, resolves, scene.refinement)

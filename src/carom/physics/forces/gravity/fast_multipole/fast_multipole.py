@@ -70,16 +70,8 @@ def describe(
 ) -> tuple[int, int]:
     """Write the bodies and halves of all boxes; return the numbers of branches and of boxes above them.
 
-    Parameters
-    ----------
-    count, first, last, skip
-        See `boxes.Boxes`.
-    boxes
-        (count,) `BOX`.
-    branches
-        Written: ranges of boxes, each the largest box of at most `BRANCH` bodies and all boxes in it.
-    trunk
-        Written: the boxes above the branches as ranges of one, the innermost first.
+    Each of the ``branches`` is a range of boxes: the largest box of at most `BRANCH` bodies, and all boxes in it. The
+    ``trunk`` has the boxes above them as ranges of one, the innermost first.
     """
     found = above = 0
     for b in range(count):
@@ -116,20 +108,10 @@ def expand(
     unit: float,
     powers_of: FloatArray,
 ) -> None:
-    """Write centre, radius and multipoles of all boxes of some ranges, from the last box of each to the first.
+    """Write centre, radius and multipoles of the boxes of ``count`` ranges, from the last box of each to the first.
 
-    Parameters
-    ----------
-    lo, hi
-        Range of threads; each takes the next range of boxes until none is left.
-    taken_so_far
-        (1,), number of ranges taken so far.
-    count, ranges
-        Number of ranges, and their boxes.
-    unit
-        1/m; factor of lengths.
-    powers_of
-        (threads, POLES) for v^n / n!.
+    Each of the threads [lo, hi) takes the next range until none is left; ``taken_so_far``, (1,), counts them. ``unit``
+    (1/m) is a factor of lengths, and ``powers_of`` a buffer, (threads, POLES), for v^n / n!.
     """
     x, m, boxes, poles, powers = tree.x, tree.m, tree.boxes, tree.poles, powers_of[lo]
     powers[0] = 1.0

@@ -154,22 +154,10 @@ def _attract_one_by_one(
 
 @instruction(_attract_one_by_one, at="int64", unit="float64", eps2="float64")
 def attract(code: Code, poles: Any, boxes: Any, at: Any, point: Any, unit: Any, eps2: Any, sums: Any) -> None:
-    """Add the local expansions of eight boxes about a point, each to its own lane.
+    """Add the local expansions of eight boxes about a point (m), each to its own lane of ``sums``, (LOCAL × LANES,).
 
-    Parameters
-    ----------
-    poles
-        (k, POLES) multipoles of all boxes.
-    boxes, at
-        (l,) indices of boxes; the eight from ``at`` on are used.
-    point
-        (3,) m.
-    unit
-        1/m; factor of lengths.
-    eps2
-        The softening squared, in these units.
-    sums
-        (LOCAL × LANES,), to which the sums are added.
+    ``poles``, (k, POLES), are the multipoles of all boxes, and ``boxes`` indices, of which the eight from ``at`` on are
+    used. ``unit`` (1/m) is a factor of lengths; ``eps2`` is the softening squared in these units.
     """
     builder, chosen, total = code.builder, code.element("boxes", at), code.element("sums", 0)
     rows = [code.element("poles", code.load(chosen, lane), 0) for lane in range(LANES)]
@@ -233,18 +221,9 @@ def _evaluate_one_by_one(
 
 @instruction(_evaluate_one_by_one, at="int64", x="float64", y="float64", z="float64", unit="float64")
 def evaluate(code: Code, local: Any, at: Any, x: Any, y: Any, z: Any, unit: Any, lanes: Any) -> None:
-    """Add a local expansion at eight bodies.
+    """Add a local expansion, the row ``at`` of ``local``, about x, y, z (m), at eight bodies.
 
-    Parameters
-    ----------
-    local, at
-        (k, l) rows; the row ``at`` is used.
-    x, y, z
-        m, its centre.
-    unit
-        1/m; factor of lengths.
-    lanes
-        (7, LANES): rows `X` to `PHI`; results are added to the sums.
+    ``unit`` (1/m) is a factor of lengths. ``lanes``, (7, LANES), has rows `X` to `PHI`; results are added to the sums.
     """
     builder, coefficient = code.builder, code.element("local", at, 0)
     rows = [code.element("lanes", row, 0) for row in range(PHI + 1)]
@@ -286,14 +265,7 @@ def _attract_bodies_one_by_one(
 def attract_bodies(code: Code, x: Any, m: Any, begin: Any, end: Any, eps2: Any, lanes: Any) -> None:
     """Add the gravity of the bodies [begin, end) at eight others, pair by pair; a body does not attract itself.
 
-    Parameters
-    ----------
-    x, m
-        (3, n) m and (n,) kg.
-    eps2
-        m², the softening squared.
-    lanes
-        (7, LANES): rows `X` to `PHI`; results are added to the sums.
+    ``x`` is (3, n) m. ``lanes``, (7, LANES), has rows `X` to `PHI`; results are added to the sums.
     """
     builder = code.builder
     rows = [code.element("lanes", row, 0) for row in range(PHI + 1)]
