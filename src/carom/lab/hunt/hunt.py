@@ -26,10 +26,10 @@ from carom.extend import (
 )
 from carom.lab.hunt.random_scenes import IMPACTS, SMOOTH, drawn
 from carom.lab.run_summary import said_by
-from carom.lab.shrink.condition import Condition, condition_from
+from carom.lab.shrink.condition import condition_from
 from carom.lab.shrink.literal import key_of, text_of, write
 from carom.lab.shrink.reducer import Reducer
-from carom.lab.shrink.trials import Budget, OutOfTime, observe
+from carom.lab.shrink.trials import Budget, Condition, OutOfTime, observe
 from carom.lab.shrink.whole_run import applies
 
 LEDGER = 1e-9  # of the energy scale, in flight without forces: some 10⁶ roundings of 10⁻¹⁶

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -10,9 +12,8 @@ import typer
 from carom.extend import ForceOption, JsonOption, SetOption, command, counted, say, say_json, work_time
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from carom.lab.shrink.literal import SceneWithBodies
+    from carom import Scene
+    from carom.extend import InitialBodies
     from carom.lab.shrink.reducer import Reducer, ReducerProgress, Reduction
 
 EVERY = 10.0  # s between lines of progress without a terminal
@@ -74,10 +75,12 @@ def shrink_command(
     end of the budget, the file contains the smallest scene so far; the same command continues from it.
     """
     from dataclasses import asdict
+    from math import inf
 
     from carom.extend import refuse_output, refuse_scene_output
     from carom.lab.shrink.condition import condition_from
     from carom.lab.shrink.literal import earlier, key_of, source_of
+    from carom.lab.shrink.reducer import Reducer
     from carom.lab.shrink.whole_run import CommandShows
 
     if condition is not None and while_command is not None:
@@ -86,7 +89,7 @@ def shrink_command(
     path = output or Path(f"{Path(source).stem}-small.toml")
     refuse_scene_output(path, source, force=True)
     given = source_of(source, list(overrides or []))
-    key = key_of(given.scene.toml, asked.text)
+    key = key_of(given[0].toml, asked.text)
     known = None if force else earlier(path, key)
     if known and known.finished:
         if as_json:
@@ -96,10 +99,6 @@ def shrink_command(
         return
     if while_command is not None and workers is None:
         workers = 1  # concurrent commands might interfere
-    from math import inf
-
-    from carom.lab.shrink.reducer import Reducer
-
     reducer = Reducer(asked, inf if seconds is None else seconds, workers=workers)
     if known:
         given, reducer.before = source_of(str(path), []), known.before
@@ -110,15 +109,16 @@ def shrink_command(
     words += ["--while-command", while_command] if while_command else []
     for override in overrides or []:
         words += ["--set", override]
-    result = _reduced(reducer, given, path, key, command(*words), quiet=as_json)
+    result = _reduced(reducer, *given, path, key, command(*words), quiet=as_json)
     if as_json:
-        document = asdict(result) | {"file": str(path), "condition": asked.text, "minimal": result.minimal}
-        say_json(document)
+        say_json(asdict(result) | {"file": str(path), "condition": asked.text, "minimal": result.minimal})
     else:
         _print(result, path)
 
 
-def _reduced(reducer: Reducer, given: SceneWithBodies, path: Path, key: str, command: str, *, quiet: bool) -> Reduction:
+def _reduced(
+    reducer: Reducer, scene: Scene, start: InitialBodies, path: Path, key: str, command: str, *, quiet: bool
+) -> Reduction:
     """Reduce, print the progress, and keep the smallest scene so far in the file."""
     from carom.lab.shrink.literal import text_of, unfinished_text, write
 
@@ -129,15 +129,14 @@ def _reduced(reducer: Reducer, given: SceneWithBodies, path: Path, key: str, com
         write(path, unfinished_text(document, asked, said, reducer.before, key, command))
 
     reducer.keep = keep
-    if quiet:
-        result = reducer.reduce(given.scene, given.start)
-    else:
-        result = _watched(reducer, lambda: reducer.reduce(given.scene, given.start))
+    with nullcontext() if quiet else _watched(reducer):
+        result = reducer.reduce(scene, start)
     write(path, text_of(result, asked, key, command))
     return result
 
 
-def _watched(reducer: Reducer, work: Callable[[], Reduction]) -> Reduction:
+@contextmanager
+def _watched(reducer: Reducer) -> Iterator[None]:
     """Show the progress on a terminal, or a line for each stage elsewhere."""
     from carom.extend import Terminal, announce_compilation
 
@@ -146,7 +145,8 @@ def _watched(reducer: Reducer, work: Callable[[], Reduction]) -> Reduction:
     if console.is_terminal:
         with console.status("running the scene") as status:
             reducer.watch = lambda progress: status.update(_line(progress))
-            return work()
+            yield
+        return
     said, since = "", 0.0
 
     def watch(progress: ReducerProgress) -> None:
@@ -156,7 +156,7 @@ def _watched(reducer: Reducer, work: Callable[[], Reduction]) -> Reduction:
             console.print(_line(progress), soft_wrap=True)
 
     reducer.watch = watch
-    return work()
+    yield
 
 
 def _line(progress: ReducerProgress) -> str:

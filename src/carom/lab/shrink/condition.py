@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass, replace
-from typing import Protocol
 
 from carom.errors import ExperimentError
 from carom.extend import TIME, Expect, Names, Verdict, names_of_solids, nearest, suggestion
 from carom.lab.run_summary import LASTING, SUNK, Expression, Observation, Pair, UnknownNameError, end_name
+from carom.lab.shrink.trials import Condition
 from carom.lab.shrink.whole_run import ReplayDiffers, Varies
 
 WARNINGS = ("energy-rise", "energy-ledger", "energy-lost", "limit", "pace", "horizon")
@@ -23,49 +23,6 @@ _ABOUT = {  # moments of a summary, by related names
 }
 _NUMBER = re.compile(r"[-+]?\d[\d.]*(?:e[-+]?\d+)?", re.IGNORECASE)
 _BODIES = re.compile(r'(?:body N(?: "[^"]*")?(?:, | and )?|N more)+')
-
-
-class Condition(Protocol):
-    """A failure of a run. A condition is evaluated after every recorded frame, for the run so far."""
-
-    @property
-    def text(self) -> str:
-        """The text of the condition, as given."""
-
-    @property
-    def needs_impacts(self) -> bool:
-        """Whether it depends on the impacts of the run."""
-
-    @property
-    def of_whole_run(self) -> bool:
-        """Whether it is evaluated only at the end."""
-
-    def check(self, seen: Observation) -> None:
-        """Check the names at the first frame of the run.
-
-        Raises
-        ------
-        ExperimentError
-            If the condition uses an unknown name; the message has the nearest known one.
-        """
-
-    def pinned(self, seen: Observation) -> Condition:
-        """Return a condition that holds only for the same failure.
-
-        Raises
-        ------
-        ExperimentError
-            If the run does not show the failure; the message describes what it shows.
-        """
-
-    def holds(self, seen: Observation) -> bool:
-        """Return whether the run shows the failure."""
-
-    def said(self, seen: Observation) -> str:
-        """Describe the failure, for the comments of the result."""
-
-    def bodies(self, seen: Observation) -> set[str]:
-        """Return the names of the bodies involved, as far as they are known."""
 
 
 def condition_from(text: str | None) -> Condition:
@@ -91,31 +48,29 @@ def condition_from(text: str | None) -> Condition:
         return Met(text, matched[1], matched[2])
     if matched := _WARNING.fullmatch(text):
         return Warned(text, matched[1] or "")
-    if " ".join(text.lower().split()) == "replay differs":
-        return ReplayDiffers(text)
-    if " ".join(text.lower().split()) == "overlap at rest":
-        return Sunk(text)
     if matched := _INVARIANCE.fullmatch(text):
         return Varies(text, matched[1])
-    if text.strip().lower() == "crash":
-        return Failed(text, stated=False)
-    if text.strip().lower() == "not finite":
-        return Failed(text, about="no longer finite")
-    if text.strip().lower() == "physicserror":
-        return Failed(text)
+    match " ".join(text.lower().split()):
+        case "replay differs":
+            return ReplayDiffers(text)
+        case "overlap at rest":
+            return Sunk(text)
+        case "crash":
+            return Failed(text, stated=False)
+        case "not finite":
+            return Failed(text, about="no longer finite")
+        case "physicserror":
+            return Failed(text)
     return Measured(text, Expression(text))
 
 
 @dataclass(frozen=True, slots=True)
-class MissedPromise:
+class MissedPromise(Condition):
     """A missed promise of [expect]."""
 
-    text: str
     name: str = ""  # empty: the first that is missed
     note: str | None = None  # explains the measured value; None before the first run
     or_error: bool = False  # whether an error that ends the run also counts
-    needs_impacts = False
-    of_whole_run = False
 
     def check(self, seen: Observation) -> None:
         """Check the name of the promise."""
@@ -161,14 +116,11 @@ class MissedPromise:
 
 
 @dataclass(frozen=True, slots=True)
-class Measured:
+class Measured(Condition):
     """An expression over the numbers of the summary."""
 
-    text: str
     expression: Expression
     failed: bool = False  # whether the run ends with a PhysicsError
-    needs_impacts = False
-    of_whole_run = False
 
     def check(self, seen: Observation) -> None:
         """Check the names, except those of moments, which may not exist yet."""
@@ -211,15 +163,13 @@ class Measured:
 
 
 @dataclass(frozen=True, slots=True)
-class Met:
+class Met(Condition):
     """An impact of two bodies, or of a body and a plane."""
 
-    text: str
     first: str  # a number or a name
     second: str
     pair: Pair | None = None  # names of both ends; None before the first run
     needs_impacts = True
-    of_whole_run = False
 
     def check(self, seen: Observation) -> None:
         """Check that there are such bodies."""
@@ -245,30 +195,25 @@ class Met:
 
     def _pair(self, seen: Observation) -> Pair:
         names = Names(list(seen.space.names), names_of_solids(seen.space.scene))
-        return frozenset(self._named(end, names) for end in (self.first, self.second))
-
-    def _named(self, end: str, names: Names) -> str:
         known = [*names.bodies, *names.planes]
-        if end in known:
-            return end
-        if end.isdigit():
-            if int(end) < len(known):
-                return end_name(names, int(end))
-            raise ExperimentError(f"--while {self.text}: no body {end}; there are {len(names.bodies)}, from 0 on")
-        near = nearest(end, known)
-        raise ExperimentError(f'--while {self.text}: no body "{end}"' + (f'; did you mean "{near}"?' if near else ""))
+        pair = set()
+        for end in (self.first, self.second):
+            if end in known:
+                pair.add(end)
+            elif end.isdigit() and int(end) < len(known):
+                pair.add(end_name(names, int(end)))
+            elif end.isdigit():
+                raise ExperimentError(f"--while {self.text}: no body {end}; there are {len(names.bodies)}, from 0 on")
+            else:
+                near = nearest(end, known)
+                hint = f'; did you mean "{near}"?' if near else ""
+                raise ExperimentError(f'--while {self.text}: no body "{end}"{hint}')
+        return frozenset(pair)
 
 
 @dataclass(frozen=True, slots=True)
-class Sunk:
+class Sunk(Condition):
     """An overlap that lasts, see `Touches`."""
-
-    text: str
-    needs_impacts = False
-    of_whole_run = False
-
-    def check(self, seen: Observation) -> None:
-        """Accept every run."""
 
     def pinned(self, seen: Observation) -> Sunk:
         """Return the condition for any pair."""
@@ -291,13 +236,10 @@ class Sunk:
 
 
 @dataclass(frozen=True, slots=True)
-class Warned:
+class Warned(Condition):
     """A warning of the run."""
 
-    text: str
     kind: str = ""  # empty: any
-    needs_impacts = False
-    of_whole_run = False
 
     def check(self, seen: Observation) -> None:
         """Check that there are such warnings."""
@@ -326,18 +268,12 @@ class Warned:
 
 
 @dataclass(frozen=True, slots=True)
-class Failed:
+class Failed(Condition):
     """The end of a run by an error."""
 
-    text: str
-    message: str = ""  # its message without numbers and names; empty: any
+    message: str = ""  # without numbers and names of bodies; empty: any
     stated: bool = True  # whether a PhysicsError counts, whose message gives the reason, or only other exceptions
     about: str = ""  # text that the message must contain
-    needs_impacts = False
-    of_whole_run = False
-
-    def check(self, seen: Observation) -> None:
-        """Accept every run."""
 
     def pinned(self, seen: Observation) -> Failed:
         """Return the condition for the same message, with any numbers."""

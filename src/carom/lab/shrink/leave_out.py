@@ -19,24 +19,19 @@ Met = tuple[int, int]  # bodies that touched in a step
 
 
 def leave_out_bodies(smallest: Smallest, trials: Trials) -> bool:
-    """Leave out bodies; return whether any was left out."""
-    before = smallest.bodies
-    _keep_the_cone(smallest, trials)
+    """Leave out bodies; return whether any was left out.
+
+    It first tries to keep only the bodies involved, and bodies that affect them by contacts or are near.
+    """
+    base, before = smallest.document, smallest.bodies
+    suspects = {number for number, body in enumerate(base[BODIES]) if body["name"] in smallest.suspects}
+    if 0 < len(suspects) < before:
+        for kept in (*cones(suspects, _contacts(smallest, trials), before), *_nearest(suspects, base)):
+            if smallest.takes(with_bodies(base, sorted(kept))):
+                break
     base = smallest.document
     fewest(range(smallest.bodies), lambda parts: smallest.takes_first([with_bodies(base, part) for part in parts]))
     return smallest.bodies < before
-
-
-def _keep_the_cone(smallest: Smallest, trials: Trials) -> None:
-    """Keep the bodies involved, and bodies that affect them by contacts or are near; try the smallest sets first."""
-    names = [body["name"] for body in smallest.document[BODIES]]
-    suspects = {number for number, name in enumerate(names) if name in smallest.suspects}
-    if not suspects or len(suspects) == len(names):
-        return
-    base = smallest.document
-    for kept in (*cones(suspects, _contacts(smallest, trials), len(names)), *_nearest(suspects, base)):
-        if smallest.takes(with_bodies(base, sorted(kept))):
-            return
 
 
 def _nearest(bodies: set[int], document: Document) -> Iterator[set[int]]:
@@ -91,12 +86,13 @@ def _contacts(smallest: Smallest, trials: Trials) -> list[list[Met]]:
     return met
 
 
-# Delta debugging (Zeller & Hildebrandt, IEEE TSE 28, 183, 2002): the fewest items that still fail.
 Item = TypeVar("Item")
 
 
 def fewest(items: Sequence[Item], first: Callable[[list[list[Item]]], int | None]) -> list[Item]:
     """Return a subset of items that still fails, from which no item can be left out.
+
+    This is delta debugging (Zeller & Hildebrandt, IEEE TSE 28, 183, 2002).
 
     Parameters
     ----------
@@ -135,7 +131,10 @@ def drop_parts(smallest: Smallest) -> bool:
     """Drop whole parts of the model; return whether any was dropped."""
     changed = False
     for candidate in _without_parts(smallest):
-        changed |= _is_simpler(candidate, smallest) and smallest.takes_as_short(candidate)
+        before, after = _modelled(smallest.document), _modelled(candidate)
+        fewer_keys = _keys(candidate) < _keys(smallest.document)
+        if before is not None and after is not None and (after < before or (after == before and fewer_keys)):
+            changed |= smallest.takes_as_short(candidate)
     return changed
 
 
@@ -143,25 +142,10 @@ def set_defaults(smallest: Smallest) -> bool:
     """Leave out sections and keys whose defaults add no part of the model; return whether any was left out."""
     changed = False
     for candidate in _with_defaults(smallest):
-        changed |= _adds_nothing(candidate, smallest) and smallest.takes_as_short(candidate)
-    return changed
-
-
-def _adds_nothing(candidate: Document, smallest: Smallest) -> bool:
-    """Return whether all parts of a candidate's model are in the smallest scene's model."""
-    try:
-        return _modelled(candidate) <= _modelled(smallest.document)
-    except SceneError:
-        return False
-
-
-def _is_simpler(candidate: Document, smallest: Smallest) -> bool:
-    """Return whether a candidate has fewer parts of the model than the smallest scene, or else fewer keys."""
-    try:
         before, after = _modelled(smallest.document), _modelled(candidate)
-    except SceneError:
-        return False
-    return after < before or (after == before and _keys(candidate) < _keys(smallest.document))
+        if before is not None and after is not None and after <= before:
+            changed |= smallest.takes_as_short(candidate)
+    return changed
 
 
 def _keys(node: object) -> int:
@@ -171,8 +155,12 @@ def _keys(node: object) -> int:
     return sum(map(_keys, node)) if isinstance(node, list) else 0
 
 
-def _modelled(document: Document) -> set[str]:
-    return {part.name for part in require(Scene.from_dict(document)).parts if part.modelled}
+def _modelled(document: Document) -> set[str] | None:
+    """Return the parts of a scene's model; None if the scene is invalid."""
+    try:
+        return {part.name for part in require(Scene.from_dict(document)).parts if part.modelled}
+    except SceneError:
+        return None
 
 
 def _without_parts(smallest: Smallest) -> Iterator[Document]:
@@ -243,11 +231,18 @@ def round_numbers(smallest: Smallest) -> bool:
     """Shorten numbers, first all together, then one by one; return whether any was shortened."""
     changed = _move_frame(smallest)
     for digits in range(1, MOST_DIGITS):
-        if smallest.takes_as_short(_mapped(smallest.document, lambda value, digits=digits: rounded(value, digits))):  # type: ignore[misc]
+        document = smallest.document
+        for path in list(_paths(document)):
+            document = with_value(document, path, rounded(float(value_at(document, path)), digits))
+        if smallest.takes_as_short(_tidy(document)):
             changed = True
             break
     for path in list(_paths(smallest.document)):
-        changed |= _shorten(smallest, path)
+        value = value_at(smallest.document, path)
+        for digits in range(digits_of(value)) if isinstance(value, float) else ():
+            if smallest.takes_as_short(_tidy(with_value(smallest.document, path, rounded(value, digits)))):
+                changed = True
+                break
     return changed
 
 
@@ -259,16 +254,6 @@ def rounded(value: float, digits: int) -> float:
 def digits_of(value: float) -> int:
     """Return the number of significant digits that represent a number exactly; 0 has none."""
     return 0 if value == 0.0 else next(d for d in range(1, MOST_DIGITS + 1) if rounded(value, d) == value)
-
-
-def _shorten(smallest: Smallest, path: KeyPath) -> bool:
-    value = value_at(smallest.document, path)
-    if not isinstance(value, float):
-        return False
-    for digits in range(digits_of(value)):
-        if smallest.takes_as_short(_tidy(with_value(smallest.document, path, rounded(value, digits)))):
-            return True
-    return False
 
 
 def _move_frame(smallest: Smallest) -> bool:
@@ -291,13 +276,6 @@ def _tidy(document: Document) -> Document:
     """Leave out vectors of zeros, which are the defaults."""
     bodies = [{key: value for key, value in body.items() if value != ORIGIN} for body in document[BODIES]]
     return document | {BODIES: bodies}
-
-
-def _mapped(document: Document, change: Callable[[float], float]) -> Document:
-    """Change every number of a document."""
-    for path in list(_paths(document)):
-        document = with_value(document, path, change(float(value_at(document, path))))
-    return _tidy(document)
 
 
 def _paths(node: object, above: KeyPath = ()) -> Iterator[KeyPath]:

@@ -1,6 +1,6 @@
 """The scene to shrink, as a document with all bodies: read from a scene or a recording, and written to a file.
 
-The file is TOML with comments; it bears a mark while the reduction is unfinished.
+The file is TOML with comments. One of them records whether the reduction is finished.
 """
 
 from __future__ import annotations
@@ -37,12 +37,12 @@ from carom.extend import (
 if TYPE_CHECKING:
     from carom.lab.shrink.reducer import Reduction, Stage
 
-Document = dict[str, Any]  # a scene, as `Scene.from_dict` takes it
-KeyPath = tuple[str | int, ...]  # of keys and places in lists
+Document = dict[str, Any]  # a scene, as for `Scene.from_dict`
+KeyPath = tuple[str | int, ...]  # keys of tables and indices of lists
 
 BODIES = "body"
 ORIGIN = [0.0, 0.0, 0.0]  # the default of every vector of a body, which is left out
-_NOT_COPIED = {"body", "bodies", "group", "sweep", "promise", "description", "units"}  # of a scene
+_NOT_COPIED = {"body", "bodies", "group", "sweep", "promise", "description", "units"}  # keys of a scene
 _FACTOR = 0.4  # moment of inertia of a solid sphere over m r²
 _MARK = re.compile(
     r"^# shrink ([0-9a-f]{12}) of (\d{1,9}) bodies and (\d{1,9}) steps, (unfinished|minimal)$", re.MULTILINE
@@ -99,11 +99,11 @@ def at_moment(document: Document, moment: BodyStates, duration: float) -> Docume
     """Return a document that begins with a given state and lasts for ``duration`` seconds."""
     bodies = []
     for k, body in enumerate(document[BODIES]):
-        state = {"position": _list(moment.position[k])}
+        state = {"position": moment.position[k].tolist()}
         if not body.get("fixed"):
-            state["velocity"] = _list(moment.velocity[k])
+            state["velocity"] = moment.velocity[k].tolist()
             if moment.spin is not None:
-                state["angular_velocity"] = _list(moment.spin[k])
+                state["angular_velocity"] = moment.spin[k].tolist()
         bodies.append({key: value for key, value in (body | state).items() if value != ORIGIN})
     return with_value(document | {BODIES: bodies}, ("time", "duration"), duration)
 
@@ -115,7 +115,17 @@ def with_bodies(document: Document, kept: list[int]) -> Document:
 
 def with_value(document: Document, path: KeyPath, value: Any) -> Document:
     """Return a document with another value at a path; None removes the key."""
-    return cast(Document, _with(document, path, value))
+
+    def changed(node: Any, path: KeyPath, value: Any) -> Any:
+        key: Any = path[0]
+        if below := path[1:]:
+            value = changed(node[key] if isinstance(node, list) else node.get(key, {}), below, value)
+        if isinstance(node, list):
+            return [value if k == key else item for k, item in enumerate(node)]
+        kept = {name: item for name, item in node.items() if name != key or value is not None}
+        return kept if value is None else kept | {key: value}
+
+    return cast(Document, changed(document, path, value))
 
 
 def value_at(document: Document, path: KeyPath) -> Any:
@@ -129,23 +139,12 @@ def value_at(document: Document, path: KeyPath) -> Any:
     return node
 
 
-def _with(node: Any, path: KeyPath, value: Any) -> Any:
-    key: Any = path[0]
-    rest = path[1:]
-    if rest:
-        value = _with(node[key] if isinstance(node, list) else node.get(key, {}), rest, value)
-    if isinstance(node, list):
-        return [value if k == key else item for k, item in enumerate(node)]
-    kept = {name: item for name, item in node.items() if name != key or value is not None}
-    return kept if value is None else kept | {key: value}
-
-
 def _body(start: InitialBodies, k: int) -> Document:
     mass, radius = float(start.mass[k]), float(start.radius[k])
-    body: Document = {"name": start.name[k], "position": _list(start.position[k])}
+    body: Document = {"name": start.name[k], "position": start.position[k].tolist()}
     for key, vector in (("velocity", start.velocity[k]), ("angular_velocity", start.angular_velocity[k])):
         if vector.any():
-            body[key] = _list(vector)
+            body[key] = vector.tolist()
     body |= {"radius": radius, "mass": mass}
     if (factor := _inertia_factor(start, k)) != _FACTOR:
         body["inertia_factor"] = factor
@@ -162,10 +161,6 @@ def _inertia_factor(start: InitialBodies, k: int) -> float:
     return _FACTOR if abs(factor - _FACTOR) <= 1e-12 * _FACTOR else min(factor, 2 / 3)
 
 
-def _list(vector: FloatArray) -> list[float]:
-    return [float(value) for value in vector]
-
-
 def _plain(value: Any) -> Any:
     """Convert tuples to lists, as in TOML."""
     if isinstance(value, dict):
@@ -173,17 +168,8 @@ def _plain(value: Any) -> Any:
     return [_plain(inner) for inner in value] if isinstance(value, list | tuple) else value
 
 
-@dataclass(frozen=True, slots=True)
-class SceneWithBodies:
-    """A scene with its bodies and its name."""
-
-    name: str
-    scene: Scene
-    start: InitialBodies
-
-
-def source_of(given: str, overrides: list[str]) -> SceneWithBodies:
-    """Read a scene, or the scene and the first checkpoint of a recording or a bundle.
+def source_of(given: str, overrides: list[str]) -> tuple[Scene, InitialBodies]:
+    """Read a scene and its bodies; of a recording or a bundle, those of the first checkpoint.
 
     Raises
     ------
@@ -191,9 +177,13 @@ def source_of(given: str, overrides: list[str]) -> SceneWithBodies:
         If there is none, or the recording cannot be run again.
     """
     path = Path(given)
-    if not is_recording(path):
+    recorded = False
+    if path.is_file():
+        with path.open("rb") as file:
+            recorded = file.read(len(RECORDED)) == RECORDED or is_bundle(path)
+    if not recorded:
         scene = Scene.load(given, overrides)
-        return SceneWithBodies(given, scene, place(scene))
+        return scene, place(scene)
     with opened(path) as file:
         recording = Recording.open(file)
         if recording.clip.get("bodies"):
@@ -205,15 +195,7 @@ def source_of(given: str, overrides: list[str]) -> SceneWithBodies:
     if left <= 0.0:
         raise RecordingError(f"{path}: it contains only its last state, so there is nothing to rerun")
     later = scene.time.model_copy(update={"duration": left}) if checkpoint.time > 0.0 else scene.time
-    return SceneWithBodies(given, scene.model_copy(update={"time": later}), start)
-
-
-def is_recording(path: Path) -> bool:
-    """Return whether a file is a recording or a bundle with one."""
-    if not path.is_file():
-        return False
-    with path.open("rb") as file:
-        return file.read(len(RECORDED)) == RECORDED or is_bundle(path)
+    return scene.model_copy(update={"time": later}), start
 
 
 def key_of(scene_toml: str, condition: str) -> str:
@@ -255,15 +237,17 @@ def text_of(reduction: Reduction, asked: str, key: str, command: str) -> str:
     made, before = reduction.document, reduction.before
     if not reduction.minimal:
         return unfinished_text(made, asked, reduction.said, before, key, command, reduction.stopped)
-    bodies, steps = reduction.before
+    bodies, steps = before
     taken = f"{counted(reduction.steps, 'step')} of {steps}"
     if reduction.steps > steps:  # steps may change with fewer bodies
         taken = f"{counted(reduction.steps, 'step')}, instead of {steps} in the original scene"
     left = f"Left: {counted(reduction.bodies, 'body')} of {bodies}, {taken}."
-    found = "; ".join(
-        f"{stage.name}, {counted(stage.bodies, 'body')}, {counted(stage.steps, 'step')}"
-        for stage in _turns(reduction.stages)
-    )
+    told: list[Stage] = []  # the first stage of each name, and all that changed the number of bodies or steps
+    for stage in reduction.stages:
+        known = any(stage.name == other.name for other in told)
+        if not known or (stage.bodies, stage.steps) != (told[-1].bodies, told[-1].steps):
+            told.append(stage)
+    found = "; ".join(f"{one.name}, {counted(one.bodies, 'body')}, {counted(one.steps, 'step')}" for one in told)
     how = f"Found by carom {versions()['carom']} with {reduction.candidates} candidates in {reduction.seconds:.3g} s"
     comments = [
         command,
@@ -280,24 +264,8 @@ def _mark(key: str, before: tuple[int, int], state: str) -> str:
     return f"shrink {key} of {before[0]} bodies and {before[1]} steps, {state}"
 
 
-def _turns(stages: list[Stage]) -> list[Stage]:
-    """Return the first stage of each name, and all stages that changed the number of bodies or steps."""
-    told: list[Stage] = []
-    for stage in stages:
-        known = any(stage.name == other.name for other in told)
-        if not known or (stage.bodies, stage.steps) != (told[-1].bodies, told[-1].steps):
-            told.append(stage)
-    return told
-
-
 def write(path: Path, text: str) -> None:
-    """Replace a file atomically, so that an interrupt leaves a whole one.
-
-    Raises
-    ------
-    RecordingError
-        If it cannot be written.
-    """
+    """Replace a file atomically, so that an interrupt leaves a whole one. Raises RecordingError if that fails."""
     try:
         write_whole(path, text)
     except OSError as error:
@@ -308,15 +276,7 @@ WIDTH = 110  # characters of a comment
 
 
 def commented(document: Document, comments: list[str]) -> str:
-    """Return the text of a scene with comments above it and one line for each body.
-
-    Parameters
-    ----------
-    document
-        The scene.
-    comments
-        Paragraphs.
-    """
+    """Return the text of a scene with comments above it, each a paragraph, and one line for each body."""
     written = tomlkit.document()
     for paragraph in comments:
         for line in textwrap.wrap(paragraph, WIDTH, break_long_words=False, break_on_hyphens=False):
@@ -334,12 +294,8 @@ def commented(document: Document, comments: list[str]) -> str:
         written.add(key, rows.multiline(True))
     for key, value in document.items():
         if isinstance(value, dict):
-            written.add(key, _table(value))
+            table = tomlkit.table()
+            for name, inner in value.items():
+                table.add(name, inner)
+            written.add(key, table)
     return tomlkit.dumps(written)
-
-
-def _table(values: dict[str, Any]) -> tomlkit.items.Table:
-    table = tomlkit.table()
-    for key, value in values.items():
-        table.add(key, value)
-    return table

@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from carom import Frame, Scene, Space
 from carom.errors import ExperimentError
 from carom.extend import InitialBodies, Interrupts, Schedule, counted, every, place
 from carom.lab.run_summary import Observation
-from carom.lab.shrink.condition import Condition
 from carom.lab.shrink.leave_out import drop_parts, leave_out_bodies, round_numbers, set_defaults
 from carom.lab.shrink.literal import BodyStates, Document, at_moment, literal, with_value
-from carom.lab.shrink.trials import Budget, Judges, OutOfTime, Smallest, Trials, observe
+from carom.lab.shrink.trials import Budget, Condition, Judges, OutOfTime, Smallest, Trials, observe
 
 ROOM = 200_000_000  # bytes of stored states of a run
 ROUNDING = 1e-9  # of the duration, by which a sum of steps may fall short
@@ -77,8 +76,26 @@ def cut_both_ends(smallest: Smallest, kept: Chronicle) -> bool:
 
     Candidates are expensive, so there are few: twice the logarithm of the number of states.
     """
-    ended = _end_early(smallest, kept)
-    return _begin_by_bisection(smallest, kept) or ended
+    document = before = smallest.document
+    lo, hi = 1, len(kept.moments) - 1
+    while lo < hi:
+        middle = (lo + hi) // 2
+        if smallest.takes_shorter(with_value(document, ("time", "duration"), kept.moments[middle].time)):
+            hi = middle
+        else:
+            lo = middle + 1
+    document, end = smallest.document, smallest.scene.time.duration
+    earlier = [moment for moment in kept.moments if 0.0 < moment.time < end]
+    lo, hi = 0, len(earlier)
+    while lo < hi:
+        middle = (lo + hi) // 2
+        moment = earlier[middle]
+        duration = (end - moment.time) * (1.0 + ROUNDING) + moment.dt  # the steps from here may differ
+        if smallest.takes_shorter(at_moment(document, moment, duration)):
+            lo = middle + 1
+        else:
+            hi = middle
+    return smallest.document != before
 
 
 def end_at(smallest: Smallest, end: BodyStates) -> bool:
@@ -91,53 +108,20 @@ def end_at(smallest: Smallest, end: BodyStates) -> bool:
     return False
 
 
-def _end_early(smallest: Smallest, kept: Chronicle) -> bool:
-    """Bisect for the first possible end of the smallest scene; return whether it is earlier than the last state."""
-    document, lo, hi = smallest.document, 1, len(kept.moments) - 1
-    while lo < hi:
-        middle = (lo + hi) // 2
-        if smallest.takes_shorter(with_value(document, ("time", "duration"), kept.moments[middle].time)):
-            hi = middle
-        else:
-            lo = middle + 1
-    return smallest.document != document
-
-
-def _begin_by_bisection(smallest: Smallest, kept: Chronicle) -> bool:
-    """Bisect for the last possible beginning of the smallest scene; return whether it is later than the first state."""
-    document, end = smallest.document, smallest.scene.time.duration
-    earlier = [moment for moment in kept.moments if 0.0 < moment.time < end]
-    lo, hi = 0, len(earlier)
-    while lo < hi:
-        middle = (lo + hi) // 2
-        moment = earlier[middle]
-        duration = (end - moment.time) * (1.0 + ROUNDING) + moment.dt  # the steps from here may differ
-        if smallest.takes_shorter(at_moment(document, moment, duration)):
-            lo = middle + 1
-        else:
-            hi = middle
-    return smallest.document != document
-
-
 def begin_late(smallest: Smallest, document: Document, kept: Chronicle) -> bool:
     """Begin a document at the last state that leads to the failure; return whether it is later than the first state."""
     if kept.end is None:
         return False
     earlier = [moment for moment in kept.moments if 0.0 < moment.time < kept.end.time]
-    for moment in _backwards(earlier):
+    back = 1
+    while back <= len(earlier):
+        moment = earlier[-back]
         for after in STEPS_AFTER:
             duration = (kept.end.time - moment.time) * (1.0 + ROUNDING) + after * kept.end.dt
             if smallest.takes_shorter(at_moment(document, moment, duration)):
                 return True
+        back = max(back + 1, back + back // 2)  # the intervals grow by half
     return False
-
-
-def _backwards(moments: list[BodyStates]) -> Iterator[BodyStates]:
-    """Yield states backwards from the last one, with intervals that grow by half."""
-    back = 1
-    while back <= len(moments):
-        yield moments[-back]
-        back = max(back + 1, back + back // 2)
 
 
 _GOES_AWAY = "the failure disappears when every body is written out, so it cannot be shrunk"
@@ -189,42 +173,21 @@ class Reduction:
 
 @dataclass(slots=True)
 class Reducer:
-    """Reduces a scene.
+    """Reduces a scene."""
 
-    Parameters
-    ----------
-    condition
-        The failure to keep.
-    seconds
-        s, the budget; infinite without a limit.
-    watch
-        Called before each candidate, and with each smaller scene.
-    keep
-        Called with each smaller scene and its failure.
-    workers
-        Number of processes for candidates of delta debugging. None: one for each core. 1: this process.
-    before
-        Bodies and steps of the original scene, if an earlier reduction began with it.
-    """
-
-    condition: Condition
-    seconds: float = math.inf
-    watch: Callable[[ReducerProgress], None] = lambda progress: None
-    keep: Callable[[Document, str], None] = lambda document, said: None
-    before: tuple[int, int] | None = None
-    workers: int | None = 1
+    condition: Condition  # the failure to keep
+    seconds: float = math.inf  # the budget
+    watch: Callable[[ReducerProgress], None] = lambda progress: None  # called before each candidate and after success
+    keep: Callable[[Document, str], None] = lambda document, said: None  # called with each smaller scene, its failure
+    before: tuple[int, int] | None = None  # bodies and steps of the original scene, if an earlier reduction began there
+    workers: int | None = 1  # processes for candidates of delta debugging; None: one for each core; 1: this process
     _progress: ReducerProgress = field(default_factory=ReducerProgress)
     _stages: list[Stage] = field(default_factory=list)
 
     def reduce(self, scene: Scene, start: InitialBodies | None = None) -> Reduction:
-        """Return the smallest scene found that shows the failure.
+        """Return the smallest scene found that shows the failure of a scene.
 
-        Parameters
-        ----------
-        scene
-            The scene that shows it.
-        start
-            Its bodies at time 0; by default those that the scene places.
+        ``start`` has its bodies at time 0; by default, the scene places them.
 
         Raises
         ------

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import threading
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -14,21 +15,51 @@ from typing import Self
 from carom import Frame, Scene, Space
 from carom.errors import ExperimentError, PhysicsError
 from carom.event import Event
-from carom.extend import (
-    Every,
-    Interrupts,
-    LocalWorkers,
-    Schedule,
-    WorkerDiedError,
-    auto,
-    cores,
-    toml_text,
-)
+from carom.extend import Every, Interrupts, LocalWorkers, Schedule, WorkerDiedError, auto, cores, toml_text
 from carom.lab.run_summary import Observation, Touches, said_by
-from carom.lab.shrink.condition import Condition
 from carom.lab.shrink.literal import BODIES, Document
 
-# The time budget of a reduction; the user may also end a reduction.
+
+@dataclass(frozen=True, slots=True)
+class Condition(ABC):
+    """A failure of a run. A condition is evaluated after every recorded frame, for the run so far."""
+
+    text: str  # as given
+    needs_impacts = False  # whether it depends on the impacts of the run
+    of_whole_run = False  # whether it is evaluated only at the end
+
+    def check(self, seen: Observation) -> None:  # noqa: B027 - without names there is nothing to check
+        """Check the names at the first frame of the run.
+
+        Raises
+        ------
+        ExperimentError
+            If the condition uses an unknown name; the message has the nearest known one.
+        """
+
+    @abstractmethod
+    def pinned(self, seen: Observation) -> Condition:
+        """Return a condition that holds only for the same failure.
+
+        Raises
+        ------
+        ExperimentError
+            If the run does not show the failure; the message describes what it shows.
+        """
+
+    @abstractmethod
+    def holds(self, seen: Observation) -> bool:
+        """Return whether the run shows the failure."""
+
+    @abstractmethod
+    def said(self, seen: Observation) -> str:
+        """Describe the failure, for the comments of the result."""
+
+    def bodies(self, seen: Observation) -> set[str]:
+        """Return the names of the bodies involved, as far as they are known."""
+        return set()
+
+
 _POLL = 0.05  # s between two checks of a run
 
 
@@ -37,25 +68,17 @@ class OutOfTime(Exception):  # noqa: N818 - not an error: the smallest scene so 
 
 
 class Budget:
-    """The time of a reduction.
-
-    Parameters
-    ----------
-    seconds
-        s; infinite without a limit.
-    interrupts
-        Requests of the user to end.
-    """
+    """The time of a reduction in s, infinite without a limit; the user may end it earlier."""
 
     def __init__(self, seconds: float, interrupts: Interrupts) -> None:
-        self.began = time.monotonic()
+        self._began = time.monotonic()
         self._seconds = seconds
         self._interrupts = interrupts
 
     @property
     def spent(self) -> float:
         """The time so far in s."""
-        return time.monotonic() - self.began
+        return time.monotonic() - self._began
 
     @property
     def reason(self) -> str:
@@ -91,8 +114,6 @@ class Budget:
         self.check()
 
 
-Each = Callable[[Observation, Frame], bool]  # called at each frame; returns whether to continue
-
 STEPS_MORE = 4  # limit of a candidate's steps over those of the smallest scene so far
 FEWEST_STEPS = 2000
 
@@ -116,7 +137,7 @@ class EveryUpTo(Every):
 def observe(
     space: Space,
     budget: Budget,
-    each: Each = lambda seen, frame: True,
+    each: Callable[[Observation, Frame], bool] = lambda seen, frame: True,
     *,
     steps: int | None = None,
     schedule: Schedule | None = None,
@@ -128,15 +149,13 @@ def observe(
     space
         At the start of its run.
     budget
-        The time of the reduction.
+        The time of the reduction. `OutOfTime` is raised if it ends before the run.
     each
         Called at each frame with the observation so far; returns whether to continue.
     steps
         Number of steps after which the run is abandoned, with the result None.
     schedule
         Schedule of the frames; by default that of the scene.
-
-    Raises `OutOfTime` if the time ended before the run.
     """
     interval = auto.frame_interval(space.scene)
     schedule = schedule or (Every(interval) if steps is None else EveryUpTo(interval, steps))
@@ -163,47 +182,21 @@ def observe(
 
 @dataclass(slots=True)
 class Trials:
-    """Judges candidates and remembers the verdicts.
+    """Judges candidates and remembers the verdicts. Raises `OutOfTime` when time has run out."""
 
-    Attributes
-    ----------
-    condition
-        The failure to keep.
-    budget
-        The time of the reduction.
-    steps
-        Number of steps of the smallest scene so far.
-    count
-        Number of candidates that ran.
-    watch
-        Called before each candidate runs.
-    judges
-        Processes that judge several candidates at a time, if these take long.
-    """
-
-    condition: Condition
+    condition: Condition  # the failure to keep
     budget: Budget
-    steps: int = FEWEST_STEPS
-    count: int = 0
-    watch: Callable[[], None] = lambda: None
-    judges: Judges | None = None
+    steps: int = FEWEST_STEPS  # of the smallest scene so far
+    count: int = 0  # candidates that ran
+    watch: Callable[[], None] = lambda: None  # called before each candidate runs
+    judges: Judges | None = None  # processes that judge several candidates at a time, if these take long
     _seconds: float = 0.0  # of the last candidate
     _rejected: set[int] = field(default_factory=set)  # hashes of candidates that do not show the failure
 
     def shows(self, document: Document, steps: int | None = None) -> Observation | None:
         """Run a candidate; return its observation if it still shows the failure.
 
-        Parameters
-        ----------
-        document
-            The candidate.
-        steps
-            Limit of its steps; by default a few times those of the smallest scene so far.
-
-        Raises
-        ------
-        OutOfTime
-            If time has run out.
+        The limit of its steps is by default a few times those of the smallest scene so far.
         """
         self.budget.check()
         key = hash((toml_text(document), steps))
@@ -223,11 +216,6 @@ class Trials:
 
         Without judges, that is the next candidate. With judges, which work ahead, it is the first that shows the
         failure.
-
-        Raises
-        ------
-        OutOfTime
-            If time has run out.
         """
         rest = documents[number:]
         if self.judges is None or not self.judges.pay(self._seconds, len(rest)):
@@ -258,7 +246,6 @@ class Trials:
         return Space(scene, threads=1, record_contacts=self.condition.needs_impacts)
 
 
-# Candidates are judged in several processes.
 START = 6.0  # s, about twice what workers take to start
 MIN_SECONDS_TO_SEND = 0.05  # s, shortest run of a candidate that is sent to a worker; sending takes about as long
 AHEAD = 2  # candidates sent ahead to each worker
@@ -315,23 +302,10 @@ class Judges:
     def first(
         self, documents: Sequence[Document], condition: Condition, steps: int, check: Callable[[], None]
     ) -> int | None:
-        """Return the number of the first candidate that shows a failure.
+        """Return the number of the first candidate that shows a failure within some steps; None if none does.
 
-        Parameters
-        ----------
-        documents
-            The candidates.
-        condition
-            The failure.
-        steps
-            Limit of the steps of each.
-        check
-            Called several times a second; its exceptions end the work.
-
-        Raises
-        ------
-        ExperimentError
-            If the workers died.
+        ``check`` is called several times a second; its exceptions end the work. Raises ExperimentError if the workers
+        die.
         """
         workers = self._workers
         assert workers is not None, "they have started"
@@ -354,9 +328,8 @@ class Judges:
         return None
 
 
-# The smallest scene so far that shows the failure.
 class Smallest:
-    """Holds the smallest scene that still shows the failure.
+    """The smallest scene so far that shows the failure.
 
     Parameters
     ----------
@@ -365,13 +338,13 @@ class Smallest:
     seen
         The observation of its run.
     trials
-        Judges candidates.
+        Judges candidates, which replace the scene if they show the failure.
     taken
         Called after a candidate was adopted.
     """
 
     def __init__(
-        self, document: Document, seen: Observation, trials: Trials, taken: Callable[[Smallest], None] = lambda _: None
+        self, document: Document, seen: Observation, trials: Trials, taken: Callable[[Smallest], None]
     ) -> None:
         self._trials = trials
         self._taken = taken
@@ -404,23 +377,11 @@ class Smallest:
         return self.takes(document, max(self.steps, 1))
 
     def takes(self, document: Document, steps: int | None = None) -> bool:
-        """Adopt a candidate if it shows the failure in at most ``steps`` steps; see `Trials.shows`.
-
-        Raises
-        ------
-        OutOfTime
-            If time has run out.
-        """
+        """Adopt a candidate if it shows the failure in at most ``steps`` steps; see `Trials.shows`."""
         return document != self.document and self._try(document, steps)
 
     def is_shown(self) -> bool:
-        """Run the scene itself; return whether it shows the failure.
-
-        Raises
-        ------
-        OutOfTime
-            If time has run out.
-        """
+        """Run the scene itself; return whether it shows the failure."""
         return self._try(self.document, None)
 
     def _try(self, document: Document, steps: int | None) -> bool:
@@ -433,13 +394,7 @@ class Smallest:
         return True
 
     def takes_first(self, documents: list[Document]) -> int | None:
-        """Adopt the first of several candidates that shows the failure; return its number.
-
-        Raises
-        ------
-        OutOfTime
-            If time has run out.
-        """
+        """Adopt the first of several candidates that shows the failure; return its number."""
         number = 0
         while (found := self._trials.promising(documents, number)) is not None:
             if self.takes(documents[found]):

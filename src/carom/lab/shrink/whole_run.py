@@ -1,9 +1,9 @@
 """Conditions on whole runs, which no single frame shows: invariances, replays that differ, the verdict of a command.
 
-An invariance compares a scene with its image, which must have the same motion: in other units, mirrored, moved,
-rotated, or renumbered. An image has positions x' = L (A x) + s + u t' at times t' = T t, and bodies in another order.
-Where floating point is exact, bits are compared: powers of two commute with every operation, and so do changes of sign.
-Otherwise the image may deviate as far as runs with rounded initial states, times a factor for the roundings of all
+An invariance compares a scene with its image, which must have the same motion: in other units, mirrored, translated,
+rotated or renumbered. The image has positions x' = L (A x) + s + u t' at times t' = T t, and bodies in another order.
+Powers of two and changes of sign are exact in floating point, so images that use only these must have the same bits.
+Other images may deviate as much as runs whose initial states are rounded, times a factor for the roundings of all
 steps.
 """
 
@@ -39,19 +39,20 @@ from carom.extend import (
 )
 from carom.lab.run_summary import Observation, said_by
 from carom.lab.shrink.literal import BODIES, Document, with_value
+from carom.lab.shrink.trials import Condition
 from carom.private_folder import temporary_folder
 
 EPS = float(np.finfo(np.float64).eps)
 PERTURBED = 6  # runs that measure the growth of roundings
 ROUNDINGS = 1e3  # allowed deviation of an image over that of these runs: an image is rounded in each step, not once
 KNOWN = 1e-6  # of the extent; there is no verdict if roundings grow beyond it
-FINER = 16  # times as many steps; an error of order 1 falls by 16, of order 2 by 256
-FALLS = 64.0  # least reduction of the error of an integrator of order 2 or more
+FINER = 16  # times as many steps: the error decreases by 16 at order 1, by 256 at order 2
+FALLS = 64.0  # smallest decrease of the error with an integrator of order 2 or more
 
 
 @dataclass(frozen=True, slots=True)
 class Image:
-    """The transformation of a scene."""
+    """A transformation of scenes."""
 
     matrix: FloatArray = field(default_factory=lambda: np.eye(3))  # A, orthogonal
     length: float = 1.0  # L
@@ -60,7 +61,7 @@ class Image:
     shift: FloatArray = field(default_factory=lambda: np.zeros(3))  # s
     boost: FloatArray = field(default_factory=lambda: np.zeros(3))  # u
     backwards: bool = False  # whether the order of bodies is reversed
-    exact: bool = True
+    exact: bool = True  # whether the bits are the same
 
     def positions(self, position: FloatArray, time: float) -> FloatArray:
         """Return the positions of the image, (n, 3) m, at its time."""
@@ -110,27 +111,22 @@ class Image:
         section[key] = [float(value) for value in found]
 
 
-def _extent(position: FloatArray) -> float:
+def _extent(space: Space) -> float:
+    position = space.state.position
     return float(np.ptp(position, axis=0).max()) or float(np.abs(position).max()) or 1.0
-
-
-def _boosted(space: Space) -> Image:
-    speed = 1e3 * _extent(space.state.position) / space.scene.time.duration
-    return Image(boost=speed * np.array([-0.5, 0.25, 1.0]), exact=False)
 
 
 IMAGES: dict[str, Callable[[Space], Image]] = {
     "scaling": lambda space: Image(length=2.0**9, mass=2.0**-7, time=2.0**4),
     "mirror": lambda space: Image(matrix=np.diag([1.0, -1.0, 1.0])),
-    "translation": lambda space: Image(
-        shift=1e3 * _extent(space.state.position) * np.array([1.0, -0.5, 0.25]), exact=False
+    "translation": lambda space: Image(shift=1e3 * _extent(space) * np.array([1.0, -0.5, 0.25]), exact=False),
+    "boost": lambda space: Image(
+        boost=1e3 * _extent(space) / space.scene.time.duration * np.array([-0.5, 0.25, 1.0]), exact=False
     ),
-    "boost": _boosted,
     "rotation": lambda space: Image(matrix=np.asarray(Rotation.from_quat([1, 2, -2, 3]).as_matrix()), exact=False),
     "numbering": lambda space: Image(backwards=True, exact=False),
 }
-STEPS, ARRAYS = "steps", "arrays"
-INVARIANCES = (*IMAGES, STEPS, ARRAYS)
+INVARIANCES = (*IMAGES, "steps", "arrays")
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,9 +134,9 @@ class FinalState:
     """The state and error at the end of a run."""
 
     step: int
-    time: float
-    position: FloatArray
-    velocity: FloatArray
+    time: float  # s
+    position: FloatArray  # (n, 3) m
+    velocity: FloatArray  # (n, 3) m/s
     error: str
 
     @classmethod
@@ -156,12 +152,10 @@ class FinalState:
 
 
 @dataclass(frozen=True, slots=True)
-class Varies:
+class Varies(Condition):
     """The violation of an invariance."""
 
-    text: str
     name: str  # of `INVARIANCES`
-    needs_impacts = False
     of_whole_run = True
 
     def check(self, seen: Observation) -> None:
@@ -186,47 +180,44 @@ class Varies:
         if seen.error or scene.bodies or not applies(self.name, scene):
             return ""
         try:
-            if self.name == STEPS:
-                return _by_shorter_steps(scene)
-            if self.name == ARRAYS:
-                # the bits of a scene whose bodies are given as arrays
-                start = place(scene)
-                kept = {key: value for key, value in tomllib.loads(scene.toml).items() if key not in (BODIES, "group")}
-                names = ("position", "velocity", "angular_velocity", "mass", "radius", "inertia", "fixed")
-                arrays: dict[str, Any] = {name: getattr(start, name) for name in names}
-                given = Scene.from_arrays(**arrays, name=list(start.name), **kept)
-                here, there = FinalState.of(Space(scene, threads=1)), FinalState.of(Space(given, threads=1))
-                same = (here.step, here.time, bool(here.error)) == (there.step, there.time, bool(there.error))
-                same = same and np.array_equal(here.position, there.position)
-                return "" if same else "the bits differ from those of arrays"
+            match self.name:
+                case "steps":
+                    return _by_shorter_steps(scene)
+                case "arrays":
+                    return _by_arrays(scene)
             return _by_image(scene, IMAGES[self.name])
         except (SceneError, PhysicsError):  # the image is refused
             return ""
-
-    def bodies(self, seen: Observation) -> set[str]:
-        """Return no names, because the bodies involved are unknown."""
-        return set()
 
 
 def applies(name: str, scene: Scene) -> bool:
     """Return whether carom promises an invariance for a scene."""
     needs = require(scene)
-    bounded, outside = scene.domain.boundary != "open" or bool(scene.wall), bool(scene.plane) or scene.anchored
     match name:
         case "scaling":
             return True
-        case "mirror":  # ties at borders of a tree or a box break the symmetry, and walls have an order
-            return not (scene.group or bounded or needs.tree.modelled)
-        case "translation" | "boost":
-            return not (scene.group or bounded or (outside and name == "boost") or needs.tree.modelled)
-        case "rotation" | "numbering":
-            return not (scene.group or bounded or needs.tree.modelled)
         case "steps":
             return scene.time.fixed_dt is not None and not needs.contact.modelled
-        case _:
+        case "arrays":
             # steps follow from the smallest possible radius of a group, but from the actual smallest radius of arrays
             draws = any(group.radius.min < group.radius.max for group in scene.group)
             return not (draws or scene.material or scene.unit_system.converts)
+        case "boost" if scene.plane or scene.anchored:
+            return False
+    # ties at borders of a tree or a box break the symmetry, and walls have an order
+    return not (scene.group or scene.domain.boundary != "open" or scene.wall or needs.tree.modelled)
+
+
+def _by_arrays(scene: Scene) -> str:
+    """Compare the bits with those of the scene whose bodies are given as arrays."""
+    start = place(scene)
+    kept = {key: value for key, value in tomllib.loads(scene.toml).items() if key not in (BODIES, "group")}
+    names = ("position", "velocity", "angular_velocity", "mass", "radius", "inertia", "fixed")
+    arrays: dict[str, Any] = {name: getattr(start, name) for name in names}
+    given = Scene.from_arrays(**arrays, name=list(start.name), **kept)
+    here, there = FinalState.of(Space(scene, threads=1)), FinalState.of(Space(given, threads=1))
+    same = (here.step, here.time, bool(here.error)) == (there.step, there.time, bool(there.error))
+    return "" if same and np.array_equal(here.position, there.position) else "the bits differ from those of arrays"
 
 
 def _by_image(scene: Scene, image_of: Callable[[Space], Image]) -> str:
@@ -247,7 +238,7 @@ def _by_image(scene: Scene, image_of: Callable[[Space], Image]) -> str:
     speed = max(float(np.abs(all_).max()) for all_ in (start[1], here.velocity, there.velocity))
     allowed = ROUNDINGS * (_grown(document, here, reach, speed) + EPS * reach)
     off = float(np.abs(there.position - position).max())
-    if off <= allowed or not allowed <= KNOWN * _extent(here.position):
+    if off <= allowed or not allowed <= KNOWN * _extent(space):
         return ""
     units = scene.unit_system
     explained = units.text(allowed, LENGTH, ".1g")
@@ -277,11 +268,8 @@ def _grown(document: Document, here: FinalState, reach: float, speed: float) -> 
 def _by_shorter_steps(scene: Scene) -> str:
     """Compare the largest energy error with that of shorter steps."""
     assert scene.time.fixed_dt is not None, "the steps are fixed"
-    dt = scene.time.fixed_dt / FINER
-    coarse, fine = (
-        _energy_error(one)
-        for one in (scene, scene.model_copy(update={"time": scene.time.model_copy(update={"fixed_dt": dt})}))
-    )
+    shorter = scene.time.model_copy(update={"fixed_dt": scene.time.fixed_dt / FINER})
+    coarse, fine = _energy_error(scene), _energy_error(scene.model_copy(update={"time": shorter}))
     floor = 1e-11  # of the energy scale: some 10⁵ roundings
     if coarse is None or fine is None or fine <= max(coarse / FALLS, floor):
         return ""
@@ -290,14 +278,11 @@ def _by_shorter_steps(scene: Scene) -> str:
 
 def _energy_error(scene: Scene) -> float | None:
     """Run a scene; return its largest energy error over the scale, None if the run fails."""
-    largest = 0.0
+    energies = (frame.energy for frame in Space(scene, threads=1).run(schedule=every(0.0)))
     try:
-        for frame in Space(scene, threads=1).run(schedule=every(0.0)):
-            if frame.energy.scale > 0.0:
-                largest = max(largest, abs(frame.energy.integration_error) / frame.energy.scale)
+        return max((abs(one.integration_error) / one.scale for one in energies if one.scale > 0.0), default=0.0)
     except Exception:
         return None
-    return largest
 
 
 def _explicit(scene: Scene) -> Document:
@@ -321,19 +306,11 @@ def _explicit(scene: Scene) -> Document:
     return document
 
 
-PLACE = "{}"  # in a command: the placeholder for the path of the scene
-
-
 @dataclass(frozen=True, slots=True)
-class CommandShows:
+class CommandShows(Condition):
     """A command that exits with 0 if a scene shows the failure."""
 
-    text: str
-    needs_impacts = False
     of_whole_run = True
-
-    def check(self, seen: Observation) -> None:
-        """Accept every run."""
 
     def pinned(self, seen: Observation) -> CommandShows:
         """Run the command twice; refuse a command that does not report the failure both times."""
@@ -357,53 +334,40 @@ class CommandShows:
         """State that the command reported the failure."""
         return "the command exits with 0"
 
-    def bodies(self, seen: Observation) -> set[str]:
-        """Return no names, because the bodies involved are unknown."""
-        return set()
-
     def _code(self, scene: Scene) -> int:
         with temporary_folder() as folder:
             path = folder / "scene.toml"
             path.write_text(scene.toml, encoding="utf-8")
             quoted = shlex.quote(str(path))
-            line = self.text.replace(PLACE, quoted) if PLACE in self.text else f"{self.text} {quoted}"
+            line = self.text.replace("{}", quoted) if "{}" in self.text else f"{self.text} {quoted}"
             ran = subprocess.run(line, shell=True, check=False, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
         return ran.returncode
 
 
 @dataclass(frozen=True, slots=True)
-class ReplayDiffers:
+class ReplayDiffers(Condition):
     """Two runs with different bits: with other threads, from a checkpoint, or with the other search."""
 
-    text: str
-    way: str = ""  # empty: any
-    needs_impacts = False
+    difference: str = ""  # empty: any
     of_whole_run = True
-
-    def check(self, seen: Observation) -> None:
-        """Accept every run."""
 
     def pinned(self, seen: Observation) -> ReplayDiffers:
         """Return the condition of the same kind of difference."""
-        way = self._difference(seen)
-        if not way:
+        difference = self._difference(seen)
+        if not difference:
             raise ExperimentError(
                 "nothing to shrink: runs on two threads, from a checkpoint and with the other search have the same bits"
             )
-        return replace(self, way=way)
+        return replace(self, difference=difference)
 
     def holds(self, seen: Observation) -> bool:
         """Return whether the runs differ."""
-        way = self._difference(seen)
-        return bool(way) and self.way in ("", way)
+        difference = self._difference(seen)
+        return bool(difference) and self.difference in ("", difference)
 
     def said(self, seen: Observation) -> str:
         """Describe the difference."""
-        return f"a run {self.way} ends with different bits"
-
-    def bodies(self, seen: Observation) -> set[str]:
-        """Return no names, because the bodies involved are unknown."""
-        return set()
+        return f"a run {self.difference} ends with different bits"
 
     def _difference(self, seen: Observation) -> str:
         """Return the name of the run that differs from the first; empty if none differs."""
