@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from carom.errors import ExperimentError
-from carom.lab.sweep.manifest import DONE, Folder, Manifest, put, read, stored_runs
+from carom.lab.sweep.manifest import DONE, Folder, Manifest, clear, put, read
 from carom.lab.sweep.plan import plan
 from carom.lab.sweep.sweep_table import rows_of
 from sweep_runs import write_scene
@@ -33,8 +33,8 @@ def test_a_saved_manifest_is_read_again(tmp_path: Path) -> None:
     manifest = begin(tmp_path)
     finish(manifest, "seed=6")
     manifest.save()
-    assert stored_runs(manifest.folder) == list(manifest.runs.values())
-    assert read(manifest.folder)["counts"] == {"pending": 2, "done": 1}
+    assert read(manifest.folder).runs == list(manifest.runs.values())
+    assert read(manifest.folder).counts == {"pending": 2, "done": 1}
     assert [point.name for point in begin(tmp_path).todo] == ["seed=5", "seed=7"]
 
 
@@ -67,7 +67,7 @@ def test_a_disk_that_is_full_leaves_the_file_of_before_and_then_gets_the_reserve
     assert manifest.folder.manifest.read_bytes() == before
     manifest.hold_room()
     manifest.save()  # the second failure gives up the reserve
-    assert read(manifest.folder)["counts"] == {"pending": 2, "done": 1}
+    assert read(manifest.folder).counts == {"pending": 2, "done": 1}
     assert sorted(path.name for path in manifest.folder.root.iterdir() if path.name.endswith(".new")) == []
 
 
@@ -105,11 +105,6 @@ def test_two_sweeps_at_once_do_not_share_a_folder(tmp_path: Path) -> None:
         Folder(folder.root).claimed(),
     ):
         pass
-
-
-def clear(folder: Folder) -> None:
-    stored = read(folder)
-    folder.clear([run["name"] for run in stored["runs"]], stored["files"])
 
 
 def test_clearing_a_folder_leaves_what_others_put_there(tmp_path: Path) -> None:
@@ -217,7 +212,7 @@ def test_a_damaged_manifest_is_read_or_refused_in_one_sentence(tmp_path: Path, s
     for mutant in mutants(whole, np.random.default_rng(seed)):
         manifest.folder.manifest.write_text(json.dumps(mutant))
         try:
-            rows_of(stored_runs(manifest.folder))
+            rows_of(read(manifest.folder).runs)
             _ = begin(tmp_path).todo
         except ExperimentError as error:
             assert "\n" not in str(error), f"seed {seed}"

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import time
+from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from carom.extend import LiveLine, SetOption, bar, bundled, command, duration_text, needing, say_json
 
 if TYPE_CHECKING:
-    from carom.lab.sweep.manifest import SweepRun
+    from carom.lab.sweep.manifest import StoredSweep, SweepRun
     from carom.lab.sweep.sweep import SweepEnding
     from carom.lab.sweep.sweep_table import Row
 
@@ -21,11 +22,8 @@ class SweepProgress(LiveLine):
 
     def __init__(self, title: str, runs: int, quiet: bool = False) -> None:
         super().__init__(quiet)
-        self._title = title
-        self._runs = runs
-        self._found = 0
-        self._ended = 0
-        self._failed = 0
+        self._title, self._runs = title, runs
+        self._found = self._ended = self._failed = 0
         self._first: float | None = None  # end of the first run, before which the workers were starting
 
     def begin(self, found: int) -> None:
@@ -50,15 +48,12 @@ class SweepProgress(LiveLine):
     def _line(self, now: float) -> str:
         done = self._found + self._ended
         failed = f"  {self._failed} failed" if self._failed else ""
-        return f"{bar(done / max(1, self._runs))} {done} of {self._runs} runs{failed}  {self._left(now)}"
-
-    def _left(self, now: float) -> str:
-        """Estimate the time left from the runs after the first, which waits for workers and kernels."""
+        # the first run waits for workers and kernels, so only those after it tell the time left
         spent, ended = (now - self._first, self._ended - 1) if self._first else (0.0, 0)
-        if ended < 1 or spent <= 0.0:
-            return f"{duration_text(now - self._began)} so far"
-        left = spent / ended * (self._runs - self._found - self._ended)
-        return f"{ended / spent:.2g} runs/s  {duration_text(left)} left"
+        left = f"{duration_text(now - self._began)} so far"
+        if ended > 0 and spent > 0.0:
+            left = f"{ended / spent:.2g} runs/s  {duration_text(spent / ended * (self._runs - done))} left"
+        return f"{bar(done / max(1, self._runs))} {done} of {self._runs} runs{failed}  {left}"
 
 
 SWEEPS = Path("recordings")
@@ -171,49 +166,36 @@ def sweep_command(
     if catalog is not None:
         serve(catalog)
         return
-    folder = table
-    ending = None
-    if scene is not None:
-        if plot is not None:
-            refuse_plot(plot)
-        folder = output or SWEEPS / f"{Path(scene).stem}-sweep"
-        ending = _run(scene, folder, vary or [], overrides or [], seeds, zipped, workers, cluster, force, as_json)
-    assert folder is not None
-    figure = draw(folder, plot, conditions or []) if plot is not None else None
-    if ending is not None:
-        _tell(ending, folder, figure, as_json)
-        if not ending.ok:
-            raise typer.Exit(1)
-    elif as_json:
-        print_json(folder, conditions or [], sort, columns)
-    elif figure is not None:
-        typer.echo(f"{figure} written.")
-    else:
-        show(folder, conditions or [], sort, columns)
+    if scene is None:
+        assert table is not None
+        figure = draw(table, plot, conditions or []) if plot is not None else None
+        if as_json:
+            print_json(table, conditions or [], sort, columns)
+        elif figure is not None:
+            typer.echo(f"{figure} written.")
+        else:
+            show(table, conditions or [], sort, columns)
+        return
 
-
-def _run(
-    scene: str,
-    folder: Path,
-    vary: list[str],
-    overrides: list[str],
-    seeds: int | None,
-    zipped: bool | None,
-    workers: int | None,
-    cluster: str | None,
-    force: bool,
-    quiet: bool,
-) -> SweepEnding:
-    from carom.extend import command_line, needing
+    from carom.extend import command_line
     from carom.lab.sweep.plan import plan
     from carom.lab.sweep.sweep import sweep as make
 
+    if plot is not None:
+        # refuse an impossible figure before anything is computed
+        _axes(plot)
+        with needing("plot", "carom sweep --plot", "matplotlib"):
+            import matplotlib  # noqa: F401
     if cluster is not None:
         with needing("cluster", "carom sweep --cluster", "distributed", "dask"):
             import carom.lab.sweep.cluster  # noqa: F401
-    planned = plan(scene, overrides, vary, seeds, zipped)
-    with SweepProgress(planned.title, len(planned.points), quiet) as progress:
-        return make(planned, folder, progress, address=cluster, workers=workers, force=force, command=command_line())
+    folder = output or SWEEPS / f"{Path(scene).stem}-sweep"
+    planned = plan(scene, overrides or [], vary or [], seeds, zipped)
+    with SweepProgress(planned.title, len(planned.points), as_json) as progress:
+        ending = make(planned, folder, progress, address=cluster, workers=workers, force=force, command=command_line())
+    _tell(ending, folder, None if plot is None else draw(folder, plot, conditions or []), as_json)
+    if not ending.ok:
+        raise typer.Exit(1)
 
 
 def _tell(ending: SweepEnding, folder: Path, figure: Path | None, as_json: bool) -> None:
@@ -221,7 +203,20 @@ def _tell(ending: SweepEnding, folder: Path, figure: Path | None, as_json: bool)
     if ending.untabled:
         typer.echo(f"carom: {ending.untabled}", err=True)
     if as_json:
-        say_json(_document(ending, figure))
+        document = {
+            "ok": ending.ok,
+            "runs": len(ending.manifest.asked),
+            "found": ending.found,
+            "failed": [run.name for run in ending.failed],
+            "missed": [run.name for run in ending.missed],
+            "left": ending.left,
+            "stopped": ending.stopped,
+            "units": ending.manifest.plan.units,
+            "folder": str(ending.manifest.folder.root),
+            "figure": str(figure) if figure else None,
+            "entries": [asdict(run) for run in ending.manifest.asked],
+        }
+        say_json(document)
         return
     runs = ending.manifest.asked
     done = len(runs) - len(ending.failed) - ending.left
@@ -236,24 +231,6 @@ def _tell(ending: SweepEnding, folder: Path, figure: Path | None, as_json: bool)
         why = f"{ending.stopped}: " if ending.stopped else ""
         typer.echo(f"carom: {why}{ending.left} runs remain; run the same command again to continue", err=True)
     typer.echo(f"next: {command('sweep', '--table', folder)}")
-
-
-def _document(ending: SweepEnding, figure: Path | None) -> dict[str, Any]:
-    from dataclasses import asdict
-
-    return {
-        "ok": ending.ok,
-        "runs": len(ending.manifest.asked),
-        "found": ending.found,
-        "failed": [run.name for run in ending.failed],
-        "missed": [run.name for run in ending.missed],
-        "left": ending.left,
-        "stopped": ending.stopped,
-        "units": ending.manifest.plan.units,
-        "folder": str(ending.manifest.folder.root),
-        "figure": str(figure) if figure else None,
-        "entries": [asdict(run) for run in ending.manifest.asked],
-    }
 
 
 PIPE_WIDTH = 160  # characters of the table where the output is not a terminal
@@ -274,17 +251,14 @@ def show(folder: Path, conditions: list[str], sort: str | None, columns: str | N
     found = chosen(rows, conditions, sort)
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
     for key in keys:
-        table.add_column(
-            key,
-            justify="right"
-            if all(isinstance(row[key], (int, float)) for row in rows if row[key] is not None)
-            else "left",
-            overflow="fold",
-        )
+        numeric = all(isinstance(row[key], (int, float)) for row in rows if row[key] is not None)
+        table.add_column(key, justify="right" if numeric else "left", overflow="fold")
     for row in found:
-        table.add_row(*(escape(_cell(row, key)) for key in keys), style=None if row["status"] == "done" else "red")
+        values = ["" if row[key] is None else row[key] for key in keys]
+        cells = [f"{value:.6g}" if isinstance(value, float) else str(value) for value in values]
+        table.add_row(*map(escape, cells), style=None if row["status"] == "done" else "red")
     console = Terminal(markup=True, piped=PIPE_WIDTH)
-    console.print(escape(stored["title"]))
+    console.print(escape(stored.title))
     console.print(table)
     counts = f"{len(found)} of {len(rows)} runs" if len(found) < len(rows) else f"{len(rows)} runs"
     console.print(f"{counts}; recordings in {folder / 'runs'}, all columns in {folder / 'table.csv'}", soft_wrap=True)
@@ -299,23 +273,16 @@ def print_json(folder: Path, conditions: list[str], sort: str | None, columns: s
     if columns:
         keys = _keys(rows, stored, sort, columns)
         found = [{key: row[key] for key in keys} for row in found]
-    say_json({"title": stored["title"], "units": stored.get("units"), "varied": stored["varied"], "rows": found})
+    say_json({"title": stored.title, "units": stored.units, "varied": stored.varied, "rows": found})
 
 
-def _keys(rows: list[Row], stored: dict[str, Any], sort: str | None, columns: str) -> list[str]:
+def _keys(rows: list[Row], stored: StoredSweep, sort: str | None, columns: str) -> list[str]:
     """Return the columns of a table: varied keys, requested columns, the sort key, and the outcome."""
     from carom.lab.sweep.sweep_table import known
 
     wanted = [known(key, rows) for key in columns.split(",") if key]
     sorted_by = [known(sort.removeprefix("-"), rows)] if sort else []
-    return list(dict.fromkeys([*stored["varied"], *wanted, *sorted_by, "outcome"]))
-
-
-def refuse_plot(plot: tuple[str, str]) -> None:
-    """Refuse an impossible figure before anything is computed."""
-    _axes(plot)
-    with needing("plot", "carom sweep --plot", "matplotlib"):
-        import matplotlib  # noqa: F401
+    return list(dict.fromkeys([*stored.varied, *wanted, *sorted_by, "outcome"]))
 
 
 def draw(folder: Path, plot: tuple[str, str], conditions: list[str]) -> Path:
@@ -326,7 +293,7 @@ def draw(folder: Path, plot: tuple[str, str], conditions: list[str]) -> Path:
     rows, stored = _rows(folder)
     path = folder / f"{y}-over-{x}.png"
     with needing("plot", "carom sweep --plot", "matplotlib"):
-        figure(chosen(rows, conditions, None), known(x, rows), known(y, rows), stored["varied"], stored["title"], path)
+        figure(chosen(rows, conditions, None), known(x, rows), known(y, rows), stored.varied, stored.title, path)
     return path
 
 
@@ -340,20 +307,21 @@ def serve(folder: Path) -> None:
     from carom.extend import keeper
 
     alone = keeper.has_screen() and not keeper.screen_is_remote() and keeper.isolate()
-    from carom.lab.sweep.manifest import Folder, stored_runs
+    from carom.lab.sweep.manifest import Folder, read
 
     with needing("catalog", "carom sweep --catalog", "datafusion", "pandas"):
         from carom.extend import serve_catalog
-    paths = [folder / run.file for run in stored_runs(Folder(folder)) if run.file.startswith("runs/")]
+    paths = [folder / run.file for run in read(Folder(folder)).runs if run.file.startswith("runs/")]
     serve_catalog(folder.resolve().name, paths, typer.echo, alone)
 
 
-def _rows(folder: Path) -> tuple[list[Row], dict[str, Any]]:
+def _rows(folder: Path) -> tuple[list[Row], StoredSweep]:
     """Return the rows of a sweep, and its manifest."""
-    from carom.lab.sweep.manifest import Folder, read, stored_runs
+    from carom.lab.sweep.manifest import Folder, read
     from carom.lab.sweep.sweep_table import rows_of
 
-    return rows_of(stored_runs(Folder(folder))), read(Folder(folder))
+    stored = read(Folder(folder))
+    return rows_of(stored.runs), stored
 
 
 def _axes(plot: tuple[str, str]) -> tuple[str, str]:
@@ -363,10 +331,3 @@ def _axes(plot: tuple[str, str]) -> tuple[str, str]:
     if set(given) != {"x", "y"} or not all(given.values()):
         raise ExperimentError(f"--plot {' '.join(plot)}: expected x=KEY y=KEY, as x=contact.restitution y=energy.final")
     return given["x"], given["y"]
-
-
-def _cell(row: Row, key: str) -> str:
-    value: Any = row[key]
-    if value is None:
-        return ""
-    return f"{value:.6g}" if isinstance(value, float) else str(value)

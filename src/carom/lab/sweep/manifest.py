@@ -26,36 +26,18 @@ _ATTEMPT = re.compile(r"\.?(.+)\.[0-9a-f]{8}\.rrd(\.\w+)?")  # a recording being
 NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
-@dataclass(frozen=True, slots=True)
 class Folder:
     """The paths of a sweep."""
 
-    root: Path
-
-    @property
-    def scene(self) -> Path:
-        """The scene of all runs, without the varied values."""
-        return self.root / "scene.toml"
-
-    @property
-    def data(self) -> Path:
-        """Copies of the data files that the scene reads."""
-        return self.root / "data"
-
-    @property
-    def manifest(self) -> Path:
-        """The outcomes of all runs."""
-        return self.root / "manifest.json"
-
-    @property
-    def table(self) -> Path:
-        """The summary as Parquet."""
-        return self.root / "table.parquet"
-
-    @property
-    def partial(self) -> Path:
-        """Recordings being written."""
-        return self.root / "partial"
+    def __init__(self, root: Path) -> None:
+        self.root = root
+        self.scene = root / "scene.toml"  # of all runs, without the varied values
+        self.data = root / "data"  # copies of the data files that the scene reads
+        self.manifest = root / "manifest.json"  # the outcomes of all runs
+        self.tables = root / "table.parquet", root / "table.csv"  # the summary
+        self.recordings = root / "runs", root / "failed"
+        self.partial = root / "partial"  # recordings being written
+        self._lock = root / ".claim"
 
     def whole(self, name: str) -> Path:
         """Return the path of the recording of a completed run."""
@@ -69,11 +51,6 @@ class Folder:
         """Return a unique path for writing a recording, even among attempts at the same run."""
         return self.partial / f"{name}.{uuid.uuid4().hex[:8]}.rrd"
 
-    @property
-    def tables(self) -> tuple[Path, Path]:
-        """The summary as Parquet and as CSV."""
-        return self.table, self.table.with_suffix(".csv")
-
     def make(self) -> None:
         """Make the folder and its subfolders."""
         for part in (self.root, *self.recordings, self.partial):
@@ -86,32 +63,22 @@ class Folder:
                 raise ExperimentError(f"{part}: a link of another user; choose another folder with -o")
 
     @property
-    def recordings(self) -> tuple[Path, Path]:
-        """The folders of completed runs and of failed ones."""
-        return self.root / "runs", self.root / "failed"
-
-    def path_of(self, name: str) -> Path | None:
-        """Return the path of a file in a manifest; None if it is outside of this folder."""
-        path = self.root / name
-        return path if path.name == name or path.parent.resolve().is_relative_to(self.root.resolve()) else None
-
-    @property
     def is_fresh(self) -> bool:
         """Whether the folder contains only the lock."""
         return all(path == self._lock for path in self.root.iterdir())
 
-    @property
-    def _lock(self) -> Path:
-        return self.root / ".claim"
-
     def leave(self) -> None:
         """Remove the empty folders of a sweep that could not begin."""
-        for folder in (*self.recordings, self.partial, self.data):
-            with contextlib.suppress(OSError):
-                folder.rmdir()
+        self.remove_empty()
         self._lock.unlink(missing_ok=True)
         with contextlib.suppress(OSError):
             self.root.rmdir()
+
+    def remove_empty(self) -> None:
+        """Remove subfolders without files."""
+        for folder in (*self.recordings, self.partial, self.data):
+            with contextlib.suppress(OSError):
+                folder.rmdir()
 
     def clear_partial(self, names: Iterable[str]) -> None:
         """Remove leftovers of earlier attempts at runs of these names."""
@@ -121,24 +88,6 @@ class Folder:
                 attempt = _ATTEMPT.fullmatch(path.name)
                 if attempt and attempt[1] in ours:
                     path.unlink(missing_ok=True)
-
-    def clear(self, names: Iterable[str], files: Iterable[str]) -> None:
-        """Remove only the runs and files that a manifest lists, and the manifest last."""
-        ours = set(names)
-        self.clear_partial(ours)
-        for folder in self.recordings:
-            for path in folder.glob("*.rrd"):
-                if path.name.removesuffix(".rrd") in ours and not path.is_dir():
-                    path.unlink()
-        for path in filter(None, map(self.path_of, files)):
-            path.unlink(missing_ok=True)
-            for above in path.parents[: len(path.parts) - len(self.root.parts) - 1]:
-                with contextlib.suppress(OSError):
-                    above.rmdir()
-        self.manifest.unlink(missing_ok=True)
-        for folder in (*self.recordings, self.partial, self.data):
-            with contextlib.suppress(OSError):
-                folder.rmdir()
 
     @contextlib.contextmanager
     def claimed(self) -> Iterator[None]:
@@ -229,13 +178,14 @@ class SweepRun:
         return self.outcome == COMPLETED
 
 
-class _Stored(BaseModel):
+class StoredSweep(BaseModel):
     """Content of a manifest; unknown keys are ignored."""
 
     title: str
-    scene: str
+    scene: str  # digest
     varied: list[str]
     versions: dict[str, str]
+    counts: dict[str, int] = Field(default_factory=dict)  # of runs, by status
     units: str | None = None  # older manifests lack it
     files: list[str] = Field(default_factory=lambda: [*_FILES_BEFORE])
     runs: Annotated[list[SweepRun], Field(min_length=1)]
@@ -270,17 +220,17 @@ class Manifest:
             stored = read(folder)
             # do not mix two sweeps in one folder
             remedy = "choose another folder with -o, or remove that sweep and start over with --force"
-            if stored["scene"] != plan.digest:
+            if stored.scene != plan.digest:
                 raise ExperimentError(
                     f"{folder.root}: holds a sweep of another scene ({folder.scene} has it); {remedy}"
                 )
-            if tuple(stored["varied"]) != plan.varied:
-                keys = ", ".join(stored["varied"])
+            if tuple(stored.varied) != plan.varied:
+                keys = ", ".join(stored.varied)
                 raise ExperimentError(f"{folder.root}: holds a sweep that varies {keys}, in this order; {remedy}")
-            theirs, ours = stored["versions"].get("carom", "unknown"), versions()["carom"]
+            theirs, ours = stored.versions.get("carom", "unknown"), versions()["carom"]
             if theirs != ours:
                 raise ExperimentError(f"{folder.root}: was begun with carom {theirs}, this is {ours}; {remedy}")
-            known, files = _runs(stored), set(stored["files"])
+            known, files = {run.name: run for run in stored.runs}, set(stored.files)
         data = [str(Path(folder.data.name) / name) for name in plan.files]
         # a file that the manifest does not list is not replaced
         names = [folder.scene.name, *(path.name for path in folder.tables), *data]
@@ -289,7 +239,12 @@ class Manifest:
                 raise ExperimentError(
                     f"{folder.root / name}: the sweep would replace it; choose another folder with -o"
                 )
-        _refuse_runs_of_others(folder, {point.name for point in plan.points} - known.keys())
+        unlisted = {point.name for point in plan.points} - known.keys()
+        for path in (path for place in folder.recordings for path in place.glob("*.rrd")):
+            if path.name.removesuffix(".rrd") in unlisted:
+                raise ExperimentError(
+                    f"{path}: it belongs to no sweep, and this sweep would replace it; choose another folder with -o"
+                )
         for point in plan.points:
             known.setdefault(point.name, SweepRun(point.name, point.parameters, point.seed))
         begun = cls(folder, plan, known, command, files | {folder.scene.name, *data})
@@ -309,7 +264,13 @@ class Manifest:
     @property
     def todo(self) -> list[SweepPoint]:
         """The runs of the plan that are missing or failed."""
-        return [point for point in self.plan.points if not self._is_there(self.runs[point.name])]
+        missing = []
+        for point in self.plan.points:
+            run = self.runs[point.name]
+            path = self.folder.root / run.file
+            if run.status != DONE or not path.is_file() or path.stat().st_size != run.size:
+                missing.append(point)
+        return missing
 
     @property
     def asked(self) -> list[SweepRun]:
@@ -373,16 +334,12 @@ class Manifest:
             self._reserve = None
             put(self.folder.manifest, text)
 
-    def _is_there(self, run: SweepRun) -> bool:
-        path = self.folder.root / run.file
-        return run.status == DONE and path.is_file() and path.stat().st_size == run.size
-
     def _enter(self, run: SweepRun) -> None:
         self.runs[run.name] = run
         self._lines[run.name] = _line(run)
 
 
-def read(folder: Folder) -> dict[str, Any]:
+def read(folder: Folder) -> StoredSweep:
     """Read a stored manifest.
 
     Raises
@@ -400,7 +357,7 @@ def read(folder: Folder) -> dict[str, Any]:
             raise ValueError(f"expected an object of at most {DEEPEST} levels")
         if stored.get("schema") != SCHEMA:
             raise ExperimentError(f"{path}: of another version of carom (schema {str(stored.get('schema'))[:20]})")
-        checked = _Stored.model_validate_json(text, strict=True)
+        return StoredSweep.model_validate_json(text, strict=True)
     except OSError as error:
         raise ExperimentError(f"{path}: cannot be read: {error.strerror}") from None
     except ValidationError as error:
@@ -409,7 +366,6 @@ def read(folder: Folder) -> dict[str, Any]:
         raise ExperimentError(f"{path}: not a manifest of carom's: {where}: {first['msg']}") from None
     except (ValueError, RecursionError) as error:
         raise ExperimentError(f"{path}: not a manifest of carom's: {type(error).__name__}: {error}") from None
-    return stored | {"files": checked.files, "runs": [asdict(run) for run in checked.runs]}
 
 
 def _int64(digits: str) -> int:
@@ -420,24 +376,26 @@ def _int64(digits: str) -> int:
     return value
 
 
-def stored_runs(folder: Folder) -> list[SweepRun]:
-    """Return the runs in the manifest of a sweep."""
-    return list(_runs(read(folder)).values())
+def clear(folder: Folder) -> None:
+    """Remove only the runs and files that the manifest of a folder lists, and the manifest last."""
+    stored = read(folder)
+    ours = {run.name for run in stored.runs}
+    folder.clear_partial(ours)
+    for path in (path for place in folder.recordings for path in place.glob("*.rrd")):
+        if path.name.removesuffix(".rrd") in ours and not path.is_dir():
+            path.unlink()
+    for name in stored.files:
+        path = folder.root / name
+        if path.name != name and not path.parent.resolve().is_relative_to(folder.root.resolve()):
+            continue  # outside of this folder
+        path.unlink(missing_ok=True)
+        for above in path.parents[: len(path.parts) - len(folder.root.parts) - 1]:
+            with contextlib.suppress(OSError):
+                above.rmdir()
+    folder.manifest.unlink(missing_ok=True)
+    folder.remove_empty()
 
 
 def _line(run: SweepRun) -> str:
     """Return the entry of a run as text, which is cached until the run changes."""
     return json.dumps(asdict(run), ensure_ascii=False)
-
-
-def _runs(stored: dict[str, Any]) -> dict[str, SweepRun]:
-    return {entry["name"]: SweepRun(**entry) for entry in stored["runs"]}
-
-
-def _refuse_runs_of_others(folder: Folder, names: set[str]) -> None:
-    """Refuse to replace recordings that the manifest does not list."""
-    for path in (path for place in folder.recordings for path in place.glob("*.rrd")):
-        if path.name.removesuffix(".rrd") in names:
-            raise ExperimentError(
-                f"{path}: it belongs to no sweep, and this sweep would replace it; choose another folder with -o"
-            )

@@ -108,26 +108,22 @@ def plan(
     document = tomlkit.parse(scene.toml)
     document.pop("sweep", None)  # a run does not depend on the other runs
     text = tomlkit.dumps(document).rstrip() + "\n"
-    points = tuple(_point(row, _short_names(varied)) for row in rows)
+    last = [key.rsplit(".", 1)[-1] for key in varied]
+    short = {key: name if last.count(name) == 1 else key for key, name in zip(varied, last, strict=True)}
+    points = tuple(_point(row, short) for row in rows)
     _refuse_hopeless(text, points, scene.held)
-    return Plan(scene.title, text, varied, points, _data_files(scene, points), scene.unit_system.recorded)
-
-
-def _data_files(scene: Scene, points: Sequence[SweepPoint]) -> dict[str, Path]:
-    """Return the data files of all runs within the scene's folder, by their names in the scene."""
-    files = None if scene.held is None else scene.held.files
-    if files is None:
-        return {}
+    # the data files of all runs within the scene's folder, by their names in the scene
     named = [section.file for section in scene.bodies]
     named += [value for point in points for key, value in point.parameters.items() if _FILE.fullmatch(key)]
-    found = {}
-    for name in dict.fromkeys(name for name in named if isinstance(name, str) and not Path(name).is_absolute()):
-        if ".." in Path(name).parts:
-            raise ExperimentError(
-                f"{name}: a sweep copies data files, so put it into the folder of the scene or a subfolder"
-            )
-        found[name] = files.folder / name
-    return found
+    files, found = None if scene.held is None else scene.held.files, {}
+    for name in named:
+        if files is not None and isinstance(name, str) and not Path(name).is_absolute():
+            if ".." in Path(name).parts:
+                raise ExperimentError(
+                    f"{name}: a sweep copies data files, so put it into the folder of the scene or a subfolder"
+                )
+            found[name] = files.folder / name
+    return Plan(scene.title, text, varied, points, found, scene.unit_system.recorded)
 
 
 def _axis(text: str) -> tuple[str, variation.Values]:
@@ -140,16 +136,11 @@ def _axis(text: str) -> tuple[str, variation.Values]:
         raise ExperimentError(f"--vary {key.strip()}: {error}") from None
 
 
-def _short_names(keys: Sequence[str]) -> dict[str, str]:
-    """Abbreviate each key to its last part where that is unique."""
-    last = [key.rsplit(".", 1)[-1] for key in keys]
-    return {key: short if last.count(short) == 1 else key for key, short in zip(keys, last, strict=True)}
-
-
 def _point(row: dict[str, Any], short: dict[str, str]) -> SweepPoint:
-    shown = {short[key]: _shown(row[key]) for key in short}
-    name = ",".join(f"{key}={value}" for key, value in shown.items())
-    safe = ",".join(f"{_UNSAFE.sub('_', key)}={_UNSAFE.sub('_', value)}" for key, value in shown.items())
+    """Name a run by its values; ``short`` has the abbreviations of the keys."""
+    shown = [(short[key], _shown(row[key])) for key in short]
+    name = ",".join(f"{key}={value}" for key, value in shown)
+    safe = ",".join(f"{_UNSAFE.sub('_', key)}={_UNSAFE.sub('_', value)}" for key, value in shown)
     if safe != name or len(safe) > _LONGEST_NAME:  # shortened names might coincide
         safe = f"{safe[:_LONGEST_NAME]}-{hashlib.sha256(name.encode()).hexdigest()[:8]}"
     parameters = {key: value for key, value in row.items() if key != SEED}
@@ -166,11 +157,11 @@ def _shown(value: Any) -> str:
 
 def _refuse_hopeless(text: str, points: Sequence[SweepPoint], held: HeldBodies | None) -> None:
     """Refuse a sweep without a valid run, so that a misspelt key is reported once and not for each run."""
-    first: SceneError | None = None
+    errors = []
     for point in points:
         try:
             scene_from_text(text, "scene.toml", point.overrides, held)
             return
         except SceneError as error:
-            first = first or error
-    raise first or ExperimentError("no runs")
+            errors.append(error)
+    raise errors[0]

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
-from carom import Recording, Scene
+from carom import Recording
 from carom.errors import ExperimentError, PhysicsError, RecordingError, SceneError
 from carom.extend import (
     DataFiles,
@@ -34,15 +34,13 @@ from carom.extend import (
     versions,
 )
 from carom.lab.sweep import sweep_table as table
-from carom.lab.sweep.manifest import DONE, FAILED, PENDING, Folder, Manifest, SweepRun, move, read
+from carom.lab.sweep.manifest import DONE, FAILED, PENDING, Folder, Manifest, SweepRun, clear, move
 from carom.lab.sweep.plan import SEED, Plan, SweepPoint, digest
 
 Report = dict[str, Any]  # fields of `SweepRun`
 
-_WHOLE = ("completed", "expectation missed")
+_WHOLE = ("completed", "expectation missed")  # outcomes of runs that reached their end
 _NOT_RESULTS = ("scene", "outcome", "versions", "profile")  # of a recording's summary
-
-
 INTERRUPTED = "interrupted"
 GONE = "the scheduler is gone, or has dropped runs"
 _TICK = 0.2  # s between two updates of a running sweep
@@ -50,7 +48,7 @@ _TICK = 0.2  # s between two updates of a running sweep
 
 @dataclass(frozen=True, slots=True)
 class SweepTask:
-    """The data for a worker; the scene is in the folder."""
+    """What a worker needs besides the scene, which is in the folder."""
 
     root: str  # the sweep's folder on the client
     scene: str  # digest of the scene's text
@@ -96,9 +94,13 @@ def _made(task: SweepTask, folder: Folder) -> Report:
     text, files = folder.scene.read_text(encoding="utf-8"), DataFiles(folder.data)
     scene = scene_from_text(text, folder.scene.name, point.overrides, files)
     whole = folder.whole(point.name)
-    found = _found(whole, scene)
-    if found:
-        return {**found, "file": str(whole.relative_to(folder.root))}
+    # an earlier attempt may have made this run; its client may have died before it received the report
+    with contextlib.suppress(RecordingError):
+        recording = Recording.open(whole) if whole.exists() else None
+        if recording and recording.finished and recording.scene_toml == scene.toml:
+            found = _report(recording)
+            if found["outcome"] in _WHOLE:
+                return {**found, "file": str(whole.relative_to(folder.root))}
     # values without a Rerun component become text
     parameters = {**point.parameters, SEED: point.seed}
     kept = {k: value if isinstance(value, bool | int | float | str) else str(value) for k, value in parameters.items()}
@@ -120,18 +122,6 @@ def _kept(attempt: Path, place: Path, folder: Folder) -> Report:
     report = _report(Recording.open(attempt))
     move(attempt, place)
     return {**report, "file": str(place.relative_to(folder.root))}
-
-
-def _found(path: Path, scene: Scene) -> Report | None:
-    """Return the report of a run made by an earlier attempt; its client may have died before it received the report."""
-    if not path.exists():
-        return None
-    try:
-        recording = Recording.open(path)
-        report = _report(recording) if recording.finished and recording.scene_toml == scene.toml else None
-    except RecordingError:
-        return None
-    return report if report and report["outcome"] in _WHOLE else None
 
 
 def _report(recording: Recording) -> Report:
@@ -238,18 +228,13 @@ class Conductor:
         if isinstance(ended.error, TaskDroppedError):
             self._dropped += 1
             return False
-        self._watch.ended(self._manifest.enter(ended.key, _report_of(ended)))
-        return True
-
-
-def _report_of(ended: Ended) -> Report:
-    """Return the report of a worker, or one made from its error."""
-    if ended.error is None:
         report: Report = ended.value
-        return report
-    if isinstance(ended.error, WorkerDiedError):
-        return {"status": FAILED, "outcome": "lost", "reason": str(ended.error)}
-    return {"status": FAILED, "outcome": "error", "reason": f"{type(ended.error).__name__}: {ended.error}"}
+        if isinstance(ended.error, WorkerDiedError):
+            report = _failure("lost", str(ended.error))
+        elif ended.error is not None:
+            report = _failure("error", f"{type(ended.error).__name__}: {ended.error}")
+        self._watch.ended(self._manifest.enter(ended.key, report))
+        return True
 
 
 @dataclass(frozen=True, slots=True)
@@ -305,7 +290,7 @@ def sweep(
     address
         A Dask scheduler, such as ``tcp://10.0.0.1:8786``; None for processes on this machine.
     workers
-        Number of these processes; by default one per core.
+        Number of processes on this machine; by default one per core.
     force
         Whether to remove an existing sweep in the folder instead of continuing it.
     command
@@ -320,11 +305,10 @@ def sweep(
     """
     folder = Folder(root.resolve())
     output_folder(folder.root)
-    with folder.claimed(), _nothing_left_of_a_mistake(folder):
+    with folder.claimed(), _removed_if_refused(folder):
         folder.refuse_links()
         if force and folder.manifest.exists():
-            stored = read(folder)
-            folder.clear([run["name"] for run in stored["runs"]], stored["files"])
+            clear(folder)
         manifest = Manifest.begin(folder, plan, command)
         todo = manifest.todo
         folder.clear_partial(manifest.runs)
@@ -341,13 +325,13 @@ def sweep(
             manifest.list_tables()
             table.write(folder, list(manifest.runs.values()))
         except OSError as error:
-            path = error.filename or folder.table
+            path = error.filename or folder.tables[0]
             untabled = f"{path}: cannot be written: {error.strerror}; the same command writes it again"
     return SweepEnding(manifest, found, stopped, untabled)
 
 
 @contextlib.contextmanager
-def _nothing_left_of_a_mistake(folder: Folder) -> Iterator[None]:
+def _removed_if_refused(folder: Folder) -> Iterator[None]:
     """Remove a new folder if its sweep cannot begin, for example without a cluster at the address."""
     fresh = folder.is_fresh
     try:
@@ -355,8 +339,7 @@ def _nothing_left_of_a_mistake(folder: Folder) -> Iterator[None]:
     except ExperimentError:
         if fresh:
             if folder.manifest.exists():
-                stored = read(folder)
-                folder.clear([run["name"] for run in stored["runs"]], stored["files"])
+                clear(folder)
             folder.leave()
         raise
 

@@ -23,7 +23,6 @@ from carom.lab.sweep.plan import SEED
 
 Row = dict[str, Any]
 
-_FIRST = ("name",)
 _LAST = ("status", "outcome", "reason", "wall_time", "fingerprint", "file", "size", "worker")
 _COMPARISONS: dict[str, Callable[[Any, Any], Any]] = {"<=": le, ">=": ge, "!=": ne, "=": eq, "<": lt, ">": gt}
 _CONDITION = re.compile(r"\s*([^<>=!\s]+)\s*(<=|>=|!=|=|<|>)\s*(.*?)\s*")
@@ -39,20 +38,15 @@ def rows_of(runs: Sequence[SweepRun]) -> list[Row]:
     return [{key: row.get(key) for key in keys} for row in rows]
 
 
-def columns_of(rows: Sequence[Row]) -> list[str]:
-    """Return the names of the columns, in their order."""
-    return list(rows[0]) if rows else [*_FIRST, SEED, *_LAST]
-
-
 def write(folder: Folder, runs: Sequence[SweepRun]) -> None:
     """Write the table as Parquet and as CSV. Raises OSError if the disk is full."""
     rows = rows_of(runs)
-    table = pa.table({key: _column([row[key] for row in rows]) for key in columns_of(rows)})
+    table = pa.table({key: _column([row[key] for row in rows]) for key in rows[0]})
     parquet, text = io.BytesIO(), io.BytesIO()
     pa.parquet.write_table(table, parquet)
     pa.csv.write_csv(table, text)
-    put(folder.table, parquet.getvalue())
-    put(folder.table.with_suffix(".csv"), text.getvalue())
+    for path, content in zip(folder.tables, (parquet, text), strict=True):
+        put(path, content.getvalue())
 
 
 def chosen(rows: Sequence[Row], conditions: Sequence[str], sort: str | None) -> list[Row]:
@@ -83,14 +77,13 @@ def chosen(rows: Sequence[Row], conditions: Sequence[str], sort: str | None) -> 
 
 def known(key: str, rows: Sequence[Row]) -> str:
     """Return the name of a column. Raises ExperimentError if there is none."""
-    columns = columns_of(rows)
-    if key in columns:
+    if key in rows[0]:
         return key
-    raise ExperimentError(f"{key}: no such column; {suggestion(key, columns)}")
+    raise ExperimentError(f"{key}: no such column; {suggestion(key, list(rows[0]))}")
 
 
 def _met(condition: str, rows: Sequence[Row]) -> list[bool]:
-    """Return for each row whether it meets a condition; a value of another kind satisfies only "differs"."""
+    """Return for each row whether it meets a condition; a value of another kind meets only ``!=``."""
     matched = _CONDITION.fullmatch(condition)
     if matched is None:
         raise ExperimentError(f"--filter {condition}: expected a comparison, such as contact.restitution>=0.5")
@@ -98,8 +91,15 @@ def _met(condition: str, rows: Sequence[Row]) -> list[bool]:
     values = [row[key] for row in rows]
     there = [value for value in values if value is not None]
     met = [None if value is None else _compared(value, compare, wanted) for value in values]
-    if there and all(one is None for one in met):
-        raise ExperimentError(f"--filter {key}: column {key} {_unlike(there[0], wanted)}")
+    if there and all(one is None for one in met):  # no value can be compared with the condition
+        example, text = there[0], _text(there[0])
+        if _is_number(example):
+            problem = f'is numeric; got "{wanted}"'
+        elif physical(text):
+            problem = f'has units, such as "{text}"; got "{wanted}"'
+        else:
+            problem = f'is text, such as "{text}"; compare it with = or !='
+        raise ExperimentError(f"--filter {key}: column {key} {problem}")
     differs = [compare is ne and value is not None for value in values]
     return [other if one is None else one for one, other in zip(met, differs, strict=True)]
 
@@ -107,29 +107,15 @@ def _met(condition: str, rows: Sequence[Row]) -> list[bool]:
 def _compared(value: Any, compare: Callable[[Any, Any], Any], wanted: str) -> bool | None:
     """Compare numbers, quantities with units by their sizes, or texts; None if these are of different kinds."""
     if _is_number(value):
-        number = _number_of(wanted)
-        return None if number is None else bool(compare(value, number))
+        try:
+            return bool(compare(value, float(wanted)))
+        except ValueError:
+            return None
     text = _text(value)
     quantity, other = physical(text), physical(wanted)
     if quantity and other and quantity.unit.exponents == other.unit.exponents:
         return bool(compare(quantity.size, other.size))
     return bool(compare(text, wanted)) if compare in (eq, ne) else None
-
-
-def _number_of(text: str) -> float | None:
-    try:
-        return float(text)
-    except ValueError:
-        return None
-
-
-def _unlike(value: Any, wanted: str) -> str:
-    """Return the message that no value of a column can be compared with the condition, with an example."""
-    if _is_number(value):
-        return f'is numeric; got "{wanted}"'
-    if physical(_text(value)):
-        return f'has units, such as "{value}"; got "{wanted}"'
-    return f'is text, such as "{_text(value)}"; compare it with = or !='
 
 
 def _is_number(value: Any) -> bool:
