@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from carom.lab.tradeoff import tradeoff
-from carom.lab.tradeoff.reference import Reference, make_reference
+from carom.lab.tradeoff.reference import Reference, Teller, make_reference
 from carom.scene.schema import Scene
 
 _made: dict[tuple[str, float, tuple[Any, ...]], tuple[Reference, list[str]]] = {}
@@ -15,7 +15,7 @@ _made: dict[tuple[str, float, tuple[Any, ...]], tuple[Reference, list[str]]] = {
 
 @pytest.fixture(autouse=True)
 def _one_reference(monkeypatch: pytest.MonkeyPatch) -> None:
-    def make(scene: Scene, finest: float, *, tell: tradeoff.Teller, **options: Any) -> Reference:
+    def make(scene: Scene, finest: float, *, tell: Teller, **options: Any) -> Reference:
         asked = scene.toml, finest, tuple(options.values())
         if asked not in _made:
             told = list[str]()

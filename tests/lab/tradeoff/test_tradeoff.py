@@ -112,8 +112,11 @@ def test_a_document_that_is_not_one_is_a_message(tmp_path: Path, text: str) -> N
 def test_a_refused_setting_is_kept_with_the_reason_and_tried_again_next_time(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    def refuse(scene: Scene) -> None:
+        raise SceneError("not in this version")
+
     with monkeypatch.context() as patch:
-        patch.setattr(tradeoff, "refusal", lambda scene: "not in this version")
+        patch.setattr(tradeoff, "Space", refuse)
         study, _ = measured(eight(), tmp_path, "step=2")
     assert (study.results[0].status, study.results[0].reason) == ("refused", "not in this version")
     study, _ = measured(eight(), tmp_path, "step=2")
@@ -186,10 +189,10 @@ def test_the_recording_of_a_study_holds_every_trajectory(tmp_path: Path) -> None
         ("time.integrator", "expected key=a,b,c"),
         ("time.integrator=", "expected a list such as 0.2,0.6"),
         ("time.cfl=0.1:0.5:1", "a range has two values or more"),
-        ("step=0", "not a number above 0"),
-        ("step=two", "not a number above 0"),
-        ("threads=0", "not a number of threads"),
-        ("threads=all", "not a number of threads"),
+        ("step=0", "expected numbers above 0"),
+        ("step=two", "expected numbers above 0"),
+        ("threads=0", "expected numbers of threads"),
+        ("threads=all", "expected numbers of threads"),
         (
             "time.integrator=rk4",
             "the override time.integrator=rk4: .* must be 'auto', 'euler', .*, 'gauss-radau15' or 'wisdom-holman'",

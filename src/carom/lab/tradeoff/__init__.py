@@ -16,8 +16,9 @@ if TYPE_CHECKING:
 
     from carom.extend import UnitSystem
     from carom.lab.compared_run import Setting
+    from carom.lab.tradeoff.reference import Teller
     from carom.lab.tradeoff.settings_grid import SettingResult
-    from carom.lab.tradeoff.tradeoff import Study, Teller
+    from carom.lab.tradeoff.tradeoff import Study
     from carom.lab.tradeoff.tune import Tuning
 
 VaryOption = Annotated[
@@ -124,10 +125,14 @@ def opened(
 
     scene = Scene.load(source, overrides)
     settings = grid(scene, vary) if vary else None
-    where = folder or Path("recordings/tradeoff") / Path(source).stem
-    most = math.inf if limit is None else limit
     study = Study(
-        scene, where, threads=threads, force=anew, advice=advice or ADVICE, limit=most, bounded=settings is None
+        scene,
+        folder or Path("recordings/tradeoff") / Path(source).stem,
+        threads=threads,
+        force=anew,
+        advice=advice or ADVICE,
+        limit=math.inf if limit is None else limit,
+        bounded=settings is None,
     )
     return study, settings
 
@@ -322,8 +327,7 @@ def tune_command(
     if tuning.best is not None:
         write(tuning, path)
     if as_json:
-        document = tuning.document() | {"file": str(path) if tuning.best else None}
-        say_json(document)
+        say_json(tuning.document() | {"file": str(path) if tuning.best else None})
     elif tuning.best is not None:
         say("\n".join([*_tuning_lines(tuning), f"Written to {path}. The measurements stay in {study.folder}."]))
     if tuning.best is None:
@@ -333,7 +337,7 @@ def tune_command(
 
 
 def _extent(tuning: Tuning, errors: Collection[str]) -> str:
-    """Return the time up to which errors are compared with the reference, if it is not the end of the scene."""
+    """Say up to which time errors are compared with the reference; empty if that is the end of the scene."""
     reference, units = tuning.study.reference, tuning.study.scene.unit_system
     compared = {*TO_THE_HORIZON, *(() if reference is None or reference.whole else STATISTICS)}
     if reference is None or reference.is_complete or not compared & set(errors):

@@ -28,7 +28,6 @@ from carom.arrays import FloatArray
 from carom.extend import (
     LAW,
     TIME,
-    Bodies,
     BodyProxy,
     CollisionContext,
     bodies_called,
@@ -87,7 +86,7 @@ def solve(
     times
         (K,) s, at which the solution is kept.
     tolerance
-        Relative tolerance of DOP853; the absolute one is this times the largest coordinate and speed at the start.
+        Relative tolerance of DOP853; times the largest coordinate and speed at the start, it is also the absolute one.
     twin
         0 solves the scene itself. Any other number is the seed of a twin, which starts displaced by rounding and
         resolves simultaneous contacts in the opposite order.
@@ -115,8 +114,11 @@ class _Solver:
         self._forces = forces_of_packages(scene, self._bodies)
         self._contacts = space.requirements.contact.modelled
         self._i, self._j = np.triu_indices(self._n, 1)
-        if twin:
-            _nudge(self._bodies, scene.time.duration, twin)
+        if twin:  # displace bodies by the rounding of their coordinates, of their speeds and of the clock
+            position, velocity = self._bodies.position, self._bodies.velocity
+            signs = np.random.default_rng(twin).choice([-1.0, 1.0], (2, self._n, 3))
+            position += NUDGE * EPS * signs[0] * (np.abs(position) + np.abs(velocity) * scene.time.duration)
+            velocity *= 1.0 + NUDGE * EPS * signs[1]
             self._i, self._j = self._i[::-1], self._j[::-1]
         self._max_step = (LONGER if twin else 1.0) * float(np.median(np.diff(times, prepend=0.0)))
         self._reach = start.radius[self._i] + start.radius[self._j]
@@ -191,7 +193,15 @@ class _Solver:
             after, state = found or (solver.t, solver.y)
             pressed = self._pressed(y, state) if self._contacts else None
             if pressed is not None:
-                found, (after, state) = None, self._before_pressing(before, y, after)
+                # bisect for the last state at which no pair is pressed; a pair that comes back in the step is apart
+                found, late, (after, state) = None, after, (before, y)
+                for _ in range(BISECTIONS):
+                    time = (after + late) / 2
+                    at = self._at(before, y, time)
+                    if self._pressed(y, at) is None:
+                        after, state = time, at
+                    else:
+                        late = time
                 solver = self._solver(after, state, end)
             self._sample(before, y, after)
             self._time = after
@@ -355,21 +365,6 @@ class _Solver:
                 return int(pair)
         return None
 
-    def _before_pressing(self, before: float, y: FloatArray, after: float) -> tuple[float, FloatArray]:
-        """Return the last time and state in a step at which no pair is pressed together, by bisection.
-
-        A pair that separates and comes back in the step is apart there.
-        """
-        early, late, state = before, after, y
-        for _ in range(BISECTIONS):
-            time = (early + late) / 2
-            at = self._at(before, y, time)
-            if self._pressed(y, at) is None:
-                early, state = time, at
-            else:
-                late = time
-        return early, state
-
     def _end_in_contact(self, pair: int) -> None:
         since = self._units.text(self._time, TIME, ".9g")
         called = bodies_called((self._i[pair], self._j[pair]), self._names)
@@ -425,10 +420,3 @@ class _Solver:
         i, j = self._i[pair], self._j[pair]
         normal = (x[j] - x[i]) / np.linalg.norm(x[j] - x[i])
         return float((v[j] - v[i]) @ normal)
-
-
-def _nudge(bodies: Bodies, duration: float, seed: int) -> None:
-    """Displace bodies by the rounding of their coordinates, of their speeds and of the clock."""
-    signs = np.random.default_rng(seed).choice([-1.0, 1.0], (2, len(bodies), 3))
-    bodies.position[:] += NUDGE * EPS * signs[0] * (np.abs(bodies.position) + np.abs(bodies.velocity) * duration)
-    bodies.velocity[:] *= 1.0 + NUDGE * EPS * signs[1]

@@ -23,7 +23,7 @@ from carom import Scene, Space
 from carom.arrays import FloatArray
 from carom.extend import LENGTH, TIME, auto, counted, minimum_images, require
 from carom.lab.compared_run import Trajectory, follow, sample_times
-from carom.lab.tradeoff.event_driven_reference import TIGHTEST, solve, why_not
+from carom.lab.tradeoff.event_driven_reference import EPS, TIGHTEST, solve, why_not
 
 
 # Errors of a run relative to a reference: of positions and times up to a horizon, of statistics beyond it.
@@ -140,8 +140,6 @@ AGREEMENT = 1e-3  # of the size of the system; refinements that differ by more d
 LOOSER = 10.0  # ratio of the tolerances of the second and first exact solution
 GAIN = 1.1  # refinement ends when the horizon grows by less than this factor
 BUDGET = 120.0  # s of computing for all exact solutions; after it, only the second refinement may begin
-EPS = float(np.finfo(np.float64).eps)  # relative precision of double-precision numbers
-
 DIRECT_UP_TO = 20_000  # bodies; the reference of a tree is a direct sum up to here, and uses `FINE_ANGLE` beyond
 FINE_ANGLE = 0.2  # rad; the error of a tree is a twentieth of that at the default angle
 
@@ -265,15 +263,8 @@ def _exact(scene: Scene, threads: int | None, budget: float, tell: Teller) -> tu
             checks.append(solve(Space(scene, threads), known, tolerance, twin=twin, budget=budget / 2).trajectory)
     text = f"exact: DOP853, tolerance {TIGHTEST:g}, {counted(len(best.time), 'contact')} located"
     text += f"; it ends early: {best.ended}" if best.ended else ""
-    reference = _reference(
-        scene,
-        best.trajectory,
-        checks,
-        kind="exact",
-        fineness=math.inf,
-        whole=not best.ended,
-        text=text,
-    )
+    whole = not best.ended
+    reference = _reference(scene, best.trajectory, checks, kind="exact", fineness=math.inf, whole=whole, text=text)
     return (reference, "") if reference.samples else (None, f"no sample is certain: {text}")
 
 
@@ -287,15 +278,8 @@ def _refined(scene: Scene, finest: float, threads: int | None, budget: float, te
         factor, started = 2.0 * factor, time.perf_counter()
         tell(f"reference: steps {factor:g} times smaller")
         fine = follow(_space(scene, factor, threads), times)
-        found = _reference(
-            scene,
-            fine,
-            [coarse],
-            kind="refined",
-            fineness=factor,
-            whole=True,
-            text=f"refined: the scene with steps {factor:g} and {factor / 2:g} times smaller{of_gravity} ({reason})",
-        )
+        text = f"refined: the scene with steps {factor:g} and {factor / 2:g} times smaller{of_gravity} ({reason})"
+        found = _reference(scene, fine, [coarse], kind="refined", fineness=factor, whole=True, text=text)
         gained = reference is None or found.samples > GAIN * reference.samples
         reference, coarse = found, fine
         now = time.perf_counter()
@@ -304,7 +288,7 @@ def _refined(scene: Scene, finest: float, threads: int | None, budget: float, te
 
 
 def _space(scene: Scene, factor: float, threads: int | None) -> Space:
-    """Return the scene with smaller steps and without the error of a tree; without forces, use times of impact."""
+    """Return the scene with smaller steps, without the error of a tree and, without forces, with times of impact."""
     overrides = refined(scene, factor) + _finer_gravity(scene)[0]
     if not (require(scene).accelerates or scene.has_piston):
         overrides += ["contact.timing=time-of-impact", "time.integrator=leapfrog"]
@@ -324,7 +308,11 @@ def _reference(
     scene: Scene, best: Trajectory, checks: list[Trajectory], *, kind: str, fineness: float, whole: bool, text: str
 ) -> Reference:
     scale = scale_of(scene, best)
-    samples = min((_agreement(scale, best, check) for check in checks), default=0)
+    samples = 0 if not checks else len(best)  # up to the first divergence of a check
+    for check in checks:
+        apart, _ = scale.apart(best, check)
+        diverged = np.flatnonzero(~(apart <= AGREEMENT))
+        samples = min(samples, int(diverged[0]) if len(diverged) else len(apart))
     errors = [compare(check, best, scale, samples, whole) for check in checks]
     horizon = float(best.time[samples - 1]) if samples else 0.0
     if samples < len(best):
@@ -333,22 +321,9 @@ def _reference(
     return Reference(best, scale, kind, fineness, samples, whole, _largest(errors, horizon), text)
 
 
-def _agreement(scale: ErrorScale, best: Trajectory, check: Trajectory) -> int:
-    """Count the samples before two solutions diverge."""
-    apart, _ = scale.apart(best, check)
-    parted = np.flatnonzero(~(apart <= AGREEMENT))
-    return int(parted[0]) if len(parted) else len(apart)
-
-
 def _largest(errors: list[Errors], horizon: float) -> Errors:
     """Return the largest of each error, at least its rounding; times of impact have the rounding of the clock."""
     rows = [astuple(error) for error in errors] or [(math.nan,) * len(NAMES)]
     largest = Errors(*np.fmax.reduce(np.array(rows), axis=0).tolist())
-    return replace(
-        largest,
-        position=max(largest.position, EPS),
-        velocity=max(largest.velocity, EPS),
-        impact=max(largest.impact, EPS * horizon),
-        size=max(largest.size, EPS),
-        dispersion=max(largest.dispersion, EPS),
-    )
+    rounding = {"position": EPS, "velocity": EPS, "impact": EPS * horizon, "size": EPS, "dispersion": EPS}
+    return replace(largest, **{name: max(getattr(largest, name), least) for name, least in rounding.items()})

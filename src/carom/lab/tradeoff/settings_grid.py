@@ -19,9 +19,9 @@ from typing import Any
 
 import numpy as np
 
-from carom import Scene, Space
+from carom import Scene
 from carom.arrays import BoolArray, FloatArray
-from carom.errors import PhysicsError, SceneError
+from carom.errors import SceneError
 from carom.extend import INTEGRATORS, auto, damping, finite, integrator_called, require, variation, why_no_hierarchy
 from carom.lab.compared_run import AS_WRITTEN, STEPS, Setting, Trajectory
 from carom.lab.tradeoff.reference import NAMES, Errors, Reference, refined, scale_of
@@ -157,14 +157,9 @@ def default_settings(scene: Scene) -> list[Setting]:
     """Return the default points as settings; for few bodies that cannot touch, also accuracies in place of a step."""
     settings = [point.setting(scene) for point in default_points(scene)]
     if not require(scene).contact.modelled and scene.count <= MOST_ACCURATE:
-        settings += [_accurate(scene, accuracy) for accuracy in ACCURACIES]
+        removed = [f"time.{key}=" for key in STEP_KEYS if key in scene.time.model_fields_set]
+        settings += [Setting(f"accuracy = {each}", (*removed, f"time.accuracy={each}")) for each in ACCURACIES]
     return settings
-
-
-def _accurate(scene: Scene, accuracy: str) -> Setting:
-    """Return the setting with an accuracy in place of all keys that set the step."""
-    keys = [f"time.{key}=" for key in STEP_KEYS if key in scene.time.model_fields_set]
-    return Setting(f"accuracy = {accuracy}", (*keys, f"time.accuracy={accuracy}"))
 
 
 def vary(scene: Scene, choices: list[str]) -> list[Setting]:
@@ -182,10 +177,7 @@ def vary(scene: Scene, choices: list[str]) -> list[Setting]:
     SceneError
         If a key or a value is wrong.
     """
-    axes = [_axis(choice) for choice in choices]
-    settings = []
-    for picked in itertools.product(*axes):
-        settings.append(_setting(scene, picked))
+    settings = [_setting(scene, picked) for picked in itertools.product(*map(_axis, choices))]
     for choice in choices:
         # errors are relative to the original scene
         key = choice.partition("=")[0].strip()
@@ -196,15 +188,6 @@ def vary(scene: Scene, choices: list[str]) -> list[Setting]:
                 "`carom sweep` varies all keys"
             )
     return settings
-
-
-def refusal(scene: Scene) -> str:
-    """Return why this version cannot run a valid scene; empty if it can."""
-    try:
-        Space(scene)
-    except (SceneError, PhysicsError) as error:
-        return str(error)
-    return ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -241,9 +224,17 @@ def _axis(choice: str) -> list[_Choice]:
     except ValueError as error:
         raise SceneError(f"--vary {key}: {error}") from None
     if key == STEP:
-        return [_step(choice, value) for value in parts]
+        try:
+            factors = [float(value) for value in parts]
+        except ValueError:
+            factors = [0.0]
+        if not all(0.0 < factor < math.inf for factor in factors):
+            raise SceneError(f"--vary {choice}: expected numbers above 0, which multiply the step")
+        return [_times(factor) for factor in factors]
     if key == THREADS:
-        return [_threads(choice, value) for value in parts]
+        if not all(value.isdigit() and int(value) > 0 for value in parts):
+            raise SceneError(f"--vary {choice}: expected numbers of threads: 1, 2 and so on")
+        return [_Choice(f"threads = {value}", threads=int(value)) for value in parts]
     return [_value(key, value) for value in parts]
 
 
@@ -253,22 +244,6 @@ def _value(key: str, value: str) -> _Choice:
 
 def _times(step: float) -> _Choice:
     return _Choice("" if step == 1.0 else f"step × {step:g}", step=step)
-
-
-def _step(choice: str, value: str) -> _Choice:
-    try:
-        times = float(value)
-    except ValueError:
-        times = 0.0
-    if not 0.0 < times < math.inf:
-        raise SceneError(f"--vary {choice}: {value!r} is not a number above 0; it multiplies the step")
-    return _times(times)
-
-
-def _threads(choice: str, value: str) -> _Choice:
-    if not value.isdigit() or int(value) < 1:
-        raise SceneError(f"--vary {choice}: {value!r} is not a number of threads; expected 1, 2 and so on")
-    return _Choice(f"threads = {value}", threads=int(value))
 
 
 @dataclass
@@ -321,11 +296,9 @@ def result_entry(result: SettingResult) -> dict[str, Any]:
 
 def result_of(entry: dict[str, Any]) -> SettingResult:
     """Read the results of one setting, without its errors."""
-    overrides = tuple(entry["overrides"])
-    setting = Setting(entry["name"], overrides, entry.get("threads"), entry.get("engine", ""))
-    result = SettingResult(setting, entry["status"], entry["reason"], entry["costs"], entry["steps"], entry["frames"])
-    result.spent = entry.get("spent", 0.0)
-    return result
+    setting = Setting(entry["name"], tuple(entry["overrides"]), entry.get("threads"), entry.get("engine", ""))
+    kept = {key: entry[key] for key in ("status", "reason", "costs", "steps", "frames")}
+    return SettingResult(setting, **kept, spent=entry.get("spent", 0.0))
 
 
 def reference_entry(reference: Reference) -> dict[str, Any]:

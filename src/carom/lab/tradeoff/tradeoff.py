@@ -34,39 +34,15 @@ from carom.lab.compared_run import (
     write_document,
 )
 from carom.lab.engines import engine_called
-from carom.lab.tradeoff.reference import BUDGET, COMPARED, NAMES, Reference, fineness, make_reference
+from carom.lab.tradeoff.reference import BUDGET, COMPARED, NAMES, Reference, Teller, fineness, make_reference
 from carom.lab.tradeoff.settings_grid import (
     SettingResult,
     pareto_front,
     reference_entry,
     reference_of,
-    refusal,
     result_entry,
     result_of,
 )
-
-
-# The cost of a setting: the time of one run.
-def cost_of(setting: Setting, scene: Scene, threads: int | None) -> float:
-    """Run a setting of a scene once without recording; return its time in s, including that of a look-ahead.
-
-    On one thread that is CPU time, which other programs on the machine hardly change.
-    """
-    if setting.engine:
-        return engine_called(setting.engine).run(scene, setting)
-    threads = setting.threads or threads or cores()
-    clock = time.thread_time if threads == 1 else time.perf_counter
-    asked = setting.apply(scene)
-    began = clock()
-    settled_scene = with_promise(asked, threads)
-    ahead = clock() - began
-    space = Space(settled_scene, threads)
-    space.check_interval = math.inf  # other engines compute no checks
-    began = clock()
-    for _ in space.run(schedule=at(())):
-        pass
-    return ahead + clock() - began
-
 
 DOCUMENT = "tradeoff.json"
 REFERENCE = "reference.npz"
@@ -75,13 +51,11 @@ OVERLAY = "tradeoff.rrd"
 VERSION = 4  # of the document; 1 had no sinking, 2 no frames; in 3, references ended at plastic impacts
 ADVICE = "start over with --force, or choose another folder with -o"
 ROUND_OFF = 1e-13  # of a whole run, over its scale
-WORK = 3e7  # steps × (bodies + `BODIES_PER_STEP`) of a bounded setting, some 20 s
-
-BODIES_PER_STEP = 30  # a step takes at least the time of about so many bodies
-DEARER = 30.0  # a bounded setting may always make so many times the steps of the scene as written
+WORK = 3e7  # limit of steps × (bodies + `BODIES_PER_STEP`) of a bounded setting, some 20 s
+BODIES_PER_STEP = 30  # the fixed time of a step is about that of this many bodies
+DEARER = 30.0  # a bounded setting may always make this many times the steps of the scene as written
 MARGIN = 2.0  # smallest allowed ratio of the shortest compared steps to the steps of a refined reference
 
-Teller = Callable[[str], None]
 EngineFollower = Callable[[Setting, FloatArray], Trajectory]  # runs a setting of another engine, sampled at times in s
 Examiner = Callable[[SettingResult, Teller], None]  # examines a followed run
 
@@ -171,7 +145,9 @@ class Study:
         self.prepare(settings, tell)
         results = [self._result(setting) for setting in settings]
         for number, result in enumerate(results, start=1):
-            if result.status == "pending" or self._may_go_on(result):
+            bound = self._bound(result)
+            is_longer = result.steps < bound.steps and result.spent < bound.seconds
+            if result.status == "pending" or (result.status == "stopped" and is_longer):
                 heading = f"{_count(number, results)}{result.setting.name}: errors"
                 tell(heading)
                 self._follow(result, lambda text: tell(heading + text))  # noqa: B023
@@ -253,10 +229,12 @@ class Study:
         if result.status == "refused" or result.setting.engine:
             return None
         scene = result.setting.apply(self.scene)
-        reason = refusal(scene)
-        if reason:
-            result.status, result.reason = "refused", reason
-        return None if reason else scene
+        try:
+            Space(scene)
+        except (SceneError, PhysicsError) as error:
+            result.status, result.reason = "refused", str(error)
+            return None
+        return scene
 
     def _bound(self, result: SettingResult) -> RunBound:
         """Return the bound of a setting; the scene as written has only the time limit."""
@@ -264,11 +242,6 @@ class Study:
             return RunBound(seconds=self.limit)
         own = max((each.steps for each in self.results if each.setting == AS_WRITTEN), default=0)
         return RunBound(max(WORK / (self.scene.count + BODIES_PER_STEP), DEARER * own), self.limit)
-
-    def _may_go_on(self, result: SettingResult) -> bool:
-        """Return whether a stopped setting would now run longer."""
-        bound = self._bound(result)
-        return result.status == "stopped" and result.steps < bound.steps and result.spent < bound.seconds
 
     def _follow(self, result: SettingResult, tell: Teller) -> None:
         assert self.reference is not None, "the reference comes first"
@@ -299,7 +272,25 @@ class Study:
         return engine_called(setting.engine).follow(self.scene, setting, times, self.limit)
 
     def _cost(self, result: SettingResult) -> float:
-        return cost_of(result.setting, self.scene, self.threads)
+        """Run a setting once without recording; return its time in s, including that of a look-ahead.
+
+        On one thread that is CPU time, which other programs on the machine hardly change.
+        """
+        setting = result.setting
+        if setting.engine:
+            return engine_called(setting.engine).run(self.scene, setting)
+        threads = setting.threads or self.threads or cores()
+        clock = time.thread_time if threads == 1 else time.perf_counter
+        scene = setting.apply(self.scene)
+        began = clock()
+        scene = with_promise(scene, threads)
+        ahead = clock() - began
+        space = Space(scene, threads)
+        space.check_interval = math.inf  # other engines compute no checks
+        began = clock()
+        for _ in space.run(schedule=at(())):
+            pass
+        return ahead + clock() - began
 
     def _path(self, result: SettingResult) -> Path:
         threads = [f"threads={result.setting.threads}"] if result.setting.threads else []
@@ -339,7 +330,7 @@ def _key(setting: Setting) -> tuple[tuple[str, ...], int | None, str]:
 
 
 def _count(number: int, results: list[SettingResult]) -> str:
-    """Describe the number of a repeat."""
+    """Describe the number of a setting."""
     return f"{number}/{len(results)}  " if len(results) > 1 else ""
 
 

@@ -21,7 +21,6 @@ from carom.lab.tradeoff.tradeoff import Study
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.lines import Line2D
 
 
 PANELS = {
@@ -81,10 +80,17 @@ def draw(document: dict[str, Any], path: Path, units: UnitSystem = SI) -> None:
     if not panels:
         raise ExperimentError("there are no measurements to draw yet")
     families = _families(done)
-    looks = _looks(families)
+    # each family has its own line and marker; those of other engines have other markers
+    looks: dict[str, Look] = {}
+    counts = {OWN: 0, OTHERS: 0}
+    for name, group in families.items():
+        markers = OTHERS if group[0].get("engine") else OWN
+        k, counts[markers] = counts[markers], counts[markers] + 1
+        looks[name] = Look(COLOURS[k % len(COLOURS)], markers[k // len(COLOURS) % len(markers)])
     with styled(8):
         from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: PLC0415 - an extra
         from matplotlib.figure import Figure  # noqa: PLC0415
+        from matplotlib.lines import Line2D  # noqa: PLC0415
 
         rows = (len(panels) + 1) // 2
         figure = Figure(figsize=(5.4 * min(len(panels), 2), 3.6 * rows + 0.8), layout="constrained", dpi=110)
@@ -102,7 +108,10 @@ def draw(document: dict[str, Any], path: Path, units: UnitSystem = SI) -> None:
         words = "filled: on the front; ring: uncertain; faint: another is as accurate and cheaper"
         noise = f"costs ± half their range, noise {document['noise']:.1%} at least; lines join steps of a setting"
         figure.legend(
-            handles=[_sample(name, look) for name, look in looks.items()],
+            handles=[
+                Line2D([], [], color=look.colour, marker=look.marker, markersize=5, linewidth=0.8, label=name)
+                for name, look in looks.items()
+            ],
             loc="outside lower center",
             ncols=min(COLUMNS, len(looks)),
             fontsize=7,
@@ -126,24 +135,6 @@ def _families(done: list[dict[str, Any]]) -> dict[str, list[dict[str, Any]]]:
 def _short(entry: dict[str, Any]) -> str:
     """Return the name of a setting without the values common to most."""
     return str(entry["name"]).replace("integrator = ", "")
-
-
-def _looks(families: dict[str, list[dict[str, Any]]]) -> dict[str, Look]:
-    """Give each family its own line and marker; families of other engines have other markers."""
-    found: dict[str, Look] = {}
-    counts = {OWN: 0, OTHERS: 0}
-    for name, group in families.items():
-        markers = OTHERS if group[0].get("engine") else OWN
-        k, counts[markers] = counts[markers], counts[markers] + 1
-        found[name] = Look(COLOURS[k % len(COLOURS)], markers[k // len(COLOURS) % len(markers)])
-    return found
-
-
-def _sample(name: str, look: Look) -> Line2D:
-    """Return the entry of a family in the legend."""
-    from matplotlib.lines import Line2D  # noqa: PLC0415 - an extra
-
-    return Line2D([], [], color=look.colour, marker=look.marker, markersize=5, linewidth=0.8, label=name)
 
 
 def _panel(

@@ -19,29 +19,21 @@ from typing import Any
 from carom.errors import ExperimentError, SceneError
 from carom.extend import TIME, auto, finite, require, suggestion, toml_for, write_whole
 from carom.lab.compared_run import AS_WRITTEN, Setting
-from carom.lab.tradeoff.reference import COMPARED, NAMES
+from carom.lab.tradeoff.reference import COMPARED, NAMES, Teller
 from carom.lab.tradeoff.settings_grid import GridPoint, SettingResult, default_points, knobs, result_entry
-from carom.lab.tradeoff.tradeoff import Study, Teller
+from carom.lab.tradeoff.tradeoff import Study
 
-FRAMES_KEPT = 0.95  # of the frames in a recording of the scene; a longer step would make it jerky
-NEARER = 0.9  # largest fraction of the excess that half the step may leave
+FRAMES_KEPT = 0.95  # least number of frames over that of the scene's recording, so that motion stays smooth
+NEARER = 0.9  # if half the step leaves a larger fraction of the excess, no shorter step is tried
 DEAREST = 16.0  # times the cost of the scene; at a higher cost no step is halved
 HOPELESS = 2.0  # times the cost of a rival, above which a setting cannot win; costs are uncertain
 SHORTEST = 2.0**-6  # of the scene's step
-BETWEEN = 1.5  # factor on the step, where twice the step is too long
+BETWEEN = 1.5  # factor on the step that is tried where twice the step is too long
 CLOSE = 1.3  # times the lowest cost; settings up to this cost are timed again before one is chosen
 
 
 class SettingSearch:
-    """A search in a study.
-
-    Parameters
-    ----------
-    study
-        The study that measures settings; existing measurements are reused.
-    limits
-        Of errors, by their names.
-    """
+    """A search among the settings of a study, which reuses existing measurements."""
 
     def __init__(self, study: Study, limits: dict[str, float], tell: Teller) -> None:
         self._study, self._limits, self._tell = study, limits, tell
@@ -85,27 +77,21 @@ class SettingSearch:
             here = shorter
         return here
 
-    def _too_dear(self, point: GridPoint, best: GridPoint | None) -> bool:
-        """Return whether a point is too expensive to be tried with half the step."""
-        if best is not None and not self._excess(best):
-            return self._see(point).cost >= self._see(best).cost
-        return self._see(point).cost >= DEAREST * self._see(GridPoint()).cost
-
     def _cannot_win(self, point: GridPoint, best: GridPoint | None) -> bool:
         """Return whether a point is too expensive, either now or with steps short enough to keep the limits.
 
         Half the step costs twice as much, and reduces errors by at most 2^p at the integrator's order p.
         """
-        if self._too_dear(point, best):
+        limit = DEAREST * self._see(GridPoint()).cost
+        if best is not None and not self._excess(best):
+            limit = self._see(best).cost
+        if self._see(point).cost >= limit:
             return True
         settled_scene = point.setting(self._study.scene).apply(self._study.scene)
         chosen = auto.integrator(settled_scene)
         if chosen.controls_error or require(settled_scene).contact.modelled or not math.isfinite(self._excess(point)):
             return False
-        cost = self._see(point).cost * math.pow(self._excess(point), 1.0 / chosen.order)
-        if best is not None and not self._excess(best):
-            return cost >= HOPELESS * self._see(best).cost
-        return cost >= HOPELESS * DEAREST * self._see(GridPoint()).cost
+        return self._see(point).cost * math.pow(self._excess(point), 1.0 / chosen.order) >= HOPELESS * limit
 
     def _better(self, one: GridPoint, other: GridPoint) -> GridPoint:
         return other if self._rank(other) < self._rank(one) else one
@@ -213,9 +199,11 @@ class Tuning:
         cheaper = [
             result
             for result in self.tried
-            if result.cost < self.best.cost and loses_frames(self.study, self.written, result)
+            if result.cost < self.best.cost
+            and loses_frames(self.study, self.written, result)
+            and len(self.misses(result)) == 1
         ]
-        return min((each for each in cheaper if len(self.misses(each)) == 1), key=lambda each: each.cost, default=None)
+        return min(cheaper, key=lambda result: result.cost, default=None)
 
     def worse(self) -> dict[str, tuple[float, float]]:
         """Return the errors that are worse in the best setting than as written: both values, by name."""
@@ -240,12 +228,12 @@ class Tuning:
 
     def document(self) -> dict[str, Any]:
         """Return the result as a JSON document."""
-        best, speed = self.best, self.speed
+        best = self.best
         return _asked(self.study, self.limits) | {
             "tried": len(self.tried),
             "best": best and result_entry(best),
             "as_written": result_entry(self.written),
-            "speed": finite(speed),
+            "speed": finite(self.speed),
             "worse": {name: list(values) for name, values in self.worse().items()},
             "why_none": None if best else self.why_none(),
         }
@@ -256,8 +244,7 @@ class Tuning:
 
 def stopped(study: Study, limits: Mapping[str, float]) -> dict[str, Any]:
     """Return the JSON document of a search that the user ended before it had a result."""
-    none = {"best": None, "why_none": "stopped by the user"}
-    return _asked(study, limits) | {"tried": len(study.results)} | none
+    return _asked(study, limits) | {"tried": len(study.results), "best": None, "why_none": "stopped by the user"}
 
 
 def _asked(study: Study, limits: Mapping[str, float]) -> dict[str, Any]:
@@ -281,9 +268,21 @@ def tuned(
         If a limit cannot be measured in this scene.
     """
     begin = [point.setting(study.scene) for point in default_points(study.scene)] if settings is None else settings
-    study.prepare([AS_WRITTEN, *begin], tell)
-    _refuse_beyond_reference(study, limits)
-    _refuse_unmeasured(limits, *study.measure([AS_WRITTEN], 0, tell))
+    reference, units = study.prepare([AS_WRITTEN, *begin], tell), study.scene.unit_system
+    compared = [name for name in limits if name in COMPARED]
+    if compared and not reference.whole:
+        until, end = units.text(reference.horizon, TIME), units.text(study.scene.time.duration, TIME)
+        alone = ", ".join(name for name in NAMES if name not in COMPARED)
+        raise ExperimentError(
+            f"--error {compared[0]}: cannot be measured after t = {until} of {end}, where the reference ends: "
+            f'{reference.text}. Shorten the scene, as with --set "time.duration={until}", or limit an error that needs '
+            f"no reference: {alone}"
+        )
+    (written,) = study.measure([AS_WRITTEN], 0, tell)
+    for name in limits if written.errors else ():  # such as overlaps where nothing can touch
+        if math.isnan(getattr(written.errors, name)):
+            known = ", ".join(each for each in NAMES if not math.isnan(getattr(written.errors, each)))
+            raise ExperimentError(f"--error {name}: this scene has no such error; it has {known}")
     if settings is None:
         search = SettingSearch(study, limits, tell)
         search.run(repeats)
@@ -294,38 +293,8 @@ def tuned(
     return Tuning(study, limits, tried[0], tuple(distinct.values()))
 
 
-def _refuse_beyond_reference(study: Study, limits: Mapping[str, float]) -> None:
-    """Refuse limits of errors that an incomplete reference lacks."""
-    reference, units = study.reference, study.scene.unit_system
-    asked = [name for name in limits if name in COMPARED]
-    if reference is None or reference.whole or not asked:
-        return
-    until, end = units.text(reference.horizon, TIME), units.text(study.scene.time.duration, TIME)
-    alone = ", ".join(name for name in NAMES if name not in COMPARED)
-    raise ExperimentError(
-        f"--error {asked[0]}: cannot be measured after t = {until} of {end}, where the reference ends: "
-        f'{reference.text}. Shorten the scene, as with --set "time.duration={until}", or limit an error that needs '
-        f"no reference: {alone}"
-    )
-
-
-def _refuse_unmeasured(limits: Mapping[str, float], written: SettingResult) -> None:
-    """Refuse limits of errors that the scene as written lacks, such as overlaps where nothing can touch."""
-    if written.errors is None:
-        return
-    for name in limits:
-        if math.isnan(getattr(written.errors, name)):
-            known = ", ".join(each for each in NAMES if not math.isnan(getattr(written.errors, each)))
-            raise ExperimentError(f"--error {name}: this scene has no such error; it has {known}")
-
-
 def limits(asked: list[str]) -> dict[str, float]:
-    """Read limits as given to ``--error``.
-
-    Parameters
-    ----------
-    asked
-        ``name=value`` each, such as ``energy=1e-4``.
+    """Read limits as given to ``--error``, such as ``energy=1e-4``.
 
     Raises
     ------
@@ -347,7 +316,7 @@ def limits(asked: list[str]) -> dict[str, float]:
 
 
 def write(tuning: Tuning, path: Path) -> None:
-    """Write the scene with the best setting, with its own comments and the measurement in a comment.
+    """Write the scene with the best setting, its own comments, and a comment on the measurement.
 
     Raises
     ------
