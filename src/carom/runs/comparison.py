@@ -10,7 +10,6 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from numpy.typing import NDArray
 
-from carom.arrays import FloatArray, IntArray
 from carom.errors import DamageError
 from carom.physics.frame import Frame
 from carom.physics.space import Space
@@ -21,14 +20,13 @@ from carom.recording.read.frame_rows import BY_EVENT
 from carom.recording.read.recording import Recording
 from carom.recording.rrd.messages import Chunk
 from carom.recording.schema import paths
-from carom.recording.schema.header import Header, TimeScale
+from carom.recording.schema.header import TimeScale
 from carom.recording.schema.paths import IMPACT, SIM_TIME, STEP
 from carom.recording.schema.series import SERIES, all_series
 from carom.recording.write.encoder import BatchEncoder
 from carom.recording.write.rows import Rows, any_values
 from carom.recording.write.static_entities import identity, recording_name, statics
 from carom.runs.run import header_of
-from carom.scene.schema import Scene
 
 Value = float | str
 
@@ -153,13 +151,16 @@ class StaticCheck:
         self._recording = recording
         scene = space.scene
         header = header_of(space)
+        # groups in the order of placement: explicit bodies, data, groups
+        given = [(-1, len(scene.body)), *((-2 - k, len(columns.mass)) for k, columns in enumerate(scene.data))]
+        numbers, counts = zip(*given, *((k, group.count) for k, group in enumerate(scene.group)), strict=True)
         # /scene states the circumstances of the run, such as its command, which differ from those of the replay
         circumstances = {name: recording.properties.get(name, value) for name, value in header.properties.items()}
         self._header = replace(
             header,
             drawing_rules=int(recording.info.get("drawing_rules", header.drawing_rules)),
             record_impacts=scene.record.impacts,
-            group=groups_of(scene),
+            group=np.repeat(np.array(numbers, np.int64), counts),
             properties=circumstances,
         )
         usual = auto_interval(scene, scene.time.duration)
@@ -187,7 +188,8 @@ class StaticCheck:
                 elif name not in others:
                     self._skip(path, name, "is missing")
                 elif mismatch := different(self._first, path, name, others.pop(name), value):
-                    if _is_data(path, name):
+                    is_about_run = path == IDENTITY and not name.startswith(_DRAWING)  # rather than its display
+                    if is_about_run or path in _STATES or name in _SHAPES:
                         found.append(mismatch)
                     else:
                         self._skip(path, name, "has another type")
@@ -226,10 +228,16 @@ class StaticCheck:
         found: StaticRows = {}
         every = range(header.bodies)
         few = None if recording.shows_all else Selection(recording.shown, every, header.box, header.bodies)
-        for chunk in statics_of(header, clock, recording.origin, reach, title):
+        properties = [(IDENTITY, any_values(identity(header, clock, recording.origin))), recording_name(title)]
+        for path, archetype in (*properties, *statics(header, clock, recording.origin, reach)):
+            rows = {}
+            for batch in archetype.as_component_batches():
+                values = batch.as_arrow_array()
+                rows[batch.component_descriptor().component] = pa.ListArray.from_arrays([0, len(values)], values)
+            fields = [pa.field(name, row.type, metadata=_DATA) for name, row in rows.items()]
+            chunk = Chunk(path, pa.record_batch(list(rows.values()), schema=pa.schema(fields)))
             kept = chunk if few is None else few.of(chunk)
-            rows = {name: kept.batch[name] for name in kept.components}
-            found[chunk.entity_path] = found.get(chunk.entity_path, {}) | rows
+            found[path] = found.get(path, {}) | {name: kept.batch[name] for name in kept.components}
         return found
 
     def _reach(self) -> float | None:
@@ -237,26 +245,7 @@ class StaticCheck:
         if self._recording.clip or self._first not in self._recording.checkpoint_steps:
             return None
         position = self._recording.checkpoint(self._first).position - self._recording.origin
-        return reach_of(position, self._header.radius)
-
-
-def groups_of(scene: Scene) -> IntArray:
-    """Return the groups of all bodies, (n,), in the order of placement: explicit bodies, data, groups."""
-    given = [(-1, len(scene.body)), *((-2 - k, len(columns.mass)) for k, columns in enumerate(scene.data))]
-    numbers, counts = zip(*given, *((k, group.count) for k, group in enumerate(scene.group)), strict=True)
-    return np.repeat(np.array(numbers, np.int64), counts)
-
-
-def reach_of(position: FloatArray, radius: FloatArray) -> float:
-    """Return the extent (m) of bodies from the origin along an axis."""
-    return float(np.max(np.abs(position).max(axis=1) + radius))
-
-
-def _is_data(path: str, name: str) -> bool:
-    """Return whether a component describes the run, rather than its display."""
-    if path == IDENTITY:
-        return not name.startswith(_DRAWING)
-    return path in _STATES or name in _SHAPES
+        return float(np.max(np.abs(position).max(axis=1) + self._header.radius))
 
 
 IDENTITY = "__properties/carom"
@@ -268,11 +257,6 @@ def rows_of(frames: Sequence[Frame], encoder: BatchEncoder, clock: TimeScale) ->
     for rows in encoder.rows(frames):
         if rows.path not in BY_EVENT and len(rows.steps):
             yield chunk_of(rows, clock)
-
-
-def checkpoints_of(frames: Sequence[Frame], encoder: BatchEncoder, clock: TimeScale) -> Chunk:
-    """Encode the exact state of frames."""
-    return chunk_of(encoder.checkpoints(frames), clock)
 
 
 def chunk_of(rows: Rows, clock: TimeScale) -> Chunk:
@@ -289,15 +273,3 @@ def chunk_of(rows: Rows, clock: TimeScale) -> Chunk:
         columns[column.component_descriptor().component] = (column.as_arrow_array(), _DATA)
     fields = [pa.field(name, array.type, metadata=kind) for name, (array, kind) in columns.items()]
     return Chunk(rows.path, pa.record_batch([array for array, _ in columns.values()], schema=pa.schema(fields)))
-
-
-def statics_of(header: Header, clock: TimeScale, origin: FloatArray, reach: float, name: str) -> Iterator[Chunk]:
-    """Encode the static data of a recording of this name; see `statics`."""
-    archetypes = [(IDENTITY, any_values(identity(header, clock, origin))), recording_name(name)]
-    for path, archetype in (*archetypes, *statics(header, clock, origin, reach)):
-        rows = {}
-        for batch in archetype.as_component_batches():
-            values = batch.as_arrow_array()
-            rows[batch.component_descriptor().component] = pa.ListArray.from_arrays([0, len(values)], values)
-        fields = [pa.field(name, row.type, metadata=_DATA) for name, row in rows.items()]
-        yield Chunk(path, pa.record_batch(list(rows.values()), schema=pa.schema(fields)))

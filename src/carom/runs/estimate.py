@@ -29,7 +29,7 @@ from carom.plan.checks import memory_estimate
 from carom.plan.features import Requirements
 from carom.private_folder import temporary_folder
 from carom.recording.schema.header import Header, TimeScale
-from carom.recording.schema.series import Content, contents
+from carom.recording.schema.series import contents
 from carom.recording.write.encoder import BatchEncoder
 from carom.recording.write.impact_plan import FILE_BYTES
 from carom.recording.write.recorder import CheckpointPlan
@@ -37,7 +37,6 @@ from carom.recording.write.static_entities import statics
 from carom.recording.write.stream import BATCH_BYTES, Stream, frames_in_batch
 from carom.runs.run import header_of, kept_accuracy, recording_space, shortfall_text
 from carom.scene.forces import FORCES
-from carom.scene.parts import Part
 from carom.scene.schema import Scene
 
 TRIAL_SECONDS = 0.5
@@ -148,17 +147,22 @@ def estimate(scene: Scene, watch_look_ahead: Watcher | None = None) -> Estimate:
     flight = flight_seconds(space)
     each = spent / space.step if space.requirements.contact.modelled else min(flight, spent / space.step)
     outlook = estimate_steps(scene, each, flight)
-    steps = outlook.steps
-    interval = frame_interval(scene)
+    steps, interval = outlook.steps, frame_interval(scene)
     frames = 1 + (steps if interval == 0.0 else min(steps, round(scene.time.duration / interval)))
     header = header_of(space)
     with temporary_folder() as folder:
         taken = probe(folder / "trial.rrd", header, few)
-    entities = [_entity_cost(content, taken, frames) for content in contents(header, space.requirements)]
-    size = sum(entity.bytes for entity in entities)
+    costs = []  # bytes and seconds of each entity
+    for content in contents(header, space.requirements):
+        entity = taken.get(content.path, Taken(0, 0.0, 0.0))
+        costs.append((content, entity.once + entity.bytes * frames, entity.seconds * frames))
+    size = sum(bytes_ for _, bytes_, _ in costs)
     return Estimate(
         parts=_part_costs(space, steps, frames),
-        entities=[_with_share(entity, size) for entity in entities],
+        entities=[
+            EntityCost(*content, bytes_ / size if content.recorded else None, bytes_, seconds)
+            for content, bytes_, seconds in costs
+        ],
         cost=Cost(
             steps=steps,
             fewest_steps=outlook.fewest,
@@ -220,8 +224,8 @@ def _part_costs(space: Space, steps: int, frames: int) -> list[PartCost]:
     modelled = {part.name for part in needs.parts if part.modelled}
     seconds = dict.fromkeys(modelled, 0.0)  # a step
     for mark, spent in space.profile.seconds().items():
-        part, otherwise = MARKS.get(mark, (mark, "integrator"))  # a force of an installed package is marked by its name
-        seconds[part if part in modelled else otherwise] += spent / space.step
+        name, otherwise = MARKS.get(mark, (mark, "integrator"))  # a force of an installed package is marked by its name
+        seconds[name if name in modelled else otherwise] += spent / space.step
     if needs.potential.modelled:
         more, duration = _more_for_the_potential(space), space.scene.time.duration
         by_time = max(frames, duration / auto_interval(space.scene, duration))  # most frames are checks
@@ -230,7 +234,14 @@ def _part_costs(space: Space, steps: int, frames: int) -> list[PartCost]:
     if needs.warm_up.modelled:
         seconds["warm-up"] = sum(seconds.values()) * WARM_UP_STEPS / steps
     whole = sum(seconds.values())
-    return [_part_cost(part, _within(part.name, needs), seconds, whole) for part in needs.parts]
+    costs = []
+    for part in needs.parts:
+        within = _within(part.name, needs) if part.modelled else None
+        share = None
+        if part.modelled and not within:
+            share = seconds[part.name] / whole if whole else 0.0
+        costs.append(PartCost(part.name, part.modelled, part.why, share, within))
+    return costs
 
 
 def _more_for_the_potential(space: Space) -> float:
@@ -253,32 +264,9 @@ def _more_for_the_potential(space: Space) -> float:
 
 def _within(name: str, needs: Requirements) -> str | None:
     """Return the part that is computed together with this one, so that their times cannot be separated."""
-    match name:
-        case "narrow-phase":
-            return "broad-phase"
-        case "tree":
-            return "gravity"
-        case "restitution" | "friction":
-            return "contact"
-        case "spin":
-            return "contact" if needs.friction.modelled else "energy"
-    return None
-
-
-def _part_cost(part: Part, within: str | None, seconds: dict[str, float], whole: float) -> PartCost:
-    if not part.modelled or within:
-        return PartCost(part.name, part.modelled, part.why, None, within if part.modelled else None)
-    return PartCost(part.name, True, part.why, seconds[part.name] / whole if whole else 0.0, None)
-
-
-def _entity_cost(content: Content, taken: dict[str, Taken], frames: int) -> EntityCost:
-    each = taken.get(content.path, Taken(0, 0.0, 0.0))
-    return EntityCost(*content, None, each.once + each.bytes * frames, each.seconds * frames)
-
-
-def _with_share(entity: EntityCost, whole: float) -> EntityCost:
-    share = entity.bytes / whole if entity.recorded else None
-    return EntityCost(entity.path, entity.recorded, entity.why, share, entity.bytes, entity.seconds)
+    spin = "contact" if needs.friction.modelled else "energy"
+    with_others = {"narrow-phase": "broad-phase", "tree": "gravity", "spin": spin}
+    return (with_others | {"restitution": "contact", "friction": "contact"}).get(name)
 
 
 STRIDES = 8.0, 64.0  # coarse steps over the steps of the scene; the second if the first would take too long
@@ -372,7 +360,7 @@ def _whole(steps: float) -> int:
     return max(1, round(min(steps, sys.float_info.max)))
 
 
-BATCH_FRAMES = 200
+BATCH_FRAMES = 200  # at most, in the batch that is written to measure sizes
 
 
 @dataclass(frozen=True, slots=True)
@@ -385,13 +373,7 @@ class Taken:
 
 
 def probe(path: Path, header: Header, frames: Sequence[Frame]) -> dict[str, Taken]:
-    """Write a batch of repeated frames to a temporary file, and measure the size of each entity.
-
-    Returns
-    -------
-    taken
-        The cost of each entity, in the order of writing.
-    """
+    """Write a batch of repeated frames to a temporary file; return the cost of each entity, in the order of writing."""
     clock = TimeScale()
     origin = np.average(frames[0].position, axis=0, weights=header.mass)
     once = {

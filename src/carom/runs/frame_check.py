@@ -22,7 +22,7 @@ from carom.recording.schema.paths import CLOSING, SIM_TIME, STEP
 from carom.recording.schema.series import Past, all_series
 from carom.recording.write.encoder import BatchEncoder
 from carom.recording.write.recorder import CheckpointPlan
-from carom.runs.comparison import Mismatch, checkpoints_of, different, rows_of, same
+from carom.runs.comparison import Mismatch, chunk_of, different, rows_of, same
 from carom.runs.environment import versions
 from carom.runs.impact_check import ImpactCheck
 
@@ -200,7 +200,7 @@ class FrameCheck:
                 found += self._rows_differ(chunk, first)
         exact = [frame for frame in frames if frame.step in self._checkpoints]
         if exact:
-            found += self._rows_differ(checkpoints_of(exact, self._encoder, self._clock), first)
+            found += self._rows_differ(chunk_of(self._encoder.checkpoints(exact), self._clock), first)
         for path in self._rows.entities:
             if path not in seen:
                 self.skipped[f"/{path}"] = None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 import tomllib
 from collections.abc import Mapping
@@ -73,61 +74,46 @@ def judge(scene: Scene, extremes: Extremes, time: float) -> list[Verdict]:
     """
     expect, end = scene.expect, scene.expect.duration or scene.time.duration
     elsewhere = {"final_kinetic": end if time != end else None, "impacts": end if time < end else None}
-    measured = {
-        "energy_error": (_value(extremes.energy_fault), extremes.energy_fault),
-        "energy_gain": (extremes.energy_gain.value, extremes.energy_gain),
-        "momentum_error": (_or_infinite(extremes.momentum_error), extremes.momentum_error),
-        "angular_momentum_error": (_or_infinite(extremes.angular_momentum_error), extremes.angular_momentum_error),
-        "max_overlap": (_value(extremes.overlap), extremes.overlap),
-        "final_kinetic": (extremes.kinetic.value, extremes.kinetic),
-        "impacts": (extremes.impacts, None),
-        "contact_audit": (_or_infinite(extremes.contact_audit), extremes.contact_audit),
+    worst: dict[str, Extreme | None] = {
+        "energy_error": extremes.energy_fault,
+        "energy_gain": extremes.energy_gain,
+        "momentum_error": extremes.momentum_error,
+        "angular_momentum_error": extremes.angular_momentum_error,
+        "max_overlap": extremes.overlap,
+        "final_kinetic": extremes.kinetic,
+        "impacts": None,
+        "contact_audit": extremes.contact_audit,
     }
+    without = {"energy_error": 0.0, "max_overlap": 0.0, "impacts": extremes.impacts}  # values if there is no extreme
     gained = extremes.energy_fault is not None and extremes.energy_fault is not extremes.energy_error
     notes = {"energy_error": "added by contact impulses"} if gained else {}
-    verdicts = [
-        Verdict(
-            name,
-            limit,
-            value,
-            worst,
-            at_least=name == "impacts",
-            note=notes.get(name, ""),
-            promised_at=elsewhere.get(name),
-        )
-        for name, (value, worst) in measured.items()
-        if (limit := getattr(expect, name)) is not None
-    ]
+    verdicts = []
+    for name, extreme in worst.items():
+        if (limit := getattr(expect, name)) is not None:
+            value = without.get(name, math.inf) if extreme is None else extreme.value
+            note, promised_at = notes.get(name, ""), elsewhere.get(name)
+            verdicts.append(Verdict(name, limit, value, extreme, name == "impacts", note, promised_at))
     return verdicts + [
         Verdict(f"warned_{kind}", 1.0, float(kind in extremes.warned), at_least=True, promised_at=elsewhere["impacts"])
         for kind in expect.warned
     ]
 
 
-def _or_infinite(error: Extreme | None) -> float:
-    return float("inf") if error is None else error.value
-
-
-def _value(extreme: Extreme | None) -> float:
-    return extreme.value if extreme else 0.0
-
-
 def closing_of(extremes: Extremes) -> dict[str, Scalar]:
     """Return the extremes of a run, with the names of bodies and planes, under the dotted keys of `outcome`."""
+    largest = {
+        "momentum.max_error": extremes.momentum_error,
+        "angular_momentum.max_error": extremes.angular_momentum_error,
+        "energy.max_error": extremes.energy_error,
+        "energy.contact_gain": extremes.contact_gain,
+        "contacts.max_overlap": extremes.overlap,
+    }
     summary: dict[str, Scalar] = {
         "contacts.total": extremes.total_contacts,
         "contacts.impacts": extremes.impacts,
+        "energy.reference": extremes.energy_scale,  # J; the viewer cannot load the key "energy.scale"
+        **{key: extreme.value for key, extreme in largest.items() if extreme is not None},
     }
-    if extremes.momentum_error is not None:
-        summary["momentum.max_error"] = extremes.momentum_error.value
-    if extremes.angular_momentum_error is not None:
-        summary["angular_momentum.max_error"] = extremes.angular_momentum_error.value
-    if extremes.energy_error is not None:
-        summary["energy.max_error"] = extremes.energy_error.value
-    summary["energy.reference"] = extremes.energy_scale  # J; the viewer cannot load the key "energy.scale"
-    summary["energy.contact_gain"] = extremes.contact_gain.value
-    if extremes.overlap is not None:
-        summary["contacts.max_overlap"] = extremes.overlap.value
     for name in ("energy_error", "impact", "overlap", "contacts"):
         moment: Extreme | None = getattr(extremes, name)
         if moment is not None:

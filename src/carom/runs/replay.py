@@ -172,15 +172,11 @@ def replay(
         ended = _run_again(space, run, recorder, begin, consent, watch)
         if recorder is not None:
             recorder.finish(ended or "completed")
-    found = [run.difference or run.rest(), None if ended else run.stray()]
-    first = min((one for one in found if one is not None), key=lambda one: one.step, default=None)
-    if first is None and not ended and run.compared == len(run.fingerprints):
-        first = run.missing() or run.outcome(space) or run.statics(space)
     return Replay(
         begin=checkpoint.step,
         frames=len(run.fingerprints),
         compared=run.compared,
-        difference=first or (None if ended else run.early_end(space)),
+        difference=run.finish(space, ended),
         ended=ended,
         seconds=clock.perf_counter() - began,
         recorded_with=recording.versions,
@@ -213,7 +209,7 @@ def _run_again(
             spent = clock.perf_counter() - began
             if not asked and spent > TRIAL_SECONDS:
                 asked = True
-                if not consent(spent * run.left(space.step) / max(1, space.step - first)):
+                if not consent(spent * max(0, run.last - space.step) / max(1, space.step - first)):
                     return "declined"
             if run.difference:
                 break
@@ -250,35 +246,31 @@ class _Comparison:
             return
         self.compared += 1
         differs = bits != frame.fingerprint
-        found = self.check.finish() if differs else self.check.see(frame)
-        if found:
-            self.difference = self._other(found)
-        elif differs:
-            self.difference = _difference(self._recording, frame, self._times[frame.step])
+        found = self._difference(self.check.finish() if differs else self.check.see(frame))
+        if found is None and differs:
+            found = _largest_difference(self._recording, frame, self._times[frame.step])
+        self.difference = found
 
-    def rest(self) -> Difference | None:
-        """Compare the queued frames."""
-        found = self.check.finish()
-        return None if found is None else self._other(found)
+    def finish(self, space: Space, ended: str) -> Difference | None:
+        """Compare the remaining data after a run, which may have ended early; return the first difference."""
+        is_end = self.last == self.last_recorded
+        found = [self.difference or self._difference(self.check.finish())]
+        if not ended:
+            found.append(self._difference(self.check.strays(is_end)))
+        first = min((one for one in found if one is not None), key=lambda one: one.step, default=None)
+        if first is not None or ended:
+            return first
+        if self.compared < len(self.fingerprints):
+            step = min(step for step in self.fingerprints if step > space.step)
+            return Difference(step, self._times[step], "the run ended at step", None, step, space.step)
+        first = self._difference(self.check.missing(is_end)) or self._outcome(space)
+        if first is None:
+            statics = StaticCheck(self._recording, space)
+            first = self._difference(statics.difference())
+            self.check.skipped |= statics.skipped
+        return first
 
-    def stray(self) -> Difference | None:
-        """Return rows that belong to no frame."""
-        found = self.check.strays(is_end=self.last == self.last_recorded)
-        return None if found is None else self._other(found)
-
-    def missing(self) -> Difference | None:
-        """Return missing data, after all frames were found equal."""
-        found = self.check.missing(is_end=self.last == self.last_recorded)
-        return None if found is None else self._other(found)
-
-    def statics(self, space: Space) -> Difference | None:
-        """Compare the static data of the recording."""
-        check = StaticCheck(self._recording, space)
-        found = check.difference()
-        self.check.skipped |= check.skipped
-        return None if found is None else self._other(found)
-
-    def outcome(self, space: Space) -> Difference | None:
+    def _outcome(self, space: Space) -> Difference | None:
         """Compare the outcome of the run, if its end is recorded and was reached.
 
         Versions differ in verdicts, counts and texts, so differences from a recording of another version are only
@@ -329,23 +321,15 @@ class _Comparison:
             self.check.skipped[WORDS_OF_EXTREMES] = None
         return None
 
-    def _other(self, found: Mismatch) -> Difference:
+    def _difference(self, found: Mismatch | None) -> Difference | None:
+        """Add the time and the name of the body."""
+        if found is None:
+            return None
         time = self._times.get(found.step, np.nan)
         name = "" if found.body is None else self._recording.bodies.name[found.body]
         return Difference(
             found.step, time, found.quantity, found.body, found.recorded, found.replayed, name, found.unit
         )
-
-    def left(self, step: int) -> int:
-        """Return the number of remaining steps."""
-        return max(0, self.last - step)
-
-    def early_end(self, space: Space) -> Difference | None:
-        """Report a run that ended earlier than the recorded one."""
-        if self.compared == len(self.fingerprints):
-            return None
-        step = min(step for step in self.fingerprints if step > space.step)
-        return Difference(step, self._times[step], "the run ended at step", None, step, space.step)
 
 
 def _alike(recorded: Any, replayed: Scalar) -> bool:
@@ -357,7 +341,7 @@ def _alike(recorded: Any, replayed: Scalar) -> bool:
     return bool(recorded == replayed)
 
 
-def _difference(recording: Recording, frame: Frame, time: float) -> Difference:
+def _largest_difference(recording: Recording, frame: Frame, time: float) -> Difference:
     """Return the largest difference in the first differing quantity: time, positions, then energies."""
     if frame.time != time:
         return Difference(frame.step, time, "time", None, time, frame.time, unit="s")

@@ -24,8 +24,6 @@ from carom.scene.schema import Scene
 from carom.scene.units.dimension import TIME
 from carom.scene.wording import command
 
-UNDER_WAY = ".resumed.rrd"  # suffix of the new recording until it is complete
-
 
 @dataclass(frozen=True)
 class ResumableRun:
@@ -156,8 +154,8 @@ def claimed_target(source: Path, output: Path | None, force: bool) -> Iterator[C
     """
     if output is not None:
         refuse_name(output)
-    in_place = output is None or output.resolve() == source.resolve()
-    target = source if output is None else output
+    target = output or source
+    in_place = target.resolve() == source.resolve()
     if under_way(target).resolve() == source.resolve():
         raise RecordingError(f"{target} would be written as {source} until it is complete; name another file")
     with claimed_output(target, force or in_place) as claim:
@@ -214,36 +212,31 @@ def continue_run(
                     "file was altered, or recorded by a version with different physics; "
                     f"`{command('fork', run.recording.path)}` can continue from one of its states"
                 )
-        return _resume(run, space, output or source, force, live, watch)
-
-
-def _resume(
-    run: ResumableRun, space: Space, target: Path, force: bool, live: str | None, watch: Watcher | None
-) -> Outcome:
-    source, part = run.recording.path, under_way(target)
-    first = {key: value for key, value in run.recording.properties.items() if isinstance(value, str | int | float)}
-    now = {f"resumed.{key}": value for key, value in environment(space.threads).items()}
-    outcome = simulate(
-        space,
-        part,
-        force=force,
-        live=live,
-        watch=watch,
-        continued=Continuation(run.recording, run.step),
-        properties=first | now | {"resumed.step": run.step, "resumed.time": run.time},
-    )
-    if outcome.frames <= run.recording.frames:
-        part.unlink(missing_ok=True)
-        raise RecordingError(f"{source} is unchanged: {outcome.status}: {outcome.reason}")
-    if outcome.status in ("disk", "error"):
-        return replace(outcome, reason=f"{outcome.reason}; {source} is unchanged, and {part} has the new frames")
-    part.replace(target)
-    return replace(outcome, path=target)
+        target = output or source
+        part = under_way(target)
+        first = {key: value for key, value in run.recording.properties.items() if isinstance(value, str | int | float)}
+        now = {f"resumed.{key}": value for key, value in environment(space.threads).items()}
+        outcome = simulate(
+            space,
+            part,
+            force=force,
+            live=live,
+            watch=watch,
+            continued=Continuation(run.recording, run.step),
+            properties=first | now | {"resumed.step": run.step, "resumed.time": run.time},
+        )
+        if outcome.frames <= run.recording.frames:
+            part.unlink(missing_ok=True)
+            raise RecordingError(f"{source} is unchanged: {outcome.status}: {outcome.reason}")
+        if outcome.status in ("disk", "error"):
+            return replace(outcome, reason=f"{outcome.reason}; {source} is unchanged, and {part} has the new frames")
+        part.replace(target)
+        return replace(outcome, path=target)
 
 
 def under_way(target: Path) -> Path:
     """Return the path to which a resumed run is recorded until it is complete."""
-    return target.with_name(target.stem + UNDER_WAY)
+    return target.with_name(f"{target.stem}.resumed.rrd")
 
 
 def continued_scene(recording: Recording, scene: Scene, overrides: list[str]) -> Scene:

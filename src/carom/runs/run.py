@@ -7,7 +7,6 @@ import threading
 import time
 import uuid
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -191,77 +190,65 @@ def simulate(
     path = Path(path)
     claimed = contextlib.nullcontext(claim) if claim else claimed_output(path, force)
     with Interrupts() as interrupts, claimed, garbage_sought_seldom():
-        return _simulate(space, path, live, watch, continued, properties, member, interrupts)
-
-
-def _simulate(
-    space: Space,
-    path: Path,
-    live: str | None,
-    watch: Watcher | None,
-    continued: Continuation | None,
-    properties: Mapping[str, Scalar] | None,
-    member: SweepMember | None,
-    interrupts: Interrupts,
-) -> Outcome:
-    began, begin = time.perf_counter(), space.time
-    header = header_of(space)
-    if properties is not None:
-        header = replace(header, properties=properties)
-    if continued is not None:
-        header = replace(header, drawing_rules=continued.recording.drawing_rules)
-    if member is not None:
-        header = replace(header, member=member, properties={**header.properties, "command": member.command})
-    recorder = FrameRecorder(path, header, live=live, continued=continued)
-    physics = _Physics(space, recorder, continued)
-    try:
-        # watch the run until it ends, or end it on request
-        while not physics.wait(POLL):
-            if interrupts.count:
-                physics.space.stop()
-            try:
-                if watch:
-                    watch(physics.space.status)
-            except KeyboardInterrupt:  # raised by the calling program's own signal handler
+        began, begin = time.perf_counter(), space.time
+        header = header_of(space)
+        if properties is not None:
+            header = replace(header, properties=properties)
+        if continued is not None:
+            header = replace(header, drawing_rules=continued.recording.drawing_rules)
+        if member is not None:
+            header = replace(header, member=member, properties={**header.properties, "command": member.command})
+        recorder = FrameRecorder(path, header, live=live, continued=continued)
+        physics = _Physics(space, recorder, continued)
+        try:
+            # watch the run until it ends, or end it on request
+            while not physics.wait(POLL):
                 if interrupts.count:
-                    raise
-                interrupts.count = 1
-        status, reason = physics.ending(interrupts)
-    except Exception as error:
-        physics.stop()
-        with contextlib.suppress(RecordingError):
-            recorder.finish(f"failed: {type(error).__name__}: {error}")
-        raise
-    except KeyboardInterrupt:  # second interrupt: do not wait for the current step
-        physics.space.stop()
-        raise
-    extremes = space.named_extremes()
-    verdicts = judge(space.scene, extremes, space.time)
-    if status == "completed":
-        status, reason = ending_of(verdicts, space.scene.unit_system)
-    summary = {"wall_time": time.perf_counter() - began, **closing_summary(space, extremes, verdicts)}
-    try:
-        recorder.finish(outcome_text(status, reason), summary, space.highlights())
-    except RecordingError as error:
-        status, reason = "error" if isinstance(error, RecorderError) else "disk", str(error)
-    return Outcome(
-        path=path,
-        status=status,
-        reason=reason,
-        frames=recorder.frames,
-        steps=space.step,
-        sim_time=space.time,
-        wall_time=time.perf_counter() - began,
-        size=path.stat().st_size if path.exists() else 0,
-        payload=recorder.payload_bytes,
-        moments=extremes,
-        verdicts=verdicts,
-        warnings=physics.warnings,
-        impacts_counted=_impacts_counted(space),
-        impacts=recorder.impacts,
-        accuracy=kept_accuracy(space.scene),
-        begin=begin,
-    )
+                    space.stop()
+                try:
+                    if watch:
+                        watch(space.status)
+                except KeyboardInterrupt:  # raised by the calling program's own signal handler
+                    if interrupts.count:
+                        raise
+                    interrupts.count = 1
+            status, reason = physics.ending(interrupts)
+        except Exception as error:
+            space.stop()
+            physics.wait()
+            with contextlib.suppress(RecordingError):
+                recorder.finish(f"failed: {type(error).__name__}: {error}")
+            raise
+        except KeyboardInterrupt:  # second interrupt: do not wait for the current step
+            space.stop()
+            raise
+        extremes = space.named_extremes()
+        verdicts = judge(space.scene, extremes, space.time)
+        if status == "completed":
+            status, reason = ending_of(verdicts, space.scene.unit_system)
+        summary = {"wall_time": time.perf_counter() - began, **closing_summary(space, extremes, verdicts)}
+        try:
+            recorder.finish(outcome_text(status, reason), summary, space.highlights())
+        except RecordingError as error:
+            status, reason = "error" if isinstance(error, RecorderError) else "disk", str(error)
+        return Outcome(
+            path=path,
+            status=status,
+            reason=reason,
+            frames=recorder.frames,
+            steps=space.step,
+            sim_time=space.time,
+            wall_time=time.perf_counter() - began,
+            size=path.stat().st_size if path.exists() else 0,
+            payload=recorder.payload_bytes,
+            moments=extremes,
+            verdicts=verdicts,
+            warnings=physics.warnings,
+            impacts_counted=_impacts_counted(space),
+            impacts=recorder.impacts,
+            accuracy=kept_accuracy(space.scene),
+            begin=begin,
+        )
 
 
 def ending_of(verdicts: list[Verdict], units: UnitSystem) -> tuple[str, str]:
@@ -279,7 +266,7 @@ class _Physics:
     """The physics thread: steps a space and passes its frames to the recorder."""
 
     def __init__(self, space: Space, recorder: FrameRecorder, continued: Continuation | None) -> None:
-        self.space = space
+        self._space = space
         self.warnings = continued.recording.warnings(until=continued.step) if continued else []
         self._known = continued.step if continued else -1  # step of the recorder's last frame
         self._recorder = recorder
@@ -287,21 +274,17 @@ class _Physics:
         self._thread = threading.Thread(target=self._run, name="physics", daemon=True)
         self._thread.start()
 
-    def stop(self) -> None:
-        """Stop after the current step, and wait for it."""
-        self.space.stop()
-        self._thread.join()
-
-    def wait(self, seconds: float) -> bool:
-        """Wait for the end; return whether it has come."""
+    def wait(self, seconds: float | None = None) -> bool:
+        """Wait for the end, up to a timeout; return whether it has come."""
         self._thread.join(seconds)
         return not self._thread.is_alive()
 
     def ending(self, interrupts: Interrupts) -> tuple[str, str]:
         """Return the status of the end, and its reason."""
-        at = f"at t = {self.space.scene.unit_system.text(self.space.time, TIME)}"
+        scene, time = self._space.scene, self._space.time
+        at = f"at t = {scene.unit_system.text(time, TIME)}"
         match self._error:
-            case None if interrupts.count and self.space.time < self.space.scene.time.duration:
+            case None if interrupts.count and time < scene.time.duration:
                 return "interrupted", f"stopped by {interrupts.sender} {at}"
             case None:
                 return "completed", ""
@@ -317,7 +300,7 @@ class _Physics:
 
     def _run(self) -> None:
         try:
-            for frame in self.space.run(store=self._recorder.store_for(self.space.state)):
+            for frame in self._space.run(store=self._recorder.store_for(self._space.state)):
                 if frame.step > self._known:
                     self._recorder.put(frame)
                     self.warnings += [event for event in frame.events if event.level == "WARN"]
@@ -425,7 +408,7 @@ def closing_summary(space: Space, extremes: Extremes, verdicts: list[Verdict]) -
     return summary
 
 
-@contextmanager
+@contextlib.contextmanager
 def watched(scene: Scene, watch: Watcher | None, progress: bool) -> Iterator[Watcher]:
     """Yield a function that passes the status to ``watch`` and, if requested, to a progress bar."""
     report = watch or (lambda status: None)
