@@ -94,17 +94,11 @@ def different(step: int, path: str, name: str, recorded: pa.Array, replayed: pa.
     if one.dtype.kind == "S":
         return Mismatch(step, quantity, bytes(one[0]).decode(), bytes(other[0]).decode())
     k = int(np.flatnonzero(one.view(np.uint8) != other.view(np.uint8))[0]) // one.itemsize
-    body = k // 3 if name in paths.CENTRES else None
-    return Mismatch(step, quantity, one[k].item(), other[k].item(), body, _unit(path, name))
-
-
-def _unit(path: str, name: str) -> str:
-    """Return the SI unit of the numbers of a component; empty if they have none, or several."""
-    if name in paths.CENTRES:
-        return "m"
+    body, unit = (k // 3, "m") if name in paths.CENTRES else (None, _UNITS.get(name, ""))
     if path == paths.CHECKPOINT and name.startswith(_ENERGIES):
-        return "J"
-    return _UNITS.get(name) or next((series.unit for series in SERIES if series.path == path), "")
+        unit = "J"
+    unit = unit or next((series.unit for series in SERIES if series.path == path), "")
+    return Mismatch(step, quantity, one[k].item(), other[k].item(), body, unit)
 
 
 def _flat(row: pa.Array) -> NDArray[np.generic]:
@@ -172,7 +166,10 @@ class StaticCheck:
     def difference(self) -> Mismatch | None:
         """Return the first number that differs."""
         recorded, found = self._recorded(), list[Mismatch]()
-        reach = self._reach()
+        reach = None  # m, largest distance of a body from the origin at the start of the recording; None if unknown
+        if not self._recording.clip and self._first in self._recording.checkpoint_steps:
+            position = self._recording.checkpoint(self._first).position - self._recording.origin
+            reach = float(np.max(np.abs(position).max(axis=1) + self._header.radius))
         expected = self._expected(reach or 1.0)
         entries = self._recording.store.entries
         # series that were added since the recording; `FrameCheck` lists them
@@ -239,13 +236,6 @@ class StaticCheck:
             kept = chunk if few is None else few.of(chunk)
             found[path] = found.get(path, {}) | {name: kept.batch[name] for name in kept.components}
         return found
-
-    def _reach(self) -> float | None:
-        """Return the largest distance (m) of a body from the origin at the start of the recording; None if unknown."""
-        if self._recording.clip or self._first not in self._recording.checkpoint_steps:
-            return None
-        position = self._recording.checkpoint(self._first).position - self._recording.origin
-        return float(np.max(np.abs(position).max(axis=1) + self._header.radius))
 
 
 IDENTITY = "__properties/carom"

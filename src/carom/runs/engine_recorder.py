@@ -18,7 +18,6 @@ import numpy as np
 from carom.arrays import IntArray
 from carom.errors import RecordingError
 from carom.recording.read.recording import Recording
-from carom.recording.schema.header import Scalar
 from carom.recording.source import (
     Model,
     Setup,
@@ -170,10 +169,7 @@ class Recorder:
     def write(self, path: str | Path | None = None, outcome: str = "written on demand") -> Recording | None:
         """Write the frames in memory; recording into memory continues. None if the file cannot be written.
 
-        Raises
-        ------
-        RecordingError
-            If frames are not kept in memory.
+        Raises RecordingError if frames are not kept in memory.
         """
         if self._ring is None:
             raise RecordingError(f"{self.path} is written during the run; give last=N to keep frames in memory")
@@ -217,7 +213,10 @@ class Recorder:
             self._stepped()
         if self._ended or call % self.every:
             return
-        snapshot = self._memory()
+        # memory for a copy of the state; wait for the writer if all memory is in use
+        snapshot, self._free = self._free, None
+        if snapshot is None:
+            snapshot = self._new() if self._sink is None else self._sink.spare()
         try:
             self._read(snapshot)
             recorded = self._keep(call, snapshot)
@@ -279,21 +278,27 @@ class Recorder:
         return True
 
     def _begin_with(self, first: State) -> None:
-        """Check the first state with bodies."""
-        self._setup = _checked(self._source, self._model, first)
-        self._ids = None if first.ids is None else ids_of(self._setup.engine, first.ids, len(self._setup))
+        """Check the model and the first state with bodies, before anything is allocated or written."""
+        if not isinstance(first, State):
+            raise RecordingError(
+                f"`state` of {type(self._source).__name__} returned {type(first).__name__}; return a carom.record.State"
+            )
+        setup = setup_of(self._model, first)
+        array_of(setup.engine, "time", time_of(first), ())
+        n = len(setup)
+        array_of(setup.engine, "velocity", first.velocity, (n, 3))
+        for name, width in (("orientation", 4), ("angular_velocity", 3)):
+            if getattr(first, name) is not None:
+                array_of(setup.engine, name, getattr(first, name), (n, width))
+        if first.orientation is not None:
+            refuse_no_rotation(setup.engine, np.asarray(first.orientation, dtype=np.float64))
+        self._setup = setup
+        self._ids = None if first.ids is None else ids_of(setup.engine, first.ids, n)
 
     @property
     def _time_of_note(self) -> float:
         """The last recorded time in s, for notes."""
         return self._time if np.isfinite(self._time) else 0.0
-
-    def _memory(self) -> StateMemory:
-        """Return memory for a copy of a state; wait for the writer if all memory is in use."""
-        free, self._free = self._free, None
-        if free is not None:
-            return free
-        return self._new() if self._sink is None else self._sink.spare()
 
     def _writer(self, path: Path, first: State, force: bool) -> SnapshotWriter:
         setup, population = self._setup, None
@@ -305,14 +310,13 @@ class Recorder:
             observer = Observer(present.setup, first, self._tolerances, self._units, present)
         else:
             observer = Observer(setup, first, self._tolerances, self._units)
-        stamped: dict[str, Scalar] = {**environment(1), "engine": setup.engine}
         header = header_of_source(
             setup,
             title=self._title or setup.engine,
             run_id=str(uuid.uuid4()),
             duration=self._duration,
             exact=self._exact,
-            properties=stamped,
+            properties={**environment(1), "engine": setup.engine},
             units=self._units,
         )
         return SnapshotWriter(path, observer, header, force, self._new, self._unrecorded, population)
@@ -358,24 +362,6 @@ class Recorder:
 def _is_empty(state: State) -> bool:
     """Return whether a state of a run in which bodies come and go has none."""
     return isinstance(state, State) and state.ids is not None and np.size(state.ids) == 0
-
-
-def _checked(source: Source, model: Model, first: State) -> Setup:
-    """Check the model and the present state of a source before anything is allocated or written."""
-    if not isinstance(first, State):
-        raise RecordingError(
-            f"`state` of {type(source).__name__} returned {type(first).__name__}; return a carom.record.State"
-        )
-    setup = setup_of(model, first)
-    array_of(setup.engine, "time", time_of(first), ())
-    n = len(setup)
-    array_of(setup.engine, "velocity", first.velocity, (n, 3))
-    for name, width in (("orientation", 4), ("angular_velocity", 3)):
-        if getattr(first, name) is not None:
-            array_of(setup.engine, name, getattr(first, name), (n, width))
-    if first.orientation is not None:
-        refuse_no_rotation(setup.engine, np.asarray(first.orientation, dtype=np.float64))
-    return setup
 
 
 def _counts(number: int) -> bool:

@@ -43,13 +43,14 @@ def versions() -> dict[str, str]:
 
 def environment(threads: int) -> dict[str, str | int]:
     """Return the recording's properties about its origin."""
-    stamped: dict[str, str | int] = {f"version.{package}": version for package, version in versions().items()}
-    stamped["command"] = command_line()
-    stamped["git"] = _revision()
-    stamped["platform"] = platform.platform()
-    stamped["cpu"] = _cpu()
-    stamped["threads"] = threads
-    return stamped
+    return {
+        **{f"version.{package}": version for package, version in versions().items()},
+        "command": command_line(),
+        "git": _revision(),
+        "platform": platform.platform(),
+        "cpu": _cpu(),
+        "threads": threads,
+    }
 
 
 def command_line() -> str:
@@ -130,16 +131,12 @@ def _commit(repository: _Repository) -> str:
     branch = _BRANCH.fullmatch(head)
     if branch is None:
         return head if _HASH.fullmatch(head) else ""
-    loose = repository.common / branch[1]
-    found = _line(loose) if loose.is_file() else _packed(repository.common / "packed-refs", branch[1])
+    loose, packed = repository.common / branch[1], repository.common / "packed-refs"
+    found = _line(loose)
+    if not loose.is_file() and packed.is_file():
+        with packed.open(encoding="utf-8") as lines:
+            found = next((line.split()[0] for line in lines if line.endswith(f" {branch[1]}\n")), "")
     return found if _HASH.fullmatch(found) else ""
-
-
-def _packed(path: Path, branch: str) -> str:
-    if not path.is_file():
-        return ""
-    with path.open(encoding="utf-8") as lines:
-        return next((line.split()[0] for line in lines if line.endswith(f" {branch}\n")), "")
 
 
 def _line(path: Path) -> str:

@@ -119,12 +119,7 @@ class Estimate:
 def estimate(scene: Scene, watch_look_ahead: Watcher | None = None) -> Estimate:
     """Run the first steps of a scene for about half a second, record a few frames, and run it coarsely.
 
-    For ``watch_look_ahead`` see `Space`.
-
-    Raises
-    ------
-    SceneError, PhysicsError
-        If the scene cannot run.
+    For ``watch_look_ahead`` see `Space`. Raises SceneError or PhysicsError if the scene cannot run.
     """
     space = recording_space(scene, None, watch_look_ahead)
     # a few steps first, so that the compilation and loading of kernels are not measured

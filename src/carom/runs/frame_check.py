@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import pyarrow as pa
@@ -86,8 +86,9 @@ class FrameCheck:
         self._arrows = references
         self._steps, self._begin, self.all_frames = steps, begin, all_frames
         self._first_step = int(recording.fingerprints()[STEP][0].as_py())  # has at least one frame
-        self._shown, self._n = recording.shown, header.bodies
-        self._box = header.box
+        self._shown, bodies = recording.shown, header.bodies
+        # reduces rows to the bodies of a clip; None if it shows all
+        self._few = Selection(self._shown, range(bodies), header.box, bodies) if len(self._shown) < bodies else None
         self._impacts = None
         self._same_words = recording.versions == versions()
         # whether all frames so far are frames of the run
@@ -98,19 +99,12 @@ class FrameCheck:
         self._is_clip = bool(recording.clip)
         if header.records_contacts:
             whole = self._whole and self._same_words
-            self._impacts = ImpactCheck(recording, self._encoder, self._rows, self._few(), whole=whole)
+            self._impacts = ImpactCheck(recording, self._encoder, self._rows, self._few, whole=whole)
             self.skipped = self._impacts.skipped
-        self._states = {
-            paths.PHASE: _States.of(recording.phases()),
-            paths.DT_LIMIT: _States.of(recording.dt_limits()),
-        }
+        self._states = {paths.PHASE: _States(recording.phases()), paths.DT_LIMIT: _States(recording.dt_limits())}
         self._before: dict[str, str] = {}  # the states of the previous frame, by entity
         events = recording.events()
-        columns = [
-            events[STEP],
-            events[SIM_TIME].cast(pa.int64()),
-            *(events[name] for name in ("level", "kind", "text")),
-        ]
+        columns = [events[STEP], events[SIM_TIME].cast(pa.int64()), *map(events.column, ("level", "kind", "text"))]
         logged: list[Told] = list(zip(*(column.to_pylist() for column in columns), strict=True))
         self._events = [event for event in logged if event[3] not in CLOSING]
         self.closing = sorted(event for event in logged if event[3] in CLOSING)
@@ -183,7 +177,6 @@ class FrameCheck:
         if not frames:
             return None
         first = frames[0].step == self._begin and self._begin > 0
-        few = self._few()
         if self._plan is not None:
             self._planned |= {frame.step for frame in self._plan.chosen(frames)}
         found: list[Mismatch] = []
@@ -191,7 +184,7 @@ class FrameCheck:
         for replayed in rows_of(frames, self._encoder, self._clock):
             path = replayed.entity_path
             seen.add(path)
-            chunk = replayed if few is None else few.of(replayed)
+            chunk = replayed if self._few is None else self._few.of(replayed)
             if first and path in self._led_there:
                 self.skipped[_LED] = None
             elif path in (paths.TORQUE, paths.ANGULAR_ACCELERATION) and path not in self._arrows and self._begin > 0:
@@ -207,10 +200,6 @@ class FrameCheck:
         for frame in frames:
             found += self._state(frame, first) + self._logged(frame, first)
         return min(found, key=lambda mismatch: mismatch.step, default=None)
-
-    def _few(self) -> Selection | None:
-        """Return the selection that reduces rows to the bodies of a clip; None if it shows all."""
-        return None if len(self._shown) == self._n else Selection(self._shown, range(self._n), self._box, self._n)
 
     def _rows_differ(self, replayed: Chunk, first: bool) -> list[Mismatch]:
         """Compare the rows of an entity at once; if they differ, find the first row that does."""
@@ -306,7 +295,10 @@ class FrameCheck:
         replayed = told_of(frame.events, self._clock)
         if recorded == replayed:
             return []
-        if self._same_words or not _same_but_words(recorded, replayed):
+        # older recordings lack kinds
+        pairs = zip(recorded, replayed, strict=False)
+        alike = all(one[:3] == other[:3] and one[3] in ("", other[3]) for one, other in pairs)
+        if self._same_words or len(recorded) != len(replayed) or not alike:
             return [Mismatch(frame.step, "/events", text_of(recorded, replayed), text_of(replayed, recorded))]
         self.skipped[_WORDS] = None
         return []
@@ -318,34 +310,23 @@ def told_of(events: Sequence[Event], clock: TimeScale) -> list[Told]:
     return sorted((e.step, time, e.level, e.kind, e.text) for e, time in zip(events, times, strict=True))
 
 
-def _same_but_words(recorded: list[Told], replayed: list[Told]) -> bool:
-    """Return whether events differ at most in their words; older recordings lack kinds."""
-    pairs = zip(recorded, replayed, strict=False)
-    alike = all(one[:3] == other[:3] and one[3] in ("", other[3]) for one, other in pairs)
-    return len(recorded) == len(replayed) and alike
-
-
 def is_whole(recording: Recording) -> bool:
     """Return whether a recording has all frames of one run: neither resumed, which restarts counts, nor repaired."""
     return "resumed.step" not in recording.properties and REPAIRED not in recording.outcome
 
 
-@dataclass(frozen=True, slots=True)
 class _States:
     """A state that is recorded only when it changes."""
 
-    step: IntArray
-    shown: IntArray  # ns on the timeline
-    name: list[str]
-
-    @classmethod
-    def of(cls, table: pa.Table) -> _States:
-        return cls(table[STEP].to_numpy(), table[SIM_TIME].cast(pa.int64()).to_numpy(), table["state"].to_pylist())
+    def __init__(self, table: pa.Table) -> None:
+        self._step: IntArray = table[STEP].to_numpy()
+        self._time: IntArray = table[SIM_TIME].cast(pa.int64()).to_numpy()  # ns on the timeline
+        self._name: list[str] = table["state"].to_pylist()
 
     def at(self, step: int) -> tuple[str | None, IntArray]:
         """Return the state at a step, and the times of its rows of this step."""
-        first, last = (int(np.searchsorted(self.step, step, side=side)) for side in ("left", "right"))
-        return self.name[last - 1] if last else None, self.shown[first:last]
+        first, last = (int(np.searchsorted(self._step, step, side=side)) for side in ("left", "right"))
+        return self._name[last - 1] if last else None, self._time[first:last]
 
 
 def text_of(events: list[Told], others: list[Told]) -> str:

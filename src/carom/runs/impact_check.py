@@ -50,17 +50,8 @@ class _Interval(NamedTuple):
 class ImpactCheck:
     """Compares impacts between one recorded frame and the next.
 
-    Parameters
-    ----------
-    encoder
-        Encoder of the replayed frames.
-    rows
-        The rows of the recording.
-    few
-        The bodies of a clip that shows only some bodies; None otherwise.
-    whole
-        Whether this version made the recording and the replay has all frames since the start of the run, so that the
-        recorder's plan is known.
+    ``few`` selects the bodies of a clip that shows only some. The recorder's plan is known if ``whole``: this version
+    made the recording, and the replay has all frames since the start of the run.
     """
 
     def __init__(
@@ -111,8 +102,12 @@ class ImpactCheck:
         before, counted = self._before or (None, None)
         count = self._count_at(frame.step)
         impacts = impacts[largest(impacts, MOST_IMPACTS)]  # as many as a recorded run stores between two frames
-        kept = None if self._plan is None else _room(self._plan, frame, impacts)
-        if kept is not None:
+        kept = None  # the numbers of impacts and contacts since the previous frame that the plan records
+        if self._plan is not None:
+            contacts = 0 if frame.contact_rows is None else len(frame.contact_rows)
+            edges, rows, number = (np.array([each]) for each in (len(frame.contacts), contacts, len(impacts)))
+            hardest = np.array([impacts["normal_impulse"].max(initial=0.0)])
+            kept = self._plan.choose(frame.position[None], edges, rows, number, hardest)
             self.arrows[frame.step] = int(kept.arrows[0])
         self._since, self._missed, self._before = [], 0, (frame, count)
         if count is None:
@@ -122,8 +117,8 @@ class ImpactCheck:
             return Mismatch(frame.step, "impacts since the previous frame", count - counted, found)
         numbers = count - found + 1 + np.arange(len(impacts))
         interval = _Interval(frame, before, impacts, kept, numbers, count - found, count)
-        other = self._impacts_differ(interval) or self._states_differ(interval) or self._stray(frame.step, count)
-        return other or self._counts_differ(frame.step, count)
+        other = self._impacts_differ(interval) or self._states_differ(interval)
+        return other or (self._end_differs(frame.step, count) if frame.step == self._last_step else None)
 
     def _impacts_differ(self, interval: _Interval) -> Mismatch | None:
         recorded = _within(self._numbers, interval)
@@ -210,25 +205,19 @@ class ImpactCheck:
                     return None
         return None
 
-    def _stray(self, step: int, count: int) -> Mismatch | None:
-        """Return rows of impacts after the last frame."""
-        if step == self._last_step:
-            drawn = ((f"{path} at impacts", numbers) for path, (numbers, _) in self._states.items())
-            for path, numbers in ((paths.IMPACTS, self._numbers), *drawn):
-                if len(numbers) and numbers[-1] > count:
-                    return Mismatch(step, f"the last impact of /{path}", int(numbers[-1]), count)
-        return None
-
-    def _counts_differ(self, step: int, count: int) -> Mismatch | None:
-        """Compare the numbers of impacts in the outcome with the rows, after the last frame."""
-        if step == self._last_step:
-            for name, found in asdict(RecordedImpacts(len(self._numbers), count - len(self._numbers))).items():
-                said = self._closing.get(f"impacts.{name}")
-                if said is None and self._closing:
-                    self.skipped[f"impacts.{name} of the property outcome, which is missing"] = None
-                elif said is not None and not np.array_equal(said, found):
-                    shown = said if isinstance(said, int | float) else str(said)
-                    return Mismatch(step, f"impacts.{name} of the property outcome", shown, found)
+    def _end_differs(self, step: int, count: int) -> Mismatch | None:
+        """Find rows of impacts after the last frame, and compare the outcome's numbers of impacts with the rows."""
+        drawn = ((f"{path} at impacts", numbers) for path, (numbers, _) in self._states.items())
+        for path, numbers in ((paths.IMPACTS, self._numbers), *drawn):
+            if len(numbers) and numbers[-1] > count:
+                return Mismatch(step, f"the last impact of /{path}", int(numbers[-1]), count)
+        for name, found in asdict(RecordedImpacts(len(self._numbers), count - len(self._numbers))).items():
+            said = self._closing.get(f"impacts.{name}")
+            if said is None and self._closing:
+                self.skipped[f"impacts.{name} of the property outcome, which is missing"] = None
+            elif said is not None and not np.array_equal(said, found):
+                shown = said if isinstance(said, int | float) else str(said)
+                return Mismatch(step, f"impacts.{name} of the property outcome", shown, found)
         return None
 
     def _count_at(self, step: int) -> int | None:
@@ -238,14 +227,6 @@ class ImpactCheck:
                 if "impact_count" in chunk.components:
                     return int(flat(chunk, "impact_count", Column(pa.int64()))[0].as_py())
         return None
-
-
-def _room(plan: ImpactPlan, frame: Frame, impacts: Records) -> Kept:
-    """Return the numbers of impacts and contacts since the previous frame that a plan records."""
-    contacts = 0 if frame.contact_rows is None else len(frame.contact_rows)
-    edges, rows, number = (np.array([count]) for count in (len(frame.contacts), contacts, len(impacts)))
-    hardest = np.array([impacts["normal_impulse"].max(initial=0.0)])
-    return plan.choose(frame.position[None], edges, rows, number, hardest)
 
 
 def _within(numbers: IntArray, interval: _Interval) -> slice:

@@ -142,16 +142,8 @@ _FAILED = "recording failed"
 def counts_text(contact_steps: int, impacts: int | None, each: str | None, summed_over: str = "steps") -> str:
     """Describe the numbers of contacts and of impacts.
 
-    Parameters
-    ----------
-    contact_steps
-        Pairs that touched, summed over the steps, or over the recorded frames.
-    impacts
-        Contacts that closed faster than the rest speed; None if they were not counted.
-    each
-        How impacts were counted: `EACH`, `ONCE_A_STEP`, or None if unknown.
-    summed_over
-        "steps", or "frames" if only the frames are known, as in a clip.
+    ``contact_steps`` counts pairs that touch, summed over steps, or over "frames" if only these are known, as in a
+    clip. Impacts are contacts that closed faster than the rest speed, counted `EACH` or `ONCE_A_STEP`; None: unknown.
     """
     if summed_over == "frames":
         return (

@@ -73,22 +73,18 @@ class Published:
 def publish(recordings: Sequence[Recording], folder: Path, watch: Callable[[str], None] = lambda _: None) -> Published:
     """Write the folder; an earlier one by carom is replaced once the new one is complete.
 
-    Parameters
-    ----------
-    recordings
-        Whole runs, or clips. Each of several recordings has its own page, and a card on the index page.
-    folder
-        The folder to write.
-    watch
-        Called with a description of each stage.
-
-    Raises
-    ------
-    RecordingError
-        If a recording has no frame, or the folder cannot be written.
+    Each of several recordings has its own page, and a card on the index page. ``watch`` receives a description of each
+    stage. Raises RecordingError if a recording has no frame, or the folder cannot be written.
     """
     several = len(recordings) > 1
-    all_names = _all_names(recordings) if several else [ONLY]
+    all_names = [ONLY]
+    if several:
+        stems: list[str] = []  # of the files of each recording, all different
+        for recording in recordings:
+            stem = re.sub(r"[^a-z0-9]+", "-", recording.path.stem.lower()).strip("-")[:60] or "run"
+            numbered = (stem if number == 1 else f"{stem}-{number}" for number in count(1))
+            stems.append(next(name for name in numbered if name not in (*stems, *_TAKEN)))
+        all_names = [PageNames(stem) for stem in stems]
     title = counted(len(recordings), "recording") if several else recordings[0].title
     cards: list[Card] = []
     missing = ""
@@ -108,16 +104,6 @@ def publish(recordings: Sequence[Recording], folder: Path, watch: Callable[[str]
         size = sum(file.stat().st_size for file in part.iterdir())
     moments = sum(len(card.about.figures) for card in cards)
     return Published(folder, size, moments, missing, [names.page for names in all_names])
-
-
-def _all_names(recordings: Sequence[Recording]) -> list[PageNames]:
-    """Return the names of several recordings' files, all different."""
-    stems: list[str] = []
-    for recording in recordings:
-        stem = re.sub(r"[^a-z0-9]+", "-", recording.path.stem.lower()).strip("-")[:60] or "run"
-        numbered = (stem if number == 1 else f"{stem}-{number}" for number in count(1))
-        stems.append(next(name for name in numbered if name not in (*stems, *_TAKEN)))
-    return [PageNames(stem) for stem in stems]
 
 
 def _write_recording(
@@ -185,7 +171,8 @@ def refuse_folder(folder: Path, force: bool) -> None:
     listed = _listed(folder)
     for path in sorted(folder.iterdir()):
         digest = listed.get(path.name)
-        if path.name == LIST or digest == _digest(path) or (digest == "" and not _is_folder(path)):
+        is_folder = path.is_dir() and not path.is_symlink() and not _PART.fullmatch(path.name)
+        if path.name == LIST or digest == _digest(path) or (digest == "" and not is_folder):
             continue
         what = "was changed since carom wrote it" if digest is not None else "which carom did not write"
         raise RecordingError(f"{folder}: holds {path.name}, {what}; name another folder")
@@ -269,11 +256,6 @@ def _remove(path: Path) -> None:
         path.unlink(missing_ok=True)
 
 
-def _is_folder(path: Path) -> bool:
-    """Return whether a path is a folder, but not one of a killed publication."""
-    return path.is_dir() and not path.is_symlink() and not _PART.fullmatch(path.name)
-
-
 @dataclass(frozen=True, slots=True)
 class TellingMoment:
     """A moment, its caption, and the view that shows it."""
@@ -291,12 +273,7 @@ def telling_moments(recording: Recording) -> list[TellingMoment]:
 
     They are the initial state, if there are many bodies; all impacts of a run with few impacts, otherwise the hardest
     impacts and the moment with the most contacts; and the end. In addition, there are the worst moment of a run that
-    went wrong, a deep overlap, and a large integration error.
-
-    Raises
-    ------
-    RecordingError
-        If the recording has no frame.
+    went wrong, a deep overlap, and a large integration error. Raises RecordingError if the recording has no frame.
     """
     recording.require_frames()
     summary = recording.summary()

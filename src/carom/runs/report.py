@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 
-from carom.arrays import IntArray, SingleArray
 from carom.errors import PhysicsError, RecordingError, SceneError
 from carom.physics.contact.statistics import OVERLAPS
 from carom.private_folder import temporary_folder
@@ -281,23 +280,10 @@ COMPRESSED = 4  # largest compression ratio (bodies at rest), which bounds the n
 
 
 def excerpt(recording: Recording, moment: float, path: Path, frames: int, room: int) -> Clip:
-    """Cut a clip of at most ``room`` bytes, if possible.
+    """Cut a clip of at most ``room`` bytes, if possible, and ``frames`` frames, half of them before a moment (s).
 
     The number of frames is reduced as needed. If a single frame is too large, the clip holds only the bodies nearest to
     the event, without exact states.
-
-    Parameters
-    ----------
-    recording
-        The whole run, or a clip.
-    moment
-        s, the time in question.
-    path
-        The ``.rrd`` to write.
-    frames
-        Largest number of frames, half of them before the moment.
-    room
-        Bytes.
     """
     times = recording.fingerprints()["time"].to_numpy()
     middle, bodies = int(np.argmin(np.abs(times - moment))), len(recording.shown)
@@ -333,15 +319,9 @@ def _nearest(recording: Recording, moment: float, step: int, count: int) -> list
     shown, drawn = np.asarray(recording.shown), recording.drawn_positions(step)
     if drawn is None or len(drawn) != len(shown):
         return [int(body) for body in shown[:count]]
-    apart = drawn - _focus(recording, moment, shown, drawn)
+    # the drawn position of a body of the event; if there is none, the middle of all bodies
+    moments = [each for each in recording.summary()["moments"].values() if each["time"] == moment]
+    places = np.concatenate([np.empty(0, np.int64), *(np.flatnonzero(np.isin(shown, m["bodies"])) for m in moments)])
+    apart = drawn - (drawn[places[0]] if len(places) else np.median(drawn, axis=0))
     order = np.argsort(np.sum(apart * apart, axis=1), kind="stable")
     return [int(body) for body in shown[np.sort(order[:count])]]
-
-
-def _focus(recording: Recording, moment: float, shown: IntArray, drawn: SingleArray) -> SingleArray:
-    """Return the drawn position of a body of the event at a moment; if there is none, the middle of all bodies."""
-    for found in recording.summary()["moments"].values():
-        places = np.flatnonzero(np.isin(shown, found["bodies"]))
-        if found["time"] == moment and len(places):
-            return np.asarray(drawn[places[0]])
-    return np.asarray(np.median(drawn, axis=0))

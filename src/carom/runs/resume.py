@@ -43,19 +43,10 @@ class ResumableRun:
 
 
 def resumable_run(recording: Recording, until: float | None = None) -> ResumableRun:
-    """Find the checkpoint from which a recording can be resumed.
+    """Find the checkpoint from which a recording can be resumed, up to a time (s), by default that of its scene.
 
-    Parameters
-    ----------
-    recording
-        The recording; a clip cannot be continued, because the run before it is missing.
-    until
-        s of simulated time, by default the duration of the scene. Frames keep their interval.
-
-    Raises
-    ------
-    SceneError, RecordingError
-        If there is nothing left to run, or no checkpoint to resume from.
+    Frames keep their interval. Raises SceneError, RecordingError if there is nothing left to run, or no checkpoint to
+    resume from. A clip cannot be continued, because the run before it is missing.
     """
     recording.refuse_some_bodies()
     scene, path = recorded_scene(recording), recording.path
@@ -136,21 +127,9 @@ def resume(
 
 @contextlib.contextmanager
 def claimed_target(source: Path, output: Path | None, force: bool) -> Iterator[Claim]:
-    """Claim the files that a resumed run will write, and refuse existing ones, before anything is read.
+    """Claim the files that a resumed run of ``source`` will write, before anything is read; see `continue_run`.
 
-    Parameters
-    ----------
-    source
-        The recording to continue.
-    output
-        Another ``.rrd`` to write; by default the recording itself.
-    force
-        Whether to replace another file, and the file of an earlier attempt.
-
-    Raises
-    ------
-    RecordingError
-        If a file is in the way, or another process writes it.
+    Raises RecordingError if a file is in the way, or another process writes it.
     """
     if output is not None:
         refuse_name(output)
@@ -173,15 +152,13 @@ def continue_run(
     live: str | None = None,
     watch: Watcher | None = None,
 ) -> Outcome:
-    """Resume a run, and record it from its start.
+    """Resume a run in a space made by `ResumableRun.space`, and record it from its start.
 
     The new recording is called ``NAME.resumed.rrd`` until it is complete. If the disk runs full it keeps that name, and
     the old recording is unchanged.
 
     Parameters
     ----------
-    run, space
-        As made by `resumable_run` and `ResumableRun.space`.
     output
         The ``.rrd`` to write; by default the recording itself, which is replaced once the new one has more frames.
     force

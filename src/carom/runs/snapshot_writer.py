@@ -45,22 +45,9 @@ MOST_TEXTS = 20  # further texts are only counted
 class SnapshotWriter:
     """Converts snapshots to frames and records them, in a separate thread.
 
-    Parameters
-    ----------
-    path
-        The ``.rrd`` to write.
-    observer
-        Converts each state to a frame, and audits it.
-    header
-        Of the recording.
-    force
-        Whether to replace a file that exists.
-    new
-        Allocates memory for a snapshot.
-    unrecorded
-        Collects notes on states and contacts that cannot be recorded.
-    population
-        Numbers the bodies if they come and go; None if they do not.
+    ``observer`` converts each state to a frame and audits it, ``new`` allocates memory for a snapshot, and
+    ``unrecorded`` collects notes on states and contacts that cannot be recorded. ``population`` numbers the bodies if
+    they come and go.
     """
 
     def __init__(
@@ -243,13 +230,7 @@ def observed_recording(path: Path, observer: Observer, scene: Scene) -> Iterator
 
 
 class Unrecorded:
-    """Notes on states and contacts that could not be recorded. Any thread may add notes.
-
-    Parameters
-    ----------
-    path
-        The recording, for the lines on stderr.
-    """
+    """Notes on states and contacts that could not be recorded at a path. Any thread may add notes."""
 
     def __init__(self, path: Path) -> None:
         self.events: list[Event] = []  # only ever appended to

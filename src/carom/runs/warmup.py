@@ -52,13 +52,15 @@ from carom.scene.units.system import SI
 # Together these scenes need every kernel. Add a scene for a kernel that none of them needs (a test checks this).
 _PAIR = [{"position": [-1.0, 0.0, 0.0], "mass": 1.0}, {"position": [0.9999, 0.1, 0.0], "mass": 1.0}]
 _CROWD = [{"count": 8, "radius": {"min": 0.1, "max": 0.4}, "velocity": {"dispersion": 1.0}}]
+_POINTS = {"gravity": {"constant": 1.0}, "contact": {"enabled": False}}
+_SHORT, _LONGER = {"duration": 0.1, "max_dt": 0.02}, {"duration": 0.2, "max_dt": 0.02}
 SCENES: dict[str, dict[str, Any]] = {
     "a pile, recorded": {
         "body": _PAIR,
         "plane": [{"point": [0.0, 0.0, -1.0]}],
         "gravity": {"constant": 1.0, "uniform": [0.0, 0.0, -1.0]},
         "contact": {"allow_overlap": True, "sweeps": 1, "sleep": {"speed": 0.01}},
-        "time": {"duration": 0.2, "max_dt": 0.02},
+        "time": _LONGER,
         "expect": {"contact_audit": 1e-12},
         "record": {"every": "step", "check_every": 2},
     },
@@ -67,56 +69,40 @@ SCENES: dict[str, dict[str, Any]] = {
         "plane": [{"point": [0.0, 0.0, -1.0]}],
         "gravity": {"constant": 0.0, "uniform": [0.0, 0.0, -1.0]},
         "contact": {"allow_overlap": True, "static_friction": 0.0},
-        "time": {"duration": 0.1, "max_dt": 0.02},
+        "time": _SHORT,
     },
-    "points that attract each other": {
-        "body": _PAIR,
-        "gravity": {"constant": 1.0},
-        "contact": {"enabled": False},
-        "time": {"duration": 0.1, "max_dt": 0.02},
-    },
-    "points that keep an accuracy": {
-        "body": _PAIR,
-        "gravity": {"constant": 1.0},
-        "contact": {"enabled": False},
-        "time": {"duration": 0.1, "accuracy": 1e-6},
-    },
-    "points that kick and drift": {
-        "body": _PAIR,
-        "gravity": {"constant": 1.0},
-        "contact": {"enabled": False},
-        "time": {"duration": 0.1, "max_dt": 0.02, "integrator": "leapfrog"},
-    },
+    "points that attract each other": {"body": _PAIR, **_POINTS, "time": _SHORT},
+    "points that keep an accuracy": {"body": _PAIR, **_POINTS, "time": {"duration": 0.1, "accuracy": 1e-6}},
+    "points that kick and drift": {"body": _PAIR, **_POINTS, "time": _SHORT | {"integrator": "leapfrog"}},
     "a crowd, in lanes": {
         "group": [_CROWD[0] | {"count": MAX_IN_ONE_BLOCK + 1}],
-        "gravity": {"constant": 1.0},
-        "contact": {"enabled": False},
-        "time": {"duration": 0.1, "max_dt": 0.02, "integrator": "leapfrog"},
+        **_POINTS,
+        "time": _SHORT | {"integrator": "leapfrog"},
     },
     "a cloud, by the tree": {
         "group": [_CROWD[0] | {"count": 2 * ALL_PAIRS_UP_TO}],
         "gravity": {"constant": 1.0, "method": "tree"},
-        "time": {"duration": 0.1, "max_dt": 0.02},
+        "time": _SHORT,
     },
     "a cloud, by fast multipoles": {
         "group": [_CROWD[0] | {"count": 2 * ALL_PAIRS_UP_TO}],
         "gravity": {"constant": 1.0, "method": "fast-multipole"},
         "contact": {"enabled": False},
-        "time": {"duration": 0.1, "max_dt": 0.02},
+        "time": _SHORT,
     },
     "a periodic box, bodies coloured": {
         "group": _CROWD,
         "domain": {"boundary": "periodic", "size": [4.0, 4.0, 4.0]},
         "gravity": {"constant": 0.0},
         "contact": {"colouring": "bodies", "stabilisation": "baumgarte"},
-        "time": {"duration": 0.2, "max_dt": 0.02, "velocity_limit": "fastest-body"},
+        "time": _LONGER | {"velocity_limit": "fastest-body"},
     },
     "impacts within the step": {
         "group": _CROWD,
         "plane": [{"point": [0.0, 0.0, -2.0]}],
         "gravity": {"constant": 1.0},
         "contact": {"timing": "time-of-impact"},
-        "time": {"duration": 0.2, "max_dt": 0.02},
+        "time": _LONGER,
         "expect": {"contact_audit": 1e-12},
     },
     "heavy balls on a light one, which is held": {
@@ -124,7 +110,7 @@ SCENES: dict[str, dict[str, Any]] = {
         "plane": [{"point": [0.0, 0.0, -1.001]}],
         "gravity": {"constant": 0.0, "uniform": [0.0, 0.0, -9.81]},
         "contact": {"restitution": 0.5},
-        "time": {"duration": 0.1, "max_dt": 0.02},
+        "time": _SHORT,
     },
     "impacts found on polynomials": {
         "body": [{"position": [-1.2, 0.0, 0.0], "mass": 1.0}, {"position": [1.2, 0.1, 0.0], "mass": 1.0}],
@@ -151,7 +137,7 @@ SCENES: dict[str, dict[str, Any]] = {
         "body": [{"position": [0.0, 0.0, 0.0], "velocity": [1.0, 0.0, 0.0], "mass": 1.0}],
         "plane": [{"point": [0.0, 0.0, -1.0]}],
         "gravity": {"constant": 0.0, "uniform": [0.0, 0.0, -1.0]},
-        "time": {"duration": 0.2, "max_dt": 0.02},
+        "time": _LONGER,
         "record": {"every": 0.2},
     },
     "a ball that a field drives along a periodic axis": {
@@ -159,7 +145,7 @@ SCENES: dict[str, dict[str, Any]] = {
         "plane": [{"point": [0.0, 0.0, -1.0]}],
         "domain": {"boundary": ["periodic", "periodic", "open"], "size": [4.0, 4.0, 4.0]},
         "gravity": {"constant": 0.0, "uniform": [1.0, 0.0, -1.0]},
-        "time": {"duration": 0.1, "max_dt": 0.02},
+        "time": _SHORT,
     },
     "a pile in a wind, and falling bodies": {
         "body": [*_PAIR, {"position": [0.0, 0.0, 2.2], "velocity": [0.0, 0.0, -5.0], "mass": 1.0}],
@@ -167,7 +153,7 @@ SCENES: dict[str, dict[str, Any]] = {
         "gravity": {"constant": 0.0, "uniform": [0.0, 0.0, -1.0]},
         "contact": {"allow_overlap": True},
         "drag": {"relaxation_time": 1.0, "medium_velocity": [1.0, 0.0, 0.0]},
-        "time": {"duration": 0.2, "max_dt": 0.02},
+        "time": _LONGER,
     },
 }
 
@@ -198,9 +184,8 @@ _SPINNING = {"position": [-1.0, 0.0, 0.0], "mass": 1.0, "angular_velocity": [0.0
 POINTS: dict[str, Any] = {
     "title": "points that attract each other",
     "body": [_SPINNING, *({"position": [float(k), 0.0, 0.0], "mass": 1.0} for k in range(1, MAX_IN_ONE_BLOCK + 1))],
-    "gravity": {"constant": 1.0},
-    "contact": {"enabled": False},
-    "time": {"duration": 0.1, "max_dt": 0.02, "integrator": "leapfrog"},
+    **_POINTS,
+    "time": _SHORT | {"integrator": "leapfrog"},
 }
 
 

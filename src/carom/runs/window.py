@@ -25,25 +25,10 @@ Watcher = Callable[[StepStatus], None]
 
 
 class Window:
-    """A window of a recording that is rerun, from the last checkpoint before a time.
+    """A window of a recording that is rerun, from the last checkpoint before a time (s).
 
-    Parameters
-    ----------
-    recording
-        The recording to rerun.
-    before
-        s; the checkpoint is earlier than this if possible.
-    contacts
-        Whether frames carry the contact table.
-    threads
-        Threads for the kernels; the bits do not depend on it.
-    watch
-        Called after every frame with the progress.
-
-    Raises
-    ------
-    RecordingError, SceneError
-        If the recording cannot be rerun.
+    With ``contacts``, frames carry the contact table. ``watch`` receives the progress after every frame. Raises
+    RecordingError or SceneError if the recording cannot be rerun.
     """
 
     def __init__(

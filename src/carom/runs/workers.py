@@ -128,10 +128,7 @@ class LocalWorkers:
     def ended(self, seconds: float) -> list[Ended]:
         """Return the tasks that have ended; wait up to a timeout for the first.
 
-        Raises
-        ------
-        ExperimentError
-            If all workers end while starting.
+        Raises ExperimentError if all workers end while starting.
         """
         done: list[Ended] = []
         for connection in wait(list(self._processes), seconds):

@@ -171,10 +171,7 @@ def _plain(value: Any) -> Any:
 def source_of(given: str, overrides: list[str]) -> tuple[Scene, InitialBodies]:
     """Read a scene and its bodies; of a recording or a bundle, those of the first checkpoint.
 
-    Raises
-    ------
-    SceneError, RecordingError
-        If there is none, or the recording cannot be run again.
+    Raises SceneError or RecordingError if there is none, or the recording cannot be run again.
     """
     path = Path(given)
     recorded = False

@@ -31,20 +31,14 @@ class Condition(ABC):
     def check(self, seen: Observation) -> None:  # noqa: B027 - without names there is nothing to check
         """Check the names at the first frame of the run.
 
-        Raises
-        ------
-        ExperimentError
-            If the condition uses an unknown name; the message has the nearest known one.
+        Raises ExperimentError if the condition uses an unknown name; the message has the nearest known one.
         """
 
     @abstractmethod
     def pinned(self, seen: Observation) -> Condition:
         """Return a condition that holds only for the same failure.
 
-        Raises
-        ------
-        ExperimentError
-            If the run does not show the failure; the message describes what it shows.
+        Raises ExperimentError if the run does not show the failure; the message describes what it shows.
         """
 
     @abstractmethod

@@ -44,13 +44,7 @@ class DaskWorkers:
         self._stack = contextlib.ExitStack()
 
     def __enter__(self) -> Self:
-        """Connect.
-
-        Raises
-        ------
-        ExperimentError
-            If no scheduler answers at the address.
-        """
+        """Connect. Raises ExperimentError if no scheduler answers at the address."""
         for logger in _LOGGERS:
             logging.getLogger(logger).setLevel(logging.CRITICAL)  # the command has its own reports
         with self._stack:

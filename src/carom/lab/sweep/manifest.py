@@ -93,10 +93,7 @@ class Folder:
     def claimed(self) -> Iterator[None]:
         """Lock the folder against other sweeps; the lock ends with the process.
 
-        Raises
-        ------
-        ExperimentError
-            If another sweep runs here.
+        Raises ExperimentError if another sweep runs here.
         """
         try:
             claim = os.open(self._lock, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o666)
@@ -209,10 +206,8 @@ class Manifest:
     def begin(cls, folder: Folder, plan: Plan, command: str) -> Self:
         """Continue a sweep, or begin one; completed runs are kept.
 
-        Raises
-        ------
-        ExperimentError
-            If the folder holds another scene, or a sweep of another scene, of other keys, or of another version.
+        Raises ExperimentError if the folder holds another scene, or a sweep of another scene, of other keys, or of
+        another version.
         """
         known: dict[str, SweepRun] = {}
         files: set[str] = set()
@@ -340,13 +335,7 @@ class Manifest:
 
 
 def read(folder: Folder) -> StoredSweep:
-    """Read a stored manifest.
-
-    Raises
-    ------
-    ExperimentError
-        If there is none, or it is not a manifest of carom.
-    """
+    """Read a stored manifest. Raises ExperimentError if there is none, or it is not a manifest of carom."""
     path = folder.manifest
     if not path.is_file():
         raise ExperimentError(f"{folder.root}: not a sweep (it contains no {path.name})")

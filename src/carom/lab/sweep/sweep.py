@@ -183,12 +183,8 @@ class Conductor:
     def conduct(self, points: list[SweepPoint], interrupts: Interrupts) -> str:
         """Execute runs; return why this ended early, or an empty text.
 
-        The first interrupt lets current runs finish, the second drops them.
-
-        Raises
-        ------
-        OSError
-            If the final manifest could not be written.
+        The first interrupt lets current runs finish, the second drops them. Raises OSError if the final manifest could
+        not be written.
         """
         plan, folder, version = self._manifest.plan, self._manifest.folder, versions()["carom"]
         self._left = {point.name for point in points}

@@ -151,12 +151,8 @@ Points = dict[float, list[float]]  # all y of one x
 def figure(rows: Sequence[Row], x: str, y: str, varied: Sequence[str], title: str, path: Path) -> None:
     """Draw ``y`` over ``x`` into a PNG, with a line for each combination of the other varied values.
 
-    A point is the mean of the runs that differ only in their seeds; the bar is their range.
-
-    Raises
-    ------
-    ExperimentError
-        If a column is not numeric, or no run has both.
+    A point is the mean of the runs that differ only in their seeds; the bar is their range. Raises ExperimentError if a
+    column is not numeric, or no run has both.
     """
     from matplotlib.figure import Figure  # noqa: PLC0415 - an extra
 

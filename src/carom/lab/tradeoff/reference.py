@@ -114,7 +114,7 @@ def compare(run: Trajectory, reference: Trajectory, scale: ErrorScale, samples: 
 
 
 def _late(run: Trajectory, reference: Trajectory, horizon: float) -> tuple[float, float]:
-    """Return the rms error (s) of the first contacts up to the horizon, and the number of pairs that never met."""
+    """Return the rms error (s) of the first contacts up to the horizon, and the number of pairs without contact."""
     met = {tuple(pair): time for pair, time in zip(run.pair.tolist(), run.met.tolist(), strict=True)}
     due = [
         (tuple(pair), time)
@@ -183,11 +183,9 @@ def make_reference(
     ----------
     finest
         Steps of the scene over the smallest compared steps; a refined reference begins with half of the latter.
-    threads
-        For the kernels.
     budget
-        Seconds of computing. An exact solution ends after a third of this budget. After the whole budget, only the
-        second refinement may begin.
+        s of computing. An exact solution ends after a third of it. After the whole budget, only the second refinement
+        may begin.
     tell
         Called with a sentence before each solution.
 

@@ -121,10 +121,8 @@ def _integrators(scene: Scene) -> tuple[str, ...]:
 def default_points(scene: Scene) -> list[GridPoint]:
     """Return about a dozen useful settings of the parts that the scene requires; the first is the scene itself.
 
-    Raises
-    ------
-    SceneError
-        If the scene has an accuracy, which chooses the step: default settings vary the step and the keys that set it.
+    Raises SceneError if the scene has an accuracy, which chooses the step: default settings vary the step and the keys
+    that set it.
     """
     if scene.time.accuracy is not None:
         raise SceneError(

@@ -61,16 +61,10 @@ Examiner = Callable[[SettingResult, Teller], None]  # examines a followed run
 
 
 class Study:
-    """The settings of a scene, measured.
+    """The settings of a scene, measured. An earlier study of the same scene in the folder is resumed.
 
     Parameters
     ----------
-    scene
-        The scene to run.
-    folder
-        Folder of the study. An earlier study of the same scene there is resumed.
-    threads
-        For the kernels.
     force
         Whether to replace an existing study.
     advice
@@ -112,7 +106,9 @@ class Study:
         self.results: list[SettingResult] = []
         self.reference: Reference | None = None
         self.budget = min(BUDGET, limit)  # s, for the reference
-        self.follow_engine: EngineFollower = self._followed
+        self.follow_engine: EngineFollower = lambda setting, times: engine_called(setting.engine).follow(
+            scene, setting, times, limit
+        )
         self.examine: Examiner = lambda result, tell: None
         self._busy = 0.0
         output_folder(folder)
@@ -267,9 +263,6 @@ class Study:
         run.save(self._path(result))
         result.status, result.errors = "measured", self.reference.errors(run)
         result.steps, result.frames = run.steps, run.frames
-
-    def _followed(self, setting: Setting, times: FloatArray) -> Trajectory:
-        return engine_called(setting.engine).follow(self.scene, setting, times, self.limit)
 
     def _cost(self, result: SettingResult) -> float:
         """Run a setting once without recording; return its time in s, including that of a look-ahead.

@@ -52,10 +52,7 @@ class Look(NamedTuple):
 def styled(size: float) -> AbstractContextManager[None]:
     """Return the drawing context of carom's figures, with a font size in points.
 
-    Raises
-    ------
-    ExperimentError
-        If matplotlib is not there.
+    Raises ExperimentError if matplotlib is not there.
     """
     try:
         import matplotlib as mpl  # noqa: PLC0415 - an extra
@@ -70,10 +67,7 @@ def styled(size: float) -> AbstractContextManager[None]:
 def draw(document: dict[str, Any], path: Path, units: UnitSystem = SI) -> None:
     """Draw the document of a study into a PNG or SVG; times of impacts are drawn in units of its scene.
 
-    Raises
-    ------
-    ExperimentError
-        If matplotlib is not there, or nothing is measured.
+    Raises ExperimentError if matplotlib is not there, or nothing is measured.
     """
     done = [entry for entry in document["settings"] if entry["status"] == "measured" and entry["cost"]]
     panels = [error for error in PANELS if any((entry["errors"][error] or 0.0) > LEAST for entry in done)][:MOST_PANELS]
@@ -192,10 +186,7 @@ def _panel(
 def record(study: Study, path: Path) -> None:
     """Write a study's trajectories into one ``.rrd``, in place of an earlier one.
 
-    Raises
-    ------
-    RecordingError
-        If it cannot be written.
+    Raises RecordingError if it cannot be written.
     """
     reference = study.reference
     if reference is None or not len(reference.trajectory):

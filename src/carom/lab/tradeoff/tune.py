@@ -262,10 +262,7 @@ def tuned(
 ) -> Tuning:
     """Search a study for the cheapest setting that keeps limits, or choose it from given settings.
 
-    Raises
-    ------
-    ExperimentError
-        If a limit cannot be measured in this scene.
+    Raises ExperimentError if a limit cannot be measured in this scene.
     """
     begin = [point.setting(study.scene) for point in default_points(study.scene)] if settings is None else settings
     reference, units = study.prepare([AS_WRITTEN, *begin], tell), study.scene.unit_system
@@ -296,10 +293,7 @@ def tuned(
 def limits(asked: list[str]) -> dict[str, float]:
     """Read limits as given to ``--error``, such as ``energy=1e-4``.
 
-    Raises
-    ------
-    SceneError
-        If one does not limit a measured error.
+    Raises SceneError if one does not limit a measured error.
     """
     found = {}
     for text in asked:
@@ -318,10 +312,7 @@ def limits(asked: list[str]) -> dict[str, float]:
 def write(tuning: Tuning, path: Path) -> None:
     """Write the scene with the best setting, its own comments, and a comment on the measurement.
 
-    Raises
-    ------
-    ExperimentError
-        If it cannot be written.
+    Raises ExperimentError if it cannot be written.
     """
     study, result = tuning.study, tuning.best
     assert study.reference is not None and result is not None, "the measured errors need a reference"
