@@ -72,18 +72,26 @@ def test_a_run_finds_a_place_for_its_recording_and_shows_a_progress_bar_when_ask
         carom.Scene.load("two-spheres", ["time.duratio=3"])
 
 
-def test_every_name_for_extensions_can_be_imported_and_is_documented_in_its_section() -> None:
+def documented_names() -> dict[str, list[str]]:
+    """Return the names of `carom.extend` by purpose, from the table of docs/extending.md."""
     page = (ROOT / "docs" / "extending.md").read_text(encoding="utf-8")
-    documented = {
-        row[1]: re.findall(r"`(\w+)`", row[2]) for row in re.finditer(r"^\| ([^|`]+) \| (`.*) \|$", page, re.M)
-    }
-    sections = {section: " ".join(homes.values()).split() for section, homes in extend.SECTIONS.items()}
-    assert {section: documented.get(section) for section in sections} == sections
-    names = [name for section in sections.values() for name in section]
-    assert len(names) == len(set(names)) < 200, "too many names hide those that an author needs"
+    page = page.partition("## What `carom.extend` has")[2].partition("\n## ")[0]
+    return {row[1]: re.findall(r"`(\w+)`", row[2]) for row in re.finditer(r"^\| ([^|`]+) \| (`.*) \|$", page, re.M)}
+
+
+def test_every_name_for_extensions_can_be_imported_and_is_documented_once() -> None:
+    names = dir(extend)
+    assert len(names) < 200, "too many names hide those that an author needs"
+    assert sorted(name for section in documented_names().values() for name in section) == names
     for name in names:
         if name not in NEEDS_AN_EXTRA:
             assert getattr(extend, name) is not None
+
+
+def test_type_checkers_see_the_names_that_extend_has() -> None:
+    source = Path(extend.__file__).read_text(encoding="utf-8")
+    imported = re.findall(r"^    from ([\w.]+) import (\w+) as \w+$", source, re.M)
+    assert {name: home for home, name in imported} == extend._HOMES
 
 
 @pytest.mark.needs("datafusion")
@@ -94,8 +102,8 @@ def test_names_for_extensions_that_need_an_extra_can_be_imported_with_it() -> No
 def test_no_name_for_extensions_is_there_without_a_use() -> None:
     files = [*ROOT.glob("src/carom/lab/**/*.py"), *ROOT.glob("examples/**/*.py"), *ROOT.glob("docs/*.md")]
     text = "\n".join(file.read_text(encoding="utf-8") for file in files if file.name != "extending.md")
-    tools = [names for section, homes in extend.SECTIONS.items() if "Tools" in section for names in homes.values()]
-    assert not [name for name in " ".join(tools).split() if not re.search(rf"\b{name}\b", text)]
+    tools = [name for section, names in documented_names().items() if "Tools" in section for name in names]
+    assert tools and not [name for name in tools if not re.search(rf"\b{name}\b", text)]
 
 
 @pytest.mark.parametrize("layer", ["scene", "plan", "physics", "recording"])

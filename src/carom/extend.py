@@ -207,136 +207,99 @@ if TYPE_CHECKING:
     from carom.show.overlays import write_forecast as write_forecast
     from carom.show.request import named_event as named_event
 
-SECTIONS = {  # purpose → module → names
-    "Sections of a scene and units": {
-        "carom.scene.schema.quantity": "Section Count NonNegative Positive Real",
-        "carom.scene.units.dimension": (
-            "Dimension ACCELERATION ANGULAR_VELOCITY DENSITY ENERGY FORCE IMPULSE LENGTH MASS RATE TIME TORQUE VELOCITY"
-        ),
-        "carom.scene.units.system": "SI WITHOUT UnitSystem units_of_rebound",
-    },
-    "Forces": {
-        "carom.scene.forces": "BodyForce PairForce",
-        "carom.physics.jit.decorators": "kernel",
-        "carom.physics.exponential": "exponential logarithm power",
-    },
-    "Contact laws": {
-        "carom.scene.contact_laws": "ContactLaw",
-        "carom.scene.schema.quantity": "Friction",
-    },
-    "Shapes of walls": {
-        "carom.scene.wall_shapes": "WallShape Mesh across mesh_of_revolution unit_vector",
-    },
-    "Integrators": {
-        "carom.scene.integrators": "Integrator Substep",
-    },
-    "Recorded series": {
-        "carom.recording.schema.series": "Series Sample Past Plot",
-        "carom.recording.schema.palette": "LINES",
-    },
-    "Data formats": {
-        "carom.scene.data": "DataFormat DataTable Arrays",
-    },
-    "Export formats": {
-        "carom.recording.export": "Snapshot",
-    },
-    "Engines": {
-        "carom.recording.source": "SPHERE setup_of engine_package named_version",
-        "carom.scene.start": "InitialBodies HalfSpaces half_spaces names_of_solids",
-        "carom.scene.schema": "Coefficients",
-        "carom.scene.matter": "pair_coefficients",
-        "carom.physics.placement": "place",
-        "carom.plan.features": "require",
-        "carom.plan.interactions": "further",
-        "carom.plan.hierarchy": "DOMINANT",
-        "carom.scene.contact_laws": "DEFAULT_LAW",
-        "carom.recording.source.observer": "Observer not_finite",
-        "carom.runs.snapshot_writer": "observed_recording observed_totals",
-        "carom.physics.diagnostics.extremes": "Extremes",
-    },
-    "Commands": {
-        "carom.cli.options": (
-            "ForceOption JsonOption OptionalTime RecordingArgument SceneArgument SetOption ThreadsOption "
-            "bundled not_a_folder output_option recording_option seconds simulated simulated_or_none time_option "
-            "work_time"
-        ),
-        "carom.cli.printing": "say say_json finite duration_text",
-        "carom.cli.terminal": "Terminal print_whole LiveLine bar replaying",
-        "carom.cli.run": "announce_compilation",
-        "carom.errors": "needing",
-        "carom.scene.wording": "command counted nearest suggestion Names bodies_called body_called",
-        "carom.recording.edit.bundle": "opened is_bundle",
-    },
-    "Tools: scenes and what they require": {
-        "carom.scene.schema.contact": "DEFAULT",
-        "carom.scene.data.body_sources": "DataFiles HeldBodies",
-        "carom.scene.schema.promise": "Expect",
-        "carom.scene.integrators": "INTEGRATORS integrator_called",
-        "carom.scene.parts": "PARTS",
-        "carom.scene.units.dimension": "BASE Physical nearest_float physical",
-        "carom.scene.scene_file": "RECORDED bundled_folders toml_for toml_text DEEPEST is_too_deep line_of_long_key",
-        "carom.plan.features": "Requirements",
-        "carom.plan": "auto",
-        "carom.scene.matter": "body_materials",
-        "carom.scene.conversion": "converted rescaled",
-        "carom.plan.interactions": "damping",
-        "carom.plan.hierarchy": "why_no_hierarchy",
-        "carom.scene": "variation",
-        "carom.scene.load": "scene_from_text",
-    },
-    "Tools: running scenes": {
-        "carom.physics.bodies": "Bodies",
-        "carom.physics.reference_api": "BodyProxy CollisionContext",
-        "carom.physics.checkpoint": "Checkpoint",
-        "carom.runs.workers": "Ended LocalWorkers TaskDroppedError WorkerDiedError Workers",
-        "carom.physics.schedule": "Every Schedule at every",
-        "carom.runs.environment": "Interrupts",
-        "carom.physics.contact.law": "LAW",
-        "carom.runs.run": "Outcome Watcher closing_summary recording_space simulate",
-        "carom.physics.simulation": "StepStatus",
-        "carom.runs.outcome": "Verdict in_words judge",
-        "carom.runs.window": "checkpoint_before space_of",
-        "carom.runs.resume": "continued_scene",
-        "carom.physics.jit": "cores",
-        "carom.physics.forces.kernel_forces": "forces_of_packages",
-        "carom.physics.vector": "minimum_images",
-        "carom.runs.report": "report",
-        "carom.physics.look_ahead.find_step": "with_promise",
-    },
-    "Tools: recordings and output files": {
-        "carom.recording.write.durable_sink": "DiskReserve",
-        "carom.recording.read.recorded_scene": "RecordedBodies recorded_scene start_of",
-        "carom.recording.read.frame_rows": "RecordedPositions",
-        "carom.recording.schema.paths": "STEP",
-        "carom.recording.schema.header": "SweepMember",
-        "carom.recording.read.lookup": "body_number names_of tolerance",
-        "carom.runs.environment": "command_line environment versions",
-        "carom.recording.read.recorded_contacts": "closing_speeds rows_by_frame",
-        "carom.recording.read.recorded_impacts": "count_at impacts_by_number",
-        "carom.recording.write.whole_file": (
-            "is_link_of_another new_name output_folder refuse_itself refuse_output refuse_scene_output whole_file "
-            "write_whole"
-        ),
-    },
-    "Tools: views that compare runs": {
-        "carom.show.causes": "CauseEdge Causes write_causes",
-        "carom.show.overlays": "Forecast write_forecast",
-        "carom.show": "keeper overlays",
-        "carom.show.request": "named_event",
-        "carom.show.catalog": "serve_catalog",
-    },
+_NAMES = {  # of each module; docs/extending.md lists them by purpose
+    "carom.cli.options": (
+        "ForceOption JsonOption OptionalTime RecordingArgument SceneArgument SetOption ThreadsOption bundled "
+        "not_a_folder output_option recording_option seconds simulated simulated_or_none time_option work_time"
+    ),
+    "carom.cli.printing": "duration_text finite say say_json",
+    "carom.cli.run": "announce_compilation",
+    "carom.cli.terminal": "LiveLine Terminal bar print_whole replaying",
+    "carom.errors": "needing",
+    "carom.physics.bodies": "Bodies",
+    "carom.physics.checkpoint": "Checkpoint",
+    "carom.physics.contact.law": "LAW",
+    "carom.physics.diagnostics.extremes": "Extremes",
+    "carom.physics.exponential": "exponential logarithm power",
+    "carom.physics.forces.kernel_forces": "forces_of_packages",
+    "carom.physics.jit": "cores",
+    "carom.physics.jit.decorators": "kernel",
+    "carom.physics.look_ahead.find_step": "with_promise",
+    "carom.physics.placement": "place",
+    "carom.physics.reference_api": "BodyProxy CollisionContext",
+    "carom.physics.schedule": "Every Schedule at every",
+    "carom.physics.simulation": "StepStatus",
+    "carom.physics.vector": "minimum_images",
+    "carom.plan": "auto",
+    "carom.plan.features": "Requirements require",
+    "carom.plan.hierarchy": "DOMINANT why_no_hierarchy",
+    "carom.plan.interactions": "damping further",
+    "carom.recording.edit.bundle": "is_bundle opened",
+    "carom.recording.export": "Snapshot",
+    "carom.recording.read.frame_rows": "RecordedPositions",
+    "carom.recording.read.lookup": "body_number names_of tolerance",
+    "carom.recording.read.recorded_contacts": "closing_speeds rows_by_frame",
+    "carom.recording.read.recorded_impacts": "count_at impacts_by_number",
+    "carom.recording.read.recorded_scene": "RecordedBodies recorded_scene start_of",
+    "carom.recording.schema.header": "SweepMember",
+    "carom.recording.schema.palette": "LINES",
+    "carom.recording.schema.paths": "STEP",
+    "carom.recording.schema.series": "Past Plot Sample Series",
+    "carom.recording.source": "SPHERE engine_package named_version setup_of",
+    "carom.recording.source.observer": "Observer not_finite",
+    "carom.recording.write.durable_sink": "DiskReserve",
+    "carom.recording.write.whole_file": (
+        "is_link_of_another new_name output_folder refuse_itself refuse_output refuse_scene_output whole_file "
+        "write_whole"
+    ),
+    "carom.runs.environment": "Interrupts command_line environment versions",
+    "carom.runs.outcome": "Verdict in_words judge",
+    "carom.runs.report": "report",
+    "carom.runs.resume": "continued_scene",
+    "carom.runs.run": "Outcome Watcher closing_summary recording_space simulate",
+    "carom.runs.snapshot_writer": "observed_recording observed_totals",
+    "carom.runs.window": "checkpoint_before space_of",
+    "carom.runs.workers": "Ended LocalWorkers TaskDroppedError WorkerDiedError Workers",
+    "carom.scene": "variation",
+    "carom.scene.contact_laws": "DEFAULT_LAW ContactLaw",
+    "carom.scene.conversion": "converted rescaled",
+    "carom.scene.data": "Arrays DataFormat DataTable",
+    "carom.scene.data.body_sources": "DataFiles HeldBodies",
+    "carom.scene.forces": "BodyForce PairForce",
+    "carom.scene.integrators": "INTEGRATORS Integrator Substep integrator_called",
+    "carom.scene.load": "scene_from_text",
+    "carom.scene.matter": "body_materials pair_coefficients",
+    "carom.scene.parts": "PARTS",
+    "carom.scene.scene_file": "DEEPEST RECORDED bundled_folders is_too_deep line_of_long_key toml_for toml_text",
+    "carom.scene.schema": "Coefficients",
+    "carom.scene.schema.contact": "DEFAULT",
+    "carom.scene.schema.promise": "Expect",
+    "carom.scene.schema.quantity": "Count Friction NonNegative Positive Real Section",
+    "carom.scene.start": "HalfSpaces InitialBodies half_spaces names_of_solids",
+    "carom.scene.units.dimension": (
+        "ACCELERATION ANGULAR_VELOCITY BASE DENSITY ENERGY FORCE IMPULSE LENGTH MASS RATE TIME TORQUE VELOCITY "
+        "Dimension Physical nearest_float physical"
+    ),
+    "carom.scene.units.system": "SI WITHOUT UnitSystem units_of_rebound",
+    "carom.scene.wall_shapes": "Mesh WallShape across mesh_of_revolution unit_vector",
+    "carom.scene.wording": "Names bodies_called body_called command counted nearest suggestion",
+    "carom.show": "keeper overlays",
+    "carom.show.catalog": "serve_catalog",
+    "carom.show.causes": "CauseEdge Causes write_causes",
+    "carom.show.overlays": "Forecast write_forecast",
+    "carom.show.request": "named_event",
 }
-_PLACES = {name: home for homes in SECTIONS.values() for home, names in homes.items() for name in names.split()}
+_HOMES = {name: module for module, names in _NAMES.items() for name in names.split()}
 
 
 def __getattr__(name: str) -> Any:
     """Import a name at its first use."""
-    if name not in _PLACES:
+    if name not in _HOMES:
         raise AttributeError(f"module 'carom.extend' has no attribute {name!r}")
-    home = importlib.import_module(_PLACES[name])
+    home = importlib.import_module(_HOMES[name])
     return getattr(home, name) if hasattr(home, name) else importlib.import_module(f"{home.__name__}.{name}")
 
 
 def __dir__() -> list[str]:
     """Return all names, used or not."""
-    return sorted(_PLACES)
+    return sorted(_HOMES)

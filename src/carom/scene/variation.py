@@ -43,7 +43,7 @@ def texts_of(text: str) -> list[str]:
 
 
 def alike(values: Any) -> Values:
-    """Return the values as a tuple, in which whole numbers among floats are floats.
+    """Return the values as a tuple; if one is a float, whole numbers become floats.
 
     Raises ValueError if there are none, or one occurs twice.
     """

@@ -81,11 +81,16 @@ def asked(
     watch: Watcher = lambda _: None,
 ) -> Presentation:
     """Choose how a request is shown; raises RecordingError if there is no such moment, event or body."""
-    event = request.event
-    if event is None:
+    if request.event is None:
         shown = NamedEvent(recording.moment(request.at), is_impact=request.at is None or only == CLOSE_UP)
     else:
-        shown = named_event(recording, event)
+        shown = named_event(recording, request.event)
+    pair, plots = shown.pair if request.bodies is None else named_pair(recording, request.bodies), None
+    if request.plot is not None:
+        quantities = asked_quantities(recording, request.plot, one_unit=only == PLOT)
+        plots = BodyPlots(body_series(recording, quantities, watch), recording.units, alone=only == PLOT)
+    elif only == PLOT:
+        raise RecordingError("a view of plots shows the curves named by plot, such as 0.speed; none is named")
     return presentation(
         recording,
         shown.time,
@@ -93,22 +98,12 @@ def asked(
         only,
         within=shown.step,
         at_own_time=shown.is_impact,
-        pair=shown.pair if request.bodies is None else named_pair(recording, request.bodies),
-        plots=_body_plots(recording, request.plot, only, watch),
+        pair=pair,
+        plots=plots,
         colour_by=request.colour_by,
         dense=dense,
         watch=watch,
     )
-
-
-def _body_plots(recording: Recording, text: str | None, only: str, watch: Watcher) -> BodyPlots | None:
-    """Compute the requested plots of single bodies."""
-    if text is None:
-        if only == PLOT:
-            raise RecordingError("a view of plots shows the curves named by plot, such as 0.speed; none is named")
-        return None
-    quantities = asked_quantities(recording, text, one_unit=only == PLOT)
-    return BodyPlots(body_series(recording, quantities, watch), recording.units, alone=only == PLOT)
 
 
 def presentation(

@@ -280,7 +280,7 @@ class _Reader:
         return f" ({self._units.span(least, most, dimensions[0])})"
 
     def refuse_distance(self, position: FloatArray) -> None:
-        """Refuse a column of distances from the origin as radii: three such spheres would overlap there."""
+        """Refuse radii that equal the distances from the origin, since three such spheres would overlap."""
         column = self._mapping.get("radius", ("",))[0]
         if not column or len(position) < 3:
             return
