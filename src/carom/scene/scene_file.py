@@ -39,17 +39,17 @@ _BARE_KEY = re.compile(r"[A-Za-z0-9_-]+")
 
 def bundled_scenes() -> dict[str, Path]:
     """Return the path of each bundled scene by its name, in order of the names."""
-    return _scenes(_folder())
+    return _scenes()
 
 
 def extreme_scenes() -> dict[str, Path]:
     """Return the path of each numerical extreme by its name, such as ``extremes/mass-ratio``, in order of the names."""
-    return {f"{EXTREMES}/{name}": path for name, path in _scenes(_folder() / EXTREMES).items()}
+    return _scenes(EXTREMES)
 
 
 def crosscheck_scenes() -> dict[str, Path]:
     """Return the path of each scene from another engine's bug report, such as ``crosscheck/jolt-higher-bounce``."""
-    return {f"{CROSSCHECK}/{name}": path for name, path in _scenes(_folder() / CROSSCHECK).items()}
+    return _scenes(CROSSCHECK)
 
 
 def bundled_folders() -> dict[str, list[str]]:
@@ -57,13 +57,11 @@ def bundled_folders() -> dict[str, list[str]]:
     return {EXTREMES: list(extreme_scenes()), CROSSCHECK: list(crosscheck_scenes())}
 
 
-def _scenes(folder: Path) -> dict[str, Path]:
-    return {path.stem: path for path in sorted(folder.glob("*.toml"), key=lambda path: path.stem)}
-
-
-def _folder() -> Path:
+def _scenes(folder: str = "") -> dict[str, Path]:
     installed = PACKAGE / "configs"
-    return installed if installed.is_dir() else PACKAGE.parents[1] / "configs"
+    configs = installed if installed.is_dir() else PACKAGE.parents[1] / "configs"
+    paths = sorted((configs / folder).glob("*.toml"), key=lambda path: path.stem)
+    return {path.relative_to(configs).with_suffix("").as_posix(): path for path in paths}
 
 
 def data_files(scene: Path) -> list[Path]:

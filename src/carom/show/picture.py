@@ -24,7 +24,7 @@ from carom.recording.read.lookup import names_of
 from carom.recording.read.recording import Recording
 from carom.recording.write.whole_file import whole_file
 from carom.show.presentation import asked
-from carom.show.request import Request, Watcher
+from carom.show.request import Request
 from carom.show.viewer import Viewer, virtual_screen
 
 # The characters that the viewer can draw with its own font, Inter, as shipped with Rerun 0.41.
@@ -83,7 +83,6 @@ def render(
     *,
     view: str = ALL,
     theme: str = "dark",
-    watch: Watcher = lambda _: None,
 ) -> Picture:
     """Render a moment of a recording into a PNG.
 
@@ -95,8 +94,6 @@ def render(
         One view that fills the picture, or all of them.
     theme
         Theme of the viewer and of all views, "dark" or "light".
-    watch
-        Called while steps without a frame are repeated.
 
     Raises
     ------
@@ -119,7 +116,7 @@ def render(
         moment, extra, missing = recording.moment(request.at), None, ""
     else:
         canvas = Canvas(*size, framed=whole, rendered=True, theme=theme)
-        shown = asked(recording, request, canvas, view, watch=watch)
+        shown = asked(recording, request, canvas, view)
         moment, extra, missing = shown.time, shown.supplement, shown.missing
     with headless(recording, window_of(size, whole), theme) as viewer:
         viewer.show(recording)

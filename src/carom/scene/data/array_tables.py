@@ -71,13 +71,17 @@ def open_hdf5(path: Path, called: str, snapshot: int) -> DataTable:
     return _Datasets(path, called, names)
 
 
-class _Datasets(DataTable):
-    """Datasets of a file, by their full paths."""
+class _NamedArrays(DataTable):
+    """Arrays of a file, by their names."""
 
     def __init__(self, path: Path, called: str, names: Sequence[str]) -> None:
         self._path = path
         self.called = called
         self.names = names
+
+
+class _Datasets(_NamedArrays):
+    """Datasets of a file, by their full paths."""
 
     def read(self, names: Sequence[str], texts: Sequence[str] = ()) -> dict[str, Raw]:
         """Read datasets, whose shapes are checked before memory is allocated."""
@@ -176,11 +180,8 @@ def open_npz(path: Path, called: str, snapshot: int) -> DataTable:
     return _Archive(path, called, names)
 
 
-class _Archive(DataTable):
-    def __init__(self, path: Path, called: str, names: Sequence[str]) -> None:
-        self._path = path
-        self.called = called
-        self.names = names
+class _Archive(_NamedArrays):
+    """Arrays of an archive."""
 
     def read(self, names: Sequence[str], texts: Sequence[str] = ()) -> dict[str, Raw]:
         """Read arrays, whose headers are checked before memory is allocated."""
