@@ -17,15 +17,9 @@ RESTITUTIONS = '"contact.restitution", "plane.0.restitution", "wall.0.restitutio
 @pytest.mark.parametrize(
     ("key", "meant"),
     [
-        (
-            "restitution",
-            RESTITUTIONS,
-        ),
+        ("restitution", RESTITUTIONS),
         ("contact.restitutoin", '"restitution"?'),
-        (
-            "restitutoin",
-            RESTITUTIONS,
-        ),
+        ("restitutoin", RESTITUTIONS),
         ("sphere", '"body"?'),
         ("particles", '"group"?'),
         ("body.0.pos", '"position"?'),

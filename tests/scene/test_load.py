@@ -276,10 +276,7 @@ MISTAKES = {
         ["contact.timing", "drifts twice", "leapfrog"],
     ),
     "a radius whose cube is no number": ("[[body]]\nradius = 1e200\n", [":2:", "body.0.radius", "choose other units"]),
-    "a mass too small to divide by": (
-        "[[body]]\nmass = 1e-200\n",
-        [":2:", "body.0.mass", "choose other units"],
-    ),
+    "a mass too small to divide by": ("[[body]]\nmass = 1e-200\n", [":2:", "body.0.mass", "choose other units"]),
     "a whole number of 400 digits": ("[[body]]\nradius = 1" + "0" * 400 + "\n", [":2:", "body.0.radius"]),
     "radii whose power is no number": (
         "[[group]]\nradius = { min = 1e-9, max = 1, distribution = 'power-law', exponent = -50 }\n",

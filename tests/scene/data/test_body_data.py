@@ -391,11 +391,7 @@ CONTENTS: dict[str, tuple[dict[str, Any], str, list[str]]] = {
     "overlaps": (
         {"x": 0.0, "y": 0.0, "z": [0.0, 0.5, 1.0]},
         "",
-        [
-            "row 1 and row 2 of a.csv overlap by 0.8 m",
-            "; so do row 0 and row 1 of a.csv",
-            "allow_overlap",
-        ],
+        ["row 1 and row 2 of a.csv overlap by 0.8 m", "; so do row 0 and row 1 of a.csv", "allow_overlap"],
     ),
     "a fixed body that moves": ({"fixed": [True, False, False]}, "", ["row 0 is fixed and has a velocity"]),
     "a flag that is missing": (

@@ -134,11 +134,7 @@ def test_a_vtk_of_liggghts_is_read(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "said"),
     [
-        (
-            "POINTS 2 float",
-            "POINTS 40000000 float",
-            "120000000 values of the type float are announced",
-        ),
+        ("POINTS 2 float", "POINTS 40000000 float", "120000000 values of the type float are announced"),
         ("POINTS 2 float", "POINTS 999999999999 float", "999999999999 rows are too many"),
         ("POLYDATA", "STRUCTURED_GRID", "a dataset STRUCTURED_GRID; points are needed"),
         ("SCALARS mass float", "SCALARS mass bit", "values of the type bit are not read"),

@@ -216,8 +216,7 @@ def test_what_an_archive_lacks_or_carom_chooses_itself_is_said(tmp_path: Path, c
 
 
 @pytest.mark.parametrize(
-    ("rebounds", "caroms"),
-    [("ias15", "gauss-radau15"), ("leapfrog", "leapfrog-dkd"), ("whfast", "wisdom-holman")],
+    ("rebounds", "caroms"), [("ias15", "gauss-radau15"), ("leapfrog", "leapfrog-dkd"), ("whfast", "wisdom-holman")]
 )
 def test_the_integrator_that_is_named_as_the_same_method_has_the_same_error(
     tmp_path: Path, rebounds: str, caroms: str

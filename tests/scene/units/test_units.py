@@ -150,14 +150,7 @@ def test_wrong_quantities_are_named_beside_all_other_mistakes() -> None:
 
 
 @pytest.mark.parametrize(
-    ("slip", "meant"),
-    [
-        ("12 hh", "h"),
-        ("12 mh", "h"),
-        ("1 kday", "day"),
-        ("1 mmin", "min"),
-        ("1 hyr", "yr"),
-    ],
+    ("slip", "meant"), [("12 hh", "h"), ("12 mh", "h"), ("1 kday", "day"), ("1 mmin", "min"), ("1 hyr", "yr")]
 )
 def test_units_that_nobody_prefixes_take_no_prefix(slip: str, meant: str) -> None:
     said = complaint(f'[time]\nduration = "{slip}"\n{ONE_BODY}')
