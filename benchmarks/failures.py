@@ -52,7 +52,7 @@ def _fork(folder: Path) -> None:
         found = ensemble(start, branch, SEEDS, 1, lambda tasks: results_of(tasks, workers))
     print(f"fork of 1000 spheres, {SEEDS} seeds: {time.perf_counter() - began:.1f} s")
     print(f"  λ = {np.median(found.rates):.3g} ± {found.rate_error:.2g} /s")
-    single = fork(start, folder / "one.rrd", 1, 1).diff.divergence
+    single = fork(start, folder / "one.rrd", 1, 1)[1].divergence
     if single is not None:
         print(f"  λ of carom diff, one fork: {single.rate:.3g} ± {single.standard_error:.2g} /s")
 

@@ -319,7 +319,7 @@ def _without_rounding(row: dict[str, Any]) -> dict[str, Any]:
 
 
 def _in_next_step(recording: Recording, at: float) -> str:
-    """Return a hint to the next step if it recorded impacts at the very end of the step that contains a time (s)."""
+    """Name the next step if it recorded impacts at the end of the step that contains a time (s)."""
     from carom.recording.read.lookup import frame_of
 
     row = frame_of(recording, at)

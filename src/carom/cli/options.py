@@ -68,7 +68,7 @@ def bundled(incomplete: str) -> list[str]:
 
 
 def not_a_folder(path: Path) -> Path:
-    """Return the path of a recording; refuse a folder such as ``.``, from which no name of an output follows."""
+    """Return the path of a recording; refuse a folder, since no output can be named after one such as ``.``."""
     from carom.errors import RecordingError
 
     with suppress(OSError):  # such as a name that is too long, which is refused when it is opened

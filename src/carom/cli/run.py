@@ -290,16 +290,9 @@ def start_on_a_new_installation() -> subprocess.Popen[bytes] | None:
 def announce_compilation(
     say: Callable[[str], None] | None = None, helped: bool = False, scene: Scene | None = None
 ) -> None:
-    """Announce the first compilation of a kernel, and start a second process that compiles others.
+    """Announce the first compilation of a kernel, by default on stderr, and start a second process for others.
 
-    Parameters
-    ----------
-    say
-        Prints the announcement; by default it goes to stderr.
-    helped
-        Whether the second process has already been started.
-    scene
-        The scene, if it is known; walls and contact laws take longer to compile.
+    ``helped`` says that the process already runs. The time that compilation takes depends on the scene.
     """
     from carom.physics.jit.decorators import cache_folder, on_compilation
 

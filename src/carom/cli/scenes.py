@@ -15,7 +15,7 @@ from carom.scene.wording import command, counted
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from carom.runs.estimate import Cost, EntityCost, PartCost
+    from carom.runs.estimate import Cost, EntityCost
     from carom.scene.schema import Scene
 
 
@@ -142,7 +142,11 @@ def explain(
         console.print(note)
     if notes:
         console.print()
-    console.print(_parts(found.parts))
+    shown = _table("part", "time")
+    for each in found.parts:
+        share = f"in {each.within}" if each.within else _percent(each.share)
+        _add(shown, each.name, each.modelled, share, each.why)
+    console.print(shown)
     if materials:
         console.print()
         console.print(materials_table(materials.described))
@@ -185,14 +189,6 @@ def _table(first: str, share: str) -> Table:
     table = Table(box=None, pad_edge=False)
     for header in (first, "", share, "why"):
         table.add_column(header, justify="right" if header == share else "left", overflow="fold")
-    return table
-
-
-def _parts(parts: list[PartCost]) -> Table:
-    table = _table("part", "time")
-    for part in parts:
-        share = f"in {part.within}" if part.within else _percent(part.share)
-        _add(table, part.name, part.modelled, share, part.why)
     return table
 
 

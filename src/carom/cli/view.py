@@ -81,11 +81,13 @@ def view(
         raise typer.BadParameter("--port needs --web")
     from carom.cli.run import announce_compilation
     from carom.recording.edit.bundle import opened
+    from carom.recording.read.recording import Recording
     from carom.show.request import Request
     from carom.show.viewer import open_window
 
     with opened(file) as path:
-        request = Request(_simulated(path, at), event, bodies, plot, colour_by)
+        time = simulated_or_none(at, Recording.open(path).units)
+        request = Request(time, event, bodies, plot, colour_by)
         announce_compilation()
         _announce_replay(path, plot)
         if web:
@@ -156,20 +158,14 @@ def picture(
         out = out.with_name(f"{file.stem}-picture.png")
     refuse_output(out, force or is_picture_of_carom(out))
     with opened(file) as path:
-        request = Request(_simulated(path, at), event, bodies, plot, colour_by)
+        units = Recording.open(path).units
+        request = Request(simulated_or_none(at, units), event, bodies, plot, colour_by)
         announce_compilation()
         _announce_replay(path, plot, alone=view is PictureView.PLOT)
         made = render(path, request, out, pixels, view=view.value, theme=theme.value)
-        when = Recording.open(path).units.text(made.time, TIME, ".9g")
+        when = units.text(made.time, TIME, ".9g")
     typer.echo(f"{out} written, t = {when}.")
     _say_missing(made.missing)
-
-
-def _simulated(file: Path, at: float | None) -> float | None:
-    """Convert a parsed time to simulated time."""
-    from carom.recording.read.recording import Recording
-
-    return simulated_or_none(at, Recording.open(file).units)
 
 
 def _announce_replay(file: Path, plot: str | None, *, alone: bool = False) -> None:

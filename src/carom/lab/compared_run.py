@@ -48,7 +48,7 @@ AS_WRITTEN = Setting("as written", ())
 
 
 class RunStoppedError(ExperimentError):
-    """A run was stopped at its bound: that of the CPU time, ``--limit``, or of the steps. ``reached`` has its unit."""
+    """A run was stopped at its limit of CPU time, ``--limit``, or of steps; ``reached`` is a time with its unit."""
 
     def __init__(self, steps: int, seconds: float, reached: str, *, by_limit: bool) -> None:
         self.steps, self.seconds = steps, seconds
@@ -85,11 +85,6 @@ class RunGuard:
             self._told = time.perf_counter()
             self._tell(step, reached)
         return step >= self._bound.steps or self.seconds > self._bound.seconds
-
-    @property
-    def is_late(self) -> bool:
-        """Whether the CPU time has run out, rather than the number of steps."""
-        return self.seconds > self._bound.seconds
 
 
 @dataclass(frozen=True, slots=True)
@@ -172,7 +167,7 @@ def follow(
     for frame in frames:
         if watch.is_over:
             reached = space.scene.unit_system.text(space.time, TIME)
-            raise RunStoppedError(space.step, guard.seconds, reached, by_limit=guard.is_late)
+            raise RunStoppedError(space.step, guard.seconds, reached, by_limit=guard.seconds > bound.seconds)
         watch.sample(frame)
     watch.see_contacts(space.time)
     if len(watch.position) < len(times):
@@ -216,7 +211,7 @@ class _Watch:
         self._before: tuple[float, FloatArray, FloatArray, FloatArray]
 
     def __call__(self, step: int, before: float, time: float) -> bool:
-        """Copy the state before a step of known length; integrators with a solution within steps call it afterwards."""
+        """Copy the state before a step; integrators with a solution within steps call this after the step."""
         if self._space.has_solution:
             self._began = before
             self.see_contacts(time)

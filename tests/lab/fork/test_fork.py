@@ -66,18 +66,18 @@ def test_a_fork_that_changes_nothing_has_the_bits_of_the_recording(override: str
     scene = cloud(10, time={"duration": 2.0}, contact={"restitution": 0.5})
     recording = carom.run(scene, tmp_path / "run.rrd")
     start = start_of(Branch(recording.path, 1.1, (override,)))
-    found = fork(start, tmp_path / "both.rrd", None, 0)
-    assert found.diff.verdict.kind == "same"
-    assert found.diff.frames[1] < 0.6 * found.diff.frames[0]  # the price of the suffix
+    _, found = fork(start, tmp_path / "both.rrd", None, 0)
+    assert found.verdict.kind == "same"
+    assert found.frames[1] < 0.6 * found.frames[0]  # the price of the suffix
 
 
 def test_other_parameters_act_from_the_fork_on(gas: Path, tmp_path: Path) -> None:
     start = start_of(Branch(gas, 2.0, ("gravity.uniform=[0, 0, -1]",)))
     space = start.space(1)
     assert space.state.acceleration[:, 2] == pytest.approx(-1.0)
-    found = fork(start, tmp_path / "both.rrd", None, 0)
-    assert found.outcome.status == "completed" and found.diff.scene["gravity.uniform"][1] == [0.0, 0.0, -1.0]
-    assert not found.diff.curve.differs[0] and found.diff.curve.differs[-1]
+    outcome, found = fork(start, tmp_path / "both.rrd", None, 0)
+    assert outcome.status == "completed" and found.scene["gravity.uniform"][1] == [0.0, 0.0, -1.0]
+    assert not found.curve.differs[0] and found.curve.differs[-1]
     assert Recording.open(tmp_path / "both.rrd").is_overlay
 
 
@@ -87,7 +87,7 @@ def test_rounding_of_drawn_positions_before_a_fork_parts_is_not_taken_for_growth
     scene = Scene.from_dict({**thrown, "contact": {"restitution": 0.9}, "time": {"duration": 5.0}})
     recording = carom.run(scene, tmp_path / "run.rrd")
     start = start_of(Branch(recording.path, 1.0, ("contact.restitution=0.5",)))  # it bounces at 2 s, once
-    found = fork(start, tmp_path / "both.rrd", None, 0).diff
+    found = fork(start, tmp_path / "both.rrd", None, 0)[1]
     assert found.divergence is None or not found.divergence.is_exponential, "the velocities differ by a constant"
     assert found.curve.differs.any() and not found.curve.differs.all()
     assert (found.curve.rms <= found.curve.floor)[~found.curve.differs].all(), "their bits are the same"
@@ -122,9 +122,9 @@ def test_a_fork_with_a_later_end_keeps_the_integrator_and_the_interval_between_f
 
 def test_a_distance_at_the_end_that_interpolation_explains_is_not_stated_as_one(orbits: Path, tmp_path: Path) -> None:
     start = start_of(Branch(orbits, 20.0, ("time.duration=70", "record.every=0.5", "gravity.softening=1e-9")))
-    found = fork(start, tmp_path / "both.rrd", None, 0)
-    assert 1e-3 < found.diff.curve.rms[-1] < found.diff.curve.floor[-1] < 0.1
-    assert "at t = 60 s counterparts are less than" in text_of(start, found.diff)  # where the recording ends
+    _, found = fork(start, tmp_path / "both.rrd", None, 0)
+    assert 1e-3 < found.curve.rms[-1] < found.curve.floor[-1] < 0.1
+    assert "at t = 60 s counterparts are less than" in text_of(start, found)  # where the recording ends
 
 
 @pytest.mark.parametrize(("at", "samples"), [(2.22, [2.3, 2.37]), (2.34, [2.37])])
@@ -164,7 +164,7 @@ def test_the_band_and_the_spread_grow_and_outcomes_are_counted(gas: Path, tmp_pa
 def test_the_growth_of_forks_is_the_growth_that_diff_finds(gas: Path, tmp_path: Path) -> None:
     found = many(gas, 0.1, 12)
     assert found.growth is not None and found.growth.is_exponential
-    one = fork(start_of(Branch(gas, 0.1)), tmp_path / "both.rrd", 99, 1).diff.divergence
+    one = fork(start_of(Branch(gas, 0.1)), tmp_path / "both.rrd", 99, 1)[1].divergence
     assert one is not None
     error = np.hypot(found.rate_error, one.standard_error)
     assert abs(one.rate - np.median(found.rates)) < 3.0 * error  # errors are standard deviations of single branches

@@ -192,7 +192,8 @@ def _table(document: dict[str, Any], units: UnitSystem) -> Table:
     for run in document["runs"]:
         errors = run["errors"] or {}
         cost = (f"{run['cost']:.3g}", f"{run['spread']:.0%}") if run["cost"] is not None else ("", "")
-        numbers = [_number(errors.get(name)) for name in ("position", "overlap")]
+        known = (errors.get(name) for name in ("position", "overlap"))
+        numbers = ["" if value is None else f"{value:.1e}" if value else "0" for value in known]
         numbers.append(_energy(run.get("energy") or {}))
         parting = run.get("parting")
         laws = "" if parting is None else ", ".join(parting["laws"]) or "none"
@@ -244,10 +245,6 @@ def _energy(energy: dict[str, float | None]) -> str:
     if not energy.get("in_contact"):
         return text
     return f"{text}, {other:+.1e} without contact" if other else f"{text}, all in contact"
-
-
-def _number(value: float | None) -> str:
-    return "" if value is None else f"{value:.1e}" if value else "0"
 
 
 def _draw(check: Crosscheck, quiet: bool) -> None:

@@ -136,7 +136,7 @@ class Runs(ExitStack):
         self._tasks[task.path] = task
 
     def begin(self) -> None:
-        """Start all registered runs in other processes, unless this process follows them."""
+        """Start processes for all registered runs, unless there are too few of them."""
         workers = self._workers or (cores() if len(self._tasks) >= MIN_RUNS_FOR_PROCESSES else 1)
         if workers == 1 or len(self._tasks) < 2:
             return
@@ -165,7 +165,7 @@ class Runs(ExitStack):
 DOCUMENT = "crosscheck.json"
 FIGURE = "crosscheck.png"
 OVERLAY = "crosscheck.rrd"
-VERSION = 2  # of the document; 1 counted criteria that were not judged as met, and had no energies
+VERSION = 2  # of the document; in version 1, unjudged criteria counted as met, and energies were missing
 OWN = Setting("carom", ())
 
 Teller = Callable[[str], None]
@@ -175,10 +175,7 @@ Teller = Callable[[str], None]
 class Crosscheck:
     """A scene in several engines, measured and examined.
 
-    Raises
-    ------
-    ExperimentError
-        If an engine is not installed, none can represent the scene, or the folder holds another study.
+    ExperimentError if an engine is not installed, none can represent the scene, or the folder holds another study.
     """
 
     scene: Scene

@@ -82,14 +82,8 @@ def parting_of(
 ) -> Parting | None:
     """Return the divergence of a run from a reference up to the reference's horizon; None without one.
 
-    Parameters
-    ----------
-    broken
-        Times (s) and laws of the frames that violate one, in order.
-    dt
-        s, the step of the run.
-    numbered
-        The impacts of carom's own run.
+    The run has steps of ``dt`` s. ``broken`` has the times (s) and laws of the frames that violate one, in order, and
+    ``numbered`` the impacts of carom's own run.
     """
     best = reference.trajectory.until(reference.samples)
     apart, _ = reference.scale.apart(run.until(reference.samples), best)
@@ -116,11 +110,11 @@ def parting_of(
 def _first_other_outcome(
     run: Trajectory, reference: Reference, pairs: IntArray, times: FloatArray, before: int, dt: float
 ) -> int | None:
-    """Return the first of ``count`` impacts with another outcome in a run; None without impacts.
+    """Return the first of ``before`` impacts with another outcome in a run; None without impacts.
 
     The velocities of its bodies are compared at the last sample before their next impacts. If the next impacts follow
     before a soft contact may have ended, their outcomes must differ, too. If no velocity differs, return the last
-    impact: the run diverges by its delay, or in the flight after it.
+    impact: the run diverges by a delayed impact, or in the flight after it.
     """
     best = reference.trajectory
     count, bodies = min(len(run), reference.samples), best.position.shape[1]
@@ -130,26 +124,19 @@ def _first_other_outcome(
         for body in (int(end) for end in pairs[k] if end < bodies):
             later = [float(t) for t in times[k + 1 :][(pairs[k + 1 :] == body).any(axis=1)] if t > times[k]]
             ends = [*later, math.inf][:2]
-            seen = [_last_before(best.time[:count], end - EARLIER * dt, float(times[k])) for end in ends]
-            if seen[0] is None or not differs[seen[0], body]:
-                continue
+            last = np.searchsorted(best.time[:count], [end - EARLIER * dt for end in ends], side="left") - 1
+            wrongs = [row >= 0 and best.time[row] > times[k] and bool(differs[row, body]) for row in last]
             soon = ends[0] - times[k] < LATER * dt
-            if not soon or (seen[1] is not None and differs[seen[1], body]):
+            if wrongs[0] and (not soon or wrongs[1]):
                 return k
     return before - 1 if before else None
-
-
-def _last_before(samples: FloatArray, end: float, start: float) -> int | None:
-    """Return the last sample after a start and before an end, both in s."""
-    last = int(np.searchsorted(samples, end, side="left")) - 1
-    return last if last >= 0 and samples[last] > start else None
 
 
 OWN_COLOUR = "#1b2a3a"
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")  # of the engines, in their order
 WIDEST = 3.0  # points, of the first line; later, thinner lines then do not hide earlier ones
 STYLES = ("-", "--", ":", "-.")  # of the settings of one engine, in their order
-MOST_IMPACTS = 40  # that are marked; more would fill the figure
+MOST_IMPACTS = 40  # marked at most; more would fill the figure
 
 
 def draw(check: Crosscheck, path: Path) -> None:

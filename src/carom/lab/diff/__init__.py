@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from carom.lab.diff.divergence import FirstBits
 
 ROWS = 12  # rows in the table of the growing difference
-KEYS = 50  # of the scene that differ are printed at most; --json has all
+KEYS = 50  # different keys of the scene printed at most; --json has all
 
 _FIRST = "A recording (.rrd), or the zip of `carom report`."
 

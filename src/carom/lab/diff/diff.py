@@ -130,7 +130,7 @@ class ImpactDivergence:
     counts: tuple[int, int] | None  # up to the last frame at a common time; None without such a frame
     compared: int  # impacts in both recordings
     first: ImpactPair | None  # the first of these that differs
-    alone: ImpactPair | None  # the first impact that only one run has, if the other recorded all its impacts
+    alone: ImpactPair | None  # the first impact that only one run has; None if the other run did not record all
 
     @property
     def same(self) -> bool:
@@ -182,13 +182,9 @@ def _matched(ends: tuple[IntArray, ...], times: tuple[FloatArray, ...]) -> tuple
 
 def _rows_by_ends(ends: IntArray) -> dict[tuple[int, int], IntArray]:
     """Return the rows of the impacts of each pair, in ascending order."""
-    if not len(ends):
-        return {}
-    keys, inverse = np.unique(ends, axis=0, return_inverse=True)
-    inverse = inverse.ravel()
-    order = np.argsort(inverse, kind="stable")
-    rows = np.split(order, np.flatnonzero(np.diff(inverse[order])) + 1)
-    return {(int(i), int(j)): each for (i, j), each in zip(keys, rows, strict=True)}
+    order = np.lexsort((ends[:, 1], ends[:, 0]))
+    groups = np.split(order, np.flatnonzero(np.diff(ends[order], axis=0).any(axis=1)) + 1)
+    return {(int(ends[rows[0], 0]), int(ends[rows[0], 1])): rows for rows in groups if len(rows)}
 
 
 def _nearest_in_order(short: FloatArray, long: FloatArray) -> IntArray:
@@ -274,7 +270,7 @@ class Diff:
 
     @property
     def same(self) -> bool:
-        """Whether all common frames and impacts have the same bits or, with another engine, no measured difference."""
+        """Whether common frames and impacts have the same bits or, with another engine, do not differ measurably."""
         return self.verdict.kind == "same" and (self.impacts is None or self.impacts.same)
 
 

@@ -238,20 +238,22 @@ class FrameAlignment:
             rms[k] = _rms(other - one)
             reach = max(reach, float(np.max(np.abs(one), initial=0.0)))
         first, _, _ = self.at(0)
+        places = [self._place(k) for k in range(len(self))]
+        differs = [part < 1.0 or bool(self._a.bits[i] != self._b.bits[j]) for i, j, part in places]
         return DistanceCurve(
             step=np.array([self._a.step[i] for i in self._first]),
             time=self._a.time[self._first],
             rms=rms,
             floor=floor,
-            energy=np.array([self._energy(k) for k in range(len(self))]),
-            differs=np.array([self._differs(k) for k in range(len(self))]) if self._of_bits else rms > floor,
+            energy=np.array([self._energy(*place) for place in places]),
+            differs=np.array(differs) if self._of_bits else rms > floor,
             size=max(_rms(first - first.mean(axis=0)) if len(first) else 0.0, self._a.radius),
             reach=reach,
             of_bits=self._of_bits,
         )
 
     def _place(self, k: int) -> tuple[int, int, float]:
-        """Return a frame of each recording, and the place (0 to 1) of the first in the interval before the second."""
+        """Return frames i of the first and j of the second recording, and where i lies between j - 1 (0) and j (1)."""
         i, j = int(self._first[k]), int(self._second[k])
         time, reached = self._a.time[i], self._b.time[j]
         if self.by == "step" or abs(reached - time) <= SAME_TIME * abs(time) or j == 0:
@@ -283,12 +285,7 @@ class FrameAlignment:
                 largest = max(largest, _UNSEEN * 2.0 * _rms(self._existing(change)) / (h + span))
         return largest * h * h / 8.0 if len(time) > 2 else float("inf")
 
-    def _differs(self, k: int) -> bool:
-        i, j, part = self._place(k)
-        return part < 1.0 or bool(self._a.bits[i] != self._b.bits[j])
-
-    def _energy(self, k: int) -> float:
-        i, j, part = self._place(k)
+    def _energy(self, i: int, j: int, part: float) -> float:
         later = self._b.energy(j)
         other = later if part == 1.0 else (1.0 - part) * self._b.energy(j - 1) + part * later
         return other - self._a.energy(i)
@@ -355,11 +352,11 @@ class FirstBits:
     bodies: list[int]  # whose states differ
     arrays: list[str]  # names of the arrays that differ
     contact: FirstContact | None  # the contact of these bodies whose force differs most; None if none is known
-    laws: list[str]  # sentences about broken laws in the log of either run, in this step
+    laws: list[str]  # warnings of either run about broken laws in this step
 
 
 def first_bits(a: Recording, b: Recording, step: int) -> FirstBits | None:
-    """Compare the exact states of a step; None if they are not in both recordings, or equal."""
+    """Compare the exact states of a step; None if a recording lacks them, or if they are equal."""
     if step not in a.checkpoint_times or step not in b.checkpoint_times:
         return None
     one, other = a.checkpoint(step), b.checkpoint(step)

@@ -67,7 +67,7 @@ class Problem:
         return 10.0 * (float(max(away.max(), start.radius.max())) + speed * self.duration + fall)
 
     def named(self, model: Model) -> Model:
-        """Return an engine's model, which lacks names, with the names of the scene's bodies and planes."""
+        """Add the names of the scene's bodies and planes to an engine's model."""
         named = zip(model.planes, self.planes.name, strict=True)
         return replace(model, names=self.start.name, planes=[plane._replace(name=name) for plane, name in named])
 
@@ -138,7 +138,7 @@ class Engine(Protocol):
         """Describe each difference of the translated scene in a clause."""
 
     def settings(self, scene: Scene) -> list[Setting]:
-        """Return the settings that are worth comparing on a scene, after `ensure_installed` and `check`."""
+        """Check the installation and the scene; return the settings that are worth comparing."""
 
     def examined(self, scene: Scene) -> list[Setting]:
         """Return the few settings for `carom crosscheck`."""
@@ -147,12 +147,9 @@ class Engine(Protocol):
         """Build a scene at its start, to be advanced step by step."""
 
     def follow(self, scene: Scene, setting: Setting, times: FloatArray, limit: float = math.inf) -> Trajectory:
-        """Run a scene and sample it at some times in s; stop it after ``limit`` s of CPU time.
+        """Run a scene and sample it at some times in s.
 
-        Raises
-        ------
-        ExperimentError
-            If the state is no longer finite; `RunStoppedError` if it takes longer than the limit.
+        ExperimentError if the state is no longer finite; `RunStoppedError` after ``limit`` s of CPU time.
         """
 
     def samples_steps(self, scene: Scene) -> bool:
@@ -268,22 +265,11 @@ class Watched:
 def watch(
     simulation: EngineSimulation, scene: Scene, times: FloatArray, path: Path | None = None, limit: float = np.inf
 ) -> Watched:
-    """Run a simulation from its start to the end of its scene; examine at most `MOST_SEEN` steps if nothing can touch.
+    """Run a simulation from its start to the end of its scene, and sample it at some times, (K,) s.
 
-    Parameters
-    ----------
-    times
-        (K,) s, at which it is sampled.
-    path
-        The ``.rrd`` to write; an existing file is replaced.
-    limit
-        s of CPU time after which the run is stopped.
-
-    Raises
-    ------
-    ExperimentError
-        If the run is not recorded and its state is no longer finite; `RunStoppedError` if it took longer than the
-        limit.
+    If nothing can touch, at most `MOST_SEEN` steps are examined. The run is recorded to ``path``, where it replaces a
+    file. ExperimentError if it is not recorded and its state is no longer finite, or it takes longer than the limit, in
+    s of CPU time (`RunStoppedError`).
     """
     first = simulation.source.state()
     setup = setup_of(simulation.source.model, first)
@@ -405,7 +391,7 @@ class _Walk:
 
 
 class InOrder:
-    """A source whose bodies are put into the order of the scene, (n,) indices of the source's bodies, with names."""
+    """A source with the bodies and their names in the order of the scene; ``order`` has their indices, (n,)."""
 
     def __init__(self, source: Source, order: IntArray, names: Sequence[str]) -> None:
         model = source.model

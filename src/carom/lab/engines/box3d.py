@@ -27,7 +27,7 @@ from carom.lab.engines import EngineSimulation, SteppedEngine, dt_of, problem_of
 from carom.record import CONTACT, Model, Plane, State, StateMemory
 
 PACKAGE = "robox3d"
-_NEAR = 0.2  # of the distance of a contact point from the centre: largest distance from its plane
+_NEAR = 0.2  # largest distance of a contact point from its plane, over its distance from the centre
 _PARALLEL = 1e-4  # 1 - cosine of the angle between the normal of a contact and of a plane
 _LARGEST = 64  # points in a group whose impulses are computed from velocities
 _ROUNDED = 1e-6  # of a speed: smaller changes of velocity are rounding in single precision
@@ -186,16 +186,8 @@ class Box3DForces:
     they are the impulses of the last substep or, in an impact, their sum over the step. Friction is always that of the
     last substep.
 
-    Parameters
-    ----------
-    backend
-        robox3d._ffi.
-    bodies
-        The recorded bodies, in their order.
-    spheres
-        Whether each of them is a sphere about its centre.
-    planes
-        The planes of static shapes.
+    ``backend`` is robox3d._ffi; ``spheres`` says which of the recorded bodies are spheres about their centres, and
+    ``planes`` are those of static shapes.
     """
 
     def __init__(

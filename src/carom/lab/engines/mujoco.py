@@ -55,7 +55,10 @@ class MuJoCoSource:
         package.mj_comPos(model, data)
         own = [np.flatnonzero(owner == b) for b in moving]
         free = np.array([_is_free_sphere(package, model, b, geoms) for b, geoms in zip(moving, own, strict=True)])
-        radius = np.array([_reach(model, data, b, geoms) for b, geoms in zip(moving, own, strict=True)])
+        radius = []  # m, of the spheres about centres of mass that contain all shapes of a body
+        for b, geoms in zip(moving, own, strict=True):
+            away = np.linalg.norm(data.geom_xpos[geoms] - data.xipos[b], axis=1) + model.geom_rbound[geoms]
+            radius.append(away.max() if len(geoms) else np.sqrt(2.5 * model.body_inertia[b].max() / model.body_mass[b]))
         self._simple = bool(free.all())
         self._joint = model.body_jntadr[self._moving]
         # the end of each shape: a body, a plane (numbers from n on), or -1 for none
@@ -149,14 +152,6 @@ def _is_free_sphere(package: Any, model: Any, body: int, geoms: IntArray) -> boo
         and bool(np.abs(model.body_ipos[body]).max() == 0.0)
         and bool(np.abs(model.geom_pos[geoms[0]]).max() == 0.0)
     )
-
-
-def _reach(model: Any, data: Any, body: int, geoms: IntArray) -> float:
-    """Return the radius (m) of the sphere about the centre of mass that contains all shapes of a body."""
-    if len(geoms) == 0:
-        return float(np.sqrt(2.5 * model.body_inertia[body].max() / model.body_mass[body]))
-    away = np.linalg.norm(data.geom_xpos[geoms] - data.xipos[body], axis=1)
-    return float((away + model.geom_rbound[geoms]).max())
 
 
 def _plane(model: Any, data: Any, geom: int) -> Plane:

@@ -4,7 +4,7 @@ Newton moves rigid bodies by extended position-based dynamics (XPBD), on the pro
 recorder audits free spheres; bodies with other joints or shapes are only drawn.
 
 Newton combines coefficients of restitution and friction by the mean. Bodies get the coefficients of the scene; a plane
-gets the values for which the mean equals its own coefficients. A contact moves bodies only once they overlap.
+gets the values for which the mean equals its own coefficients. A contact acts only on bodies that overlap.
 """
 
 from __future__ import annotations
@@ -133,7 +133,7 @@ def _turned(quaternion: FloatArray, local: FloatArray) -> FloatArray:
     return np.asarray(local + w * twice + np.cross(axis, twice))
 
 
-ITERATIONS = 2  # of the solver in a step, its default
+ITERATIONS = 2  # the default of the solver, per step
 
 
 class Newton(SteppedEngine):

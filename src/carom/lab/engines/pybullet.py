@@ -78,12 +78,14 @@ class PyBulletSource:
         known = zip(self.bodies, spheres, strict=True)
         radius = np.array([shapes[b][0][3][0] if sphere else _reach(package, b, client) for b, sphere in known])
         own_inertia = [np.mean(found[2]) for found in dynamics]
+        labels = ([text.decode(errors="replace") for text in package.getBodyInfo(b, client)] for b in self.bodies)
+        names = [name or base for base, name in labels]
         self.model = Model(
             engine=named_version("pybullet"),
             mass=np.where(mass > 0.0, mass, 1.0),
             radius=radius,
             inertia=np.where(mass > 0.0, own_inertia, SPHERE * radius**2),  # of 1 kg if the mass is 0, a fixed body
-            names=[_name(package, b, k, client) for k, b in enumerate(self.bodies)],
+            names=[f"body {k}" if name in UNNAMED else name for k, name in enumerate(names)],
             fixed=mass == 0.0,
             judged=spheres,
             gravity=gravity,
@@ -120,7 +122,7 @@ class PyBulletSource:
 
 
 class ChangingPyBulletSource:
-    """The bodies of a physics server to which bodies are added, and from which they are removed; see `pybullet`.
+    """The bodies of a physics server while bodies are added and removed; see `pybullet`.
 
     PyBullet reuses the unique ids of bodies. This source therefore marks each body with user data of the key "carom",
     which PyBullet removes with the body. Planes are those at the start.
@@ -221,21 +223,14 @@ def _planes_of(package: Any, client: int) -> list[Plane]:
     """Return the planes of a server, in the order of its bodies."""
     bodies = [package.getBodyUniqueId(k, client) for k in range(package.getNumBodies(client))]
     shapes = {body: package.getCollisionShapeData(body, BASE, client) for body in bodies}
-    planes = [body for body in bodies if _is_plane(package, shapes[body])]
-    return [_plane(package, body, shapes[body][0], k, client) for k, body in enumerate(planes)]
-
-
-def _plane(package: Any, body: int, shape: Any, number: int, client: int) -> Plane:
-    place, turn = package.getBasePositionAndOrientation(body, client)
-    normal = np.array(package.getMatrixFromQuaternion(turn)).reshape(3, 3) @ np.array(shape[3])
-    x, y, z = (float(v) for v in normal / np.linalg.norm(normal))
-    return Plane((x, y, z), float(normal @ np.array(place) / np.linalg.norm(normal)), f"plane {number}")
-
-
-def _name(package: Any, body: int, number: int, client: int) -> str:
-    base, name = (text.decode(errors="replace") for text in package.getBodyInfo(body, client))
-    called = name or base
-    return f"body {number}" if called in UNNAMED else called
+    planes: list[Plane] = []
+    for body in (each for each in bodies if _is_plane(package, shapes[each])):
+        place, turn = package.getBasePositionAndOrientation(body, client)
+        normal = np.array(package.getMatrixFromQuaternion(turn)).reshape(3, 3) @ np.array(shapes[body][0][3])
+        x, y, z = (float(v) for v in normal / np.linalg.norm(normal))
+        offset = float(normal @ np.array(place) / np.linalg.norm(normal))
+        planes.append(Plane((x, y, z), offset, f"plane {len(planes)}"))
+    return planes
 
 
 ITERATIONS = 50  # of the solver, its default

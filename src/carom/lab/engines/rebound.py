@@ -193,7 +193,7 @@ ANY = "leapfrog"  # the setting with the scene's own step
 DOMINATED = ("whfast", "mercurius", "trace")
 UNSYNCHRONISED = ("whfast", "mercurius")  # their steps end with a readable state only on request
 TOUCHING = "leapfrog, hard spheres"  # the one setting of scenes with contacts, at several steps
-SEED = 1  # of the order of impacts in one step, which REBOUND draws at random; its default seed is the clock
+SEED = 1  # of the random order of impacts in a step; by default, REBOUND takes the seed from the clock
 PARTS = (20.0, 40.0, 80.0, 160.0)  # steps in the shortest period
 
 

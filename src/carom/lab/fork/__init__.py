@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from carom.lab.fork.branch import Branch, ForkStart
-    from carom.lab.fork.fork import Ensemble, Fork, Inevitable
+    from carom.lab.fork.fork import Ensemble, Inevitable
 
 MOST_SEEDS, MOST_TIMES = 100_000, 1000
 DEFAULT_TIMES = 8
@@ -109,27 +109,27 @@ def _one(start: ForkStart, target: Path, shift: int | None, ulps: int) -> tuple[
     from carom.lab.fork.fork import ended_early, text_of
     from carom.lab.fork.fork import fork as go_on
 
-    found: Fork = go_on(start, target, shift, ulps)
-    text = text_of(start, found.diff)
+    outcome, found = go_on(start, target, shift, ulps)
+    text = text_of(start, found)
     document = {
         "units": start.scene.unit_system.recorded,
         "at": start.checkpoint.time,
         "step": start.checkpoint.step,
-        "end": found.outcome.sim_time,
-        "steps": found.outcome.steps,
-        "status": found.outcome.status,
-        "scene": {key: list(values) for key, values in found.diff.scene.items()},
+        "end": outcome.sim_time,
+        "steps": outcome.steps,
+        "status": outcome.status,
+        "scene": {key: list(values) for key, values in found.scene.items()},
         "text": text,
-        "rms": float(found.diff.curve.rms[-1]),
-        "floor": float(found.diff.curve.floor[-1]),
+        "rms": float(found.curve.rms[-1]),
+        "floor": float(found.curve.floor[-1]),
     }
     lines = [f"{text[0].upper()}{text[1:]}."]
-    early = ended_early(found.outcome)
+    early = ended_early(outcome)
     if early:
         lines.append(early)
-    elif not found.outcome.ok:
-        lines.append(f"The fork missed a promise of its scene: {found.outcome.reason}.")
-    growth = found.diff.divergence
+    elif not outcome.ok:
+        lines.append(f"The fork missed a promise of its scene: {outcome.reason}.")
+    growth = found.divergence
     if growth is not None and growth.is_exponential:
         rate = rate_text(growth.rate, growth.standard_error, start.scene.unit_system)
         lines.append(f"The distance grows as e^(λt), λ = {rate}.")

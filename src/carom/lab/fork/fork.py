@@ -161,16 +161,8 @@ def ensemble(
 ) -> Ensemble:
     """Run perturbed branches, with seeds from 1 on.
 
-    Parameters
-    ----------
-    start, branch
-        The state at the fork, and the branch for workers.
-    ulps
-        Units in the last place by which each coordinate of a position is moved.
-    outcome
-        Condition on the summary of each branch, from `outcome_of`.
-    watch
-        Called with the number of branches that are done.
+    Each coordinate of a position moves by ``ulps`` units in the last place. ``outcome`` is a condition on each branch,
+    from `outcome_of`. ``watch`` receives the number of branches that are done.
     """
     reference = path_of(start, None, 0, outcome, None)
     rms = np.empty((seeds, len(reference.time)))
@@ -217,15 +209,7 @@ def _curve(reference: BranchPath, rms: FloatArray) -> DistanceCurve:
     )
 
 
-@dataclass(frozen=True, slots=True)
-class Fork:
-    """A branch compared with its recording."""
-
-    outcome: Outcome
-    diff: Diff
-
-
-def fork(start: ForkStart, out: Path, shift: int | None, ulps: int) -> Fork:
+def fork(start: ForkStart, out: Path, shift: int | None, ulps: int) -> tuple[Outcome, Diff]:
     """Run one branch to its end, perturbed as in `ForkStart.space`, and write it and the recording into one file."""
     with temporary_folder() as folder:
         part = folder / f"{out.stem}.rrd"
@@ -236,7 +220,7 @@ def fork(start: ForkStart, out: Path, shift: int | None, ulps: int) -> Fork:
         if early := ended_early(outcome):
             text = f"{text}. {early.removesuffix('.')}"
         overlay(start.recording, branch, replace(found, verdict=replace(found.verdict, text=text)), out)
-    return Fork(outcome, found)
+    return outcome, found
 
 
 def ended_early(outcome: Outcome) -> str:

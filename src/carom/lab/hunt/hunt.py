@@ -70,11 +70,11 @@ def _is_free(scene: Scene, needs: Requirements) -> bool:
     return not scene.anchored and not needs.tree.modelled
 
 
-def _stands(scene: Scene, needs: Requirements) -> bool:
-    """Return whether overlaps at rest are corrected: contacts may rest, and no setting preserves their overlaps."""
+def _corrects_overlaps(scene: Scene, needs: Requirements) -> bool:
+    """Return whether contacts may rest, and their overlaps are corrected."""
     contact = scene.contact
-    pushes = contact.solver == "lasting" and contact.stabilisation == "split" and not contact.allow_overlap
-    return needs.resting.modelled and pushes
+    corrects = contact.solver == "lasting" and contact.stabilisation == "split" and not contact.allow_overlap
+    return needs.resting.modelled and corrects
 
 
 def _invariance(name: str, says: str, *kinds: str) -> HuntedLaw:
@@ -106,7 +106,7 @@ LAWS = [
         "expect.contact_audit",
         lambda scene, needs: needs.contact.modelled,
     ),
-    HuntedLaw("overlap", "no overlap above 5 % of a radius persists", "overlap at rest", _stands),
+    HuntedLaw("overlap", "no overlap above 5 % of a radius persists", "overlap at rest", _corrects_overlaps),
     HuntedLaw(
         "replay", "the bits do not depend on threads, checkpoints or the search", "replay differs", lambda *_: True
     ),
@@ -133,7 +133,7 @@ class Finding:
 
     law: HuntedLaw
     condition: Condition
-    index: int  # of the scene, for the same seed
+    index: int  # of the scene among all of the seed
     scene: Scene
     said: str  # what its run shows
 
@@ -143,7 +143,7 @@ class Miss:
     """A finding that was saved, or counted as similar to a saved one."""
 
     law: str
-    index: int  # of the scene, for the same seed
+    index: int  # of the scene among all of the seed
     said: str  # what its run shows
     path: Path | None  # of the reduced scene; None if a similar one was saved before
     bodies: int

@@ -185,8 +185,8 @@ class Interval:
     def _impacts_of_engine(self) -> ImpactColumns:
         """Return the impacts in a recording of another engine: contacts that begin, between bodies that close.
 
-        A contact begins in a frame if its pair has none in the frame before. Its approach speed is that of the exact
-        states of the frame before, since another engine may resolve an impact over several steps.
+        A contact begins in a frame if its pair has none in the frame before. Its approach speed follows
+        from the exact states of the previous frame, since an engine may resolve an impact over several steps.
         """
         recording, steps = self.recording, self.step.tolist()
         if not recording.records_contacts:

@@ -58,7 +58,7 @@ def measure_free_paths(interval: Interval) -> Statistic:
         raise RecordingError("free paths are not measured in recordings whose bodies come and go")
     impacts, moving, left_out = interval.impacts, interval.moving, interval.impacts_left_out
     ends = np.concatenate([impacts.i, impacts.j])
-    # an impact of two bodies is two collisions; impacts that were not recorded count in the same proportion
+    # an impact of two bodies is two collisions; the number is scaled to include impacts that were not recorded
     collisions = np.count_nonzero(moving[ends[ends < interval.bodies]]) * (1.0 + left_out / len(impacts.step))
     exposure = np.count_nonzero(moving) * interval.duration
     paths = paths_of(interval)

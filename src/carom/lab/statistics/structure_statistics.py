@@ -12,8 +12,8 @@ at least three bodies.
 
 Pair correlation: g(s) is the number of pairs in a shell, divided by the number expected for uniform random positions. s
 is the distance of the centres over the sum of the radii, so bodies touch at s = 1 whatever their sizes. In a periodic
-box every body serves as a centre. Elsewhere, the bodies are assumed to fill the box around their centres, and only
-bodies at least the largest distance s away from its faces serve as centres.
+box every body serves as a centre. Elsewhere, the bodies are assumed to fill the box around their centres. Bodies then
+serve as centres only if they are at least the largest distance s away from its faces.
 
 The value at contact extends a parabola through the first shells to s = 1. For equal elastic spheres it is g = (1 -
 φ/2)/(1 - φ)³ at the packing fraction φ (Carnahan & Starling, J. Chem. Phys. 51, 635, 1969).
@@ -200,7 +200,7 @@ def measure_pair_correlation(interval: Interval) -> Statistic:
 
 
 def distances_of(position: FloatArray, radius: FloatArray, box: FloatArray | None, largest: float) -> Distances:
-    """Find the distances of one frame, up to a largest one over the sum of the radii; None: without a periodic box."""
+    """Find the distances in one frame, up to ``largest``, both over the sum of the radii."""
     n, reach = len(position), largest * 2 * float(radius.max())
     size = np.ptp(position, axis=0) if box is None else box
     place = position - position.min(axis=0)

@@ -147,7 +147,7 @@ def _account_document(account: Account, names: Names, knows_field: bool) -> dict
 
 
 def _print(answer: Answer, names: Names, units: UnitSystem, file: Path, oldest: int) -> None:
-    """Print an answer; the recording's first checkpoint is of the step ``oldest``."""
+    """Print an answer; ``oldest`` is the step of the recording's first checkpoint."""
     from carom.extend import Terminal, tolerance
 
     console = Terminal(soft_wrap=True)

@@ -114,14 +114,9 @@ class Account:
     def take(self, step: Step, rows: Records, kicks: list[FloatArray], impacts: Records, contacts: Records) -> None:
         """Go back through a step, or through its beginning up to a moment.
 
-        Parameters
-        ----------
-        rows
-            The impulses on this body up to the moment, in order.
-        kicks
-            (3,) m/s each, velocity changes of this body by forces up to the moment.
-        impacts, contacts
-            (k,) and (m,) `CONTACT_ROW`, of this step; no contacts for its beginning alone.
+        ``rows`` are the impulses on this body up to the moment, in order, and ``kicks`` its changes of velocity by
+        forces, (3,) m/s each. ``impacts`` and ``contacts`` are the `CONTACT_ROW` of the step, but the beginning of a
+        step has no contacts.
         """
         self._lost, self._before = {}, step.before_step  # losses of all contacts less those of impacts
         for some, sign in ((contacts, 1.0), (impacts, -1.0)) if len(contacts) else ():

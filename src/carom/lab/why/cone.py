@@ -119,7 +119,7 @@ class Cone:
                 self._strike(some, inside[instant][impact[instant]], before)
 
     def reach(self, rows: Records) -> BoolArray:
-        """Add the bodies connected to the cone by contacts of an instant; return a mask of the rows of the cone."""
+        """Add the bodies connected to the cone by contacts of an instant; return a mask of the rows in the cone."""
         if len(rows) == 1:  # the usual case, five times as fast
             i, j = int(rows["i"][0]), int(rows["j"][0])
             ends = [end for end in (i, j) if end < self.count]
@@ -346,22 +346,16 @@ def chain_of(cone: Cone, bodies: tuple[int, ...]) -> list[Link]:
     links: list[Link] = []
     current, share = set(bodies), 1.0
     while len(links) < MOST_LINKS:
-        chosen, link = _strongest(left, current)
-        if link is None:
-            break
-        if link.share < share * (_AT_ONCE if links and link.time == links[-1].time else _WEAKEST):
+        chosen: Passage | None = None
+        link: Link | None = None  # by the passage with the largest share
+        for p in left:
+            for body, by, passed in ((p.i, p.j, p.to_i), (p.j, p.i, p.to_j)):
+                if body in current and passed > (link.share if link else 0.0):
+                    chosen, link = p, Link(p.step, p.time, body, by, p.impulse, passed)
+        least = _AT_ONCE if links and link and link.time == links[-1].time else _WEAKEST
+        if link is None or link.share < least * share:
             break
         links.append(link)
         current, share = {link.by}, link.share
         left = [passage for passage in left if passage.time <= link.time and passage is not chosen]
     return links
-
-
-def _strongest(passages: list[Passage], bodies: set[int]) -> tuple[Passage | None, Link | None]:
-    chosen: Passage | None = None
-    best: Link | None = None
-    for passage in passages:
-        for body, by, share in ((passage.i, passage.j, passage.to_i), (passage.j, passage.i, passage.to_j)):
-            if body in bodies and (share > (best.share if best else 0.0)):
-                chosen, best = passage, Link(passage.step, passage.time, body, by, passage.impulse, share)
-    return chosen, best

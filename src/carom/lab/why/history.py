@@ -6,7 +6,7 @@ contact forces.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -119,23 +119,8 @@ class History:
 
 
 def _impulses(space: Space, touching: Records) -> Records:
-    """Return the impulses of the last step, and the contacts without an impulse at its end."""
-    parts = [*_given(space)]
-    last = max((int(part["instant"][-1]) for part in parts if len(part)), default=0)
-    silent = touching[(touching["mode"] == OPEN) & (touching["normal_impulse"] == 0.0)]
-    rows = np.zeros(len(silent), IMPULSE)
-    for name in ("i", "j", "time"):
-        rows[name] = silent[name]
-    rows["instant"], rows["holds"] = last, True
-    parts.append(rows)
-    joined = np.concatenate(parts)
-    joined["step"] = space.step
-    return joined
-
-
-def _given(space: Space) -> Iterator[Records]:
-    """Yield the impulses that are not zero. Those at the end of a step belong to one instant."""
-    instant, time = -1, -np.inf
+    """Return the impulses of the last step, and the contacts without an impulse at its end, which is one instant."""
+    instant, time, parts = -1, -np.inf, list[Records]()
     for some in space.impulses():
         J = some.values[:, :1] * some.normal + some.values[:, 1:]
         chosen = np.flatnonzero(J.any(axis=1))
@@ -146,10 +131,17 @@ def _given(space: Space) -> Iterator[Records]:
         rows["x"], rows["y"], rows["z"] = J[chosen].T
         rows["holds"] = some.impact is None
         rows["impact"] = False if some.impact is None else some.impact[chosen]
-        later = np.diff(rows["time"], prepend=time) > 0.0
-        rows["instant"] = instant + np.cumsum(later)
+        rows["instant"] = instant + np.cumsum(np.diff(rows["time"], prepend=time) > 0.0)
         instant, time = int(rows["instant"][-1]), float(rows["time"][-1])
-        yield rows
+        parts.append(rows)
+    silent = touching[(touching["mode"] == OPEN) & (touching["normal_impulse"] == 0.0)]
+    rows = np.zeros(len(silent), IMPULSE)
+    for name in ("i", "j", "time"):
+        rows[name] = silent[name]
+    rows["instant"], rows["holds"] = max(instant, 0), True
+    joined = np.concatenate([*parts, rows])
+    joined["step"] = space.step
+    return joined
 
 
 @dataclass(frozen=True, slots=True)
@@ -167,8 +159,8 @@ class Question:
 def question_of(recording: Recording, body: str | None, at: float | None, event: str | None) -> Question:
     """Return a question about a body, given by number or name, or about an event, named as for `carom view`.
 
-    The time ``at`` is in s; by default it is the end of the recording. RecordingError if there is no such body, moment
-    or event, or unless exactly one of a body and an event is given.
+    The time ``at`` is in s; by default it is the end of the recording. Exactly one of a body and an event is required.
+    RecordingError if the body, the event or the moment does not exist.
     """
     if (body is None) == (event is None):
         raise RecordingError("choose a body with --body, or an impact with --event")

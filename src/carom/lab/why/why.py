@@ -33,7 +33,7 @@ class Answer:
     accounts: list[Account]  # of the bodies of the question
     cone: Cone
     chain: list[Link]  # the latest first
-    engine: str = ""  # whose recorded contact forces it is based on; empty for carom
+    engine: str = ""  # whose recorded contact forces the answer uses; empty for carom
     knows_field: bool = False  # whether a uniform field of this engine acts, and is recorded
 
     @property
@@ -78,15 +78,10 @@ MOST_BODY_STEPS = 100_000  # run again by default; about a second for 500 bodies
 def why(
     recording: Recording, question: Question, start: float | None = None, watch: Watcher = lambda status: None
 ) -> Answer:
-    """Answer a question.
+    """Answer a question about a window that begins at the last checkpoint before ``start`` (s).
 
-    Parameters
-    ----------
-    start
-        s; the window begins at the last checkpoint before it. By default it goes back as far as is cheap, and at least
-        to the last checkpoint before the moment.
-    watch
-        Called after every step with the progress of the replay.
+    By default the window goes back as far as is cheap, and at least to the last checkpoint before the moment. ``watch``
+    receives the progress of the replay after every step.
 
     Raises
     ------
@@ -227,7 +222,7 @@ def _moment(question: Question, history: History) -> tuple[Step, Records, list[F
         return last, last.impulses, last.kicks, last.impulses[:0]
     place = bisect_left(history.steps, question.time - tolerance(question.time), key=lambda step: step.time)
     near = history.steps[max(0, place - 1) : place + 2]
-    # the nearest impulse between the two ends, an impact rather than one at rest
+    # the nearest impulse between the two ends; of two equally near ones, the impact
     found: list[tuple[float, bool, int, int]] = []
     for number, each in enumerate(near):
         rows = each.impulses
