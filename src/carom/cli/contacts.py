@@ -62,7 +62,7 @@ def contacts(
     output: Annotated[Path | None, output_option("FILE", _OUTPUT)] = None,
     force: ForceOption = False,
 ) -> None:
-    """List who touches whom at a moment, or all impacts, with impulses, modes and energies, or measure statistics.
+    """List the contacts at a moment or all impacts, with impulses, modes and energies, or measure statistics.
 
     FILE may be the zip that `carom report` made. Contacts missing from the recording are recomputed.
     """

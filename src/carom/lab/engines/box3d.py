@@ -31,7 +31,7 @@ _NEAR = 0.2  # largest distance of a contact point from its plane, over its dist
 _PARALLEL = 1e-4  # 1 - cosine of the angle between the normal of a contact and of a plane
 _LARGEST = 64  # points in a group whose impulses are computed from velocities
 _ROUNDED = 1e-6  # of a speed: smaller changes of velocity are rounding in single precision
-_WEIGHT = 1e-3  # of the engine's own impulses beside the observed changes of velocity, whose errors are below 1e-6
+_WEIGHT = 1e-3  # of the engine's own impulses in the fit; errors of the observed changes of velocity are below 1e-6
 MOST_SHAPES = 64  # shapes examined for each body
 
 
@@ -221,7 +221,7 @@ class Box3DForces:
         return np.array(rows, CONTACT)
 
     def _points(self, contact: Any, ends: list[int], centre: FloatArray, is_first: bool) -> list[_Point]:
-        """Return the points of a contact of a body at (3,) m, one of the ends; unknown ends are -1."""
+        """Return the points of a contact; one end is a body at ``centre``, (3,) m, and an unknown end is -1."""
         points, step, substep = list[_Point](), self._world.last_dt, self._world.last_substep_dt
         for manifold in contact.manifolds[0 : contact.manifoldCount]:
             normal, friction = _vector(manifold.normal), _vector(manifold.frictionImpulse)
@@ -286,7 +286,7 @@ class Box3DForces:
         return np.split(order, np.flatnonzero(np.diff(label[order])) + 1)
 
     def _plane(self, normal: FloatArray, point: FloatArray, near: float) -> int:
-        """Return the end that is the plane with a normal (3,) near (m) a point (3,) m, or -1."""
+        """Return the end of the nearest plane with this normal within ``near`` m of a point (3,) m; -1 without one."""
         off = np.abs(self._normal @ point - self._offset)
         own = np.flatnonzero((off < near) & (self._normal @ normal > 1.0 - _PARALLEL))
         return len(self._bodies) + int(own[np.argmin(off[own])]) if len(own) else -1

@@ -53,7 +53,7 @@ def one_in(draw: Draw, count: int) -> bool:
     return draw.integer(0, count - 1) == count - 1
 
 
-def part(draw: Draw) -> float:
+def fraction(draw: Draw) -> float:
     """Draw a fraction of one, in eighths."""
     return draw.integer(0, 8) / 8
 
@@ -132,9 +132,9 @@ def meeting(
         "gravity": {"constant": 0.0},
         "contact": {
             "enabled": draw.integer(0, 7) > 0,
-            "restitution": part(draw),
+            "restitution": fraction(draw),
             "static_friction": static,
-            "kinetic_friction": static * part(draw),
+            "kinetic_friction": static * fraction(draw),
             "colouring": draw.choice("contacts", "bodies"),
             "stabilisation": undoing,
             "timing": _timing(draw, time["integrator"]),
@@ -204,9 +204,9 @@ def _clear(
     for centre, other in placed:
         along = float((centre - origin) @ ray)
         aside = centre - origin - along * ray  # Pythagoras' theorem would lose digits at large distances
-        room = (radius + other) ** 2 - float(aside @ aside)
-        if room > 0.0:
-            blocked.append((along - math.sqrt(room), along + math.sqrt(room)))
+        chord = (radius + other) ** 2 - float(aside @ aside)  # square of half the chord
+        if chord > 0.0:
+            blocked.append((along - math.sqrt(chord), along + math.sqrt(chord)))
     for entry, exit_ in sorted(blocked):  # ordered by entry: no later interval begins before
         if entry < distance < exit_:
             distance = exit_
@@ -311,7 +311,7 @@ def impacts(draw: Draw) -> Document:
         "time": {"duration": 10.0, "fixed_dt": dt, "integrator": draw.choice("euler", "leapfrog")},
         "gravity": {"constant": 0.0},
         "contact": {
-            "restitution": part(draw),
+            "restitution": fraction(draw),
             "static_friction": friction,
             "kinetic_friction": friction,
             "stabilisation": draw.choice("split", "baumgarte", "none"),

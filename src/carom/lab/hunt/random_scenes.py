@@ -19,10 +19,10 @@ from carom.lab.hunt.documents import (
     Scales,
     decade,
     direction,
+    fraction,
     impacts,
     meeting,
     one_in,
-    part,
     row,
     scales,
     smooth,
@@ -160,7 +160,7 @@ def _bound(draw: Draw, document: Document, scale: Scales) -> None:
             lowest = float((position @ normal - radius[:, 0]).min())
             document["plane"].append({"point": row((lowest - gap) * normal), "normal": row(normal)})
         if one_in(draw, 3):
-            document["plane"][0] |= {"restitution": part(draw), "static_friction": draw.choice(0.0, 1.0)}
+            document["plane"][0] |= {"restitution": fraction(draw), "static_friction": draw.choice(0.0, 1.0)}
     elif kind == 4:
         fixed = bodies[draw.integer(0, len(bodies) - 1)]
         fixed.pop("velocity", None)
@@ -195,7 +195,7 @@ def _set_materials(draw: Draw, document: Document) -> None:
     """Make bodies, planes and walls of two materials; contacts between the two may have their own coefficients."""
     names = ("soft", "hard")
     document["material"] = [
-        {"name": name, "restitution": part(draw), "static_friction": draw.choice(0.0, 0.3, 1.0)} for name in names
+        {"name": name, "restitution": fraction(draw), "static_friction": draw.choice(0.0, 0.3, 1.0)} for name in names
     ]
     if one_in(draw, 2):
         document["material"][0]["density"] = 1000.0
@@ -266,27 +266,27 @@ def _column(draw: Draw, scale: Scales) -> Document:
 def _groups(draw: Draw, scale: Scales) -> Document:
     """Draw groups, whose bodies carom places, some beside a body or over a plane."""
     document, L = meeting(draw, scale=scale, most_bodies=1), scale.L
-    room = L * draw.choice(6.0, 10.0)
-    document["group"] = [_group(draw, scale, room) for _ in range(draw.choice(1, 1, 2))]
+    extent = L * draw.choice(6.0, 10.0)
+    document["group"] = [_group(draw, scale, extent) for _ in range(draw.choice(1, 1, 2))]
     del document["body"]
     if one_in(draw, 3):
         document["body"] = [
-            {"position": row(vector(draw) * room), "radius": L * draw.choice(0.5, 1.0, 4.0), "mass": scale.M}
+            {"position": row(vector(draw) * extent), "radius": L * draw.choice(0.5, 1.0, 4.0), "mass": scale.M}
         ]
     if "domain" in document:
-        document["domain"]["size"] = [4.0 * room] * 3
+        document["domain"]["size"] = [4.0 * extent] * 3
     elif one_in(draw, 3):
-        document["plane"] = [{"point": [0.0, 0.0, draw.choice(-1.0, -0.5, 0.0) * room]}]
+        document["plane"] = [{"point": [0.0, 0.0, draw.choice(-1.0, -0.5, 0.0) * extent]}]
     return document
 
 
-def _group(draw: Draw, scale: Scales, room: float) -> Document:
+def _group(draw: Draw, scale: Scales, extent: float) -> Document:
     """Draw a group in a region of about twice the volume of its bodies."""
     L, U, M = scale
     shape = draw.choice("ball", "box", "cylinder", "shell")
     region: Document = {"shape": shape}
-    region |= {"size": [2.0 * room] * 3} if shape == "box" else {"radius": room}
-    region |= {"cylinder": {"height": room}, "shell": {"inner_radius": 0.3 * room}}.get(shape, {})
+    region |= {"size": [2.0 * extent] * 3} if shape == "box" else {"radius": extent}
+    region |= {"cylinder": {"height": extent}, "shell": {"inner_radius": 0.3 * extent}}.get(shape, {})
     group: Document = {
         "count": draw.integer(1, 24),
         "radius": draw.choice(L, L, None) or {"min": 0.5 * L, "max": L},
@@ -298,7 +298,7 @@ def _group(draw: Draw, scale: Scales, room: float) -> Document:
     if one_in(draw, 2):
         group["spin"] = {"dispersion": U / L}
     if one_in(draw, 4):
-        group["bulk_rotation"] = row(vector(draw) * (U / room))
+        group["bulk_rotation"] = row(vector(draw) * (U / extent))
     return group
 
 
