@@ -7,7 +7,7 @@ import os
 import threading
 import uuid
 from collections import deque
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
@@ -19,6 +19,7 @@ from carom.arrays import IntArray
 from carom.errors import RecordingError
 from carom.recording.read.recording import Recording
 from carom.recording.source import (
+    BulkSource,
     Model,
     Setup,
     Source,
@@ -26,8 +27,6 @@ from carom.recording.source import (
     StateMemory,
     SteppedSource,
     array_of,
-    memory_of,
-    reader_of,
     refuse_no_rotation,
     setup_of,
     time_of,
@@ -127,7 +126,7 @@ class Recorder:
         with claimed_output(self.path, force):
             pass  # otherwise a folder that cannot be written would be noticed only in the run
         self._source, self._exact, self._force = source, exact, force
-        self._read = reader_of(source)
+        self._read: Callable[[StateMemory], None] = lambda snapshot: snapshot.take(source.state())
         self._stepped = source.stepped if isinstance(source, SteppedSource) else None
         self._title, self._duration = title, duration
         self._tolerances = tolerances or Tolerances()
@@ -141,7 +140,9 @@ class Recorder:
         self._ids: IntArray | None = None
         if not _is_empty(first):
             self._begin_with(first)
-        self._new = memory_of(source, first)
+        self._new: Callable[[], StateMemory] = lambda: StateMemory.like(first)
+        if isinstance(source, BulkSource):
+            self._read, self._new = source.read, source.memory
         self._free: StateMemory | None = None  # reusable memory
         self._sink: SnapshotWriter | None = None
         self._written = self._taken = 0

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import uuid
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -286,8 +286,8 @@ def _selection(recording: Recording, bodies: Sequence[int]) -> Selection:
 def _moving(recording: Recording, cut: _Cut) -> Iterator[Chunk]:
     """Read the chunks that overlap the cut, centres before the contacts that connect them."""
     entries = [entry for entry in recording.store.entries if entry.overlaps(cut.first, cut.last)]
-    last = {path: _last_before(recording.store.entries, path, cut.first) for path in _STATES}
-    entries += [entry for entry in last.values() if entry is not None and entry not in entries]
+    for path in _STATES:
+        entries += [e for e in recording.store.frames_of(path, last=cut.first)[-1:] if e not in entries]
     for chunk in recording.chunks(sorted(entries, key=_order)):
         rows = _within(chunk, cut)
         if rows.batch.num_rows:
@@ -312,12 +312,6 @@ def _order(entry: Entry) -> tuple[int, bool]:
     return (entry.last_step if is_contacts else entry.first_step) or 0, is_contacts
 
 
-def _last_before(entries: Iterable[Entry], path: str, step: int) -> Entry | None:
-    """Find the chunk with an entity's last row at or before a step."""
-    found = [e for e in entries if e.entity_path == path and e.first_step is not None and e.first_step <= step]
-    return max(found, key=lambda entry: entry.first_step or 0, default=None)
-
-
 def _within(chunk: Chunk, cut: _Cut) -> Chunk:
     """Keep the rows of the cut; a state that began earlier starts at the first frame."""
     steps = chunk.batch[STEP].to_numpy()
@@ -331,20 +325,17 @@ def _within(chunk: Chunk, cut: _Cut) -> Chunk:
         shown = pa.scalar(cut.first_shown, pa.int64()).cast(pa.duration("ns"))
         moved = {STEP: pc.if_else(early, pa.scalar(cut.first), batch[STEP])}
         moved[SIM_TIME] = pc.if_else(early, shown, batch[SIM_TIME])
-        return Chunk(
-            chunk.entity_path,
-            pa.record_batch([moved.get(n, batch[n]) for n in batch.schema.names], schema=batch.schema),
-        )
+        return _replaced(Chunk(chunk.entity_path, batch), moved)
     return Chunk(chunk.entity_path, chunk.batch.filter(pa.array(inside)))
 
 
 def _start(recording: Recording, cut: _Cut) -> Chunk | None:
     """Store the last exact state at or before the first frame as static data of the clip."""
-    entry = _last_before(recording.store.entries, paths.CHECKPOINT, cut.first)
-    if entry is None:
+    entries = recording.store.frames_of(paths.CHECKPOINT, last=cut.first)
+    if not entries:
         carried = [e for e in recording.store.entries if e.is_static and e.entity_path == paths.START]
         return next(recording.chunks(carried[-1:]), None)
-    (chunk,) = recording.chunks([entry])
+    (chunk,) = recording.chunks(entries[-1:])
     row = int(np.flatnonzero(chunk.batch[STEP].to_numpy() <= cut.first)[-1])
     kept = [field for field in chunk.batch.schema if (field.metadata or {}).get(_KIND) == b"data"]
     values = [chunk.batch[field.name].slice(row, 1) for field in kept]

@@ -190,10 +190,7 @@ _RENEWED = (paths.SCENE, paths.BODIES, paths.STATIC_STATE, paths.LIVES)  # sent 
 
 
 def widen(path: Path) -> None:
-    """Rewrite a recording whose frames have a place only for each body that had come by then.
-
-    Raises RecordingError if it cannot be read, or the new file cannot be written.
-    """
+    """Rewrite a recording whose frames have places only for the bodies that had come by then; or RecordingError."""
     recording = Recording.open(path)
     n, header = int(recording.info["bodies"]), header_of_recording(recording)
     steps, counts = _places(recording)

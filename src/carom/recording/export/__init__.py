@@ -99,10 +99,7 @@ def _kept(recording: Recording, steps: IntArray) -> Iterator[Snapshot]:
 
 
 def _own(recording: Recording, fixed: BoolArray) -> tuple[IntArray, FloatArray, FloatArray, dict[str, NDArray[Any]]]:
-    """Return the numbers, masses, radii and further columns of the shown bodies.
-
-    Further columns are moments of inertia (kg m²), fixed bodies and names, if these differ from the defaults.
-    """
+    """Return numbers, masses and radii of the shown bodies, and further columns that differ from the defaults."""
     bodies, shown, found = recording.bodies, np.array(recording.shown, dtype=np.int64), dict[str, NDArray[Any]]()
     mass, radius, inertia = (np.asarray(each)[shown] for each in (bodies.mass, bodies.radius, bodies.inertia))
     if not np.allclose(inertia, 0.4 * mass * radius * radius, rtol=1e-12, atol=0.0):

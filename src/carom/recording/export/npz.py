@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 def write_npz(path: Path, first: Snapshot, others: Iterator[Snapshot]) -> None:
     """Write step and time (K,), values such as body and mass (n,), and vectors such as position (K, n, 3 or 4).
 
-    Where bodies come and go, the n bodies are all of them, and their vectors are NaN where they do not exist.
+    Where bodies come and go, n counts all of them; vectors of a body that does not exist are NaN.
     """
     every = [first, *others]
     body, rows = np.unique(np.concatenate([each.body for each in every]), return_index=True)

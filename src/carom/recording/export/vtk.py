@@ -36,7 +36,7 @@ def write_vtk(path: Path, snapshot: Snapshot) -> None:
 
 
 def write_vtk_series(path: Path, snapshots: Iterator[Snapshot], folder: Path, stem: str) -> None:
-    """Write a file for each step into a folder, and a list of their times, which ParaView opens as one."""
+    """Write a file for each step into a folder, and the list of files and times that ParaView opens."""
     files = list[dict[str, str | float]]()
     for snapshot in snapshots:
         name = f"{stem}-{len(files):06d}.vtk"

@@ -156,8 +156,10 @@ def graph_eye(header: Header, camera: CameraFit, area: Area, added: Additions) -
     """Return the camera of `graph_view`."""
     # how far (m) arrows of medium length extend from the bodies
     room = arrow_length(header, paths.ANGULAR_ACCELERATION) / 4 if header.has_torque else 0.0
-    seen = {"trails": False, "moment": added.moment}
-    return camera.view(area.aspect, room, narrow=area.rendered, tips=added.tips, inset=area.inset_share, **seen)
+    inset, moment = area.inset_share, added.moment
+    return camera.view(
+        *(area.aspect, room), narrow=area.rendered, trails=False, tips=added.tips, moment=moment, inset=inset
+    )
 
 
 def graph_view(header: Header, camera: CameraFit, area: Area, added: Additions = NONE) -> rrb.Spatial3DView:

@@ -159,10 +159,7 @@ class CameraFit:
         self.look(np.array([frame.position[: self._bodies] for frame in chosen]) - origin)
 
     def look(self, position: FloatArray, *, inside: bool = True) -> None:
-        """Measure positions (n, 3) of one moment or (k, n, 3) of several.
-
-        Positions that need not be inside the view only affect its direction.
-        """
+        """Measure positions (n, 3) or (k, n, 3); those that need not be inside the view only affect its direction."""
         self._take(position.reshape(-1, *position.shape[-2:])[:, self._shown], inside=inside)
 
     @_HUGE
@@ -328,10 +325,7 @@ class CameraFit:
 
 @_HUGE
 def _direction(moments: FloatArray, up: FloatArray) -> FloatArray:
-    """Choose the direction to the eye: the smallest principal axis of the motion, from above and with a level horizon.
-
-    Where axes have similar lengths, the usual direction decides.
-    """
+    """Choose the direction to the eye: along the smallest principal axis or, if several are similar, the usual one."""
     usual = _USUAL @ upright(up)
     count = moments[3, 3]
     mean = moments[:3, 3] / max(count, 1.0)
@@ -377,8 +371,8 @@ def _largest(values: FloatArray, radius: FloatArray) -> float:
 
 def _farthest(position: FloatArray, radius: FloatArray) -> IntArray:
     """Return the outermost sphere in each direction in `_ALL_ROUND`."""
-    # In blocks, since the product of all leaves the cache, and BLAS computes it on all cores, which the physics needs:
-    # 4000 spheres take 1.4 ms of CPU in place of 18.
+    # In blocks: the product of all spheres does not fit into the cache, and BLAS would compute it on all cores, which
+    # the physics needs. 4000 spheres take 1.4 ms of CPU in place of 18.
     most, found = np.full(len(_ALL_ROUND), -np.inf), np.zeros(len(_ALL_ROUND), dtype=np.int64)
     for begin in range(0, len(position), _BLOCK):
         reach = _ALL_ROUND @ position[begin : begin + _BLOCK].T + radius[begin : begin + _BLOCK]

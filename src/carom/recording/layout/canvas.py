@@ -121,10 +121,7 @@ CORNERS = ((1, 1), (-1, 1), (1, -1), (-1, -1))  # right and up are positive
 def free_corner(
     view: View, aspect: float, inset: tuple[float, float], position: FloatArray, radius: FloatArray
 ) -> tuple[int, int] | None:
-    """Return a corner of a picture in which a legend covers no sphere, (k, 3) and (k,) m; None without any.
-
-    ``inset`` is the width and height of the legend, as fractions of those of the picture.
-    """
+    """Return a corner in which a legend covers no sphere, or None; its size is a fraction of that of the picture."""
     places, sizes = view.on_screen(position), view.radius_on_screen(position, radius)[:, None]
     half, whole = np.array([inset[0] * aspect, inset[1]]), np.array([aspect, 1.0])
     for corner in CORNERS:
@@ -155,7 +152,7 @@ class Area:
 
     @property
     def inset_share(self) -> tuple[float, float]:
-        """Width and height of the legend, as fractions of its own."""
+        """Width and height of the legend, as fractions of those of the view."""
         return self.inset[0] / self.width, self.inset[1] / self.height
 
 
@@ -214,7 +211,7 @@ _UNSEEN = 1e-3  # units; Rerun draws nothing nearer than 0.01
 
 
 def space(distance: float) -> str:
-    """Return the origin of a view by the distance (m) of its camera from the target."""
+    """Return the origin of a view whose camera has a distance (m) from its target."""
     if not 0.0 < distance < NEAREST:
         return EVERYTHING
     return f"/{paths.MAGNIFIED}/{math.ceil(math.log10(NEAREST / distance))}"
@@ -292,10 +289,7 @@ def spatial_view(
     follows: str | None = None,
     theme: str = "dark",
 ) -> rrb.Spatial3DView:
-    """Lay out a 3D view of some entities, in a magnified space if the eye is very near.
-
-    The eye follows the given entity, if any, or all bodies if ``view`` follows them.
-    """
+    """Lay out a 3D view of some entities; the eye follows the given one or, if ``view`` does, all bodies."""
     origin = space(view.distance)
     larger = scale(origin)
     tracked = follows or (paths.BODIES if view.motion is CameraMotion.FOLLOW else None)

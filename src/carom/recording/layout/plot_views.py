@@ -153,10 +153,7 @@ class Place:
 
 
 def place_legend(legends: Sequence[str], curves: Sequence[CurveOutline], plot: Area) -> Place:
-    """Choose the corner of a legend, given its lines, and the range of the axis, for an area between the axes.
-
-    Without lines, the plot has no legend; without curves, they are unknown.
-    """
+    """Choose the corner of a legend, given its lines, and the range of the axis of a plot of this area."""
     low, high = _union(curves)
     if not high >= low:
         return Place(rrb.Corner2D.LeftTop, None)
@@ -180,10 +177,7 @@ def place_legend(legends: Sequence[str], curves: Sequence[CurveOutline], plot: A
 
 
 def time_beside_legend(legends: Sequence[str], nanoseconds: IntArray, width: float) -> rrb.TimeAxis:
-    """Return a time axis that is long enough for the lines of a legend to the right of all curves.
-
-    ``nanoseconds``, (2,), are the first and the last time, as recorded; the width is that of the plot in px.
-    """
+    """Return a time axis with space for a legend beside the curves; times are in ns as recorded, the width in px."""
     start, end = nanoseconds.tolist()
     wide = min(_LARGEST, _width(legends) / width) if legends else 0.0
     return _axis(start, int(end + (end - start) * wide / (1.0 - wide)))
@@ -228,8 +222,8 @@ def plot_views(
     for column in all_plots(recorded(header)):
         shown = [plot for plot in column if shown_series(header, plot, curves)]
         if CONTACTS in column and header.records_contacts and (curves is None or _largest(curves, _RATE) > 0.0):
-            # impacts if there are any, otherwise lasting contacts; as long as nothing is known, and where a plot of all
-            # impacts would slow the viewer down, contacts
+            # Impacts come first if there are any. Contacts come first while nothing is known, and where a plot of all
+            # impacts would slow the viewer down.
             shown.insert(0 if curves is not None and paths.IMPACTS in curves else 1, IMPULSES)
         if shown:
             columns.append(shown)
@@ -345,7 +339,7 @@ def time_series_view(
     styles: Mapping[EntityPathLike, VisualizerLike] = MappingProxyType({}),
     span: IntArray | None = None,
 ) -> rrb.TimeSeriesView:
-    """Lay out a plot of some entities whose legend, given its lines, covers no curve; during a run, none are known.
+    """Lay out a plot of some entities, with the lines of its legend where they cover no known curve.
 
     ``styles`` override the recorded styles of the series by path; ``span`` is that of `time_axis`.
     """
@@ -363,10 +357,9 @@ def time_series_view(
 
 
 def time_axis(area: Area, span: IntArray | None) -> rrb.TimeAxis:
-    """Return an axis of the whole time.
+    """Return an axis of the whole time, or of a ``span`` (2,) ns with space for the number at its end.
 
-    With a ``span`` (2,) ns, there is space for the number at its end. Its ends are on one timeline, which suits
-    pictures, where nobody selects another.
+    The ends of a span are on one timeline, which suits pictures, where nobody selects another.
     """
     if span is None:
         return whole_time()

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import difflib
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from numbers import Real
 from typing import TYPE_CHECKING
 
@@ -46,7 +46,17 @@ def body_number(recording: Recording, body: int | str) -> int:
     number = text.removeprefix("#")
     if number.isascii() and number.isdigit() and int(number) < len(names):
         return int(number)
-    raise RecordingError(f'{recording.path} has no body "{body}"; {_others(text, names)}')
+    count = f"its bodies are 0 to {len(names) - 1}" if len(names) > 1 else "its only body is 0"
+    own = [name for number, name in enumerate(names) if name not in ("", f"body {number}")]
+    near = difflib.get_close_matches(text, own, n=1, cutoff=0.6)
+    if not near and text and not text.isdigit():
+        near = [name for name in own if name.casefold().startswith(text.casefold())]
+    if near:
+        others = f'did you mean "{near[0]}"? {count[0].upper()}{count[1:]}'
+    else:
+        quoted = ", ".join(f'"{name}"' for name in own)
+        others = f"{count}, called {quoted}" if own and len(names) <= _MOST_NAMED else count
+    raise RecordingError(f'{recording.path} has no body "{body}"; {others}')
 
 
 def shown_body(recording: Recording, body: int | str) -> int:
@@ -68,20 +78,6 @@ def split_at_commas(text: str, names: Iterable[str]) -> list[str]:
         parts.append(next((name for name in joined if name in whole), pieces[0].strip()))
         del pieces[: parts[-1].count(",") + 1]
     return parts
-
-
-def _others(text: str, names: Sequence[str]) -> str:
-    """List the bodies, and suggest the nearest name."""
-    count = f"its bodies are 0 to {len(names) - 1}" if len(names) > 1 else "its only body is 0"
-    own = [name for number, name in enumerate(names) if name not in ("", f"body {number}")]
-    near = difflib.get_close_matches(text, own, n=1, cutoff=0.6)
-    if not near and text and not text.isdigit():
-        near = [name for name in own if name.casefold().startswith(text.casefold())]
-    if near:
-        return f'did you mean "{near[0]}"? {count[0].upper()}{count[1:]}'
-    quoted = ", ".join(f'"{name}"' for name in own)
-    called = f", called {quoted}" if own and len(names) <= _MOST_NAMED else ""
-    return count + called
 
 
 def names_of(recording: Recording) -> Names:
@@ -139,10 +135,7 @@ def moment(recording: Recording, at: float | None) -> float:
 
 
 def interval(recording: Recording, start: float | None, end: float | None) -> tuple[float, float]:
-    """Return an interval (s) of a recording, both ends included; None is an end of the recording.
-
-    Raises RecordingError if it ends before it begins, or lies outside of the recording.
-    """
+    """Return an interval (s), by default the whole recording, both ends included; RecordingError if it is outside."""
     recording.require_frames()
     check_times(begin=start, end=end)
     first, last = -np.inf if start is None else start, np.inf if end is None else end

@@ -80,10 +80,7 @@ def forces(columns: Mapping[str, Any], mode: NDArray[np.uint8], dt: float) -> di
 
 
 def finite(recorded: pa.Table, repeat: Callable[[], pa.Table]) -> pa.Table:
-    """Return the recorded table or, if a value exceeds the range of float32 (3.4e38), the table of a replay.
-
-    The numbers stay infinite if the run cannot be repeated.
-    """
+    """Return the recorded table or, beyond the range of float32 (3.4e38), the table of a replay if that is possible."""
     if any(bool(np.isinf(recorded[name].to_numpy()).any()) for name in MEASURED):
         with suppress(RecordingError, SceneError):
             return repeat()
@@ -159,20 +156,14 @@ def contacts(recording: Recording, at: float | None, *, replay: bool, watch: Wat
 
 
 def rows_of_engine(recording: Recording, row: int) -> tuple[Records, float]:
-    """Return the contacts (k,) `CONTACT_ROW` in a frame of another engine's run, and the time (s) since the last frame.
-
-    Raises RecordingError if the recording lacks them.
-    """
+    """Return the contacts (k,) `CONTACT_ROW` of another engine in a frame, and the time (s) since the last frame."""
     with reading(recording.path):
         chunk, own, step, time = _row_of_contacts(recording, row)
         return _rows_of_engine(recording, chunk, own, step, time), _dt(recording, step)
 
 
 def rows_by_frame(recording: Recording, first: int, last: int) -> Iterator[tuple[int, float, Records]]:
-    """Yield step, time (s) and contacts (k,) `CONTACT_ROW` of another engine's frames from the first step to the last.
-
-    Raises RecordingError if they are damaged.
-    """
+    """Yield step, time (s) and contacts (k,) `CONTACT_ROW` of another engine, from the first step to the last."""
     frames = recording.fingerprints()
     times = dict(zip(frames[STEP].to_pylist(), frames["time"].to_pylist(), strict=True))
     with reading(recording.path):
@@ -183,10 +174,7 @@ def rows_by_frame(recording: Recording, first: int, last: int) -> Iterator[tuple
 
 
 def closing_speeds(rows: Records, state: Checkpoint, moves: BoolArray | None = None) -> FloatArray:
-    """Return the speeds (m/s) at which contacts (k,) `CONTACT_ROW` close; negative where they part.
-
-    Solids have no velocity; with a mask (n,), neither have bodies that do not move.
-    """
+    """Return the closing speeds (m/s) of contacts (k,) `CONTACT_ROW`; bodies outside of a mask (n,) are at rest."""
     n, relative = len(state.position), np.zeros((len(rows), 3))
     point, normal = (
         np.stack([rows[name] for name in names], axis=1) for names in (("x", "y", "z"), ("nx", "ny", "nz"))
@@ -212,7 +200,7 @@ def _row_of_contacts(recording: Recording, row: int) -> tuple[Chunk, int, int, f
 
 
 def _table(recording: Recording, chunk: Chunk, row: int, step: int, time: float) -> pa.Table:
-    """Read a row; its lines have the contact points and normals."""
+    """Read a row of contacts, whose points and normals follow from its lines."""
     if recording.engine:
         rows, unknown = _rows_of_engine(recording, chunk, row, step, time), ("approach_speed", "energy_lost")
         table = table_of_rows(rows, "recorded", _dt(recording, step))

@@ -73,10 +73,7 @@ def impacts(
 
 
 def numbered_impact(recording: Recording, number: int) -> tuple[float, int, int, int]:
-    """Return the time (s), the step and the ends of an impact, given its number (from 1) on the timeline ``impact``.
-
-    Raises RecordingError if the impact is not recorded; the message names the recorded numbers.
-    """
+    """Return time (s), step and ends of a recorded impact, given its number (from 1) on the timeline ``impact``."""
     numbers, rows = impacts_by_number(recording)
     found = np.flatnonzero(numbers == number)
     if not len(found):
@@ -136,10 +133,7 @@ def states_by_number(recording: Recording) -> dict[str, tuple[IntArray, pa.Table
 
 
 def _rows_by_number(recording: Recording, entries: list[Entry], least: int = 1) -> tuple[IntArray, pa.Table]:
-    """Read some chunks of one entity on the timeline of impacts. RecordingError if a chunk is out of order.
-
-    ``least`` is the smallest difference between the numbers of two rows.
-    """
+    """Read chunks of an entity on the timeline of impacts; the numbers of two rows differ by at least ``least``."""
     with reading(recording.path):
         batches = [chunk.batch for chunk in recording.chunks(entries) if chunk.batch.num_rows]
         if not batches:

@@ -118,10 +118,7 @@ class Recording(FrameTables):
             raise DamageError("it does not state how its box is sheared") from error
 
     def cell(self, time: float) -> FloatArray | None:
-        """Return the size of the periodic box, (3,) m, or None in open space.
-
-        Of a sheared box, return the vectors to its images at a time (s), (3, 3) m.
-        """
+        """Return the size of the periodic box, (3,) m; of a sheared one, the vectors to its images, (3, 3); or None."""
         if "box" not in self.info:
             return None
         size = np.asarray(self.info["box"], dtype=np.float64)

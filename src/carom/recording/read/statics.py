@@ -43,23 +43,12 @@ class BodyTable:
     _states: Callable[[float | None], pa.Table] = field(repr=False, compare=False)
 
     def among(self, shown: Sequence[int], bodies: int) -> Self:
-        """Return a table of more bodies, among which these are ``shown``; the values of the others are unknown."""
-
-        def spread(values: FloatArray) -> FloatArray:
-            found = np.full(bodies, np.nan)
-            found[shown] = values
-            return found
-
-        group = np.full(bodies, -1)
-        group[shown] = self.group
-        return replace(
-            self,
-            name=SomeNames("body", bodies, dict(zip(shown, self.name, strict=True))),
-            group=group,
-            mass=spread(self.mass),
-            radius=spread(self.radius),
-            inertia=spread(self.inertia),
-        )
+        """Return a table of all bodies of a run, in which only these, with the numbers ``shown``, are known."""
+        values: dict[str, Any] = {name: np.full(bodies, np.nan) for name in ("mass", "radius", "inertia")}
+        values["group"] = np.full(bodies, -1)
+        for name, spread in values.items():
+            spread[shown] = getattr(self, name)
+        return replace(self, name=SomeNames("body", bodies, dict(zip(shown, self.name, strict=True))), **values)
 
     def __call__(self, at: float | None = None) -> pa.Table:
         """Return the state of all bodies at the end of the step that contains a time, in float64.

@@ -303,15 +303,12 @@ def _recorded_path(recording: Recording, number: int, steps: IntArray, times: Fl
 
 
 def checkpoints_at(recording: Recording, start: dict[str, Values], steps: Iterable[int]) -> Iterator[Checkpoint]:
-    """Yield the exact states at some steps; ``start`` is the state at the beginning of a clip, empty for a whole run.
-
-    A chunk is read once for consecutive steps.
-    """
+    """Yield the exact states at some steps; ``start`` is that before the frames of a clip, empty for a whole run."""
     from carom.recording.schema.checkpoint_columns import decode  # noqa: PLC0415 - loads Numba
 
     frames = recording.fingerprints()
     known, bits = frames[STEP].to_numpy(), frames["fingerprint"].to_numpy()
-    chunk: Chunk | None = None
+    chunk: Chunk | None = None  # read once for consecutive steps
     for step in steps:
         if chunk is None or step not in chunk.batch[STEP].to_numpy():
             chunk = None  # free it before the next one is read: it may have 400 MB

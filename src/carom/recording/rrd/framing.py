@@ -1,4 +1,4 @@
-"""The messages of an .rrd file, so that a writer can stop at the end of one.
+"""The boundaries of the messages of an .rrd file, so that a writer can stop at the end of one.
 
 A stream header of 12 bytes (``RRF2``, version, options) is followed by messages: kind and length as little-endian
 uint64, then that many bytes. Message kind 0 ends the stream and holds the footer; 32 bytes of stream footer follow it.
@@ -74,10 +74,7 @@ def looks_recorded(path: Path) -> bool:
 
 
 def messages(file: BinaryIO, start: int = STREAM_HEADER) -> Iterator[Message]:
-    """Yield the messages up to the end message or the end of the file.
-
-    Raises DamageError if something other than a message follows, or the file ends inside a message.
-    """
+    """Yield the messages up to the end message or the end of the file; DamageError where no whole message follows."""
     size = os.fstat(file.fileno()).st_size
     while start < size:
         file.seek(start)
@@ -122,10 +119,7 @@ def is_footer(file: BinaryIO, at: int) -> bool:
 
 
 class MessageSplitter:
-    """Cuts a stream of bytes, fed in pieces of any size, into whole messages.
-
-    The stream header counts as the first message, the stream footer as the last.
-    """
+    """Cuts a stream of bytes, fed in pieces of any size, into its header, whole messages, and its footer."""
 
     def __init__(self) -> None:
         self._pending = bytearray()

@@ -123,10 +123,7 @@ _MOST_FIELDS = 1000  # fields in a message; messages of an .rrd have up to six
 
 
 def fields(message: memoryview) -> Fields:
-    """Decode the fields of a message. A field may occur more than once; nested messages remain bytes.
-
-    Raises DamageError if the bytes are not a message.
-    """
+    """Decode the fields of a message, each of which may occur more than once; nested messages remain bytes."""
     found: Fields = {}
     at = count = 0
     while at < len(message):
@@ -254,7 +251,7 @@ class Store:
     entries: list[Entry] = field(default_factory=list)
 
     def frames_of(self, entity_path: str, first: float = -math.inf, last: float = math.inf) -> list[Entry]:
-        """Return the entries of an entity that may have rows of the steps from first to last, by their first steps."""
+        """Return the entries of an entity that may have rows from the first step to the last, in the order of steps."""
         found = [e for e in self.entries if e.entity_path == entity_path and e.overlaps(first, last)]
         return sorted(found, key=lambda entry: entry.first_step or 0)
 

@@ -42,8 +42,6 @@ _ORBITS = "orbit_"
 _ORBIT_ARRAYS = {"order": 1, "near": 1, "position": 3, "velocity": 3}  # numbers per body
 _SERIES = len(EqualSteps._fields)
 _FULL = 7  # contacts per body in a dense packing, including near ones
-
-
 _PRESENT = "present"
 _OF_BODIES = ("position", "velocity", "acceleration", "orientation", "angular_velocity")
 
@@ -56,7 +54,7 @@ class PartialCheckpoint(Checkpoint):
 
     @classmethod
     def of(cls, whole: Checkpoint, present: IntArray, **others: Any) -> PartialCheckpoint:
-        """Return a checkpoint with a place for each body of the run, and other values of some fields."""
+        """Return a checkpoint with a place for each body of the run; ``others`` replace some fields."""
         return cls(**_values_of(whole) | others, present=present)
 
     @property

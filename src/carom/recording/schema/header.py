@@ -227,7 +227,7 @@ class Header:
 
     @property
     def drawn_box(self) -> FloatArray | None:
-        """Size of the periodic box as drawn, (3,) m; along an axis that does not repeat, that of the walls, or 0."""
+        """Size of the periodic box as drawn, (3,) m; along other axes, the size of the walls, or 0."""
         if self.box is None:
             return None
         return np.where(self.box < ENDLESS, self.box, 0.0 if self.walls is None else self.walls)
@@ -254,10 +254,9 @@ _PATTERN = re.compile(r"carom-([0-9]{1,9})-[0-9a-f]+")
 
 
 def application_id(header: Header) -> str:
-    """``carom-<schema>-<layout>``.
+    """Return ``carom-<schema>-<layout>``; Rerun replaces slashes, so it contains none.
 
     A viewer keeps one layout, with its camera, per application id. The id therefore includes a hash of the scene.
-    Rerun replaces slashes, so the id contains none.
     """
     layout = hashlib.sha256(f"{header.scene_toml}\n{header.bodies} {header.spins}".encode()).hexdigest()
     return f"carom-{SCHEMA_VERSION}-{layout[:12]}"
@@ -273,8 +272,6 @@ MOST_BODIES = 10_000_000
 LARGEST = 1e150  # largest coordinate or speed, so that squares do not overflow
 
 NOTES = re.compile(r"data_notes\.[0-9]{1,9}")  # keys of notes on data files, one for each [[bodies]] table
-
-
 _TEXT, _FLAG, _WHOLE, _NUMBER, _POSITIVE = "a text", "true or false", "a whole number", "a number", "a positive number"
 _COUNT, _VECTOR = f"a number from 1 to {MOST_BODIES}", "three finite numbers"
 _BODIES, _NUMBERS = "numbers of bodies", "numbers of bodies with commas between them"
@@ -328,10 +325,7 @@ _REQUIRED = {"carom": ("bodies", "time_scale"), "clip": ("source", "from", "to")
 
 
 def checked(name: str, values: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a property after checking the values of all known keys; an empty property was never written.
-
-    Raises DamageError, which names the key and the valid values, if a value is wrong.
-    """
+    """Return a property, which is empty if it was never written; DamageError names a key with an invalid value."""
     for key in _REQUIRED.get(name, ()) if values else ():
         if key not in values:
             raise DamageError(f"its property {name} has no {key}")
@@ -378,7 +372,7 @@ class TimeScale:
         return np.round(shown * 1e9).astype(np.int64)
 
     def within(self, times: FloatArray, ends: FloatArray | None) -> IntArray:
-        """Convert seconds to nanoseconds that are earlier than those of the frames ``ends``; see `Index`."""
+        """Convert seconds to nanoseconds, before those of the frames that end at ``ends`` (s); see `Index`."""
         shown = self.nanoseconds(times)
         return shown if ends is None or not len(ends) else np.minimum(shown, self.nanoseconds(ends) - 1)
 

@@ -88,8 +88,6 @@ MOST_SINGLE = 70  # most single bodies with hues in rotation; with more, a hue w
 
 _GOLDEN = 0.6180339887498949  # the fractional parts of its first k multiples fill (0, 1) evenly for every k
 _SHADE = 0.45  # fraction by which the darkest body of a group is darker than its hue
-
-
 _BRIGHTEST, _DARKEST = 0.3, 0.12  # luminance with a contrast of 3 to 1 on white, and on a dark plot
 
 
@@ -138,10 +136,7 @@ def node_colours(body_colours: IntArray) -> NDArray[np.uint32]:
 
 
 def body_colours(group: IntArray) -> NDArray[np.uint32]:
-    """Return the static colours of bodies: a hue per group and per single body, in rotation, and a shade per body.
-
-    Up to `MOST_SINGLE` single bodies get separate hues; more share one hue.
-    """
+    """Return static colours of bodies: a hue for each group and for up to `MOST_SINGLE` single bodies, and shades."""
     count, index, single = len(group), group, np.flatnonzero(group == -1)
     few = count <= len(BODIES)
     if few:

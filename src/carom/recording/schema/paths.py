@@ -10,8 +10,6 @@ import re
 STEP = "step"  # a count
 SIM_TIME = "sim_time"  # a duration in ns, scaled: see `TimeScale`
 IMPACT = "impact"  # a count, from 1 on: rows of impacts, and the states at some of them
-
-
 SCHEMA_VERSION = 3  # 3: impacts and contact data; 2: runs can be resumed; 1: checkpoints can only be read
 
 SCENE = "scene"
@@ -50,8 +48,6 @@ FLOOR = "floor"  # component of arrows: the magnitude below which none is drawn
 WITH_FLOOR = (TORQUE, ANGULAR_ACCELERATION, FORCE_NORMAL)
 
 CENTRES = ("Ellipsoids3D:centers", "Points3D:positions", "InstancePoses3D:translations")  # of drawn bodies
-
-
 CLOSING = frozenset({"extreme", "end"})  # written when a run ends; a resumed run writes its own
 
 _BY_TEXT = (  # first words of events, for older recordings without kinds

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import importlib
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from importlib.metadata import PackageNotFoundError, version
 from itertools import pairwise
@@ -55,7 +55,7 @@ class Model:
     collides: bool = True  # whether bodies touch each other and the planes
     time_step: float = 0.0  # s, the shortest step to expect; 0 if unknown
     units: str = ""  # of all numbers, as in `Recorder`; empty for SI
-    every: int = 1  # calls of `Recorder.frame` per frame, by default; above 1 if the engine's states are slow to copy
+    every: int = 1  # calls of `Recorder.frame` per recorded frame, by default; above 1 for states that are slow to copy
 
 
 @dataclass(slots=True)
@@ -72,7 +72,7 @@ class State:
     ids: Any = None
     mass: Any = None  # (n,) kg and m, with ids: needed in states with new bodies; a body whose mass or radius changes
     radius: Any = None  # ends, and another begins
-    names: Any = None  # (n,) with ids, as in `Model`, or empty; these three are read for new bodies only
+    names: Any = None  # (n,) with ids, as in `Model`, or empty; names and flags are read only for new bodies
     fixed: Any = None
     judged: Any = None
 
@@ -331,16 +331,6 @@ class BulkSource(Protocol):
 
     def read(self, into: StateMemory) -> None:
         """Copy the present state."""
-
-
-def memory_of(source: Source, like: State) -> Callable[[], StateMemory]:
-    """Return a function that allocates memory for the states of a source."""
-    return source.memory if isinstance(source, BulkSource) else lambda: StateMemory.like(like)
-
-
-def reader_of(source: Source) -> Callable[[StateMemory], None]:
-    """Return a function that copies the present state of a source into a snapshot."""
-    return source.read if isinstance(source, BulkSource) else lambda snapshot: snapshot.take(source.state())
 
 
 def engine_package(name: str, distribution: str | None = None) -> Any:

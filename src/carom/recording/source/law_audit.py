@@ -118,7 +118,7 @@ class AuditFinding:
 
 
 UNCHANGED = 1e-3  # of the closing speed; a smaller change does not count as contact
-TUNNELLED = 0.5  # of the closing speed; bodies that keep more of it while passing through each other did not collide
+TUNNELLED = 0.5  # of the closing speed; bodies that pass through each other and keep more of it have not collided
 SHALLOW = 1e-3  # of the smaller radius; such bodies count as apart
 FOUND = 5e-3  # of the smaller radius; at this depth even a soft contact must exert a force
 STILL = 0.05  # of the typical speed; slower contacts are at rest, where forces may balance
@@ -172,7 +172,7 @@ class LawAudit:
         return found
 
     def drifted(self, step: int, time: float, energy: Energy) -> Fault | None:
-        """Judge the energy change of the judged bodies since the start that no contact explains."""
+        """Judge the change of energy since the start, of the judged bodies, as far as no contact explains it."""
         error = energy.integration_error
         relative = energy.relative(error)
         if abs(error) <= self._allowed or abs(relative) <= self._tolerances.drift or "energy" in self.first:

@@ -59,7 +59,18 @@ class Observer:
         self.extremes = Extremes()
         self.names = Names(setup.names, setup.planes.name) if present is None else present.names
         self._ends = None if present is None else present.lasting_ends
-        self.bodies = Bodies.at_start(_start(setup, first), spins=setup.spins, orients=setup.turns)
+        start = InitialBodies(
+            name=setup.names,
+            group=np.zeros(len(setup), dtype=np.int64),
+            position=np.array(first.position, dtype=np.float64),
+            velocity=np.array(first.velocity, dtype=np.float64),
+            angular_velocity=np.array(first.angular_velocity if setup.spins else np.zeros((len(setup), 3)), np.float64),
+            mass=setup.mass,
+            radius=setup.radius,
+            inertia=setup.inertia,
+            fixed=setup.fixed,
+        )
+        self.bodies = Bodies.at_start(start, spins=setup.spins, orients=setup.turns)
         anchored = bool(setup.fixed.any()) or len(setup.planes) > 0
         self._energies = EnergyAccount(self.bodies, setup.gravity, anchored)
         self._momenta = MomentumAccount(self.bodies, setup.gravity, bool(setup.box[0]), anchored)
@@ -316,18 +327,3 @@ def not_finite(setup: Setup, step: int, state: State) -> Fault | None:
             text = f"{name.replace('_', ' ').capitalize()} of {called} is {array[body, axis]:g} in component {axis}."
             return Fault("not-finite", step, state.time, float("inf"), text, (body,))
     return None
-
-
-def _start(setup: Setup, first: State) -> InitialBodies:
-    n = len(setup)
-    return InitialBodies(
-        name=setup.names,
-        group=np.zeros(n, dtype=np.int64),
-        position=np.array(first.position, dtype=np.float64),
-        velocity=np.array(first.velocity, dtype=np.float64),
-        angular_velocity=np.array(first.angular_velocity, dtype=np.float64) if setup.spins else np.zeros((n, 3)),
-        mass=setup.mass,
-        radius=setup.radius,
-        inertia=setup.inertia,
-        fixed=setup.fixed,
-    )

@@ -40,7 +40,7 @@ class Present:
 
     @property
     def lasting_ends(self) -> IntArray:
-        """The same, with numbers of planes that stay when bodies come."""
+        """The same, but the numbers of planes do not change when bodies come."""
         return np.concatenate((self.numbers, FIRST_PLANE + np.arange(len(self.setup.planes))))
 
 
@@ -80,10 +80,7 @@ class Population:
         self._bodies_of_id = dict.fromkeys(ids.tolist(), 1)  # bodies so far by id
 
     def find(self, state: State) -> Present:
-        """Return the bodies of a state; if none came or went, the same object as for the previous state.
-
-        Raises RecordingError if an id occurs twice, or the mass or the radius of a new body is unknown.
-        """
+        """Return the bodies of a state, the same object as before if none came or went. Raises RecordingError."""
         engine, known = self.whole.engine, self.present
         if state.ids is None:
             raise RecordingError(f"{engine}: the state has no ids, though the first state had some")

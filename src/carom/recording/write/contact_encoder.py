@@ -28,8 +28,6 @@ from carom.recording.write.impact_plan import ImpactPlan, impact_rows, largest
 from carom.recording.write.rows import Index, Rows, any_column, vector_column
 
 _ROUNDING = 1e-9  # of the largest magnitude in the recorded frames so far
-
-
 _JOINED = 4096  # most edges, contacts and impacts in a block of several frames: 0.6 MB, which stay in the cache
 
 
@@ -119,10 +117,7 @@ def _in_one(arrays: Sequence[NDArray[Any]]) -> NDArray[Any]:
 
 
 def contact_columns(contacts: BatchContacts, middle: FloatArray, radius: FloatArray) -> list[ComponentColumn]:
-    """Return columns with one value per edge. Contacts that opened within the step have no edge and are omitted.
-
-    ``middle`` (frames,) N s is the middle of each frame's scale.
-    """
+    """Return columns with one value per edge, given the middle of each frame's scale, (frames,) N s."""
     edges, widths = contacts.edges, drawing.edge_radii(radius)
     count = int(edges.sum())
     values = EdgeColumns(
@@ -296,7 +291,7 @@ class ArrowFloors:
         self._last = dict(before)
 
     def raised(self, path: str, largest: FloatArray) -> FloatArray:
-        """Return the floors (frames,) after the largest magnitudes (frames,) of the next frames."""
+        """Raise the floors by the largest magnitudes (frames,) of the next frames; return the floors of these."""
         found = self.alone(largest)
         found[:1] = np.maximum(found[:1], self._last.get(path, 0.0))
         found = np.maximum.accumulate(found)

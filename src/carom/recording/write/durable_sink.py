@@ -209,10 +209,7 @@ _STATIC_PER_BODY = 1000
 
 
 class AddressReserve:
-    """Refuses a batch when address space runs short, while enough remains to close the file.
-
-    It works only if `ulimit -v` limits the address space and the system reports its use.
-    """
+    """Refuses a batch when a limited address space (`ulimit -v`) runs short, while enough remains to close the file."""
 
     def __init__(self, bodies: int) -> None:
         limit, _ = resource.getrlimit(resource.RLIMIT_AS)

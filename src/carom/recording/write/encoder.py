@@ -61,7 +61,7 @@ class BatchEncoder:
         self,
         header: Header,
         origin: FloatArray,  # (3,) m, of the drawing
-        # of a resumed run: the state after the rows that it continues
+        # for a resumed run: the state after the earlier rows
         arrow_references: Mapping[str, float] | None = None,
         last_state: Mapping[str, str] | None = None,
         before: Checkpoint | None = None,
@@ -361,10 +361,7 @@ def event_rows(events: Sequence[Event]) -> Rows:
 
 
 def refuse_wrong_arrays(header: Header, batch: Sequence[Frame], before: Frame | Checkpoint | None) -> None:
-    """Refuse frames whose arrays have other lengths than the recording has bodies, or whose contacts name no body.
-
-    Raises RecorderError, which names the step and the array. ``before`` is the frame before the batch, if any.
-    """
+    """Raise RecorderError if an array has a wrong length, or a contact names no body; ``before`` is the last frame."""
     n = header.bodies
     expected: list[tuple[str, Any, tuple[int, ...]]]  # the name of each array, its values and their shape
     expected = [(f"the recording's {name}", getattr(header, name), (n,)) for name in ("radius", "inertia")]

@@ -77,17 +77,14 @@ def cast_orientations(orientation: FloatArray, turned: SingleArray) -> None:
 
 @long_kernel
 def list_torques(torques: TorqueList) -> int:
-    """Fill the list of the bodies with a torque that can be drawn, allocated for all bodies; return its length.
-
-    The largest component is the unit, so that no square overflows.
-    """
+    """Fill the list, allocated for all bodies, of those with a torque that can be drawn; return its length."""
     torque, each, body, magnitude = torques
     found = 0
     for f in range(torque.shape[0]):
         before = found
         for i in range(torque.shape[1]):
             x, y, z = abs(torque[f, i, 0]), abs(torque[f, i, 1]), abs(torque[f, i, 2])
-            largest = max(x, y, z)
+            largest = max(x, y, z)  # the unit, so that no square overflows
             if largest > 0.0 and np.isfinite(x + y + z):
                 x, y, z = x / largest, y / largest, z / largest
                 body[found] = i
@@ -130,9 +127,9 @@ def draw_edges(
 ) -> None:
     """Write lines (m, 6) between the centres of touching bodies, to the nearest image, and their colours (m,).
 
-    A line to a plane ends at the foot of the perpendicular. ``stages`` are the colours of the stages; the last one is
-    that of all later stages. The ``extremes`` (frames, 3) are the deepest overlap (m), the deepest over the smaller
-    radius, and the number of colours.
+    A line to a plane ends at the foot of the perpendicular. ``stages`` are the colours of the stages; later ones have
+    the last colour. The ``extremes`` (frames, 3) are the deepest overlap (m), the deepest over the smaller radius, and
+    the number of colours.
     """
     pairs, normals, overlaps, colours = contacts.pairs, contacts.normals, contacts.overlaps, contacts.colours
     e = 0

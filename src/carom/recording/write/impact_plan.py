@@ -140,7 +140,7 @@ FILE_BYTES = 300_000  # layout, styles and footer (docs/recording.md, Size)
 SHARE = 0.22  # of all other data of the file that are counted here; a fifth of the whole file, which has more
 _ARROWS, _SCENES = 0.02, 0.04  # of everything else: arrows, and frames at impacts
 _FEW_SCENES = 0.1 * FILE_BYTES  # bytes of frames at impacts that each recording may have
-_HARDER = 1.25  # impulse over that of every impact with a frame, above which an impact gets a frame beyond the budget
+_HARDER = 1.25  # times the hardest impact with a frame; a harder one gets a frame beyond the budget
 _SCENE = 600  # bytes of a frame at an impact, in addition to its bodies: edge, arrows, energies, spins
 _CONTACT, _IMPACT, _ARROW = 12.5, 85, 32  # measured bytes in the file, compressed
 _SCALARS = 500  # bytes of a frame's scalars
@@ -188,11 +188,9 @@ class ImpactPlan:
 
     All impacts are kept while contacts take at most a fifth of the file. After that, only the largest normal impulses
     are kept, at least one per frame. The choice depends on the frames but not on the batches, so that the same run
-    always has the same rows.
-
-    Impacts get frames at their exact times from a budget, which the first impacts of a crowded scene use up. After
-    that, much harder impacts still get a frame: at most ten for each decade of impulses, whatever the length of the
-    run.
+    always has the same rows. Impacts get frames at their exact times from a budget, which the first impacts of a
+    crowded scene use up. After that, much harder impacts still get a frame: at most ten for each decade of impulses,
+    whatever the length of the run.
     """
 
     def __init__(

@@ -33,8 +33,8 @@ from carom.recording.write.stream import BATCH_BYTES, Stream, frames_in_batch
 from carom.recording.write.whole_file import name_until_whole
 
 # A bounded queue from the physics thread to the recorder, read in batches. The reader sleeps until a batch is full or
-# due. `queue.Queue` would wake the reader for every frame. At each frame, the reader would take the interpreter lock
-# from the physics: a tenth of a run of 1000 bodies (benchmarks/recording.py).
+# due. `queue.Queue` would wake the reader for every frame, to take the interpreter lock from the physics. That costs a
+# tenth of the time of a run of 1000 bodies (benchmarks/recording.py).
 
 _Item = TypeVar("_Item")
 
@@ -151,7 +151,9 @@ _SMALL_FRAMES, _SMALL_BYTES = 4096, 16_000_000  # more of few bodies, since a ch
 _BATCH_SECONDS, _LIVE_SECONDS = 2.0, 1.0  # s, the frames that a killed run may lose, and that a live viewer lags
 _QUEUE_BYTES = 64_000_000
 _LOOK = 1.25  # ratio between the frame counts at two updates of the camera
-_LAID_OUT_AFTER = 1_000_000  # bytes; a smaller or shorter recording gets a single blueprint, at the end: it takes 10 ms
+_LAID_OUT_AFTER = (
+    1_000_000  # bytes; smaller or shorter recordings get a blueprint only at the end, since it takes 10 ms
+)
 
 
 class FrameRecorder:
@@ -324,7 +326,7 @@ class FrameRecorder:
             self._last_checkpoint = kept[-1].step
         self._look(batch, encoder.origin)
         self._last = batch[-1]
-        self.frames += len(batch)  # even if the disk is full at the flush: the reserve had space for them
+        self.frames += len(batch)  # also if the disk is full at the flush, since the reserve had space for them
         self._stream.flush()
 
     def _begin(self, position: FloatArray) -> BatchEncoder:

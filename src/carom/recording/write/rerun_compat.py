@@ -49,11 +49,9 @@ def end_earlier_streams() -> None:
 
 
 def send_layout(stream: rr.RecordingStream, application: str, layout: rrb.Blueprint) -> None:
-    """Send a layout like `rr.send_blueprint`, and close the stream used for it.
+    """Send a layout like `rr.send_blueprint`, and the transforms of its magnified spaces; close the stream used for it.
 
-    The recording gets the transforms of the layout's magnified spaces.
-
-    `rr.send_blueprint` leaves that stream open: two threads and 4 MB for each recording of a sweep. It is the fallback.
+    `rr.send_blueprint`, the fallback, leaves that stream open: two threads and 4 MB for each recording of a sweep.
     """
     log_spaces(stream, layout)
     if isinstance(layout, StoredLayout) and not hasattr(rrb.Blueprint, "_log_to_stream"):

@@ -113,7 +113,7 @@ class Index(NamedTuple):
 
     @classmethod
     def within_step(cls, time: float) -> Index:
-        """Return an index of one row at a time (s) within a step, which is not on the timeline of steps."""
+        """Return an index of a single row within a step, at a time (s); it has no step."""
         return cls(NO_STEPS, np.array([time]))
 
 

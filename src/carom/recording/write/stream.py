@@ -31,7 +31,7 @@ _PATIENCE = 5.0  # s; a viewer that takes longer for one second of frames counts
 
 
 class LiveView:
-    """Sends the recorded data also to a running viewer."""
+    """Also sends the recorded data to a running viewer."""
 
     def __init__(self, address: str, application_id: str, run_id: str) -> None:
         host, separator, port = address.rpartition(":")
@@ -87,7 +87,7 @@ JOINED_BYTES = 64_000_000  # the largest joined batch, for recordings above 16 G
 _ENCODED = 1.3  # bytes in the file per byte of data, at most
 _ENDING = 400_000  # bytes for blueprint, properties and the footer of a small recording
 _CONTINUED_BYTES = 16_000_000  # of continued frames that wait in Rerun's encoder
-_FOOTER_BYTES = 120  # a message's share of the footer; 50 were measured
+_FOOTER_BYTES = 120  # bytes of the footer for each message; 50 were measured
 
 
 def frames_in_batch(bodies: int) -> int:
@@ -96,10 +96,7 @@ def frames_in_batch(bodies: int) -> int:
 
 
 class Stream:
-    """Sends recorded data to the file. It counts the bytes of all arrays, and raises when the disk is full.
-
-    The data go to a new ``file``, by default ``path``, which messages name.
-    """
+    """Sends recorded data to a new ``file``, by default ``path``; counts bytes, and raises when the disk is full."""
 
     def __init__(
         self, path: Path, header: Header, *, batch_bytes: int, live: str | None, file: Path | None = None

@@ -48,10 +48,7 @@ def refuse_name(path: Path) -> None:
 
 
 def refuse_itself(path: Path, source: Path, what: str = "recording") -> None:
-    """Raise RecordingError if an output is its own source, even where files may be replaced.
-
-    ``what`` names the kind of source in the message.
-    """
+    """Raise RecordingError if an output is its own source, ``what`` in a word, even where files may be replaced."""
     if path.exists() and source.exists() and path.samefile(source):
         raise RecordingError(f"{path} is the {what} itself; choose another file with -o")
 
@@ -88,10 +85,7 @@ def is_link_of_another(path: Path) -> bool:
 
 @contextlib.contextmanager
 def claimed_output(path: Path, force: bool) -> Iterator[Claim]:
-    """Check a path with `refuse_output`, and claim it for this process while the context lasts.
-
-    Raises RecordingError also if another process writes it.
-    """
+    """Check a path with `refuse_output`, and claim it. Raises RecordingError also if another process writes it."""
     refuse_output(path, force)
     with Claim(path) as claim:
         refuse_output(path, force)  # another process may have written it meanwhile
@@ -109,7 +103,7 @@ def output_folder(path: Path) -> None:
 
 
 def _short(path: Path) -> str:
-    """Shorten a path to its beginning if that suffices."""
+    """Return the text of a path, cut after 200 characters."""
     text = str(path)
     return text if len(text) <= 200 else f"{text[:200]}…"
 
