@@ -304,10 +304,10 @@ def leave_pandas_out() -> None:
 
 
 @contextmanager
-def garbage_sought_seldom() -> Iterator[None]:
+def collecting_garbage_rarely() -> Iterator[None]:
     """Let Python collect cyclic garbage after 100 000 new objects instead of 700.
 
-    There is hardly any, since frames and rows have no cycles. A full collection takes 0.1 s, while the physics waits
+    There is hardly any, since frames and rows have no cycles. A full collection takes 0.1 s, in which the physics waits
     for the interpreter lock, and small ones took 50 µs of each frame of 1000 bodies (both on a busy machine).
     """
     before = gc.get_threshold()

@@ -25,7 +25,7 @@ from carom.recording.read.recording import Recording
 from carom.recording.schema.header import Header, Scalar, ShownMaterials, SweepMember, motions_of
 from carom.recording.write.recorder import FrameRecorder
 from carom.recording.write.whole_file import Claim, claimed_output, default_output, refuse_name
-from carom.runs.environment import Interrupts, environment, garbage_sought_seldom
+from carom.runs.environment import Interrupts, collecting_garbage_rarely, environment
 from carom.runs.outcome import EACH, ONCE_A_STEP, Verdict, closing_of, description, judge
 from carom.scene.parts import extensions_of
 from carom.scene.schema import Scene
@@ -189,7 +189,7 @@ def simulate(
     """
     path = Path(path)
     claimed = contextlib.nullcontext(claim) if claim else claimed_output(path, force)
-    with Interrupts() as interrupts, claimed, garbage_sought_seldom():
+    with Interrupts() as interrupts, claimed, collecting_garbage_rarely():
         began, begin = time.perf_counter(), space.time
         header = header_of(space)
         if properties is not None:
