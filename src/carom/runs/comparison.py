@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,51 +10,33 @@ import pyarrow.compute as pc
 from numpy.typing import NDArray
 
 from carom.errors import DamageError
-from carom.physics.frame import Frame
 from carom.physics.space import Space
 from carom.plan.auto import auto_interval
 from carom.recording.edit.clip import Selection
 from carom.recording.read.entities import reading
-from carom.recording.read.frame_rows import BY_EVENT
 from carom.recording.read.recording import Recording
 from carom.recording.rrd.messages import Chunk
 from carom.recording.schema import paths
 from carom.recording.schema.header import TimeScale
 from carom.recording.schema.paths import IMPACT, SIM_TIME, STEP
 from carom.recording.schema.series import SERIES, all_series
-from carom.recording.write.encoder import BatchEncoder
 from carom.recording.write.rows import Rows, any_values
 from carom.recording.write.static_entities import identity, recording_name, statics
 from carom.runs.run import header_of
 
 Value = float | str
 
-_UNITS = {  # of the components of checkpoints and of impacts
-    "approach_speed": "m/s",
-    "energy_lost": "J",
-    "position": "m",
-    "velocity": "m/s",
-    "acceleration": "m/s²",
-    "angular_velocity": "rad/s",
-    "normal_impulse": "N s",
-    "tangential_impulse": "N s",
-    "time": "s",
-    "previous_dt": "s",
-    "contact_rest_speed": "m/s",
-    "contact_dt": "s",
-    "held_impulse": "N s",
-    "held_angular": "N m s",
-    "held_kick": "s",
-    "integrator_last_dt": "s",
-    "integrator_position_rest": "m",
-    "integrator_velocity_rest": "m/s",
-    "integrator_accepted": "m/s²",
-    "integrator_correction": "m/s²",
-    "orbit_near": "m",
-    "orbit_position": "m",
-    "orbit_velocity": "m/s",
-    "sleep_reference": "m/s²",
+_COMPONENTS = {  # of checkpoints and of impacts, by their units
+    "m": "position integrator_position_rest orbit_near orbit_position",
+    "m/s": "velocity approach_speed contact_rest_speed integrator_velocity_rest orbit_velocity",
+    "m/s²": "acceleration integrator_accepted integrator_correction sleep_reference",
+    "rad/s": "angular_velocity",
+    "s": "time previous_dt contact_dt held_kick integrator_last_dt",
+    "J": "energy_lost",
+    "N s": "normal_impulse tangential_impulse held_impulse",
+    "N m s": "held_angular",
 }
+_UNITS = {name: unit for unit, names in _COMPONENTS.items() for name in names.split()}
 _ENERGIES = ("energy_", "ledger_")  # prefixes of names of energies in a checkpoint
 
 
@@ -185,8 +166,8 @@ class StaticCheck:
                 elif name not in others:
                     self._skip(path, name, "is missing")
                 elif mismatch := different(self._first, path, name, others.pop(name), value):
-                    is_about_run = path == IDENTITY and not name.startswith(_DRAWING)  # rather than its display
-                    if is_about_run or path in _STATES or name in _SHAPES:
+                    is_property = path == IDENTITY and not name.startswith(_DRAWING)  # of the run, not of its display
+                    if is_property or path in _STATES or name in _SHAPES:
                         found.append(mismatch)
                     else:
                         self._skip(path, name, "has another type")
@@ -240,13 +221,6 @@ class StaticCheck:
 
 IDENTITY = "__properties/carom"
 _INDEX, _DATA = {b"rerun:kind": b"index"}, {b"rerun:kind": b"data"}
-
-
-def rows_of(frames: Sequence[Frame], encoder: BatchEncoder, clock: TimeScale) -> Iterator[Chunk]:
-    """Encode frames like the recorder; return a chunk for each entity with one row per frame."""
-    for rows in encoder.rows(frames):
-        if rows.path not in BY_EVENT and len(rows.steps):
-            yield chunk_of(rows, clock)
 
 
 def chunk_of(rows: Rows, clock: TimeScale) -> Chunk:

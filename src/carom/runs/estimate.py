@@ -285,19 +285,10 @@ class Outlook:
 
 
 def estimate_steps(scene: Scene, step_seconds: float, flight_seconds: float = math.inf) -> Outlook:
-    """Estimate the steps of a run.
+    """Estimate the steps of a run, of which the first take ``step_seconds`` each.
 
-    Parameters
-    ----------
-    step_seconds
-        Time that a step takes at the start.
-    flight_seconds
-        Time of a step without contacts, if a run, unlike the coarse run, makes many of these in one call.
-
-    Raises
-    ------
-    SceneError, PhysicsError
-        If the scene cannot run.
+    ``flight_seconds`` is the time of a step without contacts, if a run, unlike the coarse run, makes many of these in
+    one call. Raises SceneError or PhysicsError if the scene cannot run.
     """
     fixed = scene.time.fixed_dt
     if fixed is not None:
@@ -320,7 +311,7 @@ def _look(scene: Scene, stride: float, step_seconds: float, flight_seconds: floa
     before, total, counted, seconds, touched = 0.0, 0.0, 0.0, 0.0, 0
     while before < duration and last - began < LOOK_SECONDS:
         if last - began > GLANCE_SECONDS and before < LEAST_SEEN * duration * (last - began) / LOOK_SECONDS:
-            break  # the rest of the time would show hardly more
+            break  # a longer run would hardly cover more
         try:
             space.compute_dynamics(space.step + 1)
         except PhysicsError:

@@ -13,7 +13,7 @@ from carom.event import Event
 from carom.physics.frame import Frame
 from carom.recording.edit.clip import Selection
 from carom.recording.read.entities import reading
-from carom.recording.read.frame_rows import RecordedRows, arrow_floors
+from carom.recording.read.frame_rows import BY_EVENT, RecordedRows, arrow_floors
 from carom.recording.read.recording import Recording
 from carom.recording.rrd.messages import Chunk
 from carom.recording.schema import paths
@@ -22,7 +22,7 @@ from carom.recording.schema.paths import CLOSING, SIM_TIME, STEP
 from carom.recording.schema.series import Past, all_series
 from carom.recording.write.encoder import BatchEncoder
 from carom.recording.write.recorder import CheckpointPlan
-from carom.runs.comparison import Mismatch, chunk_of, different, rows_of, same
+from carom.runs.comparison import Mismatch, chunk_of, different, same
 from carom.runs.environment import versions
 from carom.runs.impact_check import ImpactCheck
 
@@ -54,18 +54,10 @@ _RELATIVE = {
 
 
 class FrameCheck:
-    """Compares the rows of frames, from the first frame of a replay.
+    """Compares the rows of frames at ascending steps, from the first frame of a replay.
 
-    Parameters
-    ----------
-    header
-        Of the replayed space; it determines which entities must exist.
-    steps
-        Ascending steps of the recorded frames to compare.
-    begin
-        The step of the replay's first checkpoint.
-    all_frames
-        Whether the replay makes exactly the same frames as the run from ``begin`` on.
+    The header of the replayed space determines which entities must exist. The replay begins with the checkpoint of the
+    step ``begin``. ``all_frames`` states whether it makes exactly the same frames as the run from there on.
     """
 
     def __init__(self, recording: Recording, header: Header, steps: IntArray, begin: int, all_frames: bool) -> None:
@@ -109,7 +101,7 @@ class FrameCheck:
         self._events = [event for event in logged if event[3] not in CLOSING]
         self.closing = sorted(event for event in logged if event[3] in CLOSING)
         self._plan = CheckpointPlan() if self._whole else None
-        self._planned = set[int]()  # steps of the frames that get a checkpoint by this plan
+        self._planned = set[int]()  # steps of the frames with a checkpoint according to this plan
         self._colours_bodies = header.coloured_by in ("graph", "island")
         self._checkpoints = set(recording.checkpoint_steps)
         self._waiting: list[Frame] = []
@@ -181,9 +173,12 @@ class FrameCheck:
             self._planned |= {frame.step for frame in self._plan.chosen(frames)}
         found: list[Mismatch] = []
         seen = {paths.CHECKPOINT}
-        for replayed in rows_of(frames, self._encoder, self._clock):
-            path = replayed.entity_path
+        for rows in self._encoder.rows(frames):
+            path = rows.path
+            if path in BY_EVENT or not len(rows.steps):  # only entities with one row per frame
+                continue
             seen.add(path)
+            replayed = chunk_of(rows, self._clock)
             chunk = replayed if self._few is None else self._few.of(replayed)
             if first and path in self._led_there:
                 self.skipped[_LED] = None
@@ -311,7 +306,7 @@ def told_of(events: Sequence[Event], clock: TimeScale) -> list[Told]:
 
 
 def is_whole(recording: Recording) -> bool:
-    """Return whether a recording has all frames of one run: neither resumed, which restarts counts, nor repaired."""
+    """Return whether a recording is of one whole run: not repaired, and not resumed, which restarts counts."""
     return "resumed.step" not in recording.properties and REPAIRED not in recording.outcome
 
 

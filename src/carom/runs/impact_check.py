@@ -90,7 +90,7 @@ class ImpactCheck:
         self._before: tuple[Frame, int | None] | None = None
 
     def gather(self, frame: Frame) -> None:
-        """Add the impacts before a frame, recorded or not."""
+        """Add the impacts since the previous frame of the replay, whether or not the frame was recorded."""
         if frame.impacts is not None and len(frame.impacts):
             self._since.append(frame.impacts)
         self._missed += frame.impacts_left_out

@@ -40,7 +40,7 @@ _EXTREMES = "the extremes and the end in /events, which another version recorded
 _UNSTATED = "the outcome and its numbers (the run could not write them, since the disk was full or it failed)"
 _NO_OUTCOME = "the outcome and its numbers, which are missing"
 _MORE_FRAMES = "the outcome and its numbers (with more frames than the run had)"
-TRIAL_SECONDS = 1.0  # of stepping, after which a replay estimates its cost
+TRIAL_SECONDS = 1.0  # after stepping so long, a replay estimates its remaining time
 
 Consent = Callable[[float], bool]  # remaining time (s) → whether to continue
 

@@ -152,26 +152,18 @@ def continue_run(
     live: str | None = None,
     watch: Watcher | None = None,
 ) -> Outcome:
-    """Resume a run in a space made by `ResumableRun.space`, and record it from its start.
+    """Resume a run in a space made by `ResumableRun.space`, and record it from its start; see also `simulate`.
 
-    The new recording is called ``NAME.resumed.rrd`` until it is complete. If the disk runs full it keeps that name, and
-    the old recording is unchanged.
+    The new recording is called ``NAME.resumed.rrd`` until it is complete. It then replaces ``output``, by default the
+    old recording. If the disk runs full, it keeps that name, and the old recording is unchanged. Raises RecordingError
+    if the recording cannot be written at all, or has changed since it was opened.
 
     Parameters
     ----------
-    output
-        The ``.rrd`` to write; by default the recording itself, which is replaced once the new one has more frames.
     force
         Whether to replace another file, and the file of an earlier attempt.
     claim
         The claim made by `claimed_target`, if the caller made it before it opened the recording.
-    live, watch
-        As for `simulate`.
-
-    Raises
-    ------
-    RecordingError
-        If the recording cannot be written at all, or has changed since it was opened.
     """
     source = run.recording.path
     with contextlib.nullcontext(claim) if claim else claimed_target(source, output, force):

@@ -167,7 +167,7 @@ class SnapshotWriter:
         self._put(frame)
 
     def _put(self, frame: Frame) -> None:
-        # notes since the last frame; those before the first frame get its time
+        # the notes since the last frame get the time of this one if they are earlier, as before the first frame
         notes: list[Event] = []
         for event in self._unrecorded.events[self._noted :]:
             if event.step > frame.step:
@@ -230,7 +230,7 @@ def observed_recording(path: Path, observer: Observer, scene: Scene) -> Iterator
 
 
 class Unrecorded:
-    """Notes on states and contacts that could not be recorded at a path. Any thread may add notes."""
+    """Notes on states and contacts that the recording at a path lacks. Any thread may add notes."""
 
     def __init__(self, path: Path) -> None:
         self.events: list[Event] = []  # only ever appended to

@@ -26,19 +26,11 @@ _BODIES = re.compile(r'(?:body N(?: "[^"]*")?(?:, | and )?|N more)+')
 
 
 def condition_from(text: str | None) -> Condition:
-    """Read a condition.
+    """Read a condition; raises ExperimentError if the text is none.
 
-    Parameters
-    ----------
-    text
-        None: any error or missed promise. ``expect`` or ``expect.NAME`` (a missed promise), ``impact of A and B``,
-        ``warning KIND``, ``PhysicsError``, ``crash`` (any other error), ``not finite``, ``overlap at rest``, ``replay
-        differs``, ``invariance NAME``, otherwise an expression over the numbers of ``carom inspect --json``.
-
-    Raises
-    ------
-    ExperimentError
-        If the text is none of these.
+    None means any error or missed promise. Otherwise the text is ``expect`` or ``expect.NAME`` (a missed promise),
+    ``impact of A and B``, ``warning KIND``, ``PhysicsError``, ``crash`` (any other error), ``not finite``, ``overlap at
+    rest``, ``replay differs``, ``invariance NAME``, or an expression over the numbers of ``carom inspect --json``.
     """
     if text is None:
         return MissedPromise("expect", or_error=True)

@@ -26,7 +26,15 @@ def leave_out_bodies(smallest: Smallest, trials: Trials) -> bool:
     base, before = smallest.document, smallest.bodies
     suspects = {number for number, body in enumerate(base[BODIES]) if body["name"] in smallest.suspects}
     if 0 < len(suspects) < before:
-        for kept in (*cones(suspects, _contacts(smallest, trials), before), *_nearest(suspects, base)):
+        touching: list[list[Met]] = []  # pairs of each step
+
+        def add(seen: Observation, frame: Frame) -> bool:
+            tables = [rows for rows in (frame.impacts, frame.contact_rows) if rows is not None]
+            touching.append([(int(row["i"]), int(row["j"])) for table in tables for row in table])
+            return True
+
+        observe(Space(smallest.scene, threads=1, record_contacts=True), trials.budget, add, schedule=every(0.0))
+        for kept in (*cones(suspects, touching, before), *_nearest(suspects, base)):
             if smallest.takes(with_bodies(base, sorted(kept))):
                 break
     base = smallest.document
@@ -35,7 +43,7 @@ def leave_out_bodies(smallest: Smallest, trials: Trials) -> bool:
 
 
 def _nearest(bodies: set[int], document: Document) -> Iterator[set[int]]:
-    """Yield the bodies with more and more of their nearest neighbours."""
+    """Yield growing sets: some bodies and their nearest neighbours."""
     position = np.array([body.get("position", ORIGIN) for body in document[BODIES]])  # (n, 3) m
     distance = np.linalg.norm(position[:, None] - position[sorted(bodies)][None], axis=2).min(axis=1)
     order = np.argsort(distance, kind="stable")
@@ -46,16 +54,9 @@ def _nearest(bodies: set[int], document: Document) -> Iterator[set[int]]:
 
 
 def cones(bodies: set[int], steps: list[list[Met]], count: int) -> Iterator[set[int]]:
-    """Yield larger and larger sets: the bodies, also the bodies that touched them, and so on up to the backward cone.
+    """Yield growing sets: some bodies, then also the bodies that touched them, then their backward cone.
 
-    Parameters
-    ----------
-    bodies
-        Numbers of bodies.
-    steps
-        Touching pairs of each step, in order of time.
-    count
-        Number of all bodies; planes, whose numbers follow, have no cone.
+    ``steps`` has the touching pairs of each step. Numbers from ``count`` on are planes, which have no cone.
     """
     yield set(bodies)
     every_pair = [pair for step in steps for pair in step if max(pair) < count]
@@ -72,34 +73,14 @@ def cones(bodies: set[int], steps: list[list[Met]], count: int) -> Iterator[set[
         yield cone
 
 
-def _contacts(smallest: Smallest, trials: Trials) -> list[list[Met]]:
-    """Run the smallest scene and return the pairs that touched in each step."""
-    met: list[list[Met]] = []
-
-    def see(seen: Observation, frame: Frame) -> bool:
-        rows = [rows for rows in (frame.impacts, frame.contact_rows) if rows is not None]
-        met.append([(int(row["i"]), int(row["j"])) for table in rows for row in table])
-        return True
-
-    space = Space(smallest.scene, threads=1, record_contacts=True)
-    observe(space, trials.budget, see, schedule=every(0.0))
-    return met
-
-
 Item = TypeVar("Item")
 
 
 def fewest(items: Sequence[Item], first: Callable[[list[list[Item]]], int | None]) -> list[Item]:
-    """Return a subset of items that still fails, from which no item can be left out.
+    """Return a subset of failing items that still fails, and from which no item can be left out.
 
-    This is delta debugging (Zeller & Hildebrandt, IEEE TSE 28, 183, 2002).
-
-    Parameters
-    ----------
-    items
-        Items that fail together.
-    first
-        Returns the index of the first of several subsets that fails; each keeps the order of its items.
+    This is delta debugging (Zeller & Hildebrandt, IEEE TSE 28, 183, 2002). ``first`` returns the index of the first of
+    several subsets that fails; each keeps the order of its items.
     """
     kept, parts = list(items), 2
     while len(kept) > 1:

@@ -83,15 +83,23 @@ def literal(scene: Scene, start: InitialBodies) -> Document:
         document["plane"] = [{"name": name} | plane for name, plane in zip(names, document["plane"], strict=True)]
     for name, wall in zip(scene.wall_names, document.get("wall", []), strict=True):
         wall["name"] = name
-    document[BODIES] = [_body(start, k) for k in range(len(start.name))]
-    if scene.material:
+    materials = body_materials(scene) if scene.material else None
+    document[BODIES] = []
+    for k, name in enumerate(start.name):
+        body: Document = {"name": name, "position": start.position[k].tolist()}
+        for key, vector in (("velocity", start.velocity[k]), ("angular_velocity", start.angular_velocity[k])):
+            if vector.any():
+                body[key] = vector.tolist()
+        body |= {"radius": float(start.radius[k]), "mass": float(start.mass[k])}
+        material = DEFAULT if materials is None else materials.names[materials.index[k]]
         # a moment of inertia may follow from the material
-        materials = body_materials(scene)
-        for k, body in enumerate(document[BODIES]):
-            name = materials.names[materials.index[k]]
-            if name != DEFAULT:
-                body["material"] = name
-                body["inertia_factor"] = _inertia_factor(start, k)
+        if (factor := _inertia_factor(start, k)) != _FACTOR or material != DEFAULT:
+            body["inertia_factor"] = factor
+        if start.fixed[k]:
+            body["fixed"] = True
+        if material != DEFAULT:
+            body["material"] = material
+        document[BODIES].append(body)
     return document
 
 
@@ -137,20 +145,6 @@ def value_at(document: Document, path: KeyPath) -> Any:
         except (KeyError, IndexError, TypeError):
             return None
     return node
-
-
-def _body(start: InitialBodies, k: int) -> Document:
-    mass, radius = float(start.mass[k]), float(start.radius[k])
-    body: Document = {"name": start.name[k], "position": start.position[k].tolist()}
-    for key, vector in (("velocity", start.velocity[k]), ("angular_velocity", start.angular_velocity[k])):
-        if vector.any():
-            body[key] = vector.tolist()
-    body |= {"radius": radius, "mass": mass}
-    if (factor := _inertia_factor(start, k)) != _FACTOR:
-        body["inertia_factor"] = factor
-    if start.fixed[k]:
-        body["fixed"] = True
-    return body
 
 
 def _inertia_factor(start: InitialBodies, k: int) -> float:

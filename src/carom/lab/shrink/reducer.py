@@ -21,7 +21,7 @@ STEPS_AFTER = (0, 1, 3)  # steps added after the failure, since a shorter run ha
 
 @dataclass(slots=True)
 class Chronicle:
-    """The states of a run up to the first that shows the failure; if there are too many, every other one is dropped."""
+    """The states of a run up to the failure. When the memory is full, every other state is dropped."""
 
     moments: list[BodyStates] = field(default_factory=list)
     end: BodyStates | None = None  # the first state that shows the failure, or else the last
@@ -30,7 +30,7 @@ class Chronicle:
     _frames: int = 0
 
     def keep(self, frame: Frame) -> None:
-        """Store a state; drop every other one when the memory is full."""
+        """Store the state of a frame."""
         self.end = BodyStates.of(frame)
         if self._frames % self._gap == 0:
             self.moments.append(self.end)
@@ -187,14 +187,8 @@ class Reducer:
     def reduce(self, scene: Scene, start: InitialBodies | None = None) -> Reduction:
         """Return the smallest scene found that shows the failure of a scene.
 
-        ``start`` has its bodies at time 0; by default, the scene places them.
-
-        Raises
-        ------
-        ExperimentError
-            If the scene does not show the failure, or time ran out before the failure was reproduced.
-        SceneError
-            If the scene cannot run.
+        ``start`` has its bodies at time 0; by default, the scene places them. Raises ExperimentError if the scene does
+        not show the failure, or time ran out before it was reproduced, and SceneError if the scene cannot run.
         """
         with Interrupts() as interrupts, Judges(self.workers) as judges:
             budget = Budget(self.seconds, interrupts)

@@ -136,20 +136,10 @@ def observe(
     steps: int | None = None,
     schedule: Schedule | None = None,
 ) -> Observation | None:
-    """Run a space and return the observation of its end, for a condition.
+    """Run a space from its start, and return the observation of its end; None if it is abandoned after ``steps``.
 
-    Parameters
-    ----------
-    space
-        At the start of its run.
-    budget
-        The time of the reduction. `OutOfTime` is raised if it ends before the run.
-    each
-        Called at each frame with the observation so far; returns whether to continue.
-    steps
-        Number of steps after which the run is abandoned, with the result None.
-    schedule
-        Schedule of the frames; by default that of the scene.
+    ``each`` is called at each frame with the observation so far, and returns whether to continue. The schedule of the
+    frames is by default that of the scene. Raises `OutOfTime` if the budget ends before the run.
     """
     interval = auto.frame_interval(space.scene)
     schedule = schedule or (Every(interval) if steps is None else EveryUpTo(interval, steps))
@@ -262,14 +252,9 @@ def execute(task: Task) -> bool:
 
 
 class Judges:
-    """Processes that judge candidates, started when candidates take long enough.
+    """A number of processes that judge candidates, started when candidates take long enough; None: one for each core.
 
     The result does not depend on them: among several candidates, the first in order that shows the failure is chosen.
-
-    Parameters
-    ----------
-    count
-        Number of processes. None: one for each core. 1: this process judges all candidates.
     """
 
     def __init__(self, count: int | None) -> None:
@@ -325,16 +310,8 @@ class Judges:
 class Smallest:
     """The smallest scene so far that shows the failure.
 
-    Parameters
-    ----------
-    document
-        A scene that shows it.
-    seen
-        The observation of its run.
-    trials
-        Judges candidates, which replace the scene if they show the failure.
-    taken
-        Called after a candidate was adopted.
+    It begins with a document that shows the failure, and the observation of its run. Candidates that still show the
+    failure replace it; ``taken`` is called after each.
     """
 
     def __init__(

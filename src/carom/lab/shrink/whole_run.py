@@ -199,7 +199,7 @@ def applies(name: str, scene: Scene) -> bool:
         case "steps":
             return scene.time.fixed_dt is not None and not needs.contact.modelled
         case "arrays":
-            # steps follow from the smallest possible radius of a group, but from the actual smallest radius of arrays
+            # with a group, the step follows from its smallest possible radius; with arrays, from the actual one
             draws = any(group.radius.min < group.radius.max for group in scene.group)
             return not (draws or scene.material or scene.unit_system.converts)
         case "boost" if scene.plane or scene.anchored:
@@ -352,7 +352,7 @@ class ReplayDiffers(Condition):
     of_whole_run = True
 
     def pinned(self, seen: Observation) -> ReplayDiffers:
-        """Return the condition of the same kind of difference."""
+        """Return the condition that runs differ in the same way."""
         difference = self._difference(seen)
         if not difference:
             raise ExperimentError(

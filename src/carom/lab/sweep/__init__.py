@@ -48,7 +48,7 @@ class SweepProgress(LiveLine):
     def _line(self, now: float) -> str:
         done = self._found + self._ended
         failed = f"  {self._failed} failed" if self._failed else ""
-        # the first run waits for workers and kernels, so only those after it tell the time left
+        # the first run waits for workers and kernels, so the time left is estimated from the runs after it
         spent, ended = (now - self._first, self._ended - 1) if self._first else (0.0, 0)
         left = f"{duration_text(now - self._began)} so far"
         if ended > 0 and spent > 0.0:

@@ -27,16 +27,10 @@ _SETTINGS = {"distributed.comm.timeouts.connect": f"{_CONNECT:.0f}s"}
 
 
 class DaskWorkers:
-    """The workers of a scheduler. Leaving the context does not change the cluster.
-
-    Parameters
-    ----------
-    address
-        Such as ``tcp://10.0.0.1:8786``.
-    """
+    """The workers of the scheduler at an address. Leaving the context does not change the cluster."""
 
     def __init__(self, address: str) -> None:
-        self._address = address
+        self._address = address  # such as tcp://10.0.0.1:8786
         self._keys: dict[str, Any] = {}  # keys of the tasks, by Dask's keys
         self._futures: dict[str, Future[Any]] = {}  # futures that have not ended, by Dask's keys
         # not a SimpleQueue, whose timed wait never ends if a signal interrupts it at the timeout

@@ -284,7 +284,7 @@ class Manifest:
         return run
 
     def list_tables(self) -> None:
-        """Record that the tables belong to this sweep. Raises OSError if they do not, or if that fails."""
+        """Record that the tables belong to this sweep. Raises OSError if another file has a table's name."""
         names = {path.name for path in self.folder.tables}
         for name in sorted(names - self.files):
             if os.path.lexists(self.folder.root / name):

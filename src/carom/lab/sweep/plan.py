@@ -65,12 +65,12 @@ def plan(
     seeds: int | None = None,
     zipped: bool | None = None,
 ) -> Plan:
-    """Plan a sweep.
+    """Plan a sweep of a scene, whose ``[sweep]`` has the defaults of the other parameters.
+
+    Raises SceneError or ExperimentError if the scene cannot be loaded, or no run of the sweep can be made.
 
     Parameters
     ----------
-    source
-        A scene file, or the name of a bundled scene. Its ``[sweep]`` gives the defaults of the other parameters.
     overrides
         ``key=value``, for all runs.
     vary
@@ -79,11 +79,6 @@ def plan(
         Number of runs of each combination, with consecutive seeds from the seed of the scene.
     zipped
         Whether the values of all keys are paired one by one. Each pair is always combined with all seeds.
-
-    Raises
-    ------
-    SceneError, ExperimentError
-        If the scene cannot be loaded, or no run of the sweep can be made.
     """
     scene = Scene.load(source, list(overrides))
     axes = {**scene.sweep.vary, **dict(_axis(text) for text in vary)}

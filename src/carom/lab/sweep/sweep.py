@@ -110,7 +110,7 @@ def _made(task: SweepTask, folder: Folder) -> Report:
         outcome = simulate(recording_space(scene, threads=1), attempt, member=member)
         if outcome.status in _WHOLE:
             return _kept(attempt, whole, folder)
-        if outcome.status == "failed":  # keep the recording; other outcomes do not depend on the scene
+        if outcome.status == "failed":  # by the scene, so the recording is worth keeping
             return _kept(attempt, folder.failed(point.name), folder)
         return _failure(outcome.status, outcome.reason)
     finally:
@@ -240,7 +240,7 @@ class SweepEnding:
     manifest: Manifest
     found: int  # runs that already existed
     stopped: str  # the reason for an early end; otherwise empty
-    untabled: str = ""  # the error by which the table could not be written
+    untabled: str = ""  # why the table could not be written; empty if it was
 
     @property
     def failed(self) -> list[SweepRun]:
@@ -275,29 +275,11 @@ def sweep(
 ) -> SweepEnding:
     """Make all missing runs of a plan.
 
-    Parameters
-    ----------
-    plan
-        From `carom.lab.sweep.plan.plan`.
-    root
-        The folder of the sweep; the same on all machines that compute.
-    watch
-        Receives the progress.
-    address
-        A Dask scheduler, such as ``tcp://10.0.0.1:8786``; None for processes on this machine.
-    workers
-        Number of processes on this machine; by default one per core.
-    force
-        Whether to remove an existing sweep in the folder instead of continuing it.
-    command
-        The command line, for the recordings.
-
-    Raises
-    ------
-    ExperimentError
-        If the folder holds another sweep, or the cluster cannot be used.
-    OSError
-        If the manifest cannot be written.
+    The runs are made by the Dask scheduler at an address, such as ``tcp://10.0.0.1:8786``, or by processes on this
+    machine: as many as ``workers``, by default one per core. All machines must have the folder ``root`` under the same
+    path. With ``force``, an existing sweep in it is removed instead of continued. Recordings contain the ``command``
+    line. Raises ExperimentError if the folder holds another sweep or the cluster cannot be used, and OSError if the
+    manifest cannot be written.
     """
     folder = Folder(root.resolve())
     output_folder(folder.root)

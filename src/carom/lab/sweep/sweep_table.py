@@ -50,20 +50,11 @@ def write(folder: Folder, runs: Sequence[SweepRun]) -> None:
 
 
 def chosen(rows: Sequence[Row], conditions: Sequence[str], sort: str | None) -> list[Row]:
-    """Return the rows that meet all conditions, in order.
+    """Return the rows that meet all conditions, sorted by a column.
 
-    Parameters
-    ----------
-    conditions
-        Such as ``contact.restitution>=0.5``, ``body.0.radius<60 cm`` or ``outcome=completed``. Missing values meet no
-        condition.
-    sort
-        A column; with a minus before it, the largest value comes first. Rows without a value come last.
-
-    Raises
-    ------
-    ExperimentError
-        If there is no such column, or a condition cannot be read.
+    Conditions are such as ``contact.restitution>=0.5``, ``body.0.radius<60 cm`` or ``outcome=completed``; missing
+    values meet none. With a minus before the column, the largest value comes first. Rows without a value come last.
+    Raises ExperimentError if there is no such column, or a condition cannot be read.
     """
     met = [_met(condition, rows) for condition in conditions]
     found = [row for k, row in enumerate(rows) if all(one[k] for one in met)]

@@ -50,19 +50,10 @@ LimitOption = Annotated[
         min=0.0,
     ),
 ]
-COLUMNS = {
-    "position": "position",
-    "velocity": "velocity",
-    "impact": "impact time",
-    "missed": "missed",
-    "energy": "energy",
-    "energy_gain": "gain",
-    "momentum": "momentum",
-    "overlap": "overlap",
-    "sinking": "sinking",
-    "impacts": "impact count",
-    "size": "size",
-    "dispersion": "dispersion",
+COLUMNS = {  # headings of the errors in the table
+    **{name: name for name in ("position", "velocity", "missed", "energy", "momentum", "overlap", "sinking")},
+    **{name: name for name in ("size", "dispersion")},
+    **{"impact": "impact time", "energy_gain": "gain", "impacts": "impact count"},
 }
 TO_THE_HORIZON = ("position", "velocity", "impact", "missed")  # errors that are compared only up to the horizon
 STATISTICS = ("size", "dispersion")  # errors that are compared to the end of the reference

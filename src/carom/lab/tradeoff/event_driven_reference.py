@@ -42,7 +42,7 @@ TIGHTEST = 1e-13  # relative tolerance of DOP853, near the smallest that it acce
 SPEED_MARGIN = 1.5  # bound of the closing speed in a step, over the largest of its values at the ends and the middle
 TOUCHING = 1e-12  # of the sum of radii: smaller gaps, or gaps within rounding, are contact
 ROUNDINGS = 8.0  # units in the last place of speeds and positions, the tolerance of contact
-LOWEST_FLIGHT = 10.0  # times the largest gap of a contact; after a lower bounce, the contact counts as lasting
+LOWEST_FLIGHT = 10.0  # times the largest gap of a contact; bodies that bounce less high stay in contact
 BISECTIONS = 30  # of a step in which a force begins to press
 NEWTON = 12  # largest number of iterations, each of which squares the error
 NUDGE = 4.0  # initial displacement of a twin in units of rounding: more than the error of some hundred steps
@@ -77,21 +77,11 @@ def why_not(scene: Scene) -> str:
 def solve(
     space: Space, times: FloatArray, tolerance: float = TIGHTEST, *, twin: int = 0, budget: float = math.inf
 ) -> EventDrivenSolution:
-    """Solve a scene from the start of its space.
+    """Solve a scene from the start of its space, which does not change; keep the solution at times (K,) in s.
 
-    Parameters
-    ----------
-    space
-        A space before its first step; it is not changed.
-    times
-        (K,) s, at which the solution is kept.
-    tolerance
-        Relative tolerance of DOP853; times the largest coordinate and speed at the start, it is also the absolute one.
-    twin
-        0 solves the scene itself. Any other number is the seed of a twin, which starts displaced by rounding and
-        resolves simultaneous contacts in the opposite order.
-    budget
-        s of CPU time, after which the solution ends.
+    The relative ``tolerance`` of DOP853, times the largest coordinate and speed at the start, is also the absolute one.
+    A ``twin`` other than 0 is the seed of a twin, which starts displaced by rounding and resolves simultaneous contacts
+    in the opposite order. The solution ends after a ``budget`` of CPU time in s.
     """
     return _Solver(space, times, tolerance, twin, budget).run()
 

@@ -2,9 +2,9 @@
 
 A few bodies in open space are solved exactly (`event_driven_reference.py`). Two further solutions are checks. Both
 start displaced by rounding errors, which shows how fast chaos separates the runs; one has a tolerance ten times looser.
-Other scenes are run with smaller and smaller steps, each half of the previous one. Without forces flight is exact and
-only the times of impacts can be wrong, so these runs use times of impact. The last run is the reference, and the one
-before it the check.
+Other scenes are run with smaller and smaller steps, each half of the previous one. Without forces, flights are exact
+and only times of impact can be wrong, so these runs locate them within the step. The last run is the reference, and
+the run before it the check.
 
 The reference is trusted up to the *horizon*, where a check first deviates by more than a thousandth of the size of the
 system. Up to there its uncertainty is the largest error of a check. Beyond it only statistics can be compared.
@@ -81,14 +81,9 @@ def spread(vectors: FloatArray) -> FloatArray:
 
 
 def compare(run: Trajectory, reference: Trajectory, scale: ErrorScale, samples: int, whole: bool) -> Errors:
-    """Compare a run with a reference.
+    """Compare a run with a reference: trajectories at some samples up to the horizon, and statistics.
 
-    Parameters
-    ----------
-    samples
-        Number of samples up to the horizon, at which trajectories are compared.
-    whole
-        Whether the reference reaches the end of the scene, so that its statistics cover the whole run.
+    The statistics cover the whole run if the reference reaches the end of the scene (``whole``).
     """
     position, velocity = scale.apart(run.until(samples), reference.until(samples))
     horizon = float(reference.time[samples - 1]) if samples else 0.0
@@ -177,22 +172,11 @@ class Reference:
 def make_reference(
     scene: Scene, finest: float = 1.0, *, threads: int | None = None, budget: float = BUDGET, tell: Teller | None = None
 ) -> Reference:
-    """Make the reference of a scene.
+    """Make the reference of a scene. Raises SceneError or PhysicsError if a run fails.
 
-    Parameters
-    ----------
-    finest
-        Steps of the scene over the smallest compared steps; a refined reference begins with half of the latter.
-    budget
-        s of computing. An exact solution ends after a third of it. After the whole budget, only the second refinement
-        may begin.
-    tell
-        Called with a sentence before each solution.
-
-    Raises
-    ------
-    SceneError, PhysicsError
-        If the scene cannot run, or a run is no longer finite.
+    A refined reference begins with half of the smallest compared steps, which are ``finest`` times smaller than those
+    of the scene. An exact solution ends after a third of the ``budget`` (s of computing); after all of it, only the
+    second refinement may begin. ``tell`` receives a sentence before each solution.
     """
     tell = tell or (lambda text: None)
     reason = why_not(scene)
@@ -320,7 +304,7 @@ def _reference(
 
 
 def _largest(errors: list[Errors], horizon: float) -> Errors:
-    """Return the largest of each error, at least its rounding; times of impact have the rounding of the clock."""
+    """Return the largest value of each error, but at least rounding; times of impact have that of the clock."""
     rows = [astuple(error) for error in errors] or [(math.nan,) * len(NAMES)]
     largest = Errors(*np.fmax.reduce(np.array(rows), axis=0).tolist())
     rounding = {"position": EPS, "velocity": EPS, "impact": EPS * horizon, "size": EPS, "dispersion": EPS}

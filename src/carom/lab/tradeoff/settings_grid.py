@@ -3,10 +3,9 @@
 A setting is on the front if no other setting beats it in both cost and error. Errors are the same in every run. Costs
 are noisy, so each is an interval. A setting is beaten if another one has no larger error and its cost interval lies
 entirely below. It is on the front if the cost intervals of all others with no larger error lie entirely above.
-Otherwise it is undecided. Two measurements whose intervals overlap for each setting therefore never contradict each
-other: no setting is on the front in one and beaten in the other. A front of medians would change with every measurement
-of settings with equal costs. Errors that differ by less than the uncertainty of the reference are not distinguished,
-unless they are equal.
+Otherwise it is undecided. If the intervals of two measurements overlap for each setting, no setting is on the front in
+one and beaten in the other. A front of medians would change with every measurement of settings with equal costs.
+Unequal errors that differ by less than the uncertainty of the reference are not distinguished.
 """
 
 from __future__ import annotations
@@ -77,7 +76,7 @@ def knobs(scene: Scene) -> dict[str, tuple[str, ...]]:
         found["time.integrator"] = tuple(name for name in _integrators(scene) if INTEGRATORS[name].holds_contacts)
         found["contact.solver"] = ("lasting", "staged")
     if parts.contact.modelled:
-        if forces or not located:  # otherwise almost nothing happens at the end of the step
+        if forces or not located:  # otherwise the solver at the end of a step has almost nothing to do
             found["contact.sweeps"] = ("quick", "2")
             found["contact.stabilisation"] = ("split", "none", "baumgarte")
         found["contact.timing"] = ("end-of-step", "time-of-impact")
@@ -161,19 +160,11 @@ def default_settings(scene: Scene) -> list[Setting]:
 
 
 def vary(scene: Scene, choices: list[str]) -> list[Setting]:
-    """Return the settings of a grid.
+    """Return the settings of a grid; raises SceneError if a key or a value is wrong.
 
-    Parameters
-    ----------
-    choices
-        ``key=a,b,c`` or ``key=first:last:count`` each, as in `carom sweep`; every value of one is combined with every
-        value of the others. The key ``step`` multiplies the limits of the step. ``threads`` is not part of the scene
-        and changes only the cost.
-
-    Raises
-    ------
-    SceneError
-        If a key or a value is wrong.
+    Each choice is ``key=a,b,c`` or ``key=first:last:count``, as in `carom sweep`; every value of one is combined with
+    every value of the others. The key ``step`` multiplies the limits of the step. ``threads`` is not part of the scene
+    and changes only the cost.
     """
     settings = [_setting(scene, picked) for picked in itertools.product(*map(_axis, choices))]
     for choice in choices:

@@ -80,8 +80,8 @@ class Study:
     Raises
     ------
     ExperimentError
-        If the folder contains a study of another scene and ``force`` is not given, a study that cannot be read, or no
-        study but a file of the same name as one of its own.
+        Without ``force``, if the folder contains a study of another scene, a study that cannot be read, or one of
+        ``files`` without a study.
     SceneError
         If the scene is sheared.
     """

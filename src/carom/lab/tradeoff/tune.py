@@ -39,13 +39,11 @@ class SettingSearch:
         self._study, self._limits, self._tell = study, limits, tell
         self._found: dict[GridPoint, SettingResult] = {}
 
-    @property
-    def results(self) -> list[SettingResult]:
-        """The settings that were tried; the first is the scene as written."""
-        return list(self._found.values())
+    def run(self, repeats: int) -> list[SettingResult]:
+        """Search, and then time the scene and the settings near the lowest cost as often as requested.
 
-    def run(self, repeats: int) -> None:
-        """Search, and then time the scene and the settings near the lowest cost as often as requested."""
+        Returns the settings that were tried; the first is the scene as written.
+        """
         points = default_points(self._study.scene)
         results = self._study.measure([point.setting(self._study.scene) for point in points], 1, self._tell)
         self._found.update(zip(points, results, strict=True))
@@ -63,6 +61,7 @@ class SettingSearch:
         least = min((result.cost for result in kept), default=0.0)
         again = {result.setting: None for result in (results[0], *(r for r in kept if r.cost <= CLOSE * least))}
         self._study.measure(list(again), repeats, self._tell)
+        return list(self._found.values())
 
     def _along_step(self, here: GridPoint, best: GridPoint | None = None) -> GridPoint:
         """Return the point with the best step; stop when shorter steps only cost more."""
@@ -281,9 +280,7 @@ def tuned(
             known = ", ".join(each for each in NAMES if not math.isnan(getattr(written.errors, each)))
             raise ExperimentError(f"--error {name}: this scene has no such error; it has {known}")
     if settings is None:
-        search = SettingSearch(study, limits, tell)
-        search.run(repeats)
-        tried = search.results
+        tried = SettingSearch(study, limits, tell).run(repeats)
     else:
         tried = study.measure([AS_WRITTEN, *settings], repeats, tell)
     distinct = {(result.setting.overrides, result.setting.threads): result for result in tried}
