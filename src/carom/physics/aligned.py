@@ -77,7 +77,7 @@ def picked(records: RecordArray[object], places: IntArray) -> Records:
 
 
 def columns(records: RecordArray[object], names: tuple[str, ...]) -> FloatArray:
-    """Return a view, (m, k), of fields that are numbers and adjacent in a record."""
+    """Return numeric fields that are adjacent in a record as an array, (m, k), without a copy."""
     kind, offset = _place_of(records.dtype, names)
     numbers: FloatArray = np.asarray(records).getfield(kind, offset)
     return numbers
@@ -85,7 +85,7 @@ def columns(records: RecordArray[object], names: tuple[str, ...]) -> FloatArray:
 
 @cache
 def _place_of(kind: np.dtype[np.void], names: tuple[str, ...]) -> tuple[np.dtype[Any], int]:
-    """Return the type of adjacent fields as one, and its offset in a record in bytes."""
+    """Return one type for all of the adjacent fields, and their offset in a record in bytes."""
     assert kind.fields is not None and kind.names is not None
     first = kind.names.index(names[0])
     assert kind.names[first : first + len(names)] == names, "the fields are adjacent and in this order"

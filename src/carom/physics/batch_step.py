@@ -45,7 +45,7 @@ class BatchStepper:
         self.timestep = timestep
         self._holder = holder
         self._held = False  # whether the holder has taken over
-        self._takes_back = world.scene.promise is not None  # never without an accuracy, as in earlier versions
+        self._takes_back = world.scene.promise is not None  # only with an accuracy, as in earlier versions
         self._took_last = True  # whether the integrator took the last step, not the holder
 
     @property
@@ -136,7 +136,7 @@ class BatchStepper:
     def _fly(self, end: float, until: float, most: int) -> Batch:
         """Integrate up to a time, the end of the run, a number of steps, or the next impact.
 
-        Impacts at the beginning are resolved first. If contacts are at rest there, the holder takes over instead.
+        Impacts at the beginning are resolved first. If contacts are at rest at that time, the holder takes over.
         """
         world, audit = self._world, self._books.impulse_audit
         time, contact, velocity = world.clock.time, world.contact, world.bodies.velocity

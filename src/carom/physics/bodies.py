@@ -32,7 +32,7 @@ class Bodies:
     position: FloatArray  # (n, 3) m
     velocity: FloatArray  # (n, 3) m/s
     acceleration: FloatArray  # (n, 3) m/s², of all forces but drag
-    orientation: FloatArray  # (n, 4) unit quaternions, xyzw; no rows if not required, like the three below
+    orientation: FloatArray  # (n, 4) unit quaternions, xyzw; like the next three, no rows if not required
     angular_velocity: FloatArray  # (n, 3) rad/s
     angular_acceleration: FloatArray  # (n, 3) rad/s², of the last step; no rows without torques
     torque: FloatArray  # (n, 3) N m, Σ r × J / dt of the last step
@@ -83,5 +83,4 @@ def _inverse(mass: FloatArray, fixed: BoolArray) -> FloatArray:
 
 
 def _with_rows(array: FloatArray, rows: int) -> FloatArray:
-    """Copy an array and add rows of zeros."""
     return np.concatenate((array, np.zeros((rows, *array.shape[1:]))))

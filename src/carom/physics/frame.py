@@ -24,37 +24,15 @@ class FrameStore:
     """A ring buffer for the arrays of many frames, in which the frames of a batch are contiguous.
 
     Reused memory is in the cache and causes no page faults. Allocating memory for a frame of 1000 bodies took 50 µs.
-
-    Parameters
-    ----------
-    slots
-        Number of frames; after these, the oldest are overwritten.
-    bodies
-        The bodies whose state is copied; their arrays are updated in place.
-    until_free
-        A function that returns when the next slot may be overwritten.
+    When all ``slots`` are in use, the oldest frame is overwritten as soon as ``until_free`` returns.
     """
 
     def __init__(self, slots: int, bodies: Bodies, until_free: Callable[[], None] = lambda: None) -> None:
-        n = len(bodies)
         self.slots = slots
         self._until_free = until_free
-        self.position = np.zeros((slots, n, 3))
-        self.velocity = np.zeros((slots, n, 3))
-        self.acceleration = np.zeros((slots, n, 3))
-        self.orientation = np.zeros((slots, *bodies.orientation.shape))
-        self.angular_velocity = np.zeros((slots, *bodies.angular_velocity.shape))
-        self.torque = np.zeros((slots, *bodies.torque.shape))
-        self.angular_acceleration = np.zeros((slots, *bodies.torque.shape))
-        self._buffers = (
-            self.position,
-            self.velocity,
-            self.acceleration,
-            self.orientation,
-            self.angular_velocity,
-            self.torque,
-            self.angular_acceleration,
-        )
+        self._buffers = tuple(np.zeros((slots, *array.shape)) for array in _arrays(bodies))
+        self.position, self.velocity, self.acceleration, self.orientation, *of_spin = self._buffers
+        self.angular_velocity, self.torque, self.angular_acceleration = of_spin
         self.contact_rows = defaultdict[int, Buffer](lambda: Buffer(CONTACT_ROW))  # by slot
         self._bodies = bodies
         self._views: list[tuple[FloatArray, ...] | None] = [None] * slots

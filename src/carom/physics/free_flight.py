@@ -4,9 +4,9 @@ A step of three bodies takes 80 ns in a kernel, but ten microseconds if Python c
 `KickDriftStepper` therefore leaves the steps up to the next frame or check to this module. The same kernels choose dt,
 kick, drift and rotate, so the bits are those of single steps.
 
-Where bodies can touch, a step is taken only if all gaps stay larger than rounding and larger than a fall from rest in
-one step, the distance within which `contact.pipeline` searches for contacts. Paths are straight, so two bodies approach
-each other by at most |v_j - v_i| dt; with drag, v is the mean velocity of the drift. All pairs and planes are tested
+Where bodies can touch, all gaps must stay larger than rounding and than a fall from rest in one step, within which
+`contact.pipeline` searches for contacts. Paths are straight, so two bodies approach each other by at most
+|v_j - v_i| dt; with drag, v is the mean velocity of the drift. All pairs and planes are tested
 again only after the bodies may have moved by half the smallest gap. A step with a possible contact is undone and left
 to `KickDriftStepper`, and so is a step too short to change the clock.
 """
@@ -40,9 +40,9 @@ if TYPE_CHECKING:  # `physics.jit.cache` follows this import, too
 
 MOST_STEPS = 20_000  # in one call, some milliseconds: `Space.stop` and the progress line wait for its end
 NEAR = 2.0 * TOUCHING  # of the sum of radii; twice the largest gap that counts as a contact
-ROUNDING = 2.0**-46  # of the coordinates: 64 times their last digit, of which the search allows four
+ROUNDING = 2.0**-46  # of the coordinates: 64 times their last digit; the search allows for four of these
 GRAIN = 2.0**-50  # of the coordinates, more than the rounding of a drift
-BOX_FRACTION = 0.25  # of the smallest side, distance that bodies may move before they are tested again
+BOX_FRACTION = 0.25  # of the smallest side: distance that bodies may move before they are tested again
 FAR = 1e150  # m, the smallest gap where there are no pairs
 
 

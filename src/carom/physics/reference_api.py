@@ -100,7 +100,6 @@ class BodyProxy:
             self.angular_velocity[:] += np.cross(arm, impulse) * self.inverse_inertia
 
     def _row(self, array: FloatArray) -> FloatArray:
-        """Return a view of this body's row."""
         row: FloatArray = array[self.index]
         return row
 

@@ -122,7 +122,6 @@ def _find_angles(omega: FloatArray, dt: float, speed: FloatArray, angle: FloatAr
 
 @inline
 def _speed(k: int, omega: FloatArray) -> float:
-    """Return |ω| in rad/s."""
     wx, wy, wz = omega[k, 0], omega[k, 1], omega[k, 2]
     speed: float = np.sqrt(wx * wx + wy * wy + wz * wz)
     return speed

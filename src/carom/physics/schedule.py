@@ -107,7 +107,7 @@ def quiet(schedule: Schedule, step: int, time: float) -> tuple[float, float]:
 def looks_before(schedule: Schedule) -> bool:
     """Return whether a schedule may read the state before each step.
 
-    Those of this module do not; all others are therefore evaluated before each step.
+    Schedules of this module do not read it. All others may, so no steps are taken between their evaluations.
     """
     return not isinstance(schedule, Every | At | Pause)
 

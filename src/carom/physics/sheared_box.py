@@ -21,7 +21,7 @@ wrapping is added to the expected one. In coordinates that the shear carries alo
     x' = x - (s/L_y) y
 
 the images form a grid at rest, and bodies move only relative to the flow. The broad phase searches there, within
-distances that are longer by the largest stretch of x ↦ x', and of the flow within a step (`ShearedBox.stretch`).
+distances multiplied by the largest stretch of x ↦ x' and of the flow within a step (`ShearedBox.stretch`).
 
 Contacts that last are resolved at the end of a step, at the places of the images there. Records of contacts then have
 a field for w, so that the solver finds impulses by velocities relative to the image, and their work is booked as that
@@ -36,6 +36,7 @@ that of a contact: with or without w.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, Protocol, cast
 
 import numpy as np
@@ -79,20 +80,7 @@ class ImageVelocity(Protocol):
 
 
 class ShearedBox:
-    """The images of a sheared box from step to step.
-
-    Parameters
-    ----------
-    shear
-        The scene's section.
-    size
-        (3,) m.
-
-    Attributes
-    ----------
-    record
-        (1,) `SHEARED_BOX`, for kernels.
-    """
+    """The images of a sheared box of some size, (3,) m, from step to step."""
 
     def __init__(self, shear: Shear, size: FloatArray) -> None:
         self._shear, self._size, (self._flow, self._gradient) = shear, size, shear.axes
@@ -100,6 +88,7 @@ class ShearedBox:
         periods = np.where(np.arange(3) == self._gradient, ENDLESS, size).tolist()
         speed = shear.rate * self._depth
         axes = self._flow, self._gradient
+        # (1,), for kernels
         self.record = np.array([(*axes, shear.rate, self._depth, speed, 0.0, *periods, 0.0)], SHEARED_BOX)
         self._impulse = 0.0  # N s along the flow, by wrapping
         self._work = 0.0  # J, by wrapping
@@ -131,19 +120,19 @@ class ShearedBox:
         return carried
 
     def acceleration(self, diameter: float) -> float:
-        """Return the acceleration (m/s²) of two bodies in the flow relative to each other, at a distance in m."""
+        """Return the relative acceleration (m/s²) of two bodies in the flow at a distance in m."""
         return self.rate * self.rate * diameter
 
     def add_work(self, contacts: RecordArray[Any], impulses: RecordArray[Any]) -> None:
-        """Book the work of the shear by impulses of contacts; both (m,), maybe the same records."""
+        """Book the work of the shear by the impulses of contacts, (m,) each; they may be the same records."""
         self._work += _work_of_contacts(contacts, impulses)
 
     def add_work_of_corrections(self, contacts: RecordArray[Any], impulses: RecordArray[Any]) -> None:
-        """Book the work of the shear by the changes of momentum that the correction of overlaps has recorded."""
+        """Book the work of the shear by the recorded corrections of overlaps."""
         self._work += _work_of_corrections(contacts, impulses)
 
     def stretch(self, dt: float) -> float:
-        """Return a factor of search distances: of the distance of x' and the way of the flow in a step of dt s."""
+        """Return the factor of search distances for the stretch by x ↦ x' and by the flow in a step of dt seconds."""
         return _largest_stretch(self._slope) * _largest_stretch(self.rate * dt)
 
     @property
@@ -220,7 +209,7 @@ def _image(d: float, depth: float) -> float:
     return float(np.floor(d / depth + 0.5))
 
 
-# What kernels ask of a box, which may be sheared
+# functions of kernels for any box and any contact; the end of this file defines both forms of each
 
 
 def is_sheared(box: Any) -> bool:
@@ -239,7 +228,7 @@ def nearest_in_drift(dx: float, dy: float, dz: float, box: Any, clock: float) ->
 
 
 def velocity_of_image(dx: float, dy: float, dz: float, box: Any) -> Vector:
-    """Return the velocity (m/s) of the nearest image of a body relative to the body, given its separation (m)."""
+    """Return the velocity (m/s) of a body's nearest image relative to the body, given the separation (m)."""
     raise NotImplementedError("only kernels call it")
 
 
@@ -255,7 +244,7 @@ def add_work(box: Any, work: float) -> None:
 
 def relative_to_image(contact: Any, ux: float, uy: float, uz: float) -> Vector:
     """Return the velocity (m/s) of the image of j relative to i, given that of j; it is called with lanes, too."""
-    return _with_image(contact, ux, uy, uz) if hasattr(contact, "image_x") else (ux, uy, uz)
+    return _image_velocity(contact, ux, uy, uz) if hasattr(contact, "image_x") else (ux, uy, uz)
 
 
 def slope_of_image(contact: object, slope: float, Jx: float, Jy: float, Jz: float) -> float:
@@ -271,73 +260,6 @@ def set_image_velocity(contact: object, dx: float, dy: float, dz: float, box: An
 def is_record_of_shear(box: Any) -> bool:
     """Return whether Numba's type of a box is that of a sheared one."""
     return "shift" in (getattr(box.dtype, "fields", None) or ())
-
-
-@chosen_by_type(is_sheared)
-def _is_sheared(box: Any) -> Any:
-    sheared = is_record_of_shear(box)
-    return lambda box: sheared
-
-
-@chosen_by_type(periods)
-def _periods(box: Any) -> Any:
-    if is_record_of_shear(box):
-        return lambda box: (box[0].period_x, box[0].period_y, box[0].period_z)
-    return lambda box: (box[0], box[1], box[2])
-
-
-@chosen_by_type(nearest_in_drift)
-def _nearest_in_drift(dx: Any, dy: Any, dz: Any, box: Any, clock: Any) -> Any:
-    return _nearest if is_record_of_shear(box) else lambda dx, dy, dz, box, clock: nearest_image(dx, dy, dz, box)
-
-
-@chosen_by_type(velocity_of_image)
-def _velocity_of_image(dx: Any, dy: Any, dz: Any, box: Any) -> Any:
-    return _velocity if is_record_of_shear(box) else lambda dx, dy, dz, box: (0.0, 0.0, 0.0)
-
-
-@chosen_by_type(flow_in_drift)
-def _flow_in_drift(box: Any, x: Any, y: Any, z: Any, dt: Any) -> Any:
-    return _flow if is_record_of_shear(box) else lambda box, x, y, z, dt: (0.0, 0.0, 0.0)
-
-
-@chosen_by_type(add_work)
-def _add_work(box: Any, work: Any) -> Any:
-    def add(box: Any, work: float) -> None:
-        box[0].work += work
-
-    return add if is_record_of_shear(box) else lambda box, work: None
-
-
-def _has_image(contact: Any) -> bool:
-    return "image_x" in contact.fields
-
-
-@chosen_by_type(relative_to_image)
-def _relative_to_image(contact: Any, ux: Any, uy: Any, uz: Any) -> Any:
-    return _with_image if _has_image(contact) else lambda contact, ux, uy, uz: (ux, uy, uz)
-
-
-@chosen_by_type(slope_of_image)
-def _slope_of_image(contact: Any, slope: Any, Jx: Any, Jy: Any, Jz: Any) -> Any:
-    if not _has_image(contact):
-        return lambda contact, slope, Jx, Jy, Jz: slope
-    return lambda contact, slope, Jx, Jy, Jz: slope + along_image(contact, Jx, Jy, Jz)
-
-
-@chosen_by_type(set_image_velocity)
-def _set_image_velocity(contact: Any, dx: Any, dy: Any, dz: Any, box: Any) -> Any:
-    if not _has_image(contact):
-        return lambda contact, dx, dy, dz, box: None
-
-    def put(contact: Any, dx: float, dy: float, dz: float, box: Any) -> None:
-        contact.image_x, contact.image_y, contact.image_z = velocity_of_image(dx, dy, dz, box)
-
-    return put
-
-
-def _with_image(contact: Any, ux: float, uy: float, uz: float) -> Vector:
-    return ux + contact.image_x, uy + contact.image_y, uz + contact.image_z
 
 
 @inline
@@ -377,3 +299,56 @@ def in_axes(B: ShearedBoxRecord, flow: float, gradient: float) -> Vector:
     y = flow if f == 1 else (gradient if g == 1 else 0.0)
     z = flow if f == 2 else (gradient if g == 2 else 0.0)
     return x, y, z
+
+
+def _image_velocity(contact: Any, ux: float, uy: float, uz: float) -> Vector:
+    return ux + contact.image_x, uy + contact.image_y, uz + contact.image_z
+
+
+def _set_image_velocity(contact: Any, dx: float, dy: float, dz: float, box: Any) -> None:
+    contact.image_x, contact.image_y, contact.image_z = velocity_of_image(dx, dy, dz, box)
+
+
+def _add_work(box: Any, work: float) -> None:
+    box[0].work += work
+
+
+def _has_image(contact: Any) -> bool:
+    return "image_x" in contact.fields
+
+
+def _choose(has_shear: Callable[[Any], bool], place: int, *forms: tuple[Callable[..., Any], ...]) -> None:
+    """Let kernels compile the first or the second form of a function, by the type of the argument at a place."""
+    for function, sheared, plain in forms:
+        chosen_by_type(function)(lambda *kinds, s=sheared, p=plain: s if has_shear(kinds[place]) else p)
+
+
+_choose(
+    is_record_of_shear,
+    0,
+    (is_sheared, lambda box: True, lambda box: False),
+    (
+        periods,
+        lambda box: (box[0].period_x, box[0].period_y, box[0].period_z),
+        lambda box: (box[0], box[1], box[2]),
+    ),
+    (flow_in_drift, _flow, lambda box, x, y, z, dt: (0.0, 0.0, 0.0)),
+    (add_work, _add_work, lambda box, work: None),
+)
+_choose(
+    is_record_of_shear,
+    3,
+    (nearest_in_drift, _nearest, lambda dx, dy, dz, box, clock: nearest_image(dx, dy, dz, box)),
+    (velocity_of_image, _velocity, lambda dx, dy, dz, box: (0.0, 0.0, 0.0)),
+)
+_choose(
+    _has_image,
+    0,
+    (relative_to_image, _image_velocity, lambda contact, ux, uy, uz: (ux, uy, uz)),
+    (
+        slope_of_image,
+        lambda contact, slope, Jx, Jy, Jz: slope + along_image(contact, Jx, Jy, Jz),
+        lambda contact, slope, Jx, Jy, Jz: slope,
+    ),
+    (set_image_velocity, _set_image_velocity, lambda contact, dx, dy, dz, box: None),
+)

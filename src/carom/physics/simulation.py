@@ -55,12 +55,9 @@ class Simulation:
 
     Only one thread may step it. Other threads may meanwhile only read ``status`` and call ``stop``.
 
-    Attributes
-    ----------
-    check_interval
-        s. Errors are judged at the first step at or after each multiple of this interval, at every
-        ``record.check_every``-th step, and at the end of a run. The interval follows from the scene, so a verdict does
-        not depend on the recording. None: errors are judged at the frames, as in earlier versions.
+    Errors are judged at the first step at or after each multiple of `check_interval` (s), at every
+    ``record.check_every``-th step, and at the end of a run. The interval follows from the scene, so a verdict does not
+    depend on the recording. If it is None, errors are judged at the frames, as in earlier versions.
     """
 
     def __init__(
@@ -231,7 +228,7 @@ class Simulation:
         return (contact.statistics.contacts, contact.sweeps, len(contact.impacts)) if contact else (0, 0, 0)
 
     def count_no_impacts(self) -> None:
-        """Exclude impacts during drifts from the statistics, for a look-ahead: they take a fourth of a small step."""
+        """Exclude impacts during drifts from the statistics, which takes a fourth less time in a look-ahead."""
         if self._contact:
             self._contact.counts_impacts = False
 

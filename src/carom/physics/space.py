@@ -46,7 +46,7 @@ class Space(Simulation):
         Whether frames carry impacts and the contact table, in `Frame.impacts` and `Frame.contact_rows`. The bits do
         not depend on it.
     watch_look_ahead
-        Called with a `Budget` while trial runs determine the step that keeps an accuracy.
+        Called with a `WorkBudget` while trial runs determine the step that keeps an accuracy.
 
     Raises
     ------

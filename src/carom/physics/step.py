@@ -18,7 +18,6 @@ from carom.physics.free_flight import Flight, FreeFlight, can_fly
 from carom.physics.integrators.kick_drift import drift, kick, wrap
 from carom.physics.rotation import rotate
 from carom.physics.schedule import Goal, looks_before
-from carom.physics.sheared_box import ShearedBox
 from carom.physics.time_step import Timestep
 from carom.physics.world import World
 from carom.plan.auto import integrator
@@ -65,7 +64,7 @@ class KickDriftStepper:
         return self.timestep.first(self._world.bodies, self.supported_acceleration())
 
     def supported_acceleration(self) -> FloatArray:
-        """Return the accelerations supported by contacts, (n + p,) m/s²; empty if no step depends on them."""
+        """Return the accelerations that contacts support, (n + p,) m/s²; empty if no step depends on them."""
         contact = self._world.contact
         return contact.supported_acceleration if contact and self.timestep.spares_held else NO_SUPPORT
 
@@ -234,8 +233,12 @@ class KickDriftStepper:
                 contact.find(dt, world.profile)
             for work in world.forces.path_works:
                 work.end()
-            if world.shear:
-                self._wrap_sheared(world.shear)
+            if world.shear:  # changes velocities
+                audit = self._books.impulse_audit
+                before = world.bodies.velocity.copy() if audit else None
+                world.shear.wrap(world.bodies, world.clock.time)
+                if audit and before is not None:
+                    audit.add_change(before)
             elif world.is_periodic:
                 wrap(world.bodies.position, world.box, world.team)
             if world.needs.accelerates:
@@ -255,7 +258,7 @@ class KickDriftStepper:
         profile.mark("integrate")
         if self._damping and damped:
             before = self._world.bodies.ends.velocity.copy()
-            contact.hold(damped.held_kick, dt, booked, self._damping.against())
+            contact.hold(damped.held_kick, dt, booked, self._damping.against)
             if len(contact.ledger_apart):
                 loss = self._damping.lost_in_hold(damped, before)
                 self._exchanges.append(Exchange(loss, np.zeros(3), np.zeros(3)))
@@ -287,14 +290,6 @@ class KickDriftStepper:
             drift(bodies.position, bodies.velocity, dt, world.team)
             world.profile.mark("integrate")
 
-    def _wrap_sheared(self, shear: ShearedBox) -> None:
-        """Wrap the bodies into a sheared box at the end of the step, which changes velocities."""
-        bodies, audit = self._world.bodies, self._books.impulse_audit
-        before = bodies.velocity.copy() if audit else None
-        shear.wrap(bodies, self._world.clock.time)
-        if audit and before is not None:
-            audit.add_change(before)
-
     def _sum_forces(self, is_last: bool, with_potential: bool) -> Potentials:
         """Update the accelerations if a kick will use them; return the potential energies if requested."""
         forces = self._world.forces
@@ -322,7 +317,6 @@ class KickDriftStepper:
             world.profile.mark("sleep")
 
     def _kick(self, dt: float) -> None:
-        """Kick for a time (s)."""
         bodies = self._world.bodies
         kick(bodies.velocity, bodies.acceleration, dt, self._world.team)
         audit, contact = self._books.impulse_audit, self._world.contact

@@ -143,8 +143,9 @@ def target(
 ) -> tuple[float, int]:
     """Return the step (s) that the limits allow, before smoothing, and the limit that set it.
 
-    Contacts support the accelerations ``supported``, (n + p,) m/s², or none if it is empty. The common acceleration
-    ``field``, (3,) m/s², does not count. ``limits`` has a row for each block of bodies, already filled if known.
+    ``supported``, (n + p,) m/s², are the accelerations that contacts support; it is empty if there are none. The
+    acceleration that all bodies share, ``field``, (3,) m/s², does not count. ``limits`` has a row for each block of
+    bodies; the rows are filled here unless they ``are_known``.
     """
     R, (x, v, _, _, m, inverse_mass) = rule[0], bodies
     dt, limit = R.max_dt, CAP
@@ -201,7 +202,7 @@ def find_limits(
 ) -> None:
     """Write the limits set by the bodies of the blocks [lo, hi), with speeds relative to V (m/s).
 
-    ``discounted`` are the accelerations that contacts support, and the common one, as in `target`.
+    ``discounted`` are ``supported`` and ``field`` of `target`.
     """
     _, velocity, acceleration, radius, _, _ = bodies
     (supported, field), (Vx, Vy, Vz) = discounted, V
@@ -233,10 +234,7 @@ def find_limits(
 
 @kernel
 def _strictest(found: RecordArray[LimitsRecord]) -> tuple[float, float, float, float, float, float]:
-    """Return the strictest limits of all blocks, which do not depend on the division, since a single body sets each.
-
-    They are the first three of `LIMITS`, the steps of all bodies and of the fastest one, and the time of held bodies.
-    """
+    """Return the first five fields of `LIMITS` and the last, each for the body of all blocks that limits it most."""
     a_max, a_free, b_max, every, fastest, v2_max, held_time = 0.0, 0.0, 0.0, np.inf, np.inf, 0.0, np.inf
     for block in range(len(found)):
         limits = found[block]

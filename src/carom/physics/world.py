@@ -43,21 +43,9 @@ class Clock:
     foreseen: dict[str, float] = field(default_factory=dict)  # number of the scene's own steps so far, by limit
 
     def advance(self, steps: int, before: float, time: float, dt: float, limit: str) -> None:
-        """Advance by one or more steps.
+        """Advance by a number of steps, given the times before and after the last (s), its length (s) and its limit.
 
-        Parameters
-        ----------
-        steps
-            Number of steps.
-        before, time, dt
-            s, time before the last step and after it, and its length.
-        limit
-            The limit that set its length.
-
-        Raises
-        ------
-        PhysicsError
-            If the last step did not change the time.
+        Raises PhysicsError if the last step did not change the time.
         """
         self.dt, self.limit = dt, limit
         if not time > before:
@@ -69,7 +57,7 @@ class Clock:
         self.before, self.time = before, time
 
     def foresee(self, limit: str, steps: float) -> None:
-        """Count the scene's own steps; steps of a coarse look-ahead are longer."""
+        """Count steps of the length that the scene sets; a coarse look-ahead takes fewer, longer ones."""
         self.foreseen[limit] = self.foreseen.get(limit, 0.0) + steps
 
 

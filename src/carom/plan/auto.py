@@ -144,8 +144,8 @@ def ended_bounces(scene: Scene) -> str:
 def _error_by_gravity(scene: Scene) -> float:
     """Estimate the relative error of an approach speed by self-gravity in a step.
 
-    The acceleration a at a contact is at most G M / r², with M the mass of two of the heaviest bodies. A step is at
-    most κ r/v by the velocity limit, and short enough that a body falls less than Δx from rest.
+    The acceleration a at a contact is at most G M / r², with M twice the largest mass. The velocity limit allows at
+    most a step of κ r/v, and the limit of the acceleration one in which a body falls by Δx from rest.
     """
     # the largest relative speed of two bodies at the start; 0 if all have the same velocity
     velocities = [body.velocity for body in scene.body] + [group.velocity.mean for group in scene.group]
@@ -153,7 +153,7 @@ def _error_by_gravity(scene: Scene) -> float:
         velocities += [tuple(columns.velocity.min(axis=0)), tuple(columns.velocity.max(axis=0))]
     size = math.hypot(*(max(along) - min(along) for along in zip(*velocities, strict=True)))
     r, slowest = smallest_radius(scene), max([size, *(group.velocity.dispersion for group in scene.group)])
-    # of a body, or of the mean body of a group
+    # of each body, and the mean mass of each group
     masses = [body_mass(made_of(scene, body)) for body in scene.body]
     masses += [mean_mass(made_of(scene, group)) for group in scene.group]
     a = 2.0 * scene.gravity.constant * max(masses + [float(columns.mass.max()) for columns in scene.data]) / (r * r)
@@ -210,7 +210,7 @@ def _bounces_on_curves(scene: Scene) -> bool:
 
 
 def holding(scene: Scene) -> Scene:
-    """Return the scene with an integrator that holds resting contacts, if its own only resolves impacts."""
+    """Return the scene with an integrator that holds resting contacts, in place of one that only resolves impacts."""
     time = scene.time.model_copy(update={"integrator": "leapfrog"})
     contact = scene.contact.model_copy(update={"timing": "time-of-impact"})
     return scene.model_copy(update={"time": time, "contact": contact})

@@ -202,7 +202,7 @@ def _refuse_thin_walls(scene: Scene) -> None:
 def _refuse_laws_without_coefficients(scene: Scene) -> None:
     """Refuse a contact law whose coefficients are all 0 because no section states one: the law has no effect.
 
-    This is no check of the schema, so that old recordings of such scenes can still be read.
+    The schema accepts such a law, so that old recordings of such scenes can still be read.
     """
     for name in scene.contact.laws:
         default = scene.contact.law_section(name)
@@ -240,7 +240,7 @@ def _refuse_further_forces(scene: Scene) -> None:
 
 
 def _refuse_what_no_error_controls(scene: Scene) -> None:
-    """Refuse settings whose errors the integrator's own error estimate does not include."""
+    """Refuse settings whose errors the error estimate of the integrator does not include."""
     chosen, contact = integrator(scene), scene.contact
     if not chosen.ends_steps_at_impacts:
         return
@@ -331,7 +331,7 @@ def _refuse_narrow_box(scene: Scene) -> None:
 
 
 def _refuse_small_memory(scene: Scene) -> None:
-    """Refuse scenes that exceed the memory, or the limit of ``ulimit -v``, where Rerun and OpenBLAS would abort."""
+    """Refuse scenes that exceed the memory or the limit of ``ulimit -v``, at which Rerun and OpenBLAS abort."""
     import resource  # noqa: PLC0415 - POSIX only
 
     try:

@@ -112,7 +112,6 @@ def require(scene: Scene) -> Requirements:
 
 
 def _by_name(needs: Requirements) -> dict[str, Part]:
-    """Return all parts by their names."""
     single = [part for part in vars(needs).values() if isinstance(part, Part)]
     return {part.name: part for part in (*single, *needs.forces.values())}
 
@@ -132,6 +131,12 @@ def _decide(scene: Scene, forced: Mapping[str, str]) -> Requirements:
     times = round(duration / auto_interval(scene, duration))
     forces = {kind.name: decide(interactions.part(kind, scene)) for kind in kinds_of(scene)}
     contact = decide(interactions.contact(scene))
+
+    def where_bodies_meet(name: str, why: str) -> Part:
+        return decide(interactions.where_bodies_meet(name, contact, why))
+
+    search = "k-d tree" if scene.contact.search == "k-d-tree" else "hierarchical grid"
+    apart = "no two contacts of a stage share a body" if scene.contact.colouring == "contacts" else "of bodies"
     friction = decide(interactions.friction(scene, contact))
     torque = decide(interactions.torque(friction))
     if forces[GRAVITY.name].modelled:
@@ -150,10 +155,10 @@ def _decide(scene: Scene, forced: Mapping[str, str]) -> Requirements:
         spin=decide(_spin(scene, friction)),
         orientation=decide(_orientation(scene, friction)),
         contact=contact,
-        broad_phase=decide(interactions.broad_phase(scene, contact)),
-        narrow_phase=decide(interactions.narrow_phase(contact)),
+        broad_phase=where_bodies_meet("broad-phase", f"one {search} for each octave of radius"),
+        narrow_phase=where_bodies_meet("narrow-phase", "the distance of each pair that may touch"),
         impact_time=decide(_impact_time(scene, contact)),
-        colouring=decide(interactions.colouring(scene, contact)),
+        colouring=where_bodies_meet("colouring", apart),
         stabilisation=decide(interactions.stabilisation(scene, contact)),
         forces=forces,
         tree=decide(_tree(scene)),

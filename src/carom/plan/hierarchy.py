@@ -21,7 +21,7 @@ from carom.scene.wording import body_called
 DOMINANT = 0.99  # smallest fraction of the mass of a dominant body
 # revolutions of the innermost body, for "auto"; for fewer, Gauss–Radau integration to rounding is cheap
 FEWEST_ORBITS = 1000
-MOST_BODIES = 100  # for "auto"; more bodies may meet often, and each close encounter integrates all of them
+MOST_BODIES = 100  # for "auto"; more bodies meet more often, and Gauss–Radau integrates all of them in each encounter
 HILL_RADII_APART = 5.0  # for "auto", between orbits, so that encounters are rare; Jupiter and Saturn are 8 apart
 LEAST_DISTANCE = 8.0  # in sums of the two radii; Europa is 9 from Jupiter, the Moon 47 from the Earth
 MOST_APART = 32  # bodies; more would soon meet often as the system contracts
@@ -135,7 +135,7 @@ def _orbits(scene: Scene) -> list[Orbit] | None:
 
 
 def far_apart(scene: Scene) -> bool:
-    """Return whether there are few bodies at large initial distances and no groups, as for planets and comets."""
+    """Return whether the scene has few bodies, far apart at the start, and no groups, like planets and comets."""
     if scene.group or not 2 <= scene.count <= MOST_APART:
         return False
     position = np.array([body.position for body in scene.body]).reshape(-1, 3)

@@ -28,7 +28,7 @@ def gravity(scene: Scene) -> Part:
 
 
 def differing(scene: Scene) -> str:
-    """Return the first force that accelerates bodies at rest differently; empty if there is none."""
+    """Return the first force that gives bodies at rest different accelerations; empty if there is none."""
     return next((kind.short_name for kind in kinds_of(scene) if kind.differs and part(kind, scene).modelled), "")
 
 
@@ -93,23 +93,6 @@ def where_bodies_meet(name: str, contact: Part, why: str) -> Part:
     return Part(name, contact.modelled, why if contact.modelled else "no contact is possible")
 
 
-def broad_phase(scene: Scene, contact: Part) -> Part:
-    """Decide whether to search for pairs that may touch."""
-    how = "k-d tree" if scene.contact.search == "k-d-tree" else "hierarchical grid"
-    return where_bodies_meet("broad-phase", contact, f"one {how} for each octave of radius")
-
-
-def narrow_phase(contact: Part) -> Part:
-    """Decide whether distances of pairs are computed."""
-    return where_bodies_meet("narrow-phase", contact, "the distance of each pair that may touch")
-
-
-def colouring(scene: Scene, contact: Part) -> Part:
-    """Decide whether contacts are coloured."""
-    what = "no two contacts of a stage share a body" if scene.contact.colouring == "contacts" else "of bodies"
-    return where_bodies_meet("colouring", contact, what)
-
-
 def stabilisation(scene: Scene, contact: Part) -> Part:
     """Decide whether overlaps are corrected."""
     how = scene.contact.stabilisation
@@ -121,7 +104,7 @@ def stabilisation(scene: Scene, contact: Part) -> Part:
 
 
 def load(scene: Scene) -> str:
-    """Return the force that presses contacts together; empty without one, when every contact is an impact."""
+    """Return the force that presses contacts together; empty without one: every contact is then an impact."""
     if force := differing(scene):
         return force
     if scene.anchored and (field := pushing(scene)):

@@ -76,7 +76,7 @@ class BalanceAudit:
         self._suspects = None
 
     def refer_to(self, books: Books) -> bool:
-        """Adopt references of a recorded start that differ from these only by rounding; return whether any did.
+        """Adopt the references of a recorded start that differ only by rounding; return whether there are any.
 
         Versions before 23 November 2026 summed the centre of mass and Σ m |g| r with BLAS, whose rounding depends on
         the processor.
@@ -146,7 +146,7 @@ class BalanceAudit:
     def check(self, time: float, extremes: Extremes, contact: ContactPipeline | None = None) -> list[Event]:
         """Check the energy; return the warnings of the energy monitor.
 
-        They list the copied contacts and, if these may have changed the energy, the contacts in ``contact``.
+        They list the copied contacts and those in ``contact``, which may have changed the energy.
         """
 
         def suspects() -> list[Suspects]:
@@ -303,9 +303,8 @@ class Bookkeeper:
     def measure(self, potentials: Potentials, judged: bool, contact: ContactPipeline | None = None) -> None:
         """Compute energy and momentum.
 
-        ``judged`` states whether their errors count for the verdict on the run and for warnings. A computation for a
-        frame alone does not change the books. A warning lists the present contacts in ``contact``, if given, besides
-        the copied ones.
+        If ``judged``, their errors count for the verdict on the run and for warnings, which list the copied contacts
+        and those in ``contact``. A computation for a frame alone does not change the books.
         """
         world, clock = self._world, self._world.clock
         try:
@@ -331,7 +330,6 @@ class Bookkeeper:
         return events
 
     def _book_contacts(self, contact: ContactPipeline) -> None:
-        """Book the contacts of the step."""
         clock = self._world.clock
         if len(contact.ledger_apart):
             self.audit.book(contact.ledger_apart)

@@ -86,7 +86,7 @@ class EnergyBaseline:
 
     initial: float  # J, the total at the start of the run
     scale: float  # J, the largest scale of the checks so far
-    origin: Origin | None = None  # None in older recordings, which keep their different scale
+    origin: Origin | None = None  # None in older recordings, whose scale had another definition
 
 
 class EnergyAccount:

@@ -50,7 +50,7 @@ class Extremes:
     momentum_error: Extreme | None = NOTHING  # None where the scene does not conserve it
     angular_momentum_error: Extreme | None = NOTHING  # None where the scene does not conserve it
     total_contacts: int = 0  # sum of the numbers of contacts over the steps
-    impacts: int = 0  # every impact during a drift; those at the end of a step once per contact
+    impacts: int = 0  # during drifts; at the end of a step, a contact counts once
     lowest_energy: float = float("inf")  # J
     energy_scale: float = 0.0  # J, of the last check
     most_taken: float = 0.0  # J, the largest restitution + friction of the ledger

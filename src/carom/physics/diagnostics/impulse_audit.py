@@ -57,10 +57,10 @@ class ImpulseAudit:
     def finish(self, impulses: Iterable[Impulses], work: FloatArray, ledger: Ledger) -> tuple[float, tuple[int, ...]]:
         """Return the largest error, and its body if it belongs to one.
 
-        Errors of velocities, and of spins times the radius, are relative to the largest speed in the step: of a body,
-        or the sum of the magnitudes of its kicks, or of its impulses over its mass. The impulses in a heavy pile may
-        cancel, and each has its own rounding. The change of the ledger in the step should be the sum of ``work``,
-        (k, 3) J by contact; errors are relative to its largest entry.
+        Errors of velocities, and of spins times the radius, are relative to the largest speed in the step. The sums of
+        the magnitudes of a body's kicks, and of its impulses over its mass, count as speeds, because the impulses in a
+        heavy pile may cancel, and each has its own rounding. The change of the ledger in the step should be the sum of
+        ``work``, (k, 3) J by contact; errors are relative to its largest entry.
         """
         bodies = self._bodies
         given = _Given.of(impulses, bodies)

@@ -80,7 +80,7 @@ class Ledger:
 
     @property
     def taken_out(self) -> float:
-        """The energy removed by contacts, without entries of the wrong sign."""
+        """The energy removed by contacts; a negative entry, which is an error, counts as 0."""
         return max(0.0, self.restitution) + max(0.0, self.friction)
 
 

@@ -30,13 +30,7 @@ MIN_NUMBERS_PER_TASK = 30_000
 def refuse_infinities(
     bodies: Bodies, names: Sequence[str], step: int, time: float, units: UnitSystem, team: Team = SOLO
 ) -> None:
-    """Refuse a state whose positions or velocities are not all finite.
-
-    Raises
-    ------
-    PhysicsError
-        If a number is infinite or NaN; the message names the bodies, the step and the time.
-    """
+    """Refuse a state whose positions or velocities are not all finite; PhysicsError names the bodies, step and time."""
     lost = np.zeros(1, dtype=np.bool_)
     numbers = bodies.position.reshape(-1), bodies.velocity.reshape(-1)
     team.divide(len(numbers[0]), MIN_NUMBERS_PER_TASK, _find_infinities, *numbers, lost)
@@ -53,14 +47,9 @@ def refuse_infinities(
 def refuse_many_crossings(
     velocity: FloatArray, dt: float, box: FloatArray, step: int, time: float, units: UnitSystem
 ) -> None:
-    """Refuse a step of dt (s) in which a body would cross a periodic box too often.
+    """Refuse a step of dt (s) in which a body would cross a periodic box more than `MOST_CROSSINGS` times.
 
     Each factor of 10 in the crossings costs its position in the box a digit.
-
-    Raises
-    ------
-    PhysicsError
-        If it crosses more than `MOST_CROSSINGS` times.
     """
     turns = float((np.abs(velocity).max(axis=0) * dt / box).max())
     if turns > MOST_CROSSINGS:
@@ -125,7 +114,7 @@ class Activity:
 
 @kernel
 def remembered(energy: float, impacts: float) -> float:
-    """Return the energy (J) of recent impacts after a step, from its value before and that of the step's impacts."""
+    """Return the energy (J) of recent impacts after a step, given its value before and that of the step's impacts."""
     return energy + (impacts - energy / STEPS_REMEMBERED)
 
 

@@ -57,7 +57,7 @@ BEFORE, AFTER = range(2)  # the drift: rows of sums
 
 
 class DragLaw(NamedTuple):
-    """The drag for kernels; its type chooses it in `kick_before_drift` and `kick_after_drift`."""
+    """The drag for kernels; `kick_before_drift` and `kick_after_drift` recognise it by this type."""
 
     rate: float  # 1/s
     wind: FloatArray  # (3,) m/s², u/τ
@@ -80,8 +80,10 @@ class StokesDrag:
         self.exchanged = np.zeros(7)
         self.law = DragLaw(rate, self.uniform, outer + self.uniform, np.zeros(2, SUMS), self.exchanged)
         self._bodies = bodies
+        arrays = bodies.position, bodies.velocity, bodies.acceleration, bodies.mass
+        self._kicked = KickedBodies(*arrays, bodies.ends.inverse_mass)
         self._team = team
-        self._against = np.zeros_like(bodies.ends.acceleration)
+        self.against = np.zeros_like(bodies.ends.acceleration)
 
     def accelerate(self, position: FloatArray, acceleration: FloatArray, *, first: bool, potential: bool) -> float:
         """Add u/τ, the constant part; see `Force`."""
@@ -98,29 +100,19 @@ class StokesDrag:
     def begin(self, step: DampedStep) -> Exchange:
         """Kick, then slow down to the mean velocity of the drift."""
         n, bodies = len(self._bodies), self._bodies
-        self._against[:n] = bodies.acceleration - bodies.velocity * self.law.rate
-        _begin(self.law, self._kicked(), step)
+        self.against[:n] = bodies.acceleration - bodies.velocity * self.law.rate
+        _begin(self.law, self._kicked, step)
         return _exchange_of(self.law.sums, BEFORE)
 
     def end(self, step: DampedStep) -> Exchange:
         """Slow down from the mean velocity of the drift, then kick."""
-        _end(self.law, self._kicked(), step)
+        _end(self.law, self._kicked, step)
         return _exchange_of(self.law.sums, AFTER)
 
-    def _kicked(self) -> KickedBodies:
-        bodies = self._bodies
-        return KickedBodies(
-            bodies.position, bodies.velocity, bodies.acceleration, bodies.mass, bodies.ends.inverse_mass
-        )
-
-    def against(self) -> FloatArray:
-        """Return a - v/τ at the beginning of the step, (n + p, 3) m/s²; see `Damping`."""
-        return self._against
-
     def lost_in_hold(self, step: DampedStep, before: FloatArray) -> float:
-        """Return the change of the loss because contacts were held, in joules; see `Damping`."""
+        """Return the part of the loss (J) that is due to held contacts; see `Damping`."""
         bodies = self._bodies
-        return _lost_in_hold(bodies.velocity, before, bodies.acceleration, self._against, bodies.mass, step.booked)
+        return _lost_in_hold(bodies.velocity, before, bodies.acceleration, self.against, bodies.mass, step.booked)
 
     def exchange_in_impacts(self, step: DampedStep, before: FloatArray, impacts: Impacts) -> Exchange:
         """Return the exchange with the medium due to impacts during a drift; see `Damping`."""

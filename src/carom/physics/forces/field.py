@@ -3,7 +3,7 @@
 a = g,    U = -Σ m g·x
 
 Along a periodic axis, the field has no potential, since -m g·x differs on opposite faces. There the ledger books its
-work (`carom.physics.forces.path_work`).
+work (`carom.physics.forces.force.PathWork`).
 """
 
 from __future__ import annotations
@@ -12,13 +12,11 @@ import numpy as np
 
 from carom.arrays import FloatArray
 from carom.physics.bodies import Bodies
-from carom.physics.forces.path_work import PathWork
 from carom.physics.jit.decorators import kernel, long_kernel
 from carom.physics.jit.team import Team
 from carom.scene.forces import UNIFORM_FIELD
 from carom.scene.schema import Scene
 
-DRIVING_FIELD = "driving_field"  # entry of the ledger: the negative work of the field along periodic axes
 MIN_BODIES_PER_TASK = 5000  # about 10 µs of work
 
 
@@ -44,16 +42,6 @@ class UniformField:
 def make(scene: Scene, bodies: Bodies, team: Team) -> UniformField:
     """Return the field of a scene."""
     return UniformField(np.array(scene.gravity.uniform), np.array(scene.driving_field), bodies.mass, team)
-
-
-def driving_work(scene: Scene, bodies: Bodies) -> PathWork:
-    """Return the work of the field along periodic axes."""
-    driving = np.array(scene.driving_field)
-
-    def accelerate(position: FloatArray, acceleration: FloatArray) -> None:
-        acceleration[:] = driving
-
-    return PathWork(DRIVING_FIELD, accelerate, bodies)
 
 
 @long_kernel

@@ -3,11 +3,22 @@
 A force that depends only on positions adds an acceleration and may have a potential. Its kind states when a scene
 requires it, and its recorded energy (`carom.scene.forces`). Each of carom's own forces has a function ``make(scene,
 bodies, team)``, named in `carom.registry`. `carom.physics.forces.kernel_forces` makes the forces of installed packages.
+
+Forces without a potential do work along the paths of the bodies. On a drift from x to x + Δx, with the accelerations a
+and a' by the force at its ends,
+
+    W = Σ ½ m (a + a')·Δx
+
+which is the work of leapfrog's kicks up to a term that remains bounded. If the integrator has a solution within its
+steps, Gauss–Legendre quadrature with five nodes integrates
+
+    W = Σ m ∫ a·v dt
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from math import sqrt
 from typing import TYPE_CHECKING, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
@@ -18,10 +29,9 @@ from carom.physics.bodies import Bodies
 from carom.physics.contact.impact_log import Impacts
 from carom.physics.diagnostics.run_monitor import Profile
 from carom.physics.forces import kernel_forces
-from carom.physics.forces.field import DRIVING_FIELD, driving_work
 from carom.physics.forces.gravity import gravity_of
 from carom.physics.forces.kernel_forces import KernelForce, Parameters
-from carom.physics.forces.path_work import PathWork
+from carom.physics.jit.decorators import kernel
 from carom.physics.jit.team import Team
 from carom.plan.auto import uses_tree
 from carom.plan.features import Requirements
@@ -32,6 +42,12 @@ if TYPE_CHECKING:
     from carom.physics.forces.drag import DragLaw
 
 Potentials = dict[str, float]  # J, by term of the energy
+DRIVING_FIELD = "driving_field"  # entry of the ledger: the negative work of the uniform field along periodic axes
+
+_INNER, _OUTER = sqrt(5.0 - 2.0 * sqrt(10.0 / 7.0)) / 3.0, sqrt(5.0 + 2.0 * sqrt(10.0 / 7.0)) / 3.0
+_HEAVY, _LIGHT = (322.0 + 13.0 * sqrt(70.0)) / 900.0, (322.0 - 13.0 * sqrt(70.0)) / 900.0
+# nodes and weights in [-1, 1]; the quadrature of polynomials up to degree 9 is exact
+QUADRATURE = ((-_OUTER, _LIGHT), (-_INNER, _HEAVY), (0.0, 128.0 / 225.0), (_INNER, _HEAVY), (_OUTER, _LIGHT))
 
 
 class Force(Protocol):
@@ -88,6 +104,7 @@ class Damping(Force, Protocol):
     # (7,), the exchange with the medium in the run, to which these kernels add: the energy that left the bodies in J,
     # and the momentum and angular momentum that the balance expects, in N s and N m s
     exchanged: FloatArray
+    against: FloatArray  # (n + p, 3) m/s², at the start of the step; contacts are held against these accelerations
 
     def step(self, dt: float) -> DampedStep:
         """Return the kicks and factors of a step (s)."""
@@ -98,11 +115,8 @@ class Damping(Force, Protocol):
     def end(self, step: DampedStep) -> Exchange:
         """Change velocities from their mean along the drift to those at its end, then kick."""
 
-    def against(self) -> FloatArray:
-        """Return the accelerations against which contacts are held, (n + p, 3) m/s²: those at the start of the step."""
-
     def lost_in_hold(self, step: DampedStep, before: FloatArray) -> float:
-        """Return the change of its loss (J) because contacts were held; velocities were ``before``, (n + p, 3) m/s."""
+        """Return the part of its loss (J) due to held contacts, given earlier velocities, (n + p, 3) m/s."""
 
     def exchange_in_impacts(self, step: DampedStep, before: FloatArray, impacts: Impacts) -> Exchange:
         """Return the exchange that is due to impacts during the drift.
@@ -136,6 +150,59 @@ class ForceLaws(NamedTuple):
     damping: DragLaw | tuple[()]  # of the force that depends on velocities, for `kick_before_drift`; empty without one
 
 
+class PathWork:
+    """The work of a force in the present step; its entry in the ledger has the sign of a loss: -W.
+
+    ``accelerate`` writes the accelerations by the force, (n, 3) m/s², at positions, (n, 3) m, to its second argument.
+    """
+
+    def __init__(self, entry: str, accelerate: Callable[[FloatArray, FloatArray], object], bodies: Bodies) -> None:
+        self.entry = entry
+        self._accelerate = accelerate
+        self._bodies = bodies
+        self._start = bodies.position.copy()
+        self._before, self._after = np.zeros_like(self._start), np.zeros_like(self._start)
+        self._work = 0.0  # J
+
+    def begin(self) -> None:
+        """Begin a drift at the present positions."""
+        self._start[:] = self._bodies.position
+        self._accelerate(self._start, self._before)
+
+    def end(self) -> None:
+        """Add the work of the drift since `begin`; to be called before positions are wrapped."""
+        position = self._bodies.position
+        self._accelerate(position, self._after)
+        self._work += _work(self._bodies.mass, self._before, self._after, position - self._start)
+
+    def follow(self, dt: float, solution: Callable[[float], tuple[FloatArray, FloatArray]]) -> None:
+        """Add the work of a step of dt seconds, given its solution.
+
+        ``solution`` returns positions and velocities, (n, 3) m and m/s, at a time (s) before the end of the step.
+        """
+        for node, weight in QUADRATURE:
+            position, velocity = solution(0.5 * (1.0 - node) * dt)
+            self._accelerate(position, self._after)
+            self._work += 0.5 * weight * dt * _work(self._bodies.mass, self._after, self._after, velocity)
+
+    def pop(self) -> float:
+        """Return the work of the step in joules, and begin the next step."""
+        work, self._work = self._work, 0.0
+        return work
+
+
+@kernel
+def _work(mass: FloatArray, before: FloatArray, after: FloatArray, displacement: FloatArray) -> float:
+    """Sum ½ m (a + a')·Δx, in J; with velocities in place of displacements, in W."""
+    work = 0.0
+    for i in range(len(mass)):
+        along = 0.0
+        for k in range(3):
+            along += 0.5 * (before[i, k] + after[i, k]) * displacement[i, k]
+        work += mass[i] * along
+    return work
+
+
 class TotalForce:
     """Accelerates the bodies of a scene by all its forces.
 
@@ -159,8 +226,13 @@ class TotalForce:
         own = (force for force in self._forces if isinstance(force, KernelForce))
         self.path_works = [PathWork(force.kind.loss, force.write, bodies) for force in own if force.kind.loss]
         if any(scene.driving_field):
+            driving = np.array(scene.driving_field)
+
+            def accelerate_by_field(position: FloatArray, acceleration: FloatArray) -> None:
+                acceleration[:] = driving
+
             self.losses.append(DRIVING_FIELD)
-            self.path_works.append(driving_work(scene, bodies))
+            self.path_works.append(PathWork(DRIVING_FIELD, accelerate_by_field, bodies))
 
     @property
     def laws(self) -> ForceLaws | None:

@@ -35,7 +35,7 @@ class _Compiled(NamedTuple):
     """The functions of a force, which kernels inline."""
 
     acceleration: Any  # or the attraction of a pair
-    potential: Any  # None of a force without one
+    potential: Any  # None for a force without one
 
 
 _compiled: dict[str, _Compiled] = {}  # by the name of the first field of their records

@@ -44,7 +44,7 @@ class OrbitCheckpoint:
 class IntegratorCheckpoint:
     """State of Gauss–Radau integration; rows of the last two are the coordinates x, y, z of body after body.
 
-    Its arrays have no rows while Wisdom–Holman integration does not use it.
+    With Wisdom–Holman integration, its arrays have rows only in close encounters.
     """
 
     last_dt: float  # s; `BY_LEAPFROG`, or 0 if the last step predicts nothing

@@ -63,7 +63,7 @@ def _read(context: Any, builder: Any, kind: Any, address: Any, field: str) -> An
 
 @inline
 def unchanged(argument: Any) -> Any:
-    """Return the argument, in kernels."""
+    """Return the argument; the plain form of conversions in kernels."""
     return argument
 
 

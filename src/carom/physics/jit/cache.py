@@ -36,7 +36,7 @@ import xxhash
 from carom.physics.jit.inside import MISSING, PLAIN, compiler, config, serialize
 from carom.private_folder import is_own
 
-CHECKSUM = 16  # bytes of each of the two checksums at the start of a file: of all that counts, and of the sources
+CHECKSUM = 16  # bytes of each of the two checksums at the start of a file: one of all, one of the sources alone
 CLAIMS = "claims.lock"  # a file in each folder; one of its bytes is locked while a kernel is compiled
 PATIENCE = 120.0  # s, longest wait for another process, which usually takes a few seconds
 POLL = 0.02  # s, between two checks of a claim
@@ -169,7 +169,7 @@ class KernelCache:
                 begun.unlink(missing_ok=True)
 
     def _remove_outdated(self) -> None:
-        """Remove the files of this kernel that were compiled from other sources; upgrades would heap them up."""
+        """Remove the files of this kernel that were compiled from other sources, such as earlier versions."""
         for path in self._folder.iterdir():
             if self._names.fullmatch(path.name):
                 with path.open("rb") as file:
@@ -306,7 +306,7 @@ def _may_be_compiled(file: Path) -> bool:
 
 @cache
 def imports_of(file: Path, package: str) -> tuple[Path, ...]:
-    """Return the files of a package and of carom that a file imports, possibly too many.
+    """Return the files of a package and of carom that a file may import.
 
     ``from carom import registry`` counts as an import of the module only: `carom` itself imports nearly everything.
     """

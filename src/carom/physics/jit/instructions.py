@@ -60,7 +60,7 @@ class Code:
         return cgutils.alloca_once_value(self.builder, value)
 
     def loop(self, begin: Any, end: Any) -> Any:
-        """Return a context whose code is repeated; it yields the index, and an unused value."""
+        """Return a context that repeats the code in it, and yields the index and an unused value."""
         return cgutils.for_range_slice(self.builder, begin, end, WORD(1))
 
     def call(self, function: Callable[..., Any], returns: str | tuple[str, ...], *given: tuple[Any, Any]) -> Any:
@@ -80,7 +80,7 @@ def instruction(
 
     ``plain`` is a kernel with the same bits. Types of the result and of arguments have names such as ``"float64"``, or
     ``"words.dtype"`` for the elements of an array. Other arguments keep their types. The type of the result may be a
-    function of theirs.
+    function of the types of the arguments.
     """
 
     def add(generate: Callable[..., Any]) -> Any:

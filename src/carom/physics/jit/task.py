@@ -75,7 +75,7 @@ def code_for(kernel: Callable[..., None], fields: tuple[Any, ...]) -> Any:
 
 
 def kind_for(fields: tuple[Any, ...]) -> int:
-    """Return what `kind_of` returns in a kernel for a located tuple."""
+    """Return the result of `kind_of` for a located tuple, outside of kernels."""
     type_of: Any = numba.typeof
     return _kind([Located(type_of(fields))])
 

@@ -65,7 +65,7 @@ class Team:
 
     @contextmanager
     def leading(self) -> Iterator[IntArray]:
-        """Let the caller lead phases with `lead_phase`, on the yielded board, which is empty without helpers."""
+        """Yield the board on which the caller leads phases with `lead_phase`; it is empty without helpers."""
         if self._pool is None:
             yield ALONE
             return
@@ -89,14 +89,8 @@ class Team:
 
         An exception in a piece is raised here when all pieces are done.
 
-        Parameters
-        ----------
-        grain
-            Elements in the smallest piece, which take about 10 µs.
-        work
-            A `long_kernel`, which releases the interpreter's lock.
-        alone
-            Its `entry_of` for these arguments, called if the work is not shared.
+        ``work`` is a `long_kernel`, which releases the interpreter's lock; ``alone`` is its `entry_of` for these
+        arguments, called if the work is not shared. The smallest piece has ``grain`` elements, about 10 µs of work.
         """
         # tested first, because with few bodies such calls take most of a step
         if self._pool is None or count < self.least * grain:
@@ -122,7 +116,7 @@ class Team:
                     self._pool.submit(self._look_out, helper)
 
     def _look_out(self, helper: int) -> None:
-        """Process pieces of jobs; return after some time without any."""
+        """Process pieces of jobs; return after some time without pieces."""
         while self._awake[helper]:
             _look(self._board, OFFER, LOOKOUT)
             with self._falling_asleep:

@@ -124,7 +124,7 @@ class Lanes:
         return self._apply("llvm.sqrt")
 
     def where(self, mask: Mask, other: Lanes | float) -> Lanes:
-        """Return these lanes where a mask is set, and the other's elsewhere."""
+        """Return these lanes where a mask is set, and the other lanes elsewhere."""
         return Lanes(self.builder, self.builder.select(mask.value, self.value, self._alike(other).value))
 
     def lane(self, k: int) -> Any:
@@ -292,7 +292,7 @@ class RecordLanes:
         return gathered(self._builder, [self._builder.load(at) for at in places])
 
     def assume(self, **fields: Lanes) -> None:
-        """Take these values for fields of lines that have not been read."""
+        """Use these values as fields of lines that have not been read."""
         vars(self).update(fields)
 
     def change(self, **fields: Lanes) -> None:
@@ -355,7 +355,6 @@ def _read(builder: Any, addresses: Sequence[Any], line: int) -> list[Lanes]:
 
 
 def _rows_of(builder: Any, fields: Sequence[Lanes]) -> list[Any]:
-    """Return the cache lines of eight records with these fields."""
     return [row.value for row in transposed(fields)]
 
 

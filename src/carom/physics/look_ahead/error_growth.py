@@ -30,7 +30,7 @@ NEARLY = 0.95
 FALLING = 0.82  # largest ratio between successive distances that still counts as a reduction
 APART = 1e-2  # of the size; above it, twins no longer diverge exponentially
 EPS = float(np.finfo(np.float64).eps)
-MOST_GROWTH = 600.0  # of the logarithm of their distance, which stays finite
+MOST_GROWTH = 600.0  # of the logarithm of the distance, so that the distance stays finite
 
 
 class Run(Protocol):
@@ -144,13 +144,13 @@ def extrapolate(
 
 
 def stays(times: FloatArray, apart: list[FloatArray], kept: float) -> bool:
-    """Return whether shorter steps hardly changed the distance at the time when the accuracy is lost."""
+    """Return whether shorter steps hardly reduced the distance at the time when the accuracy is lost."""
     k = min(int(np.searchsorted(times, kept, side="right")), len(times) - 1)
     return len(apart) > 1 and bool(FALLING * apart[-2][k] < apart[-1][k] < APART)
 
 
 def _observed(apart: list[FloatArray], order: int) -> float:
-    """Return the order of the latest distances where they can be compared: between 1 and the integrator's order."""
+    """Return the observed order, between 1 and the integrator's, at the last time at which distances are usable."""
     age = min(LATEST, len(apart)) - 1
     coarse, fine = apart[-1 - age], apart[-1]
     usable = np.flatnonzero((coarse < APART) & (coarse > 0.0) & (fine > 0.0) & np.isfinite(fine))
@@ -188,10 +188,10 @@ class Twins:
         return cls(apart, exponent)
 
     def steps_that_count(self, began: float, steps: int) -> FloatArray:
-        """Return the error at all times, (K,), as a number of steps that all err like the first.
+        """Return the accumulated error at all times, (K,), in units of the error of a single step.
 
-        An error made in a step grows like the distance G of twins: ∫ G(t - s) ds / G(t) over the length of a step. The
-        number is half the steps so far for regular motion, and the steps of the last 1 / λ for chaotic motion.
+        An error made in a step grows like the distance G of twins: ∫ G(t - s) ds / G(t) over the length of a step. This
+        is half the number of steps so far for regular motion, and that of the last 1 / λ for chaotic motion.
         """
         before = with_start(self.apart[:-1], began)
         growth = np.log(self.apart / before)

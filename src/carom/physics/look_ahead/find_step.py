@@ -83,7 +83,7 @@ MOST_IDLE = 5  # successive trial runs with shorter steps that hardly change the
 MOST_ENOUGH = 2
 # initial displacement of the twin, relative to the size of the system; larger than the rounding of many steps
 DISPLACEMENT = 1e-11
-# Error over the distance of runs that differ by rounding. With 4, horizons were too early in 8 of 25 cases. With 1.3,
+# Ratio of the error by rounding to the distance of twins. With 4, horizons were too early in 8 of 25 cases. With 1.3,
 # errors exceeded the request before the horizon in 11 of 235 cases, by up to a fifteenth of the time.
 SPREAD = 2.5
 LARGEST_ERROR = 1.0  # of the size; larger errors are not distinguished
@@ -109,7 +109,7 @@ def with_promise(
 ) -> Scene:
     """Return a scene with the step for its accuracy in a [promise]; a scene without an accuracy is returned unchanged.
 
-    ``watch`` is called with the `Budget` during trial runs.
+    ``watch`` is called with the `WorkBudget` during trial runs.
 
     Raises
     ------
@@ -206,7 +206,7 @@ class _LookAhead:
         return self._promise(refinement, error, twins.exponent)
 
     def _missed_by_long_steps(self, run: TrialRun | FollowedOrbits) -> FloatArray:
-        """Return the distance of a run with long steps from another, over the size, at the other's times, (K',)."""
+        """Return the distance of a run from one with long steps, over the size, at the times of the run, (K',)."""
         long: TrialRun | FollowedOrbits
         if isinstance(run, TrialRun):
             long = self._run(RADAU_LONG, times=run.times)
@@ -243,7 +243,7 @@ class _LookAhead:
         return run, twins, SPREAD * twins.apart * np.sqrt(np.maximum(1.0, steps / STEPS_OF_TWINS))
 
     def _bound(self, share: float) -> Callable[[int, float], bool]:
-        """Return the bound of a run of gauss-radau15 without contacts, for a fraction of the whole budget."""
+        """Return the condition on which a run of gauss-radau15 goes on, for its fraction of the whole budget."""
         budget, each, begun = self._budget, radau_work(self._scene.count), self._budget.spent
 
         def goes_on(iterations: int, time: float) -> bool:
@@ -294,12 +294,12 @@ class _LookAhead:
         error = MARGIN * best.error + self._rounding * twins.apart
         over = np.flatnonzero(~(error <= self._accuracy))
         last = int(over[0]) - 1 if len(over) else len(error) - 1
-        # the promise may end at any time after the last sample at which it is kept
+        # between samples, an error may exceed the accuracy at any time
         self._kept_at_most = float(self._times[last]) if last >= 0 else 0.0
         return self._promise(best.refinement, error, twins.exponent)
 
     def _coarsest(self) -> TrialRun:
-        """Return the coarsest trial run, which covers as much of the run as finer ones can within the budget.
+        """Return the coarsest trial run, up to a time that finer ones can reach within the budget, too.
 
         It determines the times of comparison.
         """
@@ -336,17 +336,16 @@ class _LookAhead:
         return run, twins.at(self._times, times, self._began)
 
     def _part(self, run: TrialRun, twin: TrialRun) -> Twins:
-        """Return the divergence of a run and its twin."""
         apart = self._scale.apart(run, twin, APART)
         return Twins.grown(self._times, apart, self._began, min(run.known, twin.known))
 
     @property
     def _last(self) -> int:
-        """The last time that the trial runs have reached within the budget."""
+        """The index of the last time that all trial runs have reached within the budget."""
         return max(0, int(np.count_nonzero(self._times <= self._budget.covered)) - 1)
 
     def _cover(self, times: FloatArray, known: int) -> None:
-        """Store the number of times that the trial runs have reached within the budget."""
+        """Record how many of the times a trial run has reached within the budget."""
         if known < len(times) or times[-1] < self._scene.time.duration:
             self._budget.cover(float(times[known - 1]) if known else 0.0)
 

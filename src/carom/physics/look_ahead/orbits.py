@@ -26,7 +26,7 @@ ROUGH = 1e-3  # smallest accuracy for coarse steps; refinements of at least 0.63
 COMPARED_ROUGHLY = (0.7, 0.85)  # refinements; between them and 1, the error falls faster than the second order
 COMPARED = (1.0, 1.2)
 # Factor on the extrapolated error. In single systems, the error is up to 9 times that of a second-order term, because
-# some of its parts fall faster and have either sign.
+# it has terms of higher order and either sign.
 UNEVEN = 4.0
 CHEAP = (0.7, 1.0, 2.0)  # refinements that cost less than gauss-radau15
 STEPS_AT_ONCE = 1000  # steps between two checks of the budget

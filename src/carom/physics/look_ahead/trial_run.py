@@ -91,7 +91,7 @@ def radau_work(bodies: int) -> float:
 
 
 class TrialRun:
-    """A run that advances only as far as its positions at the times (s), (K,) ascending, are requested.
+    """A run that advances only as far as positions are requested, at ascending times (s), (K,).
 
     It may spend a ``share`` of the whole budget. The actual run is estimated to take ``longer`` times its work.
     """
@@ -132,7 +132,7 @@ class TrialRun:
 
     @property
     def known(self) -> int:
-        """The number of times at which the positions are known, or known not to exist."""
+        """The number of times that the run has reached, or never reaches because it fails."""
         return len(self._positions) if self.is_cut else len(self.times)
 
     @property
@@ -181,7 +181,7 @@ class TrialRun:
         self._positions.append(simulation.state.position.copy() if solution is None else solution[0])
 
     def _note_rest(self, flies: bool) -> None:
-        """Record that contacts rest from the last time at which they did not, or soon after it."""
+        """Record the last of the times at which no contacts rest."""
         if self._chooses_steps and not flies and self.rests_from == math.inf:
             self.rests_from = float(self.times[len(self._positions) - 1]) if self._positions else 0.0
 

@@ -80,7 +80,7 @@ def _arrange(
     index = next(iter(mixture))
     refuse_too_large(index, region, radius, units)
     size = min(1.0, float(cube_root(np.array(LOOSE / sum(map(packing_fraction, mixture.values()))))))
-    position = positions(index, region, radius * size, around, rng, dense=True)
+    position = positions(mixture, region, radius * size, around, rng, units, dense=True)
     n, centre = len(radius), np.array(region.centre)
     box = np.zeros(3) if around.box is None else around.box
     # the spheres near the region that are already placed
@@ -182,7 +182,7 @@ SPHERE = dtype_of(GrowingSphereRecord)
 class BorderRecord(Protocol):
     """A border of the region."""
 
-    flat: bool  # a plane: spheres are where `normal · x > offset`
+    flat: bool  # a plane; spheres have `normal · x > offset`
     nx: float
     ny: float
     nz: float
@@ -202,7 +202,7 @@ class FlightSpace(NamedTuple):
     ends: IntArray  # (n + 1,) the neighbours of sphere i are ``others[ends[i]:ends[i + 1]]``
     others: IntArray
     box: FloatArray  # (3,) m; zeros in open space
-    images: int  # on either side of the nearest one that can also be met, in a box of a few radii
+    images: int  # beside the nearest one that can be met, on either side, in a box of a few radii
 
 
 @long_kernel
@@ -252,7 +252,6 @@ def fly(
 
 @inner
 def _advance(a: GrowingSphereRecord, now: float) -> None:
-    """Move a sphere to a time."""
     s = now - a.now
     a.x, a.y, a.z, a.now = a.x + a.vx * s, a.y + a.vy * s, a.z + a.vz * s, now
 
@@ -284,7 +283,6 @@ def _bounce(a: GrowingSphereRecord, b: GrowingSphereRecord, box: FloatArray) -> 
 
 @inner
 def _bounce_off(a: GrowingSphereRecord, wall: BorderRecord) -> None:
-    """Let a sphere rebound from a border."""
     nx, ny, nz = wall.nx, wall.ny, wall.nz
     if not wall.flat:
         nx, ny, nz = a.x, a.y, 0.0 if wall.upright else a.z
@@ -298,7 +296,6 @@ def _bounce_off(a: GrowingSphereRecord, wall: BorderRecord) -> None:
 
 @inner
 def _predict(i: int, now: float, span: float, sphere: RecordArray[GrowingSphereRecord], space: FlightSpace) -> None:
-    """Predict the next impact of a sphere."""
     border, ends, others, box, images = space
     a, left = sphere[i], span - now
     s = now - a.now

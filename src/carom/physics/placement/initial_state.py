@@ -349,7 +349,7 @@ def refuse_overlaps(scene: Scene, start: InitialBodies, box: FloatArray | None) 
 
 
 def refuse_outside(scene: Scene, start: InitialBodies, solids: HalfSpaces) -> None:
-    """Refuse bodies outside of a wall that has all bodies inside, even if bodies may overlap at the start."""
+    """Refuse bodies outside of a wall, even if bodies may overlap at the start."""
     first = len(solids) - len(scene.wall)
     heights = solids.heights(start.position)[:, first:]
     if heights.min() < 0.0:

@@ -43,7 +43,7 @@ def _arrange(
     rng: np.random.Generator,
     units: UnitSystem,
 ) -> FloatArray:
-    """Implement `Arrange`; nothing is random."""
+    """Implement `Arrange`, without random numbers."""
     index, group = next(iter(mixture.items()))
     n, largest, key = len(radius), float(radius.max()), ("group", index, "region")
     least = 2.0 * largest * TOUCHING

@@ -125,7 +125,7 @@ class Surroundings:
         return replace(self, spheres=(*self.spheres, (centres, radii)))
 
     def is_clear(self, position: FloatArray, radius: FloatArray) -> BoolArray:
-        """Return a mask (k,) of the spheres that touch no plane and none of these spheres."""
+        """Return a mask (k,) of the spheres that touch nothing in these surroundings."""
         from scipy.spatial import cKDTree  # noqa: PLC0415 - slow to import, and not always needed
 
         clear: BoolArray = np.all(self.solids.depth(position, radius) < 0.0, axis=1)

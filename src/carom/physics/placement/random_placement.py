@@ -128,12 +128,20 @@ MOST_DRAWN = 50_000_000  # candidates, for one size class
 
 
 def positions(
-    index: int, region: Region, radius: FloatArray, around: Surroundings, rng: np.random.Generator, dense: bool = False
+    mixture: Mapping[int, BodyGroup],
+    region: Region,
+    radius: FloatArray,
+    around: Surroundings,
+    rng: np.random.Generator,
+    units: UnitSystem,
+    dense: bool = False,
 ) -> FloatArray:
-    """Place spheres of given radii, the largest size class first, so that small ones fill the gaps.
+    """Implement `Arrange`: place the largest size class first, so that small spheres fill the gaps.
 
-    ``dense``: the spheres will grow, so messages do not suggest dense packing.
+    If ``dense``, the spheres will grow, and messages do not suggest dense packing.
     """
+    index = next(iter(mixture))
+    refuse_too_large(index, region, radius, units)
     packing = float(np.sum((4.0 / 3.0) * math.pi * radius * radius * radius)) / volume(region)
     position = np.empty((len(radius), 3))
     for members in reversed(size_classes(radius)):
@@ -229,7 +237,7 @@ def _clean(
 
 
 def _clean_beside(occupied: Occupancy, candidates: FloatArray, radius: FloatArray) -> IntArray:
-    """Return the result of `_clean` in open space."""
+    """Return the same as `_clean`, in open space, from the grids."""
     from scipy.spatial import cKDTree  # noqa: PLC0415 - slow to import, and not always needed
 
     free = np.flatnonzero(~occupied.touches(candidates, radius))
@@ -246,18 +254,4 @@ def _clean_beside(occupied: Occupancy, candidates: FloatArray, radius: FloatArra
     return np.flatnonzero(clean)
 
 
-def _arrange(
-    mixture: Mapping[int, BodyGroup],
-    region: Region,
-    radius: FloatArray,
-    around: Surroundings,
-    rng: np.random.Generator,
-    units: UnitSystem,
-) -> FloatArray:
-    """Implement `Arrange`."""
-    index = next(iter(mixture))
-    refuse_too_large(index, region, radius, units)
-    return positions(index, region, radius, around, rng)
-
-
-RANDOM = Arrangement(_arrange, lambda radius: FULLEST, "random placement jams at")
+RANDOM = Arrangement(positions, lambda radius: FULLEST, "random placement jams at")

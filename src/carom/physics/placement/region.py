@@ -201,7 +201,6 @@ def drawn_centres(region: Region, radius: FloatArray, rng: np.random.Generator) 
 
 
 def _directions(count: int, rng: np.random.Generator) -> FloatArray:
-    """Draw unit vectors, (count, 3)."""
     direction = rng.standard_normal((count, 3))
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
     return direction

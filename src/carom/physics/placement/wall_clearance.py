@@ -24,8 +24,8 @@ from carom.scene.wall_shapes import shape_called
 
 TOUCHING = 1e-6  # of the size of a wall; walls may touch, and their coordinates may be rounded to seven digits
 OPPOSED = 1e-12  # difference of the normals of two parallel planes
-LONGEST_STEP = 1.0 / 512.0  # of the run, where walls touch and their distance gives no longer one
-MOST_STEPS = 4096  # later times are not checked, as of walls that oscillate close to each other for long
+LONGEST_STEP = 1.0 / 512.0  # of the run, where the distance of touching walls allows no longer step
+MOST_STEPS = 4096  # later times are not checked, for walls that oscillate close to each other
 HALVINGS = 3  # of the sides of drawn triangles
 ENOUGH_TRIANGLES = 256
 
@@ -45,7 +45,7 @@ def refuse_crossing_walls(scene: Scene, start: InitialBodies, solids: HalfSpaces
     is_thin = [False] * first + [shape.thin for shape in shapes]
     for one, points in _surfaces(scene, start, solids):
         touching = TOUCHING * float(np.sqrt(np.square(np.ptp(points, axis=0)).sum()))
-        # a plate must not cross another wall; a hollow shape must not lie outside of it with all of its points
+        # no point of a plate may be outside of another wall, and not all points of a hollow shape
         farthest = np.min if is_thin[one] else np.max
         for other in range(len(solids)):
             if other == one:
@@ -80,7 +80,7 @@ def refuse_crossing_walls(scene: Scene, start: InitialBodies, solids: HalfSpaces
 def _refuse_meeting(
     scene: Scene, solids: SolidsWithWalls, pair: tuple[int, int], gap: Callable[[float], float], limit: float
 ) -> None:
-    """Refuse two walls if their gap (m), a function of the time in s, is above a limit at first and not for ever."""
+    """Refuse two walls whose gap (m), a function of the time in s, falls to a limit that it exceeds at first."""
     motions = solids.motions[pair[0]], solids.motions[pair[1]]
     fastest = sum(_fastest(motion) for motion in motions if motion is not None)
     time, end = 0.0, scene.time.duration

@@ -231,7 +231,6 @@ def _walk(
 def _add_monopoles(
     fars: int, far: IntArray, width: int, tree: BoxTree, eps2: float, lanes: FloatArray, potential: FloatArray | None
 ) -> None:
-    """Add the gravity of the far boxes, without quadrupoles."""
     for c in range(fars):
         centre, M = tree.centres[far[c]], tree.moments[far[c]].mass
         cx, cy, cz = centre.x, centre.y, centre.z
@@ -250,7 +249,6 @@ def _add_monopoles(
 def _add_quadrupoles(
     fars: int, far: IntArray, width: int, tree: BoxTree, eps2: float, lanes: FloatArray, potential: FloatArray | None
 ) -> None:
-    """Add the gravity of the far boxes, with quadrupoles."""
     for c in range(fars):
         centre, moment = tree.centres[far[c]], tree.moments[far[c]]
         cx, cy, cz, M = centre.x, centre.y, centre.z, moment.mass
@@ -279,7 +277,6 @@ def _add_quadrupoles(
 def _add_bodies(
     nears: int, near: Records, width: int, tree: BoxTree, eps2: float, lanes: FloatArray, potential: FloatArray | None
 ) -> None:
-    """Add the gravity of the bodies in the near ranges."""
     x, m = tree.x, tree.m
     for r in range(nears):
         for j in range(near[r].begin, near[r].end):

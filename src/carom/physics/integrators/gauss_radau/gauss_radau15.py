@@ -47,6 +47,7 @@ from carom.physics.integrators.gauss_radau.radau_impacts import (
 )
 from carom.physics.integrators.gauss_radau.radau_step import (
     CONVERGED,
+    LARGEST_CHANGE,
     PROGRESS,
     TERMS,
     WIDTH,
@@ -67,8 +68,6 @@ from carom.scene.schema import Scene
 from carom.scene.start import half_spaces
 
 STEP_FRACTION = 0.17506702932189996  # η
-LARGEST_CHANGE = 4.0  # a step that was too long by more than this factor is repeated; no step grows by more
-SHRINKING = 2.0  # a step is repeated again only if the last repetition raised the wanted fraction of it by this factor
 LARGEST_CHANGE_AFTER_IMPACT = 1.5  # the largest change after an impact, since the previous step had other velocities
 MOST_CORRECTIONS = 4  # of the length of a step that ends at an impact; two are enough to reach rounding
 IMPACT_ROUNDING = 2.0**-51  # of that length
@@ -79,16 +78,9 @@ ERROR, CAP, FIXED, END, IMPACT = range(len(LIMITS))
 class GaussRadau15:
     """Integrates bodies that attract each other, many steps per call.
 
-    Parameters
-    ----------
-    max_dt, fixed_dt
-        s; the second is None if the error estimate sets the steps.
-    fraction
-        η, the step as a fraction of the shortest time in which an acceleration changes.
-    solids
-        The bodies and planes that may touch; None where nothing can.
-    tolerance
-        Residual at a node, relative to the largest acceleration, at which the iterations of a step end.
+    Without a ``fixed_dt`` (s), the error estimate sets the steps, to a fraction η of the shortest time in which an
+    acceleration changes. The iterations of a step end once the residuals at the nodes are below ``tolerance`` times the
+    largest acceleration. ``solids`` are the bodies and planes that may touch; None where nothing can.
     """
 
     def __init__(
@@ -218,13 +210,10 @@ def advance(
         if end - run.time <= dt * (1.0 + END_TOLERANCE):
             dt, limit = end - run.time, END
         accelerate(motion, motion.position, motion.start)
-        wanted = attempt(motion, run, dt)
-        while adapts and wanted * (LARGEST_CHANGE_AFTER_IMPACT if run.after_impact else LARGEST_CHANGE) < dt:
-            fraction = wanted / dt
-            dt, limit = wanted, ERROR
-            wanted = attempt(motion, run, dt)
-            if not wanted > SHRINKING * fraction * dt:
-                break  # an acceleration that starts at 0 changes within any step, however short
+        change = LARGEST_CHANGE_AFTER_IMPACT if run.after_impact else LARGEST_CHANGE
+        tried, wanted = attempt(motion, None, run, dt, change if adapts else np.inf)
+        if tried < dt:
+            dt, limit = tried, ERROR
         next_dt = min(wanted, LARGEST_CHANGE * dt)
         if solids is not None:
             displacement = max_displacement(motion, planes, dt)

@@ -32,7 +32,7 @@ COEFFICIENTS = TERMS + 3  # of a position, a polynomial in h
 TOUCHING = 8 * 2.0**-53  # of the coordinates and of R: a smaller gap is rounding
 SLACK = 1.0 + 1e-9  # allowance for the rounding of the bounds
 NARROWEST = 2.0**-44  # of a step; a shorter overlap is a grazing pass
-MOST_INTERVALS = 20_000  # a contact that needs more is at rest to rounding
+MOST_INTERVALS = 20_000  # a contact that needs more is at rest, up to rounding
 REST = 1e-6  # of a step: the shortest flight between two impacts. Its height is at most 10⁻¹⁴ R, near rounding.
 NONE = np.inf  # no impact
 AT_REST = -1.0  # a contact that forces press together
@@ -104,7 +104,7 @@ def _earlier(
 
 @unowned
 def rounding(x: FloatArray, i: int, j: int, R: float) -> float:
-    """Return the gap (m) between body i and body or plane j up to which it is rounding."""
+    """Return the largest gap (m) between body i and body or plane j that may be due to rounding."""
     largest = R
     for k in range(3):
         largest = max(largest, abs(x[i, k]))
@@ -213,8 +213,8 @@ def _bounds(path: FloatArray) -> tuple[float, float, float]:
 def _first_root(path: FloatArray, R: float, gap: float, negligible: float) -> float:
     """Return the first h at which bodies touch and close, `NONE` or `AT_REST`, with lengths in m.
 
-    ``path``, (COEFFICIENTS, 3), is d, and ``gap`` its rounding. A closing speed that is rounding changes d by
-    ``negligible`` in the step.
+    ``path``, (COEFFICIENTS, 3), is d, ``gap`` its rounding, and ``negligible`` its change by a closing speed that is
+    due to rounding.
     """
     fastest, M, third = _bounds(path)
     still = negligible * R

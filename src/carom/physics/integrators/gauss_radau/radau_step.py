@@ -35,6 +35,8 @@ WIDTH = 8  # length of a row: the terms and a 0, which fill a cache line
 LANES_FROM = 16  # bodies from which SIMD lanes are used
 # (τ / τ')² below which an acceleration passes through 0; on Kepler orbits up to e = 0.99 it never does
 PASSING = 1.0 / 16.0
+LARGEST_CHANGE = 4.0  # a step that was too long by more than this factor is repeated; no step grows by more
+SHRINKING = 2.0  # a step is repeated again only if the ratio of wanted to tried step has risen by this factor
 MAX_ITERATIONS = 12  # in a step; rounding prevents some from converging
 CONVERGED = 1e-16  # tolerated residual at a node over the largest acceleration: half a last bit
 # Refinements below which a residual is tolerated. On orbits of eccentricity 0.05 to 0.9, these residuals add less to
@@ -165,10 +167,26 @@ def acceleration_at_start(motion: Motion, i: int, k: int) -> float:
 
 
 @unowned
-def attempt(motion: Motion, run: ProgressRecord, dt: float) -> float:
+def attempt(motion: Motion, twin: Motion | None, run: ProgressRecord, dt: float, change: float) -> tuple[float, float]:
+    """Compute the polynomial of a step, shortened while it is too long by more than a factor ``change``.
+
+    Return its length and the longest possible next step, in s.
+    """
+    wanted = _attempt_once(motion, twin, run, dt)
+    while wanted * change < dt:
+        fraction = wanted / dt
+        dt = wanted
+        wanted = _attempt_once(motion, twin, run, dt)
+        if not wanted > SHRINKING * fraction * dt:
+            break  # an acceleration that starts at 0 changes within any step, however short
+    return dt, wanted
+
+
+@unowned
+def _attempt_once(motion: Motion, twin: Motion | None, run: ProgressRecord, dt: float) -> float:
     """Compute the polynomial of a step; return the longest possible next step, in s."""
     predict(motion, dt / run.last_dt if run.last_dt > 0.0 and not run.after_impact else 0.0)
-    _converge(motion, run, dt)
+    _converge(motion, twin, run, dt)
     return next_step(motion, dt, run.fraction)
 
 
@@ -181,14 +199,21 @@ def shorten(motion: Motion, run: ProgressRecord, dt: float, ratio: float) -> Non
         for k in range(TERMS):
             power *= ratio
             b[c, k] *= power
-    _converge(motion, run, dt)
+    _converge(motion, None, run, dt)
 
 
 @unowned
-def _converge(motion: Motion, run: ProgressRecord, dt: float) -> None:
-    """Iterate until the polynomial agrees with the accelerations at the nodes, to the tolerance of the run."""
+def _converge(motion: Motion, twin: Motion | None, run: ProgressRecord, dt: float) -> None:
+    """Iterate until the polynomial agrees with the accelerations at the nodes, to the tolerance of the run.
+
+    The twin gets the polynomial before the last iteration.
+    """
     before = np.inf
     for iteration in range(MAX_ITERATIONS):
+        if twin is not None:
+            for c in range(len(motion.b)):
+                for j in range(TERMS):
+                    twin.b[c, j] = motion.b[c, j]
         error = iterate(motion, dt)
         run.iterations += 1
         if stops(iteration, error, before, run.tolerance):
@@ -198,7 +223,7 @@ def _converge(motion: Motion, run: ProgressRecord, dt: float) -> None:
 
 @inline
 def stops(iteration: int, error: float, before: float, tolerance: float) -> bool:
-    """Return whether a residual is small enough, would be after another equal reduction, or no longer falls."""
+    """Return whether iterations end: the residual is small, would be after an equal reduction, or no longer falls."""
     return error < tolerance or (iteration > 0 and (error >= before or error * (error / before) < tolerance))
 
 
@@ -259,7 +284,7 @@ def _evaluate(motion: Motion, s: int, dt: float) -> None:
 
 @unowned
 def next_step(motion: Motion, dt: float, fraction: float) -> float:
-    """Return a fraction of the shortest time in which an acceleration changes, at the end of the step, in s."""
+    """Return the next step (s), a fraction of the shortest time in which an acceleration changes at the end."""
     start, b = motion.start, motion.b
     shortest = np.inf
     for i in range(len(start)):
@@ -327,7 +352,6 @@ def accelerate(motion: Motion, x: FloatArray, a: FloatArray) -> None:
 
 @unowned
 def _accelerate_few(x: FloatArray, gm: FloatArray, eps2: float, a: FloatArray) -> None:
-    """Sum pair by pair."""
     for i in range(len(x)):
         a[i, 0] = a[i, 1] = a[i, 2] = 0.0
         for j in range(i):
@@ -341,7 +365,7 @@ def _accelerate_few(x: FloatArray, gm: FloatArray, eps2: float, a: FloatArray) -
 def _accelerate_many(x: FloatArray, gm: FloatArray, eps2: float, a: FloatArray, lanes: FloatArray) -> None:
     """Sum in the same order, with the same bits; the roots and divisions of a body are in SIMD lanes.
 
-    A sum takes 0.64 of the time of a sum pair by pair at 30 bodies, 0.44 at 100, and more below 16.
+    It takes 0.64 of the time of sums pair by pair at 30 bodies, 0.44 at 100, and more time below 16.
     """
     n = len(x)
     X, Y, Z, d3 = lanes[0], lanes[1], lanes[2], lanes[3]

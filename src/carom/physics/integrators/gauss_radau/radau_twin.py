@@ -1,10 +1,10 @@
 """Divergence of two nearby orbits under Gauss–Radau integration.
 
 The twin takes the same steps as the orbit. Their polynomials differ as little as their orbits, so the twin starts its
-iterations from the orbit's coefficients before its last iteration. With a single iteration, the twin costs a third of a
-separate run. The error of their distance is less than a hundredth, but very eccentric orbits then diverge too fast:
-with e = 0.999 by 10³⁰ in 13 orbits. A twin that iterates until it converges costs as much as a separate run and has its
-own rounding errors, so that their distance measures the error by rounding.
+iterations from the coefficients that the orbit had before its last iteration. With a single iteration, the twin costs a
+third of a separate run. The error of their distance is less than a hundredth, but very eccentric orbits then diverge
+too fast: with e = 0.999 by 10³⁰ in 13 orbits. A twin that iterates until it converges costs as much as a separate run
+and has its own rounding errors, so that their distance measures the error by rounding.
 """
 
 from __future__ import annotations
@@ -17,8 +17,9 @@ import numpy as np
 
 from carom.arrays import FloatArray, RecordArray
 from carom.physics.forces.kernel_forces import parameters_of_all
-from carom.physics.integrators.gauss_radau.gauss_radau15 import LARGEST_CHANGE, SHRINKING, STEP_FRACTION
+from carom.physics.integrators.gauss_radau.gauss_radau15 import STEP_FRACTION
 from carom.physics.integrators.gauss_radau.radau_step import (
+    LARGEST_CHANGE,
     MAX_ITERATIONS,
     PROGRESS,
     TERMS,
@@ -26,11 +27,10 @@ from carom.physics.integrators.gauss_radau.radau_step import (
     ProgressRecord,
     accelerate,
     acceleration_at_start,
+    attempt,
     iterate,
     motion_of,
     move,
-    next_step,
-    predict,
     stops,
     tolerance,
 )
@@ -183,13 +183,7 @@ def follow(
         accelerate(motion, motion.position, motion.start)
         if twin is not None:
             accelerate(twin, twin.position, twin.start)
-        wanted = _attempt(motion, twin, run, dt)
-        while wanted * LARGEST_CHANGE < dt:
-            fraction = wanted / dt
-            dt = wanted
-            wanted = _attempt(motion, twin, run, dt)
-            if not wanted > SHRINKING * fraction * dt:
-                break
+        dt, wanted = attempt(motion, twin, run, dt, LARGEST_CHANGE)
         if twin is not None:
             before = np.inf
             for iteration in range(iterations):
@@ -215,27 +209,6 @@ def follow(
             break  # the step is NaN or too short to change the clock
         run.time, run.last_dt, run.next_dt = after, dt, min(wanted, LARGEST_CHANGE * dt)
     return k
-
-
-@unowned
-def _attempt(motion: Motion, twin: Motion | None, run: ProgressRecord, dt: float) -> float:
-    """Compute a step's polynomial; return the longest possible next step, in s.
-
-    The twin gets the polynomial before the last iteration.
-    """
-    predict(motion, dt / run.last_dt if run.last_dt > 0.0 else 0.0)
-    before = np.inf
-    for iteration in range(MAX_ITERATIONS):
-        if twin is not None:
-            for c in range(len(motion.b)):
-                for j in range(TERMS):
-                    twin.b[c, j] = motion.b[c, j]
-        error = iterate(motion, dt)
-        run.iterations += 1
-        if stops(iteration, error, before, run.tolerance):
-            break
-        before = error
-    return next_step(motion, dt, run.fraction)
 
 
 @unowned

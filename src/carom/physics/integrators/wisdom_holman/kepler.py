@@ -35,7 +35,7 @@ C3_0, C3_1, C3_2, C3_3, C3_4, C3_5, C3_6 = C3
 CONVERGED = 1e-5  # of X; after a step this small, the error of fourth order is below rounding
 PATIENCE = 8  # steps; later, every other one is a bisection, since steps down an exponential are short
 MAX_STEPS = 150  # half of them bisections, of which about 60 suffice
-NEARLY = 1e-8  # of X; the same for a last step of second order
+NEARLY = 1e-8  # of X: like `CONVERGED`, but for a last step of second order
 LANES = 64  # bodies in SIMD lanes
 WIDEST = 8  # numbers in a vector on any processor
 # First columns of the arrays in the workspace: positions in m, velocities in m/s, μ, positions and velocities at the

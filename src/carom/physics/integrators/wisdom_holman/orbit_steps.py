@@ -1,8 +1,8 @@
 """The steps of Wisdom–Holman integration: many equal ones, or a single one of any length.
 
-`wisdom_holman` has the Hamiltonian. The error terms in ε with all even powers of h are those of a change of variables,
-which a symplectic corrector undoes (Wisdom, Holman & Touma 1996). The integration runs in the variables of the steps.
-The corrector converts to them at the start, and from them for output. With x for h times the rate of change along the
+`wisdom_holman` has the Hamiltonian. A change of variables removes the error terms in ε with all even powers of h
+(Wisdom, Holman & Touma 1996). The integration runs in the changed variables. A symplectic corrector converts the state
+to these at the start, and back for output. With x for h times the rate of change along the
 orbits, its generator is H_mutual times (1 - x/2 / sinh(x/2))/x. It is a product of `STAGES` factors
 
     drift(a h) kick(b h) drift(-2 a h) kick(-b h) drift(a h),        a = k `SPREAD`
@@ -144,7 +144,7 @@ def _mutual(place: FloatArray, gm: FloatArray, a: FloatArray) -> None:
 
 @unowned
 def _mutual_in_lanes(place: FloatArray, gm: FloatArray, a: FloatArray, lanes: FloatArray) -> None:
-    """Do the same for many bodies, with the accelerated ones in SIMD lanes."""
+    """Write the same accelerations of many bodies, which are in SIMD lanes."""
     n = len(place)
     sx, sy, sz = 0.0, 0.0, 0.0  # of the dominant body
     for i in range(1, n):
@@ -219,7 +219,7 @@ def correct(o: OrbitArrays, x: FloatArray, v: FloatArray, h: float, into: bool) 
 
 @unowned
 def meets(o: OrbitArrays, x: FloatArray, after: float, until: float, apart: float) -> bool:
-    """Return whether two bodies come close on straight lines between two times (s), counted from ``place``.
+    """Return whether two bodies, moving straight from ``place``, come close between two times (s).
 
     Close means nearer than ``apart`` times `OrbitArrays.near`.
     """
@@ -274,7 +274,8 @@ def advance(o: OrbitArrays, progress: RecordArray[RunRecord], end: float, until:
     while run.steps < most and (run.time < until or run.steps == 0) and end - run.time > run.dt * (1.0 + END_TOLERANCE):
         _copy(o.x, o.x_spare)
         _copy(o.v, o.v_spare)
-        if not _step(o, run, o.x_spare, o.v_spare):
+        ahead = run.dt if run.count > 0 else 0.5 * run.dt
+        if not _drift_and_kick(o, o.x_spare, o.v_spare, ahead, run.dt, False):
             run.close = 1
             break
         _copy(o.x_spare, o.x)
@@ -291,7 +292,7 @@ def advance(o: OrbitArrays, progress: RecordArray[RunRecord], end: float, until:
 
 @long_kernel
 def leap(o: OrbitArrays, h: float, position: FloatArray, velocity: FloatArray, surely: bool) -> bool:
-    """Write positions and velocities one step of h seconds, forward or backward, from those of the bodies.
+    """Write the positions and velocities after a step of h seconds, forward or backward.
 
     Return False without writing if bodies meet on the way, unless ``surely``.
     """
@@ -299,12 +300,8 @@ def leap(o: OrbitArrays, h: float, position: FloatArray, velocity: FloatArray, s
     to_jacobi(o.position, o.order, o.mass_fraction, x)
     to_jacobi(o.velocity, o.order, o.mass_fraction, v)
     correct(o, x, v, h, True)
-    drift(x, v, o.mu, o.lanes, 0.5 * h)
-    from_jacobi(x, o.mass_fraction, o.place)
-    from_jacobi(v, o.mass_fraction, o.speed)
-    if not surely and meets(o, x, -0.5 * abs(h), 0.5 * abs(h), 1.0):
+    if not _drift_and_kick(o, x, v, 0.5 * h, h, surely):
         return False
-    kick(o, x, v, h)
     drift(x, v, o.mu, o.lanes, 0.5 * h)
     correct(o, x, v, h, False)
     put(o, x, o.place, position)
@@ -324,15 +321,14 @@ def meets_soon(o: OrbitArrays, until: float) -> bool:
 
 
 @unowned
-def _step(o: OrbitArrays, run: RunRecord, x: FloatArray, v: FloatArray) -> bool:
-    """Drift to the middle of the next step and kick, unless bodies meet there."""
-    dt = run.dt
-    drift(x, v, o.mu, o.lanes, dt if run.count > 0 else 0.5 * dt)
+def _drift_and_kick(o: OrbitArrays, x: FloatArray, v: FloatArray, ahead: float, h: float, surely: bool) -> bool:
+    """Drift to the middle of a step of h seconds and kick, unless bodies meet in the step."""
+    drift(x, v, o.mu, o.lanes, ahead)
     from_jacobi(x, o.mass_fraction, o.place)
     from_jacobi(v, o.mass_fraction, o.speed)
-    if meets(o, x, -0.5 * dt, 0.5 * dt, 1.0):
+    if not surely and meets(o, x, -0.5 * abs(h), 0.5 * abs(h), 1.0):
         return False
-    kick(o, x, v, dt)
+    kick(o, x, v, h)
     return True
 
 

@@ -64,7 +64,7 @@ class Conics(NamedTuple):
 
 
 def conics(position: FloatArray, velocity: FloatArray, gm: FloatArray, first: int) -> Conics:
-    """Return the present orbits about the dominant body, ``first``, whose own axis is -1."""
+    """Return the present orbits about the dominant body, ``first``; its own axis is set to -1."""
     x, y, z = (position - position[first]).T
     u, v, w = (velocity - velocity[first]).T
     mu = gm + gm[first]
@@ -84,7 +84,7 @@ def conics(position: FloatArray, velocity: FloatArray, gm: FloatArray, first: in
 
 
 def near(conics: Conics, hill_ratio: FloatArray, first: int) -> FloatArray:
-    """Return the distances (m) below which bodies are close to others, given Hill radii over semi-major axes, (n,)."""
+    """Return the distance (m) at which others are close to each body, given Hill radii over semi-major axes, (n,)."""
     hill = hill_ratio * np.minimum(conics.size, np.where(conics.axis < np.inf, np.inf, conics.pericentre))
     close = HILL_RADII * hill
     close[first] = 0.0
@@ -101,8 +101,8 @@ def near(conics: Conics, hill_ratio: FloatArray, first: int) -> FloatArray:
 class WisdomHolman:
     """Integrates bodies that orbit a dominant one, many steps per call, in place.
 
-    Without a ``fixed_dt``, steps are a fraction of the shortest orbit, divided by ``refinement``. If it ``resolves``
-    them, close encounters of light bodies are left to Gauss–Radau integration. ``gm`` is G m of each body, (n,) m³/s².
+    Without a ``fixed_dt``, steps are a fraction of the shortest orbit, divided by ``refinement``. With ``resolves``,
+    close encounters of light bodies are left to Gauss–Radau integration. ``gm`` is G m of each body, (n,) m³/s².
     """
 
     def __init__(

@@ -232,7 +232,7 @@ class FastMultipoleGravity:
         return potential_energy(self._mass, self._potential) if potential else None
 
     def _expand(self, count: int, ranges: RecordArray[RangeRecord], tree: MultipoleBoxes, unit: float) -> None:
-        """Compute the multipoles of ranges of boxes, those above the branches one after another by one thread."""
+        """Compute the multipoles of ranges of boxes; a single thread computes those above the branches."""
         team = self._team if ranges is self._branches else SOLO
         self._taken[0] = 0
         team.divide(team.size, 1, expand, self._taken, count, ranges, tree, unit, self._powers)

@@ -68,16 +68,12 @@ CENTRE = 1  # first of the three columns of the centre of mass in a row of multi
 assert POLES % LANES == 0  # a row is loaded in whole vectors
 
 
-def _factors() -> list[tuple[Index, int]]:
-    """Return for each multi-index but 0 an axis, and the index that is lower by one along it."""
-    axes = [next(axis for axis in range(3) if n[axis]) for n in _LOCAL[1:]]
-    return [(_difference(n, AXES[axis]), axis) for n, axis in zip(_LOCAL[1:], axes, strict=True)]
-
-
-# v^n / n! = v^{lower} / lower! · v_axis / n_axis, for each multi-index but 0
-LOWER = np.array([0, *(_PLACE[lower] for lower, _ in _factors())])
-AXIS = np.array([0, *(axis for _, axis in _factors())])
-SHARE = np.array([1.0, *(1.0 / n[axis] for n, (_, axis) in zip(_LOCAL[1:], _factors(), strict=True))])
+# v^n / n! = v^{lower} / lower! · v_axis / n_axis, for each multi-index n but 0, with an axis along which n is not 0
+_AXES = [next(axis for axis in range(3) if n[axis]) for n in _LOCAL[1:]]
+_FACTORS = [(_difference(n, AXES[axis]), axis) for n, axis in zip(_LOCAL[1:], _AXES, strict=True)]
+LOWER = np.array([0, *(_PLACE[lower] for lower, _ in _FACTORS)])
+AXIS = np.array([0, *_AXES])
+SHARE = np.array([1.0, *(1.0 / n[axis] for n, axis in zip(_LOCAL[1:], _AXES, strict=True))])
 
 X, Y, Z, AX, AY, AZ, PHI = range(7)  # rows of the lanes: positions in m, then the sums Σ m d/R³ and Σ m/R
 TO, POWER, FROM = range(3)  # columns of the sums that move multipoles and local expansions by a vector t:
@@ -232,7 +228,7 @@ def evaluate(code: Code, local: Any, at: Any, x: Any, y: Any, z: Any, unit: Any,
     u = [(read_doubles(builder, row) - along) * scale for row, along in zip(rows[:AX], centre, strict=True)]
     one = spread(builder, DOUBLE(1.0))
     powers = {ZERO: one}
-    for n, (lower, axis) in zip(_LOCAL[1:], _factors(), strict=True):
+    for n, (lower, axis) in zip(_LOCAL[1:], _FACTORS, strict=True):
         power = powers[lower] * u[axis]
         powers[n] = power * (1.0 / n[axis]) if n[axis] > 1 else power
     for axis in range(3):
