@@ -17,7 +17,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, Protocol
 
 from carom.arrays import FloatArray, Records
-from carom.physics.jit.decorators import chosen_by_type
+from carom.physics.jit.decorators import with_field
 from carom.physics.vector import Vector
 
 if TYPE_CHECKING:
@@ -62,53 +62,10 @@ class Guide(Protocol):
     axis_z: float
 
 
+@with_field("axis_x", lambda body: True)
 def is_guided(body: object) -> bool:
     """Return whether bodies have the fields of a guide; a constant in compiled kernels."""
-    raise NotImplementedError("only kernels call it")
-
-
-def along_guide(body: object, Jx: float, Jy: float, Jz: float) -> Vector:
-    """Return the part of an impulse (N s) that changes the velocity of a body: along the axis of a guided wall."""
-    raise NotImplementedError("only kernels call it")
-
-
-def tangent_inverse_mass(Kn: float, a: object, b: object) -> float:
-    """Return the inverse effective mass (1/kg) of a tangential impulse without spins, given that of a normal one."""
-    raise NotImplementedError("only kernels call it")
-
-
-def pushed_rise(guided: object, pushed: object, normal: Vector) -> float:
-    """Return how far (m) the correction of positions has moved a plane along a normal; 0 if it is not guided."""
-    raise NotImplementedError("only kernels call it")
-
-
-def _has_guide(body: Any) -> bool:
-    return "axis_x" in body.fields
-
-
-@chosen_by_type(is_guided)
-def _is_guided(body: Any) -> Any:
-    guided = _has_guide(body)
-    return lambda body: guided
-
-
-@chosen_by_type(along_guide)
-def _along_guide(body: Any, Jx: Any, Jy: Any, Jz: Any) -> Any:
-    return _projected if _has_guide(body) else lambda body, Jx, Jy, Jz: (Jx, Jy, Jz)
-
-
-@chosen_by_type(tangent_inverse_mass)
-def _tangent_inverse_mass(Kn: Any, a: Any, b: Any) -> Any:
-    if not _has_guide(b):
-        return lambda Kn, a, b: Kn
-    return lambda Kn, a, b: Kn if b.axis_x == b.axis_y == b.axis_z == 0.0 else a.inverse_mass
-
-
-@chosen_by_type(pushed_rise)
-def _pushed_rise(guided: Any, pushed: Any, normal: Any) -> Any:
-    if not _has_guide(guided):
-        return lambda guided, pushed, normal: 0.0
-    return _rise_of_guided
+    return False
 
 
 def _projected(body: Any, Jx: float, Jy: float, Jz: float) -> Vector:
@@ -119,9 +76,27 @@ def _projected(body: Any, Jx: float, Jy: float, Jz: float) -> Vector:
     return J * x, J * y, J * z
 
 
+@with_field("axis_x", _projected)
+def along_guide(body: object, Jx: float, Jy: float, Jz: float) -> Vector:
+    """Return the part of an impulse (N s) that changes the velocity of a body: along the axis of a guided wall."""
+    return Jx, Jy, Jz
+
+
+@with_field("axis_x", lambda Kn, a, b: Kn if b.axis_x == b.axis_y == b.axis_z == 0.0 else a.inverse_mass, place=2)
+def tangent_inverse_mass(Kn: float, a: object, b: object) -> float:
+    """Return the inverse effective mass (1/kg) of a tangential impulse without spins, given that of a normal one."""
+    return Kn
+
+
 def _rise_of_guided(guided: Any, pushed: Any, normal: Vector) -> float:
     if guided.axis_x == 0.0 and guided.axis_y == 0.0 and guided.axis_z == 0.0:
         return 0.0
     x, y, z = normal
     rise: float = x * pushed.x + y * pushed.y + z * pushed.z
     return rise
+
+
+@with_field("axis_x", _rise_of_guided)
+def pushed_rise(guided: object, pushed: object, normal: Vector) -> float:
+    """Return how far (m) the correction of positions has moved a plane along a normal; 0 if it is not guided."""
+    return 0.0

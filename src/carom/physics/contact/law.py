@@ -3,7 +3,13 @@
 The functions below are those of `carom.scene.contact_laws.ContactLaw`. Kernels call them with ``material``, the record
 of a contact's coefficients. The type of the record names the law, by default Coulomb's (`coulomb`). Numba selects the
 functions by that type when it compiles a kernel, so a call costs nothing, and what a law lacks is not compiled. Kernels
-are compiled separately for each law, and `KernelCache` stores them under these types.
+are compiled separately for each law, and `KernelCache` stores them under these types. The other arguments are
+
+- ``approach``, ``rest_speed`` in m/s: the closing speed, and the closing speed up to which the contact is at rest
+- ``normal`` in N s: the normal impulse, of an impact or in all since the kick
+- ``stopping``, (tx, ty, tz) in N s, (x, y, z) in N m s: the impulse that would end the relative motion
+- ``mass`` in kg: m_i m_j / (m_i + m_j), or the mass of the body at a plane
+- ``radius`` in m: r_i r_j / (r_i + r_j), or the radius of the body at a plane
 
 All laws share three things:
 
@@ -24,8 +30,9 @@ import numpy as np
 
 from carom.arrays import IntArray, RecordArray, dtype_of
 from carom.physics.contact import coulomb
-from carom.physics.jit.decorators import chosen_by_type, identity_of, inline, unowned
-from carom.scene.contact_laws import FUNCTIONS, functions_of
+from carom.physics.jit.decorators import Function, chosen_by_type, identity_of, inline, unowned
+from carom.physics.vector import Vector
+from carom.scene.contact_laws import functions_of
 from carom.scene.matter import PairCoefficients
 from carom.scene.schema import Coefficients
 
@@ -34,6 +41,7 @@ IMPULSES = ("normal_impulse", "friction_x", "friction_y", "friction_z")  # N s, 
 NORMAL, FRICTION_X, FRICTION_Y, FRICTION_Z = range(len(IMPULSES))  # their columns in arrays
 LAW = coulomb  # for plain Python, which supports this law only
 
+_ONLY_KERNELS = "only kernels call it"
 _MARK = "contact_law_"  # prefix of the first field of a material whose law is not Coulomb's
 _laws: dict[str, dict[str, Callable[..., Any]]] = {}  # functions by the name of that field and by their own names
 
@@ -69,161 +77,109 @@ def _mark_of(laws: tuple[str, ...]) -> str:
     if not own:
         return ""
     mark = f"{_MARK}{'_'.join(laws)}_{identity_of(*own.values())}_{'_'.join(own)}"
-    if mark not in _laws:
-        _laws[mark] = own
+    _laws[mark] = own
     return mark
 
 
+def _functions_of(kind: Any) -> dict[str, Callable[..., Any]]:
+    """Return the functions that the law of this type of material (NumPy's or Numba's) defines, by name."""
+    return _laws.get(next(iter(kind.fields)), {})
+
+
 def has_torque(kind: Any) -> bool:
-    """Return whether contacts with this type of material (NumPy's or Numba's) resist rolling or twisting."""
-    functions = _laws.get(next(iter(kind.fields)), {})
-    return "rolling" in functions or "twisting" in functions
+    """Return whether contacts with this type of material resist rolling or twisting."""
+    return not _functions_of(kind).keys().isdisjoint(("rolling", "twisting"))
 
 
+def _of_law(stub: Function) -> Function:
+    """Let kernels call the function of this name that the law defines, or Coulomb's."""
+
+    @chosen_by_type(stub)
+    def of_law(material: Any, *arguments: Any) -> Any:
+        own = _functions_of(material).get(stub.__name__)
+        return own or getattr(coulomb, stub.__name__).py_func
+
+    return stub
+
+
+@_of_law
 def restitution(material: Coefficients, approach: float, rest_speed: float) -> float:
-    """Return the coefficient of restitution of an impact.
-
-    Parameters
-    ----------
-    material
-        Of the contact.
-    approach
-        m/s, closing speed.
-    rest_speed
-        m/s, closing speed up to which the contact is at rest.
-    """
-    raise NotImplementedError("only kernels call it")
+    """Return the coefficient of restitution of an impact."""
+    raise NotImplementedError(_ONLY_KERNELS)
 
 
+@_of_law
 def equivalent_speed(material: Coefficients, approach: float, mass: float, radius: float) -> float:
     """Return the speed (m/s) for which `restitution` is that of an impact, if it depends on the sizes of bodies.
 
-    Parameters
-    ----------
-    material, approach
-        As for `restitution`.
-    mass
-        kg, m_i m_j / (m_i + m_j), or the mass of the body at a plane.
-    radius
-        m, r_i r_j / (r_i + r_j), or the radius of the body at a plane.
+    Coulomb's law lacks this function.
     """
-    raise NotImplementedError("only kernels call it")
+    raise NotImplementedError(_ONLY_KERNELS)
 
 
+@_of_law
 def dissipates(material: Coefficients) -> bool:
     """Return whether an impact may rebound more slowly than it closed."""
-    raise NotImplementedError("only kernels call it")
+    raise NotImplementedError(_ONLY_KERNELS)
 
 
+@_of_law
 def impact_friction(material: Coefficients, normal: float, stopping: float) -> float:
-    """Return the tangential impulse of an impact, against the slip.
+    """Return the tangential impulse of an impact, against the slip; ``stopping`` would end the slip."""
+    raise NotImplementedError(_ONLY_KERNELS)
 
-    Parameters
-    ----------
-    material
-        Of the contact.
-    normal
-        N s, the normal impulse of the impact.
-    stopping
-        N s, the tangential impulse that would end the slip.
+
+@_of_law
+def lasting_friction(material: Coefficients, normal: float, tx: float, ty: float, tz: float) -> Vector:
+    """Return the tangential impulse that a lasting contact exerts; (tx, ty, tz) would end the slip.
+
+    Impulses are totals since the kick, not the increments of an iteration.
     """
-    raise NotImplementedError("only kernels call it")
+    raise NotImplementedError(_ONLY_KERNELS)
 
 
-def lasting_friction(
-    material: Coefficients, normal: float, tx: float, ty: float, tz: float
-) -> tuple[float, float, float]:
-    """Return the tangential impulse that a lasting contact exerts.
-
-    Parameters
-    ----------
-    material
-        Of the contact.
-    normal
-        N s, total of the normal impulse since the kick, not the increment of an iteration.
-    tx, ty, tz
-        N s, total of the tangential impulse that would end the slip.
-    """
-    raise NotImplementedError("only kernels call it")
-
-
-def sliding_friction(
-    material: Coefficients, normal: float, tx: float, ty: float, tz: float
-) -> tuple[float, float, float]:
+@_of_law
+def sliding_friction(material: Coefficients, normal: float, tx: float, ty: float, tz: float) -> Vector:
     """Return the tangential impulse of a lasting contact that has slid and does not stick again.
 
     It must be continuous in its arguments, which are those of `lasting_friction`; see `solver.phases`.
     """
-    raise NotImplementedError("only kernels call it")
+    raise NotImplementedError(_ONLY_KERNELS)
 
 
+@_of_law
 def sticks(material: Coefficients, normal: float, tx: float, ty: float, tz: float) -> bool:
     """Return whether the contact sticks with these totals of the normal and tangential impulses."""
-    raise NotImplementedError("only kernels call it")
+    raise NotImplementedError(_ONLY_KERNELS)
 
 
+@_of_law
 def slides(material: Coefficients, normal: float, tx: float, ty: float, tz: float) -> bool:
     """Return whether a contact that exerted these totals slid, for reports."""
-    raise NotImplementedError("only kernels call it")
+    raise NotImplementedError(_ONLY_KERNELS)
 
 
-def rolling(
-    material: Coefficients, normal: float, radius: float, x: float, y: float, z: float
-) -> tuple[float, float, float]:
-    """Return the angular impulse against rolling.
-
-    Parameters
-    ----------
-    material
-        Of the contact.
-    normal
-        N s, the normal impulse: of an impact, or the total of a lasting contact.
-    radius
-        m, r_i r_j / (r_i + r_j), or the radius of the body at a plane.
-    x, y, z
-        N m s, the angular impulse that would end the rolling; it has no normal part.
-    """
-    raise NotImplementedError("only kernels call it")
+@_of_law
+def rolling(material: Coefficients, normal: float, radius: float, x: float, y: float, z: float) -> Vector:
+    """Return the angular impulse against rolling; (x, y, z) would end the rolling and has no normal component."""
+    raise NotImplementedError(_ONLY_KERNELS)
 
 
+@_of_law
 def twisting(material: Coefficients, normal: float, radius: float, stopping: float) -> float:
-    """Return the angular impulse about the normal; ``stopping`` is the one that would end the twisting.
-
-    Arguments as for `rolling`.
-    """
-    raise NotImplementedError("only kernels call it")
+    """Return the angular impulse about the normal; ``stopping`` would end the twisting."""
+    raise NotImplementedError(_ONLY_KERNELS)
 
 
 def exerts_torque(material: Coefficients) -> bool:
     """Return whether the law resists rolling or twisting; a constant in compiled kernels."""
-    raise NotImplementedError("only kernels call it")
+    raise NotImplementedError(_ONLY_KERNELS)
 
 
-_STUBS = (
-    *(restitution, dissipates, impact_friction, lasting_friction, sliding_friction, sticks, slides),
-    *(rolling, twisting),
-)
-_OPTIONAL = equivalent_speed  # which Coulomb's law lacks
-assert {stub.__name__ for stub in (*_STUBS, _OPTIONAL)} == set(FUNCTIONS)
-
-
-def _offer(stub: Callable[..., Any]) -> None:
-    """Make a function of the law callable from kernels; the type of the material selects the law."""
-
-    @chosen_by_type(stub)
-    def of_law(material: Any, *arguments: Any) -> Any:
-        own = _laws.get(next(iter(material.fields)), {}).get(stub.__name__)
-        coulombs: Any = getattr(coulomb, stub.__name__)
-        return own or coulombs.py_func
-
-
-for _stub in _STUBS:
-    _offer(_stub)
-
-
-@chosen_by_type(equivalent_speed)
-def _equivalent_speed(material: Any, *arguments: Any) -> Any:
-    return _laws[next(iter(material.fields))][_OPTIONAL.__name__]
+@chosen_by_type(exerts_torque)
+def _exerts_torque(material: Any) -> Any:
+    exerts = has_torque(material)
+    return lambda material: exerts
 
 
 def restitution_of_impact(
@@ -231,21 +187,14 @@ def restitution_of_impact(
 ) -> float:
     """Return the coefficient of restitution of an impact of two bodies, or of a body and a plane.
 
-    Parameters
-    ----------
-    material, approach, rest_speed
-        As for `restitution`.
-    inverse_mass
-        1/kg, 1/m_i + 1/m_j.
-    arm_i, arm_j
-        m, the lever arms; 0 at a plane.
+    ``inverse_mass`` is 1/m_i + 1/m_j in 1/kg; the lever arms are in m, with 0 at a plane.
     """
-    raise NotImplementedError("only kernels call it")
+    raise NotImplementedError(_ONLY_KERNELS)
 
 
 @chosen_by_type(restitution_of_impact)
 def _restitution_of_impact(material: Any, *arguments: Any) -> Any:
-    if _OPTIONAL.__name__ not in _laws.get(next(iter(material.fields)), {}):
+    if "equivalent_speed" not in _functions_of(material):
         return lambda material, approach, rest_speed, inverse_mass, arm_i, arm_j: restitution(
             material, approach, rest_speed
         )
@@ -259,12 +208,6 @@ def _restitution_of_impact(material: Any, *arguments: Any) -> Any:
         return restitution(material, equivalent_speed(material, approach, 1.0 / inverse_mass, radius), 0.0)
 
     return of_sizes
-
-
-@chosen_by_type(exerts_torque)
-def _exerts_torque(material: Any) -> Any:
-    exerts = has_torque(material)
-    return lambda material: exerts
 
 
 @unowned
@@ -284,16 +227,8 @@ def material_index(i: int, j: int, bodies: int, places: IntArray) -> int:
 def restitution_at_depth(e: float, vn: float, overlap: float, acceleration: float) -> float:
     """Return the restitution coefficient of an impact that is detected late; see `solver.impacts`.
 
-    Parameters
-    ----------
-    e
-        The coefficient at the surface.
-    vn
-        m/s, normal velocity at the detection.
-    overlap
-        m
-    acceleration
-        m/s², relative acceleration that presses the bodies together.
+    It is ``e`` at the surface. At the detection, the bodies have the normal velocity ``vn`` in m/s and an overlap in m,
+    and a relative acceleration (m/s²) presses them together.
     """
     at_depth: float = np.sqrt(e * e + (1.0 - e * e) * min(1.0, 2.0 * overlap * acceleration / (vn * vn)))
     return at_depth
@@ -311,16 +246,7 @@ def friction_of_impact(
 ) -> tuple[float, float, float, float]:
     """Return the tangential impulse of an impact in N s, and the energy in J that it removes.
 
-    Parameters
-    ----------
-    material
-        Of the contact.
-    Jn
-        N s, the normal impulse.
-    ux, uy, uz
-        m/s, the slip.
-    Kt
-        1/kg, see `inverse_tangent_mass`.
+    The impact has the normal impulse Jn in N s and the slip (ux, uy, uz) in m/s; Kt is `inverse_tangent_mass`.
     """
     slip = np.sqrt(ux * ux + uy * uy + uz * uz)
     if not slip > 0.0:

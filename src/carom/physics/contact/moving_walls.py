@@ -13,8 +13,7 @@ both dissipate, -λ_t·u - Λ·(Ω - ω_i). The wall does the work
     W = -λ_t·s - Λ·Ω
 
 on the body, which the ledger books as a separate entry. Only in scenes with such walls do records of contacts have the
-field s, and records of solids the fields Ω and c. Numba compiles the functions below by the type of the record; without
-these fields they do nothing.
+field s, and records of solids the fields Ω and c; without these fields, the functions below do nothing.
 """
 
 from __future__ import annotations
@@ -24,7 +23,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 from carom.arrays import FloatArray, IntArray, RecordArray
 from carom.physics.contact.rolling import angular_impulse
 from carom.physics.contact.translating_walls import displacement_in_drift, shift_of
-from carom.physics.jit.decorators import chosen_by_type, inline, kernel
+from carom.physics.jit.decorators import chosen_by_type, inline, kernel, with_field
 from carom.physics.vector import Vector, between, vector
 
 if TYPE_CHECKING:
@@ -48,36 +47,6 @@ def slip_on_wall(contact: Any, ux: float, uy: float, uz: float) -> tuple[float, 
     if not hasattr(contact, "surface_x"):
         return ux, uy, uz
     return ux + contact.surface_x, uy + contact.surface_y, uz + contact.surface_z
-
-
-def slope_on_wall(contact: object, slope: float, tx: float, ty: float, tz: float) -> float:
-    """Add λ_t·s to a sum of impulses times velocities in J; the velocities of bodies do not contain s."""
-    raise NotImplementedError("only kernels call it")
-
-
-def set_surface_velocity(contact: object, surface: FloatArray, solid: int, point: Vector) -> None:
-    """Set s of a contact, if it has this field.
-
-    Parameters
-    ----------
-    contact
-        A record of a contact with a wall.
-    surface, solid
-        The solids, and the number of the wall.
-    point
-        m, the point of the wall that touches.
-    """
-    raise NotImplementedError("only kernels call it")
-
-
-def clear_surface_velocity(contact: object) -> None:
-    """Set s of a contact to 0, if it has this field."""
-    raise NotImplementedError("only kernels call it")
-
-
-def slip_at_wall(surface: FloatArray, solid: int, time: float, point: Vector, slip: Vector) -> Vector:
-    """Return the slip u in m/s at a point (m) of a wall, a time (s) into a drift, given the slip without rotation."""
-    raise NotImplementedError("only kernels call it")
 
 
 @chosen_by_type(slip_on_wall)
@@ -105,50 +74,44 @@ def along_surface_velocity(contact: Any, tx: Any, ty: Any, tz: Any) -> Any:
     return tx * contact.surface_x + ty * contact.surface_y + tz * contact.surface_z
 
 
-@chosen_by_type(slope_on_wall)
-def _slope_on_wall(contact: Any, slope: Any, tx: Any, ty: Any, tz: Any) -> Any:
-    if "surface_x" not in contact.fields:
-        return lambda contact, slope, tx, ty, tz: slope
-
-    def of_contact(contact: Any, slope: float, tx: float, ty: float, tz: float) -> float:
-        sx, sy, sz = _surface_velocity(contact)
-        return slope + (tx * sx + ty * sy + tz * sz)
-
-    return of_contact
+def _slope_with_surface(contact: Any, slope: float, tx: float, ty: float, tz: float) -> float:
+    sx, sy, sz = _surface_velocity(contact)
+    return slope + (tx * sx + ty * sy + tz * sz)
 
 
-@chosen_by_type(set_surface_velocity)
-def _set_surface_velocity(contact: Any, surface: Any, solid: Any, point: Any) -> Any:
-    if "surface_x" not in contact.fields:
-        return lambda contact, surface, solid, point: None
-
-    def put(contact: Any, surface: FloatArray, solid: int, point: Vector) -> None:
-        contact.surface_x, contact.surface_y, contact.surface_z = velocity_of_wall(surface, solid, point)
-
-    return put
+@with_field("surface_x", _slope_with_surface)
+def slope_on_wall(contact: object, slope: float, tx: float, ty: float, tz: float) -> float:
+    """Add λ_t·s to a sum of impulses times velocities in J; the velocities of bodies do not contain s."""
+    return slope
 
 
-@chosen_by_type(clear_surface_velocity)
-def _clear_surface_velocity(contact: Any) -> Any:
-    if "surface_x" not in contact.fields:
-        return lambda contact: None
-
-    def put(contact: Any) -> None:
-        contact.surface_x = contact.surface_y = contact.surface_z = 0.0
-
-    return put
+def _set_surface_velocity(contact: Any, surface: FloatArray, solid: int, point: Vector) -> None:
+    contact.surface_x, contact.surface_y, contact.surface_z = velocity_of_wall(surface, solid, point)
 
 
-@chosen_by_type(slip_at_wall)
-def _slip_at_wall(surface: Any, solid: Any, time: Any, point: Any, slip: Any) -> Any:
-    if MOTION[0] not in getattr(surface.dtype, "fields", ()):
-        return lambda surface, solid, time, point, slip: slip
+@with_field("surface_x", _set_surface_velocity)
+def set_surface_velocity(contact: object, surface: FloatArray, solid: int, point: Vector) -> None:
+    """Set s of a contact with a wall that touches at a point (m)."""
 
-    def on_moving(surface: FloatArray, solid: int, time: float, point: Vector, slip: Vector) -> Vector:
-        (ux, uy, uz), (sx, sy, sz) = slip, velocity_in_wall(surface, solid, time, point)
-        return ux + sx, uy + sy, uz + sz
 
-    return on_moving
+def _clear_surface_velocity(contact: Any) -> None:
+    contact.surface_x = contact.surface_y = contact.surface_z = 0.0
+
+
+@with_field("surface_x", _clear_surface_velocity)
+def clear_surface_velocity(contact: object) -> None:
+    """Set s of a contact to 0."""
+
+
+def _slip_on_moving(surface: FloatArray, solid: int, time: float, point: Vector, slip: Vector) -> Vector:
+    (ux, uy, uz), (sx, sy, sz) = slip, velocity_in_wall(surface, solid, time, point)
+    return ux + sx, uy + sy, uz + sz
+
+
+@with_field(MOTION[0], _slip_on_moving)
+def slip_at_wall(surface: FloatArray, solid: int, time: float, point: Vector, slip: Vector) -> Vector:
+    """Return the slip u in m/s at a point (m) of a wall, a time (s) into a drift, given the slip without rotation."""
+    return slip
 
 
 @inline
@@ -205,18 +168,9 @@ def work_of_contacts(
     surface: Any,
     bodies: int,
 ) -> float:
-    """Return the work in J that moving walls do on bodies by the impulses of contacts.
+    """Return the work in J that moving walls do on a number of bodies by the impulses of contacts.
 
-    Parameters
-    ----------
-    pairs, contacts
-        (m, 2) and (m,), with s.
-    impulses
-        (m,) records with λ_t and Λ; may be the contacts.
-    surface
-        The solids.
-    bodies
-        Number of bodies; ends from this number on are solids.
+    ``impulses``, (m,), may be the records of the contacts.
     """
     work = 0.0
     for c in range(len(pairs)):

@@ -5,8 +5,8 @@ A contact exerts an angular impulse Λ on body j and -Λ on body i. It changes t
     ΔΩ = K Λ,    Ω = ω_j - ω_i,    K = 1/I_i + 1/I_j,    ΔE = -Λ·(Ω + ½ K Λ)
 
 The law limits Λ, given the angular impulse that would end Ω. The component in the tangential plane resists rolling, the
-component along the normal resists twisting. Only records of such laws have the fields `ANGULAR_IMPULSE`. Numba compiles
-the functions below by the type of the record; without these fields they read 0 and write nothing.
+component along the normal resists twisting. Only records of such laws have the fields `ANGULAR_IMPULSE`; without these
+fields, the functions below read 0 and write nothing.
 """
 
 from __future__ import annotations
@@ -18,7 +18,8 @@ import numpy as np
 from carom.arrays import FloatArray, RecordArray
 from carom.physics.aligned import columns
 from carom.physics.contact import law
-from carom.physics.jit.decorators import chosen_by_type, inline
+from carom.physics.jit.decorators import inline, with_field
+from carom.physics.vector import Vector
 from carom.scene.schema import Coefficients
 
 if TYPE_CHECKING:
@@ -26,12 +27,12 @@ if TYPE_CHECKING:
 
 
 class ContactGeometry(Protocol):
-    """A record with a normal from i to j, and lever arms in m."""
+    """The geometry of a contact or an impact."""
 
-    nx: float
+    nx: float  # the normal, from i to j
     ny: float
     nz: float
-    arm_i: float
+    arm_i: float  # m, from each centre to the contact point
     arm_j: float
 
 
@@ -57,123 +58,66 @@ class RollingFields(AngularImpulse, Protocol):
 ANGULAR_IMPULSE = tuple(AngularImpulse.__annotations__)
 
 
-def has_angular_impulse(records: RecordArray[object]) -> bool:
-    """Return whether records have an angular impulse."""
-    return ANGULAR_IMPULSE[0] in (records.dtype.names or ())
-
-
 def angular_impulses_of(records: RecordArray[object]) -> FloatArray:
     """Return Λ, (m, 3) N m s, as a view; (m, 0) for records without it."""
-    return columns(records, ANGULAR_IMPULSE) if has_angular_impulse(records) else np.empty((len(records), 0))
+    has_it = ANGULAR_IMPULSE[0] in (records.dtype.names or ())
+    return columns(records, ANGULAR_IMPULSE) if has_it else np.empty((len(records), 0))
 
 
-def angular_impulse(record: object) -> tuple[float, float, float]:
-    """Return Λ in N m s; 0 for records without it."""
-    raise NotImplementedError("only kernels call it")
+@with_field("angular_x", lambda record: (record.angular_x, record.angular_y, record.angular_z))
+def angular_impulse(record: object) -> Vector:
+    """Return Λ in N m s."""
+    return 0.0, 0.0, 0.0
 
 
+def _set_angular_impulse(record: Any, x: float, y: float, z: float) -> None:
+    record.angular_x, record.angular_y, record.angular_z = x, y, z
+
+
+@with_field("angular_x", _set_angular_impulse)
 def set_angular_impulse(record: object, x: float, y: float, z: float) -> None:
-    """Set Λ in N m s, if the record has this field."""
-    raise NotImplementedError("only kernels call it")
+    """Set Λ in N m s."""
 
 
-def change_of_angular_impulse(record: object) -> tuple[float, float, float]:
-    """Return the change of Λ in the last iteration, in N m s; 0 for records without it."""
-    raise NotImplementedError("only kernels call it")
+@with_field("change_x", lambda record: (record.change_x, record.change_y, record.change_z))
+def change_of_angular_impulse(record: object) -> Vector:
+    """Return the change of Λ in the last iteration, in N m s."""
+    return 0.0, 0.0, 0.0
 
 
+def _set_change(record: Any, x: float, y: float, z: float) -> None:
+    record.change_x, record.change_y, record.change_z = x, y, z
+
+
+@with_field("change_x", _set_change)
 def set_change_of_angular_impulse(record: object, x: float, y: float, z: float) -> None:
-    """Set the change of Λ in the last iteration, in N m s, if the record has this field."""
-    raise NotImplementedError("only kernels call it")
+    """Set the change of Λ in the last iteration, in N m s."""
 
 
-def spin_before(record: object) -> tuple[float, float, float]:
-    """Return Ω before `hold` in rad/s; 0 for records without it."""
-    raise NotImplementedError("only kernels call it")
+@with_field("spin_x", lambda record: (record.spin_x, record.spin_y, record.spin_z))
+def spin_before(record: object) -> Vector:
+    """Return Ω before `hold` in rad/s."""
+    return 0.0, 0.0, 0.0
 
 
+def _set_spin_before(record: Any, x: float, y: float, z: float) -> None:
+    record.spin_x, record.spin_y, record.spin_z = x, y, z
+
+
+@with_field("spin_x", _set_spin_before)
 def set_spin_before(record: object, x: float, y: float, z: float) -> None:
-    """Set Ω before `hold` in rad/s, if the record has this field."""
-    raise NotImplementedError("only kernels call it")
-
-
-@chosen_by_type(angular_impulse)
-def _angular_impulse(record: Any) -> Any:
-    if "angular_x" not in record.fields:
-        return lambda record: (0.0, 0.0, 0.0)
-    return lambda record: (record.angular_x, record.angular_y, record.angular_z)
-
-
-@chosen_by_type(set_angular_impulse)
-def _set_angular_impulse(record: Any, x: Any, y: Any, z: Any) -> Any:
-    if "angular_x" not in record.fields:
-        return lambda record, x, y, z: None
-
-    def put(record: Any, x: float, y: float, z: float) -> None:
-        record.angular_x, record.angular_y, record.angular_z = x, y, z
-
-    return put
-
-
-@chosen_by_type(change_of_angular_impulse)
-def _change_of_angular_impulse(record: Any) -> Any:
-    if "change_x" not in record.fields:
-        return lambda record: (0.0, 0.0, 0.0)
-    return lambda record: (record.change_x, record.change_y, record.change_z)
-
-
-@chosen_by_type(set_change_of_angular_impulse)
-def _set_change_of_angular_impulse(record: Any, x: Any, y: Any, z: Any) -> Any:
-    if "change_x" not in record.fields:
-        return lambda record, x, y, z: None
-
-    def put(record: Any, x: float, y: float, z: float) -> None:
-        record.change_x, record.change_y, record.change_z = x, y, z
-
-    return put
-
-
-@chosen_by_type(spin_before)
-def _spin_before(record: Any) -> Any:
-    if "spin_x" not in record.fields:
-        return lambda record: (0.0, 0.0, 0.0)
-    return lambda record: (record.spin_x, record.spin_y, record.spin_z)
-
-
-@chosen_by_type(set_spin_before)
-def _set_spin_before(record: Any, x: Any, y: Any, z: Any) -> Any:
-    if "spin_x" not in record.fields:
-        return lambda record, x, y, z: None
-
-    def put(record: Any, x: float, y: float, z: float) -> None:
-        record.spin_x, record.spin_y, record.spin_z = x, y, z
-
-    return put
+    """Set Ω before `hold` in rad/s."""
 
 
 @inline
-def relative_spin(a: BodyStateRecord, b: BodyStateRecord) -> tuple[float, float, float]:
+def relative_spin(a: BodyStateRecord, b: BodyStateRecord) -> Vector:
     """Return Ω of two bodies in rad/s."""
     return b.wx - a.wx, b.wy - a.wy, b.wz - a.wz
 
 
 @inline
-def limited(
-    contact: ContactGeometry, material: Coefficients, normal: float, x: float, y: float, z: float
-) -> tuple[float, float, float]:
-    """Return the angular impulse that the law allows, in N m s, given the one that would end Ω.
-
-    Parameters
-    ----------
-    contact
-        A record with the normal and the lever arms.
-    material
-        Of the contact.
-    normal
-        N s, the normal impulse that limits the angular impulse.
-    x, y, z
-        N m s, the angular impulse that would end Ω.
-    """
+def limited(contact: ContactGeometry, material: Coefficients, normal: float, x: float, y: float, z: float) -> Vector:
+    """Return the angular impulse in N m s that the law allows with a normal impulse in N s; (x, y, z) would end Ω."""
     nx, ny, nz, ri, rj = contact.nx, contact.ny, contact.nz, contact.arm_i, contact.arm_j
     radius = ri * rj / (ri + rj) if rj > 0.0 else ri
     along = x * nx + y * ny + z * nz
@@ -186,16 +130,9 @@ def limited(
 def angular_impulse_of_impact(
     contact: ContactGeometry, material: Coefficients, normal: float, wx: float, wy: float, wz: float, K: float
 ) -> tuple[float, float, float, float]:
-    """Return the angular impulse of an impact in N m s, and the energy in J that it takes out.
+    """Return the angular impulse of an impact in N m s, and the energy in J that it removes.
 
-    Parameters
-    ----------
-    contact, material
-        A record with the normal and the lever arms, and the coefficients.
-    normal
-        N s, the normal impulse.
-    wx, wy, wz, K
-        rad/s, Ω before it, and 1/(kg m²).
+    ``normal`` is the normal impulse in N s, (wx, wy, wz) is Ω before it in rad/s, and K is in 1/(kg m²).
     """
     lx, ly, lz = limited(contact, material, normal, -wx / K, -wy / K, -wz / K)
     return lx, ly, lz, -(lx * (wx + 0.5 * K * lx) + ly * (wy + 0.5 * K * ly) + lz * (wz + 0.5 * K * lz))

@@ -21,7 +21,7 @@ from carom.physics.contact.constraints import ContactStateRecord, ends_of
 from carom.physics.contact.guided_walls import GuidedPlane
 from carom.physics.contact.moving_walls import MOTION
 from carom.physics.contact.translating_walls import TRANSLATION, in_frame_of_wall, place, translation_of
-from carom.physics.jit.decorators import chosen_by_type, identity_of, inline, kernel, leaf, long_kernel
+from carom.physics.jit.decorators import chosen_by_type, identity_of, kernel, leaf, long_kernel, with_field
 from carom.physics.jit.instructions import from_front
 from carom.physics.vector import Vector, vector
 from carom.scene.schema import Scene
@@ -112,7 +112,8 @@ def solids_of(scene: Scene) -> HalfSpaces:
         return flat
     shapes = sorted({*registry.HOUSE["walls"], *(wall.shape for wall in scene.wall)})
     parameters = [_parameters(scene, wall) for wall in scene.wall]
-    names = _fields_of(shapes)
+    # fields of all shapes, so that the type of the records depends on the shapes only
+    names = sorted({name for shape in shapes for name in shape_called(shape).fields})
     spins = np.array([_spin_of(wall) for wall in scene.wall]).reshape(-1, len(MOTION))
     names += [*(MOTION if spins.any() else ()), *(TRANSLATION if translates else ())]
     kinds = [("kind", np.int64), *((name, np.float64) for name in (*_PLANE, *names))]
@@ -190,19 +191,6 @@ def _either(kind: int, one: Callable[..., Any], other: Callable[..., Any]) -> Ca
     return leaf(chosen)
 
 
-def _function_of(surface: Any) -> Callable[..., Any] | None:
-    """Return the function that Numba's type of ``surface`` names; None for planes alone."""
-    fields = getattr(surface.dtype, "fields", None)
-    return None if fields is None else _nearest[next(iter(fields))]
-
-
-def tangent_plane(
-    surface: FloatArray, offset: FloatArray, solid: int, x: float, y: float, z: float
-) -> tuple[float, float, float, float]:
-    """Return the normal of the plane that touches a solid at the point nearest to (x, y, z) m, and its offset in m."""
-    raise NotImplementedError("only kernels call it")
-
-
 def nearest_point(
     surface: FloatArray, solid: int, x: float, y: float, z: float
 ) -> tuple[float, float, float, float, float]:
@@ -210,66 +198,25 @@ def nearest_point(
     raise NotImplementedError("only kernels call it")
 
 
-def bias_along_wall(
-    surface: FloatArray,
-    solid: int,
-    bias: float,
-    radius: float,
-    place: Vector,
-    normal: Vector,
-    tangential: Vector,
-    drift: float,
-) -> float:
-    """Return the speed at which a body may close so that it just touches a wall after a drift, in m/s.
-
-    A body that overlaps the wall keeps its overlap.
-
-    Parameters
-    ----------
-    surface, solid
-        The solids, and the number of the solid that the body touches.
-    bias
-        m/s, the closing speed at which a body would just touch a plane.
-    radius, place
-        m, of the body and of its centre.
-    normal, tangential
-        The normal, from the body to the wall, and the tangential velocity in m/s.
-    drift
-        s
-    """
-    raise NotImplementedError("only kernels call it")
-
-
-@chosen_by_type(tangent_plane)
-def _tangent_plane(surface: Any, offset: Any, solid: Any, x: Any, y: Any, z: Any) -> Any:
-    nearest = _function_of(surface)
-    if nearest is None:
-        return lambda surface, offset, solid, x, y, z: (
-            surface[solid, 0],
-            surface[solid, 1],
-            surface[solid, 2],
-            offset[solid],
-        )
-    of_one: Any = nearest
-
-    def of_wall(surface: Any, offset: FloatArray, solid: int, x: float, y: float, z: float) -> Any:
-        nx, ny, nz, distance, _ = of_one(surface[solid], x, y, z)
-        return nx, ny, nz, nx * x + ny * y + nz * z - distance
-
-    return of_wall
-
-
 @chosen_by_type(nearest_point)
 def _nearest_point(surface: Any, solid: Any, x: Any, y: Any, z: Any) -> Any:
-    of_one: Any = _function_of(surface)
+    of_one: Any = _nearest[next(iter(surface.dtype.fields))]
     return lambda surface, solid, x, y, z: of_one(surface[solid], x, y, z)
 
 
-@chosen_by_type(bias_along_wall)
-def _bias_along_wall(surface: Any, solid: Any, bias: Any, *_: Any) -> Any:
-    if _function_of(surface) is None:
-        return lambda surface, solid, bias, radius, place, normal, tangential, drift: bias
-    return _bias_on_curve
+def _tangent_of_wall(
+    surface: FloatArray, offset: FloatArray, solid: int, x: float, y: float, z: float
+) -> tuple[float, float, float, float]:
+    nx, ny, nz, distance, _ = nearest_point(surface, solid, x, y, z)
+    return nx, ny, nz, nx * x + ny * y + nz * z - distance
+
+
+@with_field("kind", _tangent_of_wall)
+def tangent_plane(
+    surface: FloatArray, offset: FloatArray, solid: int, x: float, y: float, z: float
+) -> tuple[float, float, float, float]:
+    """Return the normal of the plane that touches a solid at the point nearest to (x, y, z) m, and its offset in m."""
+    return surface[solid, 0], surface[solid, 1], surface[solid, 2], offset[solid]
 
 
 def _bias_on_curve(
@@ -302,6 +249,33 @@ def _bias_on_curve(
     return c
 
 
+@with_field("kind", _bias_on_curve)
+def bias_along_wall(
+    surface: FloatArray,
+    solid: int,
+    bias: float,
+    radius: float,
+    place: Vector,
+    normal: Vector,
+    tangential: Vector,
+    drift: float,
+) -> float:
+    """Return the speed in m/s at which a body may close so that it just touches a wall after a drift (s).
+
+    A body that overlaps the wall keeps its overlap.
+
+    Parameters
+    ----------
+    bias
+        m/s, the closing speed at which a body would just touch a plane.
+    radius, place
+        m, of the body and of its centre.
+    normal, tangential
+        The normal, from the body to the wall, and the tangential velocity in m/s.
+    """
+    return bias
+
+
 @kernel
 def _write_heights(position: FloatArray, surface: FloatArray, offset: FloatArray, heights: FloatArray) -> None:
     for i in range(len(position)):
@@ -330,18 +304,9 @@ def add_arc_speeds(
     for c in range(from_front(lo), hi):
         i, j = ends_of(pairs, c)
         if j >= n and states[c].rest_speed > 0.0:
-            states[c].rest_speed += _arc_speed(surface, j - n, vector(x, i), vector(v, i), dt)
-
-
-@inline
-def _arc_speed(surface: FloatArray, solid: int, position: Vector, velocity: Vector, dt: float) -> float:
-    (x, y, z), (vx, vy, vz) = position, velocity
-    nx, ny, nz, _, focal = nearest_point(surface, solid, x, y, z)
-    vn = vx * nx + vy * ny + vz * nz
-    along = vx * vx + vy * vy + vz * vz - vn * vn
-    return max(0.0, along) * dt / focal if focal > 0.0 else 0.0
-
-
-def _fields_of(shapes: list[str]) -> list[str]:
-    """Return the names of the parameters of all shapes, so that the type of the records depends on the shapes only."""
-    return sorted({name for shape in shapes for name in shape_called(shape).fields})
+            (px, py, pz), (vx, vy, vz) = vector(x, i), vector(v, i)
+            nx, ny, nz, _, focal = nearest_point(surface, j - n, px, py, pz)
+            if focal > 0.0:
+                vn = vx * nx + vy * ny + vz * nz
+                along = vx * vx + vy * vy + vz * vz - vn * vn
+                states[c].rest_speed += max(0.0, along) * dt / focal

@@ -31,7 +31,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from carom.arrays import FloatArray, IntArray, RecordArray, Records
-from carom.physics.jit.decorators import chosen_by_type, inline, kernel, leaf
+from carom.physics.jit.decorators import inline, kernel, leaf, with_field
 from carom.physics.rotation import TWO_PI, sine_cosine
 from carom.physics.vector import Vector, vector
 from carom.scene.schema.motion import WallMotion
@@ -94,6 +94,9 @@ def in_frame_of_wall(nearest: Callable[..., Any]) -> Callable[..., Any]:
 class WallTranslation:
     """Moves the walls of a scene through the phases of a step.
 
+    The place of these walls is no state. A subclass whose wall contacts move (`guided_walls`) also replaces `forget`,
+    `memory`, `recall`, `longest_step`, `push` and `settle`.
+
     Parameters
     ----------
     records, before
@@ -102,9 +105,6 @@ class WallTranslation:
         The velocities and accelerations of the solids, which it writes.
     motions
         The motion of each solid; None if it has none.
-
-    The place of these walls is no state. A subclass whose wall contacts move (`guided_walls`) replaces `forget`,
-    `memory`, `recall`, `longest_step`, `push` and `settle`, too.
     """
 
     def __init__(self, records: Records, before: Records, ends: Ends, motions: Sequence[WallMotion | None]) -> None:
@@ -238,18 +238,9 @@ def work_at_velocities(
     velocity: FloatArray,
     bodies: int,
 ) -> float:
-    """Return the work in J that walls do on bodies by the impulses of contacts.
+    """Return the work in J that walls do on a number of bodies by the impulses of contacts.
 
-    Parameters
-    ----------
-    pairs, contacts
-        (m, 2) and (m,), with n.
-    impulses
-        (m,) records with λ_n and λ_t; may be the contacts.
-    velocity
-        (p, 3) m/s, of the solids.
-    bodies
-        Their number; ends from it on are solids.
+    ``impulses``, (m,), may be the records of the contacts; ``velocity`` is that of the solids, (p, 3) m/s.
     """
     work = 0.0
     for c in range(len(pairs)):
@@ -279,67 +270,27 @@ def _with_work_at(velocity: Vector, contact: Any, given: Any, work: float) -> fl
     return work
 
 
+@with_field(TRANSLATION[0], lambda surface: True)
 def walls_translate(surface: FloatArray) -> bool:
     """Return whether solids have the fields `TRANSLATION`; a constant in compiled kernels."""
-    raise NotImplementedError("only kernels call it")
+    return False
 
 
+def _shift(surface: Any, solid: int) -> Vector:
+    wall = surface[solid]
+    return wall.motion_shift_x, wall.motion_shift_y, wall.motion_shift_z
+
+
+@with_field(TRANSLATION[0], _shift)
 def shift_of(surface: FloatArray, solid: int) -> Vector:
     """Return D in m at the present phase of the step."""
-    raise NotImplementedError("only kernels call it")
+    return 0.0, 0.0, 0.0
 
 
-def displacement_in_drift(surface: FloatArray, solid: int, time: float) -> Vector:
-    """Return r in m, by which a wall is displaced at a time (s) since the drift began."""
-    raise NotImplementedError("only kernels call it")
-
-
-def velocity_in_drift(surface: FloatArray, solid: int, time: float) -> Vector:
-    """Return the velocity of a wall in m/s at a time (s) since the drift began."""
-    raise NotImplementedError("only kernels call it")
-
-
+@with_field(TRANSLATION[0], lambda surface, solid: surface[solid].motion_fastest)
 def largest_acceleration(surface: FloatArray, solid: int) -> float:
     """Return the largest acceleration of a wall at any time, in m/s²."""
-    raise NotImplementedError("only kernels call it")
-
-
-def _is_of_translation(surface: Any) -> bool:
-    return TRANSLATION[0] in (getattr(surface.dtype, "fields", None) or ())
-
-
-@chosen_by_type(walls_translate)
-def _walls_translate(surface: Any) -> Any:
-    translates = _is_of_translation(surface)
-    return lambda surface: translates
-
-
-@chosen_by_type(shift_of)
-def _shift_of(surface: Any, solid: Any) -> Any:
-    if not _is_of_translation(surface):
-        return lambda surface, solid: (0.0, 0.0, 0.0)
-    return lambda surface, solid: (
-        surface[solid].motion_shift_x,
-        surface[solid].motion_shift_y,
-        surface[solid].motion_shift_z,
-    )
-
-
-@chosen_by_type(displacement_in_drift)
-def _displacement_in_drift(surface: Any, solid: Any, time: Any) -> Any:
-    return _displacement if _is_of_translation(surface) else lambda surface, solid, time: (0.0, 0.0, 0.0)
-
-
-@chosen_by_type(velocity_in_drift)
-def _velocity_in_drift(surface: Any, solid: Any, time: Any) -> Any:
-    return _velocity if _is_of_translation(surface) else lambda surface, solid, time: (0.0, 0.0, 0.0)
-
-
-@chosen_by_type(largest_acceleration)
-def _largest_acceleration(surface: Any, solid: Any) -> Any:
-    if not _is_of_translation(surface):
-        return lambda surface, solid: 0.0
-    return lambda surface, solid: surface[solid].motion_fastest
+    return 0.0
 
 
 def _displacement(surface: Any, solid: int, time: float) -> Vector:
@@ -355,6 +306,12 @@ def _displacement(surface: Any, solid: int, time: float) -> Vector:
     )
 
 
+@with_field(TRANSLATION[0], _displacement)
+def displacement_in_drift(surface: FloatArray, solid: int, time: float) -> Vector:
+    """Return r in m, by which a wall is displaced at a time (s) since the drift began."""
+    return 0.0, 0.0, 0.0
+
+
 def _velocity(surface: Any, solid: int, time: float) -> Vector:
     wall = surface[solid]
     speed = 0.0
@@ -366,3 +323,9 @@ def _velocity(surface: Any, solid: int, time: float) -> Vector:
         wall.motion_velocity_y + wall.motion_amplitude_y * speed,
         wall.motion_velocity_z + wall.motion_amplitude_z * speed,
     )
+
+
+@with_field(TRANSLATION[0], _velocity)
+def velocity_in_drift(surface: FloatArray, solid: int, time: float) -> Vector:
+    """Return the velocity of a wall in m/s at a time (s) since the drift began."""
+    return 0.0, 0.0, 0.0

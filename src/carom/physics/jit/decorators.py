@@ -239,6 +239,31 @@ def chosen_by_type(stub: Callable[..., Any]) -> Callable[[Callable[..., Any]], C
     return decorated
 
 
+def with_field(name: str, chosen: Callable[..., Any], place: int = 0) -> Callable[[Function], Function]:
+    """Let kernels call ``chosen`` in place of the decorated function where records have a field.
+
+    Parameters
+    ----------
+    name
+        The name of the field.
+    chosen
+        Has the arguments of the decorated function.
+    place
+        Which argument is the record, or the array of records.
+    """
+
+    def decorated(function: Function) -> Function:
+        @chosen_by_type(function)
+        def by_field(*arguments: Any) -> Any:
+            kind = arguments[place]
+            fields = getattr(getattr(kind, "dtype", kind), "fields", None) or ()
+            return chosen if name in fields else function
+
+        return function
+
+    return decorated
+
+
 def identity_of(*functions: Callable[..., Any]) -> str:
     """Return a text that changes with the sources of functions, for use in the name of a type.
 

@@ -13,11 +13,9 @@ same holds under drag, with the velocities and times in `trajectories`.
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
-from carom.arrays import IntArray, RecordArray
+from carom.arrays import FloatArray, IntArray, RecordArray
 from carom.physics.contact.events.held_group import MOST_CONTACTS, hold_group
 from carom.physics.contact.events.time_of_impact import (
     first_of_images,
@@ -45,7 +43,7 @@ from carom.physics.contact.events.trajectories import (
     velocity,
     velocity_of_partner,
 )
-from carom.physics.contact.events.wall_impacts import has_walls, predict_with_solids, predict_with_walls
+from carom.physics.contact.events.wall_impacts import predict_with_walls
 from carom.physics.contact.impact_log import ROUNDING, ImpactRecord
 from carom.physics.contact.law import (
     dissipates,
@@ -62,7 +60,7 @@ from carom.physics.contact.rolling import angular_impulse_of_impact, set_angular
 from carom.physics.contact.solver.body_state import slip_velocity
 from carom.physics.contact.translating_walls import velocity_in_drift, walls_translate
 from carom.physics.exponential import exponentials
-from carom.physics.jit.decorators import borrowing, chosen_by_type, inline, long_kernel, unowned
+from carom.physics.jit.decorators import borrowing, inline, long_kernel, unowned, with_field
 from carom.physics.jit.instructions import from_front
 from carom.physics.rotation import rotate_one
 from carom.physics.sheared_box import add_work, is_sheared, nearest_in_drift, periods
@@ -87,7 +85,7 @@ MAX_ELASTIC = 10_000
 @borrowing
 def predict(lo: int, hi: int, neighbours: Neighbours, T: Trajectories) -> None:
     """Predict the first impact of each body in [lo, hi) with planes and its neighbours."""
-    predict_with_solids(lo, hi, T)
+    _predict_with_solids(lo, hi, T, T.surface)
     _predict(lo, hi, neighbours, T)
 
 
@@ -174,7 +172,7 @@ def _predict_again(i: int, neighbours: Neighbours, T: Trajectories) -> None:
     """Predict a body's next impact on its remaining path, and update the event queue."""
     body, drift = T.body[i], T.drift[0]
     body.impact_time = np.inf
-    predict_with_solids(i, i + 1, T)
+    _predict_with_solids(i, i + 1, T, T.surface)
     if body.strays:
         _predict(i, i + 1, T.everyone, T)
     else:
@@ -211,7 +209,7 @@ def _predict(lo: int, hi: int, neighbours: Neighbours, T: Trajectories) -> None:
             slow += one.negligible_speed + other.negligible_speed
             # on a parabola only the nearest image is tested, so a body must not come halfway to another image
             if is_sheared(T.box):
-                tau = first_of_images(d, v, a, R, span, since_kick, slow, (T.box, clock))
+                tau = first_of_images(d, v, a, R, slow, (span, since_kick, clock), T.box)
             elif one.is_straight != other.is_straight and not (is_periodic(box) and _passes_images(v, span, box)):
                 tau = _time_on_parabola(i, j, nearest_image(d[0], d[1], d[2], box), v, slow, T)
             elif is_periodic(box):
@@ -250,12 +248,8 @@ def _acceleration(i: int, j: int, v: Vector, T: Trajectories) -> Vector:
 def _time_on_parabola(i: int, j: int, d: Vector, v: Vector, slow: float, T: Trajectories) -> float:
     """Return the time (s) until two bodies meet, if the field bends the path of one; infinite if they do not.
 
-    Parameters
-    ----------
-    d, v
-        m and m/s, separation and velocity of j relative to i on their straight lines.
-    slow
-        m/s, largest closing speed that is not an impact.
+    ``d`` (m) and ``v`` (m/s) are the separation and the velocity of j relative to i on their straight lines, and
+    ``slow`` (m/s) is the largest closing speed that is not an impact.
     """
     drift = T.drift[0]
     sign, behind, since_kick = -1.0 if T.body[j].is_straight else 1.0, lag(T), drift.clock - drift.kick
@@ -280,9 +274,10 @@ def _time_on_parabola(i: int, j: int, d: Vector, v: Vector, slow: float, T: Traj
     return tau if closing > slow * np.sqrt(nx * nx + ny * ny + nz * nz) else np.inf
 
 
-def _predict_with_planes(lo: int, hi: int, T: Trajectories) -> None:
-    """Predict the next impact of each body in [lo, hi) with a plane, and keep it if it is before the stored one."""
-    x, v, a, N, offset = T.x, T.v, T.a, T.surface, T.offset
+@with_field("kind", predict_with_walls, place=3)
+def _predict_with_solids(lo: int, hi: int, T: Trajectories, N: FloatArray) -> None:
+    """Predict the next impact of each body in [lo, hi) with a solid, and keep it if it is before the stored one."""
+    x, v, a, offset = T.x, T.v, T.a, T.offset
     if len(offset) == 0:
         return
     drift, behind, f = T.drift[0], lag(T), slowing(T)
@@ -319,11 +314,6 @@ def _predict_with_planes(lo: int, hi: int, T: Trajectories) -> None:
                     body.impact_time, body.partner, body.partner_impacts = when, len(x) + p, 0
 
 
-@chosen_by_type(predict_with_solids)
-def _by_solids(lo: Any, hi: Any, T: Any) -> Any:
-    return predict_with_walls if has_walls(T) else _predict_with_planes
-
-
 @unowned
 def _time_to_plane(gap: float, rate: float, bend: float) -> float:
     """Return the first time (s) at which gap + rate t + ½ bend t² reaches 0 from above; 0 if closed and closing."""
@@ -342,8 +332,7 @@ def _time_to_plane(gap: float, rate: float, bend: float) -> float:
 def collide(i: int, j: int, log: RecordArray[ImpactRecord], row: int, T: Trajectories) -> None:
     """Resolve one impact with the velocities at its time, and write it into a row of the log.
 
-    The log is passed, not its row: Numba would compare the type of a row with those of all other logs, and warn that
-    one has the fields of another.
+    If its row were the argument, Numba would compare the row's type with those of all other logs, and warn.
     """
     entry = log[row]
     v, omega, clock, f = T.v, T.omega, T.drift[0].clock, slowing(T)
@@ -358,7 +347,7 @@ def collide(i: int, j: int, log: RecordArray[ImpactRecord], row: int, T: Traject
     e = restitution_of_impact(material, -vn, slow, Kn, ri, rj)
     Jn = max(0.0, rebound(e, vn)) / Kn
     entry.restitution_loss, entry.stabilisation_gain = normal_loss(Jn, vn, Kn), 0.0
-    if max(T.rest_speed[i], T.rest_speed[j]) > 0.0:
+    if max(T.rest_speed[i], T.rest_speed[j]) > 0.0:  # a force may press them together
         landing = _landing_velocity(i, j, nx, ny, nz, ax * nx + ay * ny + az * nz, T)
         if landing > max(vn, -e * vn):
             Jn = (landing - vn) / Kn
@@ -410,11 +399,10 @@ def collide(i: int, j: int, log: RecordArray[ImpactRecord], row: int, T: Traject
 
 @unowned
 def _landing_velocity(i: int, j: int, nx: float, ny: float, nz: float, an: float, T: Trajectories) -> float:
-    """Return the normal velocity at which two bodies must separate to touch again only at the end of the drift.
+    """Return the normal velocity in m/s at which two bodies must separate to touch again only at the end of the drift.
 
-    The result is in m/s, for a relative acceleration an in m/s²; -infinity unless an presses them together.
-    Bodies that separate more slowly would overlap at the end: the force keeps acting, and nothing holds them until
-    then.
+    It is -infinity unless their relative acceleration ``an`` in m/s² presses them together. Bodies that separate more
+    slowly would overlap at the end: the force keeps acting, and nothing holds them until then.
     """
     if not an < 0.0:
         return -np.inf

@@ -32,12 +32,11 @@ import numpy as np
 from carom.arrays import FloatArray
 from carom.physics.contact.impact_log import ROUNDING
 from carom.physics.exponential import exponentials
-from carom.physics.jit.decorators import chosen_by_type, inline, kernel
-from carom.physics.sheared_box import along_gradient, in_axes, is_record_of_shear
+from carom.physics.jit.decorators import inline, kernel, with_field
+from carom.physics.sheared_box import along_gradient, in_axes
 from carom.physics.vector import Vector, between, nearest_image, vector
 
 CLEARANCE = 1e-6  # of the squared distance, above the rounding of times of impact
-
 MOST_PASSES = 100
 GAP_TOLERANCE = 2.0**-50  # of the sum of radii; a smaller gap is rounding
 
@@ -61,7 +60,7 @@ def stay_apart(d: Vector, v: Vector, R: float, span: float) -> bool:
 
 @kernel
 def time_of_impact(d: Vector, v: Vector, a: Vector, R: float, span: float, since_kick: float, slow: float) -> float:
-    """Return the time (s) until two bodies meet in an impact; infinite if they do not within a span.
+    """Return the time (s) until two bodies meet in an impact; infinite if they do not within a span (s).
 
     Parameters
     ----------
@@ -69,8 +68,6 @@ def time_of_impact(d: Vector, v: Vector, a: Vector, R: float, span: float, since
         m, m/s and m/s²: separation, velocity and acceleration of one body relative to the other.
     R
         m, the sum of radii.
-    span
-        s.
     since_kick
         s, present time minus the time of the velocities.
     slow
@@ -100,18 +97,10 @@ def time_of_impact(d: Vector, v: Vector, a: Vector, R: float, span: float, since
 def time_of_impact_on_parabola(
     separation: Vector, velocity: Vector, acceleration: Vector, damping: float, R: float, span: float
 ) -> float:
-    """Return the time (s) until two bodies touch and close; infinite if they do not within a span.
+    """Return the time (s) until two bodies touch and close; infinite if they do not within a span (s).
 
-    Parameters
-    ----------
-    separation, velocity, acceleration
-        m, m/s and m/s²: present separation, velocity and acceleration of one body relative to the other.
-    damping
-        1/s, rate at which drag slows bodies down; the acceleration is that without drag.
-    R
-        m, the sum of radii.
-    span
-        s.
+    The bodies have a relative separation (m), velocity (m/s) and acceleration without drag (m/s²). Drag slows them down
+    at the rate ``damping`` in 1/s. R is the sum of their radii in m.
     """
     (dx, dy, dz), (wx, wy, wz), (bx, by, bz) = separation, velocity, acceleration
     ax, ay, az = bx - damping * wx, by - damping * wy, bz - damping * wz
@@ -146,18 +135,10 @@ def time_of_impact_on_parabola(
 
 @kernel
 def time_to_plane_in_medium(gap: float, rate: float, bend: float, damping: float, R: float, span: float) -> float:
-    """Return the time (s) until a body touches a plane and closes; infinite if it does not within a span.
+    """Return the time (s) until a body of radius R (m) touches a plane and closes; infinite if not within a span (s).
 
-    Parameters
-    ----------
-    gap, rate, bend
-        m, m/s and m/s²: present gap, its rate of change, and the acceleration without drag.
-    damping
-        1/s, rate at which drag slows bodies down.
-    R
-        m, the radius.
-    span
-        s.
+    ``gap`` (m) and ``rate`` (m/s) are the present gap and its rate of change, ``bend`` (m/s²) is the acceleration
+    without drag. Drag slows the body down at the rate ``damping`` in 1/s.
     """
     falls = max(0.0, damping * rate - bend)
     t = 0.0
@@ -218,25 +199,11 @@ def time_of_impact_in_box(
         dx, dy, dz, passed = dx + vx * leg, dy + vy * leg, dz + vz * leg, passed + leg
 
 
-def first_of_images(
-    d: Vector, v: Vector, a: Vector, R: float, span: float, since_kick: float, slow: float, at: tuple[Any, float]
-) -> float:
-    """Return `time_of_impact` in a sheared box, given the box and the time (s) since the step began; else infinity."""
-    raise NotImplementedError("only kernels call it")
-
-
-@chosen_by_type(first_of_images)
-def _first_of_images(d: Any, v: Any, a: Any, R: Any, span: Any, since_kick: Any, slow: Any, at: Any) -> Any:
-    if is_record_of_shear(at.types[0]):
-        return _each_on_its_line
-    return lambda d, v, a, R, span, since_kick, slow, at: np.inf
-
-
 def _each_on_its_line(
-    d: Vector, v: Vector, a: Vector, R: float, span: float, since_kick: float, slow: float, at: tuple[Any, float]
+    d: Vector, v: Vector, a: Vector, R: float, slow: float, times: tuple[float, float, float], box: Any
 ) -> float:
     """Test the images that come within R along the gradient; along the other axes, space repeats as without shear."""
-    box, clock = at
+    span, since_kick, clock = times
     B = box[0]
     (dx, dy, dz), (vx, vy, vz) = d, v
     start = along_gradient(dx, dy, dz, B.gradient)
@@ -251,6 +218,17 @@ def _each_on_its_line(
         first = min(first, time_of_impact_in_box(separation, velocity, a, R, span, since_kick, slow, across))
         k += 1.0
     return float(first)
+
+
+@with_field("shift", _each_on_its_line, place=6)
+def first_of_images(
+    d: Vector, v: Vector, a: Vector, R: float, slow: float, times: tuple[float, float, float], box: Any
+) -> float:
+    """Return `time_of_impact` in a sheared box; infinity in other boxes.
+
+    ``times`` are the span and the time since the kick, as for `time_of_impact`, and the time since the step began.
+    """
+    return np.inf
 
 
 @kernel
@@ -273,21 +251,12 @@ def step_by_impacts(
     offset: FloatArray,
     span: float,
 ) -> float:
-    """Return the longest step (s) that the next impact of bodies and planes allows; infinite without one in a span.
+    """Return the longest step (s) that the next impact of bodies and planes allows; infinite without one in a span (s).
 
     A held contact acts on its bodies with one impulse for the whole step. An impact in the middle of the step meets
     velocities that lack part of this impulse, and bodies that separate there keep too much of it: errors of first order
     in the step. Each step therefore covers nine tenths of the time to the impact, until a very short step passes it.
     The prediction ignores held contacts, an error of second order.
-
-    Parameters
-    ----------
-    x, v, a, radius
-        (n, 3) m, m/s and m/s²; (n,) m.
-    surface, offset
-        (p, 3) normals of planes and (p,) m.
-    span
-        s.
     """
     first = np.inf
     for i in range(len(radius)):

@@ -1,19 +1,18 @@
 """Times of impact of bodies with walls.
 
-The path of a body in a drift is x + v t + ½ g t², with g the field that bends it. With d(x) the distance of the wall,
-the gap of a body of the radius r is d - r. Two bounds hold for the signed distance d. The gap cannot close before the
-path is as long as the gap, and its second derivative is at least -(g + u²/f), where u is the speed and f the distance
-of the nearest centre of curvature. Steps by either bound lead to the first root from below; with the second, they
-converge as fast as Newton's method, as in `time_of_impact`. For a wall that translates, the path is that relative to
-the wall, and the bound of its second derivative has the wall's largest acceleration besides g.
+The path of a body in a drift is x + v t + ½ g t², with g the field that bends it. At the signed distance d(x) from a
+wall, the gap of a body of radius r is d - r. It has two bounds. The gap cannot close before the path is as long as the
+gap, and its second derivative is at least -(g + u²/f), where u is the speed and f the distance of the nearest centre of
+curvature. Steps by either bound lead to the first root from below; with the second, they converge as fast as Newton's
+method, as in `time_of_impact`. If a wall translates, the path is relative to the wall, and the wall's largest
+acceleration is added to g.
 """
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
+from carom.arrays import FloatArray
 from carom.physics.contact.events.time_of_impact import GAP_TOLERANCE, MOST_PASSES, open_for
 from carom.physics.contact.events.trajectories import MOST_HOLDS, Trajectories, elapsed, lag, rest_speed
 from carom.physics.contact.solids import nearest_point
@@ -26,21 +25,11 @@ from carom.physics.contact.translating_walls import (
 from carom.physics.jit.decorators import unowned
 from carom.physics.vector import Vector, along, vector
 
-FOCAL_PART = 0.5  # fraction of the focal distance by which a body may move in a pass
+FOCAL_FRACTION = 0.5  # of the focal distance, by which a body may move in a pass
 
 
-def predict_with_solids(lo: int, hi: int, T: Trajectories) -> None:
-    """Predict the next impact of each body in [lo, hi) with a plane or wall, if it comes before the stored one."""
-    raise NotImplementedError("only kernels call it")
-
-
-def has_walls(T: Any) -> bool:
-    """Return whether Numba's type of `Trajectories` is that of a scene with walls."""
-    return hasattr(T.types[T.fields.index("surface")].dtype, "fields")
-
-
-def predict_with_walls(lo: int, hi: int, T: Trajectories) -> None:
-    """Predict the next impact of each body in [lo, hi) with planes and walls."""
+def predict_with_walls(lo: int, hi: int, T: Trajectories, surface: FloatArray) -> None:
+    """Predict the next impact of each body in [lo, hi) with planes and walls, if it comes before the stored one."""
     n, drift, behind = len(T.x), T.drift[0], lag(T)
     clock, dt, kick = drift.clock, drift.dt, drift.kick
     span = dt - elapsed(T)
@@ -69,12 +58,12 @@ def predict_with_walls(lo: int, hi: int, T: Trajectories) -> None:
             px, py, pz = x + wait * (wx + half * gx), y + wait * (wy + half * gy), z + wait * (wz + half * gz)
             s = when - kick
             ux, uy, uz = vx + ax * s, vy + ay * s, vz + az * s
-            if walls_translate(T.surface):
-                rx, ry, rz = displacement_in_drift(T.surface, solid, when)
-                sx, sy, sz = velocity_in_drift(T.surface, solid, when)
+            if walls_translate(surface):
+                rx, ry, rz = displacement_in_drift(surface, solid, when)
+                sx, sy, sz = velocity_in_drift(surface, solid, when)
                 px, py, pz = px - rx, py - ry, pz - rz
                 ux, uy, uz = ux - sx, uy - sy, uz - sz
-            nx, ny, nz, _, focal = nearest_point(T.surface, solid, px, py, pz)
+            nx, ny, nz, _, focal = nearest_point(surface, solid, px, py, pz)
             closing = -(ux * nx + uy * ny + uz * nz)
             turning = 0.0  # m/s, closing speed of a body that rolls along the wall, at the end of the drift
             if not body.is_free and focal > 0.0:
@@ -96,16 +85,9 @@ def _time_to_wall(
     span: float,
     T: Trajectories,
 ) -> float:
-    """Return the time in s until a body touches a wall and closes; infinite if it does not within a span.
+    """Return the time in s until a body of radius R (m) touches a wall and closes; infinite if not within a span (s).
 
-    Parameters
-    ----------
-    solid
-        The number of the wall.
-    position, velocity, acceleration, bend
-        m, m/s and m/s²: present position, velocity and acceleration of the body, and the magnitude of the acceleration.
-    R, span
-        m, the radius; s.
+    Positions are in m; ``bend`` is the magnitude of the acceleration in m/s².
     """
     t, (x, y, z), (wx, wy, wz), (gx, gy, gz) = 0.0, position, velocity, acceleration
     clock = T.drift[0].clock
@@ -128,9 +110,9 @@ def _time_to_wall(
         speed = np.sqrt(vx * vx + vy * vy + vz * vz)
         further = _until_path(gap, speed, bend)
         if focal < np.inf:
-            near = _until_path(FOCAL_PART * focal, speed, bend)
+            near = _until_path(FOCAL_FRACTION * focal, speed, bend)
             fastest = speed + bend * near
-            curvature = fastest * fastest / ((1.0 - FOCAL_PART) * focal) if focal > 0.0 else np.inf
+            curvature = fastest * fastest / ((1.0 - FOCAL_FRACTION) * focal) if focal > 0.0 else np.inf
             if near > 0.0:
                 further = max(further, min(near, open_for(gap, closing, bend + curvature)))
         elif closing > 0.0 or bend > 0.0:
