@@ -167,7 +167,7 @@ WHOLE: Sections = {
     "time": {"max_dt": 0.02},
 }
 DIRECT = {"forces.gravity.direct.sum_few"}
-TURNING = {"rotation.rotate_rows", "contact.reactions._write_torques"}
+TURNING = {"rotation.rotate_rows", "contact.reactions.write_torques"}
 MEETING = {
     "contact.geometry.update_geometry",
     "contact.graph._colour_contacts",

@@ -50,11 +50,7 @@ def restitution(p: Any, approach: float, rest_speed: float) -> float:
 
 def numbers(section: PowerLaw) -> dict[str, float]:
     """Return the coefficients, by names that Coulomb's law does not have."""
-    return {
-        "slow_restitution": section.restitution,
-        "fastest_speed": section.speed,
-        "exponent": section.exponent,
-    }
+    return {"slow_restitution": section.restitution, "fastest_speed": section.speed, "exponent": section.exponent}
 
 
 def dissipates(p: Any) -> bool:

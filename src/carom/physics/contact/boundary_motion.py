@@ -23,19 +23,12 @@ NO_VELOCITIES: FloatArray = np.zeros((0, 3))
 
 
 class BoundaryMotion:
-    """Moves walls through the phases of a step, and sums the work on the bodies.
-
-    Parameters
-    ----------
-    bodies, solids
-        The bodies, and the planes and walls that they may touch.
-    shear
-        The sheared box, if contacts last in it.
+    """Moves walls through the phases of a step, and sums the work on the bodies; ``shear`` if contacts last in it.
 
     Attributes
     ----------
     work
-        J, work of moving walls on bodies in the step; that of the shear is in `ShearedBox.pop`.
+        J, work of moving walls on bodies in the step; the work of the shear is in `ShearedBox.pop`.
     """
 
     def __init__(self, bodies: Bodies, solids: HalfSpaces, shear: ShearedBox | None) -> None:

@@ -12,7 +12,8 @@ from carom.arrays import BoolArray, FloatArray, IntArray, RecordArray, dtype_of
 from carom.physics.aligned import CACHE_LINE
 from carom.physics.contact.guided_walls import Guide
 from carom.physics.contact.moving_walls import SurfaceVelocity
-from carom.physics.contact.rolling import AngularImpulse, RollingFields
+from carom.physics.contact.rolling import AngularImpulse, ContactGeometry, RollingFields
+from carom.physics.diagnostics.ledger import LedgerRecord
 from carom.physics.jit.decorators import inline
 from carom.physics.jit.instructions import from_front
 from carom.physics.sheared_box import ImageVelocity
@@ -31,14 +32,9 @@ SHARED_FROM = 2048  # contacts; with fewer, threads cost as much time as they sa
 MIN_PER_TASK = SHARED_FROM // 2
 
 
-class ContactRecord(Protocol):
+class ContactRecord(ContactGeometry, Protocol):
     """A contact, as the iterations use it."""
 
-    nx: float  # the normal, from i to j
-    ny: float
-    nz: float
-    arm_i: float  # m, from each centre to the contact point
-    arm_j: float
     normal_mass: float  # kg, effective masses of normal and tangential impulses
     tangent_mass: float
     velocity_bias: float  # m/s, c: the contact may close at up to c; it has to separate if c is negative
@@ -187,29 +183,21 @@ class PieceResultsRecord(Protocol):
     is_exact: bool  # whether conjugate gradients go on here when they leave meshed islands
 
 
-class MeasuredRecord(Protocol):
-    """A contact whose island may have to return energy."""
-
-    slope: float  # J, along its impulses
-    curvature: float
-    restitution_loss: float  # J, its ledger before the audit
-    friction_loss: float
-    stabilisation_gain: float
-
-
 class BlockSumsRecord(Protocol):
     """Sums of the line search over a block of bodies."""
 
-    slope: float  # J
+    slope: float  # J, along the impulses
     curvature: float
 
 
-class IslandRecord(Protocol):
+class MeasuredRecord(LedgerRecord, BlockSumsRecord, Protocol):
+    """A contact whose island may have to return energy, and its ledger before the audit."""
+
+
+class IslandRecord(BlockSumsRecord, Protocol):
     """An island that may have to return energy."""
 
-    slope: float  # J, along its impulses
-    curvature: float
-    scale: float  # factor on these impulses
+    scale: float  # factor on its impulses
 
 
 class SettingsRecord(Protocol):

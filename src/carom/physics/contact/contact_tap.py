@@ -35,8 +35,6 @@ if TYPE_CHECKING:
     from carom.physics.contact.sleep.sleepers import SleepingContacts
 
 MOST_IMPACTS = 100_000  # stored between two frames, 15 MB; of more, the largest are stored and the others counted
-
-
 NO_ANGULAR_IMPULSES: FloatArray = np.empty((0, 0))
 
 
@@ -95,19 +93,7 @@ NOTHING_HELD = Held(empty_graph().pairs, np.empty(0, dtype=np.int64), np.empty(0
 
 
 class ContactTap:
-    """Collects the impulses and energies of the contacts of each step.
-
-    Parameters
-    ----------
-    bodies
-        The possible ends of a contact.
-    materials
-        Coefficients of the contact law.
-    box
-        As in `ConstraintSystem`.
-    friction
-        Whether friction is modelled.
-    """
+    """Collects the impulses and energies of the contacts of each step."""
 
     def __init__(self, bodies: Bodies, materials: Materials, box: FloatArray, friction: bool) -> None:
         self._data = RowData(bodies.position, box, materials, friction)
@@ -165,18 +151,10 @@ class ContactTap:
         buffer: Buffer | None = None,
         slept: SleepingContacts | None = None,
     ) -> Records:
-        """Return the contact table of this step, (m,) `CONTACT_ROW`, sorted by pair.
+        """Return the contact table of this step, (m,) `CONTACT_ROW`, sorted by pair; in a buffer, if one is given.
 
-        It contains the contacts of the graph, and contacts that exerted an impulse and have opened since.
-
-        Parameters
-        ----------
-        pairs, solver
-            The contacts at the end of the step, and their records.
-        buffer
-            Memory for the table (default: a new array).
-        slept
-            The contacts of sleepers, with their forces when they fell asleep.
+        It contains the contacts of the graph, contacts that exerted an impulse and have opened since, and the contacts
+        of sleepers with their forces when they fell asleep.
         """
         impacts = NO_ROWS
         if len(self._drift):
@@ -260,9 +238,7 @@ class ImpactStore:
         """Return the impacts in order of time, at most `MOST_IMPACTS`."""
         if self._count > MOST_IMPACTS:
             self._leave_out()
-        if len(self._pieces) > 1:
-            return joined(self._pieces, CONTACT_ROW)
-        return self._pieces[0] if self._pieces else NO_ROWS
+        return joined(self._pieces, CONTACT_ROW)
 
     def _leave_out(self) -> None:
         """Keep the impacts with the largest normal impulses; among equal impulses, the first."""
@@ -272,8 +248,8 @@ class ImpactStore:
         self._pieces, self._count = [picked(rows, kept)], len(kept)
 
 
-# The kernels below unpack their tuples once. Passing a tuple to an inlined function counts references to
-# all its arrays, which costs 400 ns a row.
+# The kernels below unpack their tuples once: passing a tuple to an inlined function counts references to all its
+# arrays, which takes 400 ns a row.
 
 
 @long_kernel
@@ -307,7 +283,7 @@ def _merge(
     ended: float,
     rows: RecordArray[ContactRow],
 ) -> int:
-    """Write one row for each pair that was held, met in the drift, touches or exerted an impulse; return their number.
+    """Write a row for each pair that was held, met in the drift, touches or exerted an impulse; return their number.
 
     ``impacts`` are rows of impacts during the drift, sorted by pair, the hardest of each pair first. Rows that do not
     fit are counted, and overwrite the last one.

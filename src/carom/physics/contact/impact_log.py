@@ -7,33 +7,27 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Protocol, cast
+from typing import Protocol, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
 from carom.arrays import FloatArray, IntArray, Records, dtype_of
-from carom.physics.contact.rolling import AngularImpulse
-from carom.physics.diagnostics.ledger import terms_of
+from carom.physics.aligned import columns
+from carom.physics.contact.rolling import AngularImpulse, ContactGeometry
+from carom.physics.diagnostics.ledger import LedgerRecord, terms_of
 
 ROUNDING = 1e-14  # of the speed of a body, and of a radius per drift; slower closing is a rounding error
 
 
-class ImpactRecord(Protocol):
+class ImpactRecord(ContactGeometry, LedgerRecord, Protocol):
     """An impact at its exact time."""
 
     i: int  # i < j
     j: int
     time: float  # s from the beginning of the drift
     clock: float  # s, the clock σ of the straight paths, see `events.trajectories`
-    nx: float  # the normal, from i to j
-    ny: float
-    nz: float
     approach: float  # m/s, closing speed
     rest_speed: float  # m/s, closing speed up to which a contact is at rest
-    restitution_loss: float  # J
-    friction_loss: float
-    stabilisation_gain: float
     vix: float  # m/s, velocities right after the impact
     viy: float
     viz: float
@@ -44,8 +38,6 @@ class ImpactRecord(Protocol):
     friction_x: float  # N s, the tangential impulse that acts on j
     friction_y: float
     friction_z: float
-    arm_i: float  # m, from each centre to the contact point
-    arm_j: float
     x: float  # m, the contact point
     y: float
     z: float
@@ -78,17 +70,17 @@ class Impacts:
     @cached_property
     def pairs(self) -> IntArray:
         """(k, 2), i < j."""
-        return _columns(self.log, "i", "j")
+        return np.stack((self.log["i"], self.log["j"]), axis=1)
 
     @property
     def time(self) -> FloatArray:
         """(k,) s from the beginning of the drift."""
         return cast(FloatArray, self.log["time"])
 
-    @cached_property
+    @property
     def normal(self) -> FloatArray:
         """(k, 3) from i to j."""
-        return _columns(self.log, "nx", "ny", "nz")
+        return columns(self.log, ("nx", "ny", "nz"))
 
     @property
     def approach(self) -> FloatArray:
@@ -108,12 +100,7 @@ class Impacts:
     @cached_property
     def after(self) -> FloatArray:
         """(k, 2, 3) m/s, velocities of both bodies right after the impact."""
-        return _columns(self.log, "vix", "viy", "viz", "vjx", "vjy", "vjz").reshape(-1, 2, 3)
-
-
-def _columns(records: Records, *names: str) -> NDArray[Any]:
-    """Return fields of records side by side, (k, number of names)."""
-    return np.stack([records[name] for name in names], axis=-1)
+        return columns(self.log, ("vix", "viy", "viz", "vjx", "vjy", "vjz")).reshape(-1, 2, 3)
 
 
 NO_IMPACTS = Impacts(np.empty(0, dtype=IMPACT))

@@ -54,27 +54,10 @@ class ContactWorld:
 
 
 class NearPairs:
-    """Finds the near pairs, of spheres and of spheres and planes.
-
-    Parameters
-    ----------
-    contact
-        The scene's section.
-    bodies, world
-        The bodies, and the planes that they may touch.
-    lasting
-        Whether contacts may last.
-    team
-        Threads that share the work.
-    """
+    """Finds the near pairs of spheres, and of spheres and planes; ``lasting`` if contacts may last."""
 
     def __init__(
-        self,
-        contact: ContactSettings,
-        bodies: Bodies,
-        world: ContactWorld,
-        lasting: bool,
-        team: Team,
+        self, contact: ContactSettings, bodies: Bodies, world: ContactWorld, lasting: bool, team: Team
     ) -> None:
         self._bodies, self._field, self._lasting, self._team = bodies, world.field, lasting, team
         planes = world.planes

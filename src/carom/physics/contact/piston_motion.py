@@ -61,14 +61,7 @@ class PistonPlane(NamedTuple):
 class PistonMotion(WallTranslation):
     """Moves the piston of a scene through the phases of a step, and walls with a prescribed motion, if there are any.
 
-    Parameters
-    ----------
-    records, before, ends, motions
-        As for `WallTranslation`.
-    piston
-        The piston.
-    smallest
-        m, radius of the smallest body.
+    ``smallest`` is the radius of the smallest body in m.
 
     Attributes
     ----------

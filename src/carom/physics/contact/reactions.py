@@ -16,15 +16,7 @@ NO_SUPPORT = np.empty(0)  # m/s², without lasting contacts
 
 
 class Torques:
-    """Computes the torques of each step from the spins before and after it.
-
-    Parameters
-    ----------
-    bodies
-        Their torques and angular accelerations are written.
-    team
-        Threads that share the work.
-    """
+    """Computes the torques of each step from the spins before and after it."""
 
     def __init__(self, bodies: Bodies, team: Team) -> None:
         self._bodies, self._team = bodies, team
@@ -39,7 +31,7 @@ class Torques:
         """Write the torques of a step of dt s, Σ r × J / dt = I Δω / dt, and the angular accelerations τ / I."""
         bodies = self._bodies
         arrays = (bodies.angular_velocity, bodies.inertia, dt, bodies.torque, bodies.angular_acceleration)
-        self._team.divide(len(self._spin), MIN_BODIES_PER_TASK, _write_torques, self._spin, *arrays)
+        self._team.divide(len(self._spin), MIN_BODIES_PER_TASK, write_torques, self._spin, *arrays)
 
 
 @long_kernel
@@ -50,7 +42,7 @@ def _remember(lo: int, hi: int, angular_velocity: FloatArray, before: FloatArray
 
 
 @long_kernel
-def _write_torques(
+def write_torques(
     lo: int,
     hi: int,
     before: FloatArray,
@@ -60,6 +52,7 @@ def _write_torques(
     torque: FloatArray,
     angular_acceleration: FloatArray,
 ) -> None:
+    """Write the torques on the bodies [lo, hi) and their angular accelerations, given the spins before a step."""
     for i in range(lo, hi):
         for k in range(3):
             torque[i, k] = inertia[i] * (angular_velocity[i, k] - before[i, k]) / dt
@@ -73,16 +66,22 @@ def supported_acceleration(cache: ImpulseCache, inverse_mass: FloatArray) -> Flo
     """
     if cache.kick == 0.0 or len(cache.pairs) == 0:
         return NO_SUPPORT
-    return _sum_normal_impulses(cache.pairs, cache.place, cache.contacts, inverse_mass, cache.kick)
+    supported = np.zeros(len(inverse_mass))
+    add_support(cache.pairs, cache.place, cache.contacts, inverse_mass, cache.kick, supported)
+    return supported
 
 
 @kernel
-def _sum_normal_impulses(
-    pairs: IntArray, place: IntArray, contacts: RecordArray[ContactRecord], inverse_mass: FloatArray, kick: float
-) -> FloatArray:
-    sums = np.zeros(len(inverse_mass))
+def add_support(
+    pairs: IntArray,
+    place: IntArray,
+    contacts: RecordArray[ContactRecord],
+    inverse_mass: FloatArray,
+    kick: float,
+    supported: FloatArray,
+) -> None:
+    """Add the accelerations that contacts support to ``supported``; see `supported_acceleration`."""
     for c in range(len(pairs)):
         impulse = contacts[place[c]].normal_impulse
         for end in range(2):
-            sums[pairs[c, end]] += impulse * inverse_mass[pairs[c, end]] / kick
-    return sums
+            supported[pairs[c, end]] += impulse * inverse_mass[pairs[c, end]] / kick

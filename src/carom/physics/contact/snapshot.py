@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -121,15 +121,7 @@ EMPTY_SNAPSHOT = ContactSnapshot.of(empty_graph(), np.empty(0), np.empty(0))
 
 
 class SnapshotSource:
-    """Makes the contact snapshot of the last step when a frame, the statistics or the audit needs it.
-
-    Parameters
-    ----------
-    solver
-        The solver, whose records are those of the step's contacts.
-    inverse_mass
-        (n + p,) 1/kg, of bodies and planes.
-    """
+    """Makes the contact snapshot of the last step when a frame, the statistics or the audit needs it."""
 
     def __init__(self, solver: ContactSolver, inverse_mass: FloatArray) -> None:
         self._solver, self._inverse_mass = solver, inverse_mass
@@ -142,7 +134,7 @@ class SnapshotSource:
         self._impacts = NO_IMPACTS
 
     def set_step(self, contacts: OrderedContacts, slept: SleepingContacts | None, impacts: Impacts, dt: float) -> None:
-        """Set the contacts of a step of dt s: those at its end, those of sleepers, and the impacts during its drift."""
+        """Set the contacts at the end of a step of dt s, the contacts of sleepers, and the impacts during the drift."""
         self._contacts, self._slept, self._impacts, self._dt = contacts, slept, impacts, dt
         self._snapshot = None
 
@@ -180,70 +172,47 @@ def late_contacts(
     states: RecordArray[ContactStateRecord],
     normals: FloatArray,
 ) -> tuple[ContactSnapshot, IntArray]:
-    """Copy the contacts at the end of a step that touched then or carry an impulse.
+    """Copy the contacts at the end of a step that touched then or carry an impulse, without impacts during the step.
 
     Parameters
     ----------
     pairs, colours
         (m, 2), sorted, and (m,), of all contacts, including near ones.
-    body_colours
-        As in `CollisionGraph`.
     place
         (m,) index of each contact's record.
-    contacts, states, normals
-        (m,) `CONTACT`, (m,) `CONTACT_STATE`, and (m, 3) before the position correction.
+    normals
+        (m, 3) before the position correction.
 
     Returns
     -------
-    snapshot
-        A snapshot without the impacts during the step.
-    kept
-        (k,) indices of the records of its contacts.
+    snapshot, place
+        The snapshot, and the indices of the records of its contacts, (k,).
     """
     m = len(pairs)
-    kept_pairs, kept_normals = np.empty((m, 2), dtype=np.int64), np.empty((m, 3))
-    overlaps, approach, rest_speed = np.empty(m), np.empty(m), np.empty(m)
-    kept_colours, kept = np.empty(m, dtype=np.int64), np.empty(m, dtype=np.int64)
-    given = _Contacts(pairs, colours, place, contacts, states, normals)
-    count = _copy_touching(given, _Kept(kept_pairs, kept_normals, overlaps, kept_colours, approach, rest_speed, kept))
-    graph = CollisionGraph(
-        kept_pairs[:count], kept_normals[:count], overlaps[:count], kept_colours[:count], body_colours
-    )
-    return ContactSnapshot.of(graph, approach[:count], rest_speed[:count]), kept[:count]
-
-
-class _Contacts(NamedTuple):
-    """All contacts at the end of a step, as arguments of `late_contacts`."""
-
-    pairs: IntArray
-    colours: IntArray
-    place: IntArray
-    contacts: RecordArray[ContactRecord]
-    states: RecordArray[ContactStateRecord]
-    normals: FloatArray
-
-
-class _Kept(NamedTuple):
-    """The contacts that are kept, as arguments of `late_contacts`."""
-
-    pairs: IntArray  # (m, 2)
-    normals: FloatArray  # (m, 3)
-    overlaps: FloatArray  # (m,) m
-    colours: IntArray  # (m,)
-    approach: FloatArray  # (m,) m/s
-    rest_speed: FloatArray  # (m,) m/s
-    place: IntArray  # (m,) of their records
+    ends, indices, numbers = np.empty((m, 2), np.int64), np.empty((2, m), np.int64), np.empty((3, m))
+    kept = ends, np.empty((m, 3)), *indices, *numbers
+    count = _copy_touching(pairs, colours, place, contacts, states, normals, kept)
+    ends, normals, colours, place, overlaps, approach, rest_speed = (array[:count] for array in kept)
+    graph = CollisionGraph(ends, normals, overlaps, colours, body_colours)
+    return ContactSnapshot.of(graph, approach, rest_speed), place
 
 
 @kernel
-def _copy_touching(given: _Contacts, kept: _Kept) -> int:
+def _copy_touching(
+    pairs: IntArray,
+    colours: IntArray,
+    place: IntArray,
+    contacts: RecordArray[ContactRecord],
+    states: RecordArray[ContactStateRecord],
+    normals: FloatArray,
+    kept: tuple[IntArray, FloatArray, IntArray, IntArray, FloatArray, FloatArray, FloatArray],
+) -> int:
     """Copy the contacts that touched or carry an impulse; return their number.
 
     Normals and overlaps are from before the position correction. A contact that the correction opened is still
     resolved; otherwise the body would fall and be pushed back in each step.
     """
-    pairs, colours, place, contacts, states, normals = given
-    kept_pairs, kept_normals, overlaps, kept_colours, approach, rest_speed, kept_place = kept
+    kept_pairs, kept_normals, kept_colours, kept_place, overlaps, approach, rest_speed = kept
     count = 0
     for c in range(len(pairs)):
         p = place[c]

@@ -98,14 +98,9 @@ class ContactStatistics(NamedTuple):
         states: RecordArray[ContactStateRecord],
         inverse_mass: FloatArray,
     ) -> ContactStatistics:
-        """Add the impacts during the drift of a step; a pair with several counts as one contact, by the hardest one.
+        """Add the impacts during the drift of a step; several of one pair count as one contact, by the hardest impact.
 
-        Parameters
-        ----------
-        ordered, contacts, states
-            The contacts at the end of the step, which these statistics describe; see `ConstraintSystem`.
-        inverse_mass
-            (n + p,) 1/kg
+        These statistics describe the contacts at the end of the step, whose arrays are as in `ConstraintSystem`.
         """
         log, place = impacts.log, ordered.order.place
         order = np.argsort(log["i"] * len(inverse_mass) + log["j"], kind="stable")
@@ -178,7 +173,7 @@ def _add_impacts(
     states: RecordArray[ContactStateRecord],
     inverse_mass: FloatArray,
 ) -> tuple[int, float, float, int, int]:
-    """Add impacts, of which ``order`` has the indices in the order of their pairs, and of time for each pair.
+    """Add impacts; ``order`` has their indices, sorted by pair and then by time.
 
     Returns
     -------
@@ -264,32 +259,14 @@ OVERLAPS = f"Bodies overlap by more than {DEEP_OVERLAP:.0%} of the smaller radiu
 def limits_of(
     contact: ContactSettings,
     *,
-    serial_stage: bool,
-    too_few_sweeps: bool,
-    exhausted: bool,
-    crossed: bool,
-    deepest: float,
-    at_impacts: bool,
+    serial_stage: bool,  # whether contacts need more colours than there are parallel stages
+    too_few_sweeps: bool,  # whether contacts were still closing after the sweeps
+    exhausted: bool,  # whether a body had so many impacts that its contacts were held
+    crossed: bool,  # whether a body would have passed through a plane
+    deepest: float,  # overlap / smaller radius
+    at_impacts: bool,  # whether impacts are resolved at their exact times
 ) -> list[tuple[str, str]]:
-    """Return the limits of the method that a step reached: level, `WARN` or `INFO`, and text.
-
-    Parameters
-    ----------
-    contact
-        The scene's section.
-    serial_stage
-        Whether contacts need more colours than there are parallel stages.
-    too_few_sweeps
-        Whether contacts were still closing after the sweeps.
-    exhausted
-        Whether a body had so many impacts that its contacts were held.
-    crossed
-        Whether a body would have passed through a plane.
-    deepest
-        The deepest overlap relative to the smaller radius.
-    at_impacts
-        Whether impacts are resolved at their exact times.
-    """
+    """Return the limits of the method that a step reached: level, `WARN` or `INFO`, and text."""
     reached = []
     if serial_stage:  # this only costs time
         text = f"More than {OVERFLOW} colours are needed: the remaining contacts are resolved in a last, serial stage."

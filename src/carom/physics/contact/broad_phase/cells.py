@@ -28,7 +28,7 @@ from carom.arrays import BoolArray, FloatArray, Int32Array, IntArray, RecordArra
 from carom.physics.jit.decorators import inline, kernel, long_kernel
 from carom.physics.jit.instructions import AHEAD, atomic_add, prefetch
 from carom.physics.jit.team import Team
-from carom.physics.vector import is_periodic
+from carom.physics.vector import Vector, is_periodic, sizes, vector
 from carom.scene.portable_math import ENDLESS
 
 WIDER = 1.0 + 1e-6  # margin of the cell width, so that rounding cannot move a neighbour beyond the neighbouring cells
@@ -105,17 +105,7 @@ class Table(NamedTuple):
 
 
 class Cells:
-    """Sorts n bodies into cells; keeps its tables from step to step.
-
-    Parameters
-    ----------
-    radius
-        (n,) m; they do not change.
-    box
-        Size of the periodic box, (3,) m; zeros in open space.
-    team
-        Threads that sort.
-    """
+    """Sorts n bodies, whose radii do not change, into cells; keeps its tables from step to step."""
 
     def __init__(self, radius: FloatArray, box: FloatArray, team: Team) -> None:
         n = len(radius)
@@ -163,39 +153,30 @@ def repeats(size: float) -> bool:
 
 
 @kernel
-def _measure_extent(position: FloatArray, origin: FloatArray, box: FloatArray) -> tuple[float, float, float]:
+def _measure_extent(position: FloatArray, origin: FloatArray, box: FloatArray) -> Vector:
     """Write the corner where cells begin; return the extent of the bodies, or of the box where it repeats, in m."""
     if repeats(box[0]) and repeats(box[1]) and repeats(box[2]):
-        for k in range(3):
-            origin[k] = -0.5 * box[k]
-        return box[0], box[1], box[2]
-    x0, y0, z0 = position[0, 0], position[0, 1], position[0, 2]
+        origin[:] = -0.5 * box
+        return sizes(box)
+    x0, y0, z0 = vector(position, 0)
     x1, y1, z1 = x0, y0, z0
     for i in range(len(position)):
-        x, y, z = position[i, 0], position[i, 1], position[i, 2]
+        x, y, z = vector(position, i)
         x0, y0, z0 = min(x0, x), min(y0, y), min(z0, z)
         x1, y1, z1 = max(x1, x), max(y1, y), max(z1, z)
-    origin[0], origin[1], origin[2] = x0, y0, z0
-    width, depth, height = x1 - x0, y1 - y0, z1 - z0
-    if repeats(box[0]):
-        origin[0], width = -0.5 * box[0], box[0]
-    if repeats(box[1]):
-        origin[1], depth = -0.5 * box[1], box[1]
-    if repeats(box[2]):
-        origin[2], height = -0.5 * box[2], box[2]
+    origin[0], width = (-0.5 * box[0], box[0]) if repeats(box[0]) else (x0, x1 - x0)
+    origin[1], depth = (-0.5 * box[1], box[1]) if repeats(box[1]) else (y0, y1 - y0)
+    origin[2], height = (-0.5 * box[2], box[2]) if repeats(box[2]) else (z0, z1 - z0)
     return width, depth, height
 
 
 @kernel
 def _define_grids(
-    extent: tuple[float, float, float], scale: float, skin: float, octaves: RecordArray[OctaveRecord], layout: Layout
+    extent: Vector, scale: float, skin: float, octaves: RecordArray[OctaveRecord], layout: Layout
 ) -> bool:
     """Define the grids, and which grids search which others.
 
-    Returns
-    -------
-    has_changed
-        Whether octaves share grids differently than before; bodies must then be sorted anew.
+    Return whether octaves share grids differently than before; bodies must then be sorted anew.
     """
     # each octave gets its own grid, or shares that of the next larger one
     count, cells, has_changed = 0, 0.0, False
@@ -246,14 +227,8 @@ def _define_grids(
 
 
 @kernel
-def _cut(width: float, broader: float, extent: tuple[float, float, float], box: FloatArray, grid: GridRecord) -> float:
-    """Divide a grid into cells of at least a width, broader across the rows and shorter along them.
-
-    Returns
-    -------
-    cells
-        Number of cells.
-    """
+def _cut(width: float, broader: float, extent: Vector, box: FloatArray, grid: GridRecord) -> float:
+    """Divide a grid into cells, broader across the rows and shorter along them; return their number."""
     grid.nx, grid.kx = _cut_axis(extent[0], width / (broader * broader), repeats(box[0]))
     grid.ny, grid.ky = _cut_axis(extent[1], width * broader, repeats(box[1]))
     grid.nz, grid.kz = _cut_axis(extent[2], width * broader, repeats(box[2]))
@@ -301,13 +276,7 @@ def strip_of(ix: int, iy: int, iz: int) -> int:
 
 @long_kernel
 def _assign(
-    lo: int,
-    hi: int,
-    position: FloatArray,
-    layout: Layout,
-    before: Table,
-    bucket: Int32Array,
-    rank: Int32Array,
+    lo: int, hi: int, position: FloatArray, layout: Layout, before: Table, bucket: Int32Array, rank: Int32Array
 ) -> None:
     """Find the bucket of each body, and its number in the bucket; the number depends on the order of the threads."""
     origin, ends, body = layout.origin, before.ends, before.body

@@ -42,16 +42,9 @@ MIN_BODIES_PER_TASK = 200
 
 
 class HierarchicalGrid:
-    """Finds the pairs of n spheres that touch; keeps its tables from step to step.
+    """Finds the pairs of n spheres, whose radii do not change, that touch; keeps its tables from step to step.
 
-    Parameters
-    ----------
-    radius
-        (n,) m; they do not change.
-    box
-        Size of the periodic box, (3,) m; zeros in open space.
-    team
-        Threads that search; by default the caller alone.
+    A box is the size of the periodic box, (3,) m; zeros in open space.
     """
 
     def __init__(self, radius: FloatArray, box: FloatArray, team: Team = SOLO) -> None:
@@ -67,14 +60,8 @@ class HierarchicalGrid:
     def pairs(self, position: FloatArray, scale: float = 1.0, skin: float = 0.0) -> IntArray:
         """Return the pairs no farther apart than ``(r_i + r_j) scale + skin``, (m, 2), sorted by (i, j).
 
-        Parameters
-        ----------
-        position
-            (n, 3) m, finite; in a periodic box, not necessarily inside it.
-        scale
-            1 + the relative margin, at least 1.
-        skin
-            m, not negative.
+        Positions, (n, 3) m, are finite, and need not be inside a periodic box. ``scale`` is at least 1, and ``skin``
+        (m) is not negative.
         """
         if self._cells is None:
             m = _all_pairs(position, self._radius, self._box, scale, skin, self._buffer[0])
@@ -128,14 +115,7 @@ class Row(NamedTuple):
 
 @borrowing
 def search(
-    lo: int,
-    hi: int,
-    table: Table,
-    layout: Layout,
-    scale: float,
-    skin: float,
-    claimed: IntArray,
-    buffer: IntArray,
+    lo: int, hi: int, table: Table, layout: Layout, scale: float, skin: float, claimed: IntArray, buffer: IntArray
 ) -> None:
     """Store the pairs of the bodies [lo, hi) of the table.
 
@@ -239,7 +219,7 @@ def _cells_along(o: float, search_radius: float, density: float, cells: int, per
 
 @inline
 def _meets_itself(grid: GridRecord, scale: float, skin: float, box: Vector) -> bool:
-    """Return whether a cell of a periodic grid may be a neighbour on both sides of another."""
+    """Return whether a cell of a periodic grid may be a neighbour of another on both sides."""
     most = WIDER * (grid.diameter * scale + skin)
     return (
         (repeats(box[0]) and not 2.0 * (most * grid.kx + 1.0) < grid.nx)
@@ -278,13 +258,7 @@ def _mark_unused(buffer: IntArray, m: int, end: int) -> None:
 
 @kernel
 def sort_pairs(rows: int, buffer: IntArray, counts: IntArray) -> int:
-    """Sort the pairs by (i, j), if all fit: by j into the second half of the buffer, then by i back.
-
-    Returns
-    -------
-    m
-        Number of pairs.
-    """
+    """Sort the pairs by (i, j), if all fit: by j into the second half of the buffer, then by i back; return a count."""
     if rows > buffer.shape[1]:
         return 0
     m = _sort_by(1, rows, buffer[0], buffer[1], counts)

@@ -14,6 +14,7 @@ radius a step, a step takes 0.45 of the time of one that searches; with lists fo
 
 from __future__ import annotations
 
+import math
 from typing import Protocol
 
 import numpy as np
@@ -22,7 +23,7 @@ from carom.arrays import FloatArray, IntArray, RecordArray, Records, dtype_of
 from carom.physics.contact.broad_phase.grid import ALL_PAIRS_UP_TO, HierarchicalGrid
 from carom.physics.contact.constraints import ends_of
 from carom.physics.contact.geometry import SearchedSpheres, are_near
-from carom.physics.jit.decorators import borrowing, kernel, long_kernel
+from carom.physics.jit.decorators import borrowing, long_kernel
 from carom.physics.jit.instructions import from_front
 from carom.physics.jit.team import SOLO, Team
 from carom.physics.placement.neighbours import overlapping_pairs
@@ -86,19 +87,7 @@ def search_by(method: str, radius: FloatArray, box: FloatArray, team: Team = SOL
 
 
 class PairList:
-    """Finds the touching pairs of n spheres; see `Search`.
-
-    Parameters
-    ----------
-    grid
-        Makes the list.
-    radius
-        (n,) m
-    box
-        Size of the periodic box, (3,) m; zeros in open space.
-    team
-        Threads that test the list.
-    """
+    """Finds the touching pairs of n spheres in a list that a grid makes; see `Search`."""
 
     def __init__(self, grid: HierarchicalGrid, radius: FloatArray, box: FloatArray, team: Team = SOLO) -> None:
         self._grid, self._radius, self._box, self._team = grid, radius, box, team
@@ -142,7 +131,7 @@ class PairList:
         """Return the largest displacement of a body from its start, and the largest absolute coordinate, in m."""
         moves = self._moves
         self._team.divide(len(moves), MIN_BLOCKS_PER_TASK, _measure_moves, position, self._start, self._box, moves)
-        return _farthest(moves)
+        return math.sqrt(moves["move"].max()), float(moves["size"].max())
 
     def _within_reach(self, position: FloatArray, scale: float, skin: float) -> IntArray:
         """Return the listed pairs within the search distance."""
@@ -173,22 +162,9 @@ def _measure_moves(
         moves[block].move, moves[block].size = farthest, size
 
 
-@kernel
-def _farthest(moves: RecordArray[FarthestRecord]) -> tuple[float, float]:
-    farthest, size = 0.0, 0.0
-    for block in range(len(moves)):
-        farthest, size = max(farthest, moves[block].move), max(size, moves[block].size)
-    return np.sqrt(farthest), size
-
-
 @borrowing
 def _test(
-    lo: int,
-    hi: int,
-    listed: IntArray,
-    spheres: SearchedSpheres,
-    near: IntArray,
-    blocks: RecordArray[BlockRecord],
+    lo: int, hi: int, listed: IntArray, spheres: SearchedSpheres, near: IntArray, blocks: RecordArray[BlockRecord]
 ) -> None:
     """Copy the pairs of the blocks [lo, hi) that are within the search distance.
 

@@ -35,19 +35,7 @@ DEEPEST = 0.5  # of the radius: upper limit of that overlap where coordinates ar
 
 
 class PlaneSearch:
-    """Adds the contacts (i, n + k) of bodies with planes k, and drops contacts of two fixed bodies.
-
-    Parameters
-    ----------
-    radius
-        (n,) m.
-    inverse_mass
-        (n + p,) 1/kg; two fixed ends form no contact.
-    planes
-        The half-spaces.
-    team
-        Threads that merge.
-    """
+    """Adds the contacts (i, n + k) of bodies with planes k, and drops contacts of two fixed bodies."""
 
     def __init__(self, radius: FloatArray, inverse_mass: FloatArray, planes: HalfSpaces, team: Team) -> None:
         self._radius, self._inverse_mass, self._planes, self._team = radius, inverse_mass, planes, team
@@ -96,15 +84,7 @@ def _merge(
 
 
 class PlaneGuard:
-    """Prevents bodies from passing through planes within a step.
-
-    Parameters
-    ----------
-    bodies, planes
-        The bodies, and the planes that they must not pass through.
-    team
-        Threads that test the positions.
-    """
+    """Prevents bodies from passing through planes within a step."""
 
     def __init__(self, bodies: Bodies, planes: HalfSpaces, team: Team) -> None:
         self._bodies, self._planes, self._team = bodies, planes, team
@@ -121,7 +101,7 @@ class PlaneGuard:
         position, planes = self._bodies.position, self._planes
         is_behind = np.zeros(1, dtype=np.bool_)
         tested = (position, planes.surface, planes.offset, is_behind)
-        self._team.divide(len(position), MIN_BODIES_PER_TASK, _test_behind, *tested)
+        self._team.divide(len(position), MIN_BODIES_PER_TASK, mark_behind, *tested)
         if not is_behind[0]:
             return False
         crossed = (self._planes.heights(position) < 0.0) & (self._planes.heights_before(self._start) >= 0.0)
@@ -167,7 +147,7 @@ class PlaneGuard:
     def _fraction_before_walls(
         self, start: FloatArray, end: FloatArray, crossed: BoolArray, touching: FloatArray
     ) -> FloatArray:
-        """Return the fraction of each path, (k,), up to which the body is ``touching`` m or more from these walls.
+        """Return the fraction of each path, (k,), up to which the body is ``touching`` m or more from crossed walls.
 
         It is found by bisection, since the distance from a curved wall is not linear along the path.
         """
@@ -181,7 +161,7 @@ class PlaneGuard:
 
 
 @long_kernel
-def _test_behind(
+def mark_behind(
     lo: int, hi: int, position: FloatArray, normal: FloatArray, offset: FloatArray, is_behind: BoolArray
 ) -> None:
     """Set a flag if the centre of one of the bodies [lo, hi) is behind a plane."""

@@ -8,9 +8,6 @@ Rejected: search radii that no impact can exceed. One fast body would make all b
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import NamedTuple
-
 import numpy as np
 
 from carom.arrays import BoolArray, IntArray, RecordArray, Records
@@ -60,29 +57,6 @@ GAP_ROUNDING = 16 * 2.0**-53  # of the coordinates and of the sum of radii
 WIDEST = 2.0  # times the radii; up to this width, the contact grids also find neighbours
 # Largest search radius, in body radii, from which `narrow` saves time, and up to which its squares are finite.
 NARROWED = 0.25, 1e100
-
-
-class _Kernels(NamedTuple):
-    """The kernels of the trajectories of one run, see `entry_of`."""
-
-    begin: Callable[..., None]
-    predict: Callable[..., None]
-    fill_queue: Callable[..., int]
-    resolve: Callable[..., int]
-    finish: Callable[..., None]
-
-    @classmethod
-    def of(cls, T: Trajectories, log: RecordArray[ImpactRecord]) -> _Kernels:
-        """Compile the kernels, or load them."""
-        none = np.zeros(0, dtype=np.int64)
-        nobody = Neighbours(none, none, none)
-        return cls(
-            begin=entry_of(begin, T, 1.0, 0.0, 0.0, False, np.zeros(0, dtype=np.bool_)),
-            predict=entry_of(predict, 0, 0, nobody, T),
-            fill_queue=entry_of(_fill_queue, T),
-            resolve=entry_of(resolve, nobody, T, log, None),
-            finish=entry_of(finish, 0, 0, T),
-        )
 
 
 class EventDrivenDrift:
@@ -148,13 +122,18 @@ class EventDrivenDrift:
         drift = self.trajectories.drift
         drift["slow"] = SLOW if anchored else SLOW_IN_SPACE
         drift["field_x"], drift["field_y"], drift["field_z"] = self.bending
-        self._kernels = _Kernels.of(self.trajectories, self.log)
         self._compile()
 
     def _compile(self) -> None:
         """Run every kernel without impacts, so that the first impact does not wait for compilation."""
-        T, nobody = self.trajectories, np.empty((0, 2), dtype=np.int64)
-        self._kernels.begin(T, 1.0, 0.0, 0.0, False, np.ones(len(T.rest_speed), dtype=np.bool_))
+        T, nobody, nothing = self.trajectories, np.empty((0, 2), dtype=np.int64), np.empty(0, dtype=np.int64)
+        alone, pressed = Neighbours(nothing, nothing, nothing), np.ones(len(T.rest_speed), dtype=np.bool_)
+        self._begin = entry_of(begin, T, 1.0, 0.0, 0.0, False, pressed)
+        self._predict = entry_of(predict, 0, 0, alone, T)
+        self._fill_queue = entry_of(_fill_queue, T)
+        self._resolve_most = entry_of(resolve, alone, T, self.log, None)
+        self._finish = entry_of(finish, 0, 0, T)
+        self._begin(T, 1.0, 0.0, 0.0, False, pressed)
         self._straighten(ImpulseCache.empty(), None)
         if self._forces:
             self._write_rest_speeds(nobody, 1.0, 1.0, 0.0)
@@ -211,7 +190,7 @@ class EventDrivenDrift:
         impacts = NO_IMPACTS
         if len(pairs) or len(T.offset):
             bends = bool(self.bending.any()) and (damping > 0.0 or kick == 0.5 * dt)  # velocities are the mean
-            self._kernels.begin(T, dt, kick, damping, bends, pressed)
+            self._begin(T, dt, kick, damping, bends, pressed)
             self._straighten(held, asleep)
             if self._forces:
                 self._write_rest_speeds(pairs, loading * dt, scale, skin)
@@ -220,11 +199,11 @@ class EventDrivenDrift:
                 pairs = near[: narrow(pairs, scale, skin, T, near)]
             ends = np.searchsorted(pairs[:, 0], np.arange(n + 1))
             later = Neighbours(ends[:-1], ends[1:], np.ascontiguousarray(pairs[:, 1]))
-            self._team.divide(n, MIN_BODIES_PER_TASK, predict, later, T, alone=self._kernels.predict)
-            if self._kernels.fill_queue(T):
+            self._team.divide(n, MIN_BODIES_PER_TASK, predict, later, T, alone=self._predict)
+            if self._fill_queue(T):
                 impacts = self._resolve(pairs, T)
         if len(impacts):
-            self._team.divide(n, MIN_BODIES_PER_TASK, finish, T, alone=self._kernels.finish)
+            self._team.divide(n, MIN_BODIES_PER_TASK, finish, T, alone=self._finish)
         else:
             drift(bodies.position, bodies.velocity, dt, self._team)
         return impacts
@@ -263,10 +242,7 @@ class EventDrivenDrift:
         island_rest_speeds(pairs, self.trajectories, scale, skin, acceleration, self.field, dt)
 
     def _neighbours(self, largest: float, scale: float, skin: float, dt: float, narrows: bool) -> IntArray:
-        """Return the pairs whose search radii overlap.
-
-        If the largest, in body radii, is small, all bodies get it, unless `narrow` follows.
-        """
+        """Return the pairs whose search radii overlap; a small ``largest`` (in body radii) is used for all bodies."""
         T, radius, position = self.trajectories, self._bodies.radius, self._bodies.position
         if self._shear:
             position, stretch = self._shear.carried(position), self._shear.stretch(dt)
@@ -283,7 +259,7 @@ class EventDrivenDrift:
         both_ways(pairs, ends, others)
         neighbours = Neighbours(ends[:-1], ends[1:], others)
         logs: list[Records] = []
-        step, held, count = self._kernels.resolve, None, 0
+        step, held, count = self._resolve_most, None, 0
         while not logs or T.drift["queued"][0] > 0:
             if logs:
                 logs[-1] = logs[-1].copy()  # the log is written again
@@ -312,9 +288,9 @@ def _fill_queue(T: Trajectories) -> int:
 def resolve_touching(T: Trajectories, pairs: IntArray, log: RecordArray[ImpactRecord]) -> int:
     """Resolve the impacts of all pairs that touch at one moment; return their number.
 
-    An integrator that ends its steps at impacts calls this at each of them. The pairs are resolved one by one, in the
-    same order as in the event loop, until none closes. Rigid bodies have no unique solution where several pairs meet at
-    once. If the sequence of impacts does not end, the contacts are held (`held_group`).
+    The pairs are resolved one by one, in the order of the event loop, until none closes. Rigid bodies have no unique
+    solution where several pairs meet at once. If the sequence of impacts does not end, the contacts are held
+    (`held_group`).
 
     Parameters
     ----------
@@ -324,7 +300,7 @@ def resolve_touching(T: Trajectories, pairs: IntArray, log: RecordArray[ImpactRe
         (m, 2) buffer for the pairs that touch. The first row is a touching pair, whatever its gap. Without rows,
         nothing is done.
     log
-        (k,) `IMPACT`, buffer for the log of the impacts.
+        (k,) `IMPACT`, buffer for the impacts.
     """
     count, row, held = _touching_pairs(T, pairs), 0, np.empty(MOST_BODIES, np.int64)
     for i in range(len(T.x) if count > 0 else 0):
@@ -341,8 +317,9 @@ def resolve_touching(T: Trajectories, pairs: IntArray, log: RecordArray[ImpactRe
                 collide(i, j, log, row, T)
                 row += 1
             elif row + MOST_CONTACTS <= len(log):
-                _exhaust(i, T)
-                _exhaust(j, T)
+                for end in (i, j):  # the contacts of these bodies are held from now on
+                    if end < len(T.x):
+                        T.body[end].exhausted = T.inverse_mass[end] > 0.0
                 row = hold_group(i, j, T.everyone, T, log, row, held)[1]
             else:
                 T.drift[0].exhausted = 1
@@ -351,13 +328,6 @@ def resolve_touching(T: Trajectories, pairs: IntArray, log: RecordArray[ImpactRe
             return row
     T.drift[0].exhausted = 1
     return row
-
-
-@inline
-def _exhaust(i: int, T: Trajectories) -> None:
-    """Mark a body as exhausted: its contacts are held from now on."""
-    if i < len(T.x):
-        T.body[i].exhausted = T.inverse_mass[i] > 0.0
 
 
 @inline

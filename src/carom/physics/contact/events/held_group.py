@@ -71,25 +71,21 @@ class Group(NamedTuple):
 def hold_group(
     i: int, j: int, neighbours: Neighbours, T: Trajectories, log: RecordArray[ImpactRecord], row: int, held: IntArray
 ) -> tuple[int, int]:
-    """Hold the contacts of a meeting pair, and those of its group.
+    """Hold the contacts of a meeting pair and of its group; one of the bodies of the pair is exhausted.
 
     Parameters
     ----------
-    i, j
-        Body, and body or plane; one of the bodies is exhausted.
     neighbours
         The possible partners of each body that is not a stray.
     log, row
-        (k,) `IMPACT`, and the first free row of it. At least `MOST_CONTACTS` rows are free.
+        (k,) `IMPACT`, and its first free row. At least `MOST_CONTACTS` rows are free.
     held
         (MOST_BODIES,) workspace for the bodies of the pair, and those whose velocities change.
 
     Returns
     -------
-    count
-        The number of those bodies.
-    row
-        The first free row.
+    count, row
+        The number of bodies in ``held``, and the first free row.
     """
     group = Group(
         np.empty(MOST_BODIES, np.int64),
@@ -173,13 +169,6 @@ def _gather(i: int, j: int, neighbours: Neighbours, T: Trajectories, group: Grou
     return bodies, contacts
 
 
-@inline
-def _standoff(i: int, T: Trajectories) -> float:
-    """Return the gap in m up to which the contacts of a body are held."""
-    body = T.body[i]
-    return float(body.standoff) if body.exhausted else 0.0
-
-
 @inner
 def _is_near(i: int, j: int, T: Trajectories) -> bool:
     """Return whether the gap between two bodies is so small that their contact is held."""
@@ -188,7 +177,9 @@ def _is_near(i: int, j: int, T: Trajectories) -> bool:
     xj, yj, zj = along(T.x, T.v, j, clock - T.body[j].now)
     dx, dy, dz = xj - xi, yj - yi, zj - zi
     dx, dy, dz = nearest_in_drift(dx, dy, dz, T.box, clock)
-    R = T.radius[i] + T.radius[j] + _standoff(i, T) + _standoff(j, T)
+    R = T.radius[i] + T.radius[j]
+    R += T.body[i].standoff if T.body[i].exhausted else 0.0
+    R += T.body[j].standoff if T.body[j].exhausted else 0.0
     return bool(dx * dx + dy * dy + dz * dz <= R * R)
 
 
@@ -237,16 +228,9 @@ def _add(i: int, j: int, bodies: int, contacts: int, T: Trajectories, group: Gro
 
 @kernel
 def find_impulses(bodies: int, contacts: int, negligible: float, group: Group) -> None:
-    """Compute the impulses, and the velocities after them.
+    """Write the impulses of a group's bodies and contacts, and the velocities after them.
 
-    Parameters
-    ----------
-    bodies, contacts
-        Their numbers.
-    negligible
-        m/s, closing speed that needs no impulse.
-    group
-        The bodies and contacts, with impulses 0; velocities and impulses are written.
+    Impulses are 0 before. A closing speed up to ``negligible`` (m/s) needs no impulse.
     """
     most = min(contacts, 3 * bodies)
     active, count = np.empty(most, np.int64), 0  # contacts that are held
@@ -318,10 +302,10 @@ def _normal_velocity(c: int, group: Group) -> float:
 def _project(
     c: int, count: int, scale: float, group: Group, Q: FloatArray, R: FloatArray, weight: FloatArray, z: FloatArray
 ) -> float:
-    """Write the component of a contact's direction orthogonal to those of the first ``count`` held contacts to ``z``.
+    """Write to ``z`` the component of a contact's direction orthogonal to those of ``count`` held contacts.
 
-    Return the square of its length. The column ``count`` of ``R`` gets the components along the held directions, and
-    ``weight`` the rates at which the held impulses fall as the impulse of the contact rises.
+    Return the square of its length. The components along the held directions are written to a column of ``R``, and the
+    rates at which the held impulses fall as the impulse of the contact rises to ``weight``.
     """
     z[:] = 0.0
     for end in range(2):

@@ -16,6 +16,7 @@ import numpy as np
 from carom.arrays import BoolArray, FloatArray, IntArray, RecordArray
 from carom.physics.aligned import aligned_empty, words
 from carom.physics.bodies import Bodies
+from carom.physics.contact.broad_phase.planes import mark_behind
 from carom.physics.contact.constraints import CONTACTS_PER_BLOCK, ConstraintSystem, ContactRecord
 from carom.physics.contact.events.drift import WIDEST
 from carom.physics.contact.events.event_loop import predict
@@ -44,6 +45,9 @@ from carom.physics.vector import between, sizes, vector
 MOST_CONTACTS = CONTACTS_PER_BLOCK  # more contacts would be counted in several blocks
 
 
+Words = tuple[IntArray, ...]  # six, see `SteadyContacts.words`
+
+
 class SteadyRules(NamedTuple):
     """How contacts are resolved."""
 
@@ -61,12 +65,8 @@ class SteadyRules(NamedTuple):
 class SteadyBuffers(NamedTuple):
     """Copies of the state at the beginning of a step, and workspaces."""
 
-    contacts: IntArray  # words of `CONTACT` records at the beginning of the step, as in the next five fields
-    states: IntArray  # words of `CONTACT_STATE` records
-    recorded: IntArray  # words of `RECORDED` records
-    normals: FloatArray  # (m, 3)
-    spins: FloatArray  # (n, 3) rad/s; no rows where nothing spins
-    orientations: FloatArray  # (n, 4)
+    saved: Words  # the words of `SteadyContacts.words` at the beginning of the step
+    spins: FloatArray  # (n, 3) rad/s, the last of these; no rows where nothing spins
     held: RecordArray[ContactRecord]  # (m,) the contacts as held, before the positions change
     held_words: IntArray  # the words of ``held``
     parent: IntArray  # (n + p,)
@@ -88,9 +88,7 @@ class SteadyContacts(NamedTuple):
     place: IntArray  # (m,) index of each contact's record
     counts: IntArray  # (n + p,) contacts of each body and plane
     normals: FloatArray  # (m, 3) before the position correction
-    contact_words: IntArray  # the records as words
-    state_words: IntArray
-    recorded_words: IntArray
+    words: Words  # of `CONTACT`, `CONTACT_STATE` and `RECORDED` records, of the normals, orientations and spins
     mass: FloatArray  # (n,) kg
     inertia: FloatArray  # (n,) kg m²
     torque: FloatArray  # (n, 3) N m; no rows where none are modelled
@@ -103,8 +101,10 @@ class SteadyContacts(NamedTuple):
         assert event_drift is not None, "see `make` of `steady_steps`"
         system, normals, n = solver.system, solver.found_normals, len(bodies)
         ends, most = len(system.inverse_mass), n * (n - 1) // 2
-        held, numbers = aligned_empty(len(normals), system.contacts.dtype), np.empty(n, dtype=np.int64)
-        contacts, states, recorded = (words(each) for each in (system.contacts, system.states, system.recorded))
+        held, first = aligned_empty(len(normals), system.contacts.dtype), np.empty(n, dtype=np.int64)
+        spins = np.empty_like(bodies.angular_velocity)
+        records = tuple(map(words, (system.contacts, system.states, system.recorded)))
+        numbers = tuple(map(_words_of, (normals, bodies.orientation, bodies.angular_velocity)))
         rules = SteadyRules(
             board=ALONE,
             addresses=solver.code.addresses,
@@ -117,12 +117,8 @@ class SteadyContacts(NamedTuple):
             field=event_drift.field,
         )
         buffers = SteadyBuffers(
-            contacts=np.empty_like(contacts),
-            states=np.empty_like(states),
-            recorded=np.empty_like(recorded),
-            normals=np.empty_like(normals),
-            spins=np.empty_like(bodies.angular_velocity),
-            orientations=np.empty_like(bodies.orientation),
+            saved=(*map(np.empty_like, (*records, *numbers[:2])), _words_of(spins)),
+            spins=spins,
             held=held,
             held_words=words(held),
             parent=np.empty(ends, dtype=np.int64),
@@ -130,69 +126,38 @@ class SteadyContacts(NamedTuple):
             flags=np.empty(2, dtype=np.bool_),
             counts=np.empty(1, BLOCK_COUNTS),
             near=np.empty((most, 2), dtype=np.int64),
-            later=Neighbours(numbers, numbers.copy(), np.empty(most, dtype=np.int64)),
+            later=Neighbours(first, first.copy(), np.empty(most, dtype=np.int64)),
         )
         placed = contact.contacts.pairs, contact.contacts.order.place, solver.counts, normals
         moments = bodies.mass, bodies.inertia, bodies.torque, bodies.angular_acceleration
-        return cls(system, event_drift.trajectories, rules, buffers, *placed, contacts, states, recorded, *moments)
+        return cls(system, event_drift.trajectories, rules, buffers, *placed, (*records, *numbers), *moments)
+
+
+def _words_of(numbers: FloatArray) -> IntArray:
+    """Return numbers as words of eight bytes, a view."""
+    return numbers.reshape(-1).view(np.int64)
 
 
 @inline
-def copy_contacts(contacts: SteadyContacts, orientation: FloatArray, spin: FloatArray, back: bool) -> None:
-    """Copy records, orientations and spins as a step begins into the buffers, or back from these."""
-    B = contacts.buffers
-    copy_words(contacts.contact_words, B.contacts, back)
-    copy_words(contacts.state_words, B.states, back)
-    copy_words(contacts.recorded_words, B.recorded, back)
-    copy_rows(contacts.normals, B.normals, back)
-    copy_rows(orientation, B.orientations, back)
-    copy_rows(spin, B.spins, back)
+def copy_contacts(contacts: SteadyContacts, back: bool) -> None:
+    """Copy records, normals, orientations and spins as a step begins into the buffers, or back."""
+    for k in range(len(contacts.words)):
+        if back:
+            copy_words(contacts.buffers.saved[k], contacts.words[k])
+        else:
+            copy_words(contacts.words[k], contacts.buffers.saved[k])
 
 
 @unowned
-def copy_words(words: IntArray, buffer: IntArray, back: bool) -> None:
-    """Copy words into a buffer, or back; NumPy's assignment would check for overlapping memory."""
-    if back:
-        words, buffer = buffer, words
+def copy_words(words: IntArray, to: IntArray) -> None:
+    """Copy words; NumPy's assignment would check for overlapping memory."""
     for k in range(len(words)):
-        buffer[k] = words[k]
-
-
-@unowned
-def copy_rows(rows: FloatArray, buffer: FloatArray, back: bool) -> None:
-    """Copy rows of numbers into a buffer, or back."""
-    if back:
-        rows, buffer = buffer, rows
-    for i in range(len(rows)):
-        for k in range(rows.shape[1]):
-            buffer[i, k] = rows[i, k]
-
-
-@inline
-def write_support(contacts: SteadyContacts, kick: float, supported: FloatArray) -> None:
-    """Write the supported acceleration of each body in the last kick, which lasted ``kick`` s."""
-    system, inverse_mass = contacts.system, contacts.system.inverse_mass
-    for i in range(len(supported)):
-        supported[i] = 0.0
-    if len(supported) > 0:
-        for c in range(len(contacts.pairs)):
-            impulse = system.contacts[contacts.place[c]].normal_impulse
-            for end in range(2):
-                i = contacts.pairs[c, end]
-                supported[i] += impulse * inverse_mass[i] / kick
+        to[k] = words[k]
 
 
 @unowned
 def hold_steady(contacts: SteadyContacts, kick: float, last_kick: float, last_dt: float, drift: float) -> None:
-    """Hold the contacts after the first kick of a step; see `ContactPipeline.hold`. All times are in s.
-
-    Parameters
-    ----------
-    kick, last_kick
-        This kick and the previous one.
-    last_dt, drift
-        The previous step and the coming drift.
-    """
+    """Hold the contacts after a kick, before a drift; see `ContactPipeline.hold`. All times are in s."""
     system, place, m = contacts.system, contacts.place, len(contacts.pairs)
     for i in range(len(system.pressed)):
         system.pressed[i] = False
@@ -237,24 +202,17 @@ def drift_steady(contacts: SteadyContacts, kick: float, dt: float) -> bool:
 
 @unowned
 def find_steady(contacts: SteadyContacts, x: FloatArray, radius: FloatArray, dt: float) -> bool:
-    """Set up the contacts at the positions after a drift, and correct their overlaps; see `ContactPipeline.find`.
-
-    Parameters
-    ----------
-    x, radius
-        (n, 3) and (n,) m.
-    dt
-        s, the step.
-    """
+    """Set up the contacts after the drift of a step of dt s, and correct overlaps; see `ContactPipeline.find`."""
     system, rules, buffers, m = contacts.system, contacts.rules, contacts.buffers, len(contacts.pairs)
     scale, skin, rounding = _margins(x, radius, system.acceleration, rules.field, dt)
-    if _is_behind(system.surface, system.offset, x) or not _are_same(contacts, x, radius, scale, skin):
+    if _is_behind(contacts, x) or not _are_same(contacts, x, radius, scale, skin):
         return False
     settings = system.settings[0]
     settings.islands_known = False
-    copy_words(contacts.contact_words, buffers.held_words, False)
-    for k in range(len(contacts.recorded_words)):
-        contacts.recorded_words[k] = 0
+    copy_words(contacts.words[0], buffers.held_words)
+    recorded = contacts.words[2]
+    for k in range(len(recorded)):
+        recorded[k] = 0
     shapes = x, radius, system.box, system.surface, system.offset
     begin_contacts(0, m, system.pairs, shapes, system.contacts, system.states, rounding, contacts.normals)
     if not write_rest_speeds(system, rules.field, dt, (buffers.parent, buffers.largest, buffers.flags)):
@@ -265,26 +223,16 @@ def find_steady(contacts: SteadyContacts, x: FloatArray, radius: FloatArray, dt:
         gather_positions(0, b, system.active, (x, v, radius, system.inverse_mass), pushed, pushed_in)
         run_job(rules.board, POSITIONS, rules.addresses, rules.kind, system, rules.most_sweeps)
         scatter_positions(0, b, system.active, pushed, pushed_in, x, v)
-    return not _is_behind(system.surface, system.offset, x)
+    return not _is_behind(contacts, x)
 
 
 @unowned
 def resolve_steady(
     contacts: SteadyContacts, x: FloatArray, radius: FloatArray, first_kick: float, kick: float, dt: float
 ) -> tuple[bool, int]:
-    """Resolve the contacts after the last kick; see `ContactPipeline.resolve`.
+    """Resolve the contacts after the last kick, with all times in s; see `ContactPipeline.resolve`.
 
-    Parameters
-    ----------
-    x, radius
-        (n, 3) and (n,) m.
-    first_kick, kick, dt
-        s, both kicks and the step.
-
-    Returns
-    -------
-    is_steady, sweeps
-        Whether Python need not process the step, and the number of iterations.
+    Return whether the step is complete without Python, and the number of iterations.
     """
     system, rules, m = contacts.system, contacts.rules, len(contacts.pairs)
     shapes = x, radius, system.box, system.surface, system.offset
@@ -344,15 +292,13 @@ def _margins(
     return 1.0 + TOUCHING, rounding + min(np.sqrt(square) * dt * dt, LARGEST_SKIN * smallest), rounding
 
 
-@unowned
-def _is_behind(normal: FloatArray, offset: FloatArray, x: FloatArray) -> bool:
+@inline
+def _is_behind(contacts: SteadyContacts, x: FloatArray) -> bool:
     """Return whether a centre is behind a plane."""
-    for p in range(len(offset)):
-        for i in range(len(x)):
-            px, py, pz = vector(x, i)
-            if height_above(normal, offset, p, px, py, pz) < 0.0:
-                return True
-    return False
+    system, flags = contacts.system, contacts.buffers.flags
+    flags[0] = False
+    mark_behind(0, len(x), x, system.surface, system.offset, flags)
+    return bool(flags[0])
 
 
 @inline

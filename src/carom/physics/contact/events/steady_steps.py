@@ -25,10 +25,10 @@ from carom.physics.contact.events.steady_contacts import (
     find_steady,
     hold_steady,
     resolve_steady,
-    write_support,
 )
 from carom.physics.contact.graph import OrderedContacts
 from carom.physics.contact.law import has_torque
+from carom.physics.contact.reactions import add_support, write_torques
 from carom.physics.diagnostics.bookkeeper import Bookkeeper
 from carom.physics.diagnostics.run_monitor import remembered
 from carom.physics.free_flight import (
@@ -83,17 +83,7 @@ STEADY_TOTALS = dtype_of(SteadyTotalsRecord)
 
 
 class SteadySteps:
-    """Makes steps of a world in which the same contacts last.
-
-    Parameters
-    ----------
-    world, books
-        The world to advance, and its books.
-    timestep
-        Chooses the steps.
-    flight
-        Provides the laws and the state.
-    """
+    """Makes steps of a world in which the same contacts last, with the laws and the state of a `FreeFlight`."""
 
     def __init__(self, world: World, books: Bookkeeper, timestep: Timestep, flight: FreeFlight) -> None:
         assert world.contact is not None, "see `make`"
@@ -185,14 +175,17 @@ def _go_on(
     first, whole, last = laws.substeps[0, 0], laws.substeps[0, 1], laws.substeps[0, 2]
     before, dt, limit, steps = time, 0.0, FIXED, 0
     while steps < most:
-        write_support(contacts, T.last_kick, kept.supported)
+        if len(kept.supported) > 0:
+            kept.supported[:] = 0.0
+            touching = contacts.pairs, contacts.place, contacts.system.contacts, contacts.system.inverse_mass
+            add_support(*touching, T.last_kick, kept.supported)
         length, why, following = choose_step(laws, moved, kept, buffers, average, end - time)
         after = time + length
         first_kick, last_kick = first * length, last * length
         if why == END or not time < after < until or not min(first_kick, last_kick) > 0.0:
             break
         copy_state(position, velocity, acceleration, saved[0], saved[1], saved[2])
-        copy_contacts(contacts, orientation, spin, False)
+        copy_contacts(contacts, False)
         for i in range(len(orientation)):
             rotate_one(i, orientation, spin, length)
         advance(0, n, velocity, acceleration, first_kick)
@@ -217,9 +210,10 @@ def _go_on(
             is_steady, sweeps = resolve_steady(contacts, position, kept.radius, first_kick, last_kick, length)
         if not is_steady:
             copy_state(saved[0], saved[1], saved[2], position, velocity, acceleration)
-            copy_contacts(contacts, orientation, spin, True)
+            copy_contacts(contacts, True)
             break
-        _write_torques(contacts, spin, length)
+        torques = contacts.torque, contacts.angular_acceleration
+        write_torques(0, len(contacts.torque), contacts.buffers.spins, spin, contacts.inertia, length, *torques)
         before, time, dt, limit, average = time, after, length, why, following
         if steps > 0:
             T.impact_energy = remembered(T.impact_energy, 0.0)
@@ -240,16 +234,6 @@ def _are_finite(position: FloatArray, velocity: FloatArray) -> bool:
             x, v = position[i, k], velocity[i, k]
             rest += (x - x) + (v - v)  # 0, or not a number
     return rest == 0.0
-
-
-@inline
-def _write_torques(contacts: SteadyContacts, spin: FloatArray, dt: float) -> None:
-    """Write torques and angular accelerations of a step, as `Torques` does."""
-    before = contacts.buffers.spins
-    for i in range(len(contacts.torque)):
-        for k in range(3):
-            contacts.torque[i, k] = contacts.inertia[i] * (spin[i, k] - before[i, k]) / dt
-            contacts.angular_acceleration[i, k] = contacts.torque[i, k] / contacts.inertia[i]
 
 
 @inline

@@ -2,8 +2,8 @@
 
 Under a uniform acceleration g the true path is a parabola. At the time s of a drift of length dt, the parabola lags
 behind the straight line by ½ g s (dt - s), whatever impacts happened before. Stored positions are on the straight
-lines, and `lag` is added where bodies meet, so that the time of a meeting in a uniform field is exact. Contacts at rest
-hold their bodies with one impulse for the whole drift, so the path of a held body is straight.
+lines. `lag` is added where bodies meet, so the time of a meeting in a uniform field is exact. Contacts at rest hold
+their bodies with one impulse for the whole drift, so the path of a held body is straight.
 
 Under linear drag with the relaxation time τ, paths are straight in a time σ that slows down with the bodies
 (`carom.physics.forces.drag`): σ = τ (1 - e^{-s/τ})/φ₁. At both ends of the drift, σ = s. All times here are σ;
@@ -13,12 +13,11 @@ Under linear drag with the relaxation time τ, paths are straight in a time σ t
 
 An impulse J changes w by J/(m f). Without drag, 1/τ is 0, and σ = s.
 
-The record of each body holds its own time, its next impact, and its search radius: the displacement within which it can
-meet only bodies in its list of neighbours.
+The search radius of a body is the displacement within which it can meet only bodies in its list of neighbours.
 
 The event queue is a binary heap of the bodies with a predicted impact, the earliest first. A body is in it at most
-once, with its own next impact. For an impact of two bodies, one entry is enough: the entry of the body whose impact was
-predicted last. Simultaneous impacts are in the order of their pairs.
+once, with its next impact. An impact of two bodies needs only one entry: that of the body whose impact was predicted
+last. Simultaneous impacts are in the order of their pairs.
 """
 
 from __future__ import annotations
@@ -47,23 +46,20 @@ MAX_SEARCH_RADIUS = 1e150  # m; its square is finite
 
 
 class QueuedRecord(Protocol):
-    """The entry of a body in the event queue, a part of `TrajectoryRecord`."""
+    """A body in the event queue."""
 
-    impact_time: float
-    partner: int
-    queue_place: int
+    impact_time: float  # s, of its next impact; infinite if there is none
+    partner: int  # the other end of that impact: body j, or n + p for plane p
+    queue_place: int  # in the event queue; -1 outside
 
 
-class TrajectoryRecord(Protocol):
+class TrajectoryRecord(QueuedRecord, Protocol):
     """The path of a body in a drift."""
 
     now: float  # s from the beginning of the drift, the time of the body's position
     impacts: int  # impacts so far in this drift
+    partner_impacts: int  # impacts of its next partner when that impact was predicted
     negligible_speed: float  # m/s; slower closing is rounding, not an impact
-    impact_time: float  # s, of its next impact; infinite if there is none
-    partner: int  # the other end of that impact: body j, or n + p for plane p
-    partner_impacts: int  # impacts of the partner when that impact was predicted
-    queue_place: int  # in the event queue; -1 outside
     search_radius: float  # m, displacement relative to the bulk up to which its neighbours are known
     start_x: float  # m, its position at the beginning of the drift, or the middle of its path, see `narrow`
     start_y: float
@@ -143,7 +139,7 @@ def write_search_radii(
     body: RecordArray[TrajectoryRecord],
     drift: RecordArray[DriftRecord],
 ) -> float:
-    """Write the search radius of each body in dt, and its reference velocity; return the largest in body radii.
+    """Write the search radius of each body for dt, and the bulk velocity; return the largest radius in body radii.
 
     A search radius is the distance that a body covers at its own speed plus the mean speed of all bodies, relative to
     the centre of mass or to fixed objects. It suffices after most impacts, and one fast body does not widen the radii
@@ -167,16 +163,10 @@ def write_search_radii(
 
 @kernel
 def begin(T: Trajectories, dt: float, kick: float, damping: float, bends: bool, pressed: BoolArray) -> None:
-    """Begin a drift.
+    """Begin a drift of dt after a kick, both in s; see `DriftRecord`.
 
     Parameters
     ----------
-    T
-        The bodies.
-    dt, kick
-        s, the drift and the kick before it.
-    damping
-        1/s, rate at which drag slows bodies down.
     bends
         Whether the field bends the paths of some bodies.
     pressed
@@ -197,20 +187,11 @@ def begin(T: Trajectories, dt: float, kick: float, damping: float, bends: bool, 
 
 @long_kernel
 def narrow(pairs: IntArray, scale: float, skin: float, T: Trajectories, near: IntArray) -> int:
-    """Centre the search radii on the middle of the paths, and write the pairs that may still meet; return their number.
+    """Centre search radii on the middle of the paths; copy pairs that may meet to ``near``, and return their number.
 
     Around the start of its path, a body needs twice the radius that it needs around the middle, and a search finds all
     pairs within the largest one. In a falling heap, two fifths of the pairs remain. Space must not be periodic, and
-    paths must bend with the uniform field alone.
-
-    Parameters
-    ----------
-    pairs
-        (m, 2) pairs whose search radii overlap.
-    scale, skin
-        As in the search; skin in m.
-    near
-        (m, 2) buffer for the remaining pairs.
+    paths must bend with the uniform field alone. ``scale`` and ``skin`` (m) are those of the search.
     """
     drift, rows = T.drift[0], 0
     half = 0.5 * drift.dt
@@ -218,7 +199,8 @@ def narrow(pairs: IntArray, scale: float, skin: float, T: Trajectories, near: In
         body = T.body[i]
         vx, vy, vz = vector(T.v, i)
         wx, wy, wz = vx - drift.bulk_x, vy - drift.bulk_y, vz - drift.bulk_z
-        body.start_x, body.start_y = body.start_x + half * wx, body.start_y + half * wy
+        body.start_x += half * wx
+        body.start_y += half * wy
         body.start_z += half * wz
         body.search_radius -= half * np.sqrt(wx * wx + wy * wy + wz * wz)
     gx, gy, gz = drift.field_x, drift.field_y, drift.field_z
@@ -306,9 +288,9 @@ def relative_velocity(i: int, j: int, T: Trajectories) -> Vector:
 
 @inline
 def velocity_of_partner(i: int, j: int, T: Trajectories) -> Vector:
-    """Return the velocity of the image of j that is nearest to i relative to j, in m/s; 0 unless the box is sheared.
+    """Return the velocity (m/s) relative to j of its image nearest to i; 0 unless the box is sheared.
 
-    Both must be at the present time.
+    The positions of both bodies must be at the present time.
     """
     dx, dy, dz = between(T.x, i, j)
     return velocity_of_image(dx, dy, dz, T.box)
@@ -338,7 +320,7 @@ def lag(T: Trajectories) -> float:
 
 
 @unowned
-def centre(i: int, T: Trajectories) -> tuple[float, float, float]:
+def centre(i: int, T: Trajectories) -> Vector:
     """Return the position (m) of a body on its parabola at the present time."""
     x, y, z = vector(T.x, i)
     if T.body[i].is_straight:
@@ -355,9 +337,9 @@ def rest_speed(i: int, T: Trajectories) -> float:
 
 @unowned
 def contact_geometry(i: int, j: int, T: Trajectories) -> tuple[float, float, float, float, float]:
-    """Return the normal from i to j, and both lever arms in m; see `geometry.update_geometry`.
+    """Return the normal from i to j, and both lever arms in m, as `geometry.update_geometry` does.
 
-    The arm at a plane is the height of the centre, which equals the radius when the body meets it.
+    At a plane, the arm is the height of the centre, which equals the radius when the body meets it.
     """
     n = len(T.x)
     if j >= n:
@@ -382,8 +364,7 @@ def contact_geometry(i: int, j: int, T: Trajectories) -> tuple[float, float, flo
 def leaves_search_radius(i: int, T: Trajectories) -> bool:
     """Return whether a body leaves its search radius before the end of the drift."""
     body, drift = T.body[i], T.drift[0]
-    s = drift.dt - body.now
-    x, y, z = along(T.x, T.v, i, s)
+    x, y, z = along(T.x, T.v, i, drift.dt - body.now)
     x = x - drift.bulk_x * drift.dt - body.start_x
     y = y - drift.bulk_y * drift.dt - body.start_y
     z = z - drift.bulk_z * drift.dt - body.start_z
@@ -431,21 +412,9 @@ def is_sooner(i: int, j: int, body: RecordArray[QueuedRecord]) -> bool:
 
 @unowned
 def put(i: int, size: int, queue: IntArray, body: RecordArray[QueuedRecord]) -> int:
-    """Update the place of body i after its next impact has changed; remove it if there is none.
+    """Update the place of body i in a queue after its next impact has changed, or remove it if there is none.
 
-    Parameters
-    ----------
-    size
-        Number of bodies in the queue.
-    queue
-        (n,) the heap.
-    body
-        (n,) `TRAJECTORY`.
-
-    Returns
-    -------
-    size
-        Number of bodies in the queue now.
+    Return the number of queued bodies, which was ``size``.
     """
     k, placed = body[i].queue_place, i
     if body[i].impact_time == np.inf:

@@ -24,12 +24,7 @@ import numpy as np
 
 from carom.arrays import BoolArray, FloatArray, IntArray, Records
 from carom.physics.bodies import Bodies
-from carom.physics.contact.constraints import (
-    CONTACT,
-    CONTACT_STATE,
-    RECORDED,
-    ends_of,
-)
+from carom.physics.contact.constraints import CONTACT, CONTACT_STATE, RECORDED, ends_of
 from carom.physics.contact.contact_checkpoint import SleepCheckpoint
 from carom.physics.contact.graph import CollisionGraph, empty_graph
 from carom.physics.contact.islands import join_islands, root_of
@@ -81,28 +76,12 @@ class SleepingContacts:
         return self.pairs, self.place, contacts, self.states, np.zeros(len(self), RECORDED)
 
 
-NO_SLEEPERS = SleepingContacts(
-    empty_graph().pairs,
-    np.empty((0, 4)),
-    np.empty(0, CONTACT),
-    np.empty(0, CONTACT_STATE),
-    np.empty((0, 3)),
-    NO_CONTACTS,
-)
+_NO_RECORDS = np.empty(0, CONTACT), np.empty(0, CONTACT_STATE), np.empty((0, 3))
+NO_SLEEPERS = SleepingContacts(empty_graph().pairs, np.empty((0, 4)), *_NO_RECORDS, NO_CONTACTS)
 
 
 class Sleepers:
-    """Decides which bodies sleep, and keeps their contacts.
-
-    Parameters
-    ----------
-    sleep
-        The scene's section.
-    bodies, planes
-        The possible ends of a contact.
-    box
-        Size of the periodic box, (3,) m; zeros in open space.
-    """
+    """Decides which bodies sleep, and keeps their contacts."""
 
     def __init__(self, sleep: Sleep, bodies: Bodies, planes: HalfSpaces, box: FloatArray) -> None:
         self._sleep, self._bodies = sleep, bodies
@@ -183,21 +162,14 @@ class Sleepers:
         return self._count > 0 and bool(self._disturbed(empty_graph().pairs).any())
 
     def wake(self, pairs: IntArray, cache: ImpulseCache, kick: float, dt: float) -> tuple[ImpulseCache, FloatArray]:
-        """Wake the islands that are disturbed, or near awake bodies.
+        """Wake the islands that are disturbed, or near awake bodies, given all near pairs.
 
-        Parameters
-        ----------
-        pairs
-            All near pairs.
-        cache
-            The impulses of the awake contacts.
-        kick, dt
-            s, lengths of the first kick and of the step.
+        ``cache`` has the impulses of the awake contacts; the first kick and the step take ``kick`` and ``dt`` s.
 
         Returns
         -------
         cache
-            The impulses with which the next kick starts: the given ones and those of the woken contacts.
+            The impulses with which the next kick starts: the given ones, and the impulses of the woken contacts.
         lost
             (k, 3) J, energy -½ m (a h)² that contacts removed after the first kick, by term. The energy audit books the
             same for bodies at rest, and the opposite after the last kick.
@@ -225,12 +197,8 @@ class Sleepers:
     def fall_asleep(self, pairs: IntArray, cache: ImpulseCache, dt: float) -> FloatArray:
         """Put islands to sleep after a step of dt s; return the energy that they lose, (k, 3) J, by term.
 
-        Parameters
-        ----------
-        pairs
-            (m, 2), the contacts of the step, including near ones.
-        cache
-            The impulses of the last kick. Nothing falls asleep unless they belong to ``pairs``.
+        Nothing falls asleep unless the impulses of the last kick, in ``cache``, belong to ``pairs``, the contacts of
+        the step with near ones.
         """
         bodies, ends = self._bodies, self._bodies.ends
         motion = (ends.velocity, ends.angular_velocity, bodies.radius, ends.inverse_mass)
@@ -239,14 +207,8 @@ class Sleepers:
             return NOTHING_LOST
         impulse = cache.impulse[:, : len(IMPULSES)]
         slept = np.zeros(len(self._calm), dtype=np.bool_)
-        energy = _fall_asleep(
-            pairs,
-            impulse,
-            (ends.velocity, ends.angular_velocity, ends.inverse_mass, ends.inverse_inertia),
-            self._sleep.after,
-            self._calm,
-            slept,
-        )
+        moving = ends.velocity, ends.angular_velocity, ends.inverse_mass, ends.inverse_inertia
+        energy = _fall_asleep(pairs, impulse, moving, self._sleep.after, self._calm, slept)
         if not slept.any():
             return NOTHING_LOST
         self._reference[slept] = ends.acceleration[: len(slept)][slept]
@@ -282,10 +244,8 @@ class Sleepers:
         contacts, states, normals = np.zeros(k, CONTACT), np.zeros(k, CONTACT_STATE), np.empty((k, 3))
         begin_contacts(0, k, pairs, self._shapes, contacts, states, 0.0, normals)
         impulses_of(contacts)[:] = force
-        statistics = ContactStatistics.of(pairs, contacts, states, self._bodies.ends, SOLO)
-        self.contacts = SleepingContacts(
-            pairs, force, contacts, states, normals, statistics._replace(work=NOTHING_LOST)
-        )
+        statistics = ContactStatistics.of(pairs, contacts, states, self._bodies.ends, SOLO)._replace(work=NOTHING_LOST)
+        self.contacts = SleepingContacts(pairs, force, contacts, states, normals, statistics)
 
 
 @kernel
