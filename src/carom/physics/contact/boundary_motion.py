@@ -1,7 +1,7 @@
-"""What moves at the boundary in a step: walls, and the images of a sheared box, with the work of contacts on them.
+"""Moving walls and the images of a sheared box in a step, and their work on the bodies.
 
-`ContactPipeline` calls the methods from `begin` to `settle` in their order. Without moving walls and shear, none of
-them does anything.
+`ContactPipeline` calls the methods from `begin` to `settle` in their order. Without moving walls and shear, they do
+nothing.
 """
 
 from __future__ import annotations
@@ -23,12 +23,9 @@ NO_VELOCITIES: FloatArray = np.zeros((0, 3))
 
 
 class BoundaryMotion:
-    """Moves walls through the phases of a step, and sums the work on the bodies; ``shear`` if contacts last in it.
+    """Moves walls through the phases of a step, and sums their work on the bodies.
 
-    Attributes
-    ----------
-    work
-        J, work of moving walls on bodies in the step; the work of the shear is in `ShearedBox.pop`.
+    A sheared box is given only if contacts last in it. Its work is in `ShearedBox.pop`.
     """
 
     def __init__(self, bodies: Bodies, solids: HalfSpaces, shear: ShearedBox | None) -> None:
@@ -40,7 +37,7 @@ class BoundaryMotion:
             self._translation = guided.motion(*moving, smallest) if guided else WallTranslation(*moving)
         self._span = 0.0, 0.0  # s, times before and after the step
         self._velocity = NO_VELOCITIES  # (p, 3) m/s, of solids that translate, as they do the present work
-        self.work = 0.0
+        self.work = 0.0  # J, of moving walls on bodies in the step
 
     def forget(self) -> None:
         """Return to the state before the first step."""
@@ -59,12 +56,12 @@ class BoundaryMotion:
             self._translation.recall(memory)
 
     def place(self, time: float) -> None:
-        """Move walls that translate to where they are at a time (s)."""
+        """Move walls that translate to their places at a time (s)."""
         if self._translation:
             self._translation.place(time)
 
     def next_change(self, time: float) -> float:
-        """Return when the velocity of a wall jumps next after a time, both in s; infinite if none does."""
+        """Return when the velocity of a wall next changes after a time, both in s; infinite if it never does."""
         return self._translation.next_change(time) if self._translation else np.inf
 
     @property
@@ -82,7 +79,7 @@ class BoundaryMotion:
         self._span = before, time
 
     def begin(self, dt: float, booked: float) -> None:
-        """Begin a step with a drift of ``dt``, of which the first kick books ``booked``, both in s."""
+        """Begin a step with a drift of ``dt`` and a first kick of ``booked``, both in s."""
         self.work = 0.0
         if self._translation:
             self._velocity = self._translation.begin(*self._span, dt, booked)
@@ -95,7 +92,7 @@ class BoundaryMotion:
             set_velocities_in_drift(system.pairs, contacts, *moving, drift)
 
     def begin_drift(self) -> None:
-        """Begin the drift, in which walls that translate have the velocities of their times."""
+        """Begin the drift, during which the velocities of walls that translate depend on the time."""
         if self._translation:
             self._translation.begin_drift()
 

@@ -33,7 +33,7 @@ MIN_PER_TASK = SHARED_FROM // 2
 
 
 class ContactRecord(ContactGeometry, Protocol):
-    """A contact, as the iterations use it."""
+    """The fields of a contact that the iterations use."""
 
     normal_mass: float  # kg, effective masses of normal and tangential impulses
     tangent_mass: float
@@ -69,7 +69,7 @@ class RollingImageContactRecord(ImageVelocity, RollingContactRecord, Protocol):
 
 
 class ContactStateRecord(Protocol):
-    """A contact, as the phases before and after the iterations use it."""
+    """The fields of a contact that only the phases before and after the iterations use."""
 
     overlap: float  # m, at present; negative for a gap
     detected_overlap: float  # m, before the position correction; 0 for a gap

@@ -41,7 +41,7 @@ class GuidedPlane(Protocol):
 
     @property
     def acceleration(self) -> float:
-        """The acceleration along the normal in m/s², but for contacts."""
+        """The acceleration along the normal in m/s², without contacts."""
         ...
 
     def motion(

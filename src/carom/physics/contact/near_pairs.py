@@ -36,7 +36,7 @@ SQUARE, COORDINATE = range(2)  # indices into the array of largest values
 
 @dataclass(frozen=True, slots=True)
 class ContactWorld:
-    """What the contacts of a scene depend on beside its bodies."""
+    """Everything besides the bodies that the contacts of a scene depend on."""
 
     planes: HalfSpaces
     materials: Materials  # coefficients of the contact law
@@ -54,7 +54,7 @@ class ContactWorld:
 
 
 class NearPairs:
-    """Finds the near pairs of spheres, and of spheres and planes; ``lasting`` if contacts may last."""
+    """Finds the near pairs of spheres, and of spheres and planes."""
 
     def __init__(
         self, contact: ContactSettings, bodies: Bodies, world: ContactWorld, lasting: bool, team: Team
@@ -67,10 +67,10 @@ class NearPairs:
         self._smallest = float(bodies.radius.min())
         self._lift = planes.largest_acceleration
         self._shear = world.shear
-        # m/s², which moves a guided wall, or with which a flow closes contacts
+        # m/s², of a guided wall, or of contacts that a flow closes
         self._presses = abs(planes.guided.acceleration) if planes.guided else world.flow(float(bodies.radius.max()))
         self.rounding = 0.0  # m, of the coordinates
-        self.loading = 1.0  # by which walls multiply the acceleration that presses contacts together, at most
+        self.loading = 1.0  # largest factor by which walls increase the acceleration that presses contacts together
 
     def find(self, dt: float) -> IntArray:
         """Return the near pairs of a step of dt s, (m, 2), sorted."""
@@ -103,7 +103,7 @@ class NearPairs:
 
 @long_kernel
 def _find_near(pairs: IntArray, spheres: SearchedSpheres, near: BoolArray) -> None:
-    """Find out which pairs are near in a sheared box."""
+    """Test which pairs are near in a sheared box."""
     position, radius, box, scale, skin = spheres
     for c in range(len(pairs)):
         i, j = ends_of(pairs, c)
@@ -117,9 +117,8 @@ def largest_values(
 ) -> tuple[float, float]:
     """Return the largest |a - field|² of a body, in m²/s⁴, and the largest coordinate by magnitude, in m."""
     largest = np.zeros(2)
-    team.divide(
-        len(position), MIN_BODIES_PER_TASK, _update_largest, acceleration, field, position, largest.view(np.int64)
-    )
+    shared = largest.view(np.int64)
+    team.divide(len(position), MIN_BODIES_PER_TASK, _update_largest, acceleration, field, position, shared)
     return float(largest[SQUARE]), float(largest[COORDINATE])
 
 

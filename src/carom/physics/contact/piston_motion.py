@@ -1,9 +1,8 @@
 """A piston: a plane with a mass M that moves along its normal N only, under a constant force and gravity.
 
-Contacts move it as any guided wall (`guided_walls`). Kicks change its velocity u by a h, with a = F/M + g·N, and drifts
-its displacement s along N by u dt, as for bodies. Its impacts are resolved at the end of a step, where it is one of the
-bodies that meet. Within a drift, each impact of a body with the piston would change the paths of all others relative to
-it.
+Contacts move it like any guided wall (`guided_walls`). Kicks change its velocity u by a h, with a = F/M + g·N. Drifts
+change its displacement s along N by u dt. Its impacts are resolved at the end of a step, like impacts of two bodies:
+within a drift, each impact would change the paths of all other bodies relative to the piston.
 
 The bodies give it the energy ½ M u² - M a s, whose change the ledger books in its entry for walls. The impulse of the
 bodies on its face, which a load cell there would measure, is
@@ -62,11 +61,6 @@ class PistonMotion(WallTranslation):
     """Moves the piston of a scene through the phases of a step, and walls with a prescribed motion, if there are any.
 
     ``smallest`` is the radius of the smallest body in m.
-
-    Attributes
-    ----------
-    state
-        (3,) the displacement in m, the velocity in m/s, and the impulse of the bodies on it since the start in N s.
     """
 
     def __init__(
@@ -80,6 +74,7 @@ class PistonMotion(WallTranslation):
     ) -> None:
         self._piston, self._smallest = piston, smallest
         self._drift = self._booked = 0.0  # s, of the step, and its first kick
+        # displacement in m, velocity in m/s, and the impulse of the bodies on the piston since the start in N s
         self.state = np.array([0.0, piston.velocity, 0.0])
         self._begun_state = self.state.copy()
         ends.inverse_mass[len(ends.velocity) - len(records) + piston.row] = 1.0 / piston.mass

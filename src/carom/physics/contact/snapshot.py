@@ -174,19 +174,8 @@ def late_contacts(
 ) -> tuple[ContactSnapshot, IntArray]:
     """Copy the contacts at the end of a step that touched then or carry an impulse, without impacts during the step.
 
-    Parameters
-    ----------
-    pairs, colours
-        (m, 2), sorted, and (m,), of all contacts, including near ones.
-    place
-        (m,) index of each contact's record.
-    normals
-        (m, 3) before the position correction.
-
-    Returns
-    -------
-    snapshot, place
-        The snapshot, and the indices of the records of its contacts, (k,).
+    The arrays contain all m contacts, with near ones: sorted pairs, indices of their records in ``place``, and normals
+    before the position correction. Return a snapshot, and the indices of the records of its contacts, (k,).
     """
     m = len(pairs)
     ends, indices, numbers = np.empty((m, 2), np.int64), np.empty((2, m), np.int64), np.empty((3, m))

@@ -73,7 +73,7 @@ class SolidsWithWalls(HalfSpaces):
 
     @property
     def curves(self) -> bool:
-        """True."""
+        """True, since there is a wall."""
         return True
 
     def depth(self, position: FloatArray, radius: FloatArray) -> FloatArray:
@@ -85,7 +85,7 @@ class SolidsWithWalls(HalfSpaces):
         return self._heights(position, self.records)
 
     def heights_before(self, position: FloatArray) -> FloatArray:
-        """Return the distances as the step began."""
+        """Return the distances at the beginning of the step."""
         return self._heights(position, self.before)
 
     def _heights(self, position: FloatArray, records: Any) -> FloatArray:
@@ -94,7 +94,7 @@ class SolidsWithWalls(HalfSpaces):
         return heights
 
     def advanced(self, start: FloatArray, crossed: BoolArray) -> FloatArray:
-        """Return where paths from (k, 3) m start in the frame of the first solid that each crosses, (k, p), now."""
+        """Return the starts of paths, (k, 3) m, in the present frame of the first solid that each path crosses."""
         if not self.translates:
             return start
         moved = [self.records[name] - self.before[name] for name in TRANSLATION[:3]]
@@ -231,7 +231,7 @@ def _bias_on_curve(
 ) -> float:
     """Find `bias_along_wall` by Newton's method, from the condition that the body touches the wall after the drift.
 
-    An overlap stays as it is, as at a plane, since the correction of positions removes it without a velocity.
+    An overlap stays as it is, as at a plane: the correction of positions removes it without a velocity.
     """
     (x, y, z), (nx, ny, nz), (tx, ty, tz) = place, normal, tangential
     _, _, _, distance, focal = nearest_point(surface, solid, x, y, z)
@@ -260,18 +260,11 @@ def bias_along_wall(
     tangential: Vector,
     drift: float,
 ) -> float:
-    """Return the speed in m/s at which a body may close so that it just touches a wall after a drift (s).
+    """Return the speed at which a body may close so that it just touches a wall after a drift (s).
 
-    A body that overlaps the wall keeps its overlap.
-
-    Parameters
-    ----------
-    bias
-        m/s, the closing speed at which a body would just touch a plane.
-    radius, place
-        m, of the body and of its centre.
-    normal, tangential
-        The normal, from the body to the wall, and the tangential velocity in m/s.
+    A body that overlaps the wall keeps its overlap. ``bias`` is the speed at which it would just touch a plane,
+    ``place`` its centre in m, and ``tangential`` its velocity along the wall; the normal points to the wall. Speeds are
+    in m/s.
     """
     return bias
 

@@ -98,7 +98,7 @@ class ContactStatistics(NamedTuple):
         states: RecordArray[ContactStateRecord],
         inverse_mass: FloatArray,
     ) -> ContactStatistics:
-        """Add the impacts during the drift of a step; several of one pair count as one contact, by the hardest impact.
+        """Add the impacts during the drift of a step; a pair counts as one contact, with its hardest impact.
 
         These statistics describe the contacts at the end of the step, whose arrays are as in `ConstraintSystem`.
         """
@@ -175,14 +175,8 @@ def _add_impacts(
 ) -> tuple[int, float, float, int, int]:
     """Add impacts; ``order`` has their indices, sorted by pair and then by time.
 
-    Returns
-    -------
-    contacts
-        Number of pairs without a contact at the end.
-    energy
-        J, the energies of the hardest impact of each pair, less the energies that contacts at the end already count.
-    hardest, i, j
-        J, of the hardest impact, and its ends.
+    Return the number of pairs without a contact at the end, the sum of the energies (J) of the hardest impact of each
+    pair, less the energies that contacts at the end already count, and the energy and the ends of the hardest impact.
     """
     further, energy, hardest, hardest_i, hardest_j = 0, 0.0, 0.0, 0, 0
     row = 0

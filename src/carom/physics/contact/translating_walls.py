@@ -5,28 +5,28 @@ At the time t, such a wall is displaced from where the scene puts it by
     D(t) = D_k + V_k (t - t_k) + A sin θ,    θ = 2π f t + φ
 
 so its place is no state: steps and checkpoints need only the time. The velocity V_k lasts from t_k to t_{k+1}, where a
-step ends (`next_change`), so that V is constant within each step. Kernels ask for the shape at x - D. Within a drift
-that begins at t₀, the wall is displaced further by r(τ) = D(t₀ + τ) - D(t₀), and the path of a body relative to it has
-a second derivative of at most |g| + |A| (2π f)². With these two, times of impact are found as for a wall at rest.
+step ends (`next_change`), so V is constant within each step. Kernels evaluate the shape at x - D. Within a drift that
+begins at t₀, the wall is displaced further by r(τ) = D(t₀ + τ) - D(t₀), and the path of a body relative to it has a
+second derivative of at most |g| + |A| (2π f)². Times of impact are found from both, as for a wall at rest.
 
-A contact at rest is held like one with a body of infinite mass that a force moves by kicks, as its bodies: in a drift
-of dt the wall has its mean velocity v̄ = r(dt)/dt, so that a held body stays on it, and after the last kick Ḋ(t₀ + dt).
-The first kick has changed its velocity by v̄ - Ḋ(t₀).
+A contact at rest is held as if kicks moved a wall of infinite mass. In a drift of dt, the wall has its mean velocity
+v̄ = r(dt)/dt, so a held body stays on it. The first kick changes the wall's velocity by v̄ - Ḋ(t₀), and the velocity
+after the last kick is Ḋ(t₀ + dt).
 
-All relative velocities contain that of the wall. The ledger books what contacts dissipate from them, as ever, and with
-the impulses λ_n n + λ_t on the wall, its work on the bodies
+All relative velocities contain the velocity of the wall. The ledger books the energy that contacts dissipate, and the
+work on the bodies by the impulses λ_n n + λ_t on the wall,
 
     W = -(λ_n n + λ_t)·Ḋ
 
-Impulses of the first kick do it at Ḋ(t₀), those of impacts at Ḋ of their time, and those of the last kick at
-Ḋ(t₀ + dt). Records of solids have these fields only in scenes with such walls; see `moving_walls`.
+where Ḋ is at t₀ for impulses of the first kick, at the time of the impact for impacts, and at t₀ + dt for impulses of
+the last kick. Records of solids have these fields only in scenes with such walls; see `moving_walls`.
 """
 
 from __future__ import annotations
 
 from bisect import bisect_right
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -66,20 +66,12 @@ def translation_of(motion: WallMotion | None) -> FloatArray:
     return np.array([0.0] * 3 + [*motion.velocity] + [0.0] * 4 + oscillation)
 
 
-class _Pieces(NamedTuple):
-    """The velocities of a wall, each from a time to the next."""
-
-    solid: int
-    times: FloatArray  # (k,) s, from 0
-    values: FloatArray  # (k, 7) the velocities, the displacements at these times, and the times again
-
-    @classmethod
-    def of(cls, solid: int, motion: WallMotion) -> _Pieces:
-        """Return those of a wall whose motion has `times`; before the first of them it is at rest."""
-        times, velocities = np.array([0.0, *motion.times]), np.array([(0.0, 0.0, 0.0), *motion.velocities])
-        steps = velocities[:-1] * np.diff(times)[:, None]
-        displacements = np.concatenate((np.zeros((1, 3)), np.cumsum(steps, axis=0)))
-        return cls(solid, times, np.concatenate((velocities, displacements, times[:, None]), axis=1))
+def _pieces_of(motion: WallMotion) -> FloatArray:
+    """Return the fields `_PIECE` of a wall whose motion has `times`, (k, 7); it is at rest before the first of them."""
+    times, velocities = np.array([0.0, *motion.times]), np.array([(0.0, 0.0, 0.0), *motion.velocities])
+    steps = velocities[:-1] * np.diff(times)[:, None]
+    displacements = np.concatenate((np.zeros((1, 3)), np.cumsum(steps, axis=0)))
+    return np.concatenate((velocities, displacements, times[:, None]), axis=1)
 
 
 def in_frame_of_wall(nearest: Callable[..., Any]) -> Callable[..., Any]:
@@ -94,8 +86,8 @@ def in_frame_of_wall(nearest: Callable[..., Any]) -> Callable[..., Any]:
 class WallTranslation:
     """Moves the walls of a scene through the phases of a step.
 
-    The place of these walls is no state. A subclass whose wall contacts move (`guided_walls`) also replaces `forget`,
-    `memory`, `recall`, `longest_step`, `push` and `settle`.
+    The places of these walls follow from the time. A subclass with a wall that contacts move (`guided_walls`) also
+    replaces `forget`, `memory`, `recall`, `longest_step`, `push` and `settle`.
 
     Parameters
     ----------
@@ -111,9 +103,8 @@ class WallTranslation:
         self._records: Any = records
         self._before = before
         bodies = len(ends.velocity) - len(records)
-        changing = [(k, motion) for k, motion in enumerate(motions) if motion is not None and motion.times]
-        self._pieces = [_Pieces.of(k, motion) for k, motion in changing]
-        self._changes = sorted({float(time) for pieces in self._pieces for time in pieces.times[1:]})  # s
+        self._pieces = {k: _pieces_of(motion) for k, motion in enumerate(motions) if motion and motion.times}
+        self._changes = sorted({float(time) for pieces in self._pieces.values() for time in pieces[1:, -1]})  # s
         self._velocity, self._acceleration = ends.velocity[bodies:], ends.acceleration[bodies:]
         self._begun = np.zeros_like(self._velocity)  # m/s, Ḋ as the step began
         self._mean = np.zeros_like(self._velocity)  # m/s, v̄
@@ -160,7 +151,7 @@ class WallTranslation:
         return self._velocity
 
     def next_change(self, time: float) -> float:
-        """Return the first time (s) after another at which the velocity of a wall changes; infinite if none does."""
+        """Return when the velocity of a wall next changes after a time, both in s; infinite if it never does."""
         following = bisect_right(self._changes, time)
         return self._changes[following] if following < len(self._changes) else np.inf
 
@@ -189,10 +180,10 @@ class WallTranslation:
 
     def _set_velocities(self, time: float) -> None:
         """Write the velocities V_k at a time (s), with D_k and t_k."""
-        for pieces in self._pieces:
-            k = bisect_right(pieces.times, time) - 1
-            for name, value in zip(_PIECE, pieces.values[k], strict=True):
-                self._records[name][pieces.solid] = value
+        for solid, pieces in self._pieces.items():
+            k = bisect_right(pieces[:, -1], time) - 1
+            for name, value in zip(_PIECE, pieces[k], strict=True):
+                self._records[name][solid] = value
 
     def rest(self) -> None:
         """Give the walls no acceleration: the corrections of positions do the work of the bodies' forces only."""

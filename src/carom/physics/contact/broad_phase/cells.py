@@ -262,16 +262,12 @@ def cell_of(ox: float, oy: float, oz: float, grid: GridRecord, periodic: bool) -
 def bucket_of(ix: int, iy: int, iz: int, grid: GridRecord) -> int:
     """Return the bucket of a cell; the next cells of its strip have the next buckets."""
     if grid.hashed:
-        hashed: int = grid.first_bucket + (strip_of(ix, iy, iz) & grid.mask) + ix % STRIP
+        # the upper half of Knuth's multiplicative hash of the strip
+        strip = (((iz * (2 * MOST_CELLS) + iy) * 0x1E3779B97F4A7C15 + ix // STRIP) * 0x1E3779B97F4A7C15) >> 32
+        hashed: int = grid.first_bucket + (strip & grid.mask) + ix % STRIP
         return hashed
     numbered: int = grid.first_bucket + (iz * grid.ny + iy) * grid.nx + ix
     return numbered
-
-
-@inline
-def strip_of(ix: int, iy: int, iz: int) -> int:
-    """Hash the strips of rows: the upper half of Knuth's multiplicative hash."""
-    return (((iz * (2 * MOST_CELLS) + iy) * 0x1E3779B97F4A7C15 + ix // STRIP) * 0x1E3779B97F4A7C15) >> 32
 
 
 @long_kernel

@@ -117,10 +117,7 @@ class Row(NamedTuple):
 def search(
     lo: int, hi: int, table: Table, layout: Layout, scale: float, skin: float, claimed: IntArray, buffer: IntArray
 ) -> None:
-    """Store the pairs of the bodies [lo, hi) of the table.
-
-    The functions called below return the next row of the buffer and the end of the claimed rows.
-    """
+    """Store the pairs of the bodies [lo, hi) of the table, and mark the rows that were claimed but not used."""
     scope = Scope(table, layout, scale, skin, claimed, buffer)
     box, periodic, origin = sizes(layout.box), is_periodic(layout.box), layout.origin
     m, end, K = 0, 0, 0
@@ -165,7 +162,8 @@ def search(
                         ix += cells
                         if half:
                             after = 0  # the index applies to the first cells of the row only
-    _mark_unused(buffer, m, end)
+    for unused in range(m, min(end, buffer.shape[1])):
+        buffer[0, unused, 1] = -1
 
 
 @inline
@@ -182,7 +180,10 @@ def _chord(row: Row, ox: float, oy: float, oz: float, search_radius: float, grid
 
 @inline
 def _search_cells(a: int, row: Row, after: int, grid: GridRecord, scope: Scope, m: int, end: int) -> tuple[int, int]:
-    """Store the pairs of a body with those in consecutive buckets, starting at an index of the table."""
+    """Store the pairs of a body with bodies in consecutive buckets, from an index of the table on.
+
+    ``m`` and ``end`` are the next row of the buffer and the end of the claimed rows; return both.
+    """
     (ends, body, sphere), box, buffer = scope.table, sizes(scope.layout.box), scope.buffer
     own, bucket = sphere[a], bucket_of(row.first, row.y, row.z, grid)
     for b in range(max(after, ends[bucket]), ends[bucket + row.end - row.first]):
@@ -250,15 +251,8 @@ def _all_pairs(
 
 
 @kernel
-def _mark_unused(buffer: IntArray, m: int, end: int) -> None:
-    """Mark the rows that were claimed but not used."""
-    for row in range(m, min(end, buffer.shape[1])):
-        buffer[0, row, 1] = -1
-
-
-@kernel
 def sort_pairs(rows: int, buffer: IntArray, counts: IntArray) -> int:
-    """Sort the pairs by (i, j), if all fit: by j into the second half of the buffer, then by i back; return a count."""
+    """Sort the pairs by (i, j), if they fit, with the second half of the buffer as workspace; return their number."""
     if rows > buffer.shape[1]:
         return 0
     m = _sort_by(1, rows, buffer[0], buffer[1], counts)

@@ -55,37 +55,20 @@ LOG_ROWS = 4096  # largest number of impacts in one call
 MOST_TOUCHING = 16  # contacts per body at one moment, on average
 GAP_ROUNDING = 16 * 2.0**-53  # of the coordinates and of the sum of radii
 WIDEST = 2.0  # times the radii; up to this width, the contact grids also find neighbours
-# Largest search radius, in body radii, from which `narrow` saves time, and up to which its squares are finite.
+# Limits of the largest search radius, in body radii, for `narrow`: it saves time, and the squares are finite.
 NARROWED = 0.25, 1e100
 
 
 class EventDrivenDrift:
-    """Moves bodies through a drift and resolves their impacts.
-
-    Parameters
-    ----------
-    bodies, world
-        The bodies, and the planes that they may meet.
-    friction, anchored, forces
-        Whether impulses change spins, whether something is fixed, and whether a force presses contacts together.
-    search, team
-        The broad phase, and the threads that share the work.
-
-    Attributes
-    ----------
-    trajectories
-        The bodies and planes of a drift.
-    log
-        Buffer for the impacts of a call; it grows with the number of impacts in a step.
-    """
+    """Moves bodies through a drift and resolves their impacts."""
 
     def __init__(
         self,
         bodies: Bodies,
         world: ContactWorld,
-        friction: bool,
-        anchored: bool,
-        forces: bool,
+        friction: bool,  # whether impulses change spins
+        anchored: bool,  # whether something is fixed
+        forces: bool,  # whether a force presses contacts together
         search: Search,
         team: Team,
     ) -> None:
@@ -96,6 +79,7 @@ class EventDrivenDrift:
         self._search, self._team, self._box, self._shear = search, team, world.box, shear
         self.field, self.bending = world.field, world.bending
         self._is_open = not (shear or world.box.any())  # no axis is periodic
+        # of the impacts of a call; it grows with the number of impacts in a step
         self.log = np.empty(LOG_ROWS, dtype=ROLLING_IMPACT if has_torque(materials.rows.dtype) else IMPACT)
         zeros = np.zeros(n, dtype=np.int64)
         self.trajectories = Trajectories(
@@ -163,17 +147,12 @@ class EventDrivenDrift:
 
         Parameters
         ----------
-        scale, skin
-            1 + the relative margin, and m: bodies no farther apart than ``(r_i + r_j) scale + skin`` belong to one
-            island.
-        loading
-            By which walls multiply the acceleration that presses contacts together.
+        scale, skin, loading
+            As in `NearPairs`; near bodies belong to one island.
         held
             The impulses of the contacts that are held through the drift.
-        pressed
-            (n + p,) whether contacts have pressed each body since the last step.
-        asleep
-            (n,) which bodies sleep; None if none can.
+        pressed, asleep
+            (n + p,) whether contacts have pressed each body since the last step, and (n,) which bodies sleep.
         damping, strength
             1/s, rate at which drag slows bodies down, and a factor of the accelerations; see `DampedPath`.
         """
@@ -292,15 +271,8 @@ def resolve_touching(T: Trajectories, pairs: IntArray, log: RecordArray[ImpactRe
     solution where several pairs meet at once. If the sequence of impacts does not end, the contacts are held
     (`held_group`).
 
-    Parameters
-    ----------
-    T
-        The bodies at the impact. In `DRIFT`, clock and kick are equal, and ``exhausted`` and ``strays`` are 0.
-    pairs
-        (m, 2) buffer for the pairs that touch. The first row is a touching pair, whatever its gap. Without rows,
-        nothing is done.
-    log
-        (k,) `IMPACT`, buffer for the impacts.
+    The bodies are at the impact. In `DRIFT`, clock and kick are equal, and ``exhausted`` and ``strays`` are 0. The
+    buffer ``pairs`` begins with a touching pair, whatever its gap; without rows, nothing is done.
     """
     count, row, held = _touching_pairs(T, pairs), 0, np.empty(MOST_BODIES, np.int64)
     for i in range(len(T.x) if count > 0 else 0):
@@ -309,7 +281,12 @@ def resolve_touching(T: Trajectories, pairs: IntArray, log: RecordArray[ImpactRe
         before = row
         for c in range(count):
             i, j = ends_of(pairs, c)
-            speed, speeds = _closing(i, j, T)
+            rate, length, speeds = 0.0, 0.0, 0.0
+            for k in range(3):
+                d = -T.surface[j - len(T.x), k] if j >= len(T.x) else T.x[j, k] - T.x[i, k]
+                rate, length = rate + d * (T.v[j, k] - T.v[i, k]), length + d * d
+                speeds += abs(T.v[i, k]) + abs(T.v[j, k])
+            speed = -rate / np.sqrt(length)
             if not (speed > ROUNDING * speeds or (sweep == 0 and c == 0)):
                 continue
             lossy = dissipates(T.materials[material_index(i, j, len(T.x), T.places)])
@@ -359,15 +336,3 @@ def _add(i: int, j: int, count: int, pairs: IntArray) -> int:
         return count
     pairs[count, 0], pairs[count, 1] = i, j
     return count + 1
-
-
-@inline
-def _closing(i: int, j: int, T: Trajectories) -> tuple[float, float]:
-    """Return the closing speed of a pair, and the sum of its speeds, in m/s."""
-    x, v, n = T.x, T.v, len(T.x)
-    rate, length, speeds = 0.0, 0.0, 0.0
-    for k in range(3):
-        d = -T.surface[j - n, k] if j >= n else x[j, k] - x[i, k]
-        rate, length = rate + d * (v[j, k] - v[i, k]), length + d * d
-        speeds += abs(v[i, k]) + abs(v[j, k])
-    return -rate / np.sqrt(length), speeds

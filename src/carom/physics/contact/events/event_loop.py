@@ -188,7 +188,11 @@ def _predict(lo: int, hi: int, neighbours: Neighbours, T: Trajectories) -> None:
     box, drift = periods(T.box), T.drift[0]
     clock = drift.clock
     span, since_kick = drift.dt - clock, clock - drift.kick
-    far, height = not is_periodic(box), _largest_lag(T)  # elsewhere, other images may be near
+    far = not is_periodic(box)  # in a periodic box, other images may be near
+    height = np.inf  # m, the largest distance of a parabola from its straight line
+    if drift.damping == 0.0:
+        gx, gy, gz = drift.field_x, drift.field_y, drift.field_z
+        height = 0.125 * drift.dt * drift.dt * np.sqrt(gx * gx + gy * gy + gz * gz)
     for i in range(lo, hi):
         one, own = T.body[i], rest_speed(i, T)
         xi, yi, zi = along(T.x, T.v, i, clock - one.now)
@@ -219,14 +223,6 @@ def _predict(lo: int, hi: int, neighbours: Neighbours, T: Trajectories) -> None:
             when = clock + tau
             if when < one.impact_time or (when == one.impact_time < np.inf and j < one.partner):
                 one.impact_time, one.partner, one.partner_impacts = when, j, other.impacts
-
-
-@inline
-def _largest_lag(T: Trajectories) -> float:
-    """Return the largest distance (m) of a parabola from its straight line in the drift; infinite with drag."""
-    drift = T.drift[0]
-    gx, gy, gz = drift.field_x, drift.field_y, drift.field_z
-    return float(0.125 * drift.dt * drift.dt * np.sqrt(gx * gx + gy * gy + gz * gz)) if drift.damping == 0.0 else np.inf
 
 
 @inline

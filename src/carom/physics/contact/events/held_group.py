@@ -73,19 +73,8 @@ def hold_group(
 ) -> tuple[int, int]:
     """Hold the contacts of a meeting pair and of its group; one of the bodies of the pair is exhausted.
 
-    Parameters
-    ----------
-    neighbours
-        The possible partners of each body that is not a stray.
-    log, row
-        (k,) `IMPACT`, and its first free row. At least `MOST_CONTACTS` rows are free.
-    held
-        (MOST_BODIES,) workspace for the bodies of the pair, and those whose velocities change.
-
-    Returns
-    -------
-    count, row
-        The number of bodies in ``held``, and the first free row.
+    At least `MOST_CONTACTS` rows of the log, from ``row`` on, are free. The bodies of the pair, and those whose
+    velocities change, are written to ``held``, (MOST_BODIES,). Return their number, and the first free row.
     """
     group = Group(
         np.empty(MOST_BODIES, np.int64),
@@ -262,7 +251,7 @@ def find_impulses(bodies: int, contacts: int, negligible: float, group: Group) -
                 if weight[k] > 0.0 and load[k] < partial * weight[k]:
                     partial, opened = load[k] / weight[k], k
             step = min(full, partial)
-            if step == np.inf:  # its direction depends on those of contacts that no impulse can open
+            if step == np.inf:  # its direction depends on the directions of contacts that no impulse can open
                 ignored[c] = True
                 break
             if full < np.inf:

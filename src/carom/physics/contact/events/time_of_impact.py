@@ -62,16 +62,9 @@ def stay_apart(d: Vector, v: Vector, R: float, span: float) -> bool:
 def time_of_impact(d: Vector, v: Vector, a: Vector, R: float, span: float, since_kick: float, slow: float) -> float:
     """Return the time (s) until two bodies meet in an impact; infinite if they do not within a span (s).
 
-    Parameters
-    ----------
-    d, v, a
-        m, m/s and m/s²: separation, velocity and acceleration of one body relative to the other.
-    R
-        m, the sum of radii.
-    since_kick
-        s, present time minus the time of the velocities.
-    slow
-        m/s, largest closing speed that is no impact.
+    One body has the separation d (m), the velocity v (m/s) and the acceleration a (m/s²) relative to the other. R is
+    the sum of their radii in m, ``since_kick`` the present time minus the time of the velocities in s, and ``slow`` the
+    largest closing speed that is no impact in m/s.
     """
     (dx, dy, dz), (vx, vy, vz), (ax, ay, az) = d, v, a
     b = dx * vx + dy * vy + dz * vz

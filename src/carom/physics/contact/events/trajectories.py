@@ -163,14 +163,9 @@ def write_search_radii(
 
 @kernel
 def begin(T: Trajectories, dt: float, kick: float, damping: float, bends: bool, pressed: BoolArray) -> None:
-    """Begin a drift of dt after a kick, both in s; see `DriftRecord`.
+    """Begin a drift of dt after a kick, both in s; the field bends the paths of bodies that move, if it ``bends``.
 
-    Parameters
-    ----------
-    bends
-        Whether the field bends the paths of some bodies.
-    pressed
-        (n + p,) whether contacts have pressed each body since the last step.
+    ``pressed``, (n + p,), says whether contacts have pressed each body since the last step.
     """
     drift = T.drift[0]
     drift.dt, drift.kick, drift.clock, drift.damping = dt, kick, 0.0, damping
