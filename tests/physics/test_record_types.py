@@ -10,6 +10,7 @@ from mypy import api
 
 from carom.arrays import RecordArray, dtype_of
 from carom.physics.contact.constraints import CONTACT, ROLLING_CONTACT, ContactRecord, RollingContactRecord
+from carom.physics.contact.rolling import ContactGeometry
 
 SNIPPET = """
 from carom.physics.contact.constraints import ConstraintSystem
@@ -22,7 +23,7 @@ def kernel(system: ConstraintSystem) -> None:
 
 def test_a_field_has_the_type_that_its_class_states() -> None:
     kind = np.dtype(dtype_of(ContactRecord))
-    assert list(kind.names or ()) == list(ContactRecord.__annotations__)
+    assert list(kind.names or ()) == [*ContactGeometry.__annotations__, *ContactRecord.__annotations__]
     assert {kind[name] for name in kind.names or ()} == {np.dtype(np.float64)}
 
 
