@@ -43,21 +43,22 @@ def old(tmp_path_factory: pytest.TempPathFactory) -> Recording:
 
 
 @pytest.fixture(scope="module")
-def second(tmp_path_factory: pytest.TempPathFactory) -> Recording:
-    """A recording by the second version of the rules."""
-    return carom.run(crystal(0.1).by_contact_rules(2), tmp_path_factory.mktemp("second") / "second.rrd")
+def later(tmp_path_factory: pytest.TempPathFactory) -> dict[int, Recording]:
+    """Recordings by the later versions of the rules, but the present one."""
+    folder = tmp_path_factory.mktemp("later")
+    return {rules: carom.run(crystal(0.1).by_contact_rules(rules), folder / f"{rules}.rrd") for rules in (2, 3)}
 
 
 def test_a_recording_of_today_names_its_rules_and_one_that_does_not_has_the_first_ones(
-    old: Recording, second: Recording, tmp_path: Path
+    old: Recording, later: dict[int, Recording], tmp_path: Path
 ) -> None:
     new = carom.run(crystal(0.1), tmp_path / "new.rrd")
-    assert (new.info["contact_rules"], recorded_scene(new).contact_rules) == (3, 3)
-    assert (second.info["contact_rules"], recorded_scene(second).contact_rules) == (2, 2)
+    for rules, recording in (*later.items(), (4, new)):
+        assert (recording.info["contact_rules"], recorded_scene(recording).contact_rules) == (rules, rules)
     assert "contact_rules" not in old.info
     assert recorded_scene(old).contact_rules == 1
     assert new.scene_toml == old.scene_toml
-    assert bits(new) != bits(old) != bits(second) != bits(new)
+    assert len({tuple(bits(recording)) for recording in (old, *later.values(), new)}) == 4
 
 
 def test_an_older_recording_replays_with_its_bits_which_sweeps_converged_asks_for(
@@ -68,16 +69,19 @@ def test_an_older_recording_replays_with_its_bits_which_sweeps_converged_asks_fo
     assert bits(carom.run(crystal(0.1, sweeps="converged"), tmp_path / "converged.rrd")) == bits(old)
 
 
-def test_an_older_recording_is_continued_by_its_rules(old: Recording, second: Recording, tmp_path: Path) -> None:
-    for rules, begun in ((1, old), (2, second)):
+def test_an_older_recording_is_continued_by_its_rules(
+    old: Recording, later: dict[int, Recording], tmp_path: Path
+) -> None:
+    for rules, begun in ((1, old), *later.items()):
         whole = carom.run(crystal(0.2).by_contact_rules(rules), tmp_path / f"whole_{rules}.rrd")
         longer = resume(begun, 0.2, tmp_path / f"longer_{rules}.rrd")
         assert longer.info.get("contact_rules", 1) == rules
         assert bits(longer) == bits(whole)
 
 
-def test_a_recording_of_the_second_rules_replays_with_its_bits(second: Recording) -> None:
-    assert replay(second).same
+@pytest.mark.parametrize("rules", [2, 3])
+def test_a_recording_of_later_rules_replays_with_its_bits(later: dict[int, Recording], rules: int) -> None:
+    assert replay(later[rules]).same
 
 
 def test_a_scene_of_earlier_rules_keeps_them_if_other_keys_change(old: Recording) -> None:

@@ -1,4 +1,4 @@
-"""Which contacts need not converge to rounding: those of large islands with many contacts per body."""
+"""Contacts that need not converge to rounding: those of large islands with many contacts per body."""
 
 from __future__ import annotations
 
@@ -7,6 +7,8 @@ import numpy as np
 from carom.arrays import BoolArray, IntArray
 from carom.physics.contact.constraints import ENOUGH, ENOUGH_AS_NEEDED
 from carom.physics.contact.islands import MOST_EXACT, mark_meshed
+from carom.physics.space import Space
+from small_scenes import scene_of
 
 SIDE = 8
 
@@ -50,3 +52,29 @@ def test_a_floor_joins_no_islands() -> None:
     balls, floor = np.arange(3000), 3000
     pairs = np.concatenate((column(3000, 0)[::2], np.column_stack((balls, np.full(3000, floor)))))
     assert not meshed(pairs, floor).any()
+
+
+def test_friction_that_drops_when_a_contact_slides_does_not_keep_a_falling_heap_iterating() -> None:
+    # Contacts at the limit of static friction slide and stick in turns, from iteration to iteration.
+    def iterations(rules: int) -> tuple[float, bool]:
+        """Return the mean in the steps of a fall with a meshed heap, and whether the run warned."""
+        jitter = np.random.default_rng(0).uniform(-0.2, 0.2, (SIDE**3, 3))
+        sites = 2.4 * np.stack(np.meshgrid(*[np.arange(SIDE)] * 3, indexing="ij"), axis=-1).reshape(-1, 3) + jitter
+        width = 2.4 * SIDE
+        scene = scene_of(
+            [{"position": place} for place in (sites - [8.4, 8.4, width - 2.0]).tolist()],
+            domain={"boundary": "walls", "size": [width, width, 2.0 * width]},
+            gravity={"constant": 0.0, "uniform": [0.0, 0.0, -98.1]},
+            contact={"restitution": 0.0, "static_friction": 0.6, "kinetic_friction": 0.4},
+            time={"duration": 1.5, "fixed_dt": 1.0 / 60.0},
+        )
+        sweeps, warned = [], False
+        for frame in Space(scene.by_contact_rules(rules)).run():
+            warned = warned or any("still closing" in event.text for event in frame.events)
+            if len(frame.contacts.pairs) > MOST_EXACT:
+                sweeps.append(frame.sweeps)
+        return float(np.mean(sweeps)), warned
+
+    (limited, warned), (before, _) = iterations(4), iterations(3)
+    assert limited < 0.6 * before
+    assert not warned

@@ -223,7 +223,9 @@ class SettingsRecord(Protocol):
     keeps_iterating: bool  # whether iterations follow conjugate gradients that did not converge
     spares_meshed: bool  # whether these iterations ignore the contacts of meshed islands
     ignores_meshed: bool  # whether they do so now
-    keeps_sliding: bool  # whether contacts that slid may not stick again
+    slides_meshed: bool  # whether contacts of meshed islands that have slid keep sliding in all iterations
+    is_lenient: bool  # whether contacts of meshed islands may close by their rest speed
+    slides_above: float  # contacts with a larger `enough` that have slid since the kick keep sliding
     islands_known: bool  # whether the bodies' islands are found
     measures: bool  # whether the audit writes `MEASURED`
     scaled_back: bool  # whether impulses were too large for the energy bound

@@ -222,8 +222,9 @@ class MaterialPair(Surface):
 
 Sweeps = Literal["auto", "converged", "as-needed", "quick"]
 # Version of the meaning of `sweeps = "auto"`. In version 1, of the first recordings, it means "converged"; in version
-# 2, a round of conjugate gradients has no limit of its own in meshed islands.
-CONTACT_RULES = 3
+# 2, a round of conjugate gradients has no limit of its own in meshed islands; in version 3, neither have the iterations
+# after the last round where kinetic friction is less than static friction.
+CONTACT_RULES = 4
 
 
 def _known_law(law: str | list[str]) -> str | list[str]:

@@ -85,10 +85,6 @@ class Block:
         """Return an integer of the settings."""
         return self.builder.load(self._setting_at(name, WORD))
 
-    def flag(self, name: str) -> Any:
-        """Return a flag of the settings, as a bit."""
-        return self.builder.icmp_unsigned("!=", self.builder.load(self._setting_at(name, BYTE)), BYTE(0))
-
     @property
     def drifts(self) -> Any:
         """A bit: whether a drift follows."""

@@ -118,6 +118,7 @@ class ContactSolver:
         alternates = bool((materials.rows["kinetic_friction"] < materials.rows["static_friction"]).any())
         self._settings["keeps_iterating"] = sweeps in ("auto", "converged") or alternates
         self._settings["spares_meshed"] = not alternates
+        self._settings["slides_meshed"] = alternates and sweeps == "auto" and rules > 3
         self.code = PhaseCode(friction)
         self._run: Callable[..., int] | None = None  # `work`, compiled for this solver's systems
 

@@ -20,6 +20,7 @@ from carom.physics.contact.constraints import (
     CONJUGATE_DIRECTION,
     CONJUGATE_STEP,
     CORRECT_POSITIONS,
+    ENOUGH,
     EXTRAPOLATE,
     LINE_SEARCH,
     MEASURE_VIOLATION,
@@ -49,6 +50,10 @@ MAX_ITERATIONS = 100  # in a round
 # other: in a drum, 85 iterations leave the overlaps and closing speeds that 8 leave, and no round twice the overlaps.
 MAX_MESHED_ITERATIONS = 8
 MAX_FURTHER_ITERATIONS = 256  # Gauss-Seidel iterations after the last round
+# After these iterations, a contact of a meshed island counts only if it closes faster than its rest speed, where a run
+# would warn. With 8, a heap of 1000 falls 1.2 times as fast, but takes longer to settle. Rejected: to go on while 16
+# iterations halve the violation, 1.3 times as slow; to go on in heaps that hardly move. Both leave the same overlaps.
+MAX_MESHED_FURTHER = 16
 GROWN = 1e6  # growth of the largest impulse in a search; more shows that there is no solution
 MOST_LEFT = 0.5  # fraction of the previous violation; a round that leaves more is the last one
 SOLVED = 1e-3  # fraction of r·z at the start of a round, at which its iterations end, where contacts are to converge
@@ -148,6 +153,7 @@ def _hold(board: IntArray, phases: Phases, max_iterations: int) -> int:
     largest = _largest_residual(phases)
     _share_colours(board, phases, WARM_START)
     settings.alpha, settings.negligible = 0.0, HOLD_CONVERGED * largest
+    settings.slides_above = ENOUGH if settings.slides_meshed else np.inf
     iterations, change = 0, np.inf
     while iterations < max_iterations and change > HOLD_CONVERGED * largest:
         change = _iterate(board, phases, iterations > 0)
@@ -200,17 +206,18 @@ def _iterate_on(board: IntArray, phases: Phases) -> int:
     """Continue to iterate if conjugate gradients did not converge; return the number of iterations.
 
     If kinetic friction is less than static friction, contacts may alternate between sticking and sliding without end.
-    In these iterations, a contact that has slid once keeps sliding.
+    In these iterations, a contact that has slid since the kick keeps sliding; in meshed islands, in all iterations.
     """
     pieces, settings, iterations = len(phases.piece_results), phases.settings[0], 0
-    settings.keeps_sliding, settings.tolerance = True, INTOLERABLE
+    settings.slides_above, settings.tolerance = 0.0, INTOLERABLE
     settings.ignores_meshed = settings.spares_meshed
     _share(board, phases, MEASURE_VIOLATION, 0, pieces, True)
     while _largest_residual(phases) > 0.0 and iterations < MAX_FURTHER_ITERATIONS:
         _iterate(board, phases, True)
         iterations += 1
+        settings.is_lenient = settings.slides_meshed and iterations >= MAX_MESHED_FURTHER
         _share(board, phases, MEASURE_VIOLATION, 0, pieces, True)
-    settings.keeps_sliding = settings.ignores_meshed = False
+    settings.ignores_meshed = settings.is_lenient = False
     return iterations
 
 

@@ -179,7 +179,10 @@ def _violation(piece: int, system: ConstraintSystem) -> float:
         # before a drift, approach_speed is from the previous step, and checkpoints do not store it
         approach = 0.0 if drift > 0.0 else state.approach_speed
         allowed = tolerated(state.rest_speed, approach, state.overlap / small, small / settings.dt)
-        excess = max(excess, missed - (tolerance * allowed + negligible))
+        most = tolerance * allowed + negligible
+        if settings.is_lenient and system.enough[c] > ENOUGH:
+            most = max(most, state.rest_speed)
+        excess = max(excess, missed - most)
     return excess
 
 

@@ -150,7 +150,7 @@ def _solve_each(
     """
     pairs, bodies = system.pairs, system.bodies
     settings = system.settings[0]
-    spins, alpha, drift, keeps_sliding = len(turning) > 0, settings.alpha, settings.drift, settings.keeps_sliding
+    spins, alpha, drift, slides_above = len(turning) > 0, settings.alpha, settings.drift, settings.slides_above
     count, places = body_count(system), system.places
     change, step_limit, slope = totals
     for c in range(lo, hi):
@@ -178,6 +178,7 @@ def _solve_each(
             oz = contact.friction_z + alpha * contact.delta_z
             tx, ty, tz = ox - ux * mt, oy - uy * mt, oz - uz * mt
             material = system.materials[material_index(i, j, count, places)]
+            keeps_sliding = system.enough[c] > slides_above
             tx, ty, tz = friction(state, material, keeps_sliding, normal, tx, ty, tz)
             dx, dy, dz = tx - ox, ty - oy, tz - oz
             slope = slope_on_wall(contact, slope, dx, dy, dz)
@@ -402,12 +403,12 @@ class _Solution:
         builder, block = self._builder, self._block
         records = [block.kind_of(name).dtype for name in ("states", "materials")]
         kinds = [*records, "boolean", *["float64"] * 4]
-        keeps_sliding = block.flag("keeps_sliding")
+        enough = read_doubles(builder, block.address("enough", block.places[0]))
+        keeps_sliding = self._held & (enough > block.setting("slides_above"))  # only contacts that are held are marked
         impulses = []
         for k, material in enumerate(block.materials()):
-            slides = builder.and_(keeps_sliding, self._held.bit(k))  # contacts that are not held are not marked
             numbers = [value.lane(k) for value in (normal, *ending)]
-            given = [block.address("states", block.places[k]), material, slides, *numbers]
+            given = [block.address("states", block.places[k]), material, keeps_sliding.bit(k), *numbers]
             allowed = block.code.call(_friction_of_one, ("float64",) * 3, *zip(kinds, given, strict=True))
             impulses.append([builder.extract_value(allowed, axis) for axis in range(3)])
         return [gathered(builder, [allowed[axis] for allowed in impulses]) for axis in range(3)]
