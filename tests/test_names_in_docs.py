@@ -17,6 +17,8 @@ from pydantic import BaseModel
 from typer.main import get_command
 
 from carom.cli.main import app
+from carom.cli.stress import extremes
+from carom.scene.scene_file import bundled_scenes
 from carom.scene.schema import Scene
 from carom.scene.schema.scene import know_installed_parts
 
@@ -315,3 +317,13 @@ def test_the_bodies_that_the_page_of_recordings_asks_for_are_in_its_scene() -> N
     asked = re.findall(r'^recording\.(?:trajectory|impacts)\(.*?"(\w+)"', text, re.MULTILINE)
     names = {body.name for body in Scene.load("two-spheres").body}
     assert asked and set(asked) <= names
+
+
+def test_the_readme_and_the_changelog_count_the_scenes_that_carom_has() -> None:
+    assert (len(bundled_scenes()), len(extremes())) == (23, 37), "change the phrases below, too"
+    for page, phrases in {
+        "README.md": ("twenty-three scenes", "37 scenes at the limits", "37 extreme scenes"),
+        "CHANGELOG.md": ("twenty-three bundled", "37 numerical extremes"),
+    }.items():
+        text = " ".join((ROOT / page).read_text(encoding="utf-8").split())
+        assert not [phrase for phrase in phrases if phrase not in text]

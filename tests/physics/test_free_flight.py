@@ -266,7 +266,7 @@ def in_contact(bodies: list[dict[str, Any]], floor: bool = True, **sections: dic
         "contact": {"restitution": 0.3, "static_friction": 0.6, "kinetic_friction": 0.4},
         "record": {"every": 0.21, "check_every": 100},
     }
-    merged = {key: part | sections.get(key, {}) for key, part in document.items()}
+    merged = {key: document.get(key, {}) | sections.get(key, {}) for key in document | sections}
     spheres = [{"mass": 1.0 + k, "radius": 0.5} | body for k, body in enumerate(bodies)]
     return Scene.from_dict({**merged, "plane": [{"point": [0.0, 0.0, 0.0]}] if floor else [], "body": spheres})
 
@@ -303,6 +303,14 @@ def test_steps_of_two_balls_that_touch_at_rest_beside_a_third_are_those_of_singl
         {"time": {"max_dt": 0.01, "target_dx": 1e-4, "smoothing": 0.3}},
         {"contact": {"kinetic_friction": 0.0, "static_friction": 0.0}},
         {"contact": {"sweeps": 3}},
+        {"domain": {"boundary": ["periodic", "periodic", "open"], "size": [2.2, 2.0, 1.0]}},
+        *(
+            pytest.param(each, marks=pytest.mark.slow)  # each compiles the kernel for another type
+            for each in (
+                {"drag": {"relaxation_time": 0.5, "medium_velocity": [2.0, 1.0, 0.0]}},
+                {"contact": {"law": "rolling_resistance", "rolling_resistance": {"rolling_friction": 0.02}}},
+            )
+        ),
     ],
     ids=str,
 )
@@ -310,6 +318,12 @@ def test_steps_with_lasting_contacts_have_the_bits_of_single_steps_with_other_se
     sections: dict[str, dict[str, Any]],
 ) -> None:
     assert_same_run(in_contact(ON_A_FLOOR["slides, then rolls"], floor=True, **sections), least=3.0)
+
+
+def test_contacts_last_in_a_medium_in_which_a_step_has_many_relaxation_times() -> None:
+    # The acceleration along a path then has a factor, which only single steps know.
+    scene = in_contact(ON_A_FLOOR["slides, then rolls"], drag={"relaxation_time": 1e-4})
+    assert_same_run(scene, least=0.5)
 
 
 def test_a_run_that_is_continued_among_lasting_contacts_has_the_same_bits() -> None:

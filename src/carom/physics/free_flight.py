@@ -26,7 +26,14 @@ from carom.physics.diagnostics.run_monitor import remembered
 from carom.physics.forces.field import add
 from carom.physics.forces.gravity.direct import MAX_IN_ONE_BLOCK, sum_few
 from carom.physics.forces.kernel_forces import Parameters, add_forces
-from carom.physics.integrators.kick_drift import KickedBodies, advance, kick_after_drift, kick_before_drift, wrap_rows
+from carom.physics.integrators.kick_drift import (
+    KickedBodies,
+    advance,
+    book_exchange,
+    kick_after_drift,
+    kick_before_drift,
+    wrap_rows,
+)
 from carom.physics.jit.decorators import borrowing, entry_of, inline, unowned
 from carom.physics.rotation import rotate_one
 from carom.physics.step_rule import END, FIXED, LIMIT_NAMES, LimitsRecord, RuleRecord, smooth_and_cut, target
@@ -203,7 +210,7 @@ def _fly(
             first_kick, drift, last_kick = substeps[s, 0] * length, substeps[s, 1] * length, substeps[s, 2] * length
             strength = 1.0
             if P.accelerates and first_kick != 0.0:
-                strength = kick_before_drift(laws.damping, kicked, length, first_kick)
+                strength = kick_before_drift(laws.damping, kicked, length, first_kick, last_kick).path.strength
             if P.touches:
                 fastest, largest = _fastest(velocity, acceleration)
                 skin = (largest + P.field) * strength * length * length
@@ -221,6 +228,7 @@ def _fly(
                 sum_accelerations(laws, moved, kept, buffers)
             if P.accelerates and last_kick != 0.0:
                 kick_after_drift(laws.damping, kicked, length, last_kick)
+                book_exchange(laws.damping)
         if not is_free:
             copy_state(saved[0], saved[1], saved[2], position, velocity, acceleration)
             break

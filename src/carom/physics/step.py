@@ -13,9 +13,9 @@ from carom.physics.contact.pipeline import ContactPipeline
 from carom.physics.contact.reactions import NO_SUPPORT
 from carom.physics.diagnostics.bookkeeper import Bookkeeper
 from carom.physics.diagnostics.run_monitor import refuse_infinities, refuse_many_crossings
-from carom.physics.forces.force import DampedStep, Damping, Exchange, Potentials
+from carom.physics.forces.force import Damping, Exchange, Potentials
 from carom.physics.free_flight import Flight, FreeFlight, can_fly
-from carom.physics.integrators.kick_drift import drift, kick, wrap
+from carom.physics.integrators.kick_drift import DampedStep, drift, kick, wrap
 from carom.physics.rotation import rotate
 from carom.physics.schedule import Goal, looks_before
 from carom.physics.time_step import Timestep
@@ -257,10 +257,9 @@ class KickDriftStepper:
         profile = self._world.profile
         profile.mark("integrate")
         if self._damping and damped:
-            before = self._world.bodies.ends.velocity.copy()
             contact.hold(damped.held_kick, dt, booked, self._damping.against)
             if len(contact.ledger_apart):
-                loss = self._damping.lost_in_hold(damped, before)
+                loss = self._damping.lost_in_hold(damped)
                 self._exchanges.append(Exchange(loss, np.zeros(3), np.zeros(3)))
         else:
             contact.hold(kick, dt, booked)

@@ -32,8 +32,16 @@ from carom.physics.bodies import Bodies
 from carom.physics.contact.impact_log import ImpactRecord, Impacts
 from carom.physics.exponential import exponentials
 from carom.physics.forces.field import MIN_BODIES_PER_TASK, add
-from carom.physics.forces.force import DampedPath, DampedStep, Exchange
-from carom.physics.integrators.kick_drift import KickedBodies, kick_after_drift, kick_before_drift
+from carom.physics.forces.force import Exchange
+from carom.physics.integrators.kick_drift import (
+    DampedPath,
+    DampedStep,
+    KickedBodies,
+    book_exchange,
+    kick_after_drift,
+    kick_before_drift,
+    measure_hold,
+)
 from carom.physics.jit.decorators import chosen_by_type, inline, kernel
 from carom.physics.jit.team import Team
 from carom.scene.forces import DRAG, MOST_RELAXATIONS
@@ -53,16 +61,18 @@ class DragSumsRecord(Protocol):
 
 
 SUMS = dtype_of(DragSumsRecord)
-BEFORE, AFTER = range(2)  # the drift: rows of sums
+BEFORE, HELD, AFTER = range(3)  # the drift, contacts held before it, after the drift: rows of sums
 
 
 class DragLaw(NamedTuple):
-    """The drag for kernels; `kick_before_drift` and `kick_after_drift` recognise it by this type."""
+    """The drag for kernels; `kick_before_drift` and the functions after it recognise drag by this type."""
 
     rate: float  # 1/s
     wind: FloatArray  # (3,) m/s², u/τ
     outer: FloatArray  # (3,) m/s², u/τ plus the other accelerations that are the same for all bodies
-    sums: RecordArray[DragSumsRecord]  # (2,) of a step
+    sums: RecordArray[DragSumsRecord]  # (3,) of a step
+    against: FloatArray  # (n + p, 3) m/s², a - v/τ at the beginning of the step; 0 for planes
+    slowed: FloatArray  # (n, 3) m/s, the velocities along the drift before contacts are held
     exchanged: FloatArray  # (7,) as in `Damping`
 
 
@@ -78,12 +88,13 @@ class StokesDrag:
         rate = 1.0 / drag.relaxation_time
         self.uniform = np.array(drag.medium_velocity) * rate
         self.exchanged = np.zeros(7)
-        self.law = DragLaw(rate, self.uniform, outer + self.uniform, np.zeros(2, SUMS), self.exchanged)
+        step = np.zeros(3, SUMS), np.zeros_like(bodies.ends.acceleration), np.zeros_like(bodies.velocity)
+        self.law = DragLaw(rate, self.uniform, outer + self.uniform, *step, self.exchanged)
         self._bodies = bodies
         arrays = bodies.position, bodies.velocity, bodies.acceleration, bodies.mass
         self._kicked = KickedBodies(*arrays, bodies.ends.inverse_mass)
         self._team = team
-        self.against = np.zeros_like(bodies.ends.acceleration)
+        self.against = self.law.against
 
     def accelerate(self, position: FloatArray, acceleration: FloatArray, *, first: bool, potential: bool) -> float:
         """Add u/τ, the constant part; see `Force`."""
@@ -99,8 +110,6 @@ class StokesDrag:
 
     def begin(self, step: DampedStep) -> Exchange:
         """Kick, then slow down to the mean velocity of the drift."""
-        n, bodies = len(self._bodies), self._bodies
-        self.against[:n] = bodies.acceleration - bodies.velocity * self.law.rate
         _begin(self.law, self._kicked, step)
         return _exchange_of(self.law.sums, BEFORE)
 
@@ -109,10 +118,9 @@ class StokesDrag:
         _end(self.law, self._kicked, step)
         return _exchange_of(self.law.sums, AFTER)
 
-    def lost_in_hold(self, step: DampedStep, before: FloatArray) -> float:
+    def lost_in_hold(self, step: DampedStep) -> float:
         """Return the part of the loss (J) that is due to held contacts; see `Damping`."""
-        bodies = self._bodies
-        return _lost_in_hold(bodies.velocity, before, bodies.acceleration, self.against, bodies.mass, step.booked)
+        return _lost_in_hold(self.law, self._kicked, step)
 
     def exchange_in_impacts(self, step: DampedStep, before: FloatArray, impacts: Impacts) -> Exchange:
         """Return the exchange with the medium due to impacts during a drift; see `Damping`."""
@@ -134,26 +142,42 @@ def make(scene: Scene, bodies: Bodies, team: Team) -> StokesDrag:
 
 
 @chosen_by_type(kick_before_drift)
-def _damped_before(damping: Any, bodies: Any, length: Any, kick: Any) -> Any:
-    def slow_down(damping: DragLaw, bodies: KickedBodies, length: float, kick: float) -> float:
+def _damped_before(damping: Any, bodies: Any, length: Any, kick: Any, last_kick: Any) -> Any:
+    def slow_down(damping: DragLaw, bodies: KickedBodies, length: float, kick: float, last_kick: float) -> DampedStep:
         step = _step_of(damping.rate, length)
         _begin(damping, bodies, step)
-        return step.path.strength
+        _clear(damping.sums[HELD])
+        return step
 
     return slow_down if _is_law(damping) else None
+
+
+@chosen_by_type(measure_hold)
+def _damped_hold(damping: Any, bodies: Any, step: Any) -> Any:
+    def measure(damping: DragLaw, bodies: KickedBodies, step: DampedStep) -> None:
+        damping.sums[HELD].lost = _lost_in_hold(damping, bodies, step)
+
+    return measure if _is_law(damping) else None
 
 
 @chosen_by_type(kick_after_drift)
 def _damped_after(damping: Any, bodies: Any, length: Any, kick: Any) -> Any:
     def slow_down(damping: DragLaw, bodies: KickedBodies, length: float, kick: float) -> None:
         _end(damping, bodies, _step_of(damping.rate, length))
-        for row in range(2):
+
+    return slow_down if _is_law(damping) else None
+
+
+@chosen_by_type(book_exchange)
+def _booked_exchange(damping: Any) -> Any:
+    def book(damping: DragLaw) -> None:
+        for row in range(len(damping.sums)):
             part = damping.sums[row]
             terms = (part.lost, part.px, part.py, part.pz, part.Lx, part.Ly, part.Lz)
             for k in range(7):
                 damping.exchanged[k] += terms[k]
 
-    return slow_down if _is_law(damping) else None
+    return book if _is_law(damping) else None
 
 
 def _is_law(kind: Any) -> bool:
@@ -182,6 +206,8 @@ def _begin(law: DragLaw, bodies: KickedBodies, step: DampedStep) -> None:
     total, h, booked, kick, factor = law.sums[BEFORE], step.length, step.booked, step.first_kick, step.before
     _clear(total)
     for i in range(len(mass)):
+        for k in range(3):
+            law.against[i, k] = a[i, k] - v[i, k] * law.rate
         if inverse_mass[i] == 0.0:
             continue
         v2, w2, work, a2 = 0.0, 0.0, 0.0, 0.0
@@ -195,6 +221,9 @@ def _begin(law: DragLaw, bodies: KickedBodies, step: DampedStep) -> None:
             v[i, k] = kicked
         total.lost += mass[i] * (0.5 * (v2 - w2) + booked * work - 0.5 * booked * (h - booked) * a2)
         _slow_down(i, x, v, mass[i], law.outer, kick, factor, total)
+    for i in range(len(mass)):
+        for k in range(3):
+            law.slowed[i, k] = v[i, k]
 
 
 @kernel
@@ -251,14 +280,12 @@ def _slow_down(
 
 
 @kernel
-def _lost_in_hold(
-    v: FloatArray, before: FloatArray, a: FloatArray, against: FloatArray, mass: FloatArray, booked: float
-) -> float:
+def _lost_in_hold(law: DragLaw, bodies: KickedBodies, step: DampedStep) -> float:
     """Sum κ m Δv·(a - against): the contacts have booked κ m Δv·against, but the kick books κ m Δv·a."""
-    lost = 0.0
-    for i in range(len(mass)):
+    v, a, before, against, lost = bodies.v, bodies.a, law.slowed, law.against, 0.0
+    for i in range(len(bodies.mass)):
         for k in range(3):
-            lost += booked * mass[i] * (v[i, k] - before[i, k]) * (a[i, k] - against[i, k])
+            lost += step.booked * bodies.mass[i] * (v[i, k] - before[i, k]) * (a[i, k] - against[i, k])
     return lost
 
 

@@ -31,6 +31,7 @@ from carom.physics.diagnostics.run_monitor import Profile
 from carom.physics.forces import kernel_forces
 from carom.physics.forces.gravity import gravity_of
 from carom.physics.forces.kernel_forces import KernelForce, Parameters
+from carom.physics.integrators.kick_drift import DampedStep
 from carom.physics.jit.decorators import kernel
 from carom.physics.jit.team import Team
 from carom.plan.auto import uses_tree
@@ -63,27 +64,6 @@ class Force(Protocol):
         """
 
 
-class DampedPath(NamedTuple):
-    """The change of velocities along a drift, as in `carom.physics.contact.events.trajectories`."""
-
-    kick: float  # s
-    damping: float  # 1/s
-    strength: float  # factor of the accelerations
-
-
-class DampedStep(NamedTuple):
-    """A leapfrog step with a force that depends on velocities: kick, factor, drift, factor, kick."""
-
-    length: float  # s
-    first_kick: float  # s
-    before: float  # factor of the velocities before the drift, which makes them the mean velocities of the drift
-    after: float  # factor after the drift
-    last_kick: float  # s
-    booked: float  # s, part of the drift for which the work of the other forces is booked before it
-    held_kick: float  # s, effective length of the first kick at held contacts
-    path: DampedPath
-
-
 class Exchange(NamedTuple):
     """The energy that left the bodies during a part of a step, and the external impulses."""
 
@@ -100,7 +80,7 @@ class Damping(Force, Protocol):
     the entry of the ledger. A scene has at most one such force.
     """
 
-    law: DragLaw  # from which `kick_before_drift` and `kick_after_drift` in kernels compute the force
+    law: DragLaw  # from which the functions of `integrators.kick_drift` for kernels compute the force
     # (7,), the exchange with the medium in the run, to which these kernels add: the energy that left the bodies in J,
     # and the momentum and angular momentum that the balance expects, in N s and N m s
     exchanged: FloatArray
@@ -115,8 +95,8 @@ class Damping(Force, Protocol):
     def end(self, step: DampedStep) -> Exchange:
         """Change velocities from their mean along the drift to those at its end, then kick."""
 
-    def lost_in_hold(self, step: DampedStep, before: FloatArray) -> float:
-        """Return the part of its loss (J) due to held contacts, given earlier velocities, (n + p, 3) m/s."""
+    def lost_in_hold(self, step: DampedStep) -> float:
+        """Return the part of its loss (J) due to held contacts."""
 
     def exchange_in_impacts(self, step: DampedStep, before: FloatArray, impacts: Impacts) -> Exchange:
         """Return the exchange that is due to impacts during the drift.

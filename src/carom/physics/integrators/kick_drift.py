@@ -54,11 +54,37 @@ class KickedBodies(NamedTuple):
     inverse_mass: FloatArray  # (n + p,) 1/kg
 
 
-def kick_before_drift(damping: Any, bodies: KickedBodies, length: float, kick: float) -> float:
-    """Kick before the drift of a step, or let drag replace the kick; return `DampedPath.strength`. For kernels.
+class DampedPath(NamedTuple):
+    """The change of velocities along a drift, as in `carom.physics.contact.events.trajectories`."""
 
-    ``damping`` is the `Damping.law` of drag, or an empty tuple. The step and, without drag, its first kick are in s.
+    kick: float  # s
+    damping: float  # 1/s
+    strength: float  # factor of the accelerations
+
+
+class DampedStep(NamedTuple):
+    """A leapfrog step with a force that depends on velocities: kick, factor, drift, factor, kick."""
+
+    length: float  # s
+    first_kick: float  # s
+    before: float  # factor of the velocities before the drift, which makes them the mean velocities of the drift
+    after: float  # factor after the drift
+    last_kick: float  # s
+    booked: float  # s, part of the drift for which the work of the other forces is booked before it
+    held_kick: float  # s, effective length of the first kick at held contacts
+    path: DampedPath
+
+
+def kick_before_drift(damping: Any, bodies: KickedBodies, length: float, kick: float, last_kick: float) -> DampedStep:
+    """Kick before the drift of a step, or let drag replace the kick. For kernels.
+
+    ``damping`` is the `Damping.law` of drag, or an empty tuple. The step and, without drag, its two kicks are in s.
     """
+    raise NotImplementedError("only kernels call it")
+
+
+def measure_hold(damping: Any, bodies: KickedBodies, step: DampedStep) -> None:
+    """Compute the change of the loss by drag because contacts were held; for kernels."""
     raise NotImplementedError("only kernels call it")
 
 
@@ -67,15 +93,25 @@ def kick_after_drift(damping: Any, bodies: KickedBodies, length: float, kick: fl
     raise NotImplementedError("only kernels call it")
 
 
+def book_exchange(damping: Any) -> None:
+    """Add what a step has exchanged with the medium to `Damping.exchanged`; for kernels."""
+    raise NotImplementedError("only kernels call it")
+
+
 @chosen_by_type(kick_before_drift)
-def _undamped_before(damping: Any, bodies: Any, length: Any, kick: Any) -> Any:
+def _undamped_before(damping: Any, bodies: Any, length: Any, kick: Any, last_kick: Any) -> Any:
     """Define the calls without drag; the module of a drag defines those with it."""
 
-    def kick_only(damping: Any, bodies: KickedBodies, length: float, kick: float) -> float:
+    def kick_only(damping: Any, bodies: KickedBodies, length: float, kick: float, last_kick: float) -> DampedStep:
         advance(0, len(bodies.v), bodies.v, bodies.a, kick)
-        return 1.0
+        return DampedStep(length, kick, 1.0, 1.0, last_kick, kick, kick, DampedPath(kick, 0.0, 1.0))
 
     return kick_only if len(damping) == 0 else None
+
+
+@chosen_by_type(measure_hold)
+def _undamped_hold(damping: Any, bodies: Any, step: Any) -> Any:
+    return (lambda damping, bodies, step: None) if len(damping) == 0 else None
 
 
 @chosen_by_type(kick_after_drift)
@@ -84,3 +120,8 @@ def _undamped_after(damping: Any, bodies: Any, length: Any, kick: Any) -> Any:
         advance(0, len(bodies.v), bodies.v, bodies.a, kick)
 
     return kick_only if len(damping) == 0 else None
+
+
+@chosen_by_type(book_exchange)
+def _nothing_exchanged(damping: Any) -> Any:
+    return (lambda damping: None) if len(damping) == 0 else None

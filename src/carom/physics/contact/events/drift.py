@@ -158,8 +158,7 @@ class EventDrivenDrift:
         """
         T, bodies, n = self.trajectories, self._bodies, len(self._bodies)
         if damping > 0.0:
-            field = strength * self.bending
-            T.drift["field_x"], T.drift["field_y"], T.drift["field_z"] = field
+            self.bend_by(strength)
             T = T if strength == 1.0 else T._replace(a=strength * T.a)
         T.drift["exhausted"] = 0
         velocity = self._shear.relative(bodies.velocity, bodies.position) if self._shear else bodies.velocity
@@ -186,6 +185,11 @@ class EventDrivenDrift:
         else:
             drift(bodies.position, bodies.velocity, dt, self._team)
         return impacts
+
+    def bend_by(self, strength: float) -> None:
+        """Let a uniform field bend paths, times a factor."""
+        drift, field = self.trajectories.drift, strength * self.bending
+        drift["field_x"], drift["field_y"], drift["field_z"] = field
 
     def resolve_meeting(self, pair: tuple[int, int] | None, dt: float) -> Impacts:
         """Resolve the impacts of a pair that meets at the end of a step of dt s, and of all pairs that touch there.

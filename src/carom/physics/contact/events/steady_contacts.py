@@ -38,6 +38,7 @@ from carom.physics.contact.solver.positions import (
 )
 from carom.physics.contact.solver.prepare import TOUCHING, begin_contacts, carry_each, mark_pressed
 from carom.physics.contact.statistics import BLOCK_COUNTS, DEEP_OVERLAP, BlockCountsRecord, count_block
+from carom.physics.integrators.kick_drift import DampedPath
 from carom.physics.jit.decorators import inline, unowned
 from carom.physics.jit.team import ALONE
 from carom.physics.vector import between, sizes, vector
@@ -81,6 +82,7 @@ class SteadyContacts(NamedTuple):
     """The contacts of a step, which the contacts of the next steps have to match."""
 
     system: ConstraintSystem
+    holding: ConstraintSystem  # the same, with the accelerations against which contacts are held before the drift
     trajectories: Trajectories
     rules: SteadyRules
     buffers: SteadyBuffers
@@ -95,8 +97,12 @@ class SteadyContacts(NamedTuple):
     angular_acceleration: FloatArray  # (n, 3) rad/s²; no rows where no torques are modelled
 
     @classmethod
-    def of(cls, contact: ContactPipeline, bodies: Bodies) -> SteadyContacts:
-        """Gather the contacts of the last step, and memory for the next ones."""
+    def of(cls, contact: ContactPipeline, bodies: Bodies, against: FloatArray | None) -> SteadyContacts:
+        """Gather the contacts of the last step, and memory for the next ones.
+
+        ``against`` are the accelerations against which contacts are held before the drift, (n + p, 3) m/s² (default:
+        those of the bodies).
+        """
         solver, settings, event_drift = contact.solver, contact.settings, contact.event_drift
         assert event_drift is not None, "see `make` of `steady_steps`"
         system, normals, n = solver.system, solver.found_normals, len(bodies)
@@ -130,7 +136,10 @@ class SteadyContacts(NamedTuple):
         )
         placed = contact.contacts.pairs, contact.contacts.order.place, solver.counts, normals
         moments = bodies.mass, bodies.inertia, bodies.torque, bodies.angular_acceleration
-        return cls(system, event_drift.trajectories, rules, buffers, *placed, (*records, *numbers), *moments)
+        holding = system if against is None else system._replace(acceleration=against)
+        event_drift.bend_by(1.0)
+        trajectories, saved = event_drift.trajectories, (*records, *numbers)
+        return cls(system, holding, trajectories, rules, buffers, *placed, saved, *moments)
 
 
 def _words_of(numbers: FloatArray) -> IntArray:
@@ -156,19 +165,21 @@ def copy_words(words: IntArray, to: IntArray) -> None:
 
 
 @unowned
-def hold_steady(contacts: SteadyContacts, kick: float, last_kick: float, last_dt: float, drift: float) -> None:
+def hold_steady(
+    contacts: SteadyContacts, kick: float, last_kick: float, last_dt: float, drift: float, booked: float
+) -> None:
     """Hold the contacts after a kick, before a drift; see `ContactPipeline.hold`. All times are in s."""
     system, place, m = contacts.system, contacts.place, len(contacts.pairs)
     for i in range(len(system.pressed)):
         system.pressed[i] = False
     mark_pressed(0, m, contacts.pairs, place, system.contacts, system.inverse_mass, system.pressed)
     carry_each(0, m, system.contacts, kick / last_kick, system.contacts)
-    _hold(contacts, last_dt, kick, drift)
+    _hold(contacts, contacts.holding, (last_dt, booked, drift))
 
 
 @unowned
-def drift_steady(contacts: SteadyContacts, kick: float, dt: float) -> bool:
-    """Predict the impacts of a drift of dt after a kick, both in s; return whether there are none."""
+def drift_steady(contacts: SteadyContacts, path: DampedPath, dt: float) -> bool:
+    """Predict the impacts of a drift of dt s; return whether there are none."""
     T, rules, system = contacts.trajectories, contacts.rules, contacts.system
     n, later, near = len(T.x), contacts.buffers.later, contacts.buffers.near
     scale, skin, _ = _margins(T.x, T.radius, system.acceleration, rules.field, dt)
@@ -190,7 +201,8 @@ def drift_steady(contacts: SteadyContacts, kick: float, dt: float) -> bool:
                 near[m, 0], near[m, 1], later.bodies[m] = i, j, j
                 m += 1
         later.last[i] = m
-    begin(T, dt, kick, 0.0, rules.bends and kick == 0.5 * dt, system.pressed)
+    bends = rules.bends and (path.damping > 0.0 or path.kick == 0.5 * dt)
+    begin(T, dt, path.kick, path.damping, bends, system.pressed)
     straighten(contacts.pairs, contacts.place, system.contacts, T.body)
     island_rest_speeds(near[:m], T, scale, skin, system.acceleration, rules.field, dt)
     predict(0, n, later, T)
@@ -245,7 +257,7 @@ def resolve_steady(
     if not (settings.any_rests or sweeps == rules.most_sweeps):
         return False, sweeps
     carry_each(0, m, contacts.buffers.held, kick / first_kick, system.contacts)
-    sweeps = max(sweeps, _hold(contacts, dt, kick, 0.0))
+    sweeps = max(sweeps, _hold(contacts, system, (dt, kick, 0.0)))
     if sweeps >= rules.most_sweeps:
         closing, negligible = contacts.buffers.flags, CONVERGED * settings.fastest
         closing[0] = False
@@ -261,10 +273,11 @@ def resolve_steady(
 
 
 @inline
-def _hold(contacts: SteadyContacts, dt: float, share: float, drift: float) -> int:
-    settings = contacts.system.settings[0]
-    settings.dt, settings.booked, settings.drift, settings.bias_rate = dt, share, drift, 0.0
-    return _lead(contacts.system, contacts.rules, contacts.trajectories.inverse_inertia, RESTING)
+def _hold(contacts: SteadyContacts, system: ConstraintSystem, times: tuple[float, float, float]) -> int:
+    settings = system.settings[0]
+    settings.dt, settings.booked, settings.drift = times
+    settings.bias_rate = 0.0
+    return _lead(system, contacts.rules, contacts.trajectories.inverse_inertia, RESTING)
 
 
 @unowned

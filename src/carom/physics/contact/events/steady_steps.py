@@ -27,7 +27,6 @@ from carom.physics.contact.events.steady_contacts import (
     resolve_steady,
 )
 from carom.physics.contact.graph import OrderedContacts
-from carom.physics.contact.law import has_torque
 from carom.physics.contact.reactions import add_support, write_torques
 from carom.physics.diagnostics.bookkeeper import Bookkeeper
 from carom.physics.diagnostics.run_monitor import remembered
@@ -43,7 +42,15 @@ from carom.physics.free_flight import (
     copy_state,
     sum_accelerations,
 )
-from carom.physics.integrators.kick_drift import advance
+from carom.physics.integrators.kick_drift import (
+    KickedBodies,
+    advance,
+    book_exchange,
+    kick_after_drift,
+    kick_before_drift,
+    measure_hold,
+    wrap_rows,
+)
 from carom.physics.jit.by_address import by_address
 from carom.physics.jit.decorators import borrowing, compiles_all, entry_if_worthwhile, inline
 from carom.physics.jit.inside import PLAIN
@@ -51,6 +58,7 @@ from carom.physics.rotation import rotate_one
 from carom.physics.schedule import Goal
 from carom.physics.step_rule import END, FIXED, LIMIT_NAMES
 from carom.physics.time_step import Timestep
+from carom.physics.vector import is_periodic
 from carom.physics.world import World
 from carom.plan.auto import integrator
 
@@ -113,12 +121,15 @@ class SteadySteps:
         most = int(min(goal.most, steps, every - clock.step % every, MOST_STEPS + 1)) - 1
         if most < 1 or len(contact.contacts) > MOST_CONTACTS or not contact.solver.code.is_complete:
             return False
-        contacts, totals = SteadyContacts.of(contact, world.bodies), self._totals
+        damping, totals = world.forces.damping, self._totals
+        contacts = SteadyContacts.of(contact, world.bodies, damping.against if damping else None)
         for name, value in books.steady_totals().items():
             totals[name] = value
         totals["deepest_step"] = totals["most_step"] = totals["contacts"] = 0
         totals["last_kick"], totals["last_dt"] = contact.last_kick, clock.dt
         until, timestep = min(until, books.kept_until), self._timestep
+        if damping:
+            damping.exchanged[:] = books.audit.exchanged(damping.kind.loss)
         asked = FlightClock(clock.time, goal.end, until, most, timestep.previous, 0.0), clock.step
         if self._go_on is None:
             share = self._waited / (clock.step - self._first + 1) * most / (most + 1)
@@ -135,6 +146,8 @@ class SteadySteps:
         clock.advance(taken, before, time, dt, LIMIT_NAMES[limit])
         contact.add_steady_steps(float(totals["last_kick"][0]), dt, int(totals["sweeps"][0]))
         books.book_steady_steps(totals)
+        if damping:
+            books.audit.exchange_up_to(damping.kind.loss, damping.exchanged)
         books.activity.add_step(contact.statistics.contacts, 0.0)
         world.profile.mark("resting")
         return True
@@ -150,9 +163,8 @@ def make(world: World, books: Bookkeeper, timestep: Timestep, flight: FreeFlight
     contact, substeps = world.contact, integrator(world.scene).substeps
     if PLAIN or contact is None or contact.event_drift is None or contact.sleepers or len(substeps) > 1:
         return None
-    system, settings, is_held_twice = contact.solver.system, contact.settings, min(substeps[0]) > 0.0
+    settings, is_held_twice = contact.settings, min(substeps[0]) > 0.0
     is_known = settings.stabilisation != "baumgarte" and settings.search != "k-d-tree"  # which rounds otherwise
-    is_known = is_known and not (has_torque(system.materials.dtype) or system.box.any() or world.forces.damping)
     return SteadySteps(world, books, timestep, flight) if is_held_twice and is_known else None
 
 
@@ -173,6 +185,7 @@ def _go_on(
     position, velocity, acceleration, orientation, spin = moved
     T, saved, n = totals[0], buffers.saved, len(position)
     first, whole, last = laws.substeps[0, 0], laws.substeps[0, 1], laws.substeps[0, 2]
+    kicked = KickedBodies(position, velocity, acceleration, kept.mass, kept.inverse_mass)
     before, dt, limit, steps = time, 0.0, FIXED, 0
     while steps < most:
         if len(kept.supported) > 0:
@@ -188,30 +201,37 @@ def _go_on(
         copy_contacts(contacts, False)
         for i in range(len(orientation)):
             rotate_one(i, orientation, spin, length)
-        advance(0, n, velocity, acceleration, first_kick)
-        hold_steady(contacts, first_kick, T.last_kick, T.last_dt, length)
+        damped = kick_before_drift(laws.damping, kicked, length, first_kick, last_kick)
+        first_kick, last_kick = damped.held_kick, damped.last_kick
+        hold_steady(contacts, first_kick, T.last_kick, T.last_dt, length, damped.booked)
+        measure_hold(laws.damping, kicked, damped)
         restitution, friction, stabilisation = 0.0, 0.0, 0.0
         for piece in range(len(contacts.system.piece_results)):
             found = contacts.system.piece_results[piece]
             restitution += found.restitution_loss
             friction += found.friction_loss
             stabilisation += found.stabilisation_gain
-        is_steady, sweeps = _are_finite(position, velocity), 0
+        is_steady, sweeps = damped.path.strength == 1.0 and _are_finite(position, velocity), 0
+        if is_periodic(kept.box):
+            is_steady = is_steady and not _crosses(velocity, kept.box, whole * length)
         if is_steady:
-            is_steady = drift_steady(contacts, first_kick, whole * length)
+            is_steady = drift_steady(contacts, damped.path, whole * length)
         if is_steady:
             advance(0, n, position, velocity, whole * length)
             is_steady = _are_finite(position, velocity)
         if is_steady:
             is_steady = find_steady(contacts, position, kept.radius, length)
+            if is_periodic(kept.box):
+                wrap_rows(0, n, position, kept.box)
         if is_steady:
             sum_accelerations(laws, moved, kept, buffers)
-            advance(0, n, velocity, acceleration, last_kick)
+            kick_after_drift(laws.damping, kicked, length, last_kick)
             is_steady, sweeps = resolve_steady(contacts, position, kept.radius, first_kick, last_kick, length)
         if not is_steady:
             copy_state(saved[0], saved[1], saved[2], position, velocity, acceleration)
             copy_contacts(contacts, True)
             break
+        book_exchange(laws.damping)
         torques = contacts.torque, contacts.angular_acceleration
         write_torques(0, len(contacts.torque), contacts.buffers.spins, spin, contacts.inertia, length, *torques)
         before, time, dt, limit, average = time, after, length, why, following
@@ -234,6 +254,16 @@ def _are_finite(position: FloatArray, velocity: FloatArray) -> bool:
             x, v = position[i, k], velocity[i, k]
             rest += (x - x) + (v - v)  # 0, or not a number
     return rest == 0.0
+
+
+@inline
+def _crosses(velocity: FloatArray, box: FloatArray, dt: float) -> bool:
+    """Return whether a body crosses a whole box in dt s; single steps refuse many crossings."""
+    for i in range(len(velocity)):
+        for k in range(3):
+            if abs(velocity[i, k]) * dt >= box[k]:
+                return True
+    return False
 
 
 @inline
