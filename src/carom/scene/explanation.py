@@ -34,6 +34,7 @@ OTHER_WORDS = {
     "friction": "contact.static_friction",
     "diameter": "radius",
     "omega": "angular_velocity",
+    "name": "title",
 }
 
 
@@ -55,7 +56,7 @@ def hint(path: KeyPath) -> str:
     sections = {name: model_in(model.model_fields[name].annotation) for name in choices if name in here}
     if inside := [f"{name}.{key}" for name, inner in sections.items() if inner and key in inner.model_fields]:
         return _meant(inside)
-    if len(path) > 1 and (path[-2] == "motion" or path[-2] in choices):
+    if len(path) > 1 and (path[0] == "wall" or path[-2] == "motion" or path[-2] in choices):
         return f"; known here: {', '.join(here)}"
     places, other = _places(Scene), OTHER_WORDS.get(key)
     if key in places and other not in here:
