@@ -85,7 +85,7 @@ class Fault:
     def planted(self) -> Iterator[None]:
         """Plant the fault in this process while the context lasts."""
         with ExitStack() as stack:
-            slow = {KickDriftStepper: {"advance": lambda self, goal, checked: self._advance_once(goal, checked)}}
+            slow = {KickDriftStepper: {"advance": lambda self, goal: self._advance_once(goal)}}
             for place, names in (slow | self.plant()).items():
                 for name, value in names.items():
                     stack.enter_context(patch.object(place, name, value))
