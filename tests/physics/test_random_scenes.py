@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from carom.lab.hunt.documents import Document
-from carom.physics.contact.pipeline import MOST_SWEEPS
+from carom.physics.contact.solver.contact_solver import MOST_SWEEPS
 from carom.physics.frame import Frame
 from carom.physics.space import Space
 from carom.scene.schema import Scene

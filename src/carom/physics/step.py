@@ -305,7 +305,7 @@ class KickDriftStepper:
         world = self._world
         contact.resolve(dt, last_kick, world.profile)
         if world.needs.torque.modelled:
-            contact.write_torques(dt)
+            contact.torques.write(dt)
             world.profile.mark("torque")
         if contact.sleepers:
             audit, bodies = self._books.impulse_audit, world.bodies

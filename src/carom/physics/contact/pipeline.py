@@ -6,7 +6,7 @@
 2. `drift`, with `contact.timing = "time-of-impact"`: move the bodies and resolve impacts at their own times
 3. `find`: broad phase, geometry, colouring, and position correction of resting contacts
 4. `resolve`: after the last kick, find the impulses at the final positions
-5. `write_torques`: torques and angular accelerations of the step
+5. `torques.write`: torques and angular accelerations of the step
 
 An integrator that ends its steps at impacts calls `begin_batch`, `resolve_meeting` at each impact, and `end_batch`.
 """
@@ -31,7 +31,7 @@ from carom.physics.contact.impact_log import NO_IMPACTS, Impacts
 from carom.physics.contact.near_pairs import ContactWorld, NearPairs
 from carom.physics.contact.reactions import Torques, supported_acceleration
 from carom.physics.contact.snapshot import SnapshotSource
-from carom.physics.contact.solver.contact_solver import ContactSolver
+from carom.physics.contact.solver.contact_solver import MOST_SWEEPS, ContactSolver
 from carom.physics.contact.solver.positions import BAUMGARTE
 from carom.physics.contact.solver.prepare import ImpulseCache
 from carom.physics.contact.statistics import NO_CONTACTS, limits_of, still_closing
@@ -40,47 +40,18 @@ from carom.physics.jit.team import Team
 from carom.plan.features import Requirements
 from carom.registry import load
 from carom.scene.schema import ContactSettings
-from carom.scene.schema.contact import Sweeps
 
 if TYPE_CHECKING:
     from carom.physics.contact.events.drift import EventDrivenDrift
     from carom.physics.contact.sleep.sleepers import Sleepers, SleepingContacts
 
-# Iterations for each `contact.sweeps` that is not a number. A step of a falling heap with "quick" takes 1.24 ms with
-# four iterations, 1.36 with five, and 1.32 with three, which leave four times the overlap after 3 s
-# (benchmarks/heap.py, 1000 spheres).
-MOST_SWEEPS: dict[Sweeps, int] = {"auto": 8, "converged": 8, "as-needed": 8, "quick": 4}
 NO_ENTRIES: FloatArray = np.zeros((0, 3))
 
 
 class ContactPipeline:
     """Detects the contacts of each step and resolves them.
 
-    Parameters
-    ----------
-    contact
-        The scene's section.
-    bodies, world
-        The bodies, and the planes that they may touch.
-    requirements
-        Which parts of the model the scene requires.
-    team
-        Threads that share the work.
-    records
-        Whether `tap` collects the impulses of each contact.
-
-    Attributes
-    ----------
-    settings
-        The scene's section.
-    solver, event_drift
-        Resolve contacts, and impacts at their own times.
-    contacts, snapshots
-        Those of the step, and the source of tables and graphs of them.
-    boundary, sleepers
-        What moves at the boundary, and the bodies that sleep; None if none may.
-    most_sweeps
-        Limit of the iterations.
+    With ``records``, `tap` collects the impulses of each contact.
     """
 
     def __init__(
@@ -98,13 +69,10 @@ class ContactPipeline:
         self._skips_end = world.shear is not None and self._shear is None
         self._flow = world.flow(float(bodies.radius.max()))  # m/s²
         box = self._shear.at_present if self._shear else world.box
-        sleep = load("model", "sleep") if contact.sleep else None
-        self.settings = contact
+        self.settings = contact  # the section of the scene
         self._bodies = bodies
         self.boundary = BoundaryMotion(bodies, planes, self._shear)
-        self._field = world.field
-        self._team = team
-        self._needs = requirements
+        self._field, self._team, self._needs = world.field, team, requirements
         self._lasts = contact.solver == "lasting" and requirements.resting.modelled
         self._near = NearPairs(contact, bodies, world, self._lasts, team)
         self.most_sweeps = contact.sweeps if isinstance(contact.sweeps, int) else MOST_SWEEPS[contact.sweeps]
@@ -116,7 +84,7 @@ class ContactPipeline:
         # islands are of interest only where contacts last
         sweeps = contact.sweeps if self._lasts or contact.sweeps != "auto" else "converged"
         self.solver = ContactSolver(bodies, planes, materials, box, friction, team, records, sweeps, contact.rules)
-        self._torques = Torques(bodies, team)
+        self.torques = Torques(bodies, team)
         self.contacts = OrderedContacts.of(empty_graph().pairs, bodies, contact.colouring)  # the contacts of the step
         self.snapshots = SnapshotSource(self.solver, bodies.ends.inverse_mass)
         self.event_drift: EventDrivenDrift | None = None
@@ -126,8 +94,8 @@ class ContactPipeline:
             self.event_drift = event_driven(bodies, world, *drift, self._near.search, team)
         self.tap = ContactTap(bodies, materials, box, friction) if records else None
         self.sleepers: Sleepers | None = None
-        if sleep and self._lasts:
-            self.sleepers = sleep(contact.sleep, bodies, planes, box)
+        if contact.sleep and self._lasts:
+            self.sleepers = load("model", "sleep")(contact.sleep, bodies, planes, box)
         self._compile()
 
     def forget(self) -> None:
@@ -141,7 +109,7 @@ class ContactPipeline:
         if self.sleepers:
             self.sleepers.forget()
         if self._needs.torque.modelled:
-            self._torques.remember()
+            self.torques.remember()
         self.ledger_apart = NO_ENTRIES  # (k, 3) J, entries of the step that belong to no contact
         self.impacts: Impacts = NO_IMPACTS  # of the drift
         self.statistics = NO_CONTACTS  # of the step's contacts
@@ -204,21 +172,13 @@ class ContactPipeline:
     def hold(self, kick: float, dt: float, booked: float, against: FloatArray | None = None) -> None:
         """Hold the contacts of the previous step after the first kick, so that they do not close during the drift.
 
-        Parameters
-        ----------
-        kick, dt
-            s, lengths of the kick and of the drift.
-        booked
-            s, the part of the drift for which the work of the forces is already booked: the length of the kick, unless
-            there is drag.
-        against
-            (n + p, 3) m/s², accelerations against which the contacts hold (default: those of the bodies).
+        Times are in s. ``booked`` is the part of the drift dt for which the work of the forces is already booked: the
+        length of the kick, unless there is drag. Contacts hold against the accelerations ``against``, (n + p, 3) m/s²
+        (default: those of the bodies).
         """
         if self._needs.torque.modelled:
-            self._torques.remember()
-        self.ledger_apart = NO_ENTRIES
-        self._first_kick = kick
-        self._lost = NO_ENTRIES
+            self.torques.remember()
+        self.ledger_apart, self._lost, self._first_kick = NO_ENTRIES, NO_ENTRIES, kick
         if self._fell_asleep:  # contacts that fell asleep after the last step are no longer computed
             memory = self.memory
             assert memory is not None and self.sleepers is not None, "only lasting contacts fall asleep"
@@ -307,14 +267,11 @@ class ContactPipeline:
     def begin_batch(self) -> None:
         """Begin steps that end at impacts, before the bodies move."""
         if self._needs.torque.modelled:
-            self._torques.remember()
+            self.torques.remember()
         self.impacts = NO_IMPACTS
 
     def resolve_meeting(self, pair: tuple[int, int] | None, dt: float) -> None:
-        """Resolve the impacts of a pair that meets at the end of a step of dt s, and of all pairs that touch there.
-
-        Without a pair, only the kernels are loaded.
-        """
+        """Resolve impacts of pairs that touch at the end of a step of dt s; without a pair, only load the kernels."""
         assert self.event_drift is not None, "the integrator ends its steps at impacts"
         self.impacts = self.impacts.followed_by(self.event_drift.resolve_meeting(pair, dt))
 
@@ -324,7 +281,7 @@ class ContactPipeline:
             self.tap.add_drift(self.impacts)
         self.resolve(dt, 0.0, profile)
         if self._needs.torque.modelled:
-            self.write_torques(dt)
+            self.torques.write(dt)
 
     def find(self, dt: float, profile: Profile) -> None:
         """Find the contacts at the present positions, colour them, and correct the overlaps of resting ones."""
@@ -355,15 +312,7 @@ class ContactPipeline:
         profile.mark("stabilisation")
 
     def resolve(self, dt: float, kick: float, profile: Profile) -> None:
-        """Apply the impulses of these contacts, with the forces and velocities at the final positions.
-
-        Parameters
-        ----------
-        dt, kick
-            s, lengths of the step and of the last kick.
-        profile
-            Records the time of each phase.
-        """
+        """Apply the impulses of these contacts after the last kick of a step, both in s, at the final positions."""
         self.boundary.finish()
         if self._guard and self._guard.has_stopped:
             self.ledger_apart = np.concatenate((self.ledger_apart, self._guard.work()))
@@ -387,10 +336,6 @@ class ContactPipeline:
         self._lost = np.concatenate((self._lost, lost))
         if len(self._lost):
             self.ledger_apart = np.concatenate((self.ledger_apart, self._lost))
-
-    def write_torques(self, dt: float) -> None:
-        """Write the torques of this step, Σ r × J / dt = I Δω / dt, and the angular accelerations τ / I."""
-        self._torques.write(dt)
 
     def rows(self, buffer: Buffer | None = None) -> Records:
         """Return the contact table of the last step, (m,) `CONTACT_ROW`; see `ContactTap.rows`."""
@@ -419,8 +364,6 @@ class ContactPipeline:
             deepest=self.statistics.deepest,
             at_impacts=self.event_drift is not None,
         )
-        if not reached:
-            return reached
         fresh = [(level, text) for level, text in reached if text not in self.warned]
         self.warned.update(text for _, text in fresh)
         return fresh
@@ -442,9 +385,7 @@ class ContactPipeline:
             closing = 2.0 * self._flow * dt  # m/s, see `Islands.write_rest_speeds`
             np.maximum(self.solver.rest_speed, closing, out=self.solver.rest_speed)
             self._presses = self._presses or (closing > 0.0 and len(pairs) > 0)
-        self._dt = dt  # s
-        self.sweeps = 0
-        self._too_few_sweeps = False
+        self._dt, self.sweeps, self._too_few_sweeps = dt, 0, False
 
     def _resolve(self, dt: float, kick: float, profile: Profile) -> None:
         contact, solver = self.settings, self.solver
@@ -504,7 +445,7 @@ class ContactPipeline:
             for drift in (1.0, 0.0):
                 self._hold_contacts(1.0, 1.0, drift, 0.0, 1.0)
         if self._needs.torque.modelled:
-            self.write_torques(1.0)
+            self.torques.write(1.0)
         if self.tap:
             self.rows()
         self.forget()
