@@ -36,13 +36,12 @@ that of a contact: with or without w.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, Protocol, cast
 
 import numpy as np
 
 from carom.arrays import FloatArray, RecordArray, dtype_of
-from carom.physics.jit.decorators import chosen_by_type, inline, inner, kernel
+from carom.physics.jit.decorators import chosen_by_type, inline, inner, kernel, with_field
 from carom.physics.vector import Vector, minimum_image, nearest_image
 from carom.scene.portable_math import ENDLESS
 
@@ -209,63 +208,29 @@ def _image(d: float, depth: float) -> float:
     return float(np.floor(d / depth + 0.5))
 
 
-# functions of kernels for any box and any contact; the end of this file defines both forms of each
+@inner
+def along_gradient(x: float, y: float, z: float, axis: int) -> float:
+    """Return the component of a vector along an axis."""
+    return x if axis == 0 else (y if axis == 1 else z)
 
 
-def is_sheared(box: Any) -> bool:
-    """Return whether a box is sheared; a constant in compiled kernels."""
-    raise NotImplementedError("only kernels call it")
-
-
-def periods(box: Any) -> Vector:
-    """Return the size of a periodic box in m; of a sheared one `ENDLESS` along the gradient."""
-    raise NotImplementedError("only kernels call it")
-
-
-def nearest_in_drift(dx: float, dy: float, dz: float, box: Any, clock: float) -> Vector:
-    """Return a separation (m) to the nearest image at a time (s) since the step began."""
-    raise NotImplementedError("only kernels call it")
-
-
-def velocity_of_image(dx: float, dy: float, dz: float, box: Any) -> Vector:
-    """Return the velocity (m/s) of a body's nearest image relative to the body, given the separation (m)."""
-    raise NotImplementedError("only kernels call it")
-
-
-def flow_in_drift(box: Any, x: float, y: float, z: float, dt: float) -> Vector:
-    """Return the displacement (m) by the flow at a place in a time (s)."""
-    raise NotImplementedError("only kernels call it")
-
-
-def add_work(box: Any, work: float) -> None:
-    """Add work (J) of the shear."""
-    raise NotImplementedError("only kernels call it")
-
-
-def relative_to_image(contact: Any, ux: float, uy: float, uz: float) -> Vector:
-    """Return the velocity (m/s) of the image of j relative to i, given that of j; it is called with lanes, too."""
-    return _image_velocity(contact, ux, uy, uz) if hasattr(contact, "image_x") else (ux, uy, uz)
-
-
-def slope_of_image(contact: object, slope: float, Jx: float, Jy: float, Jz: float) -> float:
-    """Add J·w to a sum of impulses times velocities in J; the velocities of bodies do not contain w."""
-    raise NotImplementedError("only kernels call it")
-
-
-def set_image_velocity(contact: object, dx: float, dy: float, dz: float, box: Any) -> None:
-    """Set w of a contact, if it has this field, given the separation (m) of its bodies in the box."""
-    raise NotImplementedError("only kernels call it")
-
-
-def is_record_of_shear(box: Any) -> bool:
-    """Return whether Numba's type of a box is that of a sheared one."""
-    return "shift" in (getattr(box.dtype, "fields", None) or ())
+@inner
+def in_axes(B: ShearedBoxRecord, flow: float, gradient: float) -> Vector:
+    """Return a vector with two components, along the flow and the gradient."""
+    f, g = B.flow, B.gradient
+    x = flow if f == 0 else (gradient if g == 0 else 0.0)
+    y = flow if f == 1 else (gradient if g == 1 else 0.0)
+    z = flow if f == 2 else (gradient if g == 2 else 0.0)
+    return x, y, z
 
 
 @inline
 def along_image(contact: ImageVelocity, Jx: float, Jy: float, Jz: float) -> float:
     """Return J·w in J."""
     return Jx * contact.image_x + Jy * contact.image_y + Jz * contact.image_z
+
+
+# Forms for a sheared box, or for a contact with w; the functions that kernels call follow, with the other form.
 
 
 def _nearest(dx: float, dy: float, dz: float, box: Any, clock: float) -> Vector:
@@ -285,70 +250,73 @@ def _flow(box: Any, x: float, y: float, z: float, dt: float) -> Vector:
     return in_axes(B, B.rate * along_gradient(x, y, z, B.gradient) * dt, 0.0)
 
 
-@inner
-def along_gradient(x: float, y: float, z: float, axis: int) -> float:
-    """Return the component of a vector along an axis."""
-    return x if axis == 0 else (y if axis == 1 else z)
+def _add_work(box: Any, work: float) -> None:
+    box[0].work += work
 
 
-@inner
-def in_axes(B: ShearedBoxRecord, flow: float, gradient: float) -> Vector:
-    """Return a vector with two components, along the flow and the gradient."""
-    f, g = B.flow, B.gradient
-    x = flow if f == 0 else (gradient if g == 0 else 0.0)
-    y = flow if f == 1 else (gradient if g == 1 else 0.0)
-    z = flow if f == 2 else (gradient if g == 2 else 0.0)
-    return x, y, z
-
-
-def _image_velocity(contact: Any, ux: float, uy: float, uz: float) -> Vector:
-    return ux + contact.image_x, uy + contact.image_y, uz + contact.image_z
+def _slope_of_image(contact: Any, slope: float, Jx: float, Jy: float, Jz: float) -> float:
+    return slope + along_image(contact, Jx, Jy, Jz)
 
 
 def _set_image_velocity(contact: Any, dx: float, dy: float, dz: float, box: Any) -> None:
     contact.image_x, contact.image_y, contact.image_z = velocity_of_image(dx, dy, dz, box)
 
 
-def _add_work(box: Any, work: float) -> None:
-    box[0].work += work
+def _image_velocity(contact: Any, ux: float, uy: float, uz: float) -> Vector:
+    return ux + contact.image_x, uy + contact.image_y, uz + contact.image_z
 
 
-def _has_image(contact: Any) -> bool:
-    return "image_x" in contact.fields
+@with_field("shift", lambda box: True)
+def is_sheared(box: Any) -> bool:
+    """Return whether a box is sheared; a constant in compiled kernels."""
+    return False
 
 
-def _choose(has_shear: Callable[[Any], bool], place: int, *forms: tuple[Callable[..., Any], ...]) -> None:
-    """Let kernels compile the first or the second form of a function, by the type of the argument at a place."""
-    for function, sheared, plain in forms:
-        chosen_by_type(function)(lambda *kinds, s=sheared, p=plain: s if has_shear(kinds[place]) else p)
+@with_field("shift", lambda box: (box[0].period_x, box[0].period_y, box[0].period_z))
+def periods(box: Any) -> Vector:
+    """Return the size of a periodic box in m; of a sheared one `ENDLESS` along the gradient."""
+    return box[0], box[1], box[2]
 
 
-_choose(
-    is_record_of_shear,
-    0,
-    (is_sheared, lambda box: True, lambda box: False),
-    (
-        periods,
-        lambda box: (box[0].period_x, box[0].period_y, box[0].period_z),
-        lambda box: (box[0], box[1], box[2]),
-    ),
-    (flow_in_drift, _flow, lambda box, x, y, z, dt: (0.0, 0.0, 0.0)),
-    (add_work, _add_work, lambda box, work: None),
-)
-_choose(
-    is_record_of_shear,
-    3,
-    (nearest_in_drift, _nearest, lambda dx, dy, dz, box, clock: nearest_image(dx, dy, dz, box)),
-    (velocity_of_image, _velocity, lambda dx, dy, dz, box: (0.0, 0.0, 0.0)),
-)
-_choose(
-    _has_image,
-    0,
-    (relative_to_image, _image_velocity, lambda contact, ux, uy, uz: (ux, uy, uz)),
-    (
-        slope_of_image,
-        lambda contact, slope, Jx, Jy, Jz: slope + along_image(contact, Jx, Jy, Jz),
-        lambda contact, slope, Jx, Jy, Jz: slope,
-    ),
-    (set_image_velocity, _set_image_velocity, lambda contact, dx, dy, dz, box: None),
-)
+@with_field("shift", _nearest, place=3)
+def nearest_in_drift(dx: float, dy: float, dz: float, box: Any, clock: float) -> Vector:
+    """Return a separation (m) to the nearest image at a time (s) since the step began."""
+    return nearest_image(dx, dy, dz, box)
+
+
+@with_field("shift", _velocity, place=3)
+def velocity_of_image(dx: float, dy: float, dz: float, box: Any) -> Vector:
+    """Return the velocity (m/s) of a body's nearest image relative to the body, given the separation (m)."""
+    return 0.0, 0.0, 0.0
+
+
+@with_field("shift", _flow)
+def flow_in_drift(box: Any, x: float, y: float, z: float, dt: float) -> Vector:
+    """Return the displacement (m) by the flow at a place in a time (s)."""
+    return 0.0, 0.0, 0.0
+
+
+@with_field("shift", _add_work)
+def add_work(box: Any, work: float) -> None:
+    """Add work (J) of the shear."""
+
+
+@with_field("image_x", _slope_of_image)
+def slope_of_image(contact: object, slope: float, Jx: float, Jy: float, Jz: float) -> float:
+    """Add J·w to a sum of impulses times velocities in J; the velocities of bodies do not contain w."""
+    return slope
+
+
+@with_field("image_x", _set_image_velocity)
+def set_image_velocity(contact: object, dx: float, dy: float, dz: float, box: Any) -> None:
+    """Set w of a contact, if it has this field, given the separation (m) of its bodies in the box."""
+
+
+def relative_to_image(contact: Any, ux: float, uy: float, uz: float) -> Vector:
+    """Return the velocity (m/s) of the image of j relative to i, given that of j; it is called with lanes, too."""
+    return _image_velocity(contact, ux, uy, uz) if hasattr(contact, "image_x") else (ux, uy, uz)
+
+
+@chosen_by_type(relative_to_image)
+def _relative_to_image(contact: Any, ux: Any, uy: Any, uz: Any) -> Any:
+    return _image_velocity if "image_x" in contact.fields else lambda contact, ux, uy, uz: (ux, uy, uz)
