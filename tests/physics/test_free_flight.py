@@ -304,12 +304,12 @@ def test_steps_of_two_balls_that_touch_at_rest_beside_a_third_are_those_of_singl
         {"contact": {"kinetic_friction": 0.0, "static_friction": 0.0}},
         {"contact": {"sweeps": 3}},
         {"domain": {"boundary": ["periodic", "periodic", "open"], "size": [2.2, 2.0, 1.0]}},
-        *(
-            pytest.param(each, marks=pytest.mark.slow)  # each compiles the kernel for another type
-            for each in (
-                {"drag": {"relaxation_time": 0.5, "medium_velocity": [2.0, 1.0, 0.0]}},
-                {"contact": {"law": "rolling_resistance", "rolling_resistance": {"rolling_friction": 0.02}}},
-            )
+        pytest.param(  # which compiles the kernel for other types
+            {
+                "drag": {"relaxation_time": 0.5, "medium_velocity": [2.0, 1.0, 0.0]},
+                "contact": {"law": "rolling_resistance", "rolling_resistance": {"rolling_friction": 0.02}},
+            },
+            marks=pytest.mark.slow,
         ),
     ],
     ids=str,

@@ -38,8 +38,8 @@ def inspect(file: RecordingArgument, as_json: JsonOption = False) -> None:
     mention_killed_run(file)
     with opened(file) as path:
         recording = Recording.open(path)
-        units = recording.units
-        if recording.is_overlay:  # the runs in a comparison, and the verdict
+        units, is_overlay = recording.units, recording.is_overlay  # read while an unpacked bundle exists
+        if is_overlay:  # the runs in a comparison, and the verdict
             summary = {"title": recording.title, **recording.overlaid}
         else:
             refuse_missing_extensions(recording)
@@ -50,7 +50,7 @@ def inspect(file: RecordingArgument, as_json: JsonOption = False) -> None:
     from carom.cli.terminal import Terminal
 
     console = Terminal(soft_wrap=True)
-    if recording.is_overlay:
+    if is_overlay:
         table = _grid()
         for name, text in (*summary.items(), ("next", command("view", file))):
             table.add_row(name, str(text))

@@ -75,6 +75,10 @@ class Expression:
         if not self.names:
             raise ExperimentError(f"{option} {text}: contains no quantity of a run; {_EXAMPLE}")
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Send the text to another process, which compiles it again."""
+        return Expression, (self.text, self.option)
+
     def holds(self, summary: Mapping[str, Any]) -> bool:
         """Return whether the condition holds; UnknownNameError if the summary lacks a name."""
         try:
