@@ -30,6 +30,7 @@ from carom.physics.integrators.kick_drift import (
     KickedBodies,
     advance,
     book_exchange,
+    damped_step,
     kick_after_drift,
     kick_before_drift,
     wrap_rows,
@@ -208,9 +209,10 @@ def _fly(
         is_free = True
         for s in range(len(substeps)):
             first_kick, drift, last_kick = substeps[s, 0] * length, substeps[s, 1] * length, substeps[s, 2] * length
-            strength = 1.0
+            damped = damped_step(laws.damping, length, first_kick, last_kick)
+            strength = damped.path.strength
             if P.accelerates and first_kick != 0.0:
-                strength = kick_before_drift(laws.damping, kicked, length, first_kick, last_kick).path.strength
+                kick_before_drift(laws.damping, kicked, damped, False)
             if P.touches:
                 fastest, largest = _fastest(velocity, acceleration)
                 skin = (largest + P.field) * strength * length * length
@@ -227,7 +229,7 @@ def _fly(
             if P.accelerates and (s < last or P.ends_with_forces):
                 sum_accelerations(laws, moved, kept, buffers)
             if P.accelerates and last_kick != 0.0:
-                kick_after_drift(laws.damping, kicked, length, last_kick)
+                kick_after_drift(laws.damping, kicked, damped)
                 book_exchange(laws.damping)
         if not is_free:
             copy_state(saved[0], saved[1], saved[2], position, velocity, acceleration)

@@ -22,6 +22,7 @@ with w between the factors, and κ = ½ (h φ₂ + k₂²/(h φ₂)), for which 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
@@ -38,11 +39,12 @@ from carom.physics.integrators.kick_drift import (
     DampedStep,
     KickedBodies,
     book_exchange,
+    damped_step,
     kick_after_drift,
     kick_before_drift,
     measure_hold,
 )
-from carom.physics.jit.decorators import chosen_by_type, inline, kernel
+from carom.physics.jit.decorators import Function, for_first, inline, kernel
 from carom.physics.jit.team import Team
 from carom.scene.forces import DRAG, MOST_RELAXATIONS
 from carom.scene.schema import Drag, Scene
@@ -61,7 +63,7 @@ class DragSumsRecord(Protocol):
 
 
 SUMS = dtype_of(DragSumsRecord)
-BEFORE, HELD, AFTER = range(3)  # the drift, contacts held before it, after the drift: rows of sums
+BEFORE, AFTER = range(2)  # the drift: rows of sums
 
 
 class DragLaw(NamedTuple):
@@ -70,7 +72,8 @@ class DragLaw(NamedTuple):
     rate: float  # 1/s
     wind: FloatArray  # (3,) m/s², u/τ
     outer: FloatArray  # (3,) m/s², u/τ plus the other accelerations that are the same for all bodies
-    sums: RecordArray[DragSumsRecord]  # (3,) of a step
+    sums: RecordArray[DragSumsRecord]  # (2,) of a step
+    held: FloatArray  # (1,) J, the part of the loss in a step that is due to held contacts
     against: FloatArray  # (n + p, 3) m/s², a - v/τ at the beginning of the step; 0 for planes
     slowed: FloatArray  # (n, 3) m/s, the velocities along the drift before contacts are held
     exchanged: FloatArray  # (7,) as in `Damping`
@@ -88,7 +91,7 @@ class StokesDrag:
         rate = 1.0 / drag.relaxation_time
         self.uniform = np.array(drag.medium_velocity) * rate
         self.exchanged = np.zeros(7)
-        step = np.zeros(3, SUMS), np.zeros_like(bodies.ends.acceleration), np.zeros_like(bodies.velocity)
+        step = np.zeros(2, SUMS), np.zeros(1), np.zeros_like(bodies.ends.acceleration), np.zeros_like(bodies.velocity)
         self.law = DragLaw(rate, self.uniform, outer + self.uniform, *step, self.exchanged)
         self._bodies = bodies
         arrays = bodies.position, bodies.velocity, bodies.acceleration, bodies.mass
@@ -110,7 +113,9 @@ class StokesDrag:
 
     def begin(self, step: DampedStep) -> Exchange:
         """Kick, then slow down to the mean velocity of the drift."""
+        _write_against(self.law, self._kicked)
         _begin(self.law, self._kicked, step)
+        _write_slowed(self.law, self._kicked)
         return _exchange_of(self.law.sums, BEFORE)
 
     def end(self, step: DampedStep) -> Exchange:
@@ -141,48 +146,45 @@ def make(scene: Scene, bodies: Bodies, team: Team) -> StokesDrag:
     return StokesDrag(scene.drag, bodies, np.array(scene.gravity.uniform), team)
 
 
-@chosen_by_type(kick_before_drift)
-def _damped_before(damping: Any, bodies: Any, length: Any, kick: Any, last_kick: Any) -> Any:
-    def slow_down(damping: DragLaw, bodies: KickedBodies, length: float, kick: float, last_kick: float) -> DampedStep:
-        step = _step_of(damping.rate, length)
-        _begin(damping, bodies, step)
-        _clear(damping.sums[HELD])
-        return step
-
-    return slow_down if _is_law(damping) else None
+def _with_drag(function: Callable[..., Any]) -> Callable[[Function], Function]:
+    """Let kernels call the decorated function in place of one of `kick_drift`, where the law is a `DragLaw`."""
+    return for_first(function, lambda kind: getattr(kind, "instance_class", None) is DragLaw)
 
 
-@chosen_by_type(measure_hold)
-def _damped_hold(damping: Any, bodies: Any, step: Any) -> Any:
-    def measure(damping: DragLaw, bodies: KickedBodies, step: DampedStep) -> None:
-        damping.sums[HELD].lost = _lost_in_hold(damping, bodies, step)
-
-    return measure if _is_law(damping) else None
+@_with_drag(damped_step)
+def _damped_step(damping: DragLaw, length: float, kick: float, last_kick: float) -> DampedStep:
+    return _step_of(damping.rate, length)
 
 
-@chosen_by_type(kick_after_drift)
-def _damped_after(damping: Any, bodies: Any, length: Any, kick: Any) -> Any:
-    def slow_down(damping: DragLaw, bodies: KickedBodies, length: float, kick: float) -> None:
-        _end(damping, bodies, _step_of(damping.rate, length))
-
-    return slow_down if _is_law(damping) else None
-
-
-@chosen_by_type(book_exchange)
-def _booked_exchange(damping: Any) -> Any:
-    def book(damping: DragLaw) -> None:
-        for row in range(len(damping.sums)):
-            part = damping.sums[row]
-            terms = (part.lost, part.px, part.py, part.pz, part.Lx, part.Ly, part.Lz)
-            for k in range(7):
-                damping.exchanged[k] += terms[k]
-
-    return book if _is_law(damping) else None
+@_with_drag(kick_before_drift)
+def _slow_down_before(damping: DragLaw, bodies: KickedBodies, step: DampedStep, holds: bool) -> None:
+    if holds:
+        _write_against(damping, bodies)
+    _begin(damping, bodies, step)
+    if holds:
+        _write_slowed(damping, bodies)
+    damping.held[0] = 0.0
 
 
-def _is_law(kind: Any) -> bool:
-    """Return whether a type of Numba is that of a `DragLaw`."""
-    return getattr(kind, "instance_class", None) is DragLaw
+@_with_drag(measure_hold)
+def _measure_hold(damping: DragLaw, bodies: KickedBodies, step: DampedStep) -> None:
+    damping.held[0] = _lost_in_hold(damping, bodies, step)
+
+
+@_with_drag(kick_after_drift)
+def _slow_down_after(damping: DragLaw, bodies: KickedBodies, step: DampedStep) -> None:
+    _end(damping, bodies, step)
+
+
+@_with_drag(book_exchange)
+def _book_exchange(damping: DragLaw) -> None:
+    for row in range(2):
+        part = damping.sums[row]
+        terms = (part.lost, part.px, part.py, part.pz, part.Lx, part.Ly, part.Lz)
+        for k in range(7):
+            damping.exchanged[k] += terms[k]
+        if row == BEFORE:
+            damping.exchanged[0] += damping.held[0]
 
 
 @kernel
@@ -200,14 +202,28 @@ def _step_of(rate: float, dt: float) -> DampedStep:
 
 
 @kernel
+def _write_against(law: DragLaw, bodies: KickedBodies) -> None:
+    """Write the accelerations at the beginning of a step, against which contacts are held."""
+    for i in range(len(bodies.mass)):
+        for k in range(3):
+            law.against[i, k] = bodies.a[i, k] - bodies.v[i, k] * law.rate
+
+
+@kernel
+def _write_slowed(law: DragLaw, bodies: KickedBodies) -> None:
+    """Write the velocities along the drift, before contacts are held."""
+    for i in range(len(bodies.mass)):
+        for k in range(3):
+            law.slowed[i, k] = bodies.v[i, k]
+
+
+@kernel
 def _begin(law: DragLaw, bodies: KickedBodies, step: DampedStep) -> None:
     """Kick and slow down before the drift; write loss, impulse and angular impulse."""
     x, v, a, mass, inverse_mass = bodies
     total, h, booked, kick, factor = law.sums[BEFORE], step.length, step.booked, step.first_kick, step.before
     _clear(total)
     for i in range(len(mass)):
-        for k in range(3):
-            law.against[i, k] = a[i, k] - v[i, k] * law.rate
         if inverse_mass[i] == 0.0:
             continue
         v2, w2, work, a2 = 0.0, 0.0, 0.0, 0.0
@@ -221,9 +237,6 @@ def _begin(law: DragLaw, bodies: KickedBodies, step: DampedStep) -> None:
             v[i, k] = kicked
         total.lost += mass[i] * (0.5 * (v2 - w2) + booked * work - 0.5 * booked * (h - booked) * a2)
         _slow_down(i, x, v, mass[i], law.outer, kick, factor, total)
-    for i in range(len(mass)):
-        for k in range(3):
-            law.slowed[i, k] = v[i, k]
 
 
 @kernel

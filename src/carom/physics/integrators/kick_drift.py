@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 from carom.arrays import FloatArray
-from carom.physics.jit.decorators import chosen_by_type, long_kernel
+from carom.physics.jit.decorators import Function, for_first, long_kernel
 from carom.physics.jit.team import SOLO, Team
 from carom.physics.vector import minimum_image
 
@@ -75,53 +75,37 @@ class DampedStep(NamedTuple):
     path: DampedPath
 
 
-def kick_before_drift(damping: Any, bodies: KickedBodies, length: float, kick: float, last_kick: float) -> DampedStep:
-    """Kick before the drift of a step, or let drag replace the kick. For kernels.
-
-    ``damping`` is the `Damping.law` of drag, or an empty tuple. The step and, without drag, its two kicks are in s.
-    """
-    raise NotImplementedError("only kernels call it")
+def _without_drag(function: Function) -> Function:
+    """Let kernels call a function where the first argument, a `Damping.law`, is empty; drags add their own forms."""
+    return for_first(function, lambda damping: len(damping) == 0)(function)
 
 
+# The next functions are for kernels only. ``damping`` is the `Damping.law` of drag, or an empty tuple.
+
+
+@_without_drag
+def damped_step(damping: Any, length: float, kick: float, last_kick: float) -> DampedStep:
+    """Return a step, given its length and, without drag, its two kicks; all in s."""
+    return DampedStep(length, kick, 1.0, 1.0, last_kick, kick, kick, DampedPath(kick, 0.0, 1.0))
+
+
+@_without_drag
+def kick_before_drift(damping: Any, bodies: KickedBodies, step: DampedStep, holds: bool) -> None:
+    """Kick before the drift of a step; ``holds``: whether contacts are held then."""
+    advance(0, len(bodies.v), bodies.v, bodies.a, step.first_kick)
+
+
+@_without_drag
 def measure_hold(damping: Any, bodies: KickedBodies, step: DampedStep) -> None:
-    """Compute the change of the loss by drag because contacts were held; for kernels."""
-    raise NotImplementedError("only kernels call it")
+    """Compute the change of the loss by drag because contacts were held."""
 
 
-def kick_after_drift(damping: Any, bodies: KickedBodies, length: float, kick: float) -> None:
-    """Kick after the drift of a step, as `kick_before_drift`."""
-    raise NotImplementedError("only kernels call it")
+@_without_drag
+def kick_after_drift(damping: Any, bodies: KickedBodies, step: DampedStep) -> None:
+    """Kick after the drift of a step."""
+    advance(0, len(bodies.v), bodies.v, bodies.a, step.last_kick)
 
 
+@_without_drag
 def book_exchange(damping: Any) -> None:
-    """Add what a step has exchanged with the medium to `Damping.exchanged`; for kernels."""
-    raise NotImplementedError("only kernels call it")
-
-
-@chosen_by_type(kick_before_drift)
-def _undamped_before(damping: Any, bodies: Any, length: Any, kick: Any, last_kick: Any) -> Any:
-    """Define the calls without drag; the module of a drag defines those with it."""
-
-    def kick_only(damping: Any, bodies: KickedBodies, length: float, kick: float, last_kick: float) -> DampedStep:
-        advance(0, len(bodies.v), bodies.v, bodies.a, kick)
-        return DampedStep(length, kick, 1.0, 1.0, last_kick, kick, kick, DampedPath(kick, 0.0, 1.0))
-
-    return kick_only if len(damping) == 0 else None
-
-
-@chosen_by_type(measure_hold)
-def _undamped_hold(damping: Any, bodies: Any, step: Any) -> Any:
-    return (lambda damping, bodies, step: None) if len(damping) == 0 else None
-
-
-@chosen_by_type(kick_after_drift)
-def _undamped_after(damping: Any, bodies: Any, length: Any, kick: Any) -> Any:
-    def kick_only(damping: Any, bodies: KickedBodies, length: float, kick: float) -> None:
-        advance(0, len(bodies.v), bodies.v, bodies.a, kick)
-
-    return kick_only if len(damping) == 0 else None
-
-
-@chosen_by_type(book_exchange)
-def _nothing_exchanged(damping: Any) -> Any:
-    return (lambda damping: None) if len(damping) == 0 else None
+    """Add what a step has exchanged with the medium to `Damping.exchanged`."""

@@ -239,6 +239,19 @@ def chosen_by_type(stub: Callable[..., Any]) -> Callable[[Callable[..., Any]], C
     return decorated
 
 
+def for_first(function: Callable[..., Any], is_meant: Callable[[Any], bool]) -> Callable[[Function], Function]:
+    """Let kernels that call a function call the decorated one where the type of the first argument is meant.
+
+    The decorated function may be the called one itself.
+    """
+
+    def decorated(form: Function) -> Function:
+        chosen_by_type(function)(lambda kind, *others: form if is_meant(kind) else None)
+        return form
+
+    return decorated
+
+
 def with_field(name: str, chosen: Callable[..., Any], place: int = 0) -> Callable[[Function], Function]:
     """Let kernels call ``chosen`` in place of the decorated function where records have a field.
 

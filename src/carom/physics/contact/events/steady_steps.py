@@ -46,6 +46,7 @@ from carom.physics.integrators.kick_drift import (
     KickedBodies,
     advance,
     book_exchange,
+    damped_step,
     kick_after_drift,
     kick_before_drift,
     measure_hold,
@@ -201,7 +202,8 @@ def _go_on(
         copy_contacts(contacts, False)
         for i in range(len(orientation)):
             rotate_one(i, orientation, spin, length)
-        damped = kick_before_drift(laws.damping, kicked, length, first_kick, last_kick)
+        damped = damped_step(laws.damping, length, first_kick, last_kick)
+        kick_before_drift(laws.damping, kicked, damped, True)
         first_kick, last_kick = damped.held_kick, damped.last_kick
         hold_steady(contacts, first_kick, T.last_kick, T.last_dt, length, damped.booked)
         measure_hold(laws.damping, kicked, damped)
@@ -225,7 +227,7 @@ def _go_on(
                 wrap_rows(0, n, position, kept.box)
         if is_steady:
             sum_accelerations(laws, moved, kept, buffers)
-            kick_after_drift(laws.damping, kicked, length, last_kick)
+            kick_after_drift(laws.damping, kicked, damped)
             is_steady, sweeps = resolve_steady(contacts, position, kept.radius, first_kick, last_kick, length)
         if not is_steady:
             copy_state(saved[0], saved[1], saved[2], position, velocity, acceleration)
