@@ -1,5 +1,6 @@
 """The names of the numbers of contacts of a run."""
 
+from carom.recording.read.recorded_impacts import RecordedImpacts
 from carom.runs.outcome import EACH, ONCE_A_STEP, counts_text
 
 
@@ -14,3 +15,14 @@ def test_impacts_and_contact_steps_are_told_apart_and_said_how_they_were_counted
 def test_contacts_of_which_only_the_frames_are_known_are_no_contact_steps() -> None:
     frames = "20 contacts in the recorded frames (pairs that touch, summed over these frames)"
     assert counts_text(20, None, None, "frames") == frames
+
+
+def test_recorded_impacts_and_those_left_out_add_up_with_the_count() -> None:
+    many = RecordedImpacts(17489, 65236)
+    rows = "17489 recorded, the largest between frames; 65236 left out"
+    assert many.text(82725) == many.text(None) == rows, "None: the count is unknown, as in a clip"
+    assert many.text(82637) == f"{rows}; in all 82725, 88 more than counted: they parted by the end of their step"
+    assert RecordedImpacts(14).text(14) == "all 14 recorded"
+    assert RecordedImpacts(14).text(12) == "all 14 recorded, 2 more than counted: they parted by the end of their step"
+    assert RecordedImpacts(1).text(1) == "the only one is recorded"
+    assert RecordedImpacts().text(0) == "none"

@@ -147,7 +147,7 @@ def _contacts(summary: dict[str, Any]) -> Iterator[Row]:
         impacts = contacts.get("impacts"), contacts.get("impacts_counted")
         texts.append(counts_text(contacts["total"], *impacts, contacts["summed_over"]))
     if summary["impacts"]:
-        texts.append(f"impacts: {RecordedImpacts(**summary['impacts'])}")
+        texts.append(f"impacts: {RecordedImpacts(**summary['impacts']).text(contacts.get('impacts'))}")
     if contacts["max_overlap"] is None:
         texts.append("deepest overlap: lost, since part of the file is missing")
     elif deepest := overlap_text(contacts["max_overlap"]):

@@ -102,7 +102,7 @@ class RunProgress(LiveLine):
             counts = counts_text(moments.total_contacts, moments.impacts, outcome.impacts_counted)
             table.add_row("contacts", counts)
             if outcome.impacts:
-                table.add_row("", f"impacts: {outcome.impacts}")
+                table.add_row("", f"impacts: {outcome.impacts.text(moments.impacts)}")
             most = f"at most {moments.contacts.value:.0f} at once"
             table.add_row("", "; ".join(filter(None, (most, overlap_text(moments.overlap.value)))))
         if outcome.accuracy:

@@ -42,10 +42,21 @@ class RecordedImpacts:
         """All impacts."""
         return self.recorded + self.left_out
 
-    def __str__(self) -> str:
-        if not self.left_out:
-            return {0: "none", 1: "the only one is recorded"}.get(self.recorded, f"all {self.recorded} recorded")
-        return f"{self.recorded} recorded, the largest between frames; {self.left_out} left out"
+    def text(self, counted: int | None) -> str:
+        """Describe the numbers beside the ``counted`` impacts of the run (None: unknown).
+
+        The count lacks impacts at the end of a step whose bodies neither touch nor press afterwards, for example
+        because the impulse of a neighbour separated them. They are recorded or left out like the others.
+        """
+        if self.left_out:
+            text = f"{self.recorded} recorded, the largest between frames; {self.left_out} left out"
+        else:
+            text = {0: "none", 1: "the only one is recorded"}.get(self.recorded, f"all {self.recorded} recorded")
+        more = 0 if counted is None else self.count - counted
+        if more <= 0:
+            return text
+        total = f"; in all {self.count}" if self.left_out else ""
+        return f"{text}{total}, {more} more than counted: they parted by the end of their step"
 
 
 def impacts(
