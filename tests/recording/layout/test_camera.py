@@ -245,6 +245,20 @@ def test_a_slope_is_seen_edge_on_with_gravity_down_and_the_motion_across_the_pic
         assert np.ptp(view.on_screen(moments[:, 0])[:, 0]) > 1.0, "the path crosses more than half of the height"
 
 
+@pytest.mark.parametrize(
+    "scene",
+    [
+        '[gravity]\nuniform = ["3 m/s^2", 0, "-400 cm/s^2"]',
+        'units = { length = "cm" }\n[gravity]\nuniform = [300, 0, "-4 m/s^2"]',
+        'units = "dimensionless"\n[gravity]\nuniform = [3, 0, -4]',
+    ],
+)
+def test_up_is_against_a_field_whatever_the_units_of_its_components(scripted: ScriptedRun, scene: str) -> None:
+    header = replace(on_a_slope(scripted, OUT), scene_toml=scene)
+    camera = CameraFit.of_scene(header, np.zeros(3), np.zeros((header.bodies, 3)))
+    assert camera.up == pytest.approx([-0.6, 0.0, 0.8])
+
+
 def test_a_slope_over_which_bodies_move_sideways_or_a_funnel_is_seen_from_above(scripted: ScriptedRun) -> None:
     funnel = [OUT, np.array([-0.6, 0.0, 0.8]), np.array([0.0, 0.6, 0.8])]
     for header, along in ((on_a_slope(scripted, OUT), 4.0 * ACROSS), (on_a_slope(scripted, *funnel), 4.0 * DOWNHILL)):

@@ -35,6 +35,7 @@ from carom.recording.layout.canvas import (
     upright,
 )
 from carom.recording.schema.header import Header
+from carom.scene.conversion import converted
 from carom.scene.forces import UNIFORM_FIELD
 
 if TYPE_CHECKING:
@@ -141,8 +142,10 @@ class CameraFit:
             motion = CameraMotion.STILL
         up = UP  # or against the uniform field of the scene
         if UNIFORM_FIELD.name in header.forces and header.scene_toml:
-            gravity = tomllib.loads(header.scene_toml).get("gravity", {})
-            acceleration = np.asarray(gravity.get("uniform", -UP), dtype=np.float64)
+            document = tomllib.loads(header.scene_toml)
+            # components may be texts with units; the other sections may be long, and are not needed
+            quantities, _, _ = converted({key: document[key] for key in ("units", "gravity") if key in document})
+            acceleration = np.asarray(quantities.get("gravity", {}).get("uniform", -UP), dtype=np.float64)
             size = float(np.linalg.norm(acceleration))
             up = -acceleration / size if 0.0 < size < np.inf else UP
         corners, edge_on = corners_of(header, origin), _edge_on(header, up)
