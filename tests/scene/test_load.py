@@ -35,6 +35,19 @@ def complaint(tmp_path: Path, text: str, overrides: list[str] | None = None) -> 
 MISTAKES = {
     "not TOML": ("title = \n" + ONE_BODY, ["scene.toml", "not TOML", "line 1"]),
     "a decimal comma": ("seed = 1,5\n" + ONE_BODY, ["scene.toml:1: not TOML", "write a decimal point, not a comma"]),
+    **{
+        f"a mistake in {value}": (f"seed = {value}\n" + ONE_BODY, ["scene.toml:1: not TOML", remedy])
+        for value, remedy in {
+            ".5": "write a digit before the point, such as 0.5",
+            "[1.0, -.5]": "write a digit before the point, such as 0.5",
+            "1.": "write a digit after the point, such as 1.0",
+            "[1., 2]": "write a digit after the point, such as 1.0",
+            "True": "write true, without a capital",
+            "periodic": 'write text in quotes, as in "periodic"',
+            "3 mm": 'write a quantity in quotes, as in "3 km"',
+            "[1, 2e5m]": 'write a quantity in quotes, as in "3 km"',
+        }.items()
+    },
     "a decimal comma in a text": (
         "[time]\nduration = '3,5 s'\n" + ONE_BODY,
         ["scene.toml:2: time.duration = '3,5 s': a decimal comma; write \"3.5 s\""],

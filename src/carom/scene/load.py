@@ -133,10 +133,12 @@ def _parse(text: str, source: str) -> dict[str, Any]:
             raise SceneError(f"{source}:{line}: not TOML: a whole number of more than 4300 digits") from None
         at = re.search(r"\(at line (\d+), column (\d+)\)$", str(error))
         place = f"{source}:{at[1]}" if at else source
-        line_of, column = (int(at[1]), int(at[2])) if at else (1, 1)
-        comma = re.fullmatch(r"\d,\d", text.split("\n")[line_of - 1][column - 2 : column + 1]) if at else None
-        meant = "; write a decimal point, not a comma" if comma else _meant(str(error))
-        raise SceneError(f"{place}: not TOML: {error}{meant}") from None
+        before = after = ""  # the line up to the mistake, and from there on
+        if at:
+            line_of_mistake, column = text.split("\n")[int(at[1]) - 1], int(at[2]) - 1
+            before, after = line_of_mistake[:column], line_of_mistake[column:]
+        meant = _meant(str(error)) or _meant_value(before, after)
+        raise SceneError(f"{place}: not TOML: {error}{f'; {meant}' if meant else ''}") from None
     except RecursionError:
         raise SceneError(f"{source}: {_TOO_DEEP}") from None
     if is_too_deep(data):
@@ -145,13 +147,30 @@ def _parse(text: str, source: str) -> dict[str, Any]:
 
 
 def _meant(error: str) -> str:
-    """Return a suggestion for a message of the parser; it begins with a semicolon."""
+    """Return a remedy for a message of the parser; empty if none is known."""
     twice = re.match(r"Cannot declare \('(\w+)',\) twice", error)
     if twice and members_of_list(Scene.model_fields[twice[1]].annotation if twice[1] in Scene.model_fields else None):
-        return f"; write each of several sections as [[{twice[1]}]]"
+        return f"write each of several sections as [[{twice[1]}]]"
     if twice:
-        return f"; merge the two sections [{twice[1]}]"
-    return "; a key is given twice" if error.startswith("Cannot overwrite a value") else ""
+        return f"merge the two sections [{twice[1]}]"
+    return "a key is given twice" if error.startswith("Cannot overwrite a value") else ""
+
+
+def _meant_value(before: str, after: str) -> str:
+    """Return a remedy for a value that is not TOML, given its line before and after the mistake."""
+    ends_with_digit = re.search(r"[=\[,{\s][-+]?\d[\d_.eE+-]*\s*$", before) is not None
+    if ends_with_digit and re.match(r",\d", after):
+        return "write a decimal point, not a comma"
+    if ends_with_digit and re.match(r"\.(?!\d)", after):
+        return "write a digit after the point, such as 1.0"
+    if ends_with_digit and re.match(r"\s*[A-Za-zµ°]", after):
+        return 'write a quantity in quotes, as in "3 km"'
+    if re.match(r"[-+]?\.\d", after):
+        return "write a digit before the point, such as 0.5"
+    if boolean := re.match(r"(?i:true|false)\b", after):
+        return f"write {boolean[0].lower()}, without a capital"
+    word = re.match(r"[A-Za-z][\w-]*", after) if re.search(r"[=\[,]\s*$", before) else None
+    return f'write text in quotes, as in "{word[0]}"' if word else ""
 
 
 def scene_from_dict(data: dict[str, Any], bodies: BodySource | None = None) -> Scene:
