@@ -262,6 +262,8 @@ def test_explain_says_what_is_modelled_and_what_it_costs(tmp_path: Path) -> None
     assert {part["name"]: part["modelled"] for part in document["parts"]}["contact"] is True
     assert {entity["path"]: entity["recorded"] for entity in document["entities"]}["world/torque"] is False
     assert document["cost"]["steps"] > 0
+    short = carom("explain", "elastic-gas", "--set", "time.duration=0.01", cwd=tmp_path).stdout
+    assert "about 1 step in" in short
 
 
 @pytest.mark.slow

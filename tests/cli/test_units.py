@@ -153,6 +153,7 @@ def test_json_about_a_scene_names_the_units_of_its_numbers(folder: Path, command
 def test_json_of_a_sweep_and_of_its_table_names_the_units_of_its_numbers(folder: Path) -> None:
     swept = json.loads(printed(folder, "sweep", "own.toml", "--seeds", "1", "-o", "sweep", "--workers", "1", "--json"))
     assert swept["units"] == "cm, ms, g" == json.loads(printed(folder, "sweep", "--table", "sweep", "--json"))["units"]
+    assert "units of the results: cm, ms, g, wall_time in s; " in printed(folder, "sweep", "--table", "sweep")
 
 
 def test_json_of_the_extremes_names_the_units_of_each(tmp_path: Path) -> None:

@@ -170,7 +170,8 @@ def _steps(cost: Cost, scene: Scene) -> str:
 
     seconds = cost.seconds / cost.steps
     if cost.looked_until >= scene.time.duration:
-        count = f"  about {count_text(cost.steps)} steps in {duration_text(cost.seconds)}"
+        named = counted(1, "step") if cost.steps == 1 else f"{count_text(cost.steps)} steps"
+        count = f"  about {named} in {duration_text(cost.seconds)}"
     else:
         fewest, most, steps = (count_text(n) for n in (cost.fewest_steps, cost.most_steps, cost.steps))
         count = (

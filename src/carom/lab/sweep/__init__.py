@@ -261,7 +261,9 @@ def show(folder: Path, conditions: list[str], sort: str | None, columns: str | N
     console.print(escape(stored.title))
     console.print(table)
     counts = f"{len(found)} of {len(rows)} runs" if len(found) < len(rows) else f"{len(rows)} runs"
-    console.print(f"{counts}; recordings in {folder / 'runs'}, all columns in {folder / 'table.csv'}", soft_wrap=True)
+    units = f"; units of the results: {stored.units}, wall_time in s" if stored.units else ""
+    files = f"recordings in {folder / 'runs'}, all columns in {folder / 'table.csv'}"
+    console.print(f"{counts}{units}; {files}", soft_wrap=True)
 
 
 def print_json(folder: Path, conditions: list[str], sort: str | None, columns: str | None) -> None:
