@@ -65,6 +65,20 @@ def test_the_stress_of_a_column_is_the_sum_of_the_weights_times_the_heights(colu
     assert "not divided by a volume" in statistic.note
 
 
+@pytest.mark.parametrize("confined", ["plane", "field", None])
+def test_a_stress_over_more_than_the_volume_of_the_bodies_says_so(tmp_path: Path, confined: str | None) -> None:
+    scene = scene_of(
+        [{"position": [0.0, 0.0, 0.0], "radius": 0.1, "velocity": [1.0, 0.0, 0.0]}],
+        time={"duration": 0.2, "fixed_dt": 0.1},
+        gravity={"constant": 0.0, "uniform": [0.0, 0.0, -1.0 if confined == "field" else 0.0]},
+        domain={"boundary": "walls", "size": [2.0, 2.0, 2.0]},
+        plane=[{"point": [0.0, 0.0, 0.5], "normal": [0.0, 0.0, -1.0]}] if confined == "plane" else [],
+    )
+    carom.run(scene, tmp_path / "run.rrd")
+    note = measure_stress(interval_of(tmp_path / "run.rrd")).note
+    assert ("divided by the volume of domain.size" in note) is (confined is not None)
+
+
 def test_the_forces_of_a_column_rise_by_a_weight_and_its_lower_half_is_a_chain(column: Interval) -> None:
     values = measure_forces(column).values
     forces = np.arange(1.0, COLUMN + 1)

@@ -297,6 +297,14 @@ class Interval:
         size = None if "open" in self.scene.domain.axes else self.scene.domain.size
         return None if size is None else float(np.prod(size))
 
+    @property
+    def is_partly_empty(self) -> bool:
+        """Whether planes, walls or a field between walls may confine the bodies to a part of the volume."""
+        scene = self.scene
+        if scene is None:
+            return False
+        return bool(scene.plane or scene.wall or ("walls" in scene.domain.axes and any(scene.gravity.uniform)))
+
     def chosen(self, count: int) -> IntArray:
         """Return evenly spaced rows of the frames, the last one among them; frame 0 only if it is the only one."""
         rows = np.flatnonzero(self.step > 0) if self.step[-1] > 0 else np.zeros(1, np.int64)

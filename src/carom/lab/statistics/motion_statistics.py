@@ -283,6 +283,10 @@ def measure_stress(interval: Interval) -> Statistic:
     if volume is None:
         volume, dimension = 1.0, ENERGY
         notes.append("there is no box, so the stress is not divided by a volume")
+    elif interval.is_partly_empty:
+        notes.append(
+            "divided by the volume of domain.size, also where planes and walls, or a free surface, end the bodies"
+        )
 
     def pressure(label: str, part: FloatArray, error: float | None = None) -> MeasuredValue:
         return MeasuredValue(label, float(np.trace(part)) / 3 / volume, dimension, error and error / volume)
