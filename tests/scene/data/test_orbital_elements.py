@@ -149,6 +149,9 @@ def test_lines_of_the_minor_planet_center_are_read_by_their_places(tmp_path: Pat
     )
     assert julian_date("J9611") == 2450083.5 and julian_date("K24AH") == 2460600.5
     text = (tmp_path / "mpcorb.txt").read_text()
+    (tmp_path / "excerpt.dat").write_text(text.partition("---\n")[2].lstrip("-\n"))  # as grep or head leaves it
+    excerpt = scene_of(tmp_path, "excerpt.dat", section, TEST_PARTICLES)
+    np.testing.assert_array_equal(excerpt.data[0].position, scene.data[0].position)
     (tmp_path / "torn.mpcorb").write_text(text.replace("0.0788175", "         "))
     assert "torn.mpcorb: line 6 has no e in columns 71 to 79 (00001" in refusal(tmp_path, "torn.mpcorb", section)
 

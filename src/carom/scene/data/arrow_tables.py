@@ -50,8 +50,14 @@ _COMMA = re.compile(r"[+-]?\d*,\d+(?:[eEdD][+-]?\d+)?")  # a number with a decim
 _YADE = re.compile(r"#\s*format\s+(\S+)")  # columns in YADE's text export, such as x_y_z_r
 _UNIT = re.compile(r"\s+(?=[\[(])")  # blanks before the unit of a name
 _STREAM_IN_FILE = 8  # bytes before the stream in an Arrow file
+# The first line of an MPCORB without its header: packed epoch, four angles and eccentricity in their columns.
+_MPC_LINE = rb"\A\s*^.{20}[IJK]\d\d[1-9A-C][1-9A-V] [ .\d]{9}(?:  [ .\d]{9}){3}  [ 01]\.\d{7} "
 # texts that identify a format, whatever the suffix of the file
-_SIGNS = {b"$$SOE": "horizons", b"ITEM: TIMESTEP": "dump", b"Des'n": "mpcorb"}
+_SIGNS = {
+    re.compile(rb"\$\$SOE"): "horizons",
+    re.compile(rb"ITEM: TIMESTEP"): "dump",
+    re.compile(rb"Des'n|" + _MPC_LINE, re.MULTILINE): "mpcorb",
+}
 _PARQUET_END = 8  # bytes at the end: the length of the footer, and a mark
 _FOOTER_HEAD = 32  # first bytes of a footer, which contain the number of its elements
 _FOOTER = re.compile(rb"\x15[\x80-\xff]*[\x00-\x7f]\x19\xfc([\x80-\xff]*[\x00-\x7f])", re.S)  # of 15 or more elements
@@ -225,7 +231,7 @@ def open_csv(path: Path, called: str, snapshot: int) -> DataTable:
     with path.open("rb") as file:
         head = file.read(_HEAD)
     for sign, name in _SIGNS.items():
-        if sign in head:
+        if sign.search(head):
             other: DataFormat = registry.load("data_formats", name)
             return other.open(path, called, snapshot)
     refuse_large(called, "the file", path.stat().st_size)
