@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -61,3 +62,30 @@ radius = 1.7e6
     assert "frames are recorded at ends of steps, which were long; time.max_dt = 333 s gives more frames" in shown
     shown = carom(*given, "--set", "time.max_dt=333 s", "-o", "all.rrd", "--force", cwd=tmp_path).stdout
     assert "which were long" not in shown
+
+
+def test_steps_of_a_close_encounter_without_a_frame_are_pointed_out(tmp_path: Path) -> None:
+    # a comet at aphelion; every step within several years of perihelion is shorter than the automatic interval
+    (tmp_path / "comet.toml").write_text(
+        """
+units = "au, yr, solar mass"
+time.duration = 1100
+contact.enabled = false
+[[body]]
+mass = 1
+radius = 0.005
+[[body]]
+position = [199, 0, 0]
+velocity = [0, 0.0315759, 0]
+mass = 0
+radius = 1e-8
+""",
+        encoding="utf-8",
+    )
+    shown = " ".join(carom("run", "comet.toml", "-o", "comet.rrd", cwd=tmp_path).stdout.split())
+    found = re.search(r'gives more frames, and record.every = "step" the (\d+) short steps between them', shown)
+    assert found
+    run = carom("run", "comet.toml", "--set", "record.every=step", "-o", "all.rrd", cwd=tmp_path).stdout
+    assert "short steps" not in run
+    more = Recording.open(tmp_path / "all.rrd").frames - Recording.open(tmp_path / "comet.rrd").frames
+    assert more == int(found[1])

@@ -24,6 +24,7 @@ from carom.scene.wording import command, counted
 
 MANY_STEPS = 10_000_000  # some 10 s of the fastest steps
 LEAST_FRAMES = 0.9  # of the requested frames; if fewer are recorded, a note says so
+FEW_STEPS = 1000  # without a frame, that may all be recorded
 FEW_FRAMES = 0.2  # the same for the automatic number of frames, which nobody requested
 
 
@@ -162,7 +163,13 @@ def _fewer_frames(scene: Scene, outcome: Outcome) -> str:
         return ""
     limit = scene.unit_system.text(interval, TIME, ".3g" if automatic else "g")
     if automatic:
-        return f"frames are recorded at ends of steps, which were long; time.max_dt = {limit} gives more frames"
+        long = f"frames are recorded at ends of steps, which were long; time.max_dt = {limit} gives more frames"
+        without = (
+            outcome.steps + 1 - outcome.frames
+        )  # steps shorter than the interval, such as those of a close encounter
+        if 0 < without <= FEW_STEPS:
+            long += f', and record.every = "step" the {counted(without, "short step")} between them'
+        return long
     return (
         f"{expected:.0f} frames were requested, but frames are recorded only at ends of steps, and most steps are "
         f"longer than record.every; time.max_dt = {limit} records all frames"
