@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 SEVERAL_LIMIT = 30.0  # s, of each run and reference, if there are several scenes
 _SCENES = "Scene files (.toml) or bundled scenes; `extremes` and `crosscheck` select all scenes of that folder."
-_ENGINES = "Engines to compare with: rebound, mujoco, box3d, pybullet, newton. Needs their packages."
+_ENGINES = "Engines to compare with, at least one: rebound, mujoco, box3d, pybullet, newton. Needs their packages."
 _LIMIT = (
     "Limit of the CPU time of a run, and of the time of a reference, in seconds. Default: none for one scene, "
     f"{SEVERAL_LIMIT:g} for several."
@@ -32,7 +32,7 @@ _WORKERS = "Number of processes for the untimed runs. Default: one per core if t
 
 def crosscheck_command(
     scenes: Annotated[list[str], typer.Argument(metavar="SCENE...", help=_SCENES, autocompletion=bundled)],
-    engines: Annotated[list[str], typer.Option("--engine", metavar="A,B,C", help=_ENGINES)],
+    engines: Annotated[list[str] | None, typer.Option("--engine", metavar="A,B,C", help=_ENGINES)] = None,
     repeats: Annotated[int, typer.Option("--repeats", metavar="N", help="Time each run N times.", min=1)] = 3,
     limit: Annotated[float | None, typer.Option("--limit", metavar="SECONDS", help=_LIMIT, min=0.0)] = None,
     folder: Annotated[Path | None, output_option("DIR", _FOLDER)] = None,
@@ -53,7 +53,7 @@ def crosscheck_command(
     from carom.lab.engines import engines_called
     from carom.lab.tradeoff import STOPPED, ran
 
-    chosen, known = engines_called(engines), bundled_folders()
+    chosen, known = engines_called(engines or [""]), bundled_folders()  # without an engine, the message lists them
     names = list(dict.fromkeys(name for source in scenes for name in known.get(source.rstrip("/"), [source])))
     several = len(names) > 1
     loaded = {name: Scene.load(name, overrides) for name in names}
