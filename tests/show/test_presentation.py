@@ -213,6 +213,18 @@ def test_the_close_up_of_an_impact_states_spins_and_angular_impulses_by_name(gla
     for name in ("body 0", "body 1"):
         assert f"{name}: spin 0 before, {spin:.3g} rad/s after" in texts
         assert f"{name}: angular impulse {angular:.3g} N m s" in texts
+    whole = np.hypot(impact["normal_impulse"], impact["tangential_impulse"])
+    assert f"{whole:.3g} N s with friction" in texts, "the arrow is the sum of both, unlike the normal one in tables"
+
+
+def test_the_close_up_of_a_lasting_contact_states_no_approach_speed(tmp_path: Path) -> None:
+    """What a force adds to the speed within a step is no motion: the ball rolls, 5/7 g sin 30° fast."""
+    recording = carom.run(Scene.load("incline", ["time.duration=0.1"]), tmp_path / "slope.rrd")
+    rows = list(asked(recording, Request(at=0.1, bodies="rolling"), only="close-up").supplement.rows)
+    (texts,) = values_of(close_up.LABELS, "labels", rows)[:1]
+    normal, friction = 9.81 * np.sqrt(0.75), 2.0 / 7.0 * 9.81 * 0.5
+    assert texts[0] == "normal"
+    assert texts[1].startswith(f"{np.hypot(normal, friction):.3g} N with friction, ")
 
 
 def test_bodies_that_never_touch_have_no_view_and_no_legend_of_contacts(tmp_path: Path) -> None:

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 _AT = "Simulated time to show. Default: the hardest impact or, without any, the most contacts or the end."
 _EVENT = "Event to show: a moment that `carom inspect` lists, a kind of event, or impact:N for the Nth impact."
-_BODIES = "Bodies to show close up, by number or name."
+_BODIES = "Bodies to show close up, by number or name: two, or one on a plane or wall."
 _PLOT = "Plot bodies over time, such as top.z,3.speed: x y z, vx vy vz speed, wx wy wz omega."
 _COLOUR = "Quantity shown by the colours of the bodies. Default: record.colour_by of the scene."
 _THEME = "Theme of the viewer. The light theme needs Xvfb, as do names in non-Latin scripts."

@@ -66,6 +66,11 @@ class Contact:
     force: float | None  # N, the impulse over the step; None for an impact
     edge: FloatArray  # (2, 3) m
 
+    @property
+    def friction(self) -> float:
+        """The size of the impulse of friction in N s."""
+        return float(np.linalg.norm(self.impulse - (self.impulse @ self.normal) * self.normal))
+
 
 @dataclass(frozen=True, slots=True)
 class _Arrows:
@@ -190,11 +195,12 @@ class CloseUp:
         """Draw edge, normal, impulse and spins at the step, with labels; clear them at the next frame."""
         yield from self._once(EDGE, rr.LineStrips3D.columns(strips=[single(contact.edge)]), 1)
         small = float(header.radius[list(self.bodies)].min())
-        speed = header.units.text(contact.approach_speed, dimension.VELOCITY, ".3g")
-        label = f"normal, {speed}" if contact.approach_speed > 0.0 else "normal"
+        label = "normal"
+        if contact.force is None and contact.approach_speed > 0.0:  # bodies in lasting contact do not approach
+            label += f", {header.units.text(contact.approach_speed, dimension.VELOCITY, '.3g')}"
         labelled = [
             _Arrows(NORMAL, contact.point[None], _NORMAL * small * contact.normal[None], [label], 0.5),
-            self._impulses(contact.impulse, header),
+            self._impulses(contact, header),
             self._spins(small, header.units),
         ]
         for arrows in labelled:
@@ -217,17 +223,21 @@ class CloseUp:
         places = single(_apart(np.concatenate(wanted), texts, self.eye, self.area, legend))
         yield from self._once(LABELS, rr.Points3D.columns(positions=places, labels=texts), len(texts))
 
-    def _impulses(self, impulse: FloatArray, header: Header) -> _Arrows:
+    def _impulses(self, contact: Contact, header: Header) -> _Arrows:
         """Return the impulse on each body from its centre; if one is many times larger, only on the smaller."""
-        size = float(np.linalg.norm(impulse))
+        size = float(np.linalg.norm(contact.impulse))
         reach = _impulse_radii(header.radius[list(self.bodies)])
         drawn = (reach > 0.0) & (size > 0.0)
         signs = np.array([-1.0, 1.0])[: len(reach)]
-        vectors = (reach * signs)[drawn, None] * impulse / (size or 1.0)
-        labels = [header.units.text(size, dimension.IMPULSE, ".3g")] if drawn.any() else []
-        if labels and self.contact is not None and self.contact.force is not None:
-            labels = [f"{header.units.text(self.contact.force, dimension.FORCE, '.3g')}, {labels[0]} in the step"]
-        return _Arrows(IMPULSE, self.position[drawn], vectors, labels)
+        vectors = (reach * signs)[drawn, None] * contact.impulse / (size or 1.0)
+        if not drawn.any():
+            return _Arrows(IMPULSE, self.position[drawn], vectors, [])
+        text = header.units.text(size, dimension.IMPULSE, ".3g")
+        together = " with friction" if contact.friction > _ROUNDING * size else ""  # tables list the normal one
+        if contact.force is None:
+            return _Arrows(IMPULSE, self.position[drawn], vectors, [text + together])
+        force = header.units.text(contact.force, dimension.FORCE, ".3g")
+        return _Arrows(IMPULSE, self.position[drawn], vectors, [f"{force}{together}, {text} in the step"])
 
     def _spins(self, small: float, units: UnitSystem) -> _Arrows:
         after = np.zeros((len(self.bodies), 3)) if self.spin is None else self.spin
@@ -246,9 +256,7 @@ class CloseUp:
 
     def _angular_impulses(self, contact: Contact, header: Header) -> _Arrows:
         """Return the labels of the angular impulses of an impact, parallel to the changes of the spins."""
-        normal = contact.normal
-        tangential = contact.impulse - (contact.impulse @ normal) * normal
-        size, whole = float(np.linalg.norm(tangential)), float(np.linalg.norm(contact.impulse))
+        size, whole = contact.friction, float(np.linalg.norm(contact.impulse))
         if contact.force is not None or self.spin is None or size <= _ROUNDING * whole:
             return _Arrows("", np.zeros((0, 3)), np.zeros((0, 3)), [])
         values = (size * header.radius[list(self.bodies)]).tolist()  # |r × J| about the centre of each

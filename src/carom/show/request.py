@@ -17,7 +17,7 @@ from carom.physics.contact.graph import CollisionGraph
 from carom.physics.frame import Frame
 from carom.physics.simulation import StepStatus
 from carom.recording.read.frame_rows import RecordedPositions
-from carom.recording.read.lookup import frame_of, shown_body, split_at_commas, tolerance
+from carom.recording.read.lookup import frame_of, names_of, shown_body, split_at_commas, tolerance
 from carom.recording.read.recorded_contacts import rows_of_engine
 from carom.recording.read.recorded_impacts import numbered_impact
 from carom.recording.read.recording import Recording
@@ -36,7 +36,9 @@ class Request:
 
     at: float | None = None  # s
     event: str | None = None  # name of an event, whose bodies the close-up view shows
-    bodies: str | None = None  # bodies of the close-up view: numbers or names separated by a comma
+    bodies: str | None = (
+        None  # of the close-up view: two numbers or names separated by a comma, or one on a plane or wall
+    )
     plot: str | None = None  # quantities of bodies to plot, such as ``top.z,top.omega``
     colour_by: str | None = None  # property that sets the colours; by default as the scene states
 
@@ -61,8 +63,13 @@ class Pair:
 
 
 def named_pair(recording: Recording, text: str) -> Pair:
-    """Read two bodies from numbers or names separated by a comma; raises RecordingError if these are not two bodies."""
+    """Read two bodies from numbers or names separated by a comma, or the one that touches a plane or a wall.
+
+    Raises RecordingError if these are not two bodies, and there is neither a plane nor a wall.
+    """
     given = split_at_commas(text, recording.bodies.name)
+    if len(given) == 1 and given[0] and names_of(recording).planes:
+        return Pair(shown_body(recording, given[0]), None)
     if len(given) != 2 or not all(given):
         raise RecordingError(f"bodies {text}: expected two bodies separated by a comma, such as 0,1")
     first, second = (shown_body(recording, part) for part in given)
