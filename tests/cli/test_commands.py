@@ -101,7 +101,7 @@ def test_inspect_counts_in_the_singular_and_the_plural(tmp_path: Path) -> None:
     carom("run", "scene.toml", "-o", "x.rrd", cwd=tmp_path)
     shown = carom("inspect", "x.rrd", cwd=tmp_path).stdout
     assert ", 1 body " in shown and "2 frames, 1 step, 0.5 s simulated" in shown
-    assert [str(RecordedImpacts(count)) for count in (0, 1, 2)] == [
+    assert [RecordedImpacts(count).text(count) for count in (0, 1, 2)] == [
         "none",
         "the only one is recorded",
         "all 2 recorded",
