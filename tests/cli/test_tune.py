@@ -140,6 +140,11 @@ def test_a_limit_that_is_none_is_one_message(limit: str, said: str, tmp_path: Pa
     assert done.returncode == 2 and said in done.stderr and "Traceback" not in done.stderr
 
 
+def test_without_a_limit_the_errors_that_may_have_one_are_listed(tmp_path: Path) -> None:
+    done = carom("tune", "figure-eight", cwd=tmp_path)
+    assert done.returncode == 2 and "such as --error position=1e-3" in done.stderr and "overlap" in done.stderr
+
+
 @pytest.mark.parametrize("tool", [("tune", "--error", "energy=1"), ("shrink", "--while", "contacts.impacts > 0")])
 @pytest.mark.parametrize(
     ("output", "said"), [("mine.toml", "is the scene or recording itself"), ("x.rrd", "a scene is a .toml")]

@@ -257,11 +257,13 @@ def _cell(result: SettingResult, error: str, mark: str, units: UnitSystem) -> st
 def tune_command(
     scene: SceneArgument,
     error: Annotated[
-        list[str],
+        list[str] | None,
         typer.Option(
-            "--error", metavar="NAME=LIMIT", help="Limit of an error, such as energy=1e-4 or position=1e-3. Repeatable."
+            "--error",
+            metavar="NAME=LIMIT",
+            help="Limit of an error, such as energy=1e-4 or position=1e-3; at least one. Repeatable.",
         ),
-    ],
+    ] = None,
     output: Annotated[
         Path | None,
         typer.Option("-o", "--output", metavar="FILE", help="Scene file to write. Default: SCENE-tuned.toml."),
@@ -298,7 +300,7 @@ def tune_command(
     from carom.extend import refuse_scene_output
     from carom.lab.tradeoff.tune import limits, stopped, tuned, write
 
-    asked = limits(error)
+    asked = limits(error or [])
     path = output or Path(f"{Path(scene).stem}-tuned.toml")
     refuse_scene_output(path, scene, force)
     study, settings = opened(scene, vary, folder, overrides, threads, new_study, limit, ADVICE)
@@ -322,7 +324,7 @@ def tune_command(
     elif tuning.best is not None:
         say("\n".join([*_tuning_lines(tuning), f"Written to {path}. The measurements stay in {study.folder}."]))
     if tuning.best is None:
-        said = f"none of the {len(tuning.tried)} settings tried keeps {', '.join(error)}: {tuning.why_none()}"
+        said = f"none of the {len(tuning.tried)} settings tried keeps {', '.join(error or [])}: {tuning.why_none()}"
         say(f"carom: {said}", err=True)
         raise typer.Exit(1)
 

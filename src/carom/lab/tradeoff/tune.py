@@ -290,8 +290,10 @@ def tuned(
 def limits(asked: list[str]) -> dict[str, float]:
     """Read limits as given to ``--error``, such as ``energy=1e-4``.
 
-    Raises SceneError if one does not limit a measured error.
+    Raises SceneError if there are none, or one does not limit a measured error.
     """
+    if not asked:
+        raise SceneError(f"name an error and its limit, such as --error position=1e-3; {suggestion('', NAMES)}")
     found = {}
     for text in asked:
         name, separator, value = (part.strip() for part in text.partition("="))
