@@ -61,7 +61,8 @@ class Drag(Section):
     """[drag]: Stokes' drag in a medium, a = -(v - u)/τ."""
 
     relaxation_time: Annotated[Positive, TIME] = Field(
-        description="s, τ, time in which the velocity relative to the medium falls to 1/e; more than 0"
+        description="s, τ, time in which the velocity relative to the medium falls to 1/e, the same for all bodies; "
+        "m/(6π η r) for a sphere of mass m and radius r in a fluid of viscosity η; more than 0"
     )
     medium_velocity: Annotated[Vector, VELOCITY] = Field(
         ORIGIN, description="m/s, u, the velocity [x, y, z] of the medium"
@@ -262,9 +263,15 @@ class ContactSettings(Section):
     restitution: AnyReal = Field(
         0.5, ge=0, le=1, description="rebound speed over approach speed, from 0 (no bounce) to 1 (elastic)"
     )
-    static_friction: Friction = Field(0.6, description="Coulomb coefficient of a sticking contact; not negative")
+    static_friction: Friction = Field(
+        0.6,
+        description="Coulomb coefficient of a sticking contact; not negative; if only kinetic_friction is given, at "
+        "least that",
+    )
     kinetic_friction: Friction = Field(
-        0.4, description="Coulomb coefficient of a sliding contact, from 0 to static_friction"
+        0.4,
+        description="Coulomb coefficient of a sliding contact, from 0 to static_friction; if only static_friction is "
+        "given, at most that",
     )
     solver: Literal["lasting", "staged"] = Field(
         "lasting",
