@@ -39,6 +39,20 @@ def test_a_step_without_contacts_is_told_with_its_time(folder: Path) -> None:
     assert carom("contacts", "run.rrd", "--at", "0.5", cwd=folder).stdout == "0 contacts at t = 0.5 s, recorded\n"
 
 
+def test_empty_cells_of_recorded_contacts_are_explained_and_a_replay_fills_them(tmp_path: Path) -> None:
+    scene = scene_of(
+        [{"position": [0, 0, 1.0], "radius": 1.0}],
+        time={"duration": 0.2, "fixed_dt": 0.01},
+        gravity={"constant": 0.0, "uniform": [0.0, 0.0, -1.0]},
+        plane=[{}],
+    )
+    library.run(scene, tmp_path / "run.rrd")
+    said = carom("contacts", "run.rrd", "--at", "0.15", cwd=tmp_path).stdout.splitlines()[0]
+    assert said.endswith(", recorded; empty cells were not recorded, compute them with --replay")
+    said = carom("contacts", "run.rrd", "--at", "0.15", "--replay", cwd=tmp_path).stdout
+    assert "empty cells" not in said and said.startswith("1 contact in step 15, replayed")
+
+
 def test_an_impact_as_a_step_ends_is_named_where_that_step_has_no_contacts(tmp_path: Path) -> None:
     bodies = [{"position": [x, 0, 0], "velocity": [-x / 1.5, 0, 0], "radius": 0.5, "mass": 1} for x in (-1.5, 1.5)]
     scene = scene_of(bodies, time={"duration": 1.5, "fixed_dt": 1e-3}, gravity={"constant": 0})

@@ -276,8 +276,10 @@ def _print(recording: Recording, table: pa.Table, at: OptionalTime) -> None:
     count, units, moment = counted(table.num_rows, "impact" if at is None else "contact"), recording.units, ""
     if at is not None:  # impacts have their own times within the step
         moment = f" in step {table['step'][0]}" if table.num_rows else f" at t = {units.text(at, TIME, '.9g')}"
-    later = "" if at is None or table.num_rows else _in_next_step(recording, at)
-    say(f"{count}{moment}, {_source(table)}{later}")
+    note = "" if at is None or table.num_rows else _in_next_step(recording, at)
+    if table["approach_speed"].null_count and not recording.engine:
+        note = "; empty cells were not recorded, compute them with --replay"
+    say(f"{count}{moment}, {_source(table)}{note}")
     if table.num_rows == 0:
         return
     shown = Table(box=None, padding=(0, 1), header_style="bold")
