@@ -429,5 +429,22 @@ def test_an_orbit_of_few_frames_has_a_round_trail(tmp_path: Path) -> None:
     assert np.abs(distances - 1.0).max() < 5e-3
 
 
+def test_a_trail_leads_to_a_body_in_a_step_without_a_frame(tmp_path: Path) -> None:
+    """A comet that passes its perihelion, 0.005 of its aphelion, between two frames."""
+    sun = {"radius": 1e-4, "mass": 1.0, "fixed": True}
+    comet = {"radius": 1e-4, "mass": 1e-9, "position": [1.0, 0.0, 0.0], "velocity": [0.0, 0.1, 0.0]}
+    time = {"duration": 4.0, "integrator": "gauss-radau15"}
+    scene = scene_of([sun, comet], time=time, gravity={"constant": 1.0}, record={"every": 1.0})
+    recording = carom.run(scene, tmp_path / "comet.rrd")
+    shown = asked(recording, Request(at=1.115))  # half a period is 1.119
+    assert shown.time not in recording.fingerprints()["time"].to_pylist()
+    (bodies,) = (rows for rows in shown.supplement.rows if rows.path == paths.BODIES and shown.time in rows.index.times)
+    place = values_of(paths.BODIES, "centers", [bodies])[bodies.index.times.tolist().index(shown.time)][1]
+    assert np.linalg.norm(place) < 0.1, "near the sun"
+    (trails,) = rows_of(TRAILS, list(shown.supplement.rows))
+    piece = values_of(TRAILS, "strips", [trails])[trails.index.times.tolist().index(shown.time)][1]
+    np.testing.assert_allclose(piece[-1], place, atol=1e-6)
+
+
 def test_the_trail_of_a_body_that_bounced_is_straight_from_frame_to_frame(bounce: Recording) -> None:
     assert {len(piece) for piece in strips_of(bounce)} == {2}

@@ -158,7 +158,7 @@ def presentation(
         colours = body_colours(recording, header, by, step).on(canvas.theme)
         fixed, own = colours.fixed, colours.of(places)
     trails = trail_colours(recording, header, by, canvas.theme)
-    staging = Staging.of(recording, header, step.position, trails, until, motion)
+    staging = Staging.of(recording, header, step.position, trails, until, motion, step)
     clock = TimeScale(float(recording.info["time_scale"]))
     instant = None if chosen is None else at_impact(step, chosen, header, recording.origin, moment, clock)
     within_step = instant is not None and (at_own_time or abs(instant.time - moment) <= tolerance(moment))

@@ -28,6 +28,7 @@ from carom.recording.schema.series import PLOTS
 from carom.recording.write.rows import Index, Rows
 from carom.recording.write.static_entities import plane_grids
 from carom.scene.units import dimension
+from carom.show.request import ShownStep
 from carom.show.supplement import Static, Trails, has_trails
 
 _LOOKS = 50  # frames of many bodies to which the camera is fitted
@@ -58,6 +59,7 @@ class Staging:
         colours: ColourArray,
         until: float = np.inf,
         motion: CameraMotion | None = None,
+        repeated: ShownStep | None = None,
     ) -> Staging:
         """Fit a camera to a recording.
 
@@ -71,9 +73,11 @@ class Staging:
             s, the time up to which the motion should be in view.
         motion
             The camera's motion; by default it depends on the scene.
+        repeated
+            A step of which there may be no frame, for the trails to lead to its bodies.
         """
         camera = CameraFit.of_scene(header, recording.origin, first, motion)
-        trails = Trails(recording, header, colours) if has_trails(recording) else None
+        trails = Trails(recording, header, colours, repeated) if has_trails(recording) else None
         if trails is not None:
             trails.show(camera, until)
             # without contacts, show whole orbits: all bodies may be near their pericentres now

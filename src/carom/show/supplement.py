@@ -36,6 +36,7 @@ from carom.scene.wording import body_called
 
 if TYPE_CHECKING:
     from carom.physics.simulation import StepStatus
+    from carom.show.request import ShownStep
 
 Static = tuple[str, rr.AsComponents]
 
@@ -77,15 +78,22 @@ class Trails:
     """The paths of all bodies of a recording, as pieces from frame to frame.
 
     Where nothing ever touched, a piece is part of the cubic spline through all frames. ``colours`` (n,) are those of
-    the bodies.
+    the bodies. A ``repeated`` step between two frames is a point of the paths, too: they lead to where its bodies are.
     """
 
-    def __init__(self, recording: Recording, header: Header, colours: ColourArray) -> None:
+    def __init__(
+        self, recording: Recording, header: Header, colours: ColourArray, repeated: ShownStep | None = None
+    ) -> None:
         drawn = drawn_paths(recording, range(len(header.radius)))
         every = -(-len(drawn.steps) // _MOST_FRAMES)
         self._steps = drawn.steps[::every]
         self._times = times_of(recording, self._steps)
         self._position = drawn.position[::every]
+        if repeated is not None and repeated.frame is not None and repeated.step not in self._steps:
+            place = int(np.searchsorted(self._steps, repeated.step))
+            self._steps = np.insert(self._steps, place, repeated.step)
+            self._times = np.insert(self._times, place, repeated.time)
+            self._position = np.insert(self._position, place, repeated.position, axis=0)
         self._box, self._shear = header.box, header.shear
         untouched = recording.closing.get("contacts.total") == 0 and header.box is None
         self._is_smooth = untouched and bool((np.diff(self._times) > 0.0).all())
