@@ -136,10 +136,12 @@ def ended_bounces(scene: Scene) -> str:
     bounces = interactions.restitution(scene, contact).modelled and not integrator(scene).ends_steps_at_impacts
     if not (bounces and interactions.resting(scene, contact).modelled):
         return ""
-    speed = "about 2 a dt (a: the acceleration that presses them together, dt: the step)"
+    speed = "about 2 a dt (a: the acceleration of field and gravity, dt: the step)"
     if why_late(scene) or scene.contact.solver == "staged":
         return f"bodies that close more slowly than {speed} do not bounce"
-    return f"bounces shorter than a step end at rest; bodies already in contact bounce only from {speed} on"
+    return (
+        f"bounces shorter than a step end at rest; bodies that touch something bounce off others only from {speed} on"
+    )
 
 
 def _error_by_gravity(scene: Scene) -> float:
