@@ -21,7 +21,7 @@ from typer.core import TyperCommand, TyperGroup
 
 from carom import registry
 from carom.private_folder import remove_private_folder
-from carom.runs.environment import keep_freed_memory, received
+from carom.runs.environment import keep_freed_memory, leave_pandas_out, received
 
 if TYPE_CHECKING:
     from _typeshed import ReadableBuffer
@@ -75,6 +75,11 @@ class Command(TyperCommand):
     def get_params(self, ctx: Any) -> list[Any]:
         """Return the parameters, ``--help`` among them."""
         return _plain(super().get_params(ctx))
+
+    def invoke(self, ctx: Any) -> Any:
+        """Run the command, without pandas as far as it does not ask for it."""
+        leave_pandas_out()
+        return super().invoke(ctx)
 
 
 class _Commands(Mapping[str, Any]):

@@ -76,10 +76,8 @@ def run(
     path = output or default_output(Path(scene).stem)
     with claimed_output(path, force) as claim:
         from carom.cli.progress import RunProgress, preparing, watch_look_ahead
-        from carom.runs.environment import leave_pandas_out
         from carom.runs.run import recording_space, simulate
 
-        leave_pandas_out()
         progress = RunProgress(loaded, quiet=as_json)
         announce_compilation(progress.say, helped, loaded)
         with preparing(loaded, progress) as patience:
@@ -146,13 +144,11 @@ def resume(
     """Continue a run that was interrupted, killed or has ended; results are the same as without interruption."""
     from carom.cli.progress import RunProgress
     from carom.recording.read.recording import Recording
-    from carom.runs.environment import leave_pandas_out
     from carom.runs.resume import claimed_target, resumable_run, under_way
     from carom.runs.resume import continue_run as go_on
 
     if until is not None and not 0.0 < until < float("inf"):
         raise typer.BadParameter(f"{until:g}: expected a time later than the start", param_hint="--until")
-    leave_pandas_out()
     mention_killed_run(file)
     with claimed_target(file, output, force) as claim:
         recording = Recording.open(file)

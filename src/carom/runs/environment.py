@@ -282,7 +282,7 @@ def keep_freed_memory() -> None:
 
 
 def leave_pandas_out() -> None:
-    """Keep pyarrow from importing pandas in a process of carom: 0.15 s of CPU, a sixth of what a recording costs.
+    """Keep pyarrow from importing pandas in a process of carom: 0.15 to 0.2 s of CPU.
 
     At its first conversion of an array, pyarrow imports pandas if it is installed, to recognise its series. carom has
     none. Whoever converts a table to pandas later still can: pyarrow then tries again.

@@ -21,6 +21,7 @@ from carom.physics.frame import Frame
 from carom.physics.jit.decorators import Compilations
 from carom.physics.jit.team import Team
 from carom.physics.look_ahead.trial_run import Watcher
+from carom.physics.placement import place
 from carom.physics.schedule import at, every
 from carom.physics.space import Space
 from carom.physics.step import WARM_UP_STEPS
@@ -38,11 +39,12 @@ from carom.recording.write.stream import BATCH_BYTES, Stream, frames_in_batch
 from carom.runs.run import header_of, kept_accuracy, recording_space, shortfall_text
 from carom.scene.forces import FORCES
 from carom.scene.schema import Scene
+from carom.scene.start import InitialBodies
 
-TRIAL_SECONDS = 0.5
+TRIAL_SECONDS = 0.25
 TRIAL_STEPS = 200
 LOADING_STEPS = 3
-PULL_SECONDS, PULL_ROUNDS = 0.2, 15  # for the measurement of the cost of the potential
+PULL_SECONDS, PULL_ROUNDS = 0.1, 15  # for the measurement of the cost of the potential
 FLIGHT_STEPS, FLIGHT_ROUNDS, FLIGHT_SECONDS = 500, 10, 0.2  # for the measurement of steps that one call makes in bulk
 KEPT_FRAMES, KEPT_BYTES = 8, 100_000_000
 FRAME_BYTES = 250  # per body in a frame
@@ -117,11 +119,12 @@ class Estimate:
 
 
 def estimate(scene: Scene, watch_look_ahead: Watcher | None = None) -> Estimate:
-    """Run the first steps of a scene for about half a second, record a few frames, and run it coarsely.
+    """Run the first steps of a scene for about a quarter of a second, record a few frames, and run it coarsely.
 
     For ``watch_look_ahead`` see `Space`. Raises SceneError or PhysicsError if the scene cannot run.
     """
-    space = recording_space(scene, None, watch_look_ahead)
+    bodies = place(scene)
+    space = recording_space(scene, None, watch_look_ahead, bodies)
     # a few steps first, so that the compilation and loading of kernels are not measured
     start = space.frame().checkpoint
     for step in range(1, LOADING_STEPS + 1):
@@ -139,9 +142,9 @@ def estimate(scene: Scene, watch_look_ahead: Watcher | None = None) -> Estimate:
             spent = time.perf_counter() - began
         compiled = compilations.count
     scene = space.scene  # with the step chosen for its accuracy
-    flight = flight_seconds(space)
+    flight = flight_seconds(space, bodies)
     each = spent / space.step if space.requirements.contact.modelled else min(flight, spent / space.step)
-    outlook = estimate_steps(scene, each, flight)
+    outlook = estimate_steps(scene, each, flight, bodies)
     steps, interval = outlook.steps, frame_interval(scene)
     frames = 1 + (steps if interval == 0.0 else min(steps, round(scene.time.duration / interval)))
     header = header_of(space)
@@ -192,7 +195,7 @@ def _first_frames(space: Space) -> list[Frame]:
     return frames
 
 
-def flight_seconds(space: Space) -> float:
+def flight_seconds(space: Space, start: InitialBodies | None = None) -> float:
     """Return the time of a step without contacts, including its part of a check and a frame.
 
     A run makes many of these steps in one call. The time is infinite for many bodies, since each of their steps is a
@@ -201,7 +204,7 @@ def flight_seconds(space: Space) -> float:
     if len(space.state) > MAX_IN_ONE_BLOCK:
         return math.inf
     apart = max(1, min(FLIGHT_STEPS, round(frame_interval(space.scene) / space.dt)))  # steps from frame to frame
-    flying, paces, began = Space(space.scene), list[float](), math.inf
+    flying, paces, began = Space(space.scene, start=start), list[float](), math.inf
     step, touched = 0, 0
     for _ in flying.run(schedule=at(range(apart, apart * FLIGHT_ROUNDS + 1, apart))):
         now = time.perf_counter()
@@ -266,7 +269,7 @@ def _within(name: str, needs: Requirements) -> str | None:
 
 STRIDES = 8.0, 64.0  # coarse steps over the steps of the scene; the second if the first would take too long
 LOOK_SECONDS = 3.0  # for each coarse run
-GLANCE_SECONDS = 0.3  # for a coarse run that would cover less than this fraction of the duration in its time
+GLANCE_SECONDS = 0.15  # for a coarse run that would cover less than this fraction of the duration in its time
 LEAST_SEEN = 0.05
 MANY_STEPS = 100  # with at least this many coarse steps, their mean time is more accurate than that of the first steps
 LIKELY = 2.0  # accuracy (a factor) of a complete estimate for the bundled scenes and extremes (test_estimate.py)
@@ -284,11 +287,13 @@ class Outlook:
     limits: dict[str, float]  # fraction of the steps set by each limit, the largest first
 
 
-def estimate_steps(scene: Scene, step_seconds: float, flight_seconds: float = math.inf) -> Outlook:
+def estimate_steps(
+    scene: Scene, step_seconds: float, flight_seconds: float = math.inf, start: InitialBodies | None = None
+) -> Outlook:
     """Estimate the steps of a run, of which the first take ``step_seconds`` each.
 
     ``flight_seconds`` is the time of a step without contacts, if a run, unlike the coarse run, makes many of these in
-    one call. Raises SceneError or PhysicsError if the scene cannot run.
+    one call; ``start`` are the initial bodies, if known. Raises SceneError or PhysicsError if the scene cannot run.
     """
     fixed = scene.time.fixed_dt
     if fixed is not None:
@@ -297,15 +302,17 @@ def estimate_steps(scene: Scene, step_seconds: float, flight_seconds: float = ma
     best: Outlook | None = None
     for stride in STRIDES:
         if best is None or LEAST_SEEN * STRIDES[0] / stride < best.seen < 1.0:
-            found = _look(scene, stride, step_seconds, flight_seconds)
+            found = _look(scene, stride, step_seconds, flight_seconds, start)
             best = found if best is None or found.seen > best.seen else best
     assert best is not None
     return best
 
 
-def _look(scene: Scene, stride: float, step_seconds: float, flight_seconds: float) -> Outlook:
+def _look(
+    scene: Scene, stride: float, step_seconds: float, flight_seconds: float, start: InitialBodies | None
+) -> Outlook:
     """Run the whole scene with longer steps, and count the steps of an actual run."""
-    space, duration = Space(scene, stride=stride), scene.time.duration
+    space, duration = Space(scene, start=start, stride=stride), scene.time.duration
     began = last = time.perf_counter()
     rates: list[float] = []  # 1/s, steps of the scene in a second of its time
     before, total, counted, seconds, touched = 0.0, 0.0, 0.0, 0.0, 0

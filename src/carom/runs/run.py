@@ -31,7 +31,7 @@ from carom.scene.parts import extensions_of
 from carom.scene.schema import Scene
 from carom.scene.schema.piston import piston_of
 from carom.scene.schema.settings import LARGEST_ACCURACY
-from carom.scene.start import planes_of
+from carom.scene.start import InitialBodies, planes_of
 from carom.scene.units.dimension import TIME
 from carom.scene.units.system import UnitSystem
 
@@ -132,16 +132,20 @@ def recording_of(outcome: Outcome) -> Recording:
 
 
 def recording_space(
-    scene: Scene, threads: int | None = None, watch_look_ahead: LookAheadWatcher | None = None
+    scene: Scene,
+    threads: int | None = None,
+    watch_look_ahead: LookAheadWatcher | None = None,
+    start: InitialBodies | None = None,
 ) -> Space:
-    """Build a space whose frames carry all data for the scene's recording; for ``watch_look_ahead`` see `Space`.
+    """Build a space whose frames carry all data for the scene's recording; the parameters are those of `Space`.
 
     Raises
     ------
     SceneError
         If the scene cannot run.
     """
-    return Space(scene, threads, record_contacts=scene.record.impacts != "none", watch_look_ahead=watch_look_ahead)
+    recorded = scene.record.impacts != "none"
+    return Space(scene, threads, start, record_contacts=recorded, watch_look_ahead=watch_look_ahead)
 
 
 def simulate(

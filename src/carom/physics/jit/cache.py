@@ -108,10 +108,9 @@ class KernelCache:
     def __init__(self, function: Callable[..., Any], folder: Path, sources: bytes) -> None:
         code = function.__code__
         version = sys.implementation.cache_tag + (".plain" if PLAIN else "")
-        self._folder = folder
-        kernel = f"{Path(code.co_filename).stem}.{function.__qualname__}"
-        self._name = f"{kernel}-{code.co_firstlineno}.{version}"
-        self._names = re.compile(rf"{re.escape(kernel)}-\d+\.{re.escape(version)}\.[0-9a-f]{{16}}\.nbc")
+        self._folder, self._version = folder, version
+        self._kernel = f"{Path(code.co_filename).stem}.{function.__qualname__}"
+        self._name = f"{self._kernel}-{code.co_firstlineno}.{version}"
         made_of = repr((function.__module__, function.__qualname__, _VERSIONS)).encode() + sources
         self._made_of = xxhash.xxh3_128_digest(made_of)
 
@@ -170,8 +169,9 @@ class KernelCache:
 
     def _remove_outdated(self) -> None:
         """Remove the files of this kernel that were compiled from other sources, such as earlier versions."""
+        names = re.compile(rf"{re.escape(self._kernel)}-\d+\.{re.escape(self._version)}\.[0-9a-f]{{16}}\.nbc")
         for path in self._folder.iterdir():
-            if self._names.fullmatch(path.name):
+            if names.fullmatch(path.name):
                 with path.open("rb") as file:
                     made_of = file.read(2 * CHECKSUM)[CHECKSUM:]
                 if made_of != self._made_of:
