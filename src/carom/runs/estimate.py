@@ -41,7 +41,7 @@ from carom.scene.forces import FORCES
 from carom.scene.schema import Scene
 from carom.scene.start import InitialBodies
 
-TRIAL_SECONDS = 0.25
+TRIAL_SECONDS = 0.2
 TRIAL_STEPS = 200
 LOADING_STEPS = 3
 PULL_SECONDS, PULL_ROUNDS = 0.1, 15  # for the measurement of the cost of the potential
@@ -119,7 +119,7 @@ class Estimate:
 
 
 def estimate(scene: Scene, watch_look_ahead: Watcher | None = None) -> Estimate:
-    """Run the first steps of a scene for about a quarter of a second, record a few frames, and run it coarsely.
+    """Run the first steps of a scene for about a fifth of a second, record a few frames, and run it coarsely.
 
     For ``watch_look_ahead`` see `Space`. Raises SceneError or PhysicsError if the scene cannot run.
     """
@@ -269,7 +269,7 @@ def _within(name: str, needs: Requirements) -> str | None:
 
 STRIDES = 8.0, 64.0  # coarse steps over the steps of the scene; the second if the first would take too long
 LOOK_SECONDS = 3.0  # for each coarse run
-GLANCE_SECONDS = 0.15  # for a coarse run that would cover less than this fraction of the duration in its time
+GLANCE_SECONDS = 0.1  # for a coarse run that would cover less than this fraction of the duration in its time
 LEAST_SEEN = 0.05
 MANY_STEPS = 100  # with at least this many coarse steps, their mean time is more accurate than that of the first steps
 LIKELY = 2.0  # accuracy (a factor) of a complete estimate for the bundled scenes and extremes (test_estimate.py)

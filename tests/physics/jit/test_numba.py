@@ -29,6 +29,23 @@ def double(x: float) -> float:
     return 2.0 * x
 
 
+class LockTimes(event.Listener):
+    heard = 0
+
+    def on_start(self, event: Any) -> None:
+        self.heard += 1
+
+    def on_end(self, event: Any) -> None:
+        self.heard += 1
+
+
+def test_numba_does_not_time_each_call_of_llvm() -> None:
+    with event.install_listener("numba:llvm_lock", LockTimes()) as times:
+        compiled: Any = numba.njit(lambda x: 3.0 * x)
+        assert compiled(1.0) == 3.0
+    assert times.heard == 0
+
+
 @kernel
 def root(values: Any, k: int) -> float:
     if values[k] < 0.0:

@@ -67,6 +67,14 @@ serialize = _module("numba.core.serialize", "dumps")
 templates = _module("numba.core.typing.templates", "AttributeTemplate", "infer_getattr")
 types: Any = numba.types  # documented, but without type hints
 
+# llvmlite calls Numba back at the start and end of each of its own calls, 86 000 times in a first run, to time how long
+# they hold a lock. Nothing listens to these times. Without them, compilations and the loading of kernels take 0.95 of
+# the CPU time.
+_lock: Any = getattr(getattr(import_module("llvmlite.binding.ffi"), "lib", None), "_lock", None)
+for _callbacks in list(getattr(_lock, "_cblist", ())):
+    if all(callback.__module__ == "numba.core.base" for callback in _callbacks):
+        _lock.unregister(*_callbacks)
+
 PLAIN = bool(MISSING) or os.environ.get("CAROM_PLAIN", "0") not in ("", "0")
 
 if MISSING:
