@@ -21,7 +21,7 @@ from typer.core import TyperCommand, TyperGroup
 
 from carom import registry
 from carom.private_folder import remove_private_folder
-from carom.runs.environment import keep_freed_memory, leave_pandas_out, received
+from carom.runs.environment import collect_garbage_rarely, keep_freed_memory, leave_pandas_out, received
 
 if TYPE_CHECKING:
     from _typeshed import ReadableBuffer
@@ -243,6 +243,7 @@ def run_command() -> None:
     from carom.errors import ExistsError, ExperimentError, PhysicsError, RecordingError, SceneError
 
     keep_freed_memory()
+    collect_garbage_rarely()
     _say_warnings_once()
     try:
         app()

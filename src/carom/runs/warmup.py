@@ -43,6 +43,7 @@ from carom.recording.schema import palette
 from carom.recording.write import encoding_kernels as encoding
 from carom.recording.write.impact_plan import ImpactPlan
 from carom.registry import ExtensionError
+from carom.runs.environment import collect_garbage_rarely
 from carom.runs.run import run
 from carom.scene.matter import pair_coefficients
 from carom.scene.schema import Scene
@@ -257,5 +258,6 @@ def _end_with_parent() -> None:
 
 if __name__ == "__main__":
     threading.Thread(target=_end_with_parent, daemon=True).start()
+    collect_garbage_rarely()
     compile_ahead()
     os._exit(0)

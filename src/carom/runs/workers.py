@@ -23,7 +23,7 @@ from typing import Any, Protocol, Self
 
 from carom.errors import ExperimentError
 from carom.private_folder import move_into, private_folder
-from carom.runs.environment import ENDING, keep_freed_memory, leave_pandas_out
+from carom.runs.environment import ENDING, collect_garbage_rarely, keep_freed_memory, leave_pandas_out
 
 MOST_DEATHS = 4  # workers that may die on the same task before the task is abandoned
 _START = "from carom.runs.workers import work; work()"
@@ -232,6 +232,7 @@ def work() -> None:
         os.dup2(nothing.fileno(), 0)
     threading.Thread(target=_end_with, args=(life,), name="end-with-parent", daemon=True).start()
     keep_freed_memory()
+    collect_garbage_rarely()
     leave_pandas_out()
     move_into(Path(sys.argv[2]))
     connection = Connection(int(sys.argv[1]))
