@@ -41,10 +41,10 @@ from carom.scene.forces import FORCES
 from carom.scene.schema import Scene
 from carom.scene.start import InitialBodies
 
-TRIAL_SECONDS = 0.2
+TRIAL_SECONDS = 0.1
 TRIAL_STEPS = 200
 LOADING_STEPS = 3
-PULL_SECONDS, PULL_ROUNDS = 0.1, 15  # for the measurement of the cost of the potential
+PULL_SECONDS, PULL_ROUNDS = 0.05, 15  # for the measurement of the cost of the potential
 FLIGHT_STEPS, FLIGHT_ROUNDS, FLIGHT_SECONDS = 500, 10, 0.2  # for the measurement of steps that one call makes in bulk
 KEPT_FRAMES, KEPT_BYTES = 8, 100_000_000
 FRAME_BYTES = 250  # per body in a frame
@@ -119,7 +119,7 @@ class Estimate:
 
 
 def estimate(scene: Scene, watch_look_ahead: Watcher | None = None) -> Estimate:
-    """Run the first steps of a scene for about a fifth of a second, record a few frames, and run it coarsely.
+    """Run the first steps of a scene for about a tenth of a second, record a few frames, and run it coarsely.
 
     For ``watch_look_ahead`` see `Space`. Raises SceneError or PhysicsError if the scene cannot run.
     """
@@ -353,7 +353,7 @@ def _whole(steps: float) -> int:
     return max(1, round(min(steps, sys.float_info.max)))
 
 
-BATCH_FRAMES = 200  # at most, in the batch that is written to measure sizes
+BATCH_FRAMES = 100  # at most, in the batch that is written to measure sizes
 
 
 @dataclass(frozen=True, slots=True)
@@ -377,7 +377,8 @@ def probe(path: Path, header: Header, frames: Sequence[Frame]) -> dict[str, Take
     batch = [replace(frames[k % len(frames)], step=k, time=float(k), slot=None) for k in range(count)]
     stream = Stream(path, header, batch_bytes=BATCH_BYTES, live=None)
     try:
-        _send(batch, stream, BatchEncoder(header, origin), clock)  # loads libraries and kernels, and is not measured
+        # loads libraries and kernels, and is not measured
+        _send(batch[: len(frames)], stream, BatchEncoder(header, origin), clock)
         sizes, profile = _send(batch, stream, BatchEncoder(header, origin), clock)
     finally:
         stream.close()
