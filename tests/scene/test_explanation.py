@@ -24,7 +24,7 @@ RESTITUTIONS = '"contact.restitution", "plane.0.restitution", "wall.0.restitutio
         ("name", '"title"?'),
         ("particles", '"group"?'),
         ("body.0.pos", '"position"?'),
-        ("body.0.diameter", '"radius"?'),
+        ("body.0.diameter", '"radius"? It is half of the diameter.'),
         ("body.0.omega", '"angular_velocity"?'),
         ("body.0.center", '"region.centre"?'),
         ("body.0.duration", '"time.duration" or "expect.duration"?'),

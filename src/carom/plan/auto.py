@@ -13,7 +13,7 @@ from carom.scene.forces import MOST_RELAXATIONS
 from carom.scene.integrators import AUTO, INTEGRATORS, Integrator, integrator_called
 from carom.scene.matter import body_mass, made_of, mean_mass
 from carom.scene.schema import Scene
-from carom.scene.units.dimension import TIME
+from carom.scene.units.dimension import TIME, VELOCITY
 
 FRAMES = 600  # of an "auto" recording: enough to scrub through smoothly, few enough to open at once
 FEWEST_FRAMES = 50
@@ -136,7 +136,13 @@ def ended_bounces(scene: Scene) -> str:
     bounces = interactions.restitution(scene, contact).modelled and not integrator(scene).ends_steps_at_impacts
     if not (bounces and interactions.resting(scene, contact).modelled):
         return ""
-    speed = "about 2 a dt (a: the acceleration of field and gravity, dt: the step)"
+    field, meaning = math.hypot(*scene.gravity.uniform), "a: the acceleration of field and gravity, dt: the step"
+    if field > 0.0:
+        limits = step_limits(scene)
+        reach = max(limits.target_dx or 0.0, limits.held_dx or 0.0)
+        longest = scene.time.fixed_dt or min(limits.max_dt, math.sqrt(2.0 * reach / field) if reach else math.inf)
+        meaning += f"; in this field up to {scene.unit_system.text(2.0 * field * longest, VELOCITY, '.2g')}"
+    speed = f"about 2 a dt ({meaning})"
     if why_late(scene) or scene.contact.solver == "staged":
         return f"bodies that close more slowly than {speed} do not bounce"
     return (

@@ -35,7 +35,6 @@ OTHER_WORDS = {
     "steps": "time.duration",
     "particles": "group",
     "walls": "domain.boundary",
-    "diameter": "radius",
     "omega": "angular_velocity",
     "name": "title",
 }
@@ -55,6 +54,8 @@ def hint(path: KeyPath) -> str:
         return f"; give it to a [[material]] that the {path[0]} names, or to all by contact.{key}"
     if near := _near(key, here, ALIKE):
         return _meant([near])
+    if key == "diameter" and "radius" in here:
+        return _meant(["radius"]) + " It is half of the diameter."
     choices = _chosen_by_few()
     sections = {name: model_in(model.model_fields[name].annotation) for name in choices if name in here}
     if inside := [f"{name}.{key}" for name, inner in sections.items() if inner and key in inner.model_fields]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from carom.physics.diagnostics.run_monitor import PaceMonitor, remedies_of
+from carom.physics.space import Space
 from small_scenes import scene_of
 
 
@@ -23,6 +24,21 @@ def test_a_run_that_crawls_says_what_sets_the_step_since_when_and_what_to_raise(
     ):
         assert said in warning.text
     assert watch.check(60_000, 16.0, 1e-4, "held") is None, "once a run"
+
+
+def test_where_held_bodies_set_the_step_the_remedy_makes_fewer_steps() -> None:
+    bodies = [{"position": [0, 0, -2]}, {"position": [9, 0, -2]}]  # of 1 m, at rest on a floor
+    field, floor = {"constant": 0.0, "uniform": [0, 0, -9.81]}, [{"point": [0, 0, -3]}]
+    steps = []
+    for target in ({}, {"target_dx": 0.006}, {"target_dx": 0.011}):
+        scene = scene_of(bodies, time={"duration": 30.0} | target, gravity=field, plane=floor)
+        space = Space(scene)
+        for _ in space.run():
+            pass
+        steps.append(space.step)
+    assert remedies_of(scene)["held"].endswith("more than 1 % of the smallest radius")
+    automatic, small, large = steps
+    assert large < automatic < small
 
 
 def test_steps_that_were_short_for_a_while_are_no_crawl() -> None:

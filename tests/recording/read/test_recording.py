@@ -67,6 +67,12 @@ def test_a_call_without_its_arguments_is_no_damage_of_the_file(path: Path) -> No
         recording.drawn_positions()
 
 
+def test_a_path_in_place_of_a_container_is_answered_with_open(path: Path) -> None:
+    made: Any = Recording
+    with pytest.raises(TypeError, match=r"Recording\.open\(path\)"):
+        made(path)
+
+
 def test_somebody_elses_recording_is_refused(tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match="not made by carom"):
         Recording.open(foreign(tmp_path / "other.rrd", "rerun_example_dna"))

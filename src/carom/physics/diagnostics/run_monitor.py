@@ -123,7 +123,7 @@ MIN_STEPS = 50_000  # a shorter run would end before a warning is useful
 
 REMEDY = {  # the key that allows longer steps, by the limit that sets them
     "acceleration": "time.target_dx",
-    "held": "time.target_dx",
+    "held": "time.target_dx, to more than 1 % of the smallest radius",  # held bodies have it where it is automatic
     "velocity": "time.cfl",
     "pull": "time.pull_fraction",
     "cap": "time.max_dt",

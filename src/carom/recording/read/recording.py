@@ -20,7 +20,7 @@ from carom.recording.read.statics import BodyTable, decode_bodies, decode_names,
 from carom.recording.read.summary import html_of, summary
 from carom.recording.read.tables import FrameTables, bodies_at, checkpoints_at, trajectory
 from carom.recording.rrd.container import Container
-from carom.recording.rrd.messages import RECORDING, Chunk
+from carom.recording.rrd.messages import RECORDING, Chunk, Store
 from carom.recording.schema import paths
 from carom.recording.schema.header import schema_version
 from carom.recording.schema.paths import STEP
@@ -35,6 +35,11 @@ if TYPE_CHECKING:
 
 class Recording(FrameTables):
     """A recording on disk. Make one with :meth:`open`."""
+
+    def __init__(self, container: Container, store: Store | None = None) -> None:
+        if store is None:
+            raise TypeError("Recording: open a file with Recording.open(path)")
+        super().__init__(container, store)
 
     @classmethod
     def open(cls, path: str | Path) -> Self:
