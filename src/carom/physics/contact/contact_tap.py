@@ -238,6 +238,8 @@ class ImpactStore:
         """Return the impacts in order of time, at most `MOST_IMPACTS`."""
         if self._count > MOST_IMPACTS:
             self._leave_out()
+        if len(self._pieces) < 2:  # to join them takes 7 µs, of 60 of a frame of few bodies
+            return self._pieces[0] if self._pieces else NO_ROWS
         return joined(self._pieces, CONTACT_ROW)
 
     def _leave_out(self) -> None:
