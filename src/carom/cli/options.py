@@ -102,6 +102,10 @@ def recording_option(help: str) -> Any:
 
 _SCENE = "A scene file (.toml) or the name of a bundled scene."
 SceneArgument = Annotated[str, typer.Argument(metavar="SCENE", help=_SCENE, autocompletion=bundled)]
+ScenesArgument = Annotated[
+    list[str] | None,
+    typer.Argument(metavar="SCENE", help="Scene files (.toml) or names of bundled scenes.", autocompletion=bundled),
+]
 RecordingsArgument = Annotated[
     list[Path],
     typer.Argument(metavar="FILE...", help="Recordings (.rrd).", callback=lambda files: [*map(not_a_folder, files)]),

@@ -25,6 +25,7 @@ from carom.cli.options import (
     OptionalTime,
     RecordingArgument,
     SceneArgument,
+    ScenesArgument,
     SetOption,
     ThreadsOption,
     output_option,
@@ -305,15 +306,21 @@ def announce_compilation(
     on_compilation(announce)
 
 
-def warmup(as_json: JsonOption = False) -> None:
-    """Compile all kernels now, so that later runs start at once."""
+def warmup(scenes: ScenesArgument = None, as_json: JsonOption = False) -> None:
+    """Compile the kernels of most scenes now, so that later runs start at once.
+
+    Scenes with walls other than those of the domain, a sheared box or a contact law other than coulomb have kernels of
+    their own: name such scenes to compile these, too.
+    """
     from dataclasses import asdict
 
     from carom.runs.warmup import warm_up
+    from carom.scene.schema import Scene
 
+    loaded = [Scene.load(scene) for scene in scenes or []]
     if not as_json:
         typer.echo("Compiling the kernels that are not in the cache …", err=True)
-    warmth = warm_up()
+    warmth = warm_up(loaded)
     if as_json:
         say_json(asdict(warmth))
     else:

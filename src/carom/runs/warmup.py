@@ -12,6 +12,7 @@ import os
 import sys
 import threading
 import time
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
@@ -44,7 +45,7 @@ from carom.recording.write import encoding_kernels as encoding
 from carom.recording.write.impact_plan import ImpactPlan
 from carom.registry import ExtensionError
 from carom.runs.environment import collect_garbage_rarely
-from carom.runs.run import run
+from carom.runs.run import recording_space, run
 from carom.scene.matter import pair_coefficients
 from carom.scene.schema import Scene
 from carom.scene.start import half_spaces
@@ -168,13 +169,28 @@ class Warmth:
     cache: str  # the folder of compiled kernels; empty without a cache
 
 
-def warm_up() -> Warmth:
-    """Run the scenes, which compiles all kernels that are not in the cache."""
+QUIET = 2.0  # s without a compilation, after which the rest of a scene is expected to compile nothing
+
+
+def warm_up(scenes: Iterable[Scene] = ()) -> Warmth:
+    """Run small scenes, and the beginning of ``scenes``, which compiles all of their kernels that are not in the cache.
+
+    The kernels of walls, of sheared boxes, and of contact laws other than Coulomb's have variants for what a scene
+    requires, each of which takes 10 to 20 s. Therefore only ``scenes`` compile them.
+    """
     began = time.perf_counter()
     with Compilations() as compilations, temporary_folder() as folder, sharing_all(), compiling_all():
         for name, document in SCENES.items():
             with contextlib.suppress(ExtensionError):  # a part that has been removed
                 run(Scene.from_dict({"title": name, **document}), folder / "warm-up.rrd", force=True)
+        for scene in scenes:
+            compiled, last = compilations.count, time.perf_counter()
+            for _ in recording_space(scene).run():
+                now = time.perf_counter()
+                if compilations.count > compiled:
+                    compiled, last = compilations.count, now
+                elif now - last > QUIET:
+                    break
         nothing = np.empty(0, dtype=np.int64)
         number_sets(nothing, nothing, nothing)  # needed by the audit of other engines
         load_helpers()
