@@ -119,7 +119,7 @@ class Estimate:
 
 
 def estimate(scene: Scene, watch_look_ahead: Watcher | None = None) -> Estimate:
-    """Run the first steps of a scene for about a tenth of a second, record a few frames, and run it coarsely.
+    """Run the first steps of a scene for about a tenth of a second, run it coarsely, and record a few of its frames.
 
     For ``watch_look_ahead`` see `Space`. Raises SceneError or PhysicsError if the scene cannot run.
     """
@@ -145,11 +145,10 @@ def estimate(scene: Scene, watch_look_ahead: Watcher | None = None) -> Estimate:
     flight = flight_seconds(space, bodies)
     each = spent / space.step if space.requirements.contact.modelled else min(flight, spent / space.step)
     outlook = estimate_steps(scene, each, flight, bodies)
-    steps, interval = outlook.steps, frame_interval(scene)
-    frames = 1 + (steps if interval == 0.0 else min(steps, round(scene.time.duration / interval)))
+    steps, frames = outlook.steps, outlook.frames
     header = header_of(space)
     with temporary_folder() as folder:
-        taken = probe(folder / "trial.rrd", header, few)
+        taken = probe(folder / "trial.rrd", header, outlook.samples or few)
     costs = []  # bytes and seconds of each entity
     for content in contents(header, space.requirements):
         entity = taken.get(content.path, Taken(0, 0.0, 0.0))
@@ -180,8 +179,7 @@ def estimate(scene: Scene, watch_look_ahead: Watcher | None = None) -> Estimate:
 
 def _first_frames(space: Space) -> list[Frame]:
     """Run the first steps; return their last few frames."""
-    deadline = time.perf_counter() + TRIAL_SECONDS
-    room = max(1, min(KEPT_FRAMES, KEPT_BYTES // (FRAME_BYTES * len(space.state))))
+    deadline, room = time.perf_counter() + TRIAL_SECONDS, _frames_to_keep(space)
     wanted = every(frame_interval(space.scene))
 
     def over() -> bool:
@@ -193,6 +191,10 @@ def _first_frames(space: Space) -> list[Frame]:
         if space.step > 0 and over():
             break
     return frames
+
+
+def _frames_to_keep(space: Space) -> int:
+    return max(1, min(KEPT_FRAMES, KEPT_BYTES // (FRAME_BYTES * len(space.state))))
 
 
 def flight_seconds(space: Space, start: InitialBodies | None = None) -> float:
@@ -285,6 +287,8 @@ class Outlook:
     seconds: float
     seen: float  # fraction of the duration covered by the coarse run; 1 if it reached the end
     limits: dict[str, float]  # fraction of the steps set by each limit, the largest first
+    frames: int  # of the recording
+    samples: list[Frame]  # from all of the coarse run, as a recording would have them; empty if it was too short
 
 
 def estimate_steps(
@@ -297,8 +301,10 @@ def estimate_steps(
     """
     fixed = scene.time.fixed_dt
     if fixed is not None:
+        found = _look(scene, 1.0, step_seconds, flight_seconds, start)
         steps = max(1, round(scene.time.duration / fixed))
-        return Outlook(steps, steps, steps, steps * step_seconds, 1.0, {"fixed": 1.0})
+        whole = steps * found.seconds / found.steps
+        return replace(found, steps=steps, fewest=steps, most=steps, seconds=whole, seen=1.0, limits={"fixed": 1.0})
     best: Outlook | None = None
     for stride in STRIDES:
         if best is None or LEAST_SEEN * STRIDES[0] / stride < best.seen < 1.0:
@@ -311,27 +317,38 @@ def estimate_steps(
 def _look(
     scene: Scene, stride: float, step_seconds: float, flight_seconds: float, start: InitialBodies | None
 ) -> Outlook:
-    """Run the whole scene with longer steps, and count the steps of an actual run."""
-    space, duration = Space(scene, start=start, stride=stride), scene.time.duration
+    """Run the whole scene with longer steps, count the steps of an actual run, and keep some frames."""
+    recorded, duration, fixed = scene.record.impacts != "none", scene.time.duration, scene.time.fixed_dt
+    space = Space(scene, start=start, stride=stride, record_contacts=recorded)
+    samples, room, interval, since = list[Frame](), _frames_to_keep(space), frame_interval(scene), math.inf
     began = last = time.perf_counter()
     rates: list[float] = []  # 1/s, steps of the scene in a second of its time
-    before, total, counted, seconds, touched = 0.0, 0.0, 0.0, 0.0, 0
+    before, total, counted, frames, seconds, touched = 0.0, 0.0, 0.0, 0.0, 0.0, 0
     while before < duration and last - began < LOOK_SECONDS:
         if last - began > GLANCE_SECONDS and before < LEAST_SEEN * duration * (last - began) / LOOK_SECONDS:
             break  # a longer run would hardly cover more
         try:
             space.compute_dynamics(space.step + 1)
+            now = time.perf_counter()
+            if since < math.inf and space.time - since >= interval:
+                samples.append(_with_impacts_of(interval, space.time - since, space.frame()))
+                since = math.inf
+            elif since == math.inf and space.time >= (len(samples) + 0.5) * duration / room:
+                space.frame()  # the next frame then has the impacts from here on
+                since = space.time
         except PhysicsError:
             if not rates:
                 raise
             break  # the step is too long for this scene: use the results so far
-        now, foreseen = time.perf_counter(), sum(space.foreseen.values())
-        rates.append((foreseen - total) / space.dt)
-        within = rates[-1] * (min(space.time, duration) - before)
+        foreseen = sum(space.foreseen.values())
+        rates.append((foreseen - total) / space.dt if fixed is None else 1.0 / fixed)
+        span = min(space.time, duration) - before
+        within = rates[-1] * span
+        frames += min(within, span / interval) if interval > 0.0 else within
         contacts = space.extremes.total_contacts
         each = now - last if contacts > touched else min(now - last, flight_seconds)
         counted, seconds = counted + within, seconds + each * within
-        last, total, before, touched = now, foreseen, space.time, contacts
+        last, total, before, touched = time.perf_counter(), foreseen, space.time, contacts
     rest = max(0.0, duration - before)
     half, lately = rates[len(rates) // 2 :], rates[-max(1, len(rates) // 4) :]
     steps = counted + rest * sum(lately) / len(lately)
@@ -346,7 +363,16 @@ def _look(
         seconds=steps * (seconds / counted if counted > MANY_STEPS else step_seconds),
         seen=1.0 - rest / duration,
         limits=dict(sorted(shares.items(), key=lambda item: -item[1])),
+        frames=1 + _whole(frames * duration / (duration - rest)),
+        samples=samples,
     )
+
+
+def _with_impacts_of(interval: float, span: float, frame: Frame) -> Frame:
+    """Return a frame with the share of its impacts that fall into an interval (s), which a coarse step may exceed."""
+    if frame.impacts is None or span <= interval:
+        return frame
+    return replace(frame, impacts=frame.impacts[: round(len(frame.impacts) * interval / span)])
 
 
 def _whole(steps: float) -> int:
@@ -361,7 +387,7 @@ class Taken:
     """The cost of one entity."""
 
     once: int  # bytes of static data
-    bytes: float  # bytes of arrays per frame
+    bytes: float  # compressed bytes of arrays per frame
     seconds: float  # s of the recorder's thread per frame
 
 
@@ -377,14 +403,23 @@ def probe(path: Path, header: Header, frames: Sequence[Frame]) -> dict[str, Take
     batch = [replace(frames[k % len(frames)], step=k, time=float(k), slot=None) for k in range(count)]
     stream = Stream(path, header, batch_bytes=BATCH_BYTES, live=None)
     try:
-        # loads libraries and kernels, and is not measured
-        _send(batch[: len(frames)], stream, BatchEncoder(header, origin), clock)
+        different = batch[: len(frames)]
+        _send(different, stream, BatchEncoder(header, origin), clock)  # loads libraries and kernels: not measured
+        raw, compressed = Counter[str](), Counter[str]()
+        for rows in BatchEncoder(header, origin).rows(different):
+            raw[rows.path] += rows.bytes
+            compressed[rows.path] += rows.compressed_bytes
         sizes, profile = _send(batch, stream, BatchEncoder(header, origin), clock)
     finally:
         stream.close()
     seconds = profile.seconds()
+    fraction = {entity: compressed[entity] / size for entity, size in raw.items() if size}
     return {
-        entity: Taken(once.get(entity, 0), sizes[entity] / count, seconds.get(entity, 0.0) / count)
+        entity: Taken(
+            once.get(entity, 0),
+            fraction.get(entity, 1.0) * sizes[entity] / count,
+            seconds.get(entity, 0.0) / count,
+        )
         for entity in dict.fromkeys([*once, *sizes])
     }
 
