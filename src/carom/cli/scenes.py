@@ -123,7 +123,7 @@ def explain(
     announce_compilation()
     line = LiveLine(quiet=as_json)
     looks = loaded.time.accuracy is not None and loaded.promise is None
-    with preparing(loaded, line) if looks else Patience("running the scene with long steps …", line) as patience:
+    with preparing(loaded, line) if looks else Patience("making a trial run …", line) as patience:
         found = estimate(loaded, watch_look_ahead(loaded, patience))
     materials, notes = ShownMaterials.of(loaded), notes_on(loaded)
     if as_json:
@@ -152,9 +152,14 @@ def explain(
         console.print(materials_table(materials.described))
     console.print()
     console.print(_entities(found.entities))
-    seen = "the whole run" if cost.looked_until >= loaded.time.duration else "a part of the run"
+    if loaded.time.fixed_dt is not None:
+        basis = "Estimated from a trial run"
+    elif cost.looked_until >= loaded.time.duration:
+        basis = "Estimated from a trial of the whole run with long steps"
+    else:
+        basis = "Estimated from a trial of a part of the run with long steps"
     console.print(
-        f"\nFrom a run of {seen} with long steps:\n"
+        f"\n{basis}:\n"
         f"{_steps(cost, loaded)}\n"
         f"  about {bytes_text(cost.memory)} of memory for the bodies\n"
         f"  about {bytes_text(cost.size)} of recording: {counted(cost.frames, 'frame')}, each of which takes "
