@@ -149,7 +149,7 @@ def test_frames_are_foreseen_where_some_steps_are_longer_than_a_frame_and_others
         }
     )
     recorded = run(comet, tmp_path / "x.rrd").frames
-    assert recorded < 200, "some 60 steps, of 600 frames"
+    assert recorded < 200, "120 of the 600 frames of an automatic recording"
     assert estimate(comet).cost.frames == pytest.approx(recorded, rel=0.25)
 
 
@@ -159,9 +159,8 @@ def test_the_size_of_a_recording_is_foretold_by_frames_of_the_whole_run(name: st
     scene = Scene.load(name)
     run(scene, tmp_path / "x.rrd")
     size = (tmp_path / "x.rrd").stat().st_size
-    assert (
-        0.8 < estimate(scene).cost.size / size < 1.8
-    )  # by first frames 0.5, 0.4 and 2.1; heap compresses best, at rest
+    # 1.1, 1.1 and 1.6: equal frames of a heap at rest compress more. By the first frames: 0.5, 0.4 and 2.1
+    assert 0.8 < estimate(scene).cost.size / size < 1.8
 
 
 def test_a_scene_as_short_as_a_step_is_estimated() -> None:

@@ -303,8 +303,7 @@ def estimate_steps(
     if fixed is not None:
         found = _look(scene, 1.0, step_seconds, flight_seconds, start)
         steps = max(1, round(scene.time.duration / fixed))
-        whole = steps * found.seconds / found.steps
-        return replace(found, steps=steps, fewest=steps, most=steps, seconds=whole, seen=1.0, limits={"fixed": 1.0})
+        return replace(found, steps=steps, fewest=steps, most=steps, seen=1.0, limits={"fixed": 1.0})
     best: Outlook | None = None
     for stride in STRIDES:
         if best is None or LEAST_SEEN * STRIDES[0] / stride < best.seen < 1.0:
@@ -318,8 +317,7 @@ def _look(
     scene: Scene, stride: float, step_seconds: float, flight_seconds: float, start: InitialBodies | None
 ) -> Outlook:
     """Run the whole scene with longer steps, count the steps of an actual run, and keep some frames."""
-    recorded, duration, fixed = scene.record.impacts != "none", scene.time.duration, scene.time.fixed_dt
-    space = Space(scene, start=start, stride=stride, record_contacts=recorded)
+    space, duration, fixed = recording_space(scene, None, None, start, stride), scene.time.duration, scene.time.fixed_dt
     samples, room, interval, since = list[Frame](), _frames_to_keep(space), frame_interval(scene), math.inf
     began = last = time.perf_counter()
     rates: list[float] = []  # 1/s, steps of the scene in a second of its time

@@ -136,6 +136,7 @@ def recording_space(
     threads: int | None = None,
     watch_look_ahead: LookAheadWatcher | None = None,
     start: InitialBodies | None = None,
+    stride: float = 1.0,
 ) -> Space:
     """Build a space whose frames carry all data for the scene's recording; the parameters are those of `Space`.
 
@@ -145,7 +146,7 @@ def recording_space(
         If the scene cannot run.
     """
     recorded = scene.record.impacts != "none"
-    return Space(scene, threads, start, record_contacts=recorded, watch_look_ahead=watch_look_ahead)
+    return Space(scene, threads, start, stride, record_contacts=recorded, watch_look_ahead=watch_look_ahead)
 
 
 def simulate(

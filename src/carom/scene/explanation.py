@@ -34,10 +34,12 @@ OTHER_WORDS = {
     **dict.fromkeys(("acceleration", "field", "g"), "uniform"),  # of gravity
     "steps": "time.duration",
     "particles": "group",
+    "diameter": "radius",
     "walls": "domain.boundary",
     "omega": "angular_velocity",
     "name": "title",
 }
+REMARKS = {"diameter": " It is half of the diameter."}
 
 
 def hint(path: KeyPath) -> str:
@@ -54,8 +56,6 @@ def hint(path: KeyPath) -> str:
         return f"; give it to a [[material]] that the {path[0]} names, or to all by contact.{key}"
     if near := _near(key, here, ALIKE):
         return _meant([near])
-    if key == "diameter" and "radius" in here:
-        return _meant(["radius"]) + " It is half of the diameter."
     choices = _chosen_by_few()
     sections = {name: model_in(model.model_fields[name].annotation) for name in choices if name in here}
     if inside := [f"{name}.{key}" for name, inner in sections.items() if inner and key in inner.model_fields]:
@@ -66,7 +66,7 @@ def hint(path: KeyPath) -> str:
     if key in places and other not in here:
         return _meant(places[key])
     if other is not None and ("." in other or other in here or len(path) == 1):
-        return _meant([other])
+        return _meant([other]) + REMARKS.get(key, "")
     if near := _near(key, list(places), ALIKE_ELSEWHERE):
         return _meant(places[near])
     return f"; known here: {', '.join(here)}"

@@ -36,9 +36,7 @@ class Request:
 
     at: float | None = None  # s
     event: str | None = None  # name of an event, whose bodies the close-up view shows
-    bodies: str | None = (
-        None  # of the close-up view: two numbers or names separated by a comma, or one on a plane or wall
-    )
+    bodies: str | None = None  # of the close-up view: two numbers or names with a comma, or one on a plane or wall
     plot: str | None = None  # quantities of bodies to plot, such as ``top.z,top.omega``
     colour_by: str | None = None  # property that sets the colours; by default as the scene states
 

@@ -133,19 +133,22 @@ class Rows:
     @property
     def bytes(self) -> int:
         """Bytes of all values, and of the positions of the rows on the timelines."""
-        steps, times, impacts, _ = self.index
         values: list[int] = [plain(column.as_arrow_array()).nbytes for column in self.columns]
-        return steps.nbytes + times.nbytes + impacts.nbytes + sum(values)
+        return self._bytes_of_positions + sum(values)
 
     @property
     def compressed_bytes(self) -> int:
-        """Bytes of all values in a file, which Rerun compresses, and of the positions of the rows."""
+        """The same in a file, in which Rerun compresses the values."""
+        size = self._bytes_of_positions
+        for column in self.columns:
+            for buffer in filter(None, plain(column.as_arrow_array()).buffers()):
+                size += min(buffer.size, len(pa.compress(buffer, codec="lz4", asbytes=True)))
+        return size
+
+    @property
+    def _bytes_of_positions(self) -> int:
         steps, times, impacts, _ = self.index
-        buffers = [buffer for column in self.columns for buffer in plain(column.as_arrow_array()).buffers() if buffer]
-        values: list[int] = [
-            min(buffer.size, len(pa.compress(buffer, codec="lz4", asbytes=True))) for buffer in buffers
-        ]
-        return steps.nbytes + times.nbytes + impacts.nbytes + sum(values)
+        return steps.nbytes + times.nbytes + impacts.nbytes
 
 
 def kind_of(rows: Rows) -> tuple[str, bool, bool, bool, tuple[str, ...]]:
