@@ -49,8 +49,11 @@ _VERSIONS = (numba.__version__, llvmlite.__version__, np.__version__, sys.versio
 
 
 def cache_of(function: Callable[..., Any]) -> KernelCache | None:
-    """Return the cache of a kernel; None if there is no folder for it, or its sources cannot be read."""
-    if MISSING:
+    """Return the cache of a kernel; None if there is no folder for it, or its sources cannot be read.
+
+    A function within another one depends on more than its sources, such as the arguments of the outer one.
+    """
+    if MISSING or function.__closure__:
         return None
     file = Path(function.__code__.co_filename)
     folder = folder_of(file.parent)

@@ -10,12 +10,14 @@ and to debug the phases of the contact solver step by step, since plain Python t
 
 from __future__ import annotations
 
+import itertools
 import os
 import warnings
 from importlib import import_module
 from typing import Any
 
 import numba
+import xxhash
 
 MISSING: list[str] = []  # parts that the installed Numba lacks
 
@@ -40,6 +42,12 @@ class Absent:
         return ()
 
 
+def _has(module: Any, member: str) -> bool:
+    """Return whether a module has a member, or a member of a member."""
+    first, _, below = member.partition(".")
+    return hasattr(module, first) and (not below or _has(getattr(module, first), below))
+
+
 def _module(name: str, *members: str) -> Any:
     """Return a module, or `Absent` if it is missing or lacks one of these members."""
     try:
@@ -47,12 +55,13 @@ def _module(name: str, *members: str) -> Any:
     except ImportError:
         MISSING.append(name)
         return Absent()
-    missing = [f"{name}.{member}" for member in members if not hasattr(module, member)]
+    missing = [f"{name}.{member}" for member in members if not _has(module, member)]
     MISSING.extend(missing)
     return Absent() if missing else module
 
 
 ir = _module("llvmlite.ir", "Constant", "Function", "FunctionType", "IRBuilder", "LiteralStructType", "VectorType")
+bytecode = _module("numba.core.bytecode", "FunctionIdentity._unique_ids")
 callconv = _module("numba.core.callconv", "errcode_t", "excinfo_ptr_t")
 cgutils = _module(
     "numba.core.cgutils",
@@ -65,7 +74,35 @@ extending = _module("numba.extending", "intrinsic", "lower_getattr_generic", "mo
 imputils = _module("numba.core.imputils", "impl_ret_borrowed")
 serialize = _module("numba.core.serialize", "dumps")
 templates = _module("numba.core.typing.templates", "AttributeTemplate", "infer_getattr")
+npytypes = _module("numba.core.types.npytypes", "Record.mangling_args")
 types: Any = numba.types  # documented, but without type hints
+
+# Symbols of compiled functions, which must differ wherever the functions do: a process that loads kernels which several
+# processes compiled links a name to the first function that has it, without a word. Numba numbers layouts of records
+# and functions in the order in which a process meets them, so that two processes give one name to functions over two
+# layouts, or to two functions made by one factory. Here a name contains a digest of the layout, and functions are
+# numbered from a random start in each process, forked ones included.
+RANDOM_BYTES = 8  # of the first number: 10^5 processes of 10^4 functions each overlap with a probability of 10^-5
+
+
+def _name_of_layout(record: Any) -> tuple[str, tuple[str, ...]]:
+    """Return what identifies a record type in a symbol, in place of Numba's counter."""
+    return type(record).__name__, (layout_digest(record),)
+
+
+def layout_digest(record: Any) -> str:
+    """Return a digest of the fields of a record type: their names, types, offsets, and the size."""
+    return xxhash.xxh3_128_hexdigest(record.name.encode())
+
+
+def _number_functions() -> None:
+    """Begin to number the functions that this process compiles where no other process does."""
+    bytecode.FunctionIdentity._unique_ids = itertools.count(int.from_bytes(os.urandom(RANDOM_BYTES), "little"))
+
+
+npytypes.Record.mangling_args = property(_name_of_layout)
+_number_functions()
+os.register_at_fork(after_in_child=_number_functions)
 
 # llvmlite calls Numba back at the start and end of each of its own calls, 86 000 times in a first run, to time how long
 # they hold a lock. Nothing listens to these times. Without them, compilations and the loading of kernels take 0.95 of
