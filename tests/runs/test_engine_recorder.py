@@ -188,6 +188,40 @@ def test_each_planted_fault_is_named_within_a_frame_with_its_bodies(
     assert recording.summary()["laws"][law]["step"] == first.step
 
 
+class Spinning:
+    """Two spheres in free space, apart and at rest but for their spins, which change by one rounding in step 3."""
+
+    def __init__(self, spin: float, drift: float) -> None:
+        self.model = carom.record.Model(engine="toy", mass=[1.0, 1.0], radius=[0.5, 0.5])
+        self.spin, self.drift, self.steps = spin, drift, 0
+
+    def state(self) -> carom.record.State:
+        spin, velocity = np.full((2, 3), [0.0, 0.0, self.spin]), np.zeros((2, 3))
+        if self.steps >= 3:
+            spin[0], velocity[0, 0] = np.nextafter(spin[0], 0.0), self.drift
+        return carom.record.State(0.1 * self.steps, [[-2.0, 0, 0], [2.0, 0, 0]], velocity, angular_velocity=spin)
+
+
+def spun(spinning: Spinning, path: Path) -> list[carom.record.Fault]:
+    with carom.record.Recorder(spinning, path) as recorder:
+        for spinning.steps in range(1, 6):
+            recorder.frame()
+    return recorder.faults
+
+
+@pytest.mark.parametrize(("spin", "drift"), [(3.0, 0.0), (3.0, 1e-17), (0.0, 1e-17)])
+def test_a_rounding_of_bodies_at_rest_that_spin_or_not_breaks_no_law(spin: float, drift: float, tmp_path: Path) -> None:
+    # 10⁻¹⁷ m/s for 0.1 s change no position of 2 m
+    assert spun(Spinning(spin, drift), tmp_path / "run.rrd") == []
+    if spin:
+        assert Recording.open(tmp_path / "run.rrd").closing["energy.max_error"] < 1e-15  # of the energy of the spins
+
+
+def test_a_slow_motion_that_begins_without_a_cause_breaks_the_laws_of_momentum_and_energy(tmp_path: Path) -> None:
+    laws = {fault.law for fault in spun(Spinning(0.0, 1e-12), tmp_path / "run.rrd")}
+    assert laws >= {"momentum", "energy"}
+
+
 def test_faults_of_an_engine_in_other_units_are_told_in_them(tmp_path: Path) -> None:
     for number, (fault, unit) in enumerate([(energy_from_nothing, " g cm²/ms², "), (missed_impact, " cm/ms.")]):
         toy = Toy(fault)

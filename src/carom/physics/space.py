@@ -153,7 +153,7 @@ class Space(Simulation):
 
     def energy(self) -> Energy:
         """Return the present energy: terms, ledger and integration error."""
-        return self._books.audit.energy_now(self._world.forces.potentials())
+        return self._books.energy_now(self._world.forces.potentials())
 
     def momentum(self) -> FloatArray:
         """Σ m v, (3,) kg m/s."""

@@ -121,6 +121,25 @@ def test_the_energy_of_fixed_bodies_among_each_other_does_not_hide_an_orbit() ->
     assert energy.scale == pytest.approx(abs(0.05 - 0.1 - 0.1 / math.sqrt(1.01)), rel=1e-9)
 
 
+def test_the_rounding_of_a_heavy_body_is_no_error_of_a_light_one_that_hits_it_and_a_larger_change_is() -> None:
+    # m/M = 10⁻¹²: what the bodies exchange is 10⁻¹² of the energy, and the energy of M at 0.7 m/s rounds to 10⁻¹⁶
+    heavy = {"mass": 1e12, "radius": 0.5, "velocity": [0.7, 0.0, 0.0]}
+    light: dict[str, Any] = {"mass": 1.0, "radius": 0.5, "position": [2.0, 0.0, 0.0]}
+    elastic = {"restitution": 1.0, "static_friction": 0.0}
+    space = Space(
+        scene_of([heavy, light], time={"duration": 4.0}, contact=elastic, gravity={"constant": 0.0}, record=SPARSE)
+    )
+    assert not kinds(run(space))
+    assert space.state.velocity[:, 0] == pytest.approx([0.7, 1.4], rel=1e-11)
+    extremes, energy = space.extremes, space.energy()
+    assert extremes.impacts == 1 and abs(energy.integration_error) > 1e-5 * energy.scale  # of rounding
+    assert extremes.energy_error is not None and extremes.energy_error.value == 0.0
+    assert extremes.energy_gain.value == extremes.contact_gain.value == 0.0
+    # half of the energy of the light body at 1.4 m/s
+    space.state.velocity[1] *= math.sqrt(0.5)
+    assert space.energy().relative_error == pytest.approx(2.0, rel=0.01)  # of ½ m 0.7²
+
+
 def test_on_a_parabola_the_scale_is_that_of_its_two_terms() -> None:
     bodies: list[dict[str, Any]] = [
         {"mass": 0.5, "radius": 1e-3, "position": [side, 0, 0], "velocity": [0, side * 0.5, 0]} for side in (1, -1)

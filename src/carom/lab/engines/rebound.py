@@ -262,7 +262,7 @@ class Rebound:
             return watch(self.begin(scene, setting), scene, times, limit=limit).trajectory
         simulation = _simulation(scene, setting, safe=True)
         space = Space(scene, 1)
-        scale, mass = space.energy().scale, space.state.mass
+        initial, mass = space.energy(), space.state.mass
         energies, momenta, positions, velocities = [simulation.energy()], [_momenta(simulation, mass)], [], []
         began = time.process_time()
         for moment in times.tolist():
@@ -294,8 +294,8 @@ class Rebound:
             velocity=np.array(velocities),
             pair=np.empty((0, 2), np.int64),
             met=np.empty(0),
-            energy_error=float(np.abs(energy - energy[0]).max() / scale),
-            energy_gain=float((energy - np.minimum.accumulate(energy)).max() / scale),
+            energy_error=initial.relative_change(float(np.abs(energy - energy[0]).max())),
+            energy_gain=initial.relative_change(float((energy - np.minimum.accumulate(energy)).max())),
             momentum_error=float(moved[0] / scales[0]),
             angular_momentum_error=float(moved[1] / scales[1]),
             overlap=np.nan,

@@ -280,7 +280,7 @@ def _energy_error(scene: Scene) -> float | None:
     """Run a scene; return its largest energy error over the scale, None if the run fails."""
     energies = (frame.energy for frame in Space(scene, threads=1).run(schedule=every(0.0)))
     try:
-        return max((abs(one.integration_error) / one.scale for one in energies if one.scale > 0.0), default=0.0)
+        return max((one.relative_error for one in energies), default=0.0)
     except Exception:
         return None
 

@@ -117,16 +117,21 @@ class BalanceAudit:
         """Copy the contacts of a step for a possible warning, before the next step overwrites them."""
         self._suspects = self._spent = Suspects.of(step, contact, self._bodies, self._spent)
 
-    def energy_now(self, potentials: Mapping[str, float]) -> Energy:
-        """Return the energy of the present state, given the potential energies of the forces in joules."""
-        return self._energy.balance(TotalMotion.of(self._bodies), potentials, self.ledger, judged=False)
+    def energy_now(self, potentials: Mapping[str, float], roundings: int) -> Energy:
+        """Return the energy of the present state; for the arguments see `EnergyAccount.balance`."""
+        motion = TotalMotion.of(self._bodies)
+        return self._energy.balance(motion, potentials, self.ledger, judged=False, roundings=roundings)
 
     def momentum_now(self, time: float) -> Momentum:
         """Return the momentum of the present state, at a time in seconds."""
         return self.momenta.balance(TotalMotion.of(self._bodies), time, judged=False)
 
-    def measure(self, step: int, time: float, potentials: Mapping[str, float], extremes: Extremes | None) -> None:
+    def measure(
+        self, step: int, time: float, potentials: Mapping[str, float], roundings: int, extremes: Extremes | None
+    ) -> None:
         """Compute energy and momentum, and update the extremes of the run, if given, by their errors.
+
+        ``roundings`` is that of `EnergyAccount.balance`.
 
         Raises
         ------
@@ -134,7 +139,7 @@ class BalanceAudit:
             If the energy is no longer finite.
         """
         motion, judged = TotalMotion.of(self._bodies), extremes is not None
-        self.energy = self._energy.balance(motion, potentials, self.ledger, judged)
+        self.energy = self._energy.balance(motion, potentials, self.ledger, judged, roundings)
         if not math.isfinite(self.energy.total):
             raise PhysicsError(f"the energy is no longer finite at step {step}, t = {self._units.text(time, TIME)}")
         self.momentum = self.momenta.balance(motion, time, judged)
@@ -308,7 +313,8 @@ class Bookkeeper:
         """
         world, clock = self._world, self._world.clock
         try:
-            self.audit.measure(clock.step, clock.time, potentials, self.extremes if judged else None)
+            extremes = self.extremes if judged else None
+            self.audit.measure(clock.step, clock.time, potentials, self._roundings, extremes)
         except PhysicsError:
             # its message names the bodies
             refuse_infinities(world.bodies, world.names.bodies, clock.step, clock.time, clock.units)
@@ -317,6 +323,15 @@ class Bookkeeper:
             for warning in self.audit.check(clock.time, self.extremes, contact):
                 self.log(warning)
         world.profile.mark("energy")
+
+    def energy_now(self, potentials: Potentials) -> Energy:
+        """Return the energy of the present state, given the potential energies of the forces in joules."""
+        return self.audit.energy_now(potentials, self._roundings)
+
+    @property
+    def _roundings(self) -> int:
+        """How often the velocity of a body has been rounded: the number of steps and impacts so far."""
+        return self._world.clock.step + self.extremes.impacts
 
     def log(self, event: Event) -> None:
         """Add an event to the next frame."""

@@ -23,6 +23,9 @@ from carom.scene.forces import GRAVITY, UNIFORM_FIELD
 
 _PULL, _FIELD = GRAVITY.potential, UNIFORM_FIELD.potential
 CANCELLED = 1e-8  # of the sum of magnitudes; a smaller sum of kinetic and gravitational energy counts as 0
+EPSILON = float(np.finfo(np.float64).eps)
+WALKS = 4.0  # standard deviations of a random walk of roundings; see `Energy.rounding`
+RESOLVED = 1e-10  # of the energy scale; smaller roundings cannot be mistaken for an error
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,6 +43,7 @@ class Energy:
     integration_error: float
     scale: float  # scale of relative errors; see `EnergyAccount`
     others: NamedEnergies = ()  # of the potentials of other forces, by their terms
+    rounding: float = 0.0  # J, up to which a change of the total may be rounding; 0 where the scale is far above it
 
     def term(self, name: str) -> float:
         """Return a term by its name in the recording, in joules."""
@@ -61,8 +65,12 @@ class Energy:
 
     @property
     def relative_error(self) -> float:
-        """|integration error| over the energy scale."""
-        return self.relative(abs(self.integration_error))
+        """|integration error| over the energy scale; 0 within the rounding of the total."""
+        return abs(self.relative_change(self.integration_error))
+
+    def relative_change(self, change: float) -> float:
+        """Return a change of the total (J) relative to the energy scale; 0 within the rounding of the total."""
+        return 0.0 if abs(change) <= self.rounding else self.relative(change)
 
     def relative(self, energy: float) -> float:
         """Return an energy (J) relative to the energy scale; ±1 for any energy if the scale is 0."""
@@ -101,11 +109,20 @@ class EnergyAccount:
 
     If kinetic and gravitational energy cancel at the start, as on a parabola, E_c is the sum of their magnitudes.
     Speeds in E_c are relative to fixed bodies and walls, or without them to the centre of mass. E_c excludes the energy
-    between fixed bodies, ``constant`` (J). ``field``, (3,) m/s², includes the acceleration by a moving medium.
+    between fixed bodies, ``constant`` (J). ``field``, (3,) m/s², includes the acceleration by a moving medium. With
+    ``spins_count``, the scale includes the rotational energy itself: another engine may change it without a contact.
     """
 
-    def __init__(self, bodies: Bodies, field: FloatArray, anchored: bool = False, constant: float = 0.0) -> None:
+    def __init__(
+        self,
+        bodies: Bodies,
+        field: FloatArray,
+        anchored: bool = False,
+        constant: float = 0.0,
+        spins_count: bool = False,
+    ) -> None:
         self._bodies = bodies
+        self._spins_count = spins_count
         self._anchored = anchored
         self._constant = constant
         lift = np.sqrt((field**2).sum()) * (bodies.mass * bodies.radius).sum()
@@ -113,11 +130,17 @@ class EnergyAccount:
         self.baseline: EnergyBaseline | None = None  # None before the first call
 
     def balance(
-        self, motion: TotalMotion, potentials: Mapping[str, float], ledger: Ledger, judged: bool = True
+        self,
+        motion: TotalMotion,
+        potentials: Mapping[str, float],
+        ledger: Ledger,
+        judged: bool = True,
+        roundings: int = 0,
     ) -> Energy:
         """Return the energy, given the potential energies of the forces; the first call sets the initial values.
 
-        ``judged`` marks a check; the scale of later checks is at least as large.
+        ``judged`` marks a check; the scale of later checks is at least as large. ``roundings`` is the number of steps
+        and impacts so far, each of which has rounded velocities.
         """
         translational, rotational = motion.translational, motion.rotational
         others = dict(potentials)
@@ -141,9 +164,13 @@ class EnergyAccount:
                 abs(ledger.by_forces),
                 abs(external - known.origin.field),
                 abs(rotational - known.origin.rotational),
+                rotational if self._spins_count else 0.0,
             )
             if judged and scale != known.scale:
                 self.baseline = replace(known, scale=scale)
+        # each term of a sum, and each change of a velocity, is rounded up or down at random
+        magnitude = translational + rotational + abs(gravitational) + abs(external) + abs(known.initial)
+        rounding = WALKS * EPSILON * magnitude * math.sqrt(1.0 + len(self._bodies) + roundings)
         return Energy(
             translational=translational,
             rotational=rotational,
@@ -153,4 +180,5 @@ class EnergyAccount:
             integration_error=total - known.initial + ledger.balance,
             scale=scale,
             others=tuple(others.items()),
+            rounding=rounding if rounding > RESOLVED * scale else 0.0,
         )

@@ -107,7 +107,7 @@ class EnergyMonitor:
         tally = self.tally
         lowest = tally.lowest or energy
         now, least = energy.undamped, lowest.undamped
-        rose = now - least > self._tolerance * energy.scale
+        rose = now - least > max(self._tolerance * energy.scale, energy.rounding)
         events = []
 
         def with_contacts(text: str) -> str:

@@ -120,12 +120,12 @@ class Extremes:
         self.energy_error = _larger(self.energy_error, energy.relative_error, step, time)
         self.energy_scale = energy.scale
         self.lowest_energy = min(self.lowest_energy, undamped)
-        gain = energy.relative(undamped - self.lowest_energy)
+        gain = energy.relative_change(undamped - self.lowest_energy)
         if gain > self.energy_gain.value:
             self.energy_gain = Extreme(gain, step, time)
         taken = ledger.restitution + ledger.friction
         self.most_taken = max(self.most_taken, taken)
-        given = energy.relative(max(self.most_taken - taken, -ledger.restitution, -ledger.friction))
+        given = energy.relative_change(max(self.most_taken - taken, -ledger.restitution, -ledger.friction))
         if given > self.contact_gain.value:
             self.contact_gain = Extreme(given, step, time)
         self.kinetic = Extreme(energy.relative(energy.translational + energy.rotational), step, time)

@@ -184,7 +184,8 @@ SERIES = (
     Series("energy/integration_error", "J", "integration error", RED, None,
            lambda s: s.energy.integration_error, "change of the total that the ledger does not explain"),
     Series("energy/relative_error", "1", "integration error / energy scale", RED, _ERROR,
-           lambda s: s.energy.relative(s.energy.integration_error), "integration error over the energy scale",
+           lambda s: s.energy.relative_change(s.energy.integration_error), "integration error over the energy scale; "
+               "0 within the rounding of the total",
            past=Past.RUN),
     Series("step/dt", "s", "dt", BLUE, _DT,
            lambda s: s.frame.dt, "length of the step; 0 at step 0", past=Past.STEP, flat_is_dull=True),

@@ -123,6 +123,7 @@ SHALLOW = 1e-3  # of the smaller radius; such bodies count as apart
 FOUND = 5e-3  # of the smaller radius; at this depth even a soft contact must exert a force
 STILL = 0.05  # of the typical speed; slower contacts are at rest, where forces may balance
 AT_LEAST = 1e-2  # of a typical body's momentum or energy; smaller changes are noise
+UNSEEN = 4 * float(np.finfo(np.float64).eps)  # of a position, which a motion must change from one frame to the next
 MOST_NAMED = 8  # bodies in a sentence
 TOLD = 3  # events reported for each law
 
@@ -145,8 +146,8 @@ class LawAudit:
         self._units = units
         self._owed = np.zeros(len(setup))  # J, absorbed from each body by contacts since it was last free
         self._typical = 0.0  # m/s
-        self._scale = 0.0  # J, the largest kinetic energy so far
-        self._allowed = 0.0  # J, accumulated error of first-order steps in the uniform field
+        self._unseen = 0.0  # m/s, too slow to change a position from the previous frame to this one
+        self._allowed = 0.0  # J, accumulated error of first-order steps in the uniform field, and of unseen motion
         self.counts: dict[str, int] = {}  # number of frames that violated each law
         self.first: dict[str, Fault] = {}
         self.broken: list[tuple[float, str]] = []  # s and law, for each of these frames
@@ -161,6 +162,8 @@ class LawAudit:
         found = AuditFinding()
         relative = now.velocity - self._setup.mass @ now.velocity / self._setup.mass.sum()
         self._typical = max(self._typical, float(np.sqrt(np.mean(np.einsum("ij,ij->i", relative, relative)))))
+        dt = now.time - before.time
+        self._unseen = UNSEEN * float(np.abs(now.position).max()) / dt if dt > 0.0 else 0.0
         clusters = clusters_of(self._setup, near, whole=potentials is not None)
         place = step, now.time
         faults = [
@@ -197,7 +200,7 @@ class LawAudit:
     def go_on(self, earlier: LawAudit) -> None:
         """Continue the counts of an earlier audit, of other bodies."""
         self.counts, self.first, self.broken = earlier.counts, earlier.first, earlier.broken
-        self._typical, self._scale, self._allowed = earlier._typical, earlier._scale, earlier._allowed
+        self._typical, self._allowed = earlier._typical, earlier._allowed
 
     def note(self, fault: Fault) -> bool:
         """Count a fault, also of another check; return whether it is among the first of its law."""
@@ -216,7 +219,7 @@ class LawAudit:
         v0, v1 = before.velocity - bulk, now.velocity - bulk
         p0, p1 = clusters.sum(m[:, None] * v0), clusters.sum(m[:, None] * v1)
         speed = np.maximum(lengths(v0), lengths(v1))
-        change = lengths(p1 - p0 - mass[:, None] * self._setup.gravity * dt)
+        change = lengths(p1 - p0 - mass[:, None] * self._setup.gravity * dt) - mass * self._unseen
         scale = clusters.sum(m * speed) + AT_LEAST * mass * self._typical
         yield from self._worst("momentum", place, clusters, change, scale, self._tolerances.momentum)
         if self._setup.box[0] > 0.0:
@@ -224,8 +227,8 @@ class LawAudit:
         (l0, s0), (l1, s1) = (self._spin(moment, clusters, mass) for moment in (before, now))
         size = clusters.sum(m * self._setup.radius)
         scale = np.maximum(s0, s1) + AT_LEAST * size * self._typical
-        tolerance = self._tolerances.angular_momentum
-        yield from self._worst("angular-momentum", place, clusters, lengths(l1 - l0), scale, tolerance)
+        tolerance, change = self._tolerances.angular_momentum, lengths(l1 - l0) - size * self._unseen
+        yield from self._worst("angular-momentum", place, clusters, change, scale, tolerance)
 
     def _spin(self, moment: EngineMoment, clusters: Clusters, mass: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return each cluster's angular momentum about its centre of mass, and Σ (m |x| |v| + I |ω|)."""
@@ -282,12 +285,11 @@ class LawAudit:
         if potentials is not None:
             change = change + (potentials[1] - potentials[0])
             own = own + abs(potentials[1])
-        total = float(kinetic[1].sum())
-        self._scale = max(self._scale, total)
         mass = clusters.sum(setup.mass)
         floor = AT_LEAST * mass * (self._typical**2 + strength * clusters.sum(setup.mass * setup.radius) / mass)
         scale = own + floor
-        rounding = mass * strength * strength * dt * dt  # the energy error of a first-order step in a uniform field
+        # the energy error of a first-order step in a uniform field, and of unseen motion
+        rounding = mass * (strength * strength * dt * dt + self._unseen**2)
         self._allowed += float(rounding.sum())
         owed = clusters.sum(self._owed)
         back = np.where(clusters.touched, np.clip(change, 0.0, owed), 0.0)

@@ -72,7 +72,7 @@ class Observer:
         )
         self.bodies = Bodies.at_start(start, spins=setup.spins, orients=setup.turns)
         anchored = bool(setup.fixed.any()) or len(setup.planes) > 0
-        self._energies = EnergyAccount(self.bodies, setup.gravity, anchored)
+        self._energies = EnergyAccount(self.bodies, setup.gravity, anchored, spins_count=True)
         self._momenta = MomentumAccount(self.bodies, setup.gravity, bool(setup.box[0]), anchored)
         self._gravity = DirectGravity(setup.mass, setup.constant, setup.softening) if setup.constant else None
         self._proximity = Proximity(setup)
@@ -120,13 +120,13 @@ class Observer:
         seen, contacts, rows = self._judge(step, before or now, now, state.contacts, pull)
         self._ledger = Ledger(restitution=self._ledger.restitution + seen.taken + seen.unjudged)
         motion = TotalMotion.of(self.bodies)
-        energy = self._energies.balance(motion, potentials, self._ledger)
+        energy = self._energies.balance(motion, potentials, self._ledger, roundings=step)
         baseline = self._energies.baseline
         assert baseline is not None, "the call above set it"
         if before is None and self._last_time is not None:  # bodies came or went
             baseline = replace(baseline, initial=baseline.initial + energy.integration_error - self._error)
             self._energies.baseline = baseline
-            energy = self._energies.balance(motion, potentials, self._ledger)
+            energy = self._energies.balance(motion, potentials, self._ledger, roundings=step)
         self._error = energy.integration_error
         momentum = self._momenta.balance(motion, now.time - self._began)
         if before is not None:
@@ -192,7 +192,7 @@ class Observer:
         extremes = self.extremes
         extremes.add_energy(step, time, energy)
         self._lowest_error = min(self._lowest_error, energy.integration_error)
-        gain = energy.relative(energy.integration_error - self._lowest_error)
+        gain = energy.relative_change(energy.integration_error - self._lowest_error)
         self._gain = Extreme(gain, step, time) if gain > self._gain.value else self._gain
         extremes.energy_gain, extremes.contact_gain = self._gain, NOTHING
         self.extremes.add_momentum(step, time, momentum)
