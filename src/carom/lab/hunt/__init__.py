@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 
 _BUDGET = "How long to hunt, such as 60s or 2h. Default: 10min."
 _SEED = "Random seed; the same seed draws the same scenes. Default: a new one."
+_ALONE = "Run each scene in a process of its own, too: its bits must not depend on the scenes before it."
 _FOLDER = Path("recordings/hunt")
 
 
@@ -25,6 +26,7 @@ def hunt_command(
     seed: Annotated[int | None, typer.Option("--seed", metavar="N", help=_SEED, min=0)] = None,
     first: Annotated[int, typer.Option("--from", metavar="N", help="Number of the first scene.", min=0)] = 0,
     scenes: Annotated[int | None, typer.Option("--scenes", metavar="N", help="Check at most N scenes.", min=1)] = None,
+    alone: Annotated[bool, typer.Option("--alone", help=_ALONE)] = False,
     folder: Annotated[Path, output_option("DIR", "Folder for the scenes and recordings of violations.")] = _FOLDER,
     as_json: JsonOption = False,
 ) -> None:
@@ -37,7 +39,7 @@ def hunt_command(
     from carom.lab.hunt.hunt import Hunt, as_document
 
     chosen = secrets.randbelow(2**32) if seed is None else seed
-    hunting = Hunt(chosen, folder, seconds, first, scenes)
+    hunting = Hunt(chosen, folder, seconds, first, scenes, alone=alone)
     if not as_json:
         say(f"seed {chosen}")
     tally = _watched(hunting, quiet=as_json)

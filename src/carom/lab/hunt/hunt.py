@@ -24,8 +24,9 @@ from carom.extend import (
     scene_from_text,
     simulate,
 )
+from carom.lab.hunt.alone import STEPS, Ending, difference
 from carom.lab.hunt.random_scenes import IMPACTS, SMOOTH, drawn
-from carom.lab.run_summary import said_by
+from carom.lab.run_summary import Observation, said_by
 from carom.lab.shrink.condition import condition_from
 from carom.lab.shrink.literal import key_of, text_of, write
 from carom.lab.shrink.reducer import Reducer
@@ -81,6 +82,9 @@ def _invariance(name: str, says: str, *kinds: str) -> HuntedLaw:
     return HuntedLaw(name, says, f"invariance {name}", lambda scene, needs: applies(name, scene), kinds)
 
 
+ALONE = HuntedLaw(
+    "alone", "the bits do not depend on what ran before in the process", "", lambda *_: True
+)  # judged with `--alone`
 ERROR = HuntedLaw("error", "a run reaches its end or reports an error", "crash", lambda *_: True)
 LAWS = [
     ERROR,
@@ -122,7 +126,6 @@ LAWS = [
 
 
 AUDIT = 1e-9  # of a speed, unexplained by impulses: some 10⁶ roundings
-STEPS = 400  # a longer run is abandoned
 SHARE = 0.2  # fraction of the budget for shrinking one miss
 LONGEST = 60.0  # s, limit for shrinking one miss
 
@@ -132,7 +135,7 @@ class Finding:
     """A law that a scene violates."""
 
     law: HuntedLaw
-    condition: Condition
+    condition: Condition | None  # under which a smaller scene violates the law, too; None: it is not shrunk
     index: int  # of the scene among all of the seed
     scene: Scene
     said: str  # what its run shows
@@ -173,8 +176,10 @@ class Hunt:
     first: int = 0  # number of the first scene
     most: int | None = None  # the largest number of scenes
     watch: Callable[[Tally], None] = lambda tally: None  # called after each scene
+    alone: bool = False  # whether each scene also runs alone in a new process
     tally: Tally = field(init=False)
     _new: bool = field(init=False)  # whether the hunt made the folder
+    _ran: list[int] = field(default_factory=list)  # numbers of the scenes that ran
 
     def __post_init__(self) -> None:
         self.tally = Tally(self.seed)
@@ -216,8 +221,10 @@ class Hunt:
                 self.tally.given_up += 1
                 return []
             self.tally.stated += bool(seen.error)
+            found_here = self._leaks(index, scene, seen, budget) if self.alone else []
+            self._ran.append(index)
             conditions = [(law, condition_from(law.condition)) for law in laws]
-            return [
+            return found_here + [
                 Finding(law, condition, index, scene, condition.said(seen))
                 for law, condition in conditions
                 if condition.holds(seen)
@@ -233,6 +240,12 @@ class Hunt:
         except Exception as error:  # an error before the first step counts as well
             return [Finding(ERROR, condition_from(ERROR.condition), index, scene, said_by(error))]
 
+    def _leaks(self, index: int, scene: Scene, seen: Observation, budget: Budget) -> list[Finding]:
+        """Compare a run with one in a new process."""
+        here = Ending(seen.space.step, seen.space.fingerprint(), seen.error)
+        said = difference(self.seed, index, here, self._ran, budget)
+        return [Finding(ALONE, None, index, scene, said)] if said else []
+
     def _file(self, finding: Finding) -> None:
         """Shrink a scene that violates a law, record it, and add it to the misses."""
         law, index, said, bodies = finding.law, finding.index, finding.said, finding.scene.count
@@ -242,6 +255,8 @@ class Hunt:
         path = self.folder / f"{law.name.replace(' ', '-')}-{self.seed}-{index}.toml"
         small = finding.scene.toml
         try:
+            if finding.condition is None:
+                raise ExperimentError("it depends on the scenes before it")
             result = Reducer(finding.condition, min(LONGEST, SHARE * self.seconds)).reduce(finding.scene)
             key = key_of(small, finding.condition.text)
             how = command("hunt", "--seed", self.seed, "--from", index, "--scenes", 1)

@@ -1,4 +1,4 @@
-"""The random scenes of a hunt: meeting bodies, crowds, columns, groups, planets, and scenes with their own laws.
+"""The random scenes of a hunt: meeting bodies, crowds, columns, groups, planets, boundaries, and smooth motions.
 
 Most scenes also get random values of other keys: forces, walls, planes (some of which move), materials and pairs,
 units, steps, and the search and solution of contacts. The schema refuses some combinations; these are only counted.
@@ -28,6 +28,7 @@ from carom.lab.hunt.documents import (
     smooth,
     vector,
 )
+from carom.lab.hunt.random_boundaries import enclosed
 
 MOST_BODIES = 16
 DRIFT = 10.0  # common velocity of all bodies; the rounding of its energy is not part of the scale of errors
@@ -50,7 +51,7 @@ def drawn(seed: int, index: int) -> Drawn:
     """Draw a scene; the same numbers give the same scene."""
     draw = RandomDraw(f"{seed} {index}")
     found = _drawn(draw)
-    if not found.kind:
+    if not found.kind and not any("piston" in plane for plane in found.document.get("plane", [])):
         _move_planes(RandomDraw(f"{seed} {index} motion"), found.document)
     found.document["title"] = f"Hunted scene {index}"
     for number, body in enumerate(found.document.get("body", [])):
@@ -59,7 +60,7 @@ def drawn(seed: int, index: int) -> Drawn:
 
 
 def _drawn(draw: Draw) -> Drawn:
-    kind = draw.integer(0, 21)
+    kind = draw.integer(0, 31)
     if kind < 3:
         document = smooth(draw, steps=SMOOTH_STEPS, integrators=ORDERED)
         document["time"]["duration"] = SMOOTH_STEPS * document["time"]["fixed_dt"]
@@ -73,6 +74,8 @@ def _drawn(draw: Draw) -> Drawn:
     scale = scales(draw)
     if kind < 6:
         return Drawn(_planets(draw, scale))
+    if kind > 21:
+        return Drawn(enclosed(draw, scale))
     if kind > 19:
         return Drawn(_column(draw, scale))
     if kind < 8:
