@@ -19,7 +19,7 @@ from typing import Any
 from carom.lab.hunt.hunt import Hunt
 from carom.lab.shrink.trials import Budget
 from carom.runs.environment import Interrupts
-from planted_faults import FAULTS, Fault
+from patched_faults import FAULTS, Fault
 
 RESULTS = Path(__file__).parent / "results" / "hunt.json"
 SEED = 20

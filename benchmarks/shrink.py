@@ -17,7 +17,7 @@ from carom.lab.shrink.condition import condition_from
 from carom.lab.shrink.literal import commented
 from carom.lab.shrink.reducer import Reducer
 from carom.scene.schema import Scene
-from planted_faults import FAULTS, Fault
+from patched_faults import FAULTS, Fault
 
 RESULTS = Path(__file__).parent / "results" / "shrink.json"
 BUDGET = 600.0  # s of wall time, on a machine that others use, too

@@ -1,81 +1,146 @@
 """The tests of what changed: ``python tests/support/affected.py [COMMIT]`` prints them, one a line, for `make check`.
 
 What changed are the files that differ from a commit (by default, the one at which this branch left origin/main), and
-new ones. The map from a module to its tests needs no upkeep:
-
-- its mirror, `tests/a/b/test_c.py` for `src/carom/a/b/c.py`;
-- of the tests that import it, those that import the fewest other modules: they are about it, not about the whole; if
-  none imports it, the tests of the modules that do;
-- if it has kernels, some golden runs.
-
-A changed module of `tests/support` has tests in the same way, and a changed test is one. `make test` runs everything.
+new ones. `TESTS` has the tests of each folder and of some files: the row with the longest path counts. To them come the
+mirror of a changed module, `tests/a/b/test_c.py` for `src/carom/a/b/c.py`, and changed tests. `make test` runs
+everything. ``benchmarks/planted_faults.py`` plants faults in all packages and shows which of them a row misses.
 """
 
 from __future__ import annotations
 
-import ast
-import re
 import subprocess
 import sys
-from functools import cache
 from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
-BASES = ("src/", "tests/support/", "tests/")  # where the names of modules begin
-HOME = re.compile(r"carom(\.\w+)+:\w+")  # a module and a name, as in the table of commands, which are loaded on use
-MOST = 4  # tests of a module, beside its mirror
 DOCS = "tests/test_names_in_docs.py"
-GOLDEN = "tests/golden/test_golden.py::test_the_bits_of_a_scene_are_the_stored_ones_by_every_method"
-GOLDEN_SCENES = ("golden/heap", "golden/orbits")
+_GOLDEN = "tests/golden/test_golden.py::test_the_bits_of_a_scene_are_the_stored_ones_by_every_method"
+HEAP, ORBITS = f"{_GOLDEN}[golden/heap]", f"{_GOLDEN}[golden/orbits]"
+
+# What a change may break, by the path from the root without its ending; paths of tests are relative to tests/.
+TESTS: dict[str, tuple[str, ...]] = {
+    "src/carom/": ("test_public_api.py", "test_registry.py"),
+    "src/carom/cli/": ("cli/test_commands.py", "cli/test_help.py", "cli/test_contacts.py"),
+    "src/carom/cli/options": ("cli/test_units.py", "cli/test_moments.py", "lab/hunt/test_hunt.py"),
+    "src/carom/cli/run": ("cli/test_replay.py", "cli/test_warmup.py", "cli/test_outputs.py"),
+    "src/carom/lab/": ("cli/test_help.py",),
+    "src/carom/lab/crosscheck/": ("lab/crosscheck", "cli/test_crosscheck.py"),
+    "src/carom/lab/diff/": ("lab/diff", "cli/test_diff.py"),
+    "src/carom/lab/engines/": ("lab/engines", "lab/crosscheck", "cli/test_crosscheck.py"),
+    "src/carom/lab/fork/": ("lab/fork", "cli/test_fork.py"),
+    "src/carom/lab/hunt/": ("lab/hunt", "physics/test_random_scenes.py"),
+    "src/carom/lab/shrink/": ("lab/shrink",),
+    "src/carom/lab/statistics/": ("lab/statistics", "published/test_gas_statistics.py"),
+    "src/carom/lab/sweep/": ("lab/sweep", "cli/test_sweep.py"),
+    "src/carom/lab/tradeoff/": ("lab/tradeoff", "cli/test_tune.py"),
+    "src/carom/lab/why/": ("lab/why", "cli/test_why.py"),
+    "src/carom/laws/": ("laws", "published/test_contact_laws.py", "published/test_rolling.py"),
+    "src/carom/physics/": ("physics/test_space.py", "physics/test_checkpoint.py"),
+    "src/carom/physics/contact/": (
+        *(
+            "physics/contact/test_impulse.py",
+            "physics/contact/test_lasting.py",
+            "physics/contact/test_time_of_impact.py",
+        ),
+        *(
+            "physics/contact/test_planes.py",
+            "physics/contact/test_contact_tap.py",
+            "physics/diagnostics/test_energy.py",
+        ),
+        *("published/test_oblique_impact.py", "published/test_rolling.py", HEAP),
+    ),
+    "src/carom/physics/contact/broad_phase/": (
+        "physics/contact/test_plane_guard.py",
+        "physics/test_mixed_domains.py",
+        HEAP,
+    ),
+    "src/carom/physics/contact/moving_walls": ("walls", "published/test_bouncing_plate.py"),
+    "src/carom/physics/contact/translating_walls": ("walls", "published/test_bouncing_plate.py"),
+    "src/carom/physics/contact/piston_motion": ("walls/test_piston.py",),
+    "src/carom/physics/contact/guided_walls": ("walls/test_piston.py",),
+    "src/carom/physics/contact/rolling": ("laws", "published/test_rolling.py"),
+    "src/carom/physics/contact/sleep/": ("physics/contact/test_sleep.py",),
+    "src/carom/physics/contact/solids": ("walls",),
+    "src/carom/physics/diagnostics/": (
+        "physics/diagnostics",
+        "physics/test_space.py",
+        "physics/contact/test_impulse.py",
+    ),
+    "src/carom/physics/forces/": (
+        "physics/forces",
+        "physics/test_driving_field.py",
+        "published/test_orbits.py",
+        ORBITS,
+    ),
+    "src/carom/physics/integrators/": ("physics/integrators", "published/test_orbits.py", ORBITS),
+    "src/carom/physics/jit/": ("physics/jit", ORBITS, HEAP),
+    "src/carom/physics/look_ahead/": ("physics/look_ahead",),
+    "src/carom/physics/placement/": ("physics/placement", "walls/test_wall_clearance.py"),
+    "src/carom/physics/sheared_box": ("physics/test_sheared_box.py", "physics/test_sheared_packing.py"),
+    "src/carom/physics/step_rule": ("physics/test_time_step.py", "published/test_orbits.py"),
+    "src/carom/plan/": ("plan", "physics/test_required.py", "runs/test_estimate.py"),
+    "src/carom/recording/": ("recording/read/test_recording.py", "recording/write/test_recorder.py"),
+    "src/carom/recording/edit/": ("recording/edit", "cli/test_clip.py", "cli/test_repair.py"),
+    "src/carom/recording/export/": ("cli/test_export.py",),
+    "src/carom/recording/layout/": ("recording/layout", "show/test_panels.py"),
+    "src/carom/recording/read/": ("recording/read", "lab/statistics", "cli/test_contacts.py"),
+    "src/carom/recording/rrd/": ("recording/rrd", "recording/edit/test_repair.py"),
+    "src/carom/recording/schema/": (
+        "recording/schema",
+        "recording/test_colouring.py",
+        "recording/write/test_recorder.py",
+    ),
+    "src/carom/recording/source/": ("runs/test_engine_recorder.py", "runs/test_changing_bodies.py", "lab/engines"),
+    "src/carom/recording/write/": ("recording/write", "recording/read/test_contacts.py"),
+    "src/carom/registry": ("test_registry.py", "test_extension.py", "test_removable.py"),
+    "src/carom/runs/": ("runs/test_run.py", "runs/test_replay.py", "runs/test_report.py"),
+    "src/carom/scene/": (
+        "scene/test_load.py",
+        "scene/test_explanation.py",
+        "physics/placement",
+        "physics/contact/test_planes.py",
+    ),
+    "src/carom/scene/data/": ("scene/data", "cli/test_export.py"),
+    "src/carom/scene/matter": ("physics/placement", "physics/contact/test_materials.py"),
+    "src/carom/scene/schema/": ("scene", "plan", "walls/test_piston.py", "walls/test_translating_walls.py"),
+    "src/carom/scene/schema/shear": ("physics/test_sheared_box.py", "physics/test_sheared_packing.py"),
+    "src/carom/scene/units/": ("scene/units", "cli/test_units.py"),
+    "src/carom/show/": ("show/test_presentation.py", "show/test_panels.py", "show/test_colours.py"),
+    "src/carom/show/web/": ("show/test_web.py", "cli/test_view_web.py", "runs/test_publish.py"),
+    "src/carom/walls/": ("walls",),
+    "benchmarks/": ("test_benchmark_results.py", "test_planted_faults.py"),
+    "configs/": ("scene/test_starters.py", "cli/test_stress.py"),
+    "examples/": ("test_extension.py",),
+    "tests/support/": ("test_affected.py", "test_needs.py", "test_planted_faults.py"),
+}
 
 
 def affected(changed: list[str]) -> list[str]:
     """Return the tests of changed files; both are paths from the root."""
-    files = {path.relative_to(ROOT).as_posix(): imports(path) for base in BASES for path in (ROOT / base).rglob("*.py")}
-    tests = {name: imported for name, imported in files.items() if is_test(name)}
-    chosen = {name for name in changed if name in tests}
+    chosen = set[str]()
     for name in changed:
-        if name in tests or not name.startswith(BASES):
+        stem = name.removesuffix(".py").removesuffix("/__init__")
+        if name.startswith("tests/") and is_test(name):
+            chosen.add(name)
             continue
-        reached, about = {name}, set[str]()
-        while not about:
-            modules = {module_of(each) for each in reached}
-            importing = {each for each, imported in files.items() if imported & modules}
-            about = importing & set(tests)
-            if importing <= reached:
-                break
-            reached |= importing
-        chosen.update(sorted(about, key=lambda test: (len(tests[test]), test))[:MOST])
-        folder, _, stem = module_of(name).removeprefix("carom.").rpartition(".")
-        chosen.update({f"tests/{folder.replace('.', '/')}/test_{stem}.py"} & set(tests))
-        if name.startswith("src/carom/physics/") and any("jit" in each for each in imports(ROOT / name)):
-            chosen.update(f"{GOLDEN}[{scene}]" for scene in GOLDEN_SCENES)
-    return [*sorted(chosen), DOCS] if changed else []
+        row = max((path for path in TESTS if stem.startswith(path) or f"{stem}/" == path), key=len, default=None)
+        chosen.update(f"tests/{test}".replace("tests/tests/", "tests/") for test in (TESTS[row] if row else ()))
+        if name.startswith("src/carom/"):
+            folder, _, module = stem.removeprefix("src/carom/").rpartition("/")
+            mirror = Path("tests") / folder / f"test_{module}.py"
+            chosen.update({mirror.as_posix()} if (ROOT / mirror).is_file() else ())
+    there = sorted(test for test in chosen if (ROOT / test.partition("::")[0]).exists())
+    return [*(test for test in there if not _is_within(test, there)), DOCS] if changed else []
+
+
+def _is_within(test: str, chosen: list[str]) -> bool:
+    """Return whether a chosen folder contains a test, or a chosen file one of its cases."""
+    return any(test != other and test.startswith((f"{other}/", f"{other}::")) for other in chosen)
 
 
 def is_test(name: str) -> bool:
     """Tell whether a file has tests."""
     return name.rpartition("/")[2].startswith("test_")
-
-
-def module_of(name: str) -> str:
-    """Return the name by which a file is imported."""
-    base = next(base for base in BASES if name.startswith(base))
-    return name.removeprefix(base).removesuffix(".py").removesuffix("/__init__").replace("/", ".")
-
-
-@cache
-def imports(path: Path) -> frozenset[str]:
-    """Return the modules that a file imports, wherever in it."""
-    found = set[str]()
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))) if path.exists() else ():
-        if isinstance(node, ast.Import):
-            found.update(alias.name for alias in node.names)
-        elif isinstance(node, ast.ImportFrom) and node.module:
-            found.update([node.module, *(f"{node.module}.{alias.name}" for alias in node.names)])
-        elif isinstance(node, ast.Constant) and isinstance(node.value, str) and HOME.fullmatch(node.value):
-            found.add(node.value.partition(":")[0])
-    return frozenset(found)
 
 
 def _git(*arguments: str) -> list[str]:
@@ -87,7 +152,8 @@ def main() -> None:
     """Print the tests of what changed."""
     since = sys.argv[1] if len(sys.argv) > 1 else _git("merge-base", "origin/main", "HEAD")[0]
     changed = {*_git("diff", "--name-only", since), *_git("ls-files", "--others", "--exclude-standard")}
-    print("\n".join(affected(sorted(name for name in changed if name.endswith(".py")))))  # noqa: T201
+    relevant = sorted(name for name in changed if name.endswith((".py", ".toml", ".txt")))
+    print("\n".join(affected(relevant)))  # noqa: T201
 
 
 if __name__ == "__main__":
