@@ -15,7 +15,7 @@ from carom.physics.schedule import every
 from carom.physics.space import Space
 from carom.scene.schema import Scene
 from scene_strategies import documents, scene_from
-from small_scenes import bundled, cloud
+from small_scenes import cloud
 
 STEPS = 40
 EXTREMES = ("stack-20", "mass-ratio-squeezed", "friction-ten", "overlapped")
@@ -50,8 +50,9 @@ def assert_same_run(once: list[Frame], again: list[Frame]) -> None:
             assert np.array_equal(getattr(one, name), getattr(other, name)) or getattr(one, name) is None
 
 
+# All bundled scenes go on from a checkpoint in tests/runs/test_resume.py.
 @pytest.mark.parametrize(
-    "name", [*bundled(quick=("asteroid-belt", "figure-eight", "incline")), *(f"extremes/{name}" for name in EXTREMES)]
+    "name", ["asteroid-belt", "figure-eight", "incline", *(f"extremes/{name}" for name in EXTREMES)]
 )
 def test_a_bundled_scene_goes_on_from_any_frame_with_the_same_bits(name: str) -> None:
     scene = Scene.load(name)

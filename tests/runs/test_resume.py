@@ -92,7 +92,7 @@ def stopped(scene: Scene, path: Path, at: float) -> Recording:
 def test_a_run_that_was_stopped_goes_on_to_what_an_uninterrupted_run_gives(name: str, tmp_path: Path) -> None:
     scene = Scene.load(name)
     scene = Scene.load(name, [f"time.duration={(0.1 if name in LONG else 0.3) * scene.time.duration}"])
-    whole = carom.run(scene, tmp_path / "whole.rrd")
+    whole = carom.run(scene, tmp_path / "whole.rrd", threads=4)
     part = stopped(scene, tmp_path / "part.rrd", 0.6 * scene.time.duration)
     run = resumable_run(part)
     assert run.step > 0
