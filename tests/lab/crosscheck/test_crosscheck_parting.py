@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from carom.lab.crosscheck.parting import NumberedImpacts, parting_of
@@ -79,3 +80,24 @@ def test_an_impact_that_is_not_on_record_has_no_number_and_none_comes_before_the
     position[best.time > 4.0] += 1.0
     parting = parting_of(replace(best, position=position), reference, [], 0.0, NAMES, none)
     assert parting is not None and parting.impact is None and parting.between == NAMES.pair([0, 1])
+
+
+def test_a_pair_that_touches_at_the_start_has_its_impact_when_it_meets_again(bounced: tuple[Reference, Path]) -> None:
+    """A refined reference has first contacts only; with these, the outcome of 1.5 s would differ at the start."""
+    reference, path = bounced
+    best = reference.trajectory
+    late = best.time > best.struck_at[1]
+    velocity, position = best.velocity.copy(), best.position.copy()
+    velocity[late, 1, 0] *= 0.5
+    position[late, 1, 0] += 0.5 * velocity[late, 1, 0] * (best.time[late] - best.struck_at[1])
+    touching = replace(
+        best,
+        struck=np.empty((0, 2), np.int64),
+        struck_at=np.empty(0),
+        pair=np.array([[0, 1], [1, 2]]),
+        met=np.array([1e-4, best.struck_at[0]]),
+    )
+    run, numbered = replace(best, position=position, velocity=velocity), NumberedImpacts.of(path)
+    parting = parting_of(run, replace(reference, trajectory=touching), [], 0.01, NAMES, numbered)
+    assert parting is not None and parting.impact == 2 and parting.between == NAMES.pair([0, 1])
+    assert parting.impact_time == pytest.approx(best.struck_at[1], abs=1e-6)

@@ -40,6 +40,7 @@ class NumberedImpacts:
     number: IntArray  # (k,)
     pair: IntArray  # (k, 2)
     time: FloatArray  # (k,) s
+    known: bool = True  # whether the recording could be read
 
     @classmethod
     def of(cls, path: Path) -> NumberedImpacts:
@@ -53,7 +54,7 @@ class NumberedImpacts:
                 return cls(number, pair.astype(np.int64), np.array(table["time"].to_numpy()))
         except RecordingError:
             pass
-        return cls(np.empty(0, np.int64), np.empty((0, 2), np.int64), np.empty(0))
+        return cls(np.empty(0, np.int64), np.empty((0, 2), np.int64), np.empty(0), known=False)
 
     def nearest(self, pair: IntArray, time: float, within: float) -> int | None:
         """Return the number of the impact of a pair nearest to a time (s); None without one near it."""
@@ -83,7 +84,9 @@ def parting_of(
     """Return the divergence of a run from a reference up to the reference's horizon; None without one.
 
     The run has steps of ``dt`` s. ``broken`` has the times (s) and laws of the frames that violate one, in order, and
-    ``numbered`` the impacts of carom's own run.
+    ``numbered`` the impacts of carom's own run. These are the impacts whose outcomes are compared, unless the reference
+    is exact and has its own. First contacts would not do: a pair that touches at the start has no impact then, but
+    later ones.
     """
     best = reference.trajectory.until(reference.samples)
     apart, _ = reference.scale.apart(run.until(reference.samples), best)
@@ -91,7 +94,12 @@ def parting_of(
     if len(away) == 0 and len(run) >= reference.samples:
         return None
     time = float(best.time[away[0]]) if len(away) else float(run.time[-1]) if len(run) else 0.0
-    pairs, times = (best.struck, best.struck_at) if len(best.struck) else (best.pair, best.met)
+    if len(best.struck):
+        pairs, times = best.struck, best.struck_at
+    elif numbered.known:
+        pairs, times = numbered.pair, numbered.time
+    else:
+        pairs, times = best.pair, best.met
     order = np.argsort(times, kind="stable")
     pairs, times = pairs[order], times[order]
     first = _first_other_outcome(run, reference, pairs, times, int(np.searchsorted(times, time, side="right")), dt)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -38,6 +39,7 @@ if TYPE_CHECKING:
 
 MOST_CAUSES = 12  # printed causes of a body; --json has all
 MOST_EDGES = 8
+MOST_TURNS = 3  # in a row, of one body
 _ROUNDED = 1e-3  # of the largest change of velocity in an account: smaller parts that no contact explains are rounding
 _OF_ENGINE = (
     "Impulses are the engine's contact forces times the time between frames; what they leave of a velocity's change"
@@ -125,7 +127,7 @@ def _document(answer: Answer, names: Names, units: UnitSystem) -> dict[str, Any]
 
 def _account_document(account: Account, names: Names, knows_field: bool) -> dict[str, Any]:
     vectors = ("velocity", "start_velocity", "by_contacts", "by_forces")
-    own = ("kind", "first", "last", "step", "moment", "work", "share", "approach_speed", "energy_lost")
+    own = ("kind", "first", "last", "step", "moment", "work", "share", "turned", "approach_speed", "energy_lost")
     return {
         "body": account.body,
         "name": names.of(account.body),
@@ -226,7 +228,7 @@ def _print_causes(account: Account, names: Names, units: UnitSystem) -> None:
         numbers = [f"{impulse:.4g}", f"{work:+.4g}"]
         if cause.energy_lost is not None:
             numbers.append(f"{units.shown(cause.energy_lost, ENERGY):.4g}")
-        numbers += [] if account.rests else [f"{cause.share:.1%}"]
+        numbers += [] if account.rests else [_share(cause)]
         time = f"{units.shown(cause.moment, TIME):.9g}"
         table.add_row(time, names.of(cause.partner), _kind(cause, units), *numbers)
     print_whole(table)
@@ -242,11 +244,17 @@ def _markdown(answer: Answer, names: Names, units: UnitSystem) -> str:
         lines.append("")
         for cause in account.largest[:MOST_EDGES]:
             lines.append(
-                f"- {'' if account.rests else f'{cause.share:.1%}: '}{_kind(cause, units)}, {names.of(cause.partner)}, "
+                f"- {'' if account.rests else f'{_share(cause)}: '}{_kind(cause, units)}, {names.of(cause.partner)}, "
                 f"{units.text(cause.size, IMPULSE, '.3g')}, t = {units.text(cause.moment, TIME, '.9g')}"
             )
         lines.append("")
     return "\n".join([*lines, *(f"{line}  " for line in _behind(answer, names, units))])
+
+
+def _share(cause: Cause) -> str:
+    """Return the share of the velocity that a cause gave or, if it gave next to nothing, turned round."""
+    turns = cause.turned > abs(cause.share)
+    return f"turned {cause.turned:.1%}" if turns else f"{cause.share:.1%}"
 
 
 def _kind(cause: Cause, units: UnitSystem) -> str:
@@ -275,13 +283,21 @@ def _behind(answer: Answer, names: Names, units: UnitSystem) -> Iterator[str]:
     elif answer.chain:
         yield "The chain of causes, backwards:"
         what = "the velocity" if len(answer.question.bodies) == 1 else "both velocities"
-        for link in answer.chain:
-            yield (
-                f"  t = {units.text(link.time, TIME, '.9g')}: {names.of(link.by)} hits {names.of(link.body)}, "
-                f"{units.text(link.impulse, IMPULSE, '.4g')}; {link.share:.1%} of {what} came this way"
-            )
-        given = "already had its velocity, or gained it from forces"
-        yield f"  {names.of(answer.first_cause)} {given}: it is the first cause."
+        # of the impacts in a row that turned one body round, print a few
+        for (_, turns), some in groupby(answer.chain, key=lambda link: (link.body, link.turns)):
+            links = list(some)
+            most = MOST_TURNS if turns else len(links)
+            for link in links[:most]:
+                at, impulse = units.text(link.time, TIME, ".9g"), units.text(link.impulse, IMPULSE, ".4g")
+                by, body = names.of(link.by), names.of(link.body)
+                if turns:
+                    yield f"  t = {at}: {by} turns {body} round, {impulse}; {link.turned:.1%} of {what}"
+                else:
+                    yield f"  t = {at}: {by} hits {body}, {impulse}; {link.share:.1%} of {what} came this way"
+            if len(links) > most:
+                rest = counted(len(links) - most, "earlier impact")
+                yield f"  … and {rest} that turned {names.of(links[0].body)} round"
+        yield f"  {_first_cause(answer, names, units)}: it is the first cause."
     else:
         passed = cone.passed_to(answer.question.bodies)
         each = f", none of them more than {max(passed):.1%}" if len(passed) > 1 else ""
@@ -299,7 +315,19 @@ def _behind(answer: Answer, names: Names, units: UnitSystem) -> Iterator[str]:
     further = "what no contact explains" if answer.engine else "forces since then"
     if answer.knows_field:
         further = f"gravity and {further}"
-    yield f"Overall contributions: velocities at t = {since} {left:.0%}, {further} {forces:.0%}."
+    walls = float(cone.from_walls.sum())
+    moving = f", moving walls {walls:.0%}" if walls else ""
+    yield f"Overall contributions: velocities at t = {since} {left:.0%}, {further} {forces:.0%}{moving}."
+
+
+def _first_cause(answer: Answer, names: Names, units: UnitSystem) -> str:
+    """Describe where the chain of causes begins."""
+    body, cone = answer.first_cause, answer.cone
+    if body >= cone.count:
+        return f"{names.of(body)} moves by itself"
+    if cone.from_forces[body] > cone.shares[body]:
+        return f"{names.of(body)} gained its velocity from {'what no contact explains' if answer.engine else 'forces'}"
+    return f"{names.of(body)} already had its velocity at t = {units.text(answer.begin, TIME, '.9g')}"
 
 
 def _write(out: Path, recording: Recording, answer: Answer, text: str) -> None:

@@ -6,8 +6,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from carom.arrays import FloatArray, Records
-from carom.lab.why.cone import components, directions, gained
+from carom.arrays import BoolArray, FloatArray, Records
+from carom.lab.why.cone import Flow
 from carom.lab.why.history import History, Step
 
 _AT_REST = 1e-3  # largest speed of a body at rest, over the impulses (by mass) that hold it in a step
@@ -33,7 +33,8 @@ class Cause:
     approach_speed: float | None = None  # m/s, of an impact
     energy_lost: float | None = 0.0  # J, dissipated by restitution and friction, of both bodies; None: unknown
     lasts: bool = False  # whether an impact is a force that lasts for some steps, as impacts of other engines do
-    share: float = 0.0  # of the velocity; with start and forces, the shares of an account sum to 1
+    share: float = 0.0  # net share of the velocity that the other end gave; see `Cone`
+    turned: float = 0.0  # share of the velocity that the other end, which has no speed to give, turned round
 
     @property
     def kind(self) -> str:
@@ -51,7 +52,7 @@ class Cause:
         """Add an account of earlier steps."""
         self.first, self.impulse = earlier.first, self.impulse + earlier.impulse
         self.size, self.work = self.size + earlier.size, self.work + earlier.work
-        self.share += earlier.share
+        self.share, self.turned = self.share + earlier.share, self.turned + earlier.turned
         if self.energy_lost is not None and earlier.energy_lost is not None:
             self.energy_lost += earlier.energy_lost
         if earlier.approach_speed is not None:
@@ -64,8 +65,8 @@ class Cause:
 class Account:
     """The sources of a body's velocity since the beginning of a window.
 
-    velocity = start_velocity + by_contacts + by_forces, up to rounding. Shares are divided as in `Cone`, but are not
-    passed on to other bodies.
+    velocity = start_velocity + by_contacts + by_forces, up to rounding. Shares are those of `Cone`: start_share +
+    forces_share + Σ share of the causes = 1.
     """
 
     body: int
@@ -76,8 +77,8 @@ class Account:
     by_forces: FloatArray  # (3,) m/s
     by_field: FloatArray  # (3,) m/s, of this by the uniform field of another engine
     fastest: float  # m/s, the largest speed or change of velocity in the account
-    start_share: float = 1.0  # share of the velocity at the beginning
-    forces_share: float = 0.0
+    start_share: float = 1.0  # share of the velocity that the body had at the beginning
+    forces_share: float = 0.0  # share of the velocity that forces on the body gave
     field_share: float = 0.0  # of this by the uniform field of another engine
     causes: list[Cause] = field(default_factory=list)  # the latest first
     _bearing: float | None = None  # m/s, Σ |J| / m of the contacts that held the body in the last step
@@ -111,26 +112,44 @@ class Account:
         """Return the share of the velocity from causes of these kinds."""
         return sum(cause.share for cause in self.causes if cause.kind in kinds)
 
-    def take(self, step: Step, rows: Records, kicks: list[FloatArray], impacts: Records, contacts: Records) -> None:
+    def take(
+        self,
+        step: Step,
+        rows: Records,
+        flow: Flow,
+        shares: tuple[float, float],
+        kicks: list[FloatArray],
+        impacts: Records,
+        contacts: Records,
+    ) -> None:
         """Go back through a step, or through its beginning up to a moment.
 
-        ``rows`` are the impulses on this body up to the moment, in order, and ``kicks`` its changes of velocity by
-        forces, (3,) m/s each. ``impacts`` and ``contacts`` are the `CONTACT_ROW` of the step, but the beginning of a
-        step has no contacts.
+        ``rows`` are the impulses on this body up to the moment, in order, and ``flow`` their shares of its velocity,
+        (k, 1). ``shares`` are those that the body carries before the step, and that forces have given it so far.
+        ``kicks`` are its changes of velocity by forces, (3,) m/s each. ``impacts`` and ``contacts`` are the
+        `CONTACT_ROW` of the step, but the beginning of a step has no contacts.
         """
         self._lost, self._before = {}, step.before_step  # losses of all contacts less those of impacts
         for some, sign in ((contacts, 1.0), (impacts, -1.0)) if len(contacts) else ():
-            for row in impulses_on(self.body, some):
+            for row in some[_acts_on(self.body, some)]:
                 self._lost[self._other(row)] = self._lost.get(self._other(row), 0.0) + sign * _loss(row)
         if self._bearing is None:
             self._bearing = float(np.linalg.norm(self._impulses(rows[rows["holds"]]), axis=1).sum()) / self.mass
-        shares = self._divide(rows, sum(kicks, np.zeros(3)), step.by_field, step.before[self.body])
         first, last = sum(kicks[:1], np.zeros(3)), sum(kicks[1:], np.zeros(3))  # before the drift, and after it
+        forces_share = shares[1] - self.forces_share
+        if step.by_field.any() and forces_share > 0.0:
+            # the field's part of what forces gave, along the sum of forces and of contacts that hold
+            held = self._impulses(rows[~rows["impact"] | rows["lasts"]]).sum(axis=0) / self.mass
+            forces = first + last
+            parts = np.maximum(0.0, np.vstack((step.by_field, forces - step.by_field)) @ (forces + held))
+            self.field_share += forces_share * float(parts[0]) / float(parts.sum()) if parts[0] > 0.0 else 0.0
+        self.start_share, self.forces_share = shares
         late = len(rows) > 0 and rows[-1]["time"] >= step.time
         # the velocity right after the last of the impulses
         kicked = first + last if late else first
         now: FloatArray = step.before[self.body] + kicked + self._impulses(rows).sum(axis=0) / self.mass
         keys = list(zip(rows["instant"].tolist(), (rows["holds"] | rows["lasts"]).tolist(), strict=True))
+        given = np.concatenate((flow.net, flow.turned), axis=1)
         end = len(rows)
         while end > 0:
             if late and rows[end - 1]["time"] < step.time:
@@ -138,45 +157,10 @@ class Account:
             begin = end - 1
             while begin > 0 and keys[begin - 1] == keys[end - 1]:
                 begin -= 1
-            now = self._undo(rows[begin:end], shares[begin:end], now, last if late else first, impacts)
+            now = self._undo(rows[begin:end], given[begin:end], now, last if late else first, impacts)
             end = begin
         self.by_forces, self.by_field = self.by_forces + first + last, self.by_field + step.by_field
         self.start_velocity = step.before[self.body].copy()
-
-    def _divide(self, rows: Records, forces: FloatArray, field: FloatArray, start: FloatArray) -> FloatArray:
-        """Divide the remaining share of the velocity as in `Cone`; return the shares of impulses, (k,).
-
-        ``forces`` changed the velocity by (3,) m/s from ``start``, that at the beginning of the step; ``field`` is the
-        contribution of the uniform field.
-        """
-        shares = np.zeros(len(rows))
-        changes = self._impulses(rows) / self.mass
-        bearing = ~rows["impact"] | rows["lasts"]
-        after = (start + forces + changes.sum(axis=0))[None]
-        before = after - forces - changes[bearing].sum(axis=0)
-        net = after - before
-        given = np.maximum(0.0, np.vstack((changes[bearing], forces)) @ net[0])
-        if net.any():
-            acting = np.linalg.norm(np.vstack((changes[bearing], forces)), axis=1).sum(keepdims=True)
-            part = float(gained(before, after, acting)[0])
-            given *= self.start_share * part / given.sum()
-            shares[bearing] = given[:-1]
-            self.forces_share += float(given[-1])
-            along, other = np.maximum(0.0, np.vstack((field, forces - field)) @ net[0]).tolist()
-            self.field_share += float(given[-1]) * along / (along + other) if along > 0.0 else 0.0
-            self.start_share *= 1.0 - part
-        while not bearing.all():
-            struck = ~bearing & (rows["instant"] == rows["instant"][~bearing][-1])
-            after, before = before, before - changes[struck].sum(axis=0)
-            sizes = np.sqrt((changes[struck] ** 2).sum(axis=1))
-            along = directions(after, before, sizes.sum(keepdims=True))
-            given, kept = components(changes[struck], along[[0] * len(sizes)]), components(before, along)[0]
-            whole = float(given.sum()) + kept
-            if whole > 0.0:
-                shares[struck] = self.start_share * given / whole
-                self.start_share *= kept / whole
-            bearing = bearing | struck
-        return shares
 
     def _impulses(self, rows: Records) -> FloatArray:
         """Return the impulses on this body, (k, 3) N s."""
@@ -189,9 +173,9 @@ class Account:
         return int(row["i"]) if row["j"] == self.body else int(row["j"])
 
     def _undo(
-        self, rows: Records, shares: FloatArray, after: FloatArray, kick: FloatArray, impacts: Records
+        self, rows: Records, flow: FloatArray, after: FloatArray, kick: FloatArray, impacts: Records
     ) -> FloatArray:
-        """Undo impulses that act together, given their shares, (k,); return the velocity before them.
+        """Undo impulses that act together, given their net and turned shares, (k, 2); return the velocity before them.
 
         Contacts at rest and lasting contacts cancel a ``kick``, (3,) m/s, of the forces. Their work follows from the
         mean velocity without this kick: the normal force of a floor does no work on a ball that slides on it.
@@ -203,16 +187,19 @@ class Account:
         self.by_contacts = self.by_contacts + change
         given, had = float(sizes.sum()) / self.mass, float(np.linalg.norm(before))
         self.fastest = max(self.fastest, given, had)
-        for row, impulse, size, share in zip(rows, impulses, sizes.tolist(), shares.tolist(), strict=True):
+        for row, impulse, size, shares in zip(rows, impulses, sizes.tolist(), flow.tolist(), strict=True):
             if size > 0.0:
                 mean = 0.5 * (after + before - (kick if row["holds"] or row["lasts"] else 0.0))
-                self._add(row, impulse, size, float(impulse @ mean), share, impacts)
+                self._add(row, impulse, size, float(impulse @ mean), shares, impacts)
         return before
 
-    def _add(self, row: np.void, impulse: FloatArray, size: float, work: float, share: float, impacts: Records) -> None:
+    def _add(
+        self, row: np.void, impulse: FloatArray, size: float, work: float, shares: list[float], impacts: Records
+    ) -> None:
         partner, time, step = self._other(row), float(row["time"]), int(row["step"])
         holds, lasts = bool(row["holds"]), bool(row["lasts"])
-        cause = Cause(partner, holds, time, time, step, impulse, size, work, time, size, share=share, lasts=lasts)
+        cause = Cause(partner, holds, time, time, step, impulse, size, work, time, size, lasts=lasts)
+        cause.share, cause.turned = shares
         if not holds:
             # approach speed and energy loss are those of the recorded impact
             low, high = sorted((self.body, partner))
@@ -240,10 +227,18 @@ def _loss(row: np.void) -> float:
     return float(row["restitution_loss"] + row["friction_loss"])
 
 
-def impulses_on(body: int, rows: Records) -> Records:
-    """Return the impulses on a body."""
-    own: Records = rows[(rows["i"] == body) | (rows["j"] == body)]
-    return own
+def _acts_on(body: int, rows: Records) -> BoolArray:
+    """Return a mask of the impulses on a body."""
+    return np.asarray((rows["i"] == body) | (rows["j"] == body))
+
+
+def impulses_on(body: int, rows: Records, flow: Flow, place: int) -> tuple[Records, Flow]:
+    """Return the impulses on a body, and their shares of its velocity, which are in a column of the flow, (k, 1)."""
+    own = _acts_on(body, rows)
+    found: Records = rows[own]
+    sign = np.where(found["i"] == body, 1.0, -1.0)[:, None]
+    column = slice(place, place + 1)
+    return found, Flow(sign * flow.net[own, column], flow.turned[own, column])
 
 
 def impacts_by_step(history: History) -> dict[int, Records]:

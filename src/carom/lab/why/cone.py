@@ -1,7 +1,7 @@
 """`Cone`: goes back through a window, from the bodies of a question to all bodies that could affect them.
 
-Each body carries a share of the answer; the shares sum to 1 at the moment of the question. Going back in time, a share
-is divided in two ways:
+The velocity of each body of the question is divided into shares, which sum to 1 at the moment of the question, when the
+body itself carries all of it. Going back in time, the share that a body carries is divided in two ways:
 
 - **Over a step**, forces are summed with the impulses that hold contacts or stop them, so that a floor and the weight
   on it contribute nothing. If the sum N makes the body faster, N contributed the share N·e / |v|, where e points along
@@ -13,18 +13,24 @@ is divided in two ways:
 
 A sum over many short steps converges, so shares depend on the step no more than the motion does. Impacts of other
 engines last for some steps, so their shares are divided like the shares of forces. A share contributed by forces has
-reached its cause. A share that passes over a contact is divided between the two ends, in proportion to their speeds
-along the impulse before the impact: these speeds cause the impulse. If several bodies touch in an instant, a share may
-also come from further impulses on the other end. A plane returns its whole share.
+reached its cause. A share that reaches a contact is divided between the two ends, in proportion to their speeds along
+the impulse before the impact: these speeds cause the impulse. If several bodies touch in an instant, a share may also
+come from further impulses on the other end. A plane at rest has no speed, so it returns the whole share: it turns a
+body round. A wall that moves by itself keeps its part, which has then reached its cause.
 
-Shares are between 0 and 1. Membership is exact: going back in time, a body belongs to the cone from its first contact
-with a body of the cone.
+All that is said about shares follows from these flows. The net share that passes over a contact is what the contact
+gave the body; it is negative if the body gave it to the other end and got it back later. For each body of the question
+the shares of its start, of forces on it and of its contacts therefore sum to 1.
+
+Membership is exact: going back in time, a body belongs to the cone from its first contact with a body of the cone.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 from scipy.sparse import coo_array
@@ -37,17 +43,30 @@ _ROUNDS = 16  # largest number of bodies through which a share passes in one ins
 NEGLIGIBLE = 1e-9  # share that is not passed on; change of a velocity that counts as rounding
 
 
+class Flow(NamedTuple):
+    """Shares at some impulses, for each of the q bodies of the question."""
+
+    net: FloatArray  # (k, q) passed from j to i, less those from i to j
+    turned: FloatArray  # (k, q) returned by an end that has no speed to give: a plane, a wall or a fixed body
+
+    @classmethod
+    def none(cls, count: int, bodies: int) -> Flow:
+        """Return the flow over ``count`` impulses that pass nothing on."""
+        return cls(np.zeros((count, bodies)), np.zeros((count, bodies)))
+
+
 @dataclass(slots=True)
 class Passage:
-    """An impact that passed on a share of the answer."""
+    """An impact that passed on a share of the answer, or turned it."""
 
     step: int
+    instant: int  # within the step
     time: float  # s
     i: int
     j: int
     impulse: float  # N s
-    to_i: float  # net share of the answer that passed from j to i
-    to_j: float
+    net: float  # share of the answer that passed from j to i, less that from i to j
+    turned: float  # share of the answer that a plane, a wall or a fixed body turned round
     before_step: int  # the step before its first one
 
 
@@ -61,7 +80,7 @@ class Edge:
     last: float  # s
     impulse: float = 0.0  # N s, Σ |J|
     impulses: int = 0  # their number
-    share: float = 0.0  # share of the answer that passed over it
+    share: float = 0.0  # share of the answer that passed over it, in either direction
 
 
 @dataclass(slots=True)
@@ -70,10 +89,12 @@ class Cone:
 
     inverse_mass: FloatArray  # (n + p,) 1/kg
     count: int  # of bodies
-    shares: FloatArray  # (n,) of the answer, that each body carries at the present moment
+    drives: BoolArray  # (n + p,) whether a plane or wall moves by itself
+    weights: FloatArray  # (q,) of each body of the question in the answer
+    carried: FloatArray  # (n + p, q) share of each body's velocity that each end carries at the present moment
+    forced: FloatArray  # (n, q) share contributed by forces on each body
     reached: BoolArray  # (n,) whether it could have had an effect
     since: FloatArray  # (n,) s, the last moment at which it could have had an effect; NaN for bodies outside
-    from_forces: FloatArray  # (n,) share contributed by forces on each body
     edges: dict[tuple[int, int], Edge] = field(default_factory=dict)
     passages: list[Passage] = field(default_factory=list)  # the latest first
     pairs: list[IntArray] = field(default_factory=list)  # (k, 2) each: the pairs of bodies that have touched so far
@@ -81,26 +102,48 @@ class Cone:
     _before_step: int = 0  # the step before the present one
 
     @classmethod
-    def of(cls, inverse_mass: FloatArray, count: int, shares: dict[int, float], time: float) -> Cone:
-        """Begin at a moment in s, with the share of each body of the question."""
-        carried, since = np.zeros(count), np.full(count, np.nan)
-        for body, share in shares.items():
-            carried[body], since[body] = share, time
-        return cls(inverse_mass, count, carried, ~np.isnan(since), since, np.zeros(count))
+    def of(
+        cls,
+        inverse_mass: FloatArray,
+        drives: BoolArray,
+        count: int,
+        bodies: Sequence[int],
+        weights: Sequence[float],
+        time: float,
+    ) -> Cone:
+        """Begin at a moment in s, with the bodies of the question and their weights in the answer."""
+        q, since = len(bodies), np.full(count, np.nan)
+        carried = np.zeros((len(inverse_mass), q))
+        carried[bodies, range(q)], since[list(bodies)] = 1.0, time
+        forced, reached = np.zeros((count, q)), ~np.isnan(since)
+        return cls(inverse_mass, count, drives, np.array(weights), carried, forced, reached, since)
 
-    def take(self, step: Step, rows: Records, velocity: FloatArray, kicked: bool) -> None:
-        """Go back through a step, or through its beginning up to a moment.
+    @property
+    def shares(self) -> FloatArray:
+        """Share of the answer that each body carries at the present moment, (n,)."""
+        return np.asarray(self.carried[: self.count] @ self.weights)
+
+    @property
+    def from_forces(self) -> FloatArray:
+        """Share of the answer contributed by forces on each body, (n,)."""
+        return np.asarray(self.forced @ self.weights)
+
+    @property
+    def from_walls(self) -> FloatArray:
+        """Share of the answer contributed by each plane and wall that moves by itself, (p,)."""
+        return np.asarray(self.carried[self.count :] @ self.weights)
+
+    def take(self, step: Step, rows: Records, velocity: FloatArray, kicked: bool) -> Flow:
+        """Go back through a step, or through its beginning up to a moment; return the flow over each of its impulses.
 
         ``rows`` are its impulses up to the moment, in order, and ``velocity``, (n, 3) m/s, follows the last of them.
         Forces act if it is ``kicked``.
         """
         between = rows["j"] < self.count
         self.pairs.append(np.stack([rows["i"][between], rows["j"][between]], axis=1))
-        begins = np.flatnonzero(np.diff(rows["instant"], prepend=-1)).tolist()
-        instants = [slice(*ends) for ends in pairwise([*begins, len(rows)])][::-1]
         inside = np.zeros(len(rows), dtype=bool)
-        for instant in instants:
-            inside[instant] = self.reach(rows[instant])
+        for moment in _groups(rows["time"]):
+            inside[moment] = self.reach(rows[moment])
         acts = (rows["x"] != 0.0) | (rows["y"] != 0.0) | (rows["z"] != 0.0)
         impact = acts & rows["impact"] & ~rows["lasts"]
         self._before_step = step.before_step
@@ -112,14 +155,16 @@ class Cone:
             forces = before - step.before
             self._undo(impacts, forces)
             before -= forces
-        self._bear(bearing[inside[acts & ~impact]], forces, before, velocity)
-        for instant in instants:
-            some = rows[instant][impact[instant]]
+        flow, number = Flow.none(len(rows), len(self.weights)), np.arange(len(rows))
+        self._bear(rows, number[acts & ~impact & inside], forces, before, velocity, flow)
+        for instant in _groups(rows["instant"]):
+            some = number[instant][impact[instant]]
             if len(some):
-                self._strike(some, inside[instant][impact[instant]], before)
+                self._strike(rows, some, inside[some], before, flow)
+        return flow
 
     def reach(self, rows: Records) -> BoolArray:
-        """Add the bodies connected to the cone by contacts of an instant; return a mask of the rows in the cone."""
+        """Add the bodies connected to the cone by contacts of a moment; return a mask of the rows in the cone."""
         if len(rows) == 1:  # the usual case, five times as fast
             i, j = int(rows["i"][0]), int(rows["j"][0])
             ends = [end for end in (i, j) if end < self.count]
@@ -151,8 +196,9 @@ class Cone:
         return inside
 
     def passed_to(self, bodies: tuple[int, ...]) -> list[float]:
-        """Return the shares of the answer that other bodies passed on to some bodies, one for each impact."""
-        return [to for p in self.passages for end, to in ((p.i, p.to_i), (p.j, p.to_j)) if end in bodies and to > 0.0]
+        """Return the shares of the answer that other ends passed on to some bodies, one for each impact."""
+        nets = [(p.net if end == p.i else -p.net) for p in self.passages for end in (p.i, p.j) if end in bodies]
+        return [net for net in nets if net > NEGLIGIBLE]
 
     def _undo(self, rows: Records, velocity: FloatArray) -> None:
         """Undo the effect of impulses on velocities, (n, 3) m/s."""
@@ -160,14 +206,19 @@ class Cone:
         np.add.at(velocity, rows["i"], self.inverse_mass[rows["i"], None] * J)
         np.subtract.at(velocity, rows["j"][body], self.inverse_mass[rows["j"][body], None] * J[body])
 
-    def _bear(self, rows: Records, forces: FloatArray, before: FloatArray, after: FloatArray) -> None:
-        """Pass on the shares contributed by the forces and the resting contacts of a step; velocities (n, 3) m/s."""
-        n, m = self.count, len(rows)
-        bodies = np.flatnonzero(self.shares > NEGLIGIBLE)
+    def _bear(
+        self, rows: Records, own: IntArray, forces: FloatArray, before: FloatArray, after: FloatArray, flow: Flow
+    ) -> None:
+        """Pass on the shares contributed by the forces and the resting contacts of a step; velocities (n, 3) m/s.
+
+        ``own`` are the numbers of these contacts, and ``flow`` receives their shares.
+        """
+        n, m, some = self.count, len(own), rows[own]
+        bodies = np.flatnonzero((self.carried[:n] > NEGLIGIBLE).any(axis=1))
         net = np.zeros((len(self.inverse_mass), 3))  # along N, of length 1
-        rate = np.zeros(len(self.inverse_mass))  # share contributed by a component of 1 m/s
+        rate = np.zeros(self.carried.shape)  # share contributed by a component of 1 m/s
         net[bodies] = _units(after[bodies] - before[bodies])
-        to, J = np.concatenate((rows["i"], rows["j"])), np.concatenate((-_vectors(rows), _vectors(rows)))
+        to, J = np.concatenate((some["i"], some["j"])), np.concatenate((-_vectors(some), _vectors(some)))
         given: FloatArray = self.inverse_mass[to] * np.maximum(0.0, (J * net[to]).sum(axis=1))  # m/s
         by_forces = np.maximum(0.0, (forces * net[:n]).sum(axis=1))
         whole = np.bincount(to, weights=given, minlength=len(rate))[:n] + by_forces
@@ -175,104 +226,130 @@ class Cone:
         acting = np.sqrt((forces * forces).sum(axis=1))
         acting += np.bincount(to, weights=self.inverse_mass[to] * np.sqrt((J * J).sum(axis=1)), minlength=len(rate))[:n]
         gain[bodies] = gained(before[bodies], after[bodies], acting[bodies])
-        rate[:n] = self.shares * np.divide(gain, whole, out=np.zeros(n), where=whole > 0.0)
-        self.shares *= 1.0 - gain
-        self.from_forces += rate[:n] * by_forces
+        per_speed = np.divide(gain, whole, out=np.zeros(n), where=whole > 0.0)
+        rate[:n] = self.carried[:n] * per_speed[:, None]
+        self.carried[:n] *= 1.0 - gain[:, None]
+        self.forced += rate[:n] * by_forces[:, None]
         if m:
-            flow, none = given * rate[to], np.zeros(2 * m)
-            _, returned = self._divide(rows, flow, none, before)
-            self._note(rows, flow, flow - returned)
+            passed = given[:, None] * rate[to]
+            _, returned = self._divide(some, passed, np.zeros(2 * m), before)
+            self._note(rows, own, passed - returned, returned, flow)
 
-    def _strike(self, rows: Records, inside: BoolArray, velocity: FloatArray) -> None:
-        """Undo the impacts of an instant, and pass on shares over the impacts of the cone; velocities (n, 3) m/s."""
-        ends, local = np.unique(np.concatenate((rows["i"], rows["j"])), return_inverse=True)
+    def _strike(self, rows: Records, struck: IntArray, inside: BoolArray, velocity: FloatArray, flow: Flow) -> None:
+        """Undo the impacts of an instant, and pass on shares over the impacts of the cone; velocities (n, 3) m/s.
+
+        ``struck`` are the numbers of the impacts, ``inside`` tells which are in the cone, and ``flow`` receives their
+        shares.
+        """
+        some = rows[struck]
+        ends, local = np.unique(np.concatenate((some["i"], some["j"])), return_inverse=True)
         bodies = ends < self.count
         after, before = np.zeros((2, len(ends), 3))
         after[bodies] = velocity[ends[bodies]]
-        self._undo(rows, velocity)
+        self._undo(some, velocity)
         before[bodies] = velocity[ends[bodies]]
-        rows, chosen = rows[inside], np.flatnonzero(np.tile(inside, 2))
-        if not len(rows):
+        some, struck, chosen = some[inside], struck[inside], np.flatnonzero(np.tile(inside, 2))
+        if not len(some):
             return
         # each impulse twice, once for each end
-        to, m = local[chosen], len(rows)
+        to, m = local[chosen], len(some)
         origin = np.roll(to, m)
-        J = np.concatenate((_vectors(rows), _vectors(rows))) * self.inverse_mass[ends[to], None]
+        J = np.concatenate((_vectors(some), _vectors(some))) * self.inverse_mass[ends[to], None]
         taken = np.sqrt((J * J).sum(axis=1))
         total = np.bincount(to, weights=taken, minlength=len(ends)).astype(np.float64)
         along = directions(after, before, total)
         given, kept = components(J, along[to]), components(before, along)
         whole = kept + np.bincount(to, weights=given, minlength=len(ends))
-        shares = np.zeros(len(ends))
-        shares[bodies] = self.shares[ends[bodies]]
-        rate = np.divide(shares, whole, out=np.zeros(len(ends)), where=whole > 0.0)
-        self.shares[ends[bodies]] = np.where(whole > 0.0, rate * kept, shares)[bodies]
-        flow: FloatArray = given * rate[to]
+        moves = bodies & (whole > 0.0)
+        per_speed = np.divide(1.0, whole, out=np.zeros(len(ends)), where=moves)
+        rate = self.carried[ends] * per_speed[:, None]
+        self.carried[ends[moves]] = (rate * kept[:, None])[moves]
+        passing = given[:, None] * rate[to]
         opposite = np.roll(np.arange(2 * m), m)
         others = np.maximum(0.0, total[origin] - taken[opposite])  # of the further impulses on the other end
         further = np.where(~bodies[origin] | (others <= NEGLIGIBLE * total[origin]), 0.0, others)
-        passed, back_again = np.zeros(2 * m), np.zeros(2 * m)
+        kept_away, back_again = np.zeros((2, 2 * m, len(self.weights)))
         for _ in range(_ROUNDS):
-            passed += flow
-            onward, returned = self._divide(rows, flow, further, velocity)
+            onward, returned = self._divide(some, passing, further, velocity)
+            kept_away += passing - returned
             back_again += returned
             if onward.sum() < NEGLIGIBLE:
+                self._arrive(ends[origin], onward)
                 break
             # divide the forwarded shares among the further impulses on the other ends
-            per_impulse = np.divide(onward, others, out=np.zeros(2 * m), where=others > 0.0)
-            arriving = np.bincount(origin, weights=per_impulse, minlength=len(ends))
-            flow = np.maximum(0.0, taken * (arriving[to] - per_impulse[opposite]))
+            per_impulse = np.divide(onward, others[:, None], out=np.zeros(onward.shape), where=others[:, None] > 0.0)
+            arriving = np.zeros((len(ends), len(self.weights)))
+            np.add.at(arriving, origin, per_impulse)
+            passing = np.maximum(0.0, taken[:, None] * (arriving[to] - per_impulse[opposite]))
         else:
-            self._arrive(ends[origin], flow)
-        self._note(rows, passed, passed - back_again)
+            kept_away += passing
+            self._arrive(ends[origin], passing)
+        self._note(rows, struck, kept_away, back_again, flow)
 
     def _divide(
-        self, rows: Records, flow: FloatArray, further: FloatArray, before: FloatArray
+        self, rows: Records, passing: FloatArray, further: FloatArray, before: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
         """Divide the shares that pass over contacts between their ends; return the forwarded and the returned shares.
 
-        ``flow``, (2k,), has the shares of the answer that pass to i, then to j. ``further``, (2k,) m/s, is due to other
-        impulses on the other end. Velocities before the impulses are (n, 3) m/s.
+        ``passing``, (2k, q), has the shares that pass to i, then to j. ``further``, (2k,) m/s, is due to other impulses
+        on the other end. Velocities before the impulses are (n, 3) m/s.
         """
         to, origin = np.concatenate((rows["i"], rows["j"])), np.concatenate((rows["j"], rows["i"]))
-        along = _units(_vectors(rows))
+        J = _vectors(rows)
+        along = np.concatenate((-_units(J), _units(J)))
         moves = to < self.count
-        back: FloatArray = np.zeros(len(to))  # m/s, speed of the receiving end along the impulse
-        back[moves] = np.abs((before[to[moves]] * np.concatenate((along, along))[moves]).sum(axis=1))
+        speed = np.zeros(len(to))  # m/s, of the receiving end along the impulse
+        speed[moves] = (before[to[moves]] * along[moves]).sum(axis=1)
+        back = np.abs(speed)
         is_free = (origin < self.count) & (self.inverse_mass[origin] > 0.0)
         own = np.where(is_free, np.roll(back, len(rows)), 0.0)
+        driven = self.drives[origin]
+        if driven.any():
+            # a wall that pushes a body moves at least at the mean speed that it gives to the body
+            mean = speed + 0.5 * self.inverse_mass[to] * np.tile(np.sqrt((J * J).sum(axis=1)), 2)
+            closing = np.tile(rows["approach"], 2) - back
+            own = np.where(driven, np.maximum(0.0, np.maximum(mean, closing)), own)
         whole = own + back + further
-        scale = np.divide(flow, whole, out=np.zeros(len(to)), where=whole > 0.0)
-        returned = np.where(whole > 0.0, back * scale, np.where(is_free, 0.0, flow))
-        self._arrive(origin, np.where(whole > 0.0, own * scale, np.where(is_free, flow, 0.0)))
+        scale = np.divide(passing, whole[:, None], out=np.zeros(passing.shape), where=whole[:, None] > 0.0)
+        gives = (is_free | driven)[:, None]
+        still = whole[:, None] <= 0.0
+        returned = np.where(still, np.where(gives, 0.0, passing), back[:, None] * scale)
+        self._arrive(origin, np.where(still, np.where(gives, passing, 0.0), own[:, None] * scale))
         self._arrive(to, returned)
-        return further * scale, returned
+        return further[:, None] * scale, returned
 
     def _arrive(self, ends: IntArray, parts: FloatArray) -> None:
-        bodies = ends < self.count
-        np.add.at(self.shares, ends[bodies], parts[bodies])
+        np.add.at(self.carried, ends, parts)
 
-    def _note(self, rows: Records, passed: FloatArray, kept: FloatArray) -> None:
-        m, size = len(rows), np.sqrt((_vectors(rows) ** 2).sum(axis=1))
-        for k, row in enumerate(rows):
+    def _note(self, rows: Records, own: IntArray, passed: FloatArray, returned: FloatArray, flow: Flow) -> None:
+        """Add the shares that passed over some rows and those that returned, (2k, q) each: to i, then to j."""
+        m = len(own)
+        some = rows[own]
+        size = np.sqrt((_vectors(some) ** 2).sum(axis=1))
+        to, origin = np.concatenate((some["i"], some["j"])), np.concatenate((some["j"], some["i"]))
+        fixed = (self.inverse_mass[origin] == 0.0) & (to < self.count)
+        turned = np.where(fixed[:, None], returned, 0.0)
+        flow.net[own], flow.turned[own] = passed[:m] - passed[m:], turned[:m] + turned[m:]
+        nets, turns = flow.net[own] @ self.weights, flow.turned[own] @ self.weights
+        for row, impulse, net, turn in zip(some, size.tolist(), nets.tolist(), turns.tolist(), strict=True):
             i, j, time = int(row["i"]), int(row["j"]), float(row["time"])
             edge = self.edges.get((i, j))
             if edge is None:
                 edge = self.edges[i, j] = Edge(i, j, time, time)
             edge.first = time
-            edge.impulse += float(size[k])
+            edge.impulse += impulse
             edge.impulses += 1
-            edge.share += float(passed[k] + passed[m + k])
-            to_i, to_j = float(kept[k]), float(kept[m + k])
-            if not row["impact"] or max(to_i, to_j) <= NEGLIGIBLE:
+            edge.share += abs(net)
+            if not row["impact"] or max(abs(net), turn) <= NEGLIGIBLE:
                 continue
             step, later = int(row["step"]), self._lasting.get((i, j))
             if row["lasts"] and later is not None and step >= later.before_step:  # of one impact
-                later.step, later.time, later.before_step = step, time, self._before_step
-                later.impulse += float(size[k])
-                later.to_i, later.to_j = later.to_i + to_i, later.to_j + to_j
+                later.step, later.instant, later.time = step, int(row["instant"]), time
+                later.before_step = self._before_step
+                later.impulse += impulse
+                later.net, later.turned = later.net + net, later.turned + turn
                 continue
-            passage = Passage(step, time, i, j, float(size[k]), to_i, to_j, self._before_step)
+            passage = Passage(step, int(row["instant"]), time, i, j, impulse, net, turn, self._before_step)
             self.passages.append(passage)
             if row["lasts"]:
                 self._lasting[i, j] = passage
@@ -306,6 +383,12 @@ def components(vectors: FloatArray, along: FloatArray) -> FloatArray:
     return result
 
 
+def _groups(keys: FloatArray | IntArray) -> list[slice]:
+    """Return the runs of equal keys, the last one first."""
+    begins = [0, *(1 + np.flatnonzero(np.diff(keys))).tolist(), len(keys)]
+    return [slice(*ends) for ends in pairwise(begins) if len(keys)][::-1]
+
+
 def _vectors(rows: Records) -> FloatArray:
     """Return impulses on j, (k, 3) N s."""
     return np.stack([rows["x"], rows["y"], rows["z"]], axis=1)
@@ -326,36 +409,61 @@ _AT_ONCE = 0.5  # weight of an impact at the same instant as another, since thei
 
 @dataclass(frozen=True, slots=True)
 class Link:
-    """An impact by which one body got its velocity from another."""
+    """An impact by which one body got its velocity from another, or was turned round by an end at rest."""
 
     step: int
+    instant: int  # within the step; impacts of one instant act together
     time: float  # s
     body: int
-    by: int
+    by: int  # numbers from n on are planes and walls
     impulse: float  # N s
-    share: float  # of the answer, that passed
+    share: float  # of the answer, that passed from `by` to `body`
+    turned: float = 0.0  # of the answer, that `by`, which has no speed to give, turned round
+    turns: bool = False  # whether it is in the chain because it turned the body round
 
 
 def chain_of(cone: Cone, bodies: tuple[int, ...]) -> list[Link]:
     """Return the impacts of the chain, the latest first; none if no impact passed on a tenth of the answer.
 
     From each body, the chain follows the earlier impact with the largest share of the answer, until the body's own
-    motion has a larger share.
+    motion has a larger share. The impacts in between that turned the body round are links, too; they lead back to the
+    motion of the same body.
     """
     left = list(cone.passages)
     links: list[Link] = []
-    current, share = set(bodies), 1.0
-    while len(links) < MOST_LINKS:
-        chosen: Passage | None = None
-        link: Link | None = None  # by the passage with the largest share
-        for p in left:
-            for body, by, passed in ((p.i, p.j, p.to_i), (p.j, p.i, p.to_j)):
-                if body in current and passed > (link.share if link else 0.0):
-                    chosen, link = p, Link(p.step, p.time, body, by, p.impulse, passed)
-        least = _AT_ONCE if links and link and link.time == links[-1].time else _WEAKEST
-        if link is None or link.share < least * share:
+    current, share, followed = set(bodies), 1.0, 0
+    while followed < MOST_LINKS:
+        earlier = [(place, link) for place, p in enumerate(left) for link in _links_to(current, p)]
+        place, found = max(earlier, key=lambda each: each[1].share, default=(0, None))
+        least = _AT_ONCE if found and followed and _moment(found) == _moment(links[-1]) else _WEAKEST
+        if found is not None and found.share < least * share:
+            found = None
+        turns = [
+            replace(link, turns=True)
+            for number, link in earlier
+            if link.turned >= _WEAKEST * share and (found is None or (link.body == found.body and number < place))
+        ]
+        if found is None and turns:  # of one body, if two are asked about
+            body = max(turns, key=lambda link: link.turned).body
+            turns = [link for link in turns if link.body == body]
+        links += turns
+        if found is None:
             break
-        links.append(link)
-        current, share = {link.by}, link.share
-        left = [passage for passage in left if passage.time <= link.time and passage is not chosen]
+        links.append(found)
+        if found.by >= cone.count:  # a wall that moves by itself
+            break
+        followed, current, share = followed + 1, {found.by}, found.share
+        left = [p for number, p in enumerate(left) if _moment(p) <= _moment(found) and number != place]
     return links
+
+
+def _links_to(bodies: set[int], passage: Passage) -> Iterator[Link]:
+    """Yield an impact as a link to each of its ends that is one of some bodies."""
+    for body, by, net in ((passage.i, passage.j, passage.net), (passage.j, passage.i, -passage.net)):
+        if body in bodies:
+            at = passage.step, passage.instant, passage.time
+            yield Link(*at, body, by, passage.impulse, net, passage.turned)
+
+
+def _moment(impact: Passage | Link) -> tuple[int, int]:
+    return impact.step, impact.instant

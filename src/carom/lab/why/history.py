@@ -11,8 +11,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from carom import Recording, Space
-from carom.arrays import FloatArray, Records
+from carom import Recording, Scene, Space
+from carom.arrays import BoolArray, FloatArray, Records
 from carom.contact_table import CONTACT_ROW, IMPACT_MODE, OPEN
 from carom.errors import ExperimentError, RecordingError
 from carom.extend import (
@@ -46,6 +46,7 @@ IMPULSE = np.dtype(
         ("z", np.float64),
         ("holds", np.bool_),  # whether it holds a contact at rest
         ("impact", np.bool_),  # whether the contact closed faster than its rest speed; if neither, it is a stop
+        ("approach", np.float64),  # m/s, closing speed of an impact; 0 if it is unknown
         ("lasts", np.bool_),  # whether it is a force over the whole step, as contacts of other engines are
     ]
 )
@@ -80,6 +81,7 @@ class History:
 
     begin: Checkpoint
     inverse_mass: FloatArray  # (n + p,) 1/kg
+    drives: BoolArray  # (n + p,) whether a plane or wall moves by itself
     steps: list[Step] = field(default_factory=list)
     impacts: Records = field(default_factory=lambda: np.empty(0, CONTACT_ROW))
     differs: int | None = None  # the first recorded step with different bits
@@ -92,7 +94,7 @@ class History:
         scene = recorded_scene(recording)
         audited = scene.expect.model_copy(update={"contact_audit": _AUDIT})  # records the kicks of forces
         space = space_of(recording, scene.model_copy(update={"expect": audited}), begin, record_contacts=True)
-        history = cls(begin, space.state.ends.inverse_mass.copy())
+        history = cls(begin, space.state.ends.inverse_mass.copy(), _drives(scene, space))
         table = recording.fingerprints()
         recorded = dict(zip(table["step"].to_pylist(), table["fingerprint"].to_pylist(), strict=True))
         before, began, found = space.state.velocity.copy(), space.time, [history.impacts]
@@ -118,6 +120,15 @@ class History:
         return history
 
 
+def _drives(scene: Scene, space: Space) -> BoolArray:
+    """Return which of the bodies, planes and walls are planes or walls that move by themselves, (n + p,)."""
+    n, ends = len(space.state), len(space.state.ends.inverse_mass)
+    drives = np.zeros(ends, dtype=np.bool_)
+    drives[n : n + len(scene.plane)] = [plane.motion is not None for plane in scene.plane]
+    drives[ends - len(scene.wall) :] = [wall.motion is not None for wall in scene.wall]
+    return drives
+
+
 def _impulses(space: Space, touching: Records) -> Records:
     """Return the impulses of the last step, and the contacts without an impulse at its end, which is one instant."""
     instant, time, parts = -1, -np.inf, list[Records]()
@@ -131,7 +142,8 @@ def _impulses(space: Space, touching: Records) -> Records:
         rows["x"], rows["y"], rows["z"] = J[chosen].T
         rows["holds"] = some.impact is None
         rows["impact"] = False if some.impact is None else some.impact[chosen]
-        rows["instant"] = instant + np.cumsum(np.diff(rows["time"], prepend=time) > 0.0)
+        rows["approach"] = 0.0 if some.approach is None else some.approach[chosen]
+        rows["instant"] = instant + np.cumsum((np.diff(rows["time"], prepend=time) > 0.0) | some.ordered)
         instant, time = int(rows["instant"][-1]), float(rows["time"][-1])
         parts.append(rows)
     silent = touching[(touching["mode"] == OPEN) & (touching["normal_impulse"] == 0.0)]
@@ -221,7 +233,8 @@ def recorded_history(recording: Recording, question: Question, start: float | No
     inverse_mass = np.zeros(max((int(end.max()) + 1 for end in ends if len(end)), default=0) + n)
     moves = ~recording.fixed & (recording.bodies.mass > 0.0)
     inverse_mass[:n] = np.divide(1.0, recording.bodies.mass, out=np.zeros(n), where=moves)
-    history, impacts = History(begin, inverse_mass), [np.empty(0, CONTACT_ROW)]
+    history = History(begin, inverse_mass, np.zeros(len(inverse_mass), dtype=np.bool_))
+    impacts = [np.empty(0, CONTACT_ROW)]
     before = begin
     for after in states:
         one, struck = _step(before, after, found[after.step], inverse_mass, question.bodies)

@@ -43,10 +43,12 @@ class Answer:
 
     @property
     def kind(self) -> str:
-        """The main cause: "flow", "impacts", "forces", or "start", the velocities at the beginning."""
-        if self.is_flow or self.chain:
+        """The main cause: "flow", "impacts", "forces", moving "walls", or "start", the velocities at the beginning."""
+        if self.is_flow or any(not link.turns for link in self.chain):
             return "flow" if self.is_flow else "impacts"
-        return "forces" if self.cone.from_forces.sum() > self.cone.shares.sum() else "start"
+        cone = self.cone
+        ultimate = {"start": cone.shares, "forces": cone.from_forces, "walls": cone.from_walls}
+        return max(ultimate, key=lambda name: float(ultimate[name].sum()))
 
     @property
     def bodies(self) -> IntArray:
@@ -68,8 +70,11 @@ class Answer:
 
     @property
     def first_cause(self) -> int:
-        """The body at the beginning of the chain."""
-        return self.chain[-1].by if self.chain else self.question.bodies[0]
+        """The body at the beginning of the chain, or the wall that moves by itself; its number is then from n on."""
+        if not self.chain:
+            return self.question.bodies[0]
+        last = self.chain[-1]
+        return last.body if last.turns else last.by
 
 
 MOST_BODY_STEPS = 100_000  # run again by default; about a second for 500 bodies in a pile
@@ -160,9 +165,10 @@ class _Backwards:
             velocity[list(bodies)] -= kick
         self._time = float(late["time"][0]) if len(late) else step.time
         self._accounts = [Account.at(body, float(mass[body]), velocity[body]) for body in bodies]
-        self._cone = Cone.of(history.inverse_mass, self._count, self._shares(late, velocity), self._time)
+        weights = self._weights(late, velocity)
+        self._cone = Cone.of(history.inverse_mass, history.drives, self._count, bodies, weights, self._time)
         if len(late):
-            self._cone.reach(late[late["instant"] == late["instant"][0]])
+            self._cone.reach(late[late["time"] == late["time"][0]])
         self._take(history, step, rows, kicks, velocity)
         self._rest(history, step.step - history.steps[0].step)
 
@@ -195,21 +201,22 @@ class _Backwards:
     def _take(self, history: History, step: Step, rows: Records, kicks: list[FloatArray], velocity: FloatArray) -> None:
         impacts = self._impacts.get(step.step, history.impacts[:0])
         contacts = step.contacts if rows is step.impulses else step.contacts[:0]
+        flow = self._cone.take(step, rows, velocity, kicked=len(step.kicks) > 0)
         for place, account in enumerate(self._accounts):
             own = [kick[place] for kick in kicks]
-            account.take(step, impulses_on(account.body, rows), own, impacts, contacts)
-        self._cone.take(step, rows, velocity, kicked=len(step.kicks) > 0)
+            shares = float(self._cone.carried[account.body, place]), float(self._cone.forced[account.body, place])
+            account.take(step, *impulses_on(account.body, rows, flow, place), shares, own, impacts, contacts)
 
-    def _shares(self, late: Records, velocity: FloatArray) -> dict[int, float]:
+    def _weights(self, late: Records, velocity: FloatArray) -> list[float]:
         """Divide the answer between the bodies of the question; for an impact, by their speeds along the impulse."""
         bodies = self._question.bodies
         if len(bodies) == 1 or not len(late):
-            return dict.fromkeys(bodies, 1.0 / len(bodies))
+            return [1.0 / len(bodies)] * len(bodies)
         own = late[(late["i"] == bodies[0]) & (late["j"] == bodies[1])][0]
         normal = np.array([own["x"], own["y"], own["z"]])
         speeds = np.abs(velocity[list(bodies)] @ normal)
         total = float(speeds.sum())
-        return {b: float(s) / total if total > 0.0 else 0.5 for b, s in zip(bodies, speeds, strict=True)}
+        return [float(speed) / total if total > 0.0 else 0.5 for speed in speeds]
 
 
 def _moment(question: Question, history: History) -> tuple[Step, Records, list[FloatArray], Records]:

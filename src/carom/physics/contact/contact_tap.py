@@ -58,7 +58,9 @@ class Impulses(NamedTuple):
     turns: bool = True  # whether λ_t acts at the contact point; otherwise at the centres
     # (k,) whether the contact closed faster than its rest speed; None: all contacts were held
     impact: BoolArray | None = None
+    approach: FloatArray | None = None  # (k,) m/s, closing speed before the impulses; None: all contacts were held
     angular: FloatArray = NO_ANGULAR_IMPULSES  # (k, 3) N m s, Λ, if the law resists rolling
+    ordered: bool = False  # whether they acted one after another; otherwise those of one moment acted together
 
 
 class RowData(NamedTuple):
@@ -188,16 +190,26 @@ class ContactTap:
             time, log = np.minimum(self._began + self._drift.time, self._ended), self._drift.log
             impact = self._drift.approach > self._drift.rest_speed
             given, angular = columns(log, IMPULSES), angular_impulses_of(log)
-            yield Impulses(self._drift.pairs, *_geometry(log), given, time, impact=impact, angular=angular)
+            yield Impulses(
+                self._drift.pairs,
+                *_geometry(log),
+                given,
+                time,
+                impact=impact,
+                approach=self._drift.approach,
+                angular=angular,
+                ordered=True,
+            )
         if len(solver.order.pairs):
             pairs, recorded = solver.order.pairs, solver.recorded
             corrections = np.zeros((len(pairs), 4))
             corrections[:, 1:] = columns(recorded, ("correction_x", "correction_y", "correction_z"))
             geometry, ended = _geometry(solver.contacts), np.full(len(pairs), self._ended)
-            impact = solver.states["approach_speed"] > solver.states["rest_speed"]
+            approach = solver.states["approach_speed"]
+            impact = approach > solver.states["rest_speed"]
             yield Impulses(pairs, *geometry, corrections, ended, turns=False)
             given, angular = columns(recorded, IMPULSES), angular_impulses_of(recorded)
-            yield Impulses(pairs, *geometry, given, ended, impact=impact, angular=angular)
+            yield Impulses(pairs, *geometry, given, ended, impact=impact, approach=approach, angular=angular)
             yield Impulses(pairs, *geometry, solver.impulses, ended, angular=angular_impulses_of(solver.contacts))
 
     def work(self, solver: ContactSolver) -> FloatArray:
