@@ -46,6 +46,68 @@ def test_a_dump_is_recognised_whatever_its_ending(tmp_path: Path) -> None:
     assert "999999999999 rows are too many" in refusal(tmp_path, "many.dump")
 
 
+ATOM = "1 1 0.5 0 0 3 0 0 0.1 2.5"
+# sizes of the units of length (m), time (s) and mass (kg), from the page of LAMMPS's command `units`
+LAMMPS_UNITS = {
+    "si": (1.0, 1.0, 1.0),
+    "cgs": (1e-2, 1.0, 1e-3),
+    "micro": (1e-6, 1e-6, 1e-15),
+    "nano": (1e-9, 1e-9, 1e-21),
+    "real": (1e-10, 1e-15, 1.66053906660e-27),
+    "metal": (1e-10, 1e-12, 1.66053906660e-27),
+}
+
+
+def dump_in(units: str, steps: int = 1) -> str:
+    """Return a dump with the lines that LAMMPS writes before each step, the units once."""
+    head = "ITEM: NUMBER OF ATOMS\n1\nITEM: BOX BOUNDS ff ff ff\n0 1\n0 1\n0 1\n"
+    rows = f"ITEM: ATOMS id type x y z vx vy vz radius mass\n{ATOM}\n"
+    each = [f"ITEM: TIME\n{0.1 * step}\nITEM: TIMESTEP\n{step}\n{head}{rows}" for step in range(steps)]
+    return f"ITEM: UNITS\n{units}\n" + "".join(each)
+
+
+@pytest.mark.parametrize("units", LAMMPS_UNITS)
+def test_a_dump_has_the_units_of_its_first_line(tmp_path: Path, units: str) -> None:
+    (tmp_path / "a.dump").write_text(dump_in(units, steps=2))
+    length, time, mass = LAMMPS_UNITS[units]
+    top = ""
+    if units != "si":
+        said = refusal(tmp_path, "a.dump")
+        assert "and those of the scene in SI; write units = " in said
+        top = "[units]\n" + said.partition("[units] with ")[2].replace(", ", "\n")
+    bodies = scene_of(tmp_path, "a.dump", top=top).data[0]
+    assert bodies.mass[0] == pytest.approx(2.5 * mass, rel=1e-12)
+    assert bodies.radius[0] == pytest.approx(0.1 * length, rel=1e-12)
+    assert bodies.velocity[0, 0] == pytest.approx(3.0 * length / time, rel=1e-12)
+
+
+def test_a_dump_in_reduced_units_asks_what_they_are(tmp_path: Path) -> None:
+    (tmp_path / "a.dump").write_text(dump_in("lj"))
+    assert 'write units = "dimensionless" at the top of the scene' in refusal(tmp_path, "a.dump")
+    assert scene_of(tmp_path, "a.dump", top=NO_GRAVITY).data[0].mass[0] == 2.5
+    own = '[units]\nlength = "cm"\ntime = "ms"\nmass = "g"'
+    assert scene_of(tmp_path, "a.dump", top=own).data[0].mass[0] == pytest.approx(2.5e-3)
+    (tmp_path / "a.dump").write_text(dump_in("electron"))
+    assert "units electron of LAMMPS, which carom does not know" in refusal(tmp_path, "a.dump")
+
+
+def test_a_data_file_has_the_units_of_its_title(tmp_path: Path) -> None:
+    text = (SAMPLES / "sphere.data").read_text().partition("\n")[2]
+    title = "LAMMPS data file via write_data, version 4 Feb 2025, timestep = 0, units = "
+    (tmp_path / "a.data").write_text(f"{title}cgs\n{text}")
+    assert 'a.data: its numbers are in cm, s, g, and those of the scene in SI; write units = "cm, s, g"' in refusal(
+        tmp_path, "a.data"
+    )
+    (tmp_path / "a.data").write_text(f"{title}si\n{text}")
+    assert scene_of(tmp_path, "a.data").data[0].radius.tolist() == [0.05, 0.1]
+
+
+def test_a_box_that_is_periodic_at_both_ends_by_one_letter_is_said(tmp_path: Path) -> None:
+    text = dump_in("si").replace("BOUNDS ff ff ff", "BOUNDS p ff pp")
+    (tmp_path / "a.dump").write_text(text)
+    assert "is periodic along x and z" in " ".join(scene_of(tmp_path, "a.dump").notes[0])
+
+
 @pytest.mark.parametrize(
     ("file", "limit"),
     [

@@ -347,6 +347,13 @@ def _refuse_other_units(table: DataTable, units: UnitSystem, mapping: ColumnMapp
     if not table.units or units.dimensionless:
         return
     its = UnitSystem.of_text(table.units)
+    if its.dimensionless:
+        if units.given:  # the scene says what they are
+            return
+        raise SceneError(
+            f'{table.called}: its numbers have no units; write units = "{table.units}" at the top of the scene, or '
+            "[units] with their length, time and mass"
+        )
     read = (
         dimension
         for quantity, columns in mapping.items()

@@ -33,9 +33,23 @@ from carom.scene.data import (
     step_at,
 )
 from carom.scene.data.mapping import printable
+from carom.scene.units.system import WITHOUT
 
 _STEP = b"ITEM: TIMESTEP"
-_UNITS = {"si": "m, s, kg", "cgs": "cm, s, g"}  # names of units in LAMMPS and in carom
+_BEFORE = re.compile(rb"(?:ITEM: (?:UNITS|TIME)[ \t]*\r?\n[^\n]{0,100}\n)*(?=ITEM: TIMESTEP)")  # in the first step
+_TAIL = re.compile(r"(?m)^ITEM: TIME\n")  # of the next step, after the rows of a step
+# Names of units in LAMMPS (its command `units`) and in carom; a mass in g/mol is that of one atom in daltons.
+REDUCED = "lj"
+UNITS = {
+    "si": "m, s, kg",
+    "cgs": "cm, s, g",
+    "micro": "um, us, pg",
+    "nano": "nm, ns, ag",
+    "real": "angstrom, fs, dalton",
+    "metal": "angstrom, ps, dalton",
+    REDUCED: WITHOUT,
+}
+_IN_TITLE = re.compile(rb"\A[^\n]*\bunits = (\w{1,20})")  # in the first line, as write_data has it
 _MOST_STEPS = 10_000_000
 _COUNT = re.compile(rb"^\s*([0-9]{1,18})\s+atoms\b", re.MULTILINE)  # in the header of a data file
 _HEAD = 10_000  # bytes of a data file that have its header
@@ -87,9 +101,11 @@ class TextRows(DataTable):
 def open_dump(path: Path, called: str, snapshot: int) -> DataTable:
     """Open a dump at one of its steps."""
     with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:
-        if content[: len(_STEP)] != _STEP:
+        before = _BEFORE.match(content)
+        if before is None:
             raise SceneError(f'{called}: a dump begins with "{_STEP.decode()}"; a binary or compressed one is not read')
-        begins, place = list[int](), 0
+        once = re.search(rb"ITEM: UNITS\s+(\w+)", before[0])  # LAMMPS writes the units in the first step only
+        begins, place = list[int](), before.end()
         while place >= 0 and len(begins) < _MOST_STEPS:
             begins.append(place)
             place = content.find(b"\n" + _STEP, place)
@@ -99,15 +115,16 @@ def open_dump(path: Path, called: str, snapshot: int) -> DataTable:
         refuse_large(called, "the step", end - begin)
         line = content[:begin].count(b"\n") + 1
         text = content[begin:end].decode("utf-8", "surrogateescape")
-    return _Dump(called, text, line)
+    return _Dump(called, text, line, once[1].decode() if once else "")
 
 
 class _Dump(DataTable):
     """The atoms of one step, in the order of their ids; scaled positions are converted to lengths."""
 
-    def __init__(self, called: str, text: str, line: int) -> None:
+    def __init__(self, called: str, text: str, line: int, units: str) -> None:
         self.called = called
         head, found, body = text.partition("ITEM: ATOMS")
+        body = _TAIL.split(body)[0]
         if not found:
             raise SceneError(f'{called}: the step from line {line} on has no "ITEM: ATOMS"; the file ends early')
         items = dict[str, list[str]]()
@@ -132,8 +149,8 @@ class _Dump(DataTable):
         self._skewed = "xy" in bounds[0]
         self._scaled = {f"{axis}{end}": axis for axis in "xyz" for end in ("s", "su") if axis not in self._written}
         self.names = [self._scaled.get(name, name) for name in self._written]
-        units = "".join(items.get("UNITS", [])[:1]).strip()
-        self.units = _UNITS.get(units, "")
+        units = "".join(items.get("UNITS", [])[:1]).strip() or units
+        self.units = _units_called(called, units)
         self.notes = (f"{called}: step {printable(step)} of LAMMPS{f', units {printable(units)}' if units else ''}",)
         ends = bounds[0].split()[-3:]  # such as pp pp ff; old versions write none
         repeated = "".join(axis for axis, end in zip("xyz", ends, strict=False) if end in ("pp", "p"))
@@ -159,6 +176,16 @@ class _Dump(DataTable):
             )
         low, high = self._box["xyz".index(self._scaled[column])]
         return np.asarray(low + numbers_of(self.called, column, raw) * (high - low))
+
+
+def _units_called(called: str, name: str) -> str:
+    """Return the units that LAMMPS calls so, for `DataTable.units`; empty if there is no name."""
+    if name and name not in UNITS:
+        raise SceneError(
+            f"{called}: its numbers are in the units {printable(name)} of LAMMPS, which carom does not know; it knows "
+            f"{', '.join(UNITS)}"
+        )
+    return UNITS.get(name, "")
 
 
 def _box(called: str, rows: Sequence[str]) -> FloatArray | None:
@@ -242,6 +269,8 @@ def open_data(path: Path, called: str, snapshot: int) -> DataTable:
             raise SceneError(f"{called}: the sections Atoms and Velocities have different ids")
         arrays |= {name: velocities[name][order] for name in moving.names if name != "id"}
     result = Arrays(arrays, called)
+    units = _IN_TITLE.search(content[:_HEAD])
+    result.units = _units_called(called, units[1].decode() if units else "")
     result.notes = (f"{called}: data file of LAMMPS, atoms of the style {atoms.style}",)
     return result
 
