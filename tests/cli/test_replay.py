@@ -37,6 +37,23 @@ def test_a_window_as_json_and_with_every_step(folder: Path) -> None:
     assert again.returncode == 2 and "exists; give --force" in again.stderr
 
 
+def test_shorter_steps_tell_the_same_story_or_another(folder: Path) -> None:
+    done = carom("replay", "ts.rrd", "--refine", "4", cwd=folder)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.startswith("Steps 4 times as short tell the same story from t = 0 to 2 s"), done.stdout
+    late = ["--set", "contact.timing=end-of-step", "--set", "time.fixed_dt=0.2", "--set", "time.duration=2"]
+    assert carom("run", "two-spheres", "-o", "late.rrd", *late, cwd=folder).returncode in (0, 1)
+    done = carom("replay", "late.rrd", "--refine", "4", cwd=folder)
+    assert done.returncode == 1 and "tell another story" in done.stdout and "- t = " in done.stdout
+    done = carom("replay", "late.rrd", "--refine", "2", "--json", cwd=folder)
+    told = json.loads(done.stdout)
+    assert done.returncode == 1 and not told["same"] and told["factor"] == 2.0
+    assert {"observable", "begin", "time", "bodies", "run", "refined", "allowed"} <= set(told["moved"][0])
+    for wrong in (["--refine", "1"], ["--refine", "4", "--every", "step"]):
+        done = carom("replay", "ts.rrd", *wrong, cwd=folder)
+        assert done.returncode == 2 and "--refine" in done.stderr
+
+
 def test_a_replay_that_fails_tells_a_script_why(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def fails(*_: object, **__: object) -> None:
         raise PhysicsError("the state is no longer finite")

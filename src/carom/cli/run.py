@@ -42,6 +42,7 @@ from carom.scene.wording import command
 
 if TYPE_CHECKING:
     from carom.cli.progress import RunProgress
+    from carom.runs.refinement import Refinement
     from carom.runs.replay import Replay
     from carom.runs.run import Outcome
     from carom.scene.schema import Scene
@@ -175,6 +176,10 @@ def replay(
         typer.Option("--every", metavar="step", help="Record every step between --from and --to in a new file."),
     ] = None,
     output: Annotated[Path | None, recording_option("File for --every step. Default: FILE-dense.rrd.")] = None,
+    shorter: Annotated[
+        float | None,
+        typer.Option("--refine", metavar="K", help="Use steps K times as short, and say what this changes."),
+    ] = None,
     threads: ThreadsOption = None,
     yes: Annotated[
         bool, typer.Option("--yes", help="Start replays that take more than a minute without asking.")
@@ -183,6 +188,8 @@ def replay(
     as_json: JsonOption = False,
 ) -> None:
     """Run a recording again and check that every frame has the same bits; exit with 1 at the first that differs.
+
+    With --refine, ask whether shorter steps tell the same story, and exit with 1 if they tell another.
 
     FILE may be the zip that `carom report` made.
     """
@@ -196,6 +203,10 @@ def replay(
     if every not in (None, "step"):
         raise typer.BadParameter(f'"{every}": the only possible value is "step"', param_hint="--every")
     dense = output or file.with_name(f"{file.stem}-dense.rrd") if every or output else None
+    if shorter is not None and not 1.0 < shorter < float("inf"):
+        raise typer.BadParameter(f"{shorter:g}: expected more than 1, such as 4", param_hint="--refine")
+    if shorter is not None and dense is not None:
+        raise typer.BadParameter("records nothing; leave out --every and -o", param_hint="--refine")
     if not as_json:
         announce_compilation()
     try:
@@ -207,6 +218,12 @@ def replay(
                 before, after = units.text(stop, TIME, "g"), units.text(start, TIME, "g")
                 raise typer.BadParameter(f"{before} is before --from {after}", param_hint="--to")
             consent = partial(_agreed, yes)
+            if shorter is not None:
+                from carom.runs.refinement import refine
+
+                refinement = refine(recording, shorter, start, stop, threads=threads, consent=consent)
+                _tell(refinement, units, as_json)
+                return
             result = run_again(recording, start, stop, threads=threads, dense=dense, force=force, consent=consent)
     except PhysicsError as error:
         if as_json:
@@ -221,6 +238,34 @@ def replay(
         say_json(document)
     else:
         _print(result, units)
+    if not result.same:
+        raise typer.Exit(1)
+
+
+def _tell(result: Refinement, units: UnitSystem, as_json: bool) -> None:
+    """Print what shorter steps change; exit with 1 if they tell another story."""
+    from dataclasses import asdict
+
+    if as_json:
+        say_json({"units": units.recorded, **asdict(result), "same": result.same})
+    else:
+        story = "another story" if result.moved else "the same story"
+        say(
+            f"Steps {result.factor:g} times as short tell {story} from t = "
+            f"{units.span(result.begin, result.end, TIME)}: {result.instants} instants compared, "
+            f"{result.steps} and {result.refined_steps} steps, in {result.seconds:.3g} s."
+        )
+        for moved in result.moved:
+            say(f"- {moved.text(units)}.")
+        if result.compared < 0.995:
+            say(f"{100.0 * result.compared:.0f}% of the motion was compared; the rest depends on the last bit (chaos).")
+        shares = [f"{name} {share:.2g}" for name, share in result.largest.items() if share > 0.0]
+        if shares and not result.moved:
+            say(f"Largest differences, as multiples of those allowed: {', '.join(shares)}.")
+        if result.differs is not None:
+            say(f"From step {result.differs} on, the run has other bits than its recording; `carom replay` says more.")
+        if result.ended:
+            say(f"The comparison ended early: {result.ended}.")
     if not result.same:
         raise typer.Exit(1)
 

@@ -23,7 +23,16 @@ from carom.physics.schedule import Checks, Goal, Pause, Schedule, at, every
 from carom.physics.step import KickDriftStepper
 from carom.physics.time_step import Timestep
 from carom.physics.world import World
-from carom.plan.auto import StepLimits, auto_interval, frame_interval, holding, integrator, step_limits, wider_limits
+from carom.plan.auto import (
+    StepLimits,
+    auto_interval,
+    frame_interval,
+    holding,
+    integrator,
+    shorter_steps,
+    step_limits,
+    wider_limits,
+)
 from carom.plan.features import require
 from carom.scene.schema import Scene
 from carom.scene.start import InitialBodies
@@ -312,6 +321,8 @@ def _stepper_of(world: World, books: Bookkeeper, stride: float) -> Stepper:
         asked = timestep(step_limits(world.scene), world.scene)
         if stride > 1.0:
             return KickDriftStepper(world, books, timestep(wider_limits(world.scene, stride), world.scene), asked)
+        if stride < 1.0:
+            return KickDriftStepper(world, books, timestep(*shorter_steps(world.scene, stride)))
         return KickDriftStepper(world, books, asked)
 
     batches = batch_integrator_of(scene, world.needs, world.bodies, world.forces.uniform)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 from carom.plan import interactions
@@ -406,3 +406,26 @@ def wider_limits(scene: Scene, stride: float) -> StepLimits:
         held_part=min(stride * HELD_PART, WIDEST_HELD_PART),
         pull_fraction=wider(pull_fraction(scene), WIDEST_PULL_FRACTION),
     )
+
+
+def shorter_steps(scene: Scene, stride: float) -> tuple[StepLimits, Scene]:
+    """Return the limits of steps ``stride`` times as long, with a stride below 1, and the scene with such a fixed step.
+
+    No other setting changes, so the method is the same.
+    """
+    time, limits = scene.time, step_limits(scene)
+
+    def shorter(limit: float | None, factor: float = stride) -> float | None:
+        return None if limit is None else factor * limit
+
+    if time.fixed_dt is not None:
+        scene = scene.model_copy(update={"time": time.model_copy(update={"fixed_dt": stride * time.fixed_dt})})
+    return replace(
+        limits,
+        max_dt=stride * limits.max_dt,
+        cfl=shorter(limits.cfl),
+        target_dx=shorter(limits.target_dx, stride * stride),  # a distance of ½ a dt²
+        held_dx=shorter(limits.held_dx, stride * stride),
+        held_part=stride * limits.held_part,
+        pull_fraction=shorter(limits.pull_fraction),
+    ), scene

@@ -1,0 +1,215 @@
+"""What contacts did in an interval of a run and of its repetition with shorter steps, and which differences it allows.
+
+A step treats the load of a contact as acting at one instant. If an impact, or the end of sliding, lies within the step,
+velocities differ by up to 2 J/m along the contact's normal, with J the impulse of the load in a step, and by 2 a dt
+along the acceleration a of the forces. Bodies that met pass this on, and friction passes a share of it on to other
+directions. Loads allow nothing where no contact began, ended or changed its mode, and nothing across their normals: a
+ball that rolls follows its path, and a slow impact along a floor bounces, whatever the floor carries.
+
+If several contacts acted, physics does not fix how they share impulses, nor the order of impacts at one moment. Bodies
+that touched then count as equal in both runs if they have the same energy.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from carom.arrays import FloatArray, IntArray, Records
+from carom.contact_table import IMPACT_MODE, NO_ROWS
+from carom.physics.frame import Frame
+from carom.physics.schedule import every
+from carom.physics.space import Space
+from carom.scene.start import InitialBodies
+
+LASTS = 4  # steps: a contact that presses for so long carries a load; what stops a slow impact is gone sooner
+LOOK_AFTER = LASTS + 1.0  # steps, for the loads of contacts after an interval
+RETURNS = 2.0  # steps: a bounce that takes longer is not one that a step may end at rest; it takes 2 v/a
+SHARED = 2e-2  # of the kinetic energy of bodies that touch: runs that differ by less may have shared impulses otherwise
+SURFACE = 2.5  # m r²/I of a ball: friction changes the speed of its surface so much more than its velocity
+
+Pair = tuple[int, int]  # of bodies and, from n on, planes and walls
+
+
+class Load(NamedTuple):
+    """The largest change of a body's velocity that the load of a contact, or a force, causes in a step."""
+
+    direction: FloatArray  # (3,)
+    speed: float  # m/s
+    rubs: bool  # whether it is a contact's, with friction
+
+
+@dataclass(slots=True)
+class RunInterval:
+    """What contacts did in an interval of one run."""
+
+    impacts: Records
+    pressed: dict[Pair, float]  # N s, the largest impulse in a step of each contact that was no impact
+    changed: set[int]  # bodies with an impact, or with a contact that began, ended or changed its mode
+    loads: dict[int, list[Load]]  # by body
+    friction: float  # the largest ratio of a tangential to a normal impulse
+
+    @property
+    def pairs(self) -> set[Pair]:
+        """The pairs that pressed or met."""
+        return {(int(row["i"]), int(row["j"])) for row in self.impacts} | set(self.pressed)
+
+
+@dataclass(frozen=True, slots=True)
+class Touching:
+    """Bodies that touched or met, directly or through others, and what happened to them in either run."""
+
+    bodies: frozenset[int]
+    contacts: int  # number of pairs that touched or met
+    changes: bool  # whether a contact began, ended or changed its mode, or bodies met
+    loads: list[Load]
+    last_impact: float  # s; -infinity without an impact
+    friction: float
+
+    def excess(self, vector: FloatArray, share: float = 1.0) -> float:
+        """Return the size of a difference beyond what loads allow, of velocities or ``share`` times as much."""
+        return _beyond(vector, self.loads if self.changes else [], share)
+
+    @property
+    def rubbed(self) -> float:
+        """The largest change of a velocity by friction in a step, in m/s."""
+        return _rubbed(self.loads, self.friction) if self.changes else 0.0
+
+
+@dataclass(slots=True)
+class CloseLook:
+    """An interval of both runs."""
+
+    run: RunInterval
+    refined: RunInterval
+    start: InitialBodies
+    _labels: IntArray = field(init=False)  # (n,) bodies that touched, directly or through other free bodies, share one
+    _known: dict[int, Touching] = field(init=False, default_factory=dict)  # by label
+
+    def __post_init__(self) -> None:
+        n, free = len(self.start.mass), ~np.asarray(self.start.fixed)
+        ends = [pair for pair in self.run.pairs | self.refined.pairs if max(pair) < n and free[list(pair)].all()]
+        i, j = np.array(ends, np.int64).reshape(-1, 2).T
+        _, self._labels = connected_components(coo_array((np.ones(len(i)), (i, j)), shape=(n, n)), directed=False)
+
+    def touching(self, body: int) -> Touching:
+        """Return the bodies that touched a body."""
+        label = int(self._labels[body])
+        if label not in self._known:
+            bodies, both = frozenset(np.flatnonzero(self._labels == label).tolist()), (self.run, self.refined)
+            hit = [row["time"] for each in both for row in each.impacts if bodies & {int(row["i"]), int(row["j"])}]
+            self._known[label] = Touching(
+                bodies=bodies,
+                contacts=sum(bool(bodies & set(pair)) for pair in self.run.pairs | self.refined.pairs),
+                changes=any(bodies & each.changed for each in both),
+                loads=[load for each in both for body in bodies for load in each.loads.get(body, [])],
+                last_impact=max(hit, default=-math.inf),
+                friction=max(each.friction for each in both),
+            )
+        return self._known[label]
+
+    def may_share_otherwise(self, touching: Touching, frame: Frame, refined: Frame) -> bool:
+        """Return whether several contacts acted and left the same energy, but for what loads allow."""
+        if touching.contacts < 2:
+            return False
+        kinetic = [self._kinetic(touching, one) for one in (frame, refined)]
+        return abs(kinetic[0] - kinetic[1]) <= SHARED * max(kinetic)
+
+    def _kinetic(self, touching: Touching, frame: Frame) -> float:
+        """Return the kinetic energy (J) of bodies that touched, without what loads and friction allow."""
+        mass, radius, inertia, energy = self.start.mass, self.start.radius, self.start.inertia, 0.0
+        for body in touching.bodies:
+            loads = self.run.loads.get(body, [])
+            rubbed = _rubbed(loads, touching.friction)
+            energy += 0.5 * float(mass[body]) * max(0.0, _beyond(frame.velocity[body], loads, 1.0) - rubbed) ** 2
+            if frame.angular_velocity is not None:
+                surface = float(np.sqrt((frame.angular_velocity[body] ** 2).sum()) * radius[body])
+                turns = max(0.0, surface - SURFACE * rubbed) / float(radius[body])
+                energy += 0.5 * float(inertia[body]) * turns * turns
+        return energy
+
+    def lacks_a_bounce(self, touching: Touching) -> bool:
+        """Return whether the run made plastic an impact whose bounce takes longer than its steps."""
+        bounced = {(int(row["i"]), int(row["j"])) for row in self.run.impacts}
+        for row in self.refined.impacts:
+            ends = int(row["i"]), int(row["j"])
+            if ends in bounced or not touching.bodies & set(ends) or self.run.pressed.get(ends, 0.0) <= 0.0:
+                continue
+            normal = np.array([row["nx"], row["ny"], row["nz"]])
+            returned = 0.0  # m/s, by loads along the normal and by friction, in a step
+            for load in (load for end in ends for load in self.run.loads.get(end, [])):
+                along = abs(float(load.direction @ normal))
+                across = math.sqrt(max(0.0, 1.0 - along * along))
+                returned += load.speed * (along + (touching.friction * across if load.rubs else 0.0))
+            if 2.0 * float(row["approach_speed"]) > RETURNS * returned:
+                return True
+        return False
+
+
+def _beyond(vector: FloatArray, loads: list[Load], share: float) -> float:
+    rest = vector.copy()
+    for load in loads:  # twice the change in a step: an impact may turn it round
+        along = float(rest @ load.direction)
+        rest -= math.copysign(min(abs(along), 2.0 * load.speed * share), along) * load.direction
+    return float(np.sqrt(rest @ rest))
+
+
+def _rubbed(loads: list[Load], friction: float) -> float:
+    return friction * max((load.speed for load in loads if load.rubs), default=0.0)
+
+
+def look_closely(space: Space, frame: Frame, end: float, dt: float, start: InitialBodies) -> RunInterval:
+    """Repeat the steps from a frame to a time (s), and some ``dt`` (s) beyond, in a space that records contacts."""
+    space.restore(frame.checkpoint)
+    n, free, mass = len(start.mass), ~np.asarray(start.fixed), start.mass
+    impacts, friction, first = [NO_ROWS], 0.0, space.step
+    changed: set[int] = set()
+    pressed: dict[Pair, float] = {}
+    held: dict[Pair, tuple[float, FloatArray]] = {}  # N s, and the normal of contacts that last
+    lasting: dict[Pair, list[float]] = {}  # N s, impulses of the last steps
+    pulled, modes = dict[int, Load](), set[tuple[int, int, int]]()
+    for one in space.run(until=end + LOOK_AFTER * dt, schedule=every(0.0)):
+        if one.step == first:  # a state that is restored has no table
+            continue
+        if one.impacts is not None:
+            impacts.append(one.impacts[one.impacts["time"] <= end])
+        rows = NO_ROWS if one.contact_rows is None else one.contact_rows
+        rows = rows[(rows["mode"] != IMPACT_MODE) & (rows["normal_impulse"] > 0.0)]
+        seen = set(zip(rows["i"].tolist(), rows["j"].tolist(), rows["mode"].tolist(), strict=True))
+        if one.step > first + 1 and one.time <= end + dt:
+            changed |= {body for i, j, _ in modes ^ seen for body in (i, j)}
+        modes, before, lasting = seen, lasting, {}
+        for row in rows:
+            ends, impulse = (int(row["i"]), int(row["j"])), float(row["normal_impulse"])
+            if one.time <= end + dt:
+                pressed[ends] = max(pressed.get(ends, 0.0), impulse)
+            lasting[ends] = [*before.get(ends, []), impulse][-LASTS:]
+            least = min(lasting[ends]) if len(lasting[ends]) == LASTS else 0.0
+            if least > held.get(ends, (0.0, None))[0]:
+                held[ends] = least, np.array([row["nx"], row["ny"], row["nz"]])
+        friction = max(friction, _largest_friction(rows))
+        pull = np.sqrt((one.acceleration**2).sum(axis=1)) * one.dt
+        known = np.array([pulled[body].speed if body in pulled else 0.0 for body in range(n)])
+        for body in np.flatnonzero((pull > known) & free).tolist():
+            size = math.sqrt(float((one.acceleration[body] ** 2).sum()))
+            pulled[body] = Load(one.acceleration[body] / size, float(pull[body]), rubs=False)
+    found = np.concatenate(impacts)
+    loads: dict[int, list[Load]] = {body: [load] for body, load in pulled.items()}
+    for ends, (impulse, normal) in held.items():
+        for body in ends:
+            if body < n and free[body]:
+                loads.setdefault(body, []).append(Load(normal, impulse / float(mass[body]), rubs=True))
+    changed |= set(found["i"].tolist()) | set(found["j"].tolist())
+    return RunInterval(found, pressed, changed, loads, max(friction, _largest_friction(found)))
+
+
+def _largest_friction(rows: Records) -> float:
+    """Return the largest ratio of a tangential to a normal impulse."""
+    rows = rows[rows["normal_impulse"] > 0.0]
+    tangential = np.sqrt(rows["friction_x"] ** 2 + rows["friction_y"] ** 2 + rows["friction_z"] ** 2)
+    return float((tangential / rows["normal_impulse"]).max(initial=0.0))
