@@ -75,6 +75,15 @@ def kept(tmp_path: Path, options: str = "", prefix: tuple[str, ...] = (), screen
                 keeping.wait(LIMIT)
 
 
+@pytest.fixture(scope="module")
+def one_kept(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Kept]:
+    """Keep a server for several tests."""
+    with kept(tmp_path_factory.mktemp("kept")) as one:
+        if not is_isolated(one.server):
+            pytest.skip("no namespace is granted here")
+        yield one
+
+
 def answer_to_nobody(port: int, request: bytes) -> str:
     """Describe the answer of a port to another user."""
     return run_as_nobody(f"""
@@ -89,6 +98,7 @@ except ConnectionError:
 
 def asked(port: int) -> bytes:
     with socket.create_connection(("127.0.0.1", port), timeout=LIMIT) as connection:
+        connection.sendall(START_OF_HTTP2)
         return connection.recv(100)
 
 
@@ -114,6 +124,30 @@ def test_another_user_reaches_no_port_of_a_viewer(tmp_path: Path) -> None:
         ours = [socket for socket in psutil.net_connections("tcp") if socket.pid in (one.keeper.pid, one.server.pid)]
         listening = {socket.laddr.port for socket in ours if socket.status == psutil.CONN_LISTEN}
         assert listening == {one.port}, "there is no other port to try"
+
+
+@linux
+@as_root
+@pytest.mark.parametrize("host", ["evil.example:8080", "127.0.0.1", "localhost", ""])
+@pytest.mark.parametrize("further", ["", "Origin: http://evil.example\r\n", "Upgrade: h2c\r\nConnection: Upgrade\r\n"])
+def test_a_web_page_in_the_users_own_browser_reaches_no_port_of_a_viewer(
+    one_kept: Kept, host: str, further: str
+) -> None:
+    request = f"POST /rerun.viewer.v1 HTTP/1.1\r\nHost: {host}\r\n{further}Content-Length: 0\r\n\r\n"
+    with socket.create_connection(("127.0.0.1", one_kept.port), timeout=LIMIT) as connection:
+        with contextlib.suppress(ConnectionError):
+            connection.sendall(request.encode())
+        with contextlib.suppress(ConnectionResetError):
+            assert connection.recv(100) == b""
+
+
+@linux
+@as_root
+def test_a_call_whose_beginning_arrives_in_pieces_reaches_the_viewer(one_kept: Kept) -> None:
+    with socket.create_connection(("127.0.0.1", one_kept.port), timeout=LIMIT) as connection:
+        for byte in START_OF_HTTP2:
+            connection.sendall(bytes([byte]))
+        assert connection.recv(100).startswith(b"I am")
 
 
 @linux

@@ -2,9 +2,10 @@
 
 The viewer is controlled through a port without a password: anybody who connects can read and write files as its user.
 This program, which `Viewer` starts, therefore puts the viewer into a network namespace of its own, where nobody can
-connect, and forwards connections of the same user to it. Where the system grants no namespace (other systems than
-Linux, most containers, Ubuntu's restriction of user namespaces) the port is open to all users of the machine while the
-viewer runs.
+connect, and forwards connections of the same user to it. These must begin like HTTP/2, as those of the SDK do. A web
+page in the user's browser sends HTTP/1.1, and could otherwise use the port under a name that it makes point there.
+Where the system grants no namespace (other systems than Linux, most containers, Ubuntu's restriction of user
+namespaces) the port is open to all users of the machine, and to such pages, while the viewer runs.
 
 The program ends the viewer and deletes its temporary folder when the process that started it has ended, even by
 ``kill -9``. It uses the standard library alone and starts within milliseconds.
@@ -38,6 +39,7 @@ _GRACE = 5.0  # s between requesting the end of a process and killing it
 _POLL = 0.2  # s
 _PORT = 9876  # in a namespace of its own
 _PIECE = 1 << 20  # bytes, largest read of a forwarded connection
+_PREFACE = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n"  # begins a connection (RFC 9113, 3.4); no browser sends it in plain text
 _TABLE = "/proc/net/tcp"  # Linux: sockets, with their owners
 _LISTENS, _ESTABLISHED = "0A", "01"
 _NEW_USER, _NEW_NET = 0x10000000, 0x40000000  # flags of unshare(2)
@@ -147,10 +149,26 @@ class _Door:
             connection.close()
             return
         connection.settimeout(None)
-        with contextlib.suppress(OSError, RuntimeError):  # the viewer has ended, or no thread can be started
+        with contextlib.suppress(RuntimeError):  # no thread can be started
+            threading.Thread(target=_forward_calls, args=(connection,), daemon=True).start()
+
+
+def _forward_calls(connection: socket.socket) -> None:
+    """Forward a connection of HTTP/2 to the viewer; close any other."""
+    begun = b""
+    with contextlib.suppress(OSError, RuntimeError):
+        while len(begun) < len(_PREFACE) and _PREFACE.startswith(begun):
+            piece = connection.recv(len(_PREFACE) - len(begun))
+            if not piece:
+                break
+            begun += piece
+        if begun == _PREFACE:
             viewer = socket.create_connection((HOST, _PORT))
-            for source, sink in ((connection, viewer), (viewer, connection)):
-                threading.Thread(target=_forward, args=(source, sink), daemon=True).start()
+            viewer.sendall(begun)
+            threading.Thread(target=_forward, args=(viewer, connection), daemon=True).start()
+            _forward(connection, viewer)
+            return
+    connection.close()
 
 
 def _forward(source: socket.socket, sink: socket.socket) -> None:
