@@ -101,7 +101,7 @@ TESTS: dict[str, tuple[str, ...]] = {
         "physics/contact/test_planes.py",
     ),
     "src/carom/scene/data/": ("scene/data", "cli/test_export.py"),
-    "src/carom/scene/matter": ("physics/placement", "physics/contact/test_materials.py"),
+    "src/carom/scene/matter": ("scene/test_matter.py", "physics/placement", "physics/contact/test_materials.py"),
     "src/carom/scene/schema/": ("scene", "plan", "walls/test_piston.py", "walls/test_translating_walls.py"),
     "src/carom/scene/schema/shear": ("physics/test_sheared_box.py", "physics/test_sheared_packing.py"),
     "src/carom/scene/units/": ("scene/units", "cli/test_units.py"),
