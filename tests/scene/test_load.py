@@ -6,6 +6,7 @@ import os
 import re
 import threading
 import time
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -555,6 +556,24 @@ def test_a_whole_number_that_no_float_holds_is_not_finite(tmp_path: Path) -> Non
     (tmp_path / "scene.toml").write_text(f"[[body]]\n[time]\nduration = {'9' * 400}\n")
     with pytest.raises(SceneError, match=r"scene\.toml:3: .*must be a finite number"):
         Scene.load(tmp_path / "scene.toml")
+
+
+def test_every_whole_number_of_a_scene_has_a_largest_value_that_counters_hold() -> None:
+    def integers(schema: Any) -> Iterator[dict[str, Any]]:
+        parts = schema.values() if isinstance(schema, dict) else schema if isinstance(schema, list) else []
+        if isinstance(schema, dict) and schema.get("type") == "integer":
+            yield schema
+        for part in parts:
+            yield from integers(part)
+
+    found = list(integers(Scene.model_json_schema()))
+    assert len(found) > 5
+    assert all(min(one.get("exclusiveMaximum", 2**64), one.get("maximum", 2**64)) <= 2**63 for one in found)
+
+
+@pytest.mark.parametrize("number", [2**53, 10**39, 16**40])
+def test_a_promise_of_more_impacts_than_can_be_counted_is_refused(number: int, tmp_path: Path) -> None:
+    assert "expect.impacts = " in complaint(tmp_path, f"expect.impacts = {number}\n[[body]]")
 
 
 def test_a_title_is_shown_in_one_line() -> None:

@@ -10,7 +10,7 @@ from pydantic import BeforeValidator, Field, model_validator
 from carom.scene.schema.contact import Surface
 from carom.scene.schema.motion import WallMotion
 from carom.scene.schema.piston import Piston
-from carom.scene.schema.quantity import ORIGIN, AnyReal, Count, NonNegative, Positive, Real, Section, Vector
+from carom.scene.schema.quantity import MOST, ORIGIN, AnyReal, Count, NonNegative, Positive, Real, Section, Vector
 from carom.scene.units.dimension import ANGULAR_VELOCITY, DENSITY, LENGTH, MASS, TIME, VELOCITY
 
 SOLID = 2 / 5  # moment of inertia over m r² of a solid sphere
@@ -140,7 +140,7 @@ class BodyData(Matter):
         _OrNames(),
         BeforeValidator(lambda value: {"header": value} if isinstance(value, list | tuple) else value),
     ] = Field(Columns(), description="names of the columns; by default the usual names")
-    snapshot: Annotated[int, Field(strict=True)] = Field(
+    snapshot: Annotated[int, Field(strict=True, gt=-MOST, lt=MOST)] = Field(
         -1, description="step of a file with several steps, counted from 0, or from the end: -1 is the last"
     )
     snapshot_time: Annotated[Real, TIME] | None = Field(
