@@ -36,17 +36,25 @@ def test_every_format_has_the_bits_of_the_state(cradle: Path, tmp_path: Path) ->
         assert done.returncode == 0, done.stderr
         assert done.stdout == f"{name} written: 1 step of 7 bodies, t = 0.1 s.\n"
     bodies = Recording.open(cradle).bodies(0.1)
+    times = Recording.open(cradle).fingerprints()["time"].to_numpy()
+    time = float(times[np.searchsorted(times, 0.1 - 1e-12)])  # of the first frame from then on
+    radius = np.full(BALLS, 0.1)  # as the scene has it, of steel
+    mass = 7800.0 * (4.0 / 3.0) * np.pi * radius**3
     position = np.stack([bodies[axis].to_numpy() for axis in "xyz"], axis=1)
     for table in (pq.read_table(tmp_path / "one.parquet"), pc.read_csv(tmp_path / "one.csv")):
         assert np.array_equal(np.stack([table[axis].to_numpy() for axis in "xyz"], axis=1), position)
     with np.load(tmp_path / "one.npz", allow_pickle=False) as arrays:
-        assert np.array_equal(arrays["position"], position[None]) and arrays["mass"].shape == (BALLS,)
+        assert np.array_equal(arrays["position"], position[None]) and arrays["time"].tolist() == [time]
+        assert np.array_equal(arrays["mass"], mass) and np.array_equal(arrays["radius"], radius)
     lines = (tmp_path / "one.extxyz").read_text(encoding="utf-8").splitlines()
     assert lines[0] == str(BALLS) and lines[1].startswith(
         "Properties=species:S:1:id:I:1:pos:R:3:radius:R:1:mass:R:1:velo:R:3"
     )
-    assert np.array_equal(np.array([line.split()[2:5] for line in lines[2:]], dtype=float), position)
+    assert f" Time={time!r} Step=" in lines[1]
+    rows = np.array([line.split()[2:7] for line in lines[2:]], dtype=float)
+    assert np.array_equal(rows, np.column_stack([position, radius, mass]))
     vtk = (tmp_path / "one.vtk").read_bytes()
+    assert np.frombuffer(vtk.partition(b"TIME 1 1 double\n")[2][:8], ">f8")[0] == time
     _, _, points = vtk.partition(b"POINTS 7 double\n")
     assert np.array_equal(np.frombuffer(points[: 24 * BALLS], ">f8").reshape(BALLS, 3), position)
 

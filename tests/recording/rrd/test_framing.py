@@ -1,8 +1,9 @@
 import struct
+from pathlib import Path
 
 import pytest
 
-from carom.recording.rrd.framing import MessageSplitter
+from carom.recording.rrd.framing import DamageError, MessageSplitter, messages
 
 HEADER = b"RRF2" + bytes(8)
 MESSAGES = [struct.pack("<QQ", 2, len(body)) + body for body in (b"first", b"", b"x" * 5000)]
@@ -31,3 +32,11 @@ def test_a_torn_message_is_held_back() -> None:
     splitter = MessageSplitter()
     assert fed(splitter, HEADER + MESSAGES[0] + MESSAGES[2][:-1]) == [HEADER, MESSAGES[0]]
     assert fed(splitter, MESSAGES[2][-1:]) == [MESSAGES[2]]
+
+
+@pytest.mark.parametrize("missing", [1, 15, 16, 17])
+def test_a_message_that_the_file_does_not_hold_whole_is_damage(missing: int, tmp_path: Path) -> None:
+    body = b"x" * 40
+    (tmp_path / "torn.rrd").write_bytes(HEADER + struct.pack("<QQ", 2, len(body)) + body[: len(body) - missing])
+    with (tmp_path / "torn.rrd").open("rb") as file, pytest.raises(DamageError, match="ends inside a message"):
+        list(messages(file))
