@@ -1,4 +1,4 @@
-"""The contact table: impulses, mode and energies of the contacts of a step, one row per contact.
+"""The contact table: impulses, mode and energies of the contacts of a step, one row per contact; sums over impacts.
 
 Impulses have the sign for body j, which receives ``normal_impulse`` along the normal and ``friction``; body i receives
 the opposite. docs/physics.md, section 9, defines impulses, modes and energies.
@@ -6,11 +6,12 @@ the opposite. docs/physics.md, section 9, defines impulses, modes and energies.
 
 from __future__ import annotations
 
-from typing import Annotated, Protocol
+from collections.abc import Iterable
+from typing import Annotated, NamedTuple, Protocol
 
 import numpy as np
 
-from carom.arrays import dtype_of
+from carom.arrays import FloatArray, IntArray, dtype_of
 
 MODES = ("impact", "sticking", "sliding", "resting", "open")  # `mode` is an index into these
 IMPACT_MODE, STICKING, SLIDING, RESTING, OPEN = range(len(MODES))
@@ -46,3 +47,59 @@ CONTACT_ROW = dtype_of(ContactRow)
 NO_ROWS = np.empty(0, CONTACT_ROW)
 
 ROUNDED_OVERLAP = 1e-13  # of a radius; largest overlap by rounding of bodies that just touch
+
+
+class PairSums(NamedTuple):
+    """Sums over the impacts of each pair of groups that met, (k,), in order of the pairs."""
+
+    first: IntArray  # the lower number, in the ascending order of the groups
+    second: IntArray  # the number of groups stands for planes and walls
+    impacts: FloatArray
+    speed: FloatArray  # m/s, of approach
+    restitution_loss: FloatArray  # J
+    friction_loss: FloatArray  # J
+
+
+class ImpactSums(NamedTuple):
+    """Sums over all impacts between two frames, recorded one by one or not, and over the bodies in the later frame."""
+
+    impacts: float
+    collisions: float  # of single bodies that can move: two in an impact of two, one on a plane
+    speed: float  # m/s, Σ v_n of approach
+    speed_square: float  # m²/s², Σ v_n²
+    largest_speed: float  # m/s
+    path: float  # m, length of the paths of all bodies that can move
+    virial_square: float  # J², Σ (ℓ λ_n)²
+    virial: FloatArray  # (3, 3) J, Σ ℓ ⊗ J; ℓ leads from the centre of i to that of j, or to a plane, J acts on j
+    kinetic: FloatArray  # (3, 3) J, Σ m c ⊗ c in each frame, of all bodies that can move, about their centre of mass
+    pairs: PairSums
+
+    def flat(self) -> FloatArray:
+        """Return all numbers in one row: totals, two tensors, and six numbers for each pair of groups."""
+        singles = np.array(self[:_TOTALS], dtype=np.float64), self.virial.ravel(), self.kinetic.ravel()
+        return np.concatenate((*singles, np.stack(self.pairs, axis=1, dtype=np.float64).ravel()))
+
+    @classmethod
+    def of(cls, row: FloatArray) -> ImpactSums:
+        """Undo `flat`; ValueError if there are too few or too many numbers."""
+        pairs = row[SINGLE_SUMS:].reshape(-1, len(PairSums._fields)).T
+        ends = pairs[:2].astype(np.int64)
+        virial, kinetic = row[_TOTALS:SINGLE_SUMS].reshape(2, 3, 3)
+        return cls._make((*row[:_TOTALS].tolist(), virial, kinetic, PairSums(*ends, *pairs[2:])))
+
+    @classmethod
+    def over(cls, parts: Iterable[ImpactSums]) -> ImpactSums:
+        """Add up the sums of consecutive frames."""
+        found = list(parts)
+        pairs = [np.concatenate(column) for column in zip(*(part.pairs for part in found), strict=True)] or NO_PAIRS
+        ends, which = np.unique(np.stack(pairs[:2], axis=1), axis=0, return_inverse=True)
+        sums = [np.bincount(which.ravel(), values, len(ends)) for values in pairs[2:]]
+        totals = np.array([part[:_TOTALS] for part in found], dtype=np.float64).reshape(-1, _TOTALS).sum(axis=0)
+        totals[cls._fields.index("largest_speed")] = max((part.largest_speed for part in found), default=0.0)
+        tensors = [sum((part[k] for part in found), np.zeros((3, 3))) for k in (_TOTALS, _TOTALS + 1)]
+        return cls._make((*totals.tolist(), *tensors, PairSums(*ends.T, *sums)))
+
+
+_TOTALS = ImpactSums._fields.index("virial")
+SINGLE_SUMS = _TOTALS + 2 * 9  # numbers of `ImpactSums.flat` before those of pairs
+NO_PAIRS = PairSums(*(np.empty(0, np.int64),) * 2, *(np.empty(0),) * 4)

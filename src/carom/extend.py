@@ -76,6 +76,7 @@ if TYPE_CHECKING:
     from carom.recording.read.recorded_contacts import rows_by_frame as rows_by_frame
     from carom.recording.read.recorded_impacts import count_at as count_at
     from carom.recording.read.recorded_impacts import impacts_by_number as impacts_by_number
+    from carom.recording.read.recorded_impacts import sums_between as sums_between
     from carom.recording.read.recorded_scene import RecordedBodies as RecordedBodies
     from carom.recording.read.recorded_scene import recorded_scene as recorded_scene
     from carom.recording.read.recorded_scene import start_of as start_of
@@ -239,7 +240,7 @@ _NAMES = {  # of each module; docs/extending.md lists them by purpose
     "carom.recording.read.frame_rows": "RecordedPositions",
     "carom.recording.read.lookup": "body_number names_of tolerance",
     "carom.recording.read.recorded_contacts": "closing_speeds rows_by_frame",
-    "carom.recording.read.recorded_impacts": "count_at impacts_by_number",
+    "carom.recording.read.recorded_impacts": "count_at impacts_by_number sums_between",
     "carom.recording.read.recorded_scene": "RecordedBodies recorded_scene start_of",
     "carom.recording.schema.header": "SweepMember",
     "carom.recording.schema.palette": "LINES",

@@ -108,6 +108,7 @@ class Frame:
     # (k,) `CONTACT_ROW`, since the previous frame, in order of time; None if not requested
     impacts: Records | None = None
     impacts_left_out: int = 0  # number of further impacts; `impacts` then holds those with the largest impulses
+    impact_sums: FloatArray | None = None  # `ImpactSums.flat`, of all impacts since the previous frame; None: not known
     contact_rows: Records | None = None  # (m,) `CONTACT_ROW`, by pair: the contacts of this step; None if not requested
     expected_error: float = 0.0  # of positions, relative to the size of the system; 0 without a requested accuracy
 

@@ -258,9 +258,9 @@ class Simulation:
         slot = None if store is None else store.keep()
         buffer = None if store is None or slot is None else store.contact_rows[slot]
         impacts: Records | None = NO_ROWS if self._records_contacts else None
-        contact_rows, left_out = impacts, 0
+        contact_rows, left_out, sums = impacts, 0, None
         if self._records_contacts and self._contact and self._contact.tap:
-            impacts, left_out = self._contact.tap.pop_impacts()
+            impacts, left_out, sums = self._contact.tap.pop_impacts()
             contact_rows = self._contact.rows(buffer)
         arrays = copies(state) if store is None or slot is None else store.kept(slot)
         position, velocity, acceleration, orientation, angular_velocity, torque, angular_acceleration = arrays
@@ -292,6 +292,7 @@ class Simulation:
             slot=slot,
             impacts=impacts,
             impacts_left_out=left_out,
+            impact_sums=sums,
             contact_rows=contact_rows,
             expected_error=0.0 if self.scene.promise is None else self.scene.promise.error_at(self.time),
         )

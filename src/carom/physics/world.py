@@ -9,6 +9,7 @@ import numpy as np
 from carom.arrays import FloatArray
 from carom.errors import PhysicsError
 from carom.physics.bodies import Bodies
+from carom.physics.contact.impact_totals import ImpactTotals
 from carom.physics.contact.law import materials_of
 from carom.physics.contact.near_pairs import ContactWorld
 from carom.physics.contact.pipeline import ContactPipeline
@@ -114,7 +115,8 @@ class World:
         if needs.contact.modelled:
             materials = materials_of(pair_coefficients(scene))
             world = ContactWorld(planes, materials, box, falling, bending, shear)
-            contact = ContactPipeline(scene.contact, bodies, world, needs, team, records_contacts)
+            totals = ImpactTotals(bodies, start.group, box, shear) if records_contacts else None
+            contact = ContactPipeline(scene.contact, bodies, world, needs, team, totals)
         return cls(
             scene=scene,
             needs=needs,

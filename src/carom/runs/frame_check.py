@@ -41,7 +41,7 @@ WORDS_OF_EXTREMES = "the text of the extremes in /events, which differs"
 
 # a checkpoint does not contain the step that led to it
 _BEFORE = {paths.CONTACTS, paths.FORCE_NORMAL, paths.FORCE_FRICTION, paths.TORQUE, paths.ANGULAR_ACCELERATION}
-_DIGEST = "digest"  # component of a checkpoint; earlier versions did not write it
+_LATER = ("digest", paths.IMPACT_SUMS)  # components of checkpoints and contacts; earlier versions did not write them
 _LARGEST_FIRST = (paths.FORCE_NORMAL, paths.FORCE_FRICTION)  # arrows; the plan limits their number
 _ARROWS = "Arrows3D:vectors"
 _BY_CHANGE = (paths.PHASE, paths.DT_LIMIT)  # entities with a row at each change
@@ -215,6 +215,9 @@ class FrameCheck:
         """Return whether a component cannot be compared, and list it as skipped."""
         if name == "impact_count":  # `ImpactCheck` compares it
             return True
+        if name == paths.IMPACT_SUMS and not self.all_frames:
+            self.skipped[_LARGEST] = None
+            return True
         if path in self._relative and not self.all_frames and name in (self._relative[path] or (name,)):
             self.skipped[_LARGEST] = None
             return True
@@ -251,7 +254,7 @@ class FrameCheck:
         if times[0] != times[1]:
             return Mismatch(step, f"sim_time of /{path} (ns)", times[0], times[1])
         for name in compared:
-            if name not in recorded.components and self._complete and name != _DIGEST:
+            if name not in recorded.components and self._complete and name not in _LATER:
                 return Mismatch(step, f"{name} of /{path}", 0, 1)
             if name not in recorded.components:
                 self.skipped[f"{name} of /{path}, which is missing"] = None

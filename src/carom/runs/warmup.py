@@ -24,6 +24,7 @@ from carom.physics.contact.broad_phase.grid import ALL_PAIRS_UP_TO
 from carom.physics.contact.broad_phase.pairs import search_by
 from carom.physics.contact.constraints import CONTACT, CONTACT_STATE
 from carom.physics.contact.contact_tap import ContactTap
+from carom.physics.contact.impact_totals import ImpactTotals
 from carom.physics.contact.islands import Islands, number_sets
 from carom.physics.contact.law import materials_of
 from carom.physics.contact.near_pairs import largest_values
@@ -219,7 +220,8 @@ def compile_ahead() -> None:
     frictionless, open_space = materials_of(pair_coefficients(scene)), np.zeros(3)
     solver = ContactSolver(bodies, half_spaces(scene), frictionless, open_space, friction=True, team=SOLO)
     solver.lay(solver.order)
-    tap = ContactTap(bodies, frictionless, open_space, friction=True)
+    totals = ImpactTotals(bodies, np.zeros(len(bodies), np.int64), open_space)
+    tap = ContactTap(bodies, frictionless, open_space, friction=True, totals=totals)
     tap.add_impacts(solver.order.pairs, solver)
     tap.rows(solver.order.pairs, solver)
     solver.rest_speeds_by_pair()

@@ -8,7 +8,7 @@ import numpy as np
 import pyarrow as pa
 
 from carom.arrays import FloatArray
-from carom.contact_table import NO_ROWS
+from carom.contact_table import NO_ROWS, ImpactSums
 from carom.errors import PhysicsError, RecordingError, SceneError
 from carom.physics.checkpoint import Checkpoint
 from carom.physics.frame import Frame
@@ -47,6 +47,7 @@ class Window:
         checkpoint = checkpoint_before(recording, float(np.nextafter(before, -np.inf)))
         self.begin = checkpoint.step
         self.differs: int | None = None  # the first recorded step with different bits
+        self.impact_sums: dict[int, ImpactSums] = {}  # by step of each frame of `impacts`, since the frame before
         try:
             scene = recorded_scene(recording)
         except SceneError as error:
@@ -116,6 +117,8 @@ class Window:
             if frame.impacts is not None:
                 found.append(frame.impacts)
                 left_out += frame.impacts_left_out
+            if frame.impact_sums is not None:
+                self.impact_sums[frame.step] = ImpactSums.of(frame.impact_sums)
             if frame.time > last or frame.step >= end:
                 break
         rows = np.concatenate(found)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -21,7 +21,7 @@ from carom.physics.frame import Frame
 from carom.physics.space import Space
 from carom.recording.edit.clip import clip
 from carom.recording.read.lookup import frame_of
-from carom.recording.read.recorded_impacts import impacts_by_number
+from carom.recording.read.recorded_impacts import impacts_by_number, sums_between
 from carom.recording.read.recording import Recording
 from carom.recording.rrd.container import Container
 from carom.recording.rrd.framing import CHUNK
@@ -320,12 +320,41 @@ def test_rows_without_values_are_refused_by_a_replay(
         replay(Recording.open(tmp_path / "altered.rrd"))
 
 
+def sums(recording: Recording, first: int, last: int) -> list[float]:
+    """Return the sums over all impacts between two frames as one row."""
+    found = sums_between(recording, first, last)
+    assert found is not None
+    return [float(value) for value in found.flat()]
+
+
+def test_a_replay_finds_altered_sums_over_impacts_and_a_file_with_some_missing_has_none(
+    recording: Recording, tmp_path: Path
+) -> None:
+    def doubled(row: list[float]) -> list[float]:
+        return [2.0 * value for value in row]
+
+    altered = tmp_path / "altered.rrd"
+    changed(recording.path, altered, "world/contacts", lambda b: _with_sums(b, mapped("impact_sums", doubled)))
+    difference = replay(Recording.open(altered)).difference
+    assert difference is not None and difference.quantity == "impact_sums of /world/contacts"
+    changed(recording.path, altered, "world/contacts", lambda b: _with_sums(b, mapped("impact_sums", lambda _: [])))
+    assert sums_between(Recording.open(altered), 0, 400) is None
+    changed(recording.path, altered, "world/contacts", lambda b: _with_sums(b, mapped("impact_sums", lambda r: r[1:])))
+    with pytest.raises(RecordingError, match="damaged"):
+        sums_between(Recording.open(altered), 0, 400)
+
+
+def _with_sums(batch: pa.RecordBatch, change: Callable[[pa.RecordBatch], pa.RecordBatch]) -> pa.RecordBatch:
+    return change(batch) if "impact_sums" in batch.schema.names else batch  # not at impacts
+
+
 def test_a_resumed_run_has_the_impacts_of_one_that_never_stopped(recording: Recording, tmp_path: Path) -> None:
     path = carom.run(scene(duration=1.0), tmp_path / "half.rrd").path
     half = resumable_run(Recording.open(path), until=2.0)
     continue_run(half, half.space(), tmp_path / "whole.rrd")
     whole = Recording.open(tmp_path / "whole.rrd")
     assert whole.impacts().equals(recording.impacts())
+    assert sums(whole, 0, 400) == sums(recording, 0, 400) and len(sums(whole, 0, 400)) > 16
     assert replay(whole).same
 
 
@@ -335,6 +364,8 @@ def test_a_clip_has_its_impacts_and_those_of_its_bodies_only(recording: Recordin
     steps = table["step"].to_numpy()
     inside = table.filter(pa.array((steps >= 100) & (steps <= 300)))
     assert Recording.open(tmp_path / "clip.rrd").impacts().equals(inside)
+    assert sums(Recording.open(tmp_path / "clip.rrd"), 100, 300) == sums(recording, 100, 300)
+    assert replay(Recording.open(tmp_path / "clip.rrd")).same
     clip(recording.path, tmp_path / "few.rrd", 0.45, 1.55, bodies=[1])
     few = Recording.open(tmp_path / "few.rrd").impacts()
     assert set(few["i"].to_pylist()) == {1}

@@ -3,6 +3,9 @@
 The interval begins and ends with a frame, so that the time in which impacts are counted is exact. The recording has
 impacts, contacts and drawn positions, but exact velocities only at checkpoints. With ``replay``, impacts, contacts and
 velocities are computed again.
+
+Most impacts of a busy run have no rows of their own, and those that have are the largest. Means and totals are
+therefore those of the sums over all impacts that each frame has; only histograms need the rows.
 """
 
 from __future__ import annotations
@@ -18,7 +21,7 @@ import pyarrow.compute as pc
 
 from carom import Recording, Scene
 from carom.arrays import BoolArray, FloatArray, IntArray, Records
-from carom.contact_table import CONTACT_ROW
+from carom.contact_table import CONTACT_ROW, ImpactSums, PairSums
 from carom.errors import RecordingError, SceneError
 from carom.extend import (
     STEP,
@@ -28,10 +31,12 @@ from carom.extend import (
     StepStatus,
     UnitSystem,
     closing_speeds,
+    command,
     count_at,
     recorded_scene,
     rows_by_frame,
     start_of,
+    sums_between,
     tolerance,
 )
 
@@ -162,18 +167,97 @@ class Interval:
             raise RecordingError("no bodies of this run can touch, so there are no contacts to measure")
 
     @cached_property
-    def _impact_table(self) -> pa.Table:
-        return self.recording.impacts(self.time[0], self.time[-1], replay=self.replay, watch=self.watch)
+    def _impact_table(self) -> tuple[pa.Table, ImpactSums | None]:
+        """The impacts that have rows, and the sums over all impacts; None if they are not known."""
+        first, last = self.step[[0, -1]].tolist()
+        if self.recording.records_contacts and not self.replay:
+            table = self.recording.impacts(self.time[0], self.time[-1])
+            return table, sums_between(self.recording, first, last)
+        begin, end = self.time[0] - tolerance(self.time[0]), self.time[-1] + tolerance(self.time[-1])
+        window = self.recording.rerun(begin, contacts=True, watch=self.watch)
+        table = window.impacts(begin, end)
+        parts = [window.impact_sums.get(step) for step in self.step[1:].tolist()]
+        return table, None if None in parts else ImpactSums.over(part for part in parts if part is not None)
+
+    @cached_property
+    def sums(self) -> ImpactSums:
+        """Sums over all impacts after the first frame; `NothingThereError` if there are none.
+
+        If the recording lacks them, they are those of the rows; RecordingError if some impacts have no rows. Rows lack
+        the length of the paths, the kinetic stress and the losses of pairs, which are NaN, and the virial of friction.
+        """
+        known = self._sums
+        if known is None:
+            rows = self.impacts
+            if left_out := self.impacts_left_out:
+                raise RecordingError(
+                    f"{left_out} of the {left_out + len(rows.step)} impacts were not recorded, and the recording has "
+                    f"no sums over all of them; type `{self.command_again}`"
+                )
+            return self._sums_of(rows)
+        if not known.impacts:
+            raise NothingThereError(f"there are no impacts from {self.text}")
+        return known
+
+    @property
+    def _sums(self) -> ImpactSums | None:
+        """The sums that the recording or the replay has; None if there are none."""
+        if self.recording.engine or self.duration == 0.0:
+            return None
+        self._require_contacts()
+        return self._impact_table[1]
+
+    @property
+    def kinetic(self) -> FloatArray | None:
+        """Mean of Σ m c ⊗ c in the frames after the first, (3, 3) J; None if only exact states have velocities."""
+        try:
+            known = self._sums
+        except RecordingError:
+            return None
+        return None if known is None else known.kinetic / (len(self.step) - 1)
+
+    @property
+    def command_again(self) -> str:
+        """The command that computes all impacts again."""
+        return command("contacts", self.recording.path, "--statistics", "--replay")
+
+    def _sums_of(self, rows: ImpactColumns) -> ImpactSums:
+        """Add up all impacts."""
+        groups, group = np.unique(self.recording.bodies.group, return_inverse=True)
+        group = np.append(group, len(groups))  # of planes and walls
+        ends = np.minimum(np.stack([rows.i, rows.j]), self.bodies)
+        moves = np.append(self.moving, False)
+        pairs, which, counts = np.unique(np.sort(group[ends], axis=0), axis=1, return_inverse=True, return_counts=True)
+        unknown = np.full(len(counts), np.nan)
+        speeds = np.bincount(which.ravel(), rows.speed, len(counts)).astype(np.float64)
+        virial = self.arms(rows.i, rows.j) * rows.impulse
+        return ImpactSums(
+            impacts=float(len(rows.step)),
+            collisions=float(np.count_nonzero(moves[ends])),
+            speed=float(rows.speed.sum()),
+            speed_square=float((rows.speed * rows.speed).sum()),
+            largest_speed=float(rows.speed.max()),
+            path=np.nan,
+            virial_square=float((virial * virial).sum()),
+            virial=np.einsum("k,ka,kb->ab", virial, rows.normal, rows.normal),
+            kinetic=np.full((3, 3), np.nan),
+            pairs=PairSums(pairs[0], pairs[1], counts.astype(np.float64), speeds, unknown, unknown),
+        )
+
+    def arms(self, i: IntArray, j: IntArray) -> FloatArray:
+        """Return the distances between the centres of touching bodies, or of a body and a plane, (k,) m."""
+        radius, pair = self.recording.bodies.radius, j < self.bodies
+        return np.asarray(radius[i] + np.where(pair, radius[np.where(pair, j, 0)], 0.0))
 
     @cached_property
     def impacts(self) -> ImpactColumns:
-        """The impacts after the first frame; `NothingThereError` if there are none."""
+        """The impacts after the first frame that have rows; `NothingThereError` if there are none."""
         self._require_contacts()
         if self.duration == 0.0:
             raise RecordingError("impacts are counted between frames, and the interval has only one")
         if self.recording.engine:
             return self._impacts_of_engine()
-        table = self._impact_table
+        table, _ = self._impact_table
         step = table[STEP].to_numpy()
         table = table.filter(pa.array((step > self.step[0]) & (step <= self.step[-1])))
         if table.num_rows == 0:
@@ -223,11 +307,14 @@ class Interval:
 
     @cached_property
     def impacts_left_out(self) -> int:
-        """Number of impacts of the interval that are not in `impacts`."""
+        """Number of impacts of the interval that have no rows in `impacts`."""
         if self.recording.engine:
             return 0
+        table, sums = self._impact_table
+        if sums is not None:
+            return int(sums.impacts) - len(self.impacts.step)
         if self.replay or not self.recording.records_contacts:
-            return int((self._impact_table.schema.metadata or {}).get(b"left_out", b"0"))
+            return int((table.schema.metadata or {}).get(b"left_out", b"0"))
         first, last = (count_at(self.recording, int(step)) for step in self.step[[0, -1]])
         return max(0, last - first - len(self.impacts.step))
 

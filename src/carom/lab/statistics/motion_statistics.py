@@ -4,7 +4,7 @@ A body's path is the polyline through its positions in the frames and at its imp
 periodic box and follows curved paths in a field. At an impact, the centre is one radius from the contact point.
 Histograms contain only complete paths, so they lack some long paths, which the ends of the interval cut off. The means
 have no such error: they are the time and the length of all paths, divided by the number of impacts
-(docs/statistics.md).
+(docs/statistics.md). Means and totals are those of `ImpactSums`.
 
 In a Maxwellian gas, the normal velocity at impacts has Rayleigh's distribution, v exp(-v²/2s²)/s²: the relative
 velocity along the normal is Gaussian, and fast pairs meet more often (Chapman & Cowling).
@@ -17,10 +17,10 @@ A sample of N velocities has D = 3 (N - 1) degrees of freedom. The mean of ⟨c�
 5/3 D/(D + 2), so the ratio of a sample is multiplied by (D + 2)/D. The variance of a₂ is 8/(15 N).
 
 The stress is σ = (1/V) [⟨Σ m c ⊗ c⟩ + (1/t) Σ ℓ ⊗ J + Σ ℓ ⊗ J over frames / Σ dt]: momentum that bodies carry, and
-momentum that impacts of the interval and lasting contacts in the steps of some frames transfer. J is the impulse on j
-along the normal, and ℓ points from the centre of i to that of j, or to a plane. Compression is positive. Irving &
-Kirkwood, J. Chem. Phys. 18, 817 (1950); Love and Weber for contacts, as in Christoffersen, Mehrabadi & Nemat-Nasser, J.
-Appl. Mech. 48, 339 (1981).
+momentum that impacts of the interval and lasting contacts in the steps of some frames transfer. J is the impulse on j,
+without friction for lasting contacts, and ℓ points from the centre of i to that of j, or to a plane. Compression is
+positive. Irving & Kirkwood, J. Chem. Phys. 18, 817 (1950); Love and Weber for contacts, as in Christoffersen, Mehrabadi
+& Nemat-Nasser, J. Appl. Mech. 48, 339 (1981).
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from carom.arrays import FloatArray, IntArray
+from carom.arrays import FloatArray
 from carom.errors import RecordingError
 from carom.extend import ENERGY, LENGTH, RATE, TIME, VELOCITY, Dimension, minimum_images
 from carom.lab.statistics import Histogram, Interval, MeasuredValue, NothingThereError, Statistic
@@ -56,29 +56,36 @@ def measure_free_paths(interval: Interval) -> Statistic:
     interval.refuse_shear("free paths")
     if interval.recording.lives is not None:
         raise RecordingError("free paths are not measured in recordings whose bodies come and go")
-    impacts, moving, left_out = interval.impacts, interval.moving, interval.impacts_left_out
-    ends = np.concatenate([impacts.i, impacts.j])
-    # an impact of two bodies is two collisions; the number is scaled to include impacts that were not recorded
-    collisions = np.count_nonzero(moving[ends[ends < interval.bodies]]) * (1.0 + left_out / len(impacts.step))
+    sums, moving, left_out = interval.sums, interval.moving, interval.impacts_left_out
     exposure = np.count_nonzero(moving) * interval.duration
-    paths = paths_of(interval)
-    spread = 1.0 / np.sqrt(len(impacts.step))  # relative error of a count of independent impacts
+    paths = None if left_out else paths_of(interval)
+    length = sums.path if paths is None or np.isfinite(sums.path) else paths.length
+    spread = 1.0 / sqrt(sums.impacts)  # relative error of a count of independent impacts
 
     def known(label: str, value: float, dimension: Dimension) -> MeasuredValue:
         return MeasuredValue(label, value, dimension, value * spread)
 
     values = {
-        "impacts": MeasuredValue("impacts", len(impacts.step) + left_out),
-        "collision_rate": known("collisions of a body", collisions / exposure, RATE),
-        "mean_free_time": known("mean free time", exposure / collisions, TIME),
-        "mean_free_path": known("mean free path", paths.length / collisions, LENGTH),
+        "impacts": MeasuredValue("impacts", int(sums.impacts)),
+        "collision_rate": known("collisions of a body", sums.collisions / exposure, RATE),
+        "mean_free_time": known("mean free time", exposure / sums.collisions, TIME),
+        "mean_free_path": known("mean free path", length / sums.collisions, LENGTH),
     }
+    if paths is None:
+        return Statistic(values, note=_without_histogram(interval))
     histograms = {
         "free_times": Histogram.of("free time", paths.free_times, TIME, falls=True),
         "free_paths": Histogram.of("free path", paths.free_paths, LENGTH, falls=True),
     }
-    lack = f"of these impacts, {left_out} were not recorded; with --replay they are computed again" if left_out else ""
-    return Statistic(values, histograms, note=lack)
+    return Statistic(values, histograms)
+
+
+def _without_histogram(interval: Interval) -> str:
+    """Return why an interval has no histogram of its impacts, and the remedy."""
+    return (
+        f"no histogram, since {interval.impacts_left_out} smaller impacts have no rows of their own; type "
+        f"`{interval.command_again}`"
+    )
 
 
 def paths_of(interval: Interval) -> Paths:
@@ -129,55 +136,44 @@ def paths_of(interval: Interval) -> Paths:
 
 def measure_impacts(interval: Interval) -> Statistic:
     """Count the impacts of each pair of groups, and measure their approach speeds."""
-    impacts = interval.impacts
-    speed, count = impacts.speed, len(impacts.speed)
-    mean = float(speed.mean())
-    counted = "recorded impacts" if interval.impacts_left_out else "impacts in all"
+    sums, duration = interval.sums, interval.duration
+    count = sums.impacts
+    mean, square = sums.speed / count, sums.speed_square / count
+    scatter = sqrt(max(0.0, square - mean * mean) / count) if count > 1 else None
     values = {
-        "impact_rate": MeasuredValue(counted, count / interval.duration, RATE, sqrt(count) / interval.duration),
-        "mean_approach_speed": MeasuredValue(
-            "mean approach speed", mean, VELOCITY, float(speed.std()) / sqrt(count) if count > 1 else None
-        ),
-        "rms_approach_speed": MeasuredValue("root mean square", sqrt(float(np.mean(speed * speed))), VELOCITY),
-        "largest_approach_speed": MeasuredValue("largest", float(speed.max()), VELOCITY),
+        "impact_rate": MeasuredValue("impacts in all", count / duration, RATE, sqrt(count) / duration),
+        "mean_approach_speed": MeasuredValue("mean approach speed", mean, VELOCITY, scatter),
+        "rms_approach_speed": MeasuredValue("root mean square", sqrt(square), VELOCITY),
+        "largest_approach_speed": MeasuredValue("largest", sums.largest_speed, VELOCITY),
     }
-    histogram = Histogram.of("approach speed", speed, VELOCITY)
-    scale = float(np.mean(speed * speed)) / 2  # s², m²/s²
+    rows = _rows_of_groups(interval)
+    if interval.impacts_left_out:
+        return Statistic(values, rows=rows, note=_without_histogram(interval))
+    histogram = Histogram.of("approach speed", interval.impacts.speed, VELOCITY)
+    scale = square / 2  # s², m²/s²
     middle = (histogram.edges[1:] + histogram.edges[:-1]) / 2
     rayleigh = middle / scale * np.exp(-(middle**2) / (2 * scale)) if scale > 0.0 else None
     histogram = replace(histogram, expected=rayleigh, theory="Maxwell")
-    return Statistic(values, {"approach_speeds": histogram}, _rows_of_groups(interval), note=_missing_impacts(interval))
-
-
-def _missing_impacts(interval: Interval) -> str:
-    """Return how many impacts are missing from an interval that has some, and the remedy; empty if none are."""
-    left_out = interval.impacts_left_out
-    if not left_out:
-        return ""
-    return f"without {left_out} smaller impacts, which were not recorded; with --replay they are computed again"
+    return Statistic(values, {"approach_speeds": histogram}, rows)
 
 
 def _rows_of_groups(interval: Interval) -> list[dict[str, MeasuredValue | str]]:
     """Return a row for each pair of groups that met, the most frequent first."""
-    impacts, groups = interval.impacts, interval.groups()
-    group = np.full(interval.bodies, len(groups))
-    for number, (_, own) in enumerate(groups):
-        group[own] = number
-    names = [*(name for name, _ in groups), PLANES]
-    first = group[impacts.i]
-    second = np.where(impacts.j < interval.bodies, group[np.minimum(impacts.j, interval.bodies - 1)], len(groups))
-    key = np.minimum(first, second) * len(names) + np.maximum(first, second)
-    pairs, inverse, counts = np.unique(key, return_inverse=True, return_counts=True)
-    mean = np.bincount(inverse, impacts.speed) / counts
-    return [
-        {
-            "groups": f"{names[pairs[k] // len(names)]} and {names[pairs[k] % len(names)]}",
-            "impacts": MeasuredValue("impacts", int(counts[k])),
-            "rate": MeasuredValue("rate", counts[k] / interval.duration, RATE, sqrt(counts[k]) / interval.duration),
-            "mean_approach_speed": MeasuredValue("mean approach speed", float(mean[k]), VELOCITY),
+    pairs, names = interval.sums.pairs, [*(name for name, _ in interval.groups()), PLANES]
+    rows = list[dict[str, MeasuredValue | str]]()
+    for k in np.argsort(-pairs.impacts, kind="stable").tolist():
+        count, speed = float(pairs.impacts[k]), float(pairs.speed[k])
+        row: dict[str, MeasuredValue | str] = {
+            "groups": f"{names[pairs.first[k]]} and {names[pairs.second[k]]}",
+            "impacts": MeasuredValue("impacts", int(count)),
+            "rate": MeasuredValue("rate", count / interval.duration, RATE, sqrt(count) / interval.duration),
+            "mean_approach_speed": MeasuredValue("mean approach speed", speed / count, VELOCITY),
         }
-        for k in np.argsort(-counts, kind="stable").tolist()
-    ]
+        lost = float(pairs.restitution_loss[k] + pairs.friction_loss[k])
+        if np.isfinite(lost):
+            row["energy_lost"] = MeasuredValue("energy lost", lost, ENERGY)
+        rows.append(row)
+    return rows
 
 
 def measure_velocities(interval: Interval) -> Statistic:
@@ -195,14 +191,18 @@ def measure_velocities(interval: Interval) -> Statistic:
     if not np.nan_to_num(weighted).any():
         raise RecordingError("all bodies are at rest")
     temperature = np.nanmean(weighted * weighted, axis=(1, 2))  # J, of each state
-    mean = float(temperature.mean())
+    of_axes, note = np.nanmean(weighted * weighted, axis=(0, 1)), ""
+    if (kinetic := interval.kinetic) is not None:
+        of_axes = kinetic.diagonal() / len(mass)
+        note = "temperatures without a group are those of all frames, all else is that of the exact states"
+    mean = float(of_axes.mean())
     count = np.count_nonzero(there)
     states = list(zip(weighted, there, strict=True))
     values = {
         "states": MeasuredValue("exact states", len(velocity)),
         "mean_velocity": MeasuredValue("mean velocity", np.nanmean(velocity, axis=(0, 1)), VELOCITY),
         "temperature": MeasuredValue("granular temperature, m c²/3", mean, ENERGY, mean * sqrt(2 / (3 * count))),
-        "temperature_of_axes": MeasuredValue("… of x, y, z", np.nanmean(weighted * weighted, axis=(0, 1)), ENERGY),
+        "temperature_of_axes": MeasuredValue("… of x, y, z", of_axes, ENERGY),
         "fourth_cumulant": MeasuredValue(
             "fourth cumulant a₂",
             float(np.mean([fourth_cumulant(w[t]) for w, t in states])),
@@ -228,7 +228,7 @@ def measure_velocities(interval: Interval) -> Statistic:
         for name, own in interval.groups(moving)
         if (there & own).sum(axis=1).max() > 1
     ]
-    return Statistic(values, {"velocities": histogram}, rows if len(rows) > 1 else ())
+    return Statistic(values, {"velocities": histogram}, rows if len(rows) > 1 else (), note)
 
 
 def peculiar(velocity: FloatArray, mass: FloatArray) -> FloatArray:
@@ -252,33 +252,35 @@ def fourth_cumulant(weighted: FloatArray) -> float:
 def measure_stress(interval: Interval) -> Statistic:
     """Measure the mean stress in the box; without a box, the stress times the unknown volume."""
     moving, recording = interval.moving, interval.recording
-    weighted = peculiar(interval.velocities[:, moving], recording.bodies.mass[moving])
-    weighted = np.nan_to_num(weighted)  # bodies that do not exist carry no momentum
-    kinetic = np.einsum("kna,knb->ab", weighted, weighted) / len(weighted)
-    impacts, spread, lasting, notes, lack = np.zeros((3, 3)), 0.0, np.zeros((3, 3)), list[str](), ""
+    kinetic = interval.kinetic
+    if kinetic is None:
+        weighted = peculiar(interval.velocities[:, moving], recording.bodies.mass[moving])
+        weighted = np.nan_to_num(weighted)  # bodies that do not exist carry no momentum
+        kinetic = np.einsum("kna,knb->ab", weighted, weighted) / len(weighted)
+    impacts, spread, lasting, notes = np.zeros((3, 3)), 0.0, np.zeros((3, 3)), list[str]()
+    lacks_friction = False
     try:
         held = interval.contacts
-        virial = arms(interval, held.i, held.j) * held.impulse
+        virial = interval.arms(held.i, held.j) * held.impulse
         lasting = np.einsum("k,ka,kb->ab", virial, held.normal, held.normal) / held.elapsed
+        lacks_friction = True
     except NothingThereError:
         pass
     except RecordingError as error:
         notes.append(f"only the kinetic part: {error}")
     try:
         if not recording.engine:  # the forces of another engine's contacts include impacts
-            met = interval.impacts
-            virial = arms(interval, met.i, met.j) * met.impulse
-            impacts = np.einsum("k,ka,kb->ab", virial, met.normal, met.normal) / interval.duration
-            spread, lack = sqrt(float(np.sum(virial * virial))) / (3 * interval.duration), _missing_impacts(interval)
+            sums = interval.sums
+            impacts = sums.virial / interval.duration
+            spread = sqrt(sums.virial_square) / (3 * interval.duration)
+            lacks_friction |= bool(np.isnan(sums.path))  # sums over rows
     except NothingThereError:
         pass
     except RecordingError as error:
-        notes = notes or [f"without impacts: {error}"]
+        notes = notes or [f"only the kinetic part: {error}"]
     complete = not notes
-    if lack:
-        notes.append(lack)
-    if recording.info["has_friction"]:
-        notes.append("without friction, of which recordings have only the magnitude; it does not change the pressure")
+    if recording.info["has_friction"] and lacks_friction:
+        notes.append("without friction that has only its magnitude in the recording; it does not change the pressure")
     volume, dimension = interval.volume, PRESSURE
     if volume is None:
         volume, dimension = 1.0, ENERGY
@@ -302,9 +304,3 @@ def measure_stress(interval: Interval) -> Statistic:
             values["compressibility"] = MeasuredValue("… in all / of moving bodies", ratio)
         values["stress"] = MeasuredValue("stress", total / volume, dimension)
     return Statistic(values, note="; ".join(notes))
-
-
-def arms(interval: Interval, i: IntArray, j: IntArray) -> FloatArray:
-    """Return the distances between the centres of touching bodies, or of a body and a plane, (k,) m."""
-    radius, pair = interval.recording.bodies.radius, j < interval.bodies
-    return np.asarray(radius[i] + np.where(pair, radius[np.where(pair, j, 0)], 0.0))

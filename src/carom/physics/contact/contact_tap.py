@@ -23,6 +23,7 @@ from carom.physics.bodies import Bodies
 from carom.physics.contact.constraints import CONTACT, ContactRecord, ContactStateRecord, ImpulseRecord
 from carom.physics.contact.graph import comes_before, empty_graph
 from carom.physics.contact.impact_log import NO_IMPACTS, ImpactRecord, Impacts
+from carom.physics.contact.impact_totals import ImpactTotals
 from carom.physics.contact.law import IMPULSES, Materials, material_index, slides
 from carom.physics.contact.rolling import ContactGeometry, angular_impulses_of
 from carom.physics.contact.solver.contact_solver import ContactSolver
@@ -97,7 +98,10 @@ NOTHING_HELD = Held(empty_graph().pairs, np.empty(0, dtype=np.int64), np.empty(0
 class ContactTap:
     """Collects the impulses and energies of the contacts of each step."""
 
-    def __init__(self, bodies: Bodies, materials: Materials, box: FloatArray, friction: bool) -> None:
+    def __init__(
+        self, bodies: Bodies, materials: Materials, box: FloatArray, friction: bool, totals: ImpactTotals
+    ) -> None:
+        self._totals = totals
         self._data = RowData(bodies.position, box, materials, friction)
         self._buffer = Buffer(CONTACT_ROW)
         self._largest_count = 0  # rows of a step so far; a buffer with fewer is enlarged before use
@@ -107,6 +111,7 @@ class ContactTap:
     def forget(self) -> None:
         """Return to the state before the first step."""
         self._impacts = ImpactStore()
+        self._totals.forget()
         self.begin(0, 0.0, 0.0)
 
     def begin(self, step: int, began: float, ended: float) -> None:
@@ -131,7 +136,7 @@ class ContactTap:
         self._drift = impacts
         if len(impacts):
             rows = self._rows_of_drift()
-            self._impacts.add(picked(rows, np.flatnonzero(rows["mode"] == IMPACT_MODE)))
+            self._store(picked(rows, np.flatnonzero(rows["mode"] == IMPACT_MODE)))
 
     def add_impacts(self, pairs: IntArray, solver: ContactSolver) -> None:
         """Add the impacts at the end of the step, before contacts are held again."""
@@ -139,12 +144,15 @@ class ContactTap:
         position, box = self._data.position, self._data.box
         count = _write_impacts(_resolved(pairs, solver), position, box, self._step, self._ended, rows)
         if count:
-            self._impacts.add(raw(rows[:count]).copy().view(CONTACT_ROW))
+            self._store(raw(rows[:count]).copy().view(CONTACT_ROW))
 
-    def pop_impacts(self) -> tuple[Records, int]:
-        """Return the impacts since the last call, (k,) `CONTACT_ROW` in order of time, and the number left out."""
+    def pop_impacts(self) -> tuple[Records, int, FloatArray]:
+        """Return the impacts since the last call, (k,) `CONTACT_ROW` in order of time, and the number left out.
+
+        The last value is `ImpactSums.flat` of all impacts.
+        """
         store, self._impacts = self._impacts, ImpactStore()
-        return store.rows(), store.left_out
+        return store.rows(), store.left_out, self._totals.pop()
 
     def rows(
         self,
@@ -215,6 +223,10 @@ class ContactTap:
     def work(self, solver: ContactSolver) -> FloatArray:
         """Return the ledger of each contact of the step, (k, 3) J."""
         return np.concatenate((self._held.terms, self._drift.ledger, solver.ledger))
+
+    def _store(self, impacts: Records) -> None:
+        self._impacts.add(impacts)
+        self._totals.add(impacts)
 
     def _rows_of_drift(self) -> Records:
         rows = np.empty(len(self._drift), CONTACT_ROW)

@@ -28,6 +28,7 @@ from carom.physics.contact.contact_checkpoint import ContactCheckpoint
 from carom.physics.contact.contact_tap import ContactTap, Impulses
 from carom.physics.contact.graph import OrderedContacts, empty_graph
 from carom.physics.contact.impact_log import NO_IMPACTS, Impacts
+from carom.physics.contact.impact_totals import ImpactTotals
 from carom.physics.contact.near_pairs import ContactWorld, NearPairs
 from carom.physics.contact.reactions import Torques, supported_acceleration
 from carom.physics.contact.snapshot import SnapshotSource
@@ -51,7 +52,7 @@ NO_ENTRIES: FloatArray = np.zeros((0, 3))
 class ContactPipeline:
     """Detects the contacts of each step and resolves them.
 
-    With ``records``, `tap` collects the impulses of each contact.
+    With ``totals`` of impacts, `tap` collects the impulses of each contact.
     """
 
     def __init__(
@@ -61,7 +62,7 @@ class ContactPipeline:
         world: ContactWorld,
         requirements: Requirements,
         team: Team,
-        records: bool = False,
+        totals: ImpactTotals | None = None,
     ) -> None:
         planes, materials = world.planes, world.materials
         # in a sheared box, contacts either last or are impacts during the drift
@@ -83,7 +84,8 @@ class ContactPipeline:
         friction = requirements.friction.modelled
         # islands are of interest only where contacts last
         sweeps = contact.sweeps if self._lasts or contact.sweeps != "auto" else "converged"
-        self.solver = ContactSolver(bodies, planes, materials, box, friction, team, records, sweeps, contact.rules)
+        recorded = totals is not None, sweeps, contact.rules
+        self.solver = ContactSolver(bodies, planes, materials, box, friction, team, *recorded)
         self.torques = Torques(bodies, team)
         self.contacts = OrderedContacts.of(empty_graph().pairs, bodies, contact.colouring)  # the contacts of the step
         self.snapshots = SnapshotSource(self.solver, bodies.ends.inverse_mass)
@@ -92,7 +94,7 @@ class ContactPipeline:
             event_driven = load("model", "time-of-impact")
             drift = (friction, self._near.has_statics, requirements.resting.modelled)
             self.event_drift = event_driven(bodies, world, *drift, self._near.search, team)
-        self.tap = ContactTap(bodies, materials, box, friction) if records else None
+        self.tap = ContactTap(bodies, materials, box, friction, totals) if totals else None
         self.sleepers: Sleepers | None = None
         if contact.sleep and self._lasts:
             self.sleepers = load("model", "sleep")(contact.sleep, bodies, planes, box)

@@ -126,7 +126,7 @@ def _masked(chunk: Chunk, masks: list[BoolArray]) -> Chunk:
     columns = {}
     for name in chunk.components:
         found = pc.list_value_length(chunk.batch[name]).to_pylist()
-        if name in ("impact_count", paths.FLOOR):  # one value per row, whatever the number of contacts
+        if name in ("impact_count", paths.IMPACT_SUMS, paths.FLOOR):  # of a row, whatever the number of contacts
             continue
         if found == lengths:
             columns[name] = _lists(chunk.batch[name], np.flatnonzero(mask), each)

@@ -9,6 +9,7 @@ import numpy as np
 import pyarrow as pa
 
 from carom.arrays import FloatArray, IntArray
+from carom.contact_table import ImpactSums
 from carom.errors import DamageError, RecordingError
 from carom.recording.read.entities import Column, flat, plain, reading
 from carom.recording.read.lookup import interval, shown_body, tolerance
@@ -23,7 +24,7 @@ from carom.recording.read.recorded_contacts import (
 )
 from carom.recording.rrd.messages import Chunk, Entry
 from carom.recording.schema import paths
-from carom.recording.schema.paths import IMPACT, SIM_TIME, STEP
+from carom.recording.schema.paths import IMPACT, IMPACT_SUMS, SIM_TIME, STEP
 
 if TYPE_CHECKING:
     from carom.recording.read.recording import Recording
@@ -168,6 +169,26 @@ def count_at(recording: Recording, step: int) -> int:
         if chunk is None or "impact_count" not in chunk.components:
             return 0
         return int(flat(chunk, "impact_count", Column(pa.int64()))[row].as_py())
+
+
+def sums_between(recording: Recording, first: int, last: int) -> ImpactSums | None:
+    """Add up the sums over all impacts after the frame of one step, up to that of another; None if one lacks them."""
+    found = list[ImpactSums]()
+    with reading(recording.path):
+        for chunk in recording.chunks(recording.store.frames_of(paths.CONTACTS, first, last)):
+            steps = chunk.batch[STEP].to_numpy()
+            inside = np.flatnonzero((steps > first) & (steps <= last)).tolist()
+            if inside and IMPACT_SUMS not in chunk.components:
+                return None
+            for k in inside:
+                row = chunk.batch[IMPACT_SUMS][k]
+                if not row.is_valid or len(row) == 0:
+                    return None
+                sums = np.array(row.values.to_numpy(), dtype=np.float64)
+                if not np.isfinite(sums).all():
+                    raise DamageError(f"{IMPACT_SUMS} of /{paths.CONTACTS} that are not finite")
+                found.append(ImpactSums.of(sums))
+    return ImpactSums.over(found)
 
 
 def _recorded(recording: Recording, first: float, last: float) -> pa.Table:

@@ -44,6 +44,7 @@ STATIC_STATE = "state/bodies"
 LIVES = "state/lives"  # steps of the first and the last frame of each body, where bodies come and go
 GIVEN_STATE = "scene/bodies"  # the initial bodies of [[bodies]] tables
 
+IMPACT_SUMS = "impact_sums"  # component of the contacts: the sums over all impacts since the previous frame
 FLOOR = "floor"  # component of arrows: the magnitude below which none is drawn
 WITH_FLOOR = (TORQUE, ANGULAR_ACCELERATION, FORCE_NORMAL)
 

@@ -20,7 +20,7 @@ from carom.recording.layout import drawing
 from carom.recording.layout.drawing import part_of_longest, single
 from carom.recording.read.recorded_impacts import RecordedImpacts
 from carom.recording.schema.header import Header
-from carom.recording.schema.paths import FLOOR, FORCE_FRICTION, FORCE_NORMAL, IMPACT_ENERGY, IMPACTS
+from carom.recording.schema.paths import FLOOR, FORCE_FRICTION, FORCE_NORMAL, IMPACT_ENERGY, IMPACT_SUMS, IMPACTS
 from carom.recording.write import encoding_kernels as encoding
 from carom.recording.write.encoding_kernels import EdgeColumns, FrameContacts
 from carom.recording.write.impact_frames import Instant, instants
@@ -28,6 +28,7 @@ from carom.recording.write.impact_plan import ImpactPlan, impact_rows, largest
 from carom.recording.write.rows import Index, Rows, any_column, vector_column
 
 _ROUNDING = 1e-9  # of the largest magnitude in the recorded frames so far
+NO_SUMS = np.empty(0)
 _JOINED = 4096  # most edges, contacts and impacts in a block of several frames: 0.6 MB, which stay in the cache
 
 
@@ -235,6 +236,9 @@ class ContactEncoder:
         numbers = self._count + np.cumsum(contacts.impacts + [frame.impacts_left_out for frame in batch])
         self._before = np.concatenate(([self._count], numbers[:-1]))
         self._count = int(numbers[-1])
+        if not self.header.engine:
+            sums = [NO_SUMS if frame.impact_sums is None else frame.impact_sums for frame in batch]
+            columns.append(any_column(IMPACT_SUMS, np.concatenate(sums), np.array([len(each) for each in sums])))
         return [*columns, any_column("impact_count", numbers)]
 
     def rows(self, index: Index) -> Iterable[Rows]:
