@@ -14,6 +14,7 @@ import xxhash
 from carom.arrays import FloatArray
 from carom.physics.bodies import Bodies
 from carom.physics.contact.contact_checkpoint import ContactCheckpoint
+from carom.physics.diagnostics.dissipation import WrongWork
 from carom.physics.diagnostics.energy import Energy, EnergyBaseline
 from carom.physics.diagnostics.energy_monitor import MonitorState
 from carom.physics.diagnostics.extremes import Extremes
@@ -34,6 +35,7 @@ class Books:
     phase: str
     limits: tuple[str, ...]  # limits of the method that were reached and reported so far
     pace: PaceTally = field(default_factory=PaceTally)  # older recordings lack it
+    wrong_work: tuple[WrongWork, ...] = ()  # of `diagnostics.dissipation`; empty if nothing was wrong
 
 
 @dataclass(frozen=True, slots=True)

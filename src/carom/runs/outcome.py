@@ -83,8 +83,14 @@ def judge(scene: Scene, extremes: Extremes, time: float) -> list[Verdict]:
         "final_kinetic": extremes.kinetic,
         "impacts": None,
         "contact_audit": extremes.contact_audit,
+        "dissipation_error": extremes.dissipation_error,
     }
-    without = {"energy_error": 0.0, "max_overlap": 0.0, "impacts": extremes.impacts}  # values if there is no extreme
+    without = {
+        "energy_error": 0.0,
+        "max_overlap": 0.0,
+        "impacts": extremes.impacts,
+        "dissipation_error": 0.0,
+    }  # values if there is no extreme
     gained = extremes.energy_fault is not None and extremes.energy_fault is not extremes.energy_error
     notes = {"energy_error": "added by contact impulses"} if gained else {}
     verdicts = []

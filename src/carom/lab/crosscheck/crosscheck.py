@@ -301,7 +301,8 @@ class Crosscheck:
                 # the integrator's error is known: the energy that contacts absorbed cannot be separated from it.
                 _entry(v, judged=not v.met) if not whole or (v.name == "energy_error" and touched) else _entry(v)
                 for v in verdicts
-                if v.name != "contact_audit" and not v.name.startswith("warned_")  # these need a run of carom
+                if v.name not in ("contact_audit", "dissipation_error")
+                and not v.name.startswith("warned_")  # these need a run of carom
             ]
         parting = self._parting(result, broken, dt)
         return Examination(setting.name, criteria, laws, parting, path.name, energy_changes(path))

@@ -11,7 +11,7 @@ from carom.lab.run_summary import LASTING, SUNK, Expression, Observation, Pair, 
 from carom.lab.shrink.trials import Condition
 from carom.lab.shrink.whole_run import ReplayDiffers, Varies
 
-WARNINGS = ("energy-rise", "energy-ledger", "energy-lost", "limit", "pace", "horizon")
+WARNINGS = ("energy-rise", "energy-ledger", "energy-lost", "dissipation", "limit", "pace", "horizon")
 _MET = re.compile(r"\s*impact of (.+?) and (.+?)\s*")
 _PROMISE = re.compile(r"\s*expect(?:\.([a-z_]+))?\s*")
 _WARNING = re.compile(r"\s*warning(?: ([a-z-]+))?\s*")

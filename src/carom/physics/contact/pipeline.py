@@ -36,6 +36,7 @@ from carom.physics.contact.solver.contact_solver import MOST_SWEEPS, ContactSolv
 from carom.physics.contact.solver.positions import BAUMGARTE
 from carom.physics.contact.solver.prepare import ImpulseCache
 from carom.physics.contact.statistics import NO_CONTACTS, limits_of, still_closing
+from carom.physics.diagnostics.dissipation import SignsOfDissipation
 from carom.physics.diagnostics.run_monitor import Profile
 from carom.physics.jit.team import Team
 from carom.plan.features import Requirements
@@ -95,6 +96,7 @@ class ContactPipeline:
             drift = (friction, self._near.has_statics, requirements.resting.modelled)
             self.event_drift = event_driven(bodies, world, *drift, self._near.search, team)
         self.tap = ContactTap(bodies, materials, box, friction, totals) if totals else None
+        self.signs = SignsOfDissipation(bodies, materials, not planes.moves and world.shear is None)
         self.sleepers: Sleepers | None = None
         if contact.sleep and self._lasts:
             self.sleepers = load("model", "sleep")(contact.sleep, bodies, planes, box)
@@ -118,6 +120,7 @@ class ContactPipeline:
         self.counts_impacts = True  # whether they include impacts during the drift; a look-ahead needs no statistics
         self.snapshots.forget()
         self.boundary.forget()
+        self.signs.forget()
         if self.tap:
             self.tap.forget()
 
@@ -198,7 +201,11 @@ class ContactPipeline:
         if self._is_at_rest():
             if self.tap:  # a step begins; these entries belong to the previous step, which is already booked
                 self.solver.ledger[:] = 0.0
+            if self.signs.judges:
+                self.signs.before_hold(self.contacts, self.solver)
             self._hold_contacts(self._dt, kick, dt, 0.0, booked, against)
+            if self.signs.judges and kick > 0.0:
+                self.signs.after_hold(self.contacts, self.solver, kick)
             self.ledger_apart = self.solver.audited
             self.boundary.add_contacts(self.solver, self.solver.contacts)
             if self.tap:
@@ -221,6 +228,7 @@ class ContactPipeline:
         )
         if len(self.impacts):
             self.boundary.add_impacts(self.impacts.log)
+            self.signs.judge_impacts(self.impacts, dt, (held.pairs, held.place, self.solver.contacts), self._first_kick)
         if self.tap:
             self.tap.add_drift(self.impacts)
 
@@ -329,6 +337,8 @@ class ContactPipeline:
             self.statistics = self.statistics.plus(self._slept.statistics)
         if len(self.impacts) and self.counts_impacts:
             self._count_impacts()
+        if self.signs.judges and len(self.contacts):
+            self.signs.judge_contacts(self.contacts, self.solver, self.impacts, dt, kick)
 
     def fall_asleep(self, dt: float) -> None:
         """Put islands that have been slow for long enough to sleep, after a step of dt s."""
@@ -443,9 +453,14 @@ class ContactPipeline:
             self.impacts = Impacts(self.event_drift.log[:0])
             self._count_impacts()
             self.boundary.add_impacts(self.impacts.log)
+            empty = ImpulseCache.empty()
+            self.signs.judge_impacts(self.impacts, 1.0, (empty.pairs, empty.place, self.solver.contacts), 0.0)
         if self._lasts:
+            self.signs.before_hold(self.contacts, self.solver)
             for drift in (1.0, 0.0):
                 self._hold_contacts(1.0, 1.0, drift, 0.0, 1.0)
+            self.signs.after_hold(self.contacts, self.solver, 1.0)
+        self.signs.judge_contacts(self.contacts, self.solver, NO_IMPACTS, 1.0, 1.0)
         if self._needs.torque.modelled:
             self.torques.write(1.0)
         if self.tap:

@@ -18,6 +18,7 @@ from carom.physics.bodies import Bodies
 from carom.physics.checkpoint import Books, Checkpoint
 from carom.physics.contact.moving_walls import ENTRY
 from carom.physics.contact.pipeline import ContactPipeline
+from carom.physics.diagnostics.dissipation import SignsOfDissipation
 from carom.physics.diagnostics.energy import Energy, EnergyAccount, EnergyBaseline
 from carom.physics.diagnostics.energy_monitor import EnergyMonitor, Suspects
 from carom.physics.diagnostics.extremes import NOTHING, Extreme, Extremes
@@ -202,6 +203,7 @@ class Bookkeeper:
             phase=self.activity.phase,
             limits=tuple(sorted(contact.warned)) if contact else (),
             pace=self.pace.tally if self.pace else PaceTally(),
+            wrong_work=contact.signs.memory if contact else (),
         )
 
     def restore(self, checkpoint: Checkpoint) -> None:
@@ -209,6 +211,7 @@ class Bookkeeper:
         books, contact = checkpoint.books, self._world.contact
         if contact:
             contact.warned = set(books.limits)
+            contact.signs.recall(books.wrong_work)
         if self.pace:
             self.pace.tally = books.pace
         self.audit.reopen(books, checkpoint.energy.ledger)
@@ -222,7 +225,7 @@ class Bookkeeper:
         """Begin a step, after the clock has advanced; the contacts still belong to the step before."""
         if judged:
             self.suspect_contacts(self._world.clock.step - 1)
-        self.begin_contacts()
+        self.begin_contacts(judged)
         if self.impulse_audit:
             self.impulse_audit.begin(self.audit.ledger)
 
@@ -232,9 +235,11 @@ class Bookkeeper:
         if contact:
             self.audit.suspect(step, contact)
 
-    def begin_contacts(self) -> None:
-        """Begin the contacts of a step, after the clock has advanced."""
+    def begin_contacts(self, judged: bool = False) -> None:
+        """Begin the contacts of a step, after the clock has advanced; if ``judged``, they are judged at its end."""
         clock, contact = self._world.clock, self._world.contact
+        if contact:
+            contact.signs.begin(clock.step, clock.time, judged)
         if contact and contact.tap:
             contact.tap.begin(clock.step, clock.before, clock.time)
 
@@ -322,6 +327,8 @@ class Bookkeeper:
         if judged:
             for warning in self.audit.check(clock.time, self.extremes, contact):
                 self.log(warning)
+            if contact:
+                self._judge_dissipation(contact.signs)
         world.profile.mark("energy")
 
     def energy_now(self, potentials: Potentials) -> Energy:
@@ -332,6 +339,15 @@ class Bookkeeper:
     def _roundings(self) -> int:
         """How often the velocity of a body has been rounded: the number of steps and impacts so far."""
         return self._world.clock.step + self.extremes.impacts
+
+    def _judge_dissipation(self, signs: SignsOfDissipation) -> None:
+        """Update the extremes by energy that contacts moved against the signs of dissipation, and warn."""
+        scale, world = self.audit.energy.scale, self._world
+        error = signs.error(scale)
+        if error is not None:
+            self.extremes.dissipation_error = error
+            for warning in signs.warnings(scale, world.names, world.clock.units):
+                self.log(warning)
 
     def log(self, event: Event) -> None:
         """Add an event to the next frame."""

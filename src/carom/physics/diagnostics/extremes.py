@@ -56,6 +56,7 @@ class Extremes:
     most_taken: float = 0.0  # J, the largest restitution + friction of the ledger
     warned: tuple[str, ...] = ()  # kinds of warnings so far
     contact_audit: Extreme | None = None  # largest error of `diagnostics.impulse_audit`; None without the audit
+    dissipation_error: Extreme | None = None  # energy moved against `diagnostics.dissipation` / scale; None for nothing
 
     @property
     def energy_fault(self) -> Extreme | None:

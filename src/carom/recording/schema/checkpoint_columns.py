@@ -33,7 +33,7 @@ _DIGEST = "digest"
 _NOT_DIGESTED = (_DIGEST, STEP)  # in a clip, the step is a component, too
 _BOOKS = TypeAdapter(Books)
 _BY_NAME = ("forces", "others")  # energies by name, in JSON an object
-_IF_ASKED = ("contact_audit",)  # extremes that only some runs measure
+_IF_FOUND = ("contact_audit", "dissipation_error", "wrong_work")  # what only some runs measure or find
 _BOOKS_BYTES = 1200  # bytes as JSON
 _CONTACT_BYTES = 56  # bytes: two indices, the speed, four components of the impulse
 _INTEGRATOR = "integrator_"
@@ -168,9 +168,9 @@ def _plain(value: Any) -> Any:
     """Return a value that JSON can hold. `dataclasses.asdict` would copy every number, which takes most of the time."""
     names = _fields_of(value.__class__)
     if names is None:
-        return value
+        return [_plain(entry) for entry in value] if isinstance(value, tuple) else value
     found = {name: _plain(getattr(value, name)) for name in names}
-    for name in (*_BY_NAME, *_IF_ASKED):
+    for name in (*_BY_NAME, *_IF_FOUND):
         if name in found and not found[name]:
             del found[name]
     return found | {name: dict(found[name]) for name in _BY_NAME if name in found}

@@ -37,10 +37,15 @@ class Expect(Section):
     contact_audit: NonNegative | None = Field(
         None, description="largest change of a speed or of the ledger in a step that impulses and forces do not explain"
     )
+    dissipation_error: NonNegative | None = Field(
+        None,
+        description="energy that contacts have moved against the signs of dissipation, over the energy scale: friction "
+        "that adds energy, friction that holds and does work, impacts that lose or gain more than the restitution says",
+    )
     duration: Annotated[Positive, TIME] | None = Field(
         None, description="s, the duration to which final_kinetic, impacts and warned apply; by default that of [time]"
     )
-    warned: tuple[Literal["energy-rise", "energy-ledger", "energy-lost", "limit"], ...] = Field(
+    warned: tuple[Literal["energy-rise", "energy-ledger", "energy-lost", "dissipation", "limit"], ...] = Field(
         (), description='kinds of warnings that the run must give, such as "energy-lost"'
     )
 

@@ -1,0 +1,458 @@
+"""Signs of dissipation: contacts may remove energy only as their law says.
+
+The ledger and the energy agree whatever an impulse does, so they cannot show that a contact dissipates where it should
+not. Four statements can be wrong (docs/physics.md, section 11):
+
+- an impact at its own time removes ½ μ (1 - e²) v_n², no more and no less;
+- an impact that no force turns back within the step rebounds, however slow it is;
+- friction adds no energy to an island;
+- friction that holds does no work.
+
+Impacts are judged in every step, contacts that last in the steps of the checks. Islands are the units there, because
+the energy of a change of impulses has no unique division among the contacts of a pile.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, NamedTuple, Protocol
+
+import numpy as np
+
+from carom.arrays import FloatArray, IntArray, RecordArray, dtype_of
+from carom.event import Event
+from carom.physics.bodies import Bodies
+from carom.physics.contact.constraints import ContactRecord, ContactStateRecord, ends_of
+from carom.physics.contact.graph import comes_before, first_of
+from carom.physics.contact.impact_log import ImpactRecord, Impacts
+from carom.physics.contact.islands import join_islands, root_of
+from carom.physics.contact.law import Materials, exerts_torque, material_index, restitution_of_impact, slides
+from carom.physics.diagnostics.extremes import Extreme
+from carom.physics.diagnostics.ledger import clear_terms
+from carom.physics.jit.decorators import entry_of, inline, kernel, long_kernel
+from carom.scene.schema import Coefficients
+from carom.scene.units.dimension import ENERGY, TIME
+from carom.scene.units.system import UnitSystem
+from carom.scene.wording import Names
+
+if TYPE_CHECKING:
+    from carom.physics.contact.graph import OrderedContacts
+    from carom.physics.contact.solver.contact_solver import ContactSolver
+
+RESTITUTION, STOPPED, GAIN, HOLDING = range(4)  # the statements above, when they are wrong
+WRONG = (
+    "Impacts have not removed the energy that the coefficient of restitution says",
+    "Impacts that no force presses together have ended without their rebound",
+    "Friction has added energy",
+    "Friction that holds has changed the energy, but it does no work",
+)
+
+# Fraction of the energy of an impact, ½ μ v_n². Both sides follow from one closing speed, so they differ by rounding.
+ROUNDED = 1e-9
+# Fraction of the magnitudes of the works of both kicks of a step, which cancel for friction that holds. What remains is
+# of the order of the angle by which normals and loads turn in a step, at most 0.2; a work of first order in the step
+# does not cancel at all.
+CANCELLED = 0.25
+# Multiple of a dt, for an acceleration a that presses two bodies together: the factor of the rest speed, see
+# `contact.islands`. A rebound of a dt / 2 is back within the step.
+TURNED_BACK = 2.0
+ALIKE = 0.1  # of the length of a kick; with drag, both kicks of a step differ, and the works cancel nevertheless
+COLLAPSE = 100  # impacts of a body in a drift after which contacts with e < 1 are held: `events.event_loop`
+SIGNIFICANT = 1e-6  # of the energy scale; what sweeps leave that end early is less in every extreme
+
+_IDLE, _STUCK, _OTHER = 1, 2, 4  # what a contact did in the kicks, as bits
+
+
+class WrongWorkRecord(Protocol):
+    """The energy that one of the statements does not allow."""
+
+    energy: float  # J, so far
+    worst: float  # J, largest of a contact in a step
+    i: int  # the ends of that contact
+    j: int
+    step: int
+    time: float  # s
+
+
+WRONG_WORK = dtype_of(WrongWorkRecord)
+
+
+@dataclass(frozen=True, slots=True)
+class WrongWork:
+    """A row of the tally, for a checkpoint."""
+
+    energy: float  # J
+    worst: float  # J
+    pair: tuple[int, int]
+    step: int
+    time: float  # s
+    told: bool  # whether its warning has been given
+
+
+class HeldContacts(Protocol):
+    """What a contact did in the kicks around the last drift."""
+
+    did: int  # bits
+    friction: float  # J, lost in the first kick
+    push: float  # m/s², by which the impulse of that kick accelerates the ends away from each other
+
+
+HELD = dtype_of(HeldContacts)
+NO_LOAD: FloatArray = np.empty((0, 3))
+NO_PAIRS: IntArray = np.empty((0, 2), np.int64)
+
+
+class JudgedEnds(NamedTuple):
+    """The ends of contacts and their materials."""
+
+    rows: RecordArray[Coefficients]  # as in `Materials`
+    places: IntArray
+    inverse_mass: FloatArray  # (n + p,) 1/kg
+    bodies: int  # n
+
+
+Held = tuple[IntArray, IntArray, RecordArray[ContactRecord]]
+"""Sorted pairs, (m, 2), the places of their records, (m,), and the records with their impulses."""
+
+
+class SignsOfDissipation:
+    """Judges what the contacts of a run dissipate.
+
+    Parameters
+    ----------
+    holds
+        Whether the friction of contacts that stick is judged: no wall and no image moves, since the slip changes with
+        their velocity.
+    """
+
+    def __init__(self, bodies: Bodies, materials: Materials, holds: bool) -> None:
+        self._bodies, self._holds = bodies, holds
+        self._ends = JudgedEnds(materials.rows, materials.places, bodies.ends.inverse_mass, len(bodies))
+        # the kernels, compiled for the records of the run
+        self._note_held: Callable[..., None] | None = None
+        self._judge_impacts: Callable[..., bool] | None = None
+        self._judge_contacts: Callable[..., bool] | None = None
+        self.rows = np.zeros(len(WRONG), WRONG_WORK)
+        self._told = [False] * len(WRONG)
+        self.forget()
+
+    def forget(self) -> None:
+        """Return to the state before the first step."""
+        self.begin(0, 0.0, True)
+        self.judges = False
+        self.recall(())
+
+    def begin(self, step: int, time: float, judged: bool) -> None:
+        """Begin a step, which ends at a time (s); whether the energy is checked then."""
+        self._step, self._time, self.judges = step, time, judged
+        if judged:
+            self._held_pairs, self._held, self._load, self._kick = NO_PAIRS, np.empty(0, HELD), NO_LOAD, 0.0
+
+    @property
+    def memory(self) -> tuple[WrongWork, ...]:
+        """The tally, for a checkpoint; empty if nothing was wrong."""
+        if not self.any:
+            return ()
+        entries = zip(*(self.rows[name].tolist() for name in WRONG_WORK.names or ()), self._told, strict=True)
+        return tuple(WrongWork(energy, worst, (i, j), *moment) for energy, worst, i, j, *moment in entries)
+
+    def recall(self, memory: tuple[WrongWork, ...]) -> None:
+        """Return to an earlier `memory`."""
+        self.rows[:] = 0
+        self.any = len(memory) > 0  # whether anything was wrong
+        self._known = 0.0  # J, of the last check
+        self._told = [False] * len(WRONG)
+        for k, row in enumerate(memory):
+            self.rows[k] = row.energy, row.worst, *row.pair, row.step, row.time
+            self._told[k] = row.told
+
+    def before_hold(self, contacts: OrderedContacts, solver: ContactSolver) -> None:
+        """Note what contacts did in the last kick, before the first kick of a judged step."""
+        self._held = np.zeros(len(contacts.pairs), HELD)
+        self._note(contacts, solver, NO_LOAD, 0.0)
+
+    def after_hold(self, contacts: OrderedContacts, solver: ContactSolver, kick: float) -> None:
+        """Note what they did in the first kick, of a length in s, and how strongly they press each body."""
+        self._held_pairs, self._kick = contacts.pairs, kick
+        self._load = self._bodies.ends.acceleration.copy()
+        self._note(contacts, solver, self._load, kick)
+
+    def _note(self, contacts: OrderedContacts, solver: ContactSolver, load: FloatArray, kick: float) -> None:
+        held = contacts.pairs, contacts.order.place, solver.contacts, solver.states
+        asked = *held, self._ends, kick, self._held, load
+        note = self._note_held = self._note_held or entry_of(note_held, *asked)
+        note(*asked)
+
+    def judge_impacts(self, impacts: Impacts, dt: float, held: Held, kick: float) -> None:
+        """Judge the impacts during a drift of dt (s), given the contacts that were held in a first kick (s)."""
+        pressing = *held, kick, self._bodies.ends.acceleration
+        asked = impacts.log, self._ends, dt, pressing, self._step, self._time, self.rows
+        judge = self._judge_impacts = self._judge_impacts or entry_of(judge_impacts, *asked)
+        self.any |= judge(*asked)
+
+    def judge_contacts(
+        self, contacts: OrderedContacts, solver: ContactSolver, impacts: Impacts, dt: float, kick: float
+    ) -> None:
+        """Judge the contacts at the end of a step of dt (s) whose energy is checked, after a last kick (s)."""
+        alike = abs(kick - self._kick) <= ALIKE * self._kick
+        resolved = contacts.pairs, contacts.order.place, solver.contacts, solver.states, impacts.pairs
+        held = self._held_pairs, self._held, self._load, alike, alike and self._holds
+        asked = *resolved, self._ends, held, dt, self._step, self._time, self.rows
+        judge = self._judge_contacts = self._judge_contacts or entry_of(judge_contacts, *asked)
+        self.any |= judge(*asked)
+
+    def error(self, scale: float) -> Extreme | None:
+        """Return the sum of all wrong work over a scale (J), with the moment of the largest; None if nothing is new."""
+        if not self.any:
+            return None
+        total = float(self.rows["energy"].sum())
+        if total == self._known:
+            return None
+        self._known = total
+        worst = self.rows[int(np.argmax(self.rows["energy"]))]
+        pair = int(worst["i"]), int(worst["j"])
+        return Extreme(total / scale if scale > 0.0 else 1.0, int(worst["step"]), float(worst["time"]), pair)
+
+    def warnings(self, scale: float, names: Names, units: UnitSystem) -> list[Event]:
+        """Return the warnings at a check, one for each statement that has become wrong, given the energy scale (J)."""
+        found = []
+        for k in np.flatnonzero(self.rows["energy"] > SIGNIFICANT * scale).tolist():
+            if not self._told[k]:
+                self._told[k] = True
+                row = self.rows[k]
+                energy, worst = (units.text(float(row[name]), ENERGY, ".3g") for name in ("energy", "worst"))
+                share = f"{float(row['energy']) / scale:.2g} of the scale" if scale > 0.0 else "of none"
+                pair = names.pair((int(row["i"]), int(row["j"])))
+                at = units.text(float(row["time"]), TIME)
+                text = f"{WRONG[k]}: {energy} so far ({share}). The largest part is {worst}, by {pair} at t = {at}."
+                found.append(Event(self._step, self._time, "WARN", text, "dissipation"))
+        return found
+
+
+@kernel
+def note_held(
+    pairs: IntArray,
+    place: IntArray,
+    contacts: RecordArray[ContactRecord],
+    states: RecordArray[ContactStateRecord],
+    ends: JudgedEnds,
+    kick: float,
+    held: RecordArray[HeldContacts],
+    load: FloatArray,
+) -> None:
+    """Note what each contact did in a kick, in the order of the pairs.
+
+    A kick of 0 s stands for the last one of the step before. With the length of the first kick, also note its work, and
+    add the accelerations that the impulses cause to ``load``, (n + p, 3) m/s².
+    """
+    rows, places, inverse_mass, bodies = ends
+    for k in range(len(pairs)):
+        (i, j), contact = ends_of(pairs, k), contacts[place[k]]
+        held[k].did |= _what_it_does(contact, rows[material_index(i, j, bodies, places)])
+        if kick == 0.0:
+            clear_terms(states[place[k]])  # they belong to the previous step, which is booked
+        else:
+            held[k].friction = states[place[k]].friction_loss
+            held[k].push = contact.normal_impulse * (inverse_mass[i] + inverse_mass[j]) / kick
+            _press(i, j, contact, inverse_mass, kick, load)
+
+
+@inline
+def _what_it_does(contact: ContactRecord, material: Coefficients) -> int:
+    Jn = contact.normal_impulse
+    if not Jn > 0.0:
+        return _IDLE
+    if exerts_torque(material):  # its work on spins is booked as friction
+        return _OTHER
+    return _OTHER if slides(material, Jn, contact.friction_x, contact.friction_y, contact.friction_z) else _STUCK
+
+
+@inline
+def _press(i: int, j: int, contact: ContactRecord, inverse_mass: FloatArray, kick: float, load: FloatArray) -> None:
+    Jn, mi, mj = contact.normal_impulse / kick, inverse_mass[i], inverse_mass[j]
+    Fx = Jn * contact.nx + contact.friction_x / kick
+    Fy = Jn * contact.ny + contact.friction_y / kick
+    Fz = Jn * contact.nz + contact.friction_z / kick
+    load[i, 0] -= mi * Fx
+    load[i, 1] -= mi * Fy
+    load[i, 2] -= mi * Fz
+    load[j, 0] += mj * Fx
+    load[j, 1] += mj * Fy
+    load[j, 2] += mj * Fz
+
+
+@inline
+def _add(row: WrongWorkRecord, energy: float, i: int, j: int, step: int, time: float) -> bool:
+    row.energy += energy
+    if energy > row.worst:
+        row.worst, row.i, row.j, row.step, row.time = energy, i, j, step, time
+    return True
+
+
+@kernel
+def judge_impacts(
+    log: RecordArray[ImpactRecord],
+    ends: JudgedEnds,
+    dt: float,
+    pressing: tuple[IntArray, IntArray, RecordArray[ContactRecord], float, FloatArray],
+    step: int,
+    time: float,
+    wrong: RecordArray[WrongWorkRecord],
+) -> bool:
+    """Compare the restitution of each impact with that of its closing speed; return whether one is wrong.
+
+    The impulses of a group that is held act at one time, and their energies have a meaning only together.
+    """
+    rows, places, inverse_mass, bodies = ends
+    pairs, place, contacts, kick, acceleration = pressing
+    load, impacts, found = acceleration[:0], places[:0, 0], False  # found once a step, if necessary
+    together, largest, a, b = 0.0, 0.0, 0, 0
+    for row in range(len(log)):
+        entry = log[row]
+        if row > 0 and entry.clock != log[row - 1].clock:
+            if together != 0.0:
+                found = _add(wrong[RESTITUTION], abs(together), a, b, step, time)
+            together = largest = 0.0
+        i, j, v = entry.i, entry.j, entry.approach
+        Kn = inverse_mass[i] + inverse_mass[j]
+        struck = 0.5 * v * v / Kn
+        e = restitution_of_impact(rows[material_index(i, j, bodies, places)], v, 0.0, Kn, entry.arm_i, entry.arm_j)
+        excess = entry.restitution_loss - (1.0 - e * e) * struck
+        if abs(excess) <= ROUNDED * struck:
+            continue
+        if v > entry.rest_speed:
+            if e < 1.0 and len(impacts) == 0:
+                impacts = _count_impacts(log, bodies)
+            if e >= 1.0 or max(impacts[i], impacts[j] if j < bodies else 0) < COLLAPSE:
+                together += excess
+                if abs(excess) > largest:
+                    largest, a, b = abs(excess), i, j
+            continue
+        if len(load) == 0:
+            load = acceleration.copy()
+            for k in range(len(pairs) if kick > 0.0 else 0):
+                first, second = ends_of(pairs, k)
+                _press(first, second, contacts[place[k]], inverse_mass, kick, load)
+        pressed = _along(load, i, j, entry.nx, entry.ny, entry.nz)
+        if v > TURNED_BACK * pressed * dt and kick > 0.0:
+            k = first_of(i, pairs)  # where the contact itself is held, its impulse does not separate the ends
+            while k < len(pairs) and pairs[k, 0] == i and pairs[k, 1] < j:
+                k += 1
+            if k < len(pairs) and pairs[k, 0] == i and pairs[k, 1] == j:
+                pressed += contacts[place[k]].normal_impulse * Kn / kick
+        if v > TURNED_BACK * pressed * dt:
+            found = _add(wrong[STOPPED], abs(excess), i, j, step, time)
+    if together != 0.0:
+        found = _add(wrong[RESTITUTION], abs(together), a, b, step, time)
+    return found
+
+
+@inline
+def _along(load: FloatArray, i: int, j: int, nx: float, ny: float, nz: float) -> float:
+    """Return the acceleration (m/s²) with which two ends approach each other."""
+    ax, ay, az = load[i, 0] - load[j, 0], load[i, 1] - load[j, 1], load[i, 2] - load[j, 2]
+    return ax * nx + ay * ny + az * nz
+
+
+@kernel
+def _count_impacts(log: RecordArray[ImpactRecord], bodies: int) -> IntArray:
+    """Return the number of impacts of each body, (n,)."""
+    counts = np.zeros(bodies, np.int64)
+    for k in range(len(log)):
+        counts[log[k].i] += 1
+        if log[k].j < bodies:
+            counts[log[k].j] += 1
+    return counts
+
+
+@long_kernel
+def judge_contacts(
+    pairs: IntArray,
+    place: IntArray,
+    contacts: RecordArray[ContactRecord],
+    states: RecordArray[ContactStateRecord],
+    struck_pairs: IntArray,
+    ends: JudgedEnds,
+    before: tuple[IntArray, RecordArray[HeldContacts], FloatArray, bool, bool],
+    dt: float,
+    step: int,
+    time: float,
+    wrong: RecordArray[WrongWorkRecord],
+) -> bool:
+    """Judge the contacts at the end of a step: impacts that stop, elastic ones, and the friction of each island.
+
+    Return whether anything is wrong. Islands in which an impact or a lost contact has changed the kick before the drift
+    are not judged.
+    """
+    rows, places, inverse_mass, bodies = ends
+    held_pairs, held, load, alike, holds = before
+    count = len(inverse_mass)
+    island = np.arange(count)
+    join_islands(pairs, inverse_mass, island)
+    join_islands(held_pairs, inverse_mass, island)
+    friction, magnitude, found = np.zeros(count), np.zeros(count), False
+    largest, worst = np.zeros(count), np.full(count, -1)
+    is_judged, sticks_only = np.full(count, alike), np.full(count, holds)
+    for k in range(len(struck_pairs)):
+        _exclude(struck_pairs[k, 0], struck_pairs[k, 1], inverse_mass, island, is_judged)
+    b = 0
+    for k in range(len(pairs)):
+        (i, j), c = ends_of(pairs, k), place[k]
+        contact, state = contacts[c], states[c]
+        while b < len(held_pairs) and comes_before(held_pairs[b, 0], held_pairs[b, 1], i, j):
+            if held[b].did != _IDLE:  # its second kick is missing
+                _exclude(held_pairs[b, 0], held_pairs[b, 1], inverse_mass, island, is_judged)
+            b += 1
+        material = rows[material_index(i, j, bodies, places)]
+        root = root_of(island, i if inverse_mass[i] > 0.0 else j)
+        did, lost, size = _what_it_does(contact, material), state.friction_loss, abs(state.friction_loss)
+        push = 0.0
+        known = b < len(held_pairs) and held_pairs[b, 0] == i and held_pairs[b, 1] == j
+        if known:
+            did, lost, size = did | held[b].did, lost + held[b].friction, size + abs(held[b].friction)
+            push = held[b].push
+            b += 1
+        if not (did == _IDLE or (known and did == _STUCK)) or state.approach_speed > state.rest_speed:
+            sticks_only[root] = False
+        friction[root] += lost
+        magnitude[root] += size
+        if worst[root] < 0 or abs(lost) > largest[root]:
+            largest[root], worst[root] = abs(lost), k
+        v = state.approach_speed
+        if not v > 0.0:
+            continue
+        Kn = inverse_mass[i] + inverse_mass[j]
+        e = restitution_of_impact(material, v, 0.0, Kn, contact.arm_i, contact.arm_j)
+        struck = 0.5 * v * v / Kn
+        if v > state.rest_speed:
+            excess = abs(state.restitution_loss)
+            if e >= 1.0 and not contact.normal_impulse > 0.0 and excess > ROUNDED * struck:
+                found = _add(wrong[RESTITUTION], excess, i, j, step, time)
+        elif e > 0.0 and contact.normal_impulse > 0.0 and len(load) > 0:
+            pressed = push + _along(load, i, j, contact.nx, contact.ny, contact.nz)
+            if v > TURNED_BACK * pressed * dt:
+                found = _add(wrong[STOPPED], e * e * struck, i, j, step, time)
+    while b < len(held_pairs):
+        if held[b].did != _IDLE:
+            _exclude(held_pairs[b, 0], held_pairs[b, 1], inverse_mass, island, is_judged)
+        b += 1
+    for root in range(count):
+        work = friction[root]
+        if worst[root] < 0 or not is_judged[root] or abs(work) <= CANCELLED * magnitude[root]:
+            continue
+        i, j = ends_of(pairs, worst[root])
+        if sticks_only[root]:
+            found = _add(wrong[HOLDING], abs(work), i, j, step, time)
+        elif work < 0.0:
+            found = _add(wrong[GAIN], -work, i, j, step, time)
+    return found
+
+
+@inline
+def _exclude(i: int, j: int, inverse_mass: FloatArray, island: IntArray, is_judged: FloatArray) -> None:
+    """Exclude the islands of two ends from being judged."""
+    if inverse_mass[i] > 0.0:
+        is_judged[root_of(island, i)] = False
+    if inverse_mass[j] > 0.0:
+        is_judged[root_of(island, j)] = False
