@@ -99,7 +99,7 @@ def test_conjugate_gradients_find_the_impulses_of_a_dense_solution() -> None:
 
 
 def warnings_of(scene: Scene) -> list[str]:
-    return [event.text for frame in Space(scene).run() for event in frame.events if event.level == "WARN"]
+    return [event.text for frame in Space(scene).run() for event in frame.events if event.kind == "limit"]
 
 
 @pytest.mark.parametrize("kinetic", [0.1, 0.3])

@@ -352,7 +352,8 @@ def judge_impacts(
 def _along(load: FloatArray, i: int, j: int, nx: float, ny: float, nz: float) -> float:
     """Return the acceleration (m/s²) with which two ends approach each other."""
     ax, ay, az = load[i, 0] - load[j, 0], load[i, 1] - load[j, 1], load[i, 2] - load[j, 2]
-    return ax * nx + ay * ny + az * nz
+    acceleration: float = ax * nx + ay * ny + az * nz
+    return acceleration
 
 
 @kernel
