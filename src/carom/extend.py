@@ -109,6 +109,7 @@ if TYPE_CHECKING:
     from carom.runs.outcome import Verdict as Verdict
     from carom.runs.outcome import in_words as in_words
     from carom.runs.outcome import judge as judge
+    from carom.runs.refinement import refine as refine
     from carom.runs.report import report as report
     from carom.runs.resume import continued_scene as continued_scene
     from carom.runs.run import Outcome as Outcome
@@ -255,6 +256,7 @@ _NAMES = {  # of each module; docs/extending.md lists them by purpose
     ),
     "carom.runs.environment": "Interrupts command_line environment versions",
     "carom.runs.outcome": "Verdict in_words judge",
+    "carom.runs.refinement": "refine",
     "carom.runs.report": "report",
     "carom.runs.resume": "continued_scene",
     "carom.runs.run": "Outcome Watcher closing_summary recording_space simulate",

@@ -51,10 +51,13 @@ from carom.scene.wording import Names
 FACTOR = 4.0  # default: an error of first order shrinks to a quarter, so three quarters of it are seen
 INSTANTS = 200  # at which the runs are compared
 STATE = 1e-3  # tolerance of positions over radius and distance covered, and of velocities over the body's speed
+PULLED = (
+    0.1  # tolerance of velocities over the change in a step by forces that vary along a path, unlike a uniform field
+)
 LEDGER = 1e-3  # tolerance of an entry over the energy that moves, as `record.energy_tolerance` by default
-CHAOTIC = 2e-2  # the same tolerance where chaos ends the comparison of bodies, so that entries are statistics
+CHAOTIC = 5e-2  # the same tolerance where chaos ends the comparison of bodies, so that entries are statistics
 REGULAR = 0.99  # of the motion; if less was compared, chaos decides
-OVERLAP = 2e-2  # tolerance of overlaps over the smaller radius
+OVERLAP = 5e-2  # tolerance of overlaps over the smaller radius; a step may move bodies by half a radius or more
 MOST_GROWTH = 300.0  # of a twin; beyond it, the tolerance of positions would be a third of the distance covered
 COMPARABLE = 0.5  # of the free bodies; with fewer, a new window begins
 CERTAIN = 4.0  # standard errors of the mean difference of an entry
@@ -391,6 +394,7 @@ class _Comparison:
         self._last_fine = frame
         n = len(frame.position)
         self._origin = frame.position
+        self._pull, self._since = np.zeros(n), frame.time
         self._extent, self._growth, self._speed = np.zeros(n), np.ones(n), self._speeds(frame)
 
     def _speeds(self, frame: Frame) -> FloatArray:
@@ -411,6 +415,8 @@ class _Comparison:
         covered = np.sqrt((self._between(frame.position, self._origin) ** 2).sum(axis=1))
         self._extent = np.maximum(self._extent, covered)
         speed = np.maximum(self._speeds(frame), self._speeds(fine))
+        varying = frame.acceleration - np.array(self._maker.scene.gravity.uniform)
+        self._pull = np.maximum(self._pull, np.sqrt((varying**2).sum(axis=1)) * frame.dt)
         pulled = np.sqrt((frame.acceleration**2).sum(axis=1)) * frame.dt
         self._speed = np.maximum(self._speed, np.maximum(speed, pulled))
 
@@ -419,15 +425,19 @@ class _Comparison:
         growth = np.maximum(self._growth, 1.0)
         speed = np.maximum(self._speed, AT_REST * float(self._speed.max()) + np.finfo(float).tiny)
         differences = {
-            "position": (self._between(fine.position, frame.position), (self._radius + self._extent), "m"),
-            "velocity": (fine.velocity - frame.velocity, speed, "m/s"),
+            "position": (
+                self._between(fine.position, frame.position),
+                STATE * (self._radius + self._extent) + PULLED * self._pull * (frame.time - self._since),
+                "m",
+            ),
+            "velocity": (fine.velocity - frame.velocity, STATE * speed + PULLED * self._pull, "m/s"),
         }
         if frame.angular_velocity is not None and fine.angular_velocity is not None:
             turned = (fine.angular_velocity - frame.angular_velocity) * self._radius[:, np.newaxis]
-            differences["spin"] = (turned, speed, "m/s")
+            differences["spin"] = (turned, STATE * speed + PULLED * self._pull, "m/s")
         suspects: dict[int, list[str]] = {}
-        for name, (vectors, scale, _) in differences.items():
-            ratio = np.where(compared, np.sqrt((vectors**2).sum(axis=1)) / (STATE * scale * growth), 0.0)
+        for name, (vectors, least, _) in differences.items():
+            ratio = np.where(compared, np.sqrt((vectors**2).sum(axis=1)) / (least * growth), 0.0)
             if self._box is not None:  # crossed the border in one run only
                 ratio = np.where(np.abs(vectors).max(axis=1) < self._box.min() / 4.0, ratio, 0.0)
             for body in np.flatnonzero(ratio > 1.0).tolist():
@@ -455,12 +465,12 @@ class _Comparison:
                 done |= touching.bodies
                 continue
             for name in names:
-                vectors, scale, unit = differences[name]
+                vectors, least, unit = differences[name]
                 lasts = frame.time - before.time if name == "position" else 1.0
                 by, rubbed = touching.excess(vectors[body], lasts), touching.rubbed * lasts
                 if name == "spin":
                     by, rubbed = float(np.sqrt((vectors[body] ** 2).sum())), SURFACE * rubbed
-                allowed = STATE * float(scale[body] * growth[body]) + rubbed
+                allowed = float(least[body] * growth[body]) + rubbed
                 self._note(name, by, allowed)
                 if by > allowed or lacks:
                     values = self._size(name, body, frame), self._size(name, body, fine), by, allowed

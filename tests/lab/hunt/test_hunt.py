@@ -11,11 +11,13 @@ import numpy as np
 import pytest
 
 from carom.errors import SceneError
-from carom.lab.hunt.hunt import LAWS, Hunt, Miss, laws_of
+from carom.lab.hunt.hunt import LAWS, Hunt, Miss, by_default, laws_of
 from carom.lab.hunt.random_scenes import Drawn, drawn
 from carom.lab.shrink.trials import OutOfTime
 from carom.physics.diagnostics.bookkeeper import BalanceAudit
+from carom.physics.space import Space
 from carom.scene.load import scene_from_dict
+from carom.scene.schema import Scene
 from carom_command import carom
 
 
@@ -50,6 +52,35 @@ def test_a_fault_is_found_shrunk_and_filed_with_its_recording(tmp_path: Path, mo
     assert first["bodies"] <= 2 and (tmp_path / first["file"]).with_suffix(".rrd").exists()
     assert "# carom hunt --seed 7 --from 0 --scenes 1" in (tmp_path / first["file"]).read_text()
     assert [miss["file"] for miss in tally["misses"] if miss["law"] == "ledger"][1:] == [None]
+
+
+@pytest.mark.slow
+def test_a_bounce_that_depends_on_the_step_is_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A planted fault: impacts of runs with shorter steps are elastic."""
+    monkeypatch.setattr("carom.lab.hunt.hunt.drawn", lambda seed, index: Drawn(meeting(index)))
+    made = Space.__init__
+
+    def planted(
+        space: Space, scene: Scene, threads: Any = None, start: Any = None, stride: float = 1.0, **other: Any
+    ) -> None:
+        elastic = scene.model_copy(update={"contact": scene.contact.model_copy(update={"restitution": 1.0})})
+        made(space, elastic if stride < 1.0 else scene, threads, start, stride, **other)
+
+    monkeypatch.setattr(Space, "__init__", planted)
+    done = carom("hunt", "--seed", "7", "--scenes", "1", "-o", "found", "--json", cwd=tmp_path)
+    misses = json.loads(done.stdout)["misses"]
+    assert done.returncode == 1 and [miss["law"] for miss in misses] == ["shorter steps"]
+    assert misses[0]["bodies"] == 2 and " with shorter steps" in misses[0]["said"]
+
+
+def test_a_scene_is_refined_with_the_default_method() -> None:
+    drawn_scene = meeting(0)
+    drawn_scene["time"] |= {"fixed_dt": 0.5, "max_dt": 1.0}
+    drawn_scene["contact"] |= {"timing": "end-of-step"}
+    changed = by_default(drawn_scene)
+    assert changed is not None and changed["time"] == {"duration": 1.5}
+    assert changed["contact"] == {"static_friction": 0.0} and drawn_scene["time"]["fixed_dt"] == 0.5
+    assert by_default(drawn_scene | {"contact": {"allow_overlap": True}}) is None
 
 
 def meeting(index: int) -> dict[str, Any]:

@@ -215,6 +215,13 @@ def test_bits_that_depend_on_the_threads_shrink_like_any_failure(monkeypatch: py
     assert result.bodies == 1 and result.said == "a run on two threads ends with different bits"
 
 
+@pytest.mark.slow
+def test_impacts_at_the_end_of_long_steps_shrink_to_two_bodies_that_overlap_less_in_shorter_ones() -> None:
+    late = GAS | {"contact": GAS["contact"] | {"timing": "end-of-step"}, "time": {"duration": 1.0, "fixed_dt": 0.2}}
+    result = reduced(late, "shorter steps differ")
+    assert result.bodies <= 2 and " with shorter steps" in result.said
+
+
 @pytest.mark.parametrize(
     ("condition", "said"),
     [
@@ -227,6 +234,7 @@ def test_bits_that_depend_on_the_threads_shrink_like_any_failure(monkeypatch: py
         ("PhysicsError", "nothing to shrink: the run reached its end"),
         ("warning energy-rose", 'no warning energy-rose; did you mean "energy-rise"'),
         ("replay differs", "nothing to shrink: runs on two threads, .* have the same bits"),
+        ("shorter steps differ", "nothing to shrink: shorter steps tell the same story"),
         ("warning limit", "nothing to shrink: the run gave none of these warnings"),
     ],
 )

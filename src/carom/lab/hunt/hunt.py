@@ -25,13 +25,14 @@ from carom.extend import (
     simulate,
 )
 from carom.lab.hunt.alone import STEPS, Ending, difference
+from carom.lab.hunt.documents import Document
 from carom.lab.hunt.random_scenes import IMPACTS, SMOOTH, drawn
 from carom.lab.run_summary import Observation, said_by
 from carom.lab.shrink.condition import condition_from
 from carom.lab.shrink.literal import key_of, text_of, write
 from carom.lab.shrink.reducer import Reducer
 from carom.lab.shrink.trials import Budget, Condition, OutOfTime, observe
-from carom.lab.shrink.whole_run import applies
+from carom.lab.shrink.whole_run import applies, moved_by_shorter_steps
 
 LEDGER = 1e-9  # of the energy scale, in flight without forces: some 10⁶ roundings of 10⁻¹⁶
 CONSERVED = 1e-9  # of the largest momentum
@@ -85,6 +86,12 @@ def _invariance(name: str, says: str, *kinds: str) -> HuntedLaw:
 ALONE = HuntedLaw(
     "alone", "the bits do not depend on what ran before in the process", "", lambda *_: True
 )  # judged with `--alone`
+REFINED = HuntedLaw(
+    "shorter steps",
+    "with default steps, steps a quarter as long tell the same story",
+    "shorter steps differ",
+    lambda *_: True,
+)  # judged for the scene of `by_default`
 ERROR = HuntedLaw("error", "a run reaches its end or reports an error", "crash", lambda *_: True)
 LAWS = [
     ERROR,
@@ -123,6 +130,22 @@ LAWS = [
     _invariance("numbering", "bodies in another order move in the same way", SMOOTH, IMPACTS),
     _invariance("steps", "the energy error decreases with the step as the order of the integrator predicts", SMOOTH),
 ]
+
+
+_METHOD = {  # keys that choose a method or its steps, by section; their defaults keep the tolerances of a refinement
+    "time": ("max_dt", "target_dx", "cfl", "pull_fraction", "smoothing", "velocity_limit", "fixed_dt", "integrator"),
+    "contact": ("timing", "stabilisation", "sweeps", "solver", "colouring"),
+}
+
+
+def by_default(document: Document) -> Document | None:
+    """Return a scene with the default method and steps; None if it overlaps at the start or has an accuracy."""
+    if document.get("contact", {}).get("allow_overlap") or "accuracy" in document["time"]:
+        return None
+    changed = dict(document)
+    for section, keys in _METHOD.items():
+        changed[section] = {key: value for key, value in document.get(section, {}).items() if key not in keys}
+    return changed
 
 
 AUDIT = 1e-9  # of a speed, unexplained by impulses: some 10⁶ roundings
@@ -224,6 +247,7 @@ class Hunt:
             found_here = self._leaks(index, scene, seen, budget) if self.alone else []
             self._ran.append(index)
             conditions = [(law, condition_from(law.condition)) for law in laws]
+            found_here += self._moves(index, found.document, budget)
             return found_here + [
                 Finding(law, condition, index, scene, condition.said(seen))
                 for law, condition in conditions
@@ -239,6 +263,20 @@ class Hunt:
             return []
         except Exception as error:  # an error before the first step counts as well
             return [Finding(ERROR, condition_from(ERROR.condition), index, scene, said_by(error))]
+
+    def _moves(self, index: int, document: Document, budget: Budget) -> list[Finding]:
+        """Compare a scene with default steps with shorter ones."""
+        changed = by_default(document)
+        if changed is None:
+            return []
+        try:
+            scene = Scene.from_dict(changed)
+        except SceneError:
+            return []
+        if require(scene).contact.modelled and auto.timing(scene) == "end-of-step":
+            return []  # its stated error is of first order
+        said = moved_by_shorter_steps(scene, STEPS, lambda status: budget.check())
+        return [Finding(REFINED, condition_from(REFINED.condition), index, scene, said)] if said else []
 
     def _leaks(self, index: int, scene: Scene, seen: Observation, budget: Budget) -> list[Finding]:
         """Compare a run with one in a new process."""

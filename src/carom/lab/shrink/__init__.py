@@ -30,7 +30,7 @@ def shrink_command(
             metavar="CONDITION",
             help="The failure to keep. Default: the error that ends the run, or the broken promise of "
             '\\[expect]. Other values: expect.NAME, PhysicsError, crash, "not finite", "replay differs", '
-            '"invariance NAME", "impact of A and B", "warning KIND", or an expression such as '
+            '"shorter steps differ", "invariance NAME", "impact of A and B", "warning KIND", or an expression such as '
             '"energy.max_error > 1e-3" over the numbers of `carom inspect --json`.',
         ),
     ] = None,

@@ -9,7 +9,7 @@ from carom.errors import ExperimentError
 from carom.extend import TIME, Expect, Names, Verdict, names_of_solids, nearest, suggestion
 from carom.lab.run_summary import LASTING, SUNK, Expression, Observation, Pair, UnknownNameError, end_name
 from carom.lab.shrink.trials import Condition
-from carom.lab.shrink.whole_run import ReplayDiffers, Varies
+from carom.lab.shrink.whole_run import MovesWithSteps, ReplayDiffers, Varies
 
 WARNINGS = ("energy-rise", "energy-ledger", "energy-lost", "dissipation", "limit", "pace", "horizon")
 _MET = re.compile(r"\s*impact of (.+?) and (.+?)\s*")
@@ -30,7 +30,8 @@ def condition_from(text: str | None) -> Condition:
 
     None means any error or missed promise. Otherwise the text is ``expect`` or ``expect.NAME`` (a missed promise),
     ``impact of A and B``, ``warning KIND``, ``PhysicsError``, ``crash`` (any other error), ``not finite``, ``overlap at
-    rest``, ``replay differs``, ``invariance NAME``, or an expression over the numbers of ``carom inspect --json``.
+    rest``, ``replay differs``, ``shorter steps differ``, ``invariance NAME``, or an expression over the numbers of
+    ``carom inspect --json``.
     """
     if text is None:
         return MissedPromise("expect", or_error=True)
@@ -45,6 +46,8 @@ def condition_from(text: str | None) -> Condition:
     match " ".join(text.lower().split()):
         case "replay differs":
             return ReplayDiffers(text)
+        case "shorter steps differ":
+            return MovesWithSteps(text)
         case "overlap at rest":
             return Sunk(text)
         case "crash":

@@ -1,4 +1,4 @@
-"""Conditions on whole runs, which no single frame shows: invariances, replays that differ, the verdict of a command.
+"""Conditions on whole runs, which no single frame shows: invariances, replays that differ, shorter steps, commands.
 
 An invariance compares a scene with its image, which must have the same motion: in other units, mirrored, translated,
 rotated or renumbered. The image has positions x' = L (A x) + s + u t' at times t' = T t, and bodies in another order.
@@ -29,10 +29,12 @@ from carom.extend import (
     LENGTH,
     Checkpoint,
     Dimension,
+    StepStatus,
     auto,
     converted,
     every,
     place,
+    refine,
     require,
     rescaled,
     suggestion,
@@ -149,6 +151,41 @@ class FinalState:
         except Exception as raised:  # a fault in the engine, which may be the failure itself
             error = said_by(raised)
         return cls(space.step, space.time, space.state.position.copy(), space.state.velocity.copy(), error)
+
+
+INSTANTS = 50  # at which a run and its repetition with shorter steps are compared
+
+
+@dataclass(frozen=True, slots=True)
+class MovesWithSteps(Condition):
+    """Another story with steps a quarter as long."""
+
+    of_whole_run = True
+
+    def pinned(self, seen: Observation) -> MovesWithSteps:
+        """Return this condition, if it holds."""
+        if not self.holds(seen):
+            raise ExperimentError("nothing to shrink: shorter steps tell the same story")
+        return self
+
+    def holds(self, seen: Observation) -> bool:
+        """Return whether shorter steps tell another story."""
+        return bool(self.said(seen))
+
+    def said(self, seen: Observation) -> str:
+        """Describe the first difference; empty if there is none."""
+        return "" if seen.error else moved_by_shorter_steps(seen.space.scene)
+
+
+def moved_by_shorter_steps(
+    scene: Scene, most_steps: float = math.inf, watch: Callable[[StepStatus], None] = lambda status: None
+) -> str:
+    """Describe what steps a quarter as long move first; empty if nothing, or a run fails."""
+    try:
+        moved = refine(scene, threads=1, instants=INSTANTS, most_steps=most_steps, watch=watch).moved
+    except (SceneError, PhysicsError):
+        return ""
+    return moved[0].text(scene.unit_system) if moved else ""
 
 
 @dataclass(frozen=True, slots=True)
