@@ -68,22 +68,26 @@ def hub_25() -> Bodies:
         yield {"name": f"pebble {k}", "position": position, "radius": 1.0, "density": 3000.0}
 
 
+def column(count: int, lowest: float, pitch: float) -> Bodies:
+    """Place balls above each other, of which the last is the top."""
+    for k in range(count):
+        name = {"name": "top"} if k == count - 1 else {}
+        yield name | {"position": [0.0, 0.0, round(lowest + pitch * k, 6)], "radius": 1.0}
+
+
 def stack_20() -> Bodies:
     """Place twenty balls in a column, 5 cm above each other and the floor."""
-    for k in range(20):
-        yield {"position": [0.0, 0.0, round(1.05 + 2.05 * k, 6)], "radius": 1.0}
+    yield from column(20, 1.05, 2.05)
 
 
 def stack_200() -> Bodies:
     """Place two hundred balls that touch in a column on the floor."""
-    for k in range(200):
-        yield {"position": [0.0, 0.0, 1.0 + 2.0 * k], "radius": 1.0}
+    yield from column(200, 1.0, 2.0)
 
 
 def stack_dropped() -> Bodies:
     """Place fifty balls in a column, 5 cm above each other and the floor."""
-    for k in range(50):
-        yield {"position": [0.0, 0.0, round(1.05 + 2.05 * k, 6)], "radius": 1.0}
+    yield from column(50, 1.05, 2.05)
 
 
 def table(body: dict[str, Any]) -> str:

@@ -37,8 +37,12 @@ SLOW = (
 )  # a second and a half or more each
 
 
+MISSED = {"stack-dropped": "slow contacts wait for the end of a step and sink (docs/physics.md, section 9)"}
+
+
 def cases() -> list[Any]:
-    marks = {name: [pytest.mark.slow] for name in SLOW}
+    marks: dict[str, list[Any]] = {name: [pytest.mark.slow] for name in SLOW}
+    marks |= {name: [pytest.mark.xfail(reason=why, strict=True)] for name, why in MISSED.items()}
     return [pytest.param(name, marks=marks.get(name, [])) for name in extremes()]
 
 
@@ -67,8 +71,21 @@ def test_an_extreme_meets_its_criteria(name: str) -> None:
     else:
         space = ran(name)
     assert space.time == space.scene.time.duration
-    missed = [str(verdict) for verdict in judge(space.scene, space.extremes, space.time) if not verdict.met]
+    missed = [
+        str(verdict) for verdict in judge(space.scene, space.extremes, space.time, space.state) if not verdict.met
+    ]
     assert not missed
+
+
+def test_extremes_are_compared_with_closed_forms_and_none_may_gain_energy() -> None:
+    stated = set()
+    for name in extremes():
+        expect = Scene.load(f"extremes/{name}").expect
+        stated |= {name} if expect.state else set()
+        # a millionth of a fall, or the error of the integrator; a start that overlaps is lifted by what it costs
+        assert name == "overlapped-gravity" or (expect.energy_gain or 0.0) <= 1e-3
+        assert not expect.state or "# Theory: " in extremes()[name].read_text(encoding="utf-8")
+    assert len(stated) >= 10
 
 
 @pytest.mark.parametrize("name", extremes())

@@ -235,6 +235,43 @@ def test_a_promise_of_impacts_is_one_from_below() -> None:
     assert str(few) == "impacts: 1 (at least 2; missed)"
 
 
+def test_a_most_number_of_impacts_is_one_from_above() -> None:
+    few, many = (judge(pair(expect={"most_impacts": 2}), Extremes(impacts=n), 10.0)[0] for n in (2, 3))
+    assert few.met and str(many) == "most_impacts: 3 (at most 2; missed)"
+
+
+def test_a_state_from_theory_is_compared_at_the_end_in_the_units_of_the_scene(tmp_path: Path) -> None:
+    """A ball thrown at 2 cm/s is 2 cm away after 1 s; the scene expects 3 cm, and the right velocity."""
+    scene = scene_from_text(
+        """
+        units = "cm, s, g"
+        time.duration = 1.0
+        gravity.constant = 0.0
+        [[body]]
+        name = "thrown"
+        velocity = [2.0, 0.0, 0.0]
+        [[expect.state]]
+        body = "thrown"
+        position = [3.0, 0.0, 0.0]
+        position_error = 0.5
+        velocity = [2.0, 0.0, 0.0]
+        velocity_error = 1e-12
+        """,
+        "x.toml",
+    )
+    outcome = simulate(recording_space(scene, 1), tmp_path / "x.rrd")
+    assert outcome.status == "expectation missed"
+    assert [str(verdict) for verdict in outcome.verdicts] == [
+        'position_0: 1, error of "thrown" in cm (at most 0.5; missed)',
+        'velocity_0: 0, error of "thrown" in cm/s (at most 1e-12)',
+    ]
+    told = Recording.open(tmp_path / "x.rrd").summary()["expect"]
+    assert told["position_0"]["measured"] == pytest.approx(1.0) and told["velocity_0"]["met"]
+    unknown = judge(scene, Extremes(), 1.0)
+    assert not any(verdict.met for verdict in unknown), "a state that is not known meets no promise"
+    assert not any(verdict.judged for verdict in judge(scene, Extremes(), 0.5))
+
+
 def test_a_promise_about_the_end_is_judged_at_the_end_that_it_was_made_for() -> None:
     scene = pair(time={"duration": 4.0}, expect={"impacts": 2, "final_kinetic": 0.0, "max_overlap": 0.0})
     extremes = Extremes(impacts=1, overlap=Extreme(0.1, 1, 1.0), kinetic=Extreme(0.5, 9, 3.0))

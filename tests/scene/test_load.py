@@ -142,6 +142,26 @@ MISTAKES = {
         "[expect]\nwarned = 'limit'\n" + ONE_BODY,
         [":2:", "expect.warned = 'limit': must be a list"],
     ),
+    "an expected state without its error": (
+        "[[expect.state]]\nbody = 'a'\nvelocity = [0, 0, 1]\n[[body]]\nname = 'a'\n",
+        ["scene.toml:1:", "expect.state.0: velocity without velocity_error; give both"],
+    ),
+    "an error without its expected state": (
+        "[[expect.state]]\nbody = 'a'\nposition_error = 1.0\n[[body]]\nname = 'a'\n",
+        ["expect.state.0: position_error without position; give both"],
+    ),
+    "nothing that is expected of a body": (
+        "[[expect.state]]\nbody = 'a'\n[[body]]\nname = 'a'\n",
+        ["expect.state.0: nothing is expected of the body; give position, velocity, angular_velocity"],
+    ),
+    "a state of an unknown body": (
+        "[[expect.state]]\nbody = 'b'\nvelocity = [0, 0, 1]\nvelocity_error = 0.1\n[[body]]\nname = 'a'\n",
+        ["scene.toml:2: expect.state.0.body: no [[body]] of that name", "a"],
+    ),
+    "a state of two bodies": (
+        "[[expect.state]]\nbody = 'a'\nvelocity = [0, 0, 1]\nvelocity_error = 0.1\n" + 2 * "[[body]]\nname = 'a'\n",
+        ["expect.state.0.body: several [[body]] tables have this name"],
+    ),
     "a number in place of parts": ("[model]\nforce = 3\n" + ONE_BODY, [":2:", "model.force = 3: must be a list"]),
     "a pair of one name": (
         "[[pair]]\nmaterials = 'default'\nrestitution = 0.5\n" + ONE_BODY,

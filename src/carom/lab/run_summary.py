@@ -223,7 +223,7 @@ class Observation:
     @cached_property
     def verdicts(self) -> list[Verdict]:
         """The promises of the scene."""
-        return judge(self.space.scene, self.space.named_extremes(), self.space.time)
+        return judge(self.space.scene, self.space.named_extremes(), self.space.time, self.space.state)
 
     @cached_property
     def summary(self) -> dict[str, Any]:

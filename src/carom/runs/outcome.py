@@ -5,17 +5,19 @@ from __future__ import annotations
 import math
 import re
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from itertools import takewhile
-from typing import Any
+from typing import Any, Protocol
 
+from carom.arrays import FloatArray
 from carom.contact_table import ROUNDED_OVERLAP
 from carom.physics.diagnostics.extremes import Extreme, Extremes
 from carom.recording.read.recording import Recording
 from carom.recording.schema.header import Scalar
 from carom.scene.scene_file import starter
 from carom.scene.schema import Scene
+from carom.scene.schema.promise import STATES
 from carom.scene.units.dimension import ENERGY, RATE, TIME
 from carom.scene.units.system import SI, UnitSystem
 from carom.scene.wording import counted
@@ -65,15 +67,33 @@ class Verdict:
         return f"{self.name}: {self.measured:.3g}{note} ({self.bound} {self.limit:.3g}{missed})"
 
 
-def judge(scene: Scene, extremes: Extremes, time: float) -> list[Verdict]:
-    """Compare every promise of a scene with the extremes of its run, which ended at ``time`` (s).
+class EndState(Protocol):
+    """The state of the bodies at the end of a run; None if it is not known."""
+
+    @property
+    def position(self) -> FloatArray | None:
+        """(n, 3) m."""
+
+    @property
+    def velocity(self) -> FloatArray | None:
+        """(n, 3) m/s."""
+
+    @property
+    def angular_velocity(self) -> FloatArray | None:
+        """(n, 3) rad/s."""
+
+
+def judge(scene: Scene, extremes: Extremes, time: float, state: EndState | None = None) -> list[Verdict]:
+    """Compare every promise of a scene with the extremes of its run, which ended at ``time`` (s), and its last state.
 
     A quantity that the scene does not conserve, such as angular momentum in a periodic box or any momentum where
-    something is fixed, counts as infinitely wrong. The final kinetic energy is judged only if the run ends at the
-    promised time; the number of impacts and the warnings are also judged if it ends later.
+    something is fixed, counts as infinitely wrong. The final kinetic energy, the largest number of impacts and states
+    are judged only if the run ends at the promised time; the smallest number of impacts and the warnings are also
+    judged if it ends later. An unknown state is wrong.
     """
     expect, end = scene.expect, scene.expect.duration or scene.time.duration
-    elsewhere = {"final_kinetic": end if time != end else None, "impacts": end if time < end else None}
+    at_end, by_then = end if time != end else None, end if time < end else None
+    elsewhere = {"final_kinetic": at_end, "most_impacts": at_end, "impacts": by_then}
     worst: dict[str, Extreme | None] = {
         "energy_error": extremes.energy_fault,
         "energy_gain": extremes.energy_gain,
@@ -82,15 +102,14 @@ def judge(scene: Scene, extremes: Extremes, time: float) -> list[Verdict]:
         "max_overlap": extremes.overlap,
         "final_kinetic": extremes.kinetic,
         "impacts": None,
+        "most_impacts": None,
         "contact_audit": extremes.contact_audit,
         "dissipation_error": extremes.dissipation_error,
     }
-    without = {
-        "energy_error": 0.0,
-        "max_overlap": 0.0,
-        "impacts": extremes.impacts,
-        "dissipation_error": 0.0,
-    }  # values if there is no extreme
+    without = {  # values if there is no extreme
+        **dict.fromkeys(("energy_error", "max_overlap", "dissipation_error"), 0.0),
+        **dict.fromkeys(("impacts", "most_impacts"), extremes.impacts),
+    }
     gained = extremes.energy_fault is not None and extremes.energy_fault is not extremes.energy_error
     notes = {"energy_error": "added by contact impulses"} if gained else {}
     verdicts = []
@@ -99,10 +118,24 @@ def judge(scene: Scene, extremes: Extremes, time: float) -> list[Verdict]:
             value = without.get(name, math.inf) if extreme is None else extreme.value
             note, promised_at = notes.get(name, ""), elsewhere.get(name)
             verdicts.append(Verdict(name, limit, value, extreme, name == "impacts", note, promised_at))
-    return verdicts + [
+    return [*verdicts, *_states(scene, state, at_end)] + [
         Verdict(f"warned_{kind}", 1.0, float(kind in extremes.warned), at_least=True, promised_at=elsewhere["impacts"])
         for kind in expect.warned
     ]
+
+
+def _states(scene: Scene, state: EndState | None, promised_at: float | None) -> Iterator[Verdict]:
+    """Yield a verdict for each expected value of a body's state; its numbers are in the units of the scene."""
+    numbers, units = [body.name for body in scene.body], scene.unit_system
+    for expected in scene.expect.state:
+        number = numbers.index(expected.body)
+        for name, value, error in expected.values:
+            found: FloatArray | None = getattr(state, name, None)
+            off = math.nan if found is None else math.dist(found[number].tolist(), value)
+            limit, measured = (units.shown(each, STATES[name]) for each in (error, off))
+            unit = units.unit(STATES[name])
+            note = f'error of "{expected.body}"' + (f" in {unit}" if unit else "")
+            yield Verdict(f"{name}_{number}", limit, measured, note=note, promised_at=promised_at)
 
 
 def closing_of(extremes: Extremes) -> dict[str, Scalar]:

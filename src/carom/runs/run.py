@@ -228,7 +228,7 @@ def simulate(
             space.stop()
             raise
         extremes = space.named_extremes()
-        verdicts = judge(space.scene, extremes, space.time)
+        verdicts = judge(space.scene, extremes, space.time, space.state)
         if status == "completed":
             status, reason = ending_of(verdicts, space.scene.unit_system)
         summary = {"wall_time": time.perf_counter() - began, **closing_summary(space, extremes, verdicts)}

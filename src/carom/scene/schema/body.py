@@ -10,7 +10,18 @@ from pydantic import BeforeValidator, Field, model_validator
 from carom.scene.schema.contact import Surface
 from carom.scene.schema.motion import WallMotion
 from carom.scene.schema.piston import Piston
-from carom.scene.schema.quantity import MOST, ORIGIN, AnyReal, Count, NonNegative, Positive, Real, Section, Vector
+from carom.scene.schema.quantity import (
+    MOST,
+    ORIGIN,
+    AnyReal,
+    Count,
+    Name,
+    NonNegative,
+    Positive,
+    Real,
+    Section,
+    Vector,
+)
 from carom.scene.units.dimension import ANGULAR_VELOCITY, DENSITY, LENGTH, MASS, TIME, VELOCITY
 
 SOLID = 2 / 5  # moment of inertia over m r² of a solid sphere
@@ -69,7 +80,6 @@ class Body(Matter):
         return self
 
 
-Name = Annotated[str, Field(strict=True, min_length=1)]
 Axes = tuple[Name, Name, Name]
 DIGEST = r"^[0-9a-f]{64}$"
 # pairs that determine each other

@@ -2,15 +2,55 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from collections.abc import Iterator
+from typing import Annotated, Any, Literal, Self
 
-from pydantic import BeforeValidator, Field
+from pydantic import BeforeValidator, Field, model_validator
 
-from carom.scene.schema.quantity import Count, NonNegative, Positive, Real, Section
-from carom.scene.units.dimension import RATE, TIME
+from carom.scene.schema.quantity import Count, Name, NonNegative, Positive, Real, Section, Vector
+from carom.scene.units.dimension import ANGULAR_VELOCITY, LENGTH, RATE, TIME, VELOCITY
 from carom.scene.variation import MOST_RUNS, Values, alike, flattened, values_of
 
-ABOUT_THE_END = ("final_kinetic", "impacts")  # promises that apply only to a run of the promised duration
+# promises that apply only to a run of the promised duration
+ABOUT_THE_END = ("final_kinetic", "impacts", "most_impacts", "state")
+STATES = {"position": LENGTH, "velocity": VELOCITY, "angular_velocity": ANGULAR_VELOCITY}  # that theory may state
+
+
+class ExpectedState(Section):
+    """[[expect.state]]: the state of a body at the end, as a closed form gives it, and the error that is allowed."""
+
+    body: Name = Field(description="name of a [[body]]")
+    position: Annotated[Vector, LENGTH] | None = Field(None, description="m, [x, y, z] of the centre")
+    position_error: Annotated[NonNegative, LENGTH] | None = Field(
+        None, description="m, largest distance from `position`"
+    )
+    velocity: Annotated[Vector, VELOCITY] | None = Field(None, description="m/s, [x, y, z]")
+    velocity_error: Annotated[NonNegative, VELOCITY] | None = Field(
+        None, description="m/s, largest difference from `velocity`"
+    )
+    angular_velocity: Annotated[Vector, ANGULAR_VELOCITY] | None = Field(None, description="rad/s, [x, y, z]")
+    angular_velocity_error: Annotated[NonNegative, ANGULAR_VELOCITY] | None = Field(
+        None, description="rad/s, largest difference from `angular_velocity`"
+    )
+
+    @model_validator(mode="after")
+    def _each_value_has_its_error(self) -> Self:
+        for name in STATES:
+            value, error = getattr(self, name), getattr(self, f"{name}_error")
+            if (value is None) is not (error is None):
+                given, missing = (name, f"{name}_error") if error is None else (f"{name}_error", name)
+                raise ValueError(f"{given} without {missing}; give both, or neither")
+        if not any(self.values):
+            raise ValueError(f"nothing is expected of the body; give {', '.join(STATES)}, each with its error")
+        return self
+
+    @property
+    def values(self) -> Iterator[tuple[str, tuple[float, float, float], float]]:
+        """The expected values: the name of each, the value and the largest error, in SI units."""
+        for name in STATES:
+            value, error = getattr(self, name), getattr(self, f"{name}_error")
+            if value is not None:
+                yield name, value, error
 
 
 class Expect(Section):
@@ -34,6 +74,8 @@ class Expect(Section):
         None, description="kinetic energy at the end, including spin, over the energy scale"
     )
     impacts: Count | None = Field(None, description="smallest number of impacts; 1 or more")
+    most_impacts: Count | None = Field(None, description="largest number of impacts; 1 or more")
+    state: tuple[ExpectedState, ...] = Field((), description="states of single bodies at the end, from closed forms")
     contact_audit: NonNegative | None = Field(
         None, description="largest change of a speed or of the ledger in a step that impulses and forces do not explain"
     )
@@ -43,7 +85,9 @@ class Expect(Section):
         "that adds energy, friction that holds and does work, impacts that lose or gain more than the restitution says",
     )
     duration: Annotated[Positive, TIME] | None = Field(
-        None, description="s, the duration to which final_kinetic, impacts and warned apply; by default that of [time]"
+        None,
+        description="s, the duration to which final_kinetic, impacts, most_impacts, state and warned apply; by default "
+        "that of [time]",
     )
     warned: tuple[Literal["energy-rise", "energy-ledger", "energy-lost", "dissipation", "limit"], ...] = Field(
         (), description='kinds of warnings that the run must give, such as "energy-lost"'

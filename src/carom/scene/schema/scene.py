@@ -306,6 +306,19 @@ class Scene(Forces, Heading):
         return self
 
     @model_validator(mode="after")
+    def _expected_states_are_of_single_bodies(self) -> Self:
+        names = [body.name for body in self.body]
+        for index, state in enumerate(self.expect.state):
+            if names.count(state.body) != 1:
+                known = dict.fromkeys(name for name in names if name)
+                what = "several [[body]] tables have this name; rename all but one"
+                if state.body not in names:
+                    named = suggestion(state.body, known) if known else "no [[body]] has a name"
+                    what = f"no [[body]] of that name; {named}"
+                raise SectionError(("expect", "state", index, "body"), what)
+        return self
+
+    @model_validator(mode="after")
     def _planes_suit_the_space_and_its_motion(self) -> Self:
         if isinstance(self.domain.boundary, tuple):
             for axis in self.domain.repeating:
