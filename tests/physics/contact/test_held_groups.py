@@ -132,6 +132,25 @@ def test_others_meet_a_body_whose_impacts_are_exhausted(late: float) -> None:
     assert -10.0 / 3.0 - 0.1 <= space.state.velocity[3, 0] <= 0.1
 
 
+def test_a_distant_plane_does_not_hold_a_body_whose_impacts_are_exhausted() -> None:
+    # Within one step, a ball rattles between plates until it is exhausted, at half a second, and then 35 others hit it.
+    # Each of these impacts is held, which doubles the gap up to which contacts count: to 17 radii at the end.
+    count, speed = 35, 20.0
+    plates = [{"point": [0.0, 0.0, s * 1.001], "normal": [0.0, 0.0, -s]} for s in (-1.0, 1.0)]
+    ahead = {"point": [0.0, 16.0, 0.0], "normal": [0.0, -1.0, 0.0]}
+    balls: list[dict[str, Any]] = [{"position": [0.0] * 3, "velocity": [0.0, 0.0, 40.0], "radius": 1.0, "mass": 1.0}]
+    for k in range(count):
+        place = [0.0, -1.1 - speed * (0.6 + 0.01 * k), 0.0]
+        balls.append({"position": place, "velocity": [0.0, speed, 0.0], "radius": 0.05, "mass": 1e-3})
+    smooth, time = {"restitution": 1.0, "static_friction": 0.0}, {"fixed_dt": 1.0, "duration": 1.0}
+    still = {"gravity": {"constant": 0.0}}
+    space = ended({"body": balls, "plane": [*plates, ahead], "contact": smooth, "time": time} | still)
+    velocity = space.state.velocity[:, 1]
+    assert velocity[0] > 0.5, "33 of the others have reached it, and it goes on with what they brought"
+    mass = np.array([ball["mass"] for ball in balls])
+    assert (mass * velocity).sum() == pytest.approx(count * 1e-3 * speed, rel=EXACT), "no wall has taken any of it"
+
+
 @pytest.mark.parametrize("spread", [0, 3, 8])  # decades of the masses
 def test_impulses_of_a_group_push_where_contacts_close_and_only_there(spread: int) -> None:
     rng = np.random.default_rng(spread)

@@ -199,7 +199,8 @@ def _add(i: int, j: int, bodies: int, contacts: int, T: Trajectories, group: Gro
         advance(i, T)
         advance(j, T)
     nx, ny, nz, ri, rj = contact_geometry(i, j, T)
-    gap, remaining = ri + rj - T.radius[i] - T.radius[j], T.drift[0].dt - T.drift[0].clock
+    touching = T.radius[i] + (T.radius[j] if j < len(T.x) else 0.0)  # the radius of a plane is infinite
+    gap, remaining = ri + rj - touching, T.drift[0].dt - T.drift[0].clock
     group.ends[contacts, 0], group.ends[contacts, 1] = i, j
     group.place[contacts, 0], group.place[contacts, 1] = _place(i, bodies, group), _place(j, bodies, group)
     group.normal[contacts, 0], group.normal[contacts, 1], group.normal[contacts, 2] = nx, ny, nz
