@@ -8,6 +8,7 @@ import pytest
 
 from carom import Scene
 from carom.errors import SceneError
+from carom.plan.auto import timing
 from carom.scene.schema.piston import force_of
 
 BALL = {"radius": 0.1, "position": [0.0, 0.0, 0.3]}
@@ -20,14 +21,12 @@ def scene(piston: dict[str, Any], **others: Any) -> Scene:
 
 
 REFUSED: dict[str, tuple[dict[str, Any], str]] = {
-    "impacts within a step": ({"contact": {"timing": "time-of-impact"}}, 'set "end-of-step", or remove it'),
     "no lasting contacts": ({"contact": {"solver": "staged"}}, 'set "lasting"'),
     "no contacts": ({"contact": {"enabled": False}}, "contact.enabled = false"),
     "sleep": ({"contact": {"sleep": {"speed": 0.1}}}, "contact.sleep"),
     "drag": ({"drag": {"relaxation_time": 1.0}}, "a [drag]"),
     "an accuracy": ({"time": {"duration": 1.0, "accuracy": 1e-3}}, "time.accuracy"),
     "several drifts": ({"time": {"duration": 1.0, "integrator": "yoshida4"}}, 'set "leapfrog"'),
-    "a forced part": ({"model": {"force": ["time-of-impact"]}}, 'remove "time-of-impact" from it'),
     "two pistons": ({"plane": [DOWN | {"piston": {"mass": 1.0}}] * 2}, "a second piston"),
     "a motion": ({"plane": [DOWN | {"piston": {"mass": 1.0}, "motion": {"velocity": [0, 0, 1]}}]}, "leave one out"),
 }
@@ -39,6 +38,11 @@ def test_a_piston_is_refused_with_what_does_not_support_it(what: str) -> None:
     with pytest.raises(SceneError) as refused:
         scene({"mass": 1.0}, **others)
     assert said in str(refused.value) and "piston" in str(refused.value)
+
+
+def test_impacts_with_a_piston_are_resolved_at_their_own_times_unless_the_scene_says_otherwise() -> None:
+    assert timing(scene({"mass": 1.0})) == "time-of-impact"
+    assert timing(scene({"mass": 1.0}, contact={"timing": "end-of-step"})) == "end-of-step"
 
 
 def test_a_pressure_acts_on_the_face_of_the_box() -> None:

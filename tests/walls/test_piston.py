@@ -11,6 +11,7 @@ import pytest
 
 import carom
 from carom import Frame, Recording, Scene, Space
+from carom.arrays import FloatArray
 from carom.extend import every
 from carom.recording.read.recorded_scene import header_of_recording
 
@@ -27,6 +28,12 @@ def scene(piston: dict[str, Any], height: float, duration: float, **others: Any)
     return Scene.from_dict(
         {"gravity": {"constant": 0.0}, "time": {"duration": duration}, "plane": [{"name": "floor"}, lid]} | others
     )
+
+
+def fixed(height: float, duration: float, **others: Any) -> Scene:
+    """Return the scene with a lid at rest in place of the piston."""
+    of = scene({"mass": 1.0}, height, duration, **others)
+    return of.model_copy(update={"plane": [plane.model_copy(update={"piston": None}) for plane in of.plane]})
 
 
 def frames(of: Scene) -> list[Frame]:
@@ -136,32 +143,121 @@ def test_a_pressure_is_kept_while_friction_compresses_a_packing_without_gravity(
     assert max(abs(state(frame)[1]) for frame in run) < 0.01  # m/s: at rest
 
 
-def test_a_gas_under_a_piston_has_the_volume_of_its_equation_of_state() -> None:
-    N, side, L, M = 36, 8.0, 20.0, 3.0  # in diameters and masses of the spheres
-    F = N / (L - 1.0)
-    elastic = {"restitution": 1.0, "static_friction": 0.0, "kinetic_friction": 0.0, "stabilisation": "none"}
-    region = {"shape": "box", "size": [side, side, L], "centre": [0.0, 0.0, 0.5 * L]}
-    of = scene(
-        {"mass": M, "force": F},
-        L,
-        800.0,
-        contact=elastic,
-        time={"duration": 800.0, "fixed_dt": 0.05},
-        domain={"size": [side, side, 3.0 * L], "boundary": ["periodic", "periodic", "open"]},
-        group=[{"count": N, "radius": 0.5, "mass": 1.0, "velocity": {"dispersion": 1.0}, "region": region}],
-    )
-    run = [frame for frame in Space(of).run(schedule=every(0.2)) if frame.time > 80.0]
+def test_a_gas_exerts_on_a_piston_the_force_that_it_exerts_on_a_fixed_lid() -> None:
+    # with impacts up to a step late, these spheres overlapped by 0.77 r, and denser ones pressed 15 % too little
+    N, side, R, packed = 100, 0.8, 0.05, 0.2  # spheres of 1 kg
+    height = N * 4.0 / 3.0 * math.pi * R**3 / (packed * side * side)  # of the centres
+    load = 2.4 * N  # N, near the force of this gas at 1 J: Z = 2.4, Carnahan & Starling 1969
+    region = {"shape": "box", "size": [side, side, 0.95 * height], "centre": [0.0, 0.0, 0.5 * height + R]}
+    gas = {
+        "contact": {"restitution": 1.0, "static_friction": 0.0, "kinetic_friction": 0.0},
+        "domain": {"size": [side, side, 2.0 * height], "boundary": ["periodic", "periodic", "open"]},
+        "group": [{"count": N, "radius": R, "mass": 1.0, "velocity": {"dispersion": 1.0}, "region": region}],
+    }
+
+    def temperature(velocity: FloatArray) -> float:
+        return float((velocity**2).sum()) / (3.0 * N)
+
+    under = Space(scene({"mass": 100.0, "force": load}, height + 2.0 * R, 30.0, seed=2, **gas))
+    run = [frame for frame in under.run(schedule=every(0.05)) if frame.time > 5.0]
+    assert under.extremes.overlap is None or under.extremes.overlap.value < 1e-9
     assert abs(run[-1].energy.integration_error) < 1e-12 * run[-1].energy.scale
-    length = L - np.mean([state(frame)[0] for frame in run])
-    temperature = np.mean([2.0 * frame.energy.translational / (3.0 * N) for frame in run])
-    # walls attract: centres within a diameter miss the neighbours behind them, to first order π n² d⁴/4 at each wall
-    density = N / side**2 / (length - 1.0)
-    for _ in range(10):
-        density = (N / side**2 - 2.0 * density**2 * math.pi / 4.0) / (length - 1.0)
-    phi = density * math.pi / 6.0
-    compressibility = (1.0 + phi + phi**2 - phi**3) / (1.0 - phi) ** 3  # Carnahan & Starling 1969
-    # the quarters of the run differ by 2 % (rms); impacts up to 0.05 late change the pressure by 1 %
-    assert density * temperature * compressibility * side**2 == pytest.approx(F, rel=0.04)
+    lid = height + 2.0 * R - float(np.mean([state(frame)[0] for frame in run]))
+    warm = float(np.mean([temperature(frame.velocity) for frame in run]))
+
+    beside, given = Space(fixed(lid, 20.0, seed=2, **gas)), 0.0
+    for step in range(1, 10**6):
+        beside.compute_dynamics(step)
+        on_lid = beside.impacts.pairs[:, 1] == N + PISTON if len(beside.impacts) else []
+        given += 2.0 * float(beside.impacts.approach[on_lid].sum())
+        if beside.time >= 20.0:
+            break
+    force = given / beside.time * warm / temperature(beside.state.velocity)
+    # the mean height has an error of 0.5 %, the force of the gas rises with its 2.5th power, and that on the lid has an
+    # error of 1 %; the height fluctuates by 5 %, which adds 0.6 %. With 400 spheres and more impacts the ratio is 1.005
+    assert force == pytest.approx(load, rel=0.03)
+
+
+def crossing(gap: float, rate: float, bend: float) -> float:
+    """Return when gap + rate t + ½ bend t² closes, after it is open or opens; infinite if it does not."""
+    if bend == 0.0:
+        return -gap / rate if rate < 0.0 else math.inf
+    square = rate * rate - 2.0 * bend * gap
+    if square < 0.0 or (rate >= 0.0 and bend > 0.0):
+        return math.inf
+    root = math.sqrt(square)
+    return 2.0 * gap / (root - rate) if rate < 0.0 else (rate + root) / -bend
+
+
+@pytest.mark.parametrize(
+    ("M", "F", "g", "u", "bounces"),
+    [(2.0, 1.0, 0.0, 0.0, 3), (50.0, 0.0, 0.0, 0.5, 24), (2.0, 30.0, G, 0.0, 50)],
+    ids=["a load", "a free piston", "a heavy piston"],
+)
+def test_a_ball_bounces_under_a_piston_at_the_times_of_two_bodies(
+    M: float, F: float, g: float, u: float, bounces: int
+) -> None:
+    duration, top, elastic = 3.0, 0.5, {"restitution": 1.0, "static_friction": 0.0, "kinetic_friction": 0.0}
+    of = scene(
+        {"mass": M, "force": F, "velocity": u},
+        top,
+        duration,
+        gravity={"constant": 0.0, "uniform": [0.0, 0.0, -g]},
+        contact=elastic,
+        time={"duration": duration, "fixed_dt": 0.013},  # bounces follow each other by 0.06 s
+        **ball(velocity=[0.0, 0.0, 5.0 if g else 3.0]),
+    )
+    last = list(Space(of).run())[-1]
+    z, v, h, w, a = 0.2, 5.0 if g else 3.0, top, -u, F / M + g  # of the ball and the piston, upwards
+    left, count, on = duration, 0, ""
+    while True:
+        to_floor = math.inf if on == "floor" and v <= 0.0 else crossing(z - r, v, -g)
+        to_piston = crossing(h - z - r, w - v, g - a)
+        s = min(to_floor, to_piston, left)
+        z, v, h, w, left = z + v * s - 0.5 * g * s * s, v - g * s, h + w * s - 0.5 * a * s * s, w - a * s, left - s
+        if left == 0.0:
+            break
+        count, on = count + 1, "floor" if to_floor < to_piston else "piston"
+        if on == "floor":
+            z, v = r, -v
+        else:
+            J = 2.0 * (v - w) * m * M / (m + M)
+            z, v, w = h - r, v - J / m, w + J / M
+    assert count >= bounces
+    # 230 steps round, and each bounce multiplies an error by about 1.2: 10⁴ for 50 of them
+    found = last.position[0, 2], last.velocity[0, 2], top - state(last)[0], -state(last)[1]
+    assert found == pytest.approx((z, v, h, w), abs=1e-10)
+
+
+def test_an_oblique_impact_in_a_scene_with_a_piston_is_exact() -> None:
+    smooth = {"restitution": 1.0, "static_friction": 0.0, "kinetic_friction": 0.0}
+    bodies = [
+        {"radius": r, "mass": m, "position": [x, y, 0.2], "velocity": [v, 0.0, 0.0]}
+        for x, y, v in ((0.0, 0.0, 1.0), (0.5, 0.06, -2.0))
+    ]
+    time = {"duration": 0.3, "fixed_dt": 0.07}
+    last = list(Space(scene({"mass": 2.0, "force": 1.0}, 5.0, 0.3, contact=smooth, time=time, body=bodies)).run())[-1]
+    across = math.sqrt((2.0 * r) ** 2 - 0.06**2)  # 0.08
+    n, meet = np.array([across, 0.06]) / (2.0 * r), (0.5 - across) / 3.0
+    change = 3.0 * n[0] * n  # equal masses exchange what they have along n
+    v0, v1 = np.array([1.0, 0.0]) - change, np.array([-2.0, 0.0]) + change
+    at0, at1 = np.array([meet, 0.0]), np.array([0.5 - 2.0 * meet, 0.06])
+    assert last.velocity[:, :2] == pytest.approx(np.array([v0, v1]), abs=1e-14)
+    expected = np.array([at0 + (0.3 - meet) * v0, at1 + (0.3 - meet) * v1])
+    assert last.position[:, :2] == pytest.approx(expected, abs=1e-14)
+
+
+@pytest.mark.parametrize("M", [1e3, 1e6])
+def test_a_heavy_piston_that_falls_on_a_ball_comes_to_rest_on_it(M: float) -> None:
+    # to stop the piston, the ball rattles as often as M/m, and is held instead: nothing overlaps on the way
+    inelastic = {"restitution": 0.5, "static_friction": 0.0, "kinetic_friction": 0.0}
+    space = Space(scene({"mass": M * m}, 0.3, 0.6, gravity=HEAVY, contact=inelastic, **ball(position=[0.0, 0.0, r])))
+    last = list(space.run())[-1]
+    assert state(last)[:2] == pytest.approx((0.3 - 2.0 * r, 0.0), abs=1e-6)
+    assert space.extremes.overlap is None or space.extremes.overlap.value < 1e-3
+    fallen = M * m * G * state(last)[0]
+    assert last.energy.ledger.restitution == pytest.approx(fallen, rel=1e-6)
+    assert abs(last.energy.integration_error) < 1e-12 * fallen
 
 
 def test_a_run_continues_from_a_checkpoint_and_a_recording_has_the_motion_of_the_piston(tmp_path: Path) -> None:

@@ -89,8 +89,6 @@ def why_late(scene: Scene) -> str:
         return f'contact.timing = "{asked}"' if asked == "end-of-step" else ""
     if not interactions.contact(scene).modelled:
         return "no contact is possible"
-    if scene.has_piston:
-        return "each impact with a [plane.piston] would change all paths"
     if interactions.flow_presses(scene):
         return f"domain.shear with a packing fraction above {interactions.DENSE:g}: contacts last"
     # with an accuracy, `limits` refuses any other integrator

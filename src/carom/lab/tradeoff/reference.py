@@ -272,7 +272,7 @@ def _refined(scene: Scene, finest: float, threads: int | None, budget: float, te
 def _space(scene: Scene, factor: float, threads: int | None) -> Space:
     """Return the scene with smaller steps, without the error of a tree and, without forces, with times of impact."""
     overrides = refined(scene, factor) + _finer_gravity(scene)[0]
-    if not (require(scene).accelerates or scene.has_piston):
+    if not require(scene).accelerates:
         overrides += ["contact.timing=time-of-impact", "time.integrator=leapfrog"]
     return Space(scene.changed(overrides), threads)
 

@@ -91,7 +91,7 @@ def knobs(scene: Scene) -> dict[str, tuple[str, ...]]:
         else:
             found["gravity.method"] = ("tree",)
     if scene.has_piston:  # other values are refused
-        for key in ("time.integrator", "contact.solver", "contact.timing"):
+        for key in ("time.integrator", "contact.solver"):
             found.pop(key, None)
     # the values of the scene, with automatic ones resolved
     contact, gravity = scene.contact, scene.gravity

@@ -9,6 +9,16 @@ N, and the effective mass of friction does not contain M,
 The correction of overlaps moves it, too. Its load and its motion are a part of the model that can be removed, such as
 that of a piston (`piston_motion`): the part returns a `GuidedPlane` for a scene, whose motion extends
 `WallTranslation`. Records of bodies have the fields of a guide only in scenes with such a plane; see `moving_walls`.
+
+**Impacts during a drift.** As for bodies, the velocity u of the drift is that of the middle of the step, and the path
+bends with the acceleration a between contacts. A time τ into a drift of dt, such a plane is displaced along N by
+
+    r(τ) = r₀ + u τ - ½ a τ (dt - τ)
+
+and its velocity is u + a (τ - ½ dt). An impact at τ changes u by Δu and r₀ by -Δu τ. Bodies only push a plane away:
+after an impact, it meets no other body sooner than before. Impacts predicted along its earlier paths therefore come too
+early, never too late, and each is predicted again when its turn comes. An impact with the plane does not touch the
+predictions of all other bodies.
 """
 
 from __future__ import annotations
@@ -17,7 +27,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, Protocol
 
 from carom.arrays import FloatArray, Records
-from carom.physics.jit.decorators import with_field
+from carom.physics.jit.decorators import inline, with_field
 from carom.physics.vector import Vector
 
 if TYPE_CHECKING:
@@ -60,6 +70,51 @@ class Guide(Protocol):
     axis_x: float  # the axis along which the wall moves; 0 for bodies, which move freely
     axis_y: float
     axis_z: float
+
+
+GUIDE = (  # of a solid in a drift; zeros for one that contacts do not move
+    "guide_start",  # m, r₀
+    "guide_speed",  # m/s, u
+    "guide_bend",  # m/s², a; 0 if contacts hold it, so that its path is straight
+    "guide_half",  # s, ½ dt
+    "guide_impacts",  # impacts so far
+)
+
+
+@inline
+def guided_displacement(wall: Any, time: float) -> float:
+    """Return how far (m) contacts have moved a wall along its normal, a time (s) into a drift."""
+    if wall.guide_half == 0.0:
+        return 0.0
+    bent: float = wall.guide_bend * time * (wall.guide_half - 0.5 * time)
+    return wall.guide_start + wall.guide_speed * time - bent  # type: ignore[no-any-return]
+
+
+def _push(surface: Any, solid: int, time: float, change: float) -> None:
+    wall = surface[solid]
+    wall.guide_start -= change * time
+    wall.guide_speed += change
+    wall.guide_impacts += 1.0
+
+
+@with_field(GUIDE[0], _push)
+def push_guided(surface: FloatArray, solid: int, time: float, change: float) -> None:
+    """Change the velocity of a guided wall along its normal (m/s), a time (s) into a drift."""
+
+
+def _straighten(surface: Any, solid: int) -> None:
+    surface[solid].guide_bend = 0.0
+
+
+@with_field(GUIDE[0], _straighten)
+def straighten_guided(surface: FloatArray, solid: int) -> None:
+    """Make the path of a wall straight in this drift, because contacts hold it."""
+
+
+@with_field(GUIDE[0], lambda surface, solid: int(surface[solid].guide_impacts))
+def impacts_of_wall(surface: FloatArray, solid: int) -> int:
+    """Return how many impacts have moved a wall in this drift."""
+    return 0
 
 
 @with_field("axis_x", lambda body: True)

@@ -24,10 +24,11 @@ from carom.physics.contact.constraints import (
     ends_of,
 )
 from carom.physics.contact.geometry import are_near
+from carom.physics.contact.solids import tangent_plane
 from carom.physics.jit.decorators import inline, inner, kernel, long_kernel, unowned
 from carom.physics.jit.instructions import atomic_load, atomic_max, atomic_replace, from_front
 from carom.physics.jit.team import Team
-from carom.physics.vector import between, sizes
+from carom.physics.vector import between, sizes, vector
 
 if TYPE_CHECKING:
     from carom.physics.contact.events.trajectories import Trajectories
@@ -250,8 +251,8 @@ def island_rest_speeds(
 ) -> None:
     """Write the rest speed of each body, 2 |a|max dt of its island, (n + p,) m/s, for all pairs that may touch.
 
-    Pairs no farther apart than ``(r_i + r_j) scale + skin`` are joined. The rest speed of fixed ends is 0. The queue of
-    events, which is empty before a drift, serves as workspace.
+    Pairs no farther apart than ``(r_i + r_j) scale + skin`` are joined, and so are bodies near a guided wall. The rest
+    speed of fixed ends is 0. The queue of events, which is empty before a drift, serves as workspace.
     """
     x, radius, inverse_mass, speeds, parent, n = T.x, T.radius, T.inverse_mass, T.rest_speed, T.queue, len(T.x)
     for i in range(n):
@@ -265,11 +266,27 @@ def island_rest_speeds(
             join(parent, i, j)
     for i in range(n):
         speeds[i] = 2.0 * np.sqrt(excess_square(acceleration, field, i)) * dt if inverse_mass[i] > 0.0 else 0.0
+    for p in range(len(T.offset)):
+        if inverse_mass[n + p] > 0.0:
+            _join_through_wall(p, 2.0 * np.sqrt(excess_square(acceleration, field, n + p)) * dt, scale, skin, T)
     for i in range(n):
         island = root_of(parent, i)
         speeds[island] = max(speeds[island], speeds[i])
     for i in range(n):
         speeds[i] = speeds[root_of(parent, i)]
+
+
+@inline
+def _join_through_wall(p: int, speed: float, scale: float, skin: float, T: Trajectories) -> None:
+    """Join the bodies near a wall that contacts move, and give them its rest speed (m/s); see `island_rest_speeds`."""
+    first = -1
+    for i in range(len(T.x)):
+        x, y, z = vector(T.x, i)
+        nx, ny, nz, offset = tangent_plane(T.surface, T.offset, p, x, y, z)
+        if nx * x + ny * y + nz * z - offset <= T.radius[i] * scale + skin:
+            first = i if first < 0 else first
+            join(T.queue, first, i)
+            T.rest_speed[i] = max(T.rest_speed[i], speed)
 
 
 @inner

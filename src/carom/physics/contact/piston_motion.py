@@ -1,8 +1,7 @@
 """A piston: a plane with a mass M that moves along its normal N only, under a constant force and gravity.
 
 Contacts move it like any guided wall (`guided_walls`). Kicks change its velocity u by a h, with a = F/M + g·N. Drifts
-change its displacement s along N by u dt. Its impacts are resolved at the end of a step, like impacts of two bodies:
-within a drift, each impact would change the paths of all other bodies relative to the piston.
+change its displacement s along N by r(dt): by u dt, and by what its impacts change at their own times.
 
 The bodies give it the energy ½ M u² - M a s, whose change the ledger books in its entry for walls. The impulse of the
 bodies on its face, which a load cell there would measure, is
@@ -18,7 +17,9 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from carom.arrays import FloatArray, Records
+from carom.physics.contact.guided_walls import GUIDE
 from carom.physics.contact.translating_walls import WallTranslation
+from carom.plan.auto import timing
 from carom.scene.schema import Scene
 from carom.scene.schema.motion import WallMotion
 from carom.scene.schema.piston import force_of, piston_of
@@ -27,7 +28,7 @@ if TYPE_CHECKING:
     from carom.physics.bodies import Ends
 
 _AXES = ("x", "y", "z")
-MOST_MOVED = 0.1  # of the smallest radius, by which the piston may move in a step: impacts are late by as much
+MOST_MOVED = 0.1  # of the smallest radius, by which the piston may move in a step if impacts are late by as much
 MOST_FALLEN = 0.01  # of the smallest radius, by which its acceleration may move it from rest in a step
 
 
@@ -39,6 +40,7 @@ class PistonPlane(NamedTuple):
     mass: float  # kg
     acceleration: float  # m/s², a, along the normal
     velocity: float  # m/s, at the start
+    late: bool  # whether impacts are resolved at the end of a step
 
     @classmethod
     def of(cls, scene: Scene, normals: FloatArray) -> PistonPlane:
@@ -48,7 +50,8 @@ class PistonPlane(NamedTuple):
         row, section = found
         normal = normals[row]
         gravity = sum(float(g) * float(along) for g, along in zip(scene.gravity.uniform, normal, strict=True))
-        return cls(row, normal, section.mass, force_of(scene) / section.mass + gravity, section.velocity)
+        late, acceleration = timing(scene) == "end-of-step", force_of(scene) / section.mass + gravity
+        return cls(row, normal, section.mass, acceleration, section.velocity, late)
 
     def motion(
         self, records: Records, before: Records, ends: Ends, motions: Sequence[WallMotion | None], smallest: float
@@ -99,10 +102,10 @@ class PistonMotion(WallTranslation):
         """The longest step (s) in which the piston moves by less than the bodies resolve; infinite at rest."""
         a, u = abs(self._piston.acceleration), abs(float(self.state[1]))
         reach, fall = MOST_MOVED * self._smallest, MOST_FALLEN * self._smallest
-        if a == 0.0 and u == 0.0:
-            return np.inf
-        longest = 2.0 * reach / (u + np.sqrt(u * u + 2.0 * a * reach))
-        return float(min(longest, np.sqrt(2.0 * fall / a)) if a > 0.0 else longest)
+        longest = float(np.sqrt(2.0 * fall / a)) if a > 0.0 else np.inf
+        if self._piston.late and (a > 0.0 or u > 0.0):
+            longest = min(longest, float(2.0 * reach / (u + np.sqrt(u * u + 2.0 * a * reach))))
+        return longest
 
     def place(self, time: float) -> None:
         """Write where the piston is; see `WallTranslation`."""
@@ -119,13 +122,19 @@ class PistonMotion(WallTranslation):
         return begun
 
     def begin_drift(self) -> None:
-        """Note the velocity with which contacts let the piston drift."""
+        """Let the piston drift with the velocity that contacts gave it."""
         self._read()
         super().begin_drift()
+        piston, half = self._piston, 0.5 * self._drift
+        for name, value in zip(GUIDE, (0.0, self.state[1], piston.acceleration, half, 0.0), strict=True):
+            self._records[name][piston.row] = value
+        self._acceleration[piston.row] = piston.acceleration * piston.normal
 
     def arrive(self, time: float) -> None:
         """Move the piston to the end of the step."""
-        self.state[0] += self.state[1] * self._drift
+        moved = self._records[self._piston.row]
+        self.state[1] = moved["guide_speed"]
+        self.state[0] += moved["guide_start"] + self.state[1] * self._drift
         self._write()
         super().arrive(time)
         self._write()

@@ -31,6 +31,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from carom.arrays import FloatArray, IntArray, RecordArray, Records
+from carom.physics.contact.guided_walls import GUIDE, guided_displacement
 from carom.physics.jit.decorators import inline, kernel, leaf, with_field
 from carom.physics.rotation import TWO_PI, sine_cosine
 from carom.physics.vector import Vector, vector
@@ -51,6 +52,7 @@ TRANSLATION = (
     *("motion_frequency", "motion_phase"),  # 1/s, f; φ/2π
     "motion_angle",  # rad, θ at the beginning of the step, less whole turns
     "motion_fastest",  # m/s², |A| (2π f)²
+    *GUIDE,
 )
 _PIECE = TRANSLATION[3:10]  # V_k, D_k, t_k
 
@@ -63,7 +65,7 @@ def translation_of(motion: WallMotion | None) -> FloatArray:
     omega = TWO_PI * frequency
     fastest = omega * omega * np.sqrt((amplitude * amplitude).sum())
     oscillation = [*amplitude, frequency, motion.phase / TWO_PI, 0.0, fastest]
-    return np.array([0.0] * 3 + [*motion.velocity] + [0.0] * 4 + oscillation)
+    return np.array([0.0] * 3 + [*motion.velocity] + [0.0] * 4 + oscillation + [0.0] * len(GUIDE))
 
 
 def _pieces_of(motion: WallMotion) -> FloatArray:
@@ -243,12 +245,16 @@ def work_at_velocities(
 
 @kernel
 def work_in_drift(log: RecordArray[ImpactRecord], surface: Any, bodies: int) -> float:
-    """Return the work in J that walls do on bodies in impacts during a drift; see `work_at_velocities`."""
+    """Return the work in J that walls with a prescribed motion do on bodies in impacts during a drift.
+
+    See `work_at_velocities`; that of a wall that contacts move is in `WallTranslation.settle`.
+    """
     work = 0.0
     for k in range(len(log)):
         entry = log[k]
         if entry.j >= bodies:
-            work = _with_work_at(velocity_in_drift(surface, entry.j - bodies, entry.time), entry, entry, work)
+            velocity = _prescribed_velocity(surface[entry.j - bodies], entry.time)
+            work = _with_work_at(velocity, entry, entry, work)
     return work
 
 
@@ -278,7 +284,7 @@ def shift_of(surface: FloatArray, solid: int) -> Vector:
     return 0.0, 0.0, 0.0
 
 
-@with_field(TRANSLATION[0], lambda surface, solid: surface[solid].motion_fastest)
+@with_field(TRANSLATION[0], lambda surface, solid: surface[solid].motion_fastest + abs(surface[solid].guide_bend))
 def largest_acceleration(surface: FloatArray, solid: int) -> float:
     """Return the largest acceleration of a wall at any time, in m/s²."""
     return 0.0
@@ -290,10 +296,11 @@ def _displacement(surface: Any, solid: int, time: float) -> Vector:
     if wall.motion_frequency > 0.0:
         rise = sine_cosine(wall.motion_angle + TWO_PI * wall.motion_frequency * time)[0]
         rise -= sine_cosine(wall.motion_angle)[0]
+    guided = guided_displacement(wall, time)
     return (
-        wall.motion_velocity_x * time + wall.motion_amplitude_x * rise,
-        wall.motion_velocity_y * time + wall.motion_amplitude_y * rise,
-        wall.motion_velocity_z * time + wall.motion_amplitude_z * rise,
+        wall.motion_velocity_x * time + wall.motion_amplitude_x * rise + guided * wall.plane_x,
+        wall.motion_velocity_y * time + wall.motion_amplitude_y * rise + guided * wall.plane_y,
+        wall.motion_velocity_z * time + wall.motion_amplitude_z * rise + guided * wall.plane_z,
     )
 
 
@@ -303,8 +310,8 @@ def displacement_in_drift(surface: FloatArray, solid: int, time: float) -> Vecto
     return 0.0, 0.0, 0.0
 
 
-def _velocity(surface: Any, solid: int, time: float) -> Vector:
-    wall = surface[solid]
+@inline
+def _prescribed_velocity(wall: Any, time: float) -> Vector:
     speed = 0.0
     if wall.motion_frequency > 0.0:
         omega = TWO_PI * wall.motion_frequency
@@ -316,7 +323,28 @@ def _velocity(surface: Any, solid: int, time: float) -> Vector:
     )
 
 
+def _velocity(surface: Any, solid: int, time: float) -> Vector:
+    wall = surface[solid]
+    (vx, vy, vz), u = _prescribed_velocity(wall, time), wall.guide_speed
+    return vx + u * wall.plane_x, vy + u * wall.plane_y, vz + u * wall.plane_z
+
+
 @with_field(TRANSLATION[0], _velocity)
 def velocity_in_drift(surface: FloatArray, solid: int, time: float) -> Vector:
-    """Return the velocity of a wall in m/s at a time (s) since the drift began."""
+    """Return the velocity of a wall in m/s at a time (s) since the drift began.
+
+    As for bodies, it is that of the straight path if contacts move the wall: its acceleration is in `Ends`.
+    """
+    return 0.0, 0.0, 0.0
+
+
+def _rate(surface: Any, solid: int, time: float) -> Vector:
+    (vx, vy, vz), wall = velocity_in_drift(surface, solid, time), surface[solid]
+    u = wall.guide_bend * (time - wall.guide_half)
+    return vx + u * wall.plane_x, vy + u * wall.plane_y, vz + u * wall.plane_z
+
+
+@with_field(TRANSLATION[0], _rate)
+def rate_in_drift(surface: FloatArray, solid: int, time: float) -> Vector:
+    """Return the rate of change of `displacement_in_drift`, in m/s."""
     return 0.0, 0.0, 0.0

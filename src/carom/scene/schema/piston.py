@@ -62,7 +62,6 @@ def refuse_what_has_no_piston(scene: Scene) -> None:
     remedies = {
         "a second piston": ("remove one of them", sum(plane.piston is not None for plane in scene.plane) > 1),
         "contact.enabled = false": ("remove one of them", not contact.enabled),
-        'contact.timing = "time-of-impact"': ('set "end-of-step", or remove it', contact.timing == "time-of-impact"),
         f'contact.solver = "{contact.solver}"': ('set "lasting"', contact.solver != "lasting"),
         "contact.sleep": ("remove one of them", contact.sleep is not None),
         "a [drag]": ("remove one of them", scene.drag is not None),
@@ -72,7 +71,6 @@ def refuse_what_has_no_piston(scene: Scene) -> None:
             'use another arrangement, such as "random"',
             any(group.arrangement == "compressed" for group in scene.group),
         ),
-        "model.force": ('remove "time-of-impact" from it', "time-of-impact" in scene.model.force),
     }
     for what, (remedy, given) in remedies.items():
         if given:

@@ -214,10 +214,9 @@ class EventDrivenDrift:
 
     def _straighten(self, held: ImpulseCache, asleep: BoolArray | None) -> None:
         """Make the paths of held bodies and sleepers straight, and mark held bodies as not free."""
-        body = self.trajectories.body
-        straighten(held.pairs, held.place, held.contacts, body)
+        straighten(held.pairs, held.place, held.contacts, self.trajectories)
         if asleep is not None:
-            body["is_straight"][asleep] = True
+            self.trajectories.body["is_straight"][asleep] = True
 
     def _write_rest_speeds(self, pairs: IntArray, dt: float, scale: float, skin: float) -> None:
         """Compute the rest speed of each body."""

@@ -44,6 +44,7 @@ from carom.physics.contact.events.trajectories import (
     velocity_of_partner,
 )
 from carom.physics.contact.events.wall_impacts import predict_with_walls
+from carom.physics.contact.guided_walls import impacts_of_wall, push_guided
 from carom.physics.contact.impact_log import ROUNDING, ImpactRecord
 from carom.physics.contact.law import (
     dissipates,
@@ -119,7 +120,7 @@ def resolve(neighbours: Neighbours, T: Trajectories, log: RecordArray[ImpactReco
         _count_impact(partner, lossy, T)
         if T.inverse_mass[known] > 0.0:
             _predict_again(known, neighbours, T)
-        if T.inverse_mass[partner] > 0.0:
+        if partner < n and T.inverse_mass[partner] > 0.0:
             _predict_again(partner, neighbours, T)
     return row
 
@@ -128,7 +129,7 @@ def resolve(neighbours: Neighbours, T: Trajectories, log: RecordArray[ImpactReco
 def _go_to_next(neighbours: Neighbours, T: Trajectories) -> int:
     """Move the bodies of the next impact to it; return the body that predicted it, or -1 if there is none.
 
-    A prediction is stale if the partner has had another impact since.
+    A prediction is stale if the partner has had another impact since. A guided wall then comes later (`guided_walls`).
     """
     n, drift = len(T.x), T.drift[0]
     while drift.queued > 0:
@@ -136,7 +137,7 @@ def _go_to_next(neighbours: Neighbours, T: Trajectories) -> int:
         body = T.body[i]
         j = body.partner
         drift.clock = body.impact_time
-        if j >= n or body.partner_impacts == T.body[j].impacts:
+        if body.partner_impacts == (T.body[j].impacts if j < n else impacts_of_wall(T.surface, j - n)):
             advance(i, T)
             if j < n:
                 advance(j, T)
@@ -148,7 +149,7 @@ def _go_to_next(neighbours: Neighbours, T: Trajectories) -> int:
 @unowned
 def _count_impact(i: int, lossy: bool, T: Trajectories) -> None:
     """Count an impact of a body; record whether it is now exhausted, and whether its path leaves its search radius."""
-    if T.inverse_mass[i] == 0.0:
+    if i >= len(T.x) or T.inverse_mass[i] == 0.0:
         return
     body, drift = T.body[i], T.drift[0]
     body.is_free = False
@@ -364,7 +365,7 @@ def collide(i: int, j: int, log: RecordArray[ImpactRecord], row: int, T: Traject
         ux, uy, uz = slip_velocity((vx - vn * nx, vy - vn * ny, vz - vn * nz), (nx, ny, nz), (wx, wy, wz))
         if j >= n:
             ux, uy, uz = slip_at_wall(T.surface, j - n, entry.time, (entry.x, entry.y, entry.z), (ux, uy, uz))
-        Kt = inverse_tangent_mass(Kn, ri, rj, T.inverse_inertia[i], T.inverse_inertia[j])
+        Kt = inverse_tangent_mass(Kn if j < n else mi, ri, rj, T.inverse_inertia[i], T.inverse_inertia[j])
         fx, fy, fz, entry.friction_loss = friction_of_impact(material, Jn, ux, uy, uz, Kt)
         if fx != 0.0 or fy != 0.0 or fz != 0.0:
             Jx, Jy, Jz = Jx + fx, Jy + fy, Jz + fz
@@ -383,7 +384,9 @@ def collide(i: int, j: int, log: RecordArray[ImpactRecord], row: int, T: Traject
             if j < n:
                 _spin_up(j, 1.0, lx, ly, lz, T)
     add(v, i, -mi / f, Jx, Jy, Jz)
-    if mj > 0.0:
+    if mj > 0.0 and j >= n:
+        push_guided(T.surface, j - n, clock, -mj * Jn)
+    elif mj > 0.0:
         add(v, j, mj / f, Jx, Jy, Jz)
     if is_sheared(T.box):
         wx, wy, wz = velocity_of_partner(i, j, T)

@@ -40,8 +40,10 @@ from carom.physics.contact.events.trajectories import (
     velocity,
     velocity_of_partner,
 )
+from carom.physics.contact.guided_walls import push_guided
 from carom.physics.contact.impact_log import ROUNDING, ImpactRecord
 from carom.physics.contact.rolling import set_angular_impulse
+from carom.physics.contact.solids import tangent_plane
 from carom.physics.contact.translating_walls import velocity_in_drift, walls_translate
 from carom.physics.jit.decorators import inline, inner, kernel
 from carom.physics.sheared_box import add_work, is_sheared, nearest_in_drift
@@ -56,8 +58,8 @@ SPEED_ROUNDING = 10.0 * ROUNDING  # of the fastest body; slower closing needs no
 class Group(NamedTuple):
     """Bodies and contacts that are held together."""
 
-    body: IntArray  # (MOST_BODIES,) the bodies that move
-    v: FloatArray  # (MOST_BODIES, 3) m/s, their velocities in the drift
+    body: IntArray  # (MOST_BODIES,) the bodies that move, and guided walls
+    v: FloatArray  # (MOST_BODIES, 3) m/s, their velocities in the drift; of a guided wall only the change
     root: FloatArray  # (MOST_BODIES,) square root of the inverse mass, in the unit of the group
     ends: IntArray  # (MOST_CONTACTS, 2) body, and body or plane
     place: IntArray  # (MOST_CONTACTS, 2) indices of the ends in `body`; -1 for an end that does not move
@@ -101,6 +103,9 @@ def hold_group(
     count = 0
     for k in range(bodies):
         b = group.body[k]
+        if b >= len(T.x):  # a guided wall: until its contacts are logged, the change of its velocity
+            T.v[b, 0], T.v[b, 1], T.v[b, 2] = vector(group.v, k)
+            continue
         moved = b in (i, j)
         for d in range(3):
             moved = moved or T.v[b, d] != group.v[k, d]
@@ -114,28 +119,36 @@ def hold_group(
         if body.exhausted:
             body.holds += 1
             body.standoff *= 2.0
-    return count, _log(contacts, T, group, log, row)
+    row = _log(contacts, T, group, log, row)
+    for k in range(bodies):
+        b = group.body[k]
+        if b >= len(T.x):
+            nx, ny, nz, _ = tangent_plane(T.surface, T.offset, b - len(T.x), 0.0, 0.0, 0.0)
+            vx, vy, vz = vector(T.v, b)
+            push_guided(T.surface, b - len(T.x), T.drift[0].clock, vx * nx + vy * ny + vz * nz)
+            T.v[b, 0], T.v[b, 1], T.v[b, 2] = 0.0, 0.0, 0.0
+    return count, row
 
 
 @inner
 def _gather(i: int, j: int, neighbours: Neighbours, T: Trajectories, group: Group) -> tuple[int, int]:
     """Collect the group of a meeting pair; return the numbers of its bodies and contacts."""
     n, drift = len(T.x), T.drift[0]
-    bodies = _join(i, 0, T, group)
-    if j < n:
-        bodies = _join(j, bodies, T, group)
+    bodies = _join(j, _join(i, 0, T, group), T, group)
     contacts = _add(i, j, bodies, 0, T, group)
     k = 0
     while k < bodies:
         b = group.body[k]
-        body = T.body[b]
         k += 1
-        if not body.exhausted:
+        if b >= n or not T.body[b].exhausted:
             continue
+        body = T.body[b]
         for p in range(len(T.offset)):
             if contacts < MOST_CONTACTS and not (b == i and n + p == j):
                 height = contact_geometry(b, n + p, T)[3]
                 if height - T.radius[b] <= body.standoff:
+                    if _place(n + p, bodies, group) < 0 and bodies < MOST_BODIES:
+                        bodies = _join(n + p, bodies, T, group)
                     contacts = _add(b, n + p, bodies, contacts, T, group)
         for source in range(2):
             among = T.strays if source == 1 else (T.everyone if body.strays else neighbours)
@@ -183,10 +196,11 @@ def _place(i: int, bodies: int, group: Group) -> int:
 
 @inner
 def _join(i: int, bodies: int, T: Trajectories, group: Group) -> int:
-    """Add a body that moves, at the present time; return the number of bodies."""
+    """Add a body that moves, or a guided wall, at the present time; return the number of bodies."""
     if T.inverse_mass[i] == 0.0:
         return bodies
-    advance(i, T)
+    if i < len(T.x):
+        advance(i, T)
     group.body[bodies] = i
     group.v[bodies, 0], group.v[bodies, 1], group.v[bodies, 2] = vector(T.v, i)
     return bodies + 1

@@ -203,7 +203,7 @@ def drift_steady(contacts: SteadyContacts, path: DampedPath, dt: float) -> bool:
         later.last[i] = m
     bends = rules.bends and (path.damping > 0.0 or path.kick == 0.5 * dt)
     begin(T, dt, path.kick, path.damping, bends, system.pressed)
-    straighten(contacts.pairs, contacts.place, system.contacts, T.body)
+    straighten(contacts.pairs, contacts.place, system.contacts, T)
     island_rest_speeds(near[:m], T, scale, skin, system.acceleration, rules.field, dt)
     predict(0, n, later, T)
     first = np.inf

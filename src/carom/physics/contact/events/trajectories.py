@@ -29,6 +29,7 @@ import numpy as np
 from carom.arrays import BoolArray, FloatArray, IntArray, RecordArray, dtype_of
 from carom.physics.contact.constraints import ContactRecord
 from carom.physics.contact.geometry import normal_and_distance
+from carom.physics.contact.guided_walls import straighten_guided
 from carom.physics.contact.impact_log import ROUNDING
 from carom.physics.contact.solids import tangent_plane
 from carom.physics.contact.translating_walls import displacement_in_drift, velocity_in_drift, walls_translate
@@ -58,7 +59,7 @@ class TrajectoryRecord(QueuedRecord, Protocol):
 
     now: float  # s from the beginning of the drift, the time of the body's position
     impacts: int  # impacts so far in this drift
-    partner_impacts: int  # impacts of its next partner when that impact was predicted
+    partner_impacts: int  # impacts of its next partner when that impact was predicted; 0 for a solid at rest
     negligible_speed: float  # m/s; slower closing is rounding, not an impact
     search_radius: float  # m, displacement relative to the bulk up to which its neighbours are known
     start_x: float  # m, its position at the beginning of the drift, or the middle of its path, see `narrow`
@@ -220,15 +221,16 @@ def arrive(i: int, T: Trajectories) -> None:
 
 
 @kernel
-def straighten(
-    pairs: IntArray, place: IntArray, contacts: RecordArray[ContactRecord], body: RecordArray[TrajectoryRecord]
-) -> None:
+def straighten(pairs: IntArray, place: IntArray, contacts: RecordArray[ContactRecord], T: Trajectories) -> None:
     """Make the paths of held bodies, with an impulse in ``contacts[place]``, straight, and mark them as not free."""
+    body = T.body
     for c in range(len(place)):
         if contacts[place[c]].normal_impulse > 0.0:
             for end in range(2):
                 if pairs[c, end] < len(body):
                     body[pairs[c, end]].is_straight, body[pairs[c, end]].is_free = True, False
+                else:
+                    straighten_guided(T.surface, pairs[c, end] - len(body))
 
 
 @unowned

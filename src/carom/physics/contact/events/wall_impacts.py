@@ -15,10 +15,12 @@ import numpy as np
 from carom.arrays import FloatArray
 from carom.physics.contact.events.time_of_impact import GAP_TOLERANCE, MOST_PASSES, open_for
 from carom.physics.contact.events.trajectories import MOST_HOLDS, Trajectories, elapsed, lag, rest_speed
+from carom.physics.contact.guided_walls import impacts_of_wall
 from carom.physics.contact.solids import nearest_point
 from carom.physics.contact.translating_walls import (
     displacement_in_drift,
     largest_acceleration,
+    rate_in_drift,
     velocity_in_drift,
     walls_translate,
 )
@@ -62,7 +64,8 @@ def predict_with_walls(lo: int, hi: int, T: Trajectories, surface: FloatArray) -
                 rx, ry, rz = displacement_in_drift(surface, solid, when)
                 sx, sy, sz = velocity_in_drift(surface, solid, when)
                 px, py, pz = px - rx, py - ry, pz - rz
-                ux, uy, uz = ux - sx, uy - sy, uz - sz
+                bx, by, bz = vector(T.a, n + solid)
+                ux, uy, uz = ux - sx - bx * s, uy - sy - by * s, uz - sz - bz * s
             nx, ny, nz, _, focal = nearest_point(surface, solid, px, py, pz)
             closing = -(ux * nx + uy * ny + uz * nz)
             turning = 0.0  # m/s, closing speed of a body that rolls along the wall, at the end of the drift
@@ -71,7 +74,8 @@ def predict_with_walls(lo: int, hi: int, T: Trajectories, surface: FloatArray) -
             if closing > slow + turning:
                 if when == body.impact_time and body.partner < n + solid:
                     continue
-                body.impact_time, body.partner, body.partner_impacts = when, n + solid, 0
+                body.impact_time, body.partner = when, n + solid
+                body.partner_impacts = impacts_of_wall(surface, solid)
 
 
 @unowned
@@ -100,7 +104,7 @@ def _time_to_wall(
         vx, vy, vz = wx + t * gx, wy + t * gy, wz + t * gz
         if walls_translate(T.surface):
             rx, ry, rz = displacement_in_drift(T.surface, solid, clock + t)
-            ux, uy, uz = velocity_in_drift(T.surface, solid, clock + t)
+            ux, uy, uz = rate_in_drift(T.surface, solid, clock + t)
             px, py, pz = px - rx, py - ry, pz - rz
             vx, vy, vz = vx - ux, vy - uy, vz - uz
         nx, ny, nz, distance, focal = nearest_point(T.surface, solid, px, py, pz)
