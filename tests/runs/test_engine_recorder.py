@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import errno
 import io
 import subprocess
@@ -186,6 +187,44 @@ def test_each_planted_fault_is_named_within_a_frame_with_its_bodies(
     recording = Recording.open(tmp_path / "run.rrd")
     assert (first.step, f"law-{law}") in [(event.step, event.kind) for event in recording.warnings()]
     assert recording.summary()["laws"][law]["step"] == first.step
+
+
+def lossy(toy: Toy) -> None:
+    toy.bounce(0.5)
+
+
+def friction_that_pushes(toy: Toy) -> None:
+    """Bounce with a loss, and with friction along the slip that adds less energy than the bounce takes."""
+    before = toy.velocity.copy()
+    if toy.bounce(0.5):
+        apart = toy.position[1] - toy.position[0]
+        distance = np.linalg.norm(apart)
+        normal, arm = apart / distance, 0.5 * distance
+        slip = before[1] - before[0] - arm * np.cross(toy.spin[0] + toy.spin[1], normal)
+        slip -= slip @ normal * normal
+        impulse = 0.2 * slip  # on body 1
+        toy.push(impulse)
+        for body in range(2):
+            toy.spin[body] += arm * np.cross(impulse, normal) / (0.4 * toy.model.mass[body] * 0.1**2)
+
+
+@pytest.mark.parametrize(
+    ("fault", "restitution", "said"),
+    [
+        (lossy, 0.5, ""),
+        (lossy, 1.0, "Impacts have not removed"),
+        (friction_that_pushes, None, "Friction has added energy"),
+    ],
+)
+def test_the_audit_reads_the_signs_of_dissipation(
+    fault: Callable[[Toy], None], restitution: float | None, said: str, tmp_path: Path
+) -> None:
+    toy = Toy(fault)
+    toy.spin[0, 2] = 10.0
+    toy.model = dataclasses.replace(toy.model, restitution=restitution)
+    faults = recorded(toy, tmp_path / "run.rrd")
+    assert [found.law for found in faults] == (["dissipation"] if said else [])
+    assert all(found.text.startswith(said) and found.step == MET and found.bodies == (0, 1) for found in faults)
 
 
 class Spinning:

@@ -5,7 +5,7 @@ not. Four statements can be wrong (docs/physics.md, section 11):
 
 - an impact at its own time removes ½ μ (1 - e²) v_n², no more and no less;
 - an impact that no force turns back within the step rebounds, however slow it is;
-- friction adds no energy to an island;
+- friction adds no energy, in an impact or to an island;
 - friction that holds does no work.
 
 Impacts are judged in every step, contacts that last in the steps of the checks. Islands are the units there, because
@@ -61,6 +61,7 @@ ALIKE = 0.1  # of the length of a kick; with drag, both kicks of a step differ, 
 COLLAPSE = 100  # impacts of a body in a drift after which contacts with e < 1 are held: `events.event_loop`
 SIGNIFICANT = 1e-6  # of the energy scale; what sweeps leave that end early is less in every extreme
 
+_ROUNDED = np.array([ROUNDED])
 _IDLE, _STUCK, _OTHER = 1, 2, 4  # what a contact did in the kicks, as bits
 
 
@@ -187,7 +188,7 @@ class SignsOfDissipation:
     def judge_impacts(self, impacts: Impacts, dt: float, held: Held, kick: float) -> None:
         """Judge the impacts during a drift of dt (s), given the contacts that were held in a first kick (s)."""
         pressing = *held, kick, self._bodies.ends.acceleration
-        asked = impacts.log, self._ends, dt, pressing, self._step, self._time, self.rows
+        asked = impacts.log, self._ends, dt, pressing, _ROUNDED, self._step, self._time, self.rows
         judge = self._judge_impacts = self._judge_impacts or entry_of(judge_impacts, *asked)
         self.any |= judge(*asked)
 
@@ -296,12 +297,14 @@ def judge_impacts(
     ends: JudgedEnds,
     dt: float,
     pressing: tuple[IntArray, IntArray, RecordArray[ContactRecord], float, FloatArray],
+    tolerance: FloatArray,
     step: int,
     time: float,
     wrong: RecordArray[WrongWorkRecord],
 ) -> bool:
-    """Compare the restitution of each impact with that of its closing speed; return whether one is wrong.
+    """Compare the losses of each impact with those of its closing speed; return whether one is wrong.
 
+    ``tolerance`` has the error of each that is not wrong, or of all, relative to ½ μ v_n².
     The impulses of a group that is held act at one time, and their energies have a meaning only together.
     """
     rows, places, inverse_mass, bodies = ends
@@ -318,8 +321,13 @@ def judge_impacts(
         Kn = inverse_mass[i] + inverse_mass[j]
         struck = 0.5 * v * v / Kn
         e = restitution_of_impact(rows[material_index(i, j, bodies, places)], v, 0.0, Kn, entry.arm_i, entry.arm_j)
+        tolerated = tolerance[min(row, len(tolerance) - 1)] * struck
+        if entry.friction_loss < -tolerated:
+            found = _add(wrong[GAIN], -entry.friction_loss, i, j, step, time)
         excess = entry.restitution_loss - (1.0 - e * e) * struck
-        if abs(excess) <= ROUNDED * struck:
+        if np.isnan(e):  # unknown; it is at most 1
+            excess = min(0.0, entry.restitution_loss)
+        if abs(excess) <= tolerated:
             continue
         if v > entry.rest_speed:
             if e < 1.0 and len(impacts) == 0:

@@ -53,6 +53,7 @@ class Model:
     planes: Sequence[Plane] = field(default_factory=tuple)  # static half-spaces
     box: Any = None  # (3,) m, the size of a periodic box
     collides: bool = True  # whether bodies touch each other and the planes
+    restitution: float | None = None  # of all contacts, for the audit; None: unknown
     time_step: float = 0.0  # s, the shortest step to expect; 0 if unknown
     units: str = ""  # of all numbers, as in `Recorder`; empty for SI
     every: int = 1  # calls of `Recorder.frame` per recorded frame, by default; above 1 for states that are slow to copy
@@ -113,6 +114,7 @@ class Setup:
     planes: HalfSpaces
     box: FloatArray  # (3,) m, zeros in open space
     collides: bool
+    restitution: float | None
     touches: BoolArray  # (n,), False for points
     time_step: float
     spins: bool
@@ -164,6 +166,7 @@ def setup_of(model: Model, first: State) -> Setup:
         planes=_planes(engine, model.planes),
         box=box,
         collides=collides,
+        restitution=None if model.restitution is None else _not_negative(engine, "restitution", model.restitution),
         touches=touches,
         time_step=_not_negative(engine, "time_step", model.time_step),
         spins=first.angular_velocity is not None,

@@ -20,7 +20,11 @@ import numpy as np
 from carom.arrays import BoolArray, FloatArray, IntArray
 from carom.errors import RecordingError
 from carom.event import Event
+from carom.physics.contact.constraints import CONTACT
+from carom.physics.contact.impact_log import IMPACT
 from carom.physics.contact.islands import number_sets
+from carom.physics.contact.law import MATERIAL
+from carom.physics.diagnostics.dissipation import WRONG, WRONG_WORK, JudgedEnds, judge_impacts
 from carom.physics.diagnostics.energy import Energy
 from carom.recording.source import Setup
 from carom.recording.source.engine_contacts import EngineMoment, Near, lengths
@@ -79,6 +83,7 @@ class Tolerances:
     momentum: float = 1e-3  # of Σ m |v| of the cluster
     angular_momentum: float = 1e-3  # of Σ (m |x| |v| + I |ω|) of the cluster
     overlap: float = 0.05  # of the smaller radius
+    dissipation: float = 0.01  # of ½ μ v_n² of an impact
 
     def __post_init__(self) -> None:
         for each in fields(self):
@@ -89,7 +94,10 @@ class Tolerances:
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """A violated law: "energy", "momentum", "angular-momentum", "overlap", "missed-impact" or "not-finite"."""
+    """A violated law.
+
+    It is "energy", "momentum", "angular-momentum", "overlap", "missed-impact", "dissipation" or "not-finite".
+    """
 
     law: str
     step: int
@@ -169,7 +177,7 @@ class LawAudit:
         faults = [
             *self._momenta(place, before, now, clusters),
             *self._energy(place, before, now, clusters, potentials, found),
-            *self._contacts(place, now.time - before.time, near, found),
+            *self._contacts(place, before, now, near, found),
         ]
         found.faults = [fault for fault in faults if self.note(fault)]
         return found
@@ -323,10 +331,13 @@ class LawAudit:
             energy = energy + 0.5 * self._setup.inertia * np.einsum("ij,ij->i", moment.spin, moment.spin)
         return np.asarray(energy, dtype=np.float64)
 
-    def _contacts(self, place: tuple[int, float], dt: float, near: Near, found: AuditFinding) -> Iterator[Fault]:
-        """Find overlaps, impacts, and impacts that were missed."""
+    def _contacts(
+        self, place: tuple[int, float], before: EngineMoment, now: EngineMoment, near: Near, found: AuditFinding
+    ) -> Iterator[Fault]:
+        """Find overlaps, impacts, impacts that were missed, and those that dissipate what they may not."""
         if len(near) == 0:
             return
+        dt = now.time - before.time
         n, setup = len(self._setup), self._setup
         judged = np.append(setup.judged, np.ones(len(setup.planes), bool))
         known = judged[near.pairs].all(axis=1)
@@ -358,7 +369,67 @@ class LawAudit:
             yield Fault("missed-impact", *place, float(closing[worst]), text, ends)
         met = (near.gap_before > 0.0) & ((near.gap_now <= 0.0) | (after < TUNNELLED * closing))
         met &= near.gap_before <= closing * dt  # otherwise another body reversed them
-        self._impacts(near, np.where(met & known & (closing > still), closing, 0.0), found)
+        struck = met & known & (closing > still)
+        self._impacts(near, np.where(struck, closing, 0.0), found)
+        # an impact that began and ended in this frame, of bodies that touched nothing else
+        counts = np.bincount(near.pairs.ravel(), minlength=n + len(setup.planes))
+        counts[n:] = 1
+        whole = np.flatnonzero(struck & (after < 0.0) & (counts[near.pairs] == 1).all(axis=1))
+        if len(whole) and setup.spins:
+            yield from self._dissipation(place, before, now, near, whole, at[whole], closing[whole])
+
+    def _dissipation(
+        self,
+        place: tuple[int, float],
+        before: EngineMoment,
+        now: EngineMoment,
+        near: Near,
+        whole: IntArray,
+        normal: FloatArray,
+        closing: FloatArray,
+    ) -> Iterator[Fault]:
+        """Judge the losses of whole impacts, rows of ``near``, as carom judges those of its own runs.
+
+        The impulse and the work of its parts, -J (v + v') / 2, follow from the velocities of both frames. The tolerance
+        is larger because the field may act before or after an impact at something fixed, and the normal turns.
+        """
+        setup, n, dt = self._setup, len(self._setup), now.time - before.time
+        i, j = near.pairs[whole].T
+        free = (j < n) & ~setup.fixed[np.minimum(j, n - 1)]
+        pushed = np.where(free, j, i)
+        change = now.velocity[pushed] - before.velocity[pushed] - setup.gravity * dt
+        impulse = np.where(free, 1.0, -1.0)[:, None] * setup.mass[pushed][:, None] * change
+        lost = []
+        for moment, relative in ((before, near.relative_before), (now, near.relative_now)):
+            surface = setup.radius[i][:, None] * moment.spin[i]
+            surface[j < n] += setup.radius[j[j < n]][:, None] * moment.spin[j[j < n]]
+            velocity = relative[whole] - _cross(surface, normal)
+            along = np.einsum("ij,ij->i", impulse, normal) * np.einsum("ij,ij->i", velocity, normal)
+            lost.append((-0.5 * along, along - np.einsum("ij,ij->i", impulse, velocity)))
+        log = np.zeros(len(whole), IMPACT)
+        log["i"], log["j"], log["approach"], log["clock"] = i, j, closing, np.arange(len(whole))
+        log["restitution_loss"] = lost[0][0] + lost[1][0]
+        log["friction_loss"] = 0.5 * (lost[0][1] + lost[1][1])
+        anchored = ~free | setup.fixed[i]
+        fallen = np.where(anchored, lengths(setup.gravity[None, :])[0] * dt, 0.0)
+        directions = [apart / lengths(apart)[:, None] for apart in (near.before[whole], near.now[whole])]
+        turned = lengths(directions[1] - directions[0]) * lengths(near.relative_before[whole])
+        slips = lengths(impulse) * (fallen + turned)  # J, by velocities that are uncertain by so much
+        weight = np.where(setup.fixed[i], 0.0, 1.0 / setup.mass[i]) + np.where(free, 1.0 / setup.mass[pushed], 0.0)
+        tolerance = self._tolerances.dissipation + 2.0 * slips * weight / closing**2
+        materials = np.zeros(1 + len(setup.planes), MATERIAL)
+        materials["restitution"] = np.nan if setup.restitution is None else setup.restitution
+        inverse_mass = np.append(np.where(setup.fixed, 0.0, 1.0 / setup.mass), np.zeros(len(setup.planes)))
+        ends = JudgedEnds(materials, np.empty((0, 2), np.int64), inverse_mass, n)
+        nothing = np.empty((0, 2), np.int64), np.empty(0, np.int64), np.empty(0, CONTACT), 0.0, np.zeros((0, 3))
+        wrong = np.zeros(len(WRONG), WRONG_WORK)
+        judge_impacts(log, ends, dt, nothing, tolerance, *place, wrong)
+        for sentence, row in zip(WRONG, wrong, strict=True):
+            if row["energy"] > 0.0:
+                pair = np.array([row["i"], row["j"]])
+                energy = self._units.text(float(row["worst"]), ENERGY, ".3g")
+                text = f"{sentence}: {energy} by {self._names.pair(self._ends[pair].tolist())}."
+                yield Fault("dissipation", *place, float(row["energy"]), text, tuple(self._ends[pair].tolist()))
 
     def _impacts(self, near: Near, closing: FloatArray, found: AuditFinding) -> None:
         """Book the impacts, given their closing speeds in m/s; 0 for other pairs."""
