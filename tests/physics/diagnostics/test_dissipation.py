@@ -86,7 +86,7 @@ def test_an_impact_that_removes_another_energy_is_found(e: float, lost: float) -
 
 def test_impulses_that_hold_a_group_are_judged_together() -> None:
     """Only their sum is an energy: one of them alone may be larger than the energy of the bodies."""
-    together = {"restitution_loss": 5.0, "clock": 0.5}, {"restitution_loss": -5.0, "clock": 0.5}
+    together = {"restitution_loss": 5.0, "clock": 0.5}, {"restitution_loss": -5.0, "clock": 0.5, "approach": 0.0}
     assert not any(judged(signs_of(1.0), log_of(*together)))
     apart = {"restitution_loss": 5.0, "clock": 0.5}, {"restitution_loss": -5.0, "clock": 0.6}
     assert judged(signs_of(1.0), log_of(*apart))[RESTITUTION] == pytest.approx(10.0)

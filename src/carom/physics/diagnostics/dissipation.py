@@ -59,6 +59,7 @@ CANCELLED = 0.25
 TURNED_BACK = 2.0
 ALIKE = 0.1  # of the length of a kick; with drag, both kicks of a step differ, and the works cancel nevertheless
 COLLAPSE = 100  # impacts of a body in a drift after which contacts with e < 1 are held: `events.event_loop`
+SLOWEST = 1e-100  # m/s, for the coefficient of a contact of a held group that does not close
 SIGNIFICANT = 1e-6  # of the energy scale; what sweeps leave that end early is less in every extreme
 
 _ROUNDED = np.array([ROUNDED])
@@ -320,7 +321,8 @@ def judge_impacts(
         i, j, v = entry.i, entry.j, entry.approach
         Kn = inverse_mass[i] + inverse_mass[j]
         struck = 0.5 * v * v / Kn
-        e = restitution_of_impact(rows[material_index(i, j, bodies, places)], v, 0.0, Kn, entry.arm_i, entry.arm_j)
+        material, speed = rows[material_index(i, j, bodies, places)], max(v, SLOWEST)
+        e = restitution_of_impact(material, speed, 0.0, Kn, entry.arm_i, entry.arm_j)
         tolerated = tolerance[min(row, len(tolerance) - 1)] * struck
         if entry.friction_loss < -tolerated:
             found = _add(wrong[GAIN], -entry.friction_loss, i, j, step, time)
@@ -329,7 +331,9 @@ def judge_impacts(
             excess = min(0.0, entry.restitution_loss)
         if abs(excess) <= tolerated:
             continue
-        if v > entry.rest_speed:
+        is_held = row > 0 and entry.clock == log[row - 1].clock
+        is_held = is_held or (row + 1 < len(log) and entry.clock == log[row + 1].clock)
+        if v > entry.rest_speed or is_held:
             if e < 1.0 and len(impacts) == 0:
                 impacts = _count_impacts(log, bodies)
             if e >= 1.0 or max(impacts[i], impacts[j] if j < bodies else 0) < COLLAPSE:
