@@ -60,7 +60,8 @@ class RunProgress(LiveLine):
         return super().__enter__()
 
     def announce(self, scene: Scene) -> None:
-        """Print what the scene cannot promise with the step of its accuracy."""
+        """Print what the scene cannot promise with the step of its accuracy, which may end the run."""
+        self._scene = scene
         if shortfall := shortfall_text(scene):
             self.say(f"carom: {shortfall}")
 
@@ -69,7 +70,7 @@ class RunProgress(LiveLine):
         self._show(lambda now: self._line(status, now))
 
     def _line(self, status: StepStatus, now: float) -> str:
-        done = min(1.0, status.time / self._scene.time.duration)
+        done = min(1.0, status.time / self._scene.end)
         spent = max(now - self._began, 1e-9)
         left = duration_text(spent * (1 - done) / done) if done > 0 else "?"
         units = self._scene.unit_system

@@ -80,6 +80,11 @@ class BatchStepper:
         if self._world.contact:
             self._world.contact.forget()
 
+    def take_over(self) -> None:
+        """Continue from the present state of a run, in place of another stepper."""
+        self._held, self._took_last = False, True
+        self.begin()
+
     def restore(self, checkpoint: Checkpoint) -> None:
         """Continue from a checkpoint, whose bodies are already restored."""
         self._held = checkpoint.integrator is not None and checkpoint.integrator.last_dt == BY_LEAPFROG
@@ -165,7 +170,7 @@ class BatchStepper:
         contact, clock = self._world.contact, self._world.clock
         self._took_last = False
         if isinstance(goal.schedule, Pause):
-            goal = goal._replace(end=goal.schedule.time)
+            goal = goal._replace(end=min(goal.end, goal.schedule.time))
         if not (self._takes_back and contact):
             return holder.advance(goal)
         end = clock.time + contact.step_by_impacts(FORESEEN * holder.previous_dt) if contact.holds else np.inf

@@ -19,6 +19,7 @@ from carom.physics.frame import Frame, FrameStore, copies
 from carom.physics.integrators.batch_integrator import batch_integrator_of
 from carom.physics.jit import cores
 from carom.physics.jit.team import Team
+from carom.physics.promised_step import PromisedStepper, Stepper, without_accuracy
 from carom.physics.schedule import Checks, Goal, Pause, Schedule, at, every
 from carom.physics.step import KickDriftStepper
 from carom.physics.time_step import Timestep
@@ -54,9 +55,6 @@ class StepStatus(NamedTuple):
     def energy_error(self) -> float:
         """|integration error| over the energy scale."""
         return self.energy.relative_error
-
-
-Stepper = KickDriftStepper | BatchStepper
 
 
 class Simulation:
@@ -180,7 +178,7 @@ class Simulation:
     def run(
         self, until: float | None = None, store: FrameStore | None = None, schedule: Schedule | None = None
     ) -> Iterator[Frame]:
-        """Step until a time, by default the scene's duration, and yield the frames requested by ``record.every``.
+        """Step until a time, by default the end of the scene, and yield the frames requested by ``record.every``.
 
         The first frame is the present state, and the last one the state at the end. Frames change neither the steps nor
         the verdict. A stopped run is also checked at its end, after its last frame.
@@ -199,7 +197,7 @@ class Simulation:
         PhysicsError
             If the state is no longer finite, or a step no longer changes the clock.
         """
-        end = self.scene.time.duration if until is None else until
+        end = self.scene.end if until is None else until
         shown_after, interval = schedule or every(frame_interval(self.scene)), self.check_interval
         steps = self.scene.record.check_every
         checks = Checks(steps, shown_after if interval is None else every(interval))
@@ -313,6 +311,17 @@ class Simulation:
 
 def _stepper_of(world: World, books: Bookkeeper, stride: float) -> Stepper:
     """Return the stepper of a world, with steps up to ``stride`` times as long as the scene's."""
+    scene = world.scene
+    if scene.promise is not None:
+        until, ordinary = scene.promise.kept_until, without_accuracy(scene)
+        plain = replace(world, scene=ordinary, needs=require(ordinary))
+        accurate = _own_stepper_of(world, books, stride)
+        return PromisedStepper(world.clock, until, accurate, lambda: _own_stepper_of(plain, books, stride))
+    return _own_stepper_of(world, books, stride)
+
+
+def _own_stepper_of(world: World, books: Bookkeeper, stride: float) -> KickDriftStepper | BatchStepper:
+    """Return the stepper of a world that takes all steps alike."""
     scene = world.scene
 
     def timestep(limits: StepLimits, scene: Scene) -> Timestep:

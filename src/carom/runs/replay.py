@@ -292,7 +292,7 @@ class _Comparison:
         extremes = space.named_extremes()
         verdicts = judge(space.scene, extremes, space.time, space.state)
         replayed: dict[str, Scalar] = {"frames": self.compared, **closing_summary(space, extremes, verdicts)}
-        if space.time >= space.scene.time.duration:  # otherwise the user or the system ended it
+        if space.time >= space.scene.end:  # otherwise the user or the system ended it
             replayed["outcome"] = outcome_text(*ending_of(verdicts, space.scene.unit_system))
         for name, value in replayed.items():
             recorded = recording.closing.get(name)

@@ -50,7 +50,7 @@ def resumable_run(recording: Recording, until: float | None = None) -> Resumable
     """
     recording.refuse_some_bodies()
     scene, path = recorded_scene(recording), recording.path
-    cut = scene.time.duration
+    cut = scene.end
     recording.require_frames()
     if recording.fingerprints()["step"][0].as_py() != 0:
         raise RecordingError(f"{path} does not begin at step 0: resume the recording from which it was cut")
@@ -63,7 +63,10 @@ def resumable_run(recording: Recording, until: float | None = None) -> Resumable
         hint = "give a later --until" if end == done else "`carom clip` makes it shorter"
         raise RecordingError(f"{path} has been simulated to {scene.unit_system.text(done, TIME, 'g')} already; {hint}")
     if end != cut:
-        scene = continued_scene(recording, scene, [f"time.duration={scene.unit_system.literal(end, TIME)}"])
+        changes = [f"time.duration={scene.unit_system.literal(end, TIME)}"]
+        if cut < scene.time.duration:  # the run ended where its accuracy did
+            changes.append("time.after_horizon=")
+        scene = continued_scene(recording, scene, changes)
     # a completed run shortened its last step, which a longer run would not have done
     steps = [step for step, time in recording.checkpoint_times.items() if time < cut]
     if not steps:

@@ -289,7 +289,7 @@ class _Physics:
         scene, time = self._space.scene, self._space.time
         at = f"at t = {scene.unit_system.text(time, TIME)}"
         match self._error:
-            case None if interrupts.count and time < scene.time.duration:
+            case None if interrupts.count and time < scene.end:
                 return "interrupted", f"stopped by {interrupts.sender} {at}"
             case None:
                 return "completed", ""
@@ -384,6 +384,7 @@ def shortfall_text(scene: Scene) -> str:
         why = "its error grows beyond that"
     text = f"cannot promise accuracy = {accuracy:g} to the end: {why}; it is kept up to t = "
     text += units.text(promise.horizon, TIME, ".4g")
+    text += ", where the run ends" if scene.time.after_horizon == "end" else ", and ordinary steps go on from there"
     if promise.looked is None and accuracy < promise.error[-1] <= LARGEST_ACCURACY:
         text += f"; {promise.error[-1]:.1g} can be promised to the end"
     return text

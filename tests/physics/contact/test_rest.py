@@ -101,6 +101,8 @@ def test_balls_at_rest_on_each_other_that_close_by_rounding_end_no_step() -> Non
     velocity = np.array([[0.0, 0.0, -4e-23], [0.0, 0.0, -8e-22]])
     field, radius = np.full((2, 3), [0.0, 0.0, -9.81]), np.full(2, 0.5)
     none = np.zeros((0, 3)), np.zeros(0)
-    assert step_by_impacts(position, velocity, field, radius, *none, 0.01) == np.inf
+    apart, held = np.zeros((0, 2), np.int64), np.array([[0, 1]])
+    assert step_by_impacts(position, velocity, field, radius, *none, apart, 0.01) == np.inf
     velocity[1, 2] = -1e-6
-    assert step_by_impacts(position, velocity, field, radius, *none, 0.01) < 0.01
+    assert step_by_impacts(position, velocity, field, radius, *none, apart, 0.01) < 0.01
+    assert step_by_impacts(position, velocity, field, radius, *none, held, 0.01) == np.inf

@@ -232,7 +232,7 @@ def test_a_longer_run_than_was_looked_ahead_ends_its_promise() -> None:
     settled_scene = Space(ball(1e-2), 1).scene
     longer = scene_from_text(settled_scene.toml, "longer", ["time.duration=3.0"])
     said = [event.text for frame in Space(longer, 1).run() for event in frame.events if event.kind == "horizon"]
-    assert said == ["The accuracy of 0.01 is kept up to t = 2.4 s."]
+    assert said == ["The accuracy of 0.01 is kept up to t = 2.4 s; ordinary steps go on."]
     assert kept_accuracy(longer)["horizon"] == 2.4
     assert "horizon" not in kept_accuracy(settled_scene)
 

@@ -36,6 +36,7 @@ from carom.physics.contact.solver.contact_solver import MOST_SWEEPS, ContactSolv
 from carom.physics.contact.solver.positions import BAUMGARTE
 from carom.physics.contact.solver.prepare import ImpulseCache
 from carom.physics.contact.statistics import NO_CONTACTS, limits_of, still_closing
+from carom.physics.contact.sticking import HeldContacts, time_to_stick
 from carom.physics.diagnostics.dissipation import SignsOfDissipation
 from carom.physics.diagnostics.run_monitor import Profile
 from carom.physics.jit.team import Team
@@ -246,7 +247,16 @@ class ContactPipeline:
     def step_by_impacts(self, span: float) -> float:
         """Return the longest step (s) that the next impact allows; infinite if there is none within a span (s)."""
         assert self.event_drift is not None, "the integrator ends its steps at impacts"
-        return self.event_drift.step_by_impacts(span)
+        return self.event_drift.step_by_impacts(self.contacts.pairs, span)
+
+    def time_to_stick(self, dt: float, tolerance: float) -> float:
+        """Return the time (s) until a held contact stops sliding or rolling; see `sticking`."""
+        held, contacts = self._impulses, self.contacts
+        if not (self._needs.friction.modelled and held.kick > 0.0 and np.array_equal(held.pairs, contacts.pairs)):
+            return np.inf
+        records = self.solver.contacts
+        moving = HeldContacts(contacts.pairs, contacts.order.place, records, held.impulse_of(records), held.kick)
+        return time_to_stick(moving, self._bodies.ends, dt, tolerance)
 
     def add_quiet_steps(self) -> None:
         """Account for steps without contacts that followed a quiet step."""

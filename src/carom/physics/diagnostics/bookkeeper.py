@@ -218,7 +218,7 @@ class Bookkeeper:
         self.extremes = self._beginning(books.moments)
         self.activity.reopen(books.phase, books.activity)
         self._events = []
-        if checkpoint.time > self.kept_until:
+        if self._is_past_the_promise(checkpoint.time):
             self.kept_until = np.inf  # already logged
 
     def begin_step(self, judged: bool) -> None:
@@ -257,9 +257,14 @@ class Bookkeeper:
             self.extremes.add_impulse_audit(clock.step, clock.time, worst)
         if computed:
             self.measure(potentials, judged, contact)
-        if clock.time > self.kept_until:
+        if self._is_past_the_promise(clock.time):
             self.log(end_of_promise(self._world.scene, clock.step, clock.time))
             self.kept_until = np.inf
+
+    def _is_past_the_promise(self, time: float) -> bool:
+        """Return whether the promised accuracy has ended at a time (s), before the end of the run."""
+        ends_early = self.kept_until < self._world.scene.time.duration
+        return time >= self.kept_until if ends_early else time > self.kept_until
 
     def steady_totals(self) -> dict[str, float]:
         """Return the totals that steps with the same contacts change, by the fields of `STEADY_TOTALS`."""
@@ -394,7 +399,8 @@ def end_of_promise(scene: Scene, step: int, time: float) -> Event:
     promise = scene.promise
     assert promise is not None
     units = scene.unit_system
-    text = f"The accuracy of {scene.time.accuracy:g} is kept up to t = {units.text(promise.kept_until, TIME)}."
+    after = "the run ends there" if scene.time.after_horizon == "end" else "ordinary steps go on"
+    text = f"The accuracy of {scene.time.accuracy:g} is kept up to t = {units.text(promise.kept_until, TIME)}; {after}."
     if promise.horizon is not None and promise.lyapunov > 0.0:
         text += f" Small errors grow tenfold in {units.text(math.log(10.0) / promise.lyapunov, TIME, '.3g')}."
     return Event(step, time, "INFO", text, "horizon")

@@ -77,6 +77,8 @@ DT_LIMITS = {
     "pull": VERMILION,
     "error": VERMILION,
     "impact": YELLOW,
+    "friction": YELLOW,
+    "horizon": GREEN,
     "cap": SKY,
     "growth": YELLOW,
     "fixed": BLUE,

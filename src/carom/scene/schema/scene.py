@@ -100,6 +100,12 @@ class Scene(Forces, Heading):
         return 1.0 if self.promise is None else self.promise.refinement
 
     @property
+    def end(self) -> float:
+        """s, the time at which a run ends: the duration, or where its accuracy does if the scene asks for that."""
+        ends_early = self.promise is not None and self.time.after_horizon == "end"
+        return min(self.time.duration, self.promise.kept_until) if ends_early and self.promise else self.time.duration
+
+    @property
     def count(self) -> int:
         """Number of bodies."""
         return len(self.body) + sum(map(len, self.data)) + sum(group.count for group in self.group)

@@ -112,6 +112,11 @@ class Time(Section):
         "times of impact over the duration; more than 0, at most 0.01; impacts are then resolved at "
         "their exact times",
     )
+    after_horizon: Literal["ordinary-steps", "end"] = Field(
+        "ordinary-steps",
+        description="what follows where the accuracy can no longer be kept, its horizon: the steps of the scene "
+        "without an accuracy, or the end of the run",
+    )
     integrator: IntegratorName = Field(
         AUTO,
         description=f"{described()}; auto is Gauss–Radau where up to 100 bodies attract each other and cannot touch, "

@@ -206,11 +206,14 @@ class EventDrivenDrift:
         count = resolve_touching(T, pairs, self.log)
         return Impacts(self.log[:count].copy())
 
-    def step_by_impacts(self, span: float) -> float:
-        """Return the longest step (s) that the next impact allows; infinite if there is none within a span (s)."""
+    def step_by_impacts(self, pairs: IntArray, span: float) -> float:
+        """Return the longest step (s) that the next impact allows; infinite if there is none within a span (s).
+
+        ``pairs`` are the contacts of the last step, (m, 2), sorted.
+        """
         T, bodies = self.trajectories, self._bodies
         moving = (bodies.position, bodies.velocity, bodies.acceleration, bodies.radius)
-        return step_by_impacts(*moving, T.surface, T.offset, span)
+        return step_by_impacts(*moving, T.surface, T.offset, pairs, span)
 
     def _straighten(self, held: ImpulseCache, asleep: BoolArray | None) -> None:
         """Make the paths of held bodies and sleepers straight, and mark held bodies as not free."""
