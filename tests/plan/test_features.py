@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,7 @@ from carom.plan.auto import (
     gravity_method,
     inexact_impacts,
     integrator,
+    largest_step,
     pull_fraction,
     smoothing,
     target_dx,
@@ -174,6 +176,33 @@ def test_few_bodies_that_begin_far_apart_are_integrated_to_rounding_up_to_their_
     assert integrator(scene).name == chosen
     seldom = "start far apart and seldom collide" in require(scene).integrator.why
     assert seldom == (chosen == "gauss-radau15")
+
+
+def ring(count: int, centre: float) -> Scene:
+    """Bodies on circular orbits about a centre of a mass, which can touch; the Sun has 2 × 10³⁰ kg."""
+    bodies: list[dict[str, Any]] = [{"mass": centre, "radius": 7e8}]
+    for k in range(count):
+        r = 1.5e11 * (1.0 + 0.05 * k)
+        bodies.append(
+            {"mass": 1e20, "radius": 1e5, "position": [r, 0, 0], "velocity": [0, math.sqrt(6.7e-11 * centre / r), 0]}
+        )
+    return Scene.from_dict({"body": bodies, "time": {"duration": 3e7}})
+
+
+def test_many_bodies_that_orbit_a_dominant_one_are_integrated_like_few() -> None:
+    """With leapfrog, the velocity limit of 1.7 s and steps of at most a second gave 120 bodies 3 × 10⁷ steps a year."""
+    assert integrator(ring(120, 2e30)).name == "gauss-radau15"
+    assert integrator(ring(220, 2e30)).name == "leapfrog"  # each impact restarts all of them
+    assert integrator(ring(120, 1e21)).name == "leapfrog"  # the centre is not dominant
+
+
+def test_the_longest_step_leaves_a_run_a_million_steps() -> None:
+    def longest(**time: float) -> float:
+        return largest_step(Scene.from_dict({"body": [{"radius": 1.0}], "time": time}))
+
+    assert longest(duration=1e6) == 1.0
+    assert longest(duration=3e7) == 30.0
+    assert longest(duration=3e7, max_dt=2.0) == 2.0
 
 
 def test_radii_limit_the_step_only_where_bodies_can_touch() -> None:

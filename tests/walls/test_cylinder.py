@@ -122,7 +122,13 @@ def test_a_run_is_recorded_replayed_and_shows_the_wall(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("changes", "key"),
     [
-        ({"time": {"duration": 1.0, "accuracy": 1e-6}}, "time.accuracy"),
+        (
+            {
+                "time": {"duration": 1.0, "accuracy": 1e-6},
+                "wall": [{"cylinder": {"radius": 1.0}, "motion": {"rotation": 1.0}}],
+            },
+            "time.accuracy",
+        ),
         ({"time": {"duration": 1.0, "integrator": "gauss-radau15"}}, "gauss-radau15"),
         ({"drag": {"relaxation_time": 1.0}}, "drag"),
         ({"contact": {"sleep": {"speed": 0.1}}}, "contact.sleep"),

@@ -13,8 +13,10 @@ from carom.cli.printing import bytes_text, duration_text, simulated_text, warnin
 from carom.cli.terminal import LiveLine, Patience, Terminal, bar
 from carom.physics.look_ahead.trial_run import Watcher, WorkBudget
 from carom.physics.simulation import StepStatus
+from carom.physics.space import Space
 from carom.plan.auto import ended_bounces, frame_interval, inexact_impacts, largest_step
 from carom.plan.checks import doubts
+from carom.runs.estimate import forewarning
 from carom.runs.outcome import accuracy_text, counts_text, error_text, in_words, overlap_text
 from carom.runs.run import Outcome, shortfall_text
 from carom.scene.schema import Scene
@@ -52,9 +54,8 @@ class RunProgress(LiveLine):
         time, largest = scene.time, largest_step(scene)
         if time.fixed_dt is None and time.accuracy is None and time.duration / largest >= MANY_STEPS:
             longest = scene.unit_system.text(largest, TIME, "g")
-            default = ", its default," if time.max_dt == "auto" else ""
             self.say(
-                f"carom: time.max_dt = {longest}{default} causes at least {time.duration / largest:.2g} steps; for "
+                f"carom: time.max_dt = {longest} causes at least {time.duration / largest:.2g} steps; for "
                 "fewer steps, raise it or set time.accuracy (`carom explain` shows the limit that then applies)"
             )
         return super().__enter__()
@@ -64,6 +65,11 @@ class RunProgress(LiveLine):
         self._scene = scene
         if shortfall := shortfall_text(scene):
             self.say(f"carom: {shortfall}")
+
+    def forewarn(self, space: Space) -> None:
+        """Say before a run if it will take long, and why."""
+        if text := forewarning(space):
+            self.say(f"carom: {text}")
 
     def update(self, status: StepStatus) -> None:
         """Show the progress of the run."""

@@ -85,6 +85,7 @@ def run(
         with preparing(loaded, progress) as patience:
             space = recording_space(loaded, threads, watch_look_ahead(loaded, patience))
         progress.announce(space.scene)
+        progress.forewarn(space)
         address = live_viewer() if live else None
         with progress, naming_the_repair(path):
             outcome = simulate(space, path, claim=claim, live=address, watch=progress.update)

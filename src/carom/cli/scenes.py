@@ -165,8 +165,8 @@ def explain(
         f"  about {bytes_text(cost.size)} of recording: {counted(cost.frames, 'frame')}, each of which takes "
         f"{cost.frame_seconds * 1e3:.2g} ms of a thread of its own"
     )
-    if found.shortfall:
-        console.print(f"\n{found.shortfall}")
+    for remark in filter(None, (found.shortfall, found.slow)):
+        console.print(f"\n{remark}")
 
 
 def _steps(cost: Cost, scene: Scene) -> str:

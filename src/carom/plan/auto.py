@@ -20,7 +20,8 @@ FEWEST_FRAMES = 50
 AUTO_BYTES = 300_000_000  # "auto" recordings of many bodies get fewer frames, to stay below this size
 BYTES_PER_BODY_AND_FRAME = 60  # centre, quaternion, and about one arrow or edge
 
-MAX_DT = 1.0  # s, the longest step of kicks and drifts, as in the reference engine
+MAX_DT = 1.0  # s, the longest step of kicks and drifts, as in the reference engine, unless a run would take
+FEWEST_STEPS = 1e6  # steps of that length: 1 s is no time scale of orbits, and would give a year 3 × 10⁷ steps
 STRAIN_PER_STEP = 1e-3  # of a sheared packing; at a fraction of 0.54, a strain of 0.015 halves the stress
 STEPS_PER_OSCILLATION = 100  # of a wall, at least: contacts are held against its mean velocity in a step
 
@@ -154,12 +155,7 @@ def _error_by_gravity(scene: Scene) -> float:
     The acceleration a at a contact is at most G M / r², with M twice the largest mass. The velocity limit allows at
     most a step of κ r/v, and the limit of the acceleration one in which a body falls by Δx from rest.
     """
-    # the largest relative speed of two bodies at the start; 0 if all have the same velocity
-    velocities = [body.velocity for body in scene.body] + [group.velocity.mean for group in scene.group]
-    for columns in scene.data:
-        velocities += [tuple(columns.velocity.min(axis=0)), tuple(columns.velocity.max(axis=0))]
-    size = math.hypot(*(max(along) - min(along) for along in zip(*velocities, strict=True)))
-    r, slowest = smallest_radius(scene), max([size, *(group.velocity.dispersion for group in scene.group)])
+    r, slowest = smallest_radius(scene), _largest_speed(scene)
     # of each body, and the mean mass of each group
     masses = [body_mass(made_of(scene, body)) for body in scene.body]
     masses += [mean_mass(made_of(scene, group)) for group in scene.group]
@@ -168,6 +164,32 @@ def _error_by_gravity(scene: Scene) -> float:
     by_speed = (cfl(scene) or math.inf) ** 2 * a * r / slowest**2 if slowest > 0.0 else math.inf
     step = scene.time.fixed_dt or largest_step(scene)
     return min(by_fall, by_speed, a * step * step / r)
+
+
+def _largest_speed(scene: Scene) -> float:
+    """Return the largest relative speed (m/s) of two bodies at the start; 0 if all have the same velocity."""
+    velocities = [body.velocity for body in scene.body] + [group.velocity.mean for group in scene.group]
+    for columns in scene.data:
+        velocities += [tuple(columns.velocity.min(axis=0)), tuple(columns.velocity.max(axis=0))]
+    size = math.hypot(*(max(along) - min(along) for along in zip(*velocities, strict=True)))
+    return max([size, *(group.velocity.dispersion for group in scene.group)])
+
+
+def most_steps(scene: Scene, first: float) -> float:
+    """Return how many steps a run may take, given its first one (s): those of the fastest conceivable contacts.
+
+    Bodies that fall onto the surface of another reach its escape speed, v = √(2 G m/r). The velocity limit then allows
+    κ r/v to the smallest body that slides or rolls there.
+    """
+    duration, fixed, limit = scene.time.duration, scene.time.fixed_dt, cfl(scene)
+    if fixed is not None or limit is None:
+        return duration / (fixed or first)
+    depths = [body_mass(made_of(scene, body)) / body.radius for body in scene.body]
+    depths += [mean_mass(made_of(scene, group)) / group.radius.min for group in scene.group]
+    depths += [float((columns.mass / columns.radius).max()) for columns in scene.data]
+    pull = 2.0 * scene.gravity.constant * max(depths) if interactions.gravity(scene).modelled else 0.0
+    speed = math.hypot(_largest_speed(scene), math.sqrt(pull))
+    return duration * max(1.0 / first, speed / (limit * smallest_radius(scene)))
 
 
 def integrator(scene: Scene) -> Integrator:
@@ -202,7 +224,8 @@ def _meets_seldom(scene: Scene) -> bool:
 def _accurate(scene: Scene) -> str:
     """Return the integrator with the lowest cost for an accuracy, before a look-ahead may find a cheaper one."""
     if interactions.contact(scene).modelled:
-        return "gauss-radau15" if _bounces_on_curves(scene) else "leapfrog"
+        # only leapfrog finds impacts on walls
+        return "gauss-radau15" if _bounces_on_curves(scene) and not scene.wall else "leapfrog"
     if interactions.damping(scene) or not interactions.differing(scene) or scene.domain.is_periodic:
         return "leapfrog"
     by_pairs = scene.gravity.method not in TREES and scene.count < TREE_FROM
@@ -239,10 +262,11 @@ def _is_smooth(scene: Scene) -> bool:
     return scene.count <= (PAIRS_UP_TO if resolved else SMOOTH_UP_TO)
 
 
-def largest_step(scene: Scene) -> float:
+def largest_step(scene: Scene, duration: float | None = None) -> float:
     """Return the largest step (s); infinite if the integrator sets its steps by its error or by the orbits.
 
-    With a limit of 1 s, two years of the Earth would take 63 million steps of Gauss–Radau instead of 79.
+    With a limit of 1 s, two years of the Earth would take 63 million steps of Gauss–Radau instead of 79. ``duration``
+    (s) is that of the scene by default.
     """
     if scene.time.max_dt != "auto":
         return scene.time.max_dt
@@ -251,7 +275,8 @@ def largest_step(scene: Scene) -> float:
     if (shear := scene.domain.shear) is not None and interactions.flow_presses(scene) and shear.rate != 0.0:
         return min(MAX_DT, STRAIN_PER_STEP / abs(shear.rate))
     frequencies = [solid.motion.frequency for solid in scene.translating if solid.motion and solid.motion.frequency]
-    return min([MAX_DT, *(1.0 / (STEPS_PER_OSCILLATION * frequency) for frequency in frequencies)])
+    longest = max(MAX_DT, (scene.time.duration if duration is None else duration) / FEWEST_STEPS)
+    return min([longest, *(1.0 / (STEPS_PER_OSCILLATION * frequency) for frequency in frequencies)])
 
 
 def target_dx(scene: Scene) -> float | None:
@@ -378,7 +403,7 @@ def accurate_limits(scene: Scene, refinement: float, until: float) -> StepLimits
     """
     touches = cfl(scene) is not None
     return StepLimits(
-        max_dt=min(largest_step(scene), auto_interval(scene, until)) / refinement,
+        max_dt=min(largest_step(scene, until), auto_interval(scene, until)) / refinement,
         cfl=FREE_CFL / refinement if touches else None,
         target_dx=(WIDEST_FALL / refinement) ** 2 * smallest_radius(scene) if touches else None,
         pull_fraction=None if pull_fraction(scene) is None else WIDEST_PULL_FRACTION / refinement,

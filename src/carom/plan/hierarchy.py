@@ -24,7 +24,7 @@ FEWEST_ORBITS = 1000
 MOST_BODIES = 100  # for "auto"; more bodies meet more often, and Gauss–Radau integrates all of them in each encounter
 HILL_RADII_APART = 5.0  # for "auto", between orbits, so that encounters are rare; Jupiter and Saturn are 8 apart
 LEAST_DISTANCE = 8.0  # in sums of the two radii; Europa is 9 from Jupiter, the Moon 47 from the Earth
-MOST_APART = 32  # bodies; more would soon meet often as the system contracts
+MOST_APART = 32  # bodies; more would soon meet often as the system contracts, unless they orbit a dominant one
 
 
 class Heaviest(NamedTuple):
@@ -135,8 +135,10 @@ def _orbits(scene: Scene) -> list[Orbit] | None:
 
 
 def far_apart(scene: Scene) -> bool:
-    """Return whether the scene has few bodies, far apart at the start, and no groups, like planets and comets."""
-    if scene.group or not 2 <= scene.count <= MOST_APART:
+    """Return whether the bodies are far apart at the start, and few or on orbits, like planets and comets."""
+    if scene.group or scene.count < 2:
+        return False
+    if scene.count > MOST_APART and (why_no_hierarchy(scene) or _orbits(scene) is None):
         return False
     position = np.array([body.position for body in scene.body]).reshape(-1, 3)
     radius = np.array([body.radius for body in scene.body])

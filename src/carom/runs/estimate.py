@@ -14,18 +14,26 @@ from pathlib import Path
 import numpy as np
 
 from carom.errors import PhysicsError
-from carom.physics.diagnostics.run_monitor import Profile
+from carom.physics.diagnostics.run_monitor import Profile, remedies_of
 from carom.physics.forces.gravity import gravity_of
 from carom.physics.forces.gravity.direct import MAX_IN_ONE_BLOCK
 from carom.physics.frame import Frame
 from carom.physics.jit.decorators import Compilations
 from carom.physics.jit.team import Team
-from carom.physics.look_ahead.trial_run import Watcher
+from carom.physics.look_ahead.trial_run import CALL_WITH_CONTACTS, Watcher
 from carom.physics.placement import place
 from carom.physics.schedule import at, every
 from carom.physics.space import Space
 from carom.physics.step import WARM_UP_STEPS
-from carom.plan.auto import auto_interval, frame_interval, integrator, step_limits
+from carom.plan.auto import (
+    auto_interval,
+    cfl,
+    frame_interval,
+    integrator,
+    most_steps,
+    smallest_radius,
+    step_limits,
+)
 from carom.plan.checks import memory_estimate
 from carom.plan.features import Requirements
 from carom.private_folder import temporary_folder
@@ -40,6 +48,7 @@ from carom.runs.run import header_of, kept_accuracy, recording_space, shortfall_
 from carom.scene.forces import FORCES
 from carom.scene.schema import Scene
 from carom.scene.start import InitialBodies
+from carom.scene.units.dimension import LENGTH, TIME
 
 TRIAL_SECONDS = 0.1
 TRIAL_STEPS = 200
@@ -116,6 +125,7 @@ class Estimate:
     cost: Cost
     accuracy: dict[str, float]  # see `kept_accuracy`
     shortfall: str  # why the accuracy is not kept to the end; empty if it is
+    slow: str  # when and why steps become so short that the run takes long; empty if it does not
 
 
 def estimate(scene: Scene, watch_look_ahead: Watcher | None = None) -> Estimate:
@@ -174,6 +184,7 @@ def estimate(scene: Scene, watch_look_ahead: Watcher | None = None) -> Estimate:
         ),
         accuracy=kept_accuracy(space.scene),
         shortfall=shortfall_text(space.scene),
+        slow=slow_text(scene, outlook),
     )
 
 
@@ -205,7 +216,9 @@ def flight_seconds(space: Space, start: InitialBodies | None = None) -> float:
     """
     if len(space.state) > MAX_IN_ONE_BLOCK:
         return math.inf
-    apart = max(1, min(FLIGHT_STEPS, round(frame_interval(space.scene) / space.dt)))  # steps from frame to frame
+    apart = max(
+        1, min(FLIGHT_STEPS, round(frame_interval(space.scene) / (space.dt or space.first_dt)))
+    )  # steps from frame to frame
     flying, paces, began = Space(space.scene, start=start), list[float](), math.inf
     step, touched = 0, 0
     for _ in flying.run(schedule=at(range(apart, apart * FLIGHT_ROUNDS + 1, apart))):
@@ -273,6 +286,10 @@ STRIDES = 8.0, 64.0  # coarse steps over the steps of the scene; the second if t
 LOOK_SECONDS = 3.0  # for each coarse run
 GLANCE_SECONDS = 0.1  # for a coarse run that would cover less than this fraction of the duration in its time
 LEAST_SEEN = 0.05
+SHORTER = 10.0  # times, of steps that become short in the course of a run
+LONG_RUN = 600.0  # s; a run that takes longer is announced
+WORTH_A_LOOK = 1e7  # conceivable steps, some 10 s of the fastest ones; with fewer, no trial is made before a run
+FORWARN_SECONDS = 1.0  # for each coarse run before a run
 MANY_STEPS = 100  # with at least this many coarse steps, their mean time is more accurate than that of the first steps
 LIKELY = 2.0  # accuracy (a factor) of a complete estimate for the bundled scenes and extremes (test_estimate.py)
 
@@ -289,41 +306,86 @@ class Outlook:
     limits: dict[str, float]  # fraction of the steps set by each limit, the largest first
     frames: int  # of the recording
     samples: list[Frame]  # from all of the coarse run, as a recording would have them; empty if it was too short
+    short_from: float | None  # s, from which steps are `SHORTER` than some before; None if there is no such time
+    short_step: float  # s, the mean at the end of the coarse run
+    short_limit: str  # the limit that sets these steps
 
 
 def estimate_steps(
-    scene: Scene, step_seconds: float, flight_seconds: float = math.inf, start: InitialBodies | None = None
+    scene: Scene,
+    step_seconds: float,
+    flight_seconds: float = math.inf,
+    start: InitialBodies | None = None,
+    look_seconds: float = LOOK_SECONDS,
 ) -> Outlook:
     """Estimate the steps of a run, of which the first take ``step_seconds`` each.
 
     ``flight_seconds`` is the time of a step without contacts, if a run, unlike the coarse run, makes many of these in
-    one call; ``start`` are the initial bodies, if known. Raises SceneError or PhysicsError if the scene cannot run.
+    one call; ``start`` are the initial bodies, if known. A coarse run takes ``look_seconds`` at most. Raises
+    SceneError or PhysicsError if the scene cannot run.
     """
     fixed = scene.time.fixed_dt
     if fixed is not None:
-        found = _look(scene, 1.0, step_seconds, flight_seconds, start)
+        found = _look(scene, 1.0, step_seconds, flight_seconds, start, look_seconds)
         steps = max(1, round(scene.time.duration / fixed))
         return replace(found, steps=steps, fewest=steps, most=steps, seen=1.0, limits={"fixed": 1.0})
     best: Outlook | None = None
     for stride in STRIDES:
         if best is None or LEAST_SEEN * STRIDES[0] / stride < best.seen < 1.0:
-            found = _look(scene, stride, step_seconds, flight_seconds, start)
+            found = _look(scene, stride, step_seconds, flight_seconds, start, look_seconds)
             best = found if best is None or found.seen > best.seen else best
     assert best is not None
     return best
 
 
+def forewarning(space: Space) -> str:
+    """Return what is to be said of a run before it starts if it will take long; otherwise an empty text.
+
+    Only a scene that conceivably takes many steps is run coarsely, for a second or two.
+    """
+    scene = space.scene
+    if most_steps(scene, space.first_dt) < WORTH_A_LOOK:
+        return ""
+    flight = flight_seconds(space)
+    each = flight if math.isfinite(flight) else CALL_WITH_CONTACTS
+    return slow_text(scene, estimate_steps(scene, each, flight, look_seconds=FORWARN_SECONDS))
+
+
+def slow_text(scene: Scene, outlook: Outlook) -> str:
+    """Return when and why the steps of a run become short, and the remedy; empty unless the run takes long."""
+    if outlook.seconds < LONG_RUN:
+        return ""
+    units, limit = scene.unit_system, outlook.short_limit
+    text = f"this run takes about {outlook.steps:.2g} steps, {outlook.seconds / 3600.0:.2g} hours: "
+    if outlook.short_from is not None:
+        text += f"from t = {units.text(outlook.short_from, TIME, '.4g')} on, "
+    text += f"steps are as short as {units.text(outlook.short_step, TIME, '.2g')} (limit: {limit}); "
+    if limit == "velocity":
+        smallest = units.text(smallest_radius(scene), LENGTH, ".3g")
+        text += f"a body moves by at most time.cfl = {cfl(scene):g} of its radius, {smallest} for the smallest; "
+    remedy = remedies_of(scene).get(limit)
+    shorten = "shorten time.duration" if outlook.short_from is None else "end time.duration there"
+    return f"{text}{f'raise {remedy}, or ' if remedy else ''}{shorten}"
+
+
 def _look(
-    scene: Scene, stride: float, step_seconds: float, flight_seconds: float, start: InitialBodies | None
+    scene: Scene,
+    stride: float,
+    step_seconds: float,
+    flight_seconds: float,
+    start: InitialBodies | None,
+    look_seconds: float,
 ) -> Outlook:
     """Run the whole scene with longer steps, count the steps of an actual run, and keep some frames."""
     space, duration, fixed = recording_space(scene, None, None, start, stride), scene.time.duration, scene.time.fixed_dt
     samples, room, interval, since = list[Frame](), _frames_to_keep(space), frame_interval(scene), math.inf
     began = last = time.perf_counter()
     rates: list[float] = []  # 1/s, steps of the scene in a second of its time
+    times, named = list[float](), list[str]()  # s, from which each applies; the limit that sets these steps
+    known: dict[str, float] = {}  # steps so far, by limit
     before, total, counted, frames, seconds, touched = 0.0, 0.0, 0.0, 0.0, 0.0, 0
-    while before < duration and last - began < LOOK_SECONDS:
-        if last - began > GLANCE_SECONDS and before < LEAST_SEEN * duration * (last - began) / LOOK_SECONDS:
+    while before < duration and last - began < look_seconds:
+        if last - began > GLANCE_SECONDS and before < LEAST_SEEN * duration * (last - began) / look_seconds:
             break  # a longer run would hardly cover more
         try:
             space.compute_dynamics(space.step + 1)
@@ -340,6 +402,11 @@ def _look(
             break  # the step is too long for this scene: use the results so far
         foreseen = sum(space.foreseen.values())
         rates.append((foreseen - total) / space.dt if fixed is None else 1.0 / fixed)
+        times.append(before)
+        named.append(
+            max(space.foreseen, key=lambda limit: space.foreseen[limit] - known.get(limit, 0.0), default="fixed")
+        )
+        known = dict(space.foreseen)
         span = min(space.time, duration) - before
         within = rates[-1] * span
         frames += min(within, span / interval) if interval > 0.0 else within
@@ -349,9 +416,12 @@ def _look(
         last, total, before, touched = time.perf_counter(), foreseen, space.time, contacts
     rest = max(0.0, duration - before)
     half, lately = rates[len(rates) // 2 :], rates[-max(1, len(rates) // 4) :]
-    steps = counted + rest * sum(lately) / len(lately)
+    latest = sum(lately) / len(lately)
+    steps, k = counted + rest * latest, len(rates)
+    while k > 0 and SHORTER * rates[k - 1] >= latest:
+        k -= 1
     fewest, most = (counted + rest * min(half)) / LIKELY, (counted + rest * max(half)) * LIKELY
-    if not integrator(scene).controls_error:
+    if not integrator(scene).controls_error and scene.promise is None:
         fewest = max(fewest, min(steps, duration / step_limits(scene).max_dt))
     shares = {limit: count / total for limit, count in space.foreseen.items()}
     return Outlook(
@@ -363,6 +433,9 @@ def _look(
         limits=dict(sorted(shares.items(), key=lambda item: -item[1])),
         frames=1 + _whole(frames * duration / (duration - rest)),
         samples=samples,
+        short_from=times[k] if 0 < k < len(times) else None,
+        short_step=1.0 / latest,
+        short_limit=Counter(named[k:] or named).most_common(1)[0][0],
     )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -10,7 +11,7 @@ from pathlib import Path
 from carom.errors import RecordingError
 from carom.physics.checkpoint import Checkpoint
 from carom.physics.space import Space
-from carom.plan.auto import frame_interval, integrator
+from carom.plan.auto import frame_interval, integrator, largest_step
 from carom.recording.read.frame_rows import Continuation
 from carom.recording.read.recorded_scene import recorded_scene
 from carom.recording.read.recording import Recording
@@ -214,8 +215,8 @@ def under_way(target: Path) -> Path:
 def continued_scene(recording: Recording, scene: Scene, overrides: list[str]) -> Scene:
     """Return the ``scene`` of a recording with overrides, for a run that continues from one of its checkpoints.
 
-    Some values of "auto" depend on the duration: the interval between frames, and the integrator of orbits. They do not
-    change unless the overrides set them.
+    Some values of "auto" depend on the duration: the interval between frames, the integrator of orbits, and the longest
+    step. They do not change unless the overrides set them.
 
     Raises
     ------
@@ -226,6 +227,9 @@ def continued_scene(recording: Recording, scene: Scene, overrides: list[str]) ->
     interval, chosen, kept = frame_interval(scene), integrator(scene).name, list(overrides)
     if changed.record.every == "auto" and frame_interval(changed) != interval:
         kept.append(f"record.every={scene.unit_system.literal(interval, TIME)}")
+    longest = largest_step(scene)
+    if changed.time.max_dt == AUTO and math.isfinite(longest) and largest_step(changed) != longest:
+        kept.append(f"time.max_dt={scene.unit_system.literal(longest, TIME)}")
     if changed.time.integrator == AUTO and integrator(changed).name != chosen:
         kept.append(f"time.integrator={chosen}")
     return recorded_scene(recording, kept) if len(kept) > len(overrides) else changed

@@ -381,7 +381,7 @@ def shortfall_text(scene: Scene) -> str:
     if promise.looked is not None:
         why = f"the budget of the trial runs ended at t = {units.text(promise.looked, TIME, '.4g')}"
     else:
-        why = "its error grows beyond that"
+        why = "its error grows beyond that, first where bodies are fastest"
     text = f"cannot promise accuracy = {accuracy:g} to the end: {why}; it is kept up to t = "
     text += units.text(promise.horizon, TIME, ".4g")
     text += ", where the run ends" if scene.time.after_horizon == "end" else ", and ordinary steps go on from there"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,7 @@ from carom.physics.integrators.gauss_radau.radau_step import motion_of
 from carom.physics.schedule import at, every
 from carom.physics.space import Space
 from carom.recording.read.recording import Recording
+from carom.runs.estimate import forewarning
 from carom.runs.replay import replay
 from carom.runs.resume import continue_run, resumable_run
 from carom.scene.schema import Scene
@@ -43,6 +45,58 @@ def solid(bodies: list[dict[str, Any]], duration: float, e: float = 1.0, **secti
 def falling_pair(duration: float, e: float) -> Scene:
     """The pair of `published/test_two_body_bounce`."""
     return solid([{"position": [x, 0, 0], "radius": 2.0, "mass": 1.0} for x in (-10, 10)], duration, e)
+
+
+def comet(after: float = 0.0) -> tuple[Scene, float, float]:
+    """A comet of a = 17.8 au and e = 0.9999 from its apocentre on, which hits its sun.
+
+    Returns the scene, up to ``after`` s after the impact, the time of the impact by Kepler's equation (s), and its
+    speed by vis-viva (m/s).
+    """
+    mu, a, e, sun, small = 6.6743e-11 * 1.98847e30, 17.8 * 1.495978707e11, 0.9999, 6.957e8, 5e3
+    bodies: list[dict[str, Any]] = [
+        {"mass": 1.98847e30, "radius": sun},
+        {
+            "mass": 1.0,
+            "radius": small,
+            "position": [a * (1.0 + e), 0, 0],
+            "velocity": [0, math.sqrt(mu / a * (1.0 - e) / (1.0 + e)), 0],
+        },
+    ]
+    anomaly = math.acos((1.0 - (sun + small) / a) / e)
+    impact = (math.pi - (anomaly - e * math.sin(anomaly))) * math.sqrt(a**3 / mu)
+    speed = math.sqrt(mu * (2.0 / (sun + small) - 1.0 / a))
+    scene = scene_of(bodies, time={"duration": impact + after}, gravity={"constant": 6.6743e-11})
+    return scene, impact, speed
+
+
+def test_a_comet_hits_its_sun_at_the_time_of_kepler_with_the_speed_of_vis_viva() -> None:
+    scene, impact, speed = comet()
+    space = Space(scene.model_copy(update={"time": scene.time.model_copy(update={"duration": 2.0 * impact})}), 1)
+    while not space.extremes.impacts:
+        before = np.linalg.norm(space.state.velocity[1] - space.state.velocity[0])
+        space.compute_dynamics(space.step + 1)
+    assert space.step < 1000
+    # rounding of the coordinates at 36 au is 10⁻³ m, and the comet arrives at 6 × 10⁵ m/s
+    assert space.time == pytest.approx(impact, rel=1e-12)
+    assert before < speed
+    row = space.impacts.log[0]
+    sideways = math.sqrt(speed**2 - float(row["approach"]) ** 2)
+    momentum = 17.8 * 1.495978707e11 * 1.9999 * np.linalg.norm(scene.body[1].velocity)
+    assert sideways == pytest.approx(momentum / (6.957e8 + 5e3), rel=1e-9)  # the angular momentum
+
+
+def test_a_run_whose_steps_become_short_says_so_before_it_starts(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The comet slides and rolls on its sun at hundreds of km/s, and moves by half its radius in a step."""
+    monkeypatch.setattr("carom.runs.estimate.FORWARN_SECONDS", 0.3)
+    scene, impact, speed = comet(after=2.4e7)
+    text = forewarning(Space(scene, 1))
+    found = re.search(r"about (\S+) steps, .* hours: from t = (\S+) s on, .*limit: velocity.*raise time.cfl", text)
+    assert found, text
+    steps = 2.4e7 * speed / (0.5 * 5e3)  # a part of the speed is lost in the impact
+    assert 0.05 * steps < float(found[1]) < 2.0 * steps
+    assert float(found[2]) == pytest.approx(impact, rel=1e-2)
+    assert forewarning(Space(falling_pair(1.0, 1.0), 1)) == ""
 
 
 def three_bodies(duration: float, e: float = 1.0, **sections: Any) -> Scene:

@@ -36,7 +36,7 @@ from carom.physics.contact.solver.contact_solver import MOST_SWEEPS, ContactSolv
 from carom.physics.contact.solver.positions import BAUMGARTE
 from carom.physics.contact.solver.prepare import ImpulseCache
 from carom.physics.contact.statistics import NO_CONTACTS, limits_of, still_closing
-from carom.physics.contact.sticking import HeldContacts, time_to_stick
+from carom.physics.contact.sticking import SlidingContacts, time_to_stick
 from carom.physics.diagnostics.dissipation import SignsOfDissipation
 from carom.physics.diagnostics.run_monitor import Profile
 from carom.physics.jit.team import Team
@@ -255,7 +255,7 @@ class ContactPipeline:
         if not (self._needs.friction.modelled and held.kick > 0.0 and np.array_equal(held.pairs, contacts.pairs)):
             return np.inf
         records = self.solver.contacts
-        moving = HeldContacts(contacts.pairs, contacts.order.place, records, held.impulse_of(records), held.kick)
+        moving = SlidingContacts(contacts.pairs, contacts.order.place, records, held.impulse_of(records), held.kick)
         return time_to_stick(moving, self._bodies.ends, dt, tolerance)
 
     def add_quiet_steps(self) -> None:

@@ -22,7 +22,7 @@ NEGLIGIBLE = 1e-2  # of the requested error; a motion that is slower than this i
 SOON = 1e-3  # of the next step; a motion that ends before may end in it, with a millionth of the largest error
 
 
-class HeldContacts(NamedTuple):
+class SlidingContacts(NamedTuple):
     """The contacts of the last step, and the impulses that held them."""
 
     pairs: IntArray  # (m, 2)
@@ -32,7 +32,7 @@ class HeldContacts(NamedTuple):
     kick: float  # s, in which they acted
 
 
-def time_to_stick(held: HeldContacts, ends: Ends, dt: float, tolerance: float) -> float:
+def time_to_stick(held: SlidingContacts, ends: Ends, dt: float, tolerance: float) -> float:
     """Return the time (s) until a contact stops to slide, roll or twist; infinite if none does.
 
     Parameters

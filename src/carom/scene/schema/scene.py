@@ -353,7 +353,12 @@ class Scene(Forces, Heading):
             "contact.enabled = false": not self.contact.enabled,
         }
         for what, given in unsupported.items():
-            if self.wall and given:
+            if what == "time.accuracy":
+                if given and any(wall.moves for wall in self.wall):
+                    raise ValueError(
+                        f"a wall.motion with {what}, which only supports walls at rest; remove one of them"
+                    )
+            elif self.wall and given:
                 raise ValueError(f"a [[wall]] with {what}, which does not support walls yet; remove one of them")
             moving = next((k for k, plane in enumerate(self.plane) if plane.translates), None)
             if moving is not None and given and what != "contact.enabled = false":

@@ -76,7 +76,8 @@ class Time(Section):
     duration: Annotated[Positive, TIME] = Field(10.0, description="s, simulated time; more than 0")
     max_dt: Annotated[Positive, TIME] | Literal["auto"] = Field(
         "auto",
-        description='s, largest step; more than 0; "auto" is 1 s, a strain of 0.001 in a sheared packing, or no limit '
+        description='s, largest step; more than 0; "auto" is 1 s, or a millionth of the duration if that is longer, a '
+        "strain of 0.001 in a sheared packing, or no limit "
         "if the integrator chooses its steps by its error or by the orbits",
     )
     target_dx: Annotated[Positive, LENGTH] | Literal["auto"] = Field(
@@ -120,9 +121,9 @@ class Time(Section):
     integrator: IntegratorName = Field(
         AUTO,
         description=f"{described()}; auto is Gauss–Radau where up to 100 bodies attract each other and cannot touch, "
-        "or up to 32 start far apart; Wisdom–Holman where bodies that cannot touch orbit a dominant one "
-        "1000 times or more on separate orbits; Yoshida's where they cannot touch and the scene sets its "
-        "step; otherwise leapfrog",
+        "or up to 32 start far apart, up to 200 if they orbit a dominant one; Wisdom–Holman where bodies that cannot "
+        "touch orbit a dominant one 1000 times or more on separate orbits; Yoshida's where they cannot touch and the "
+        "scene sets its step; otherwise leapfrog",
     )
     encounters: Literal["resolve", "ignore"] = Field(
         "resolve",
