@@ -140,6 +140,17 @@ def test_the_rounding_of_a_heavy_body_is_no_error_of_a_light_one_that_hits_it_an
     assert space.energy().relative_error == pytest.approx(2.0, rel=0.01)  # of ½ m 0.7²
 
 
+def test_energies_that_nothing_changes_hide_no_error_however_many_steps_round_the_others() -> None:
+    spinning = replace_spin(binary(0.5, time={"duration": 1.0, "fixed_dt": 0.01}), 1e13)  # 2 × 10⁷ J, and 0.125 J
+    account = EnergyAccount(spinning.state, np.zeros(3))
+    motion, pull = TotalMotion.of(spinning.state), {"gravitational": spinning.energy().gravitational}
+    account.balance(motion, pull, Ledger())
+    wrong = {"gravitational": pull["gravitational"] + 1e-6}
+    later = account.balance(motion, wrong, Ledger(), roundings=10**8)
+    assert later.scale == pytest.approx(0.125) and later.relative_error == pytest.approx(8e-6, rel=0.01)
+    assert account.balance(motion, {"gravitational": pull["gravitational"] + 1e-9}, Ledger()).relative_error == 0.0
+
+
 def test_on_a_parabola_the_scale_is_that_of_its_two_terms() -> None:
     bodies: list[dict[str, Any]] = [
         {"mass": 0.5, "radius": 1e-3, "position": [side, 0, 0], "velocity": [0, side * 0.5, 0]} for side in (1, -1)

@@ -169,8 +169,11 @@ class EnergyAccount:
             if judged and scale != known.scale:
                 self.baseline = replace(known, scale=scale)
         # each term of a sum, and each change of a velocity, is rounded up or down at random
-        magnitude = translational + rotational + abs(gravitational) + abs(external) + abs(known.initial)
-        rounding = WALKS * EPSILON * magnitude * math.sqrt(1.0 + len(self._bodies) + roundings)
+        changing = translational + abs(gravitational - self._constant) + abs(external)
+        changing += rotational if ledger.friction else 0.0  # otherwise nothing has changed the spins
+        summed = changing + rotational + abs(self._constant) + abs(known.initial)
+        walk = changing * math.sqrt(roundings) + summed * math.sqrt(1.0 + len(self._bodies))
+        rounding = WALKS * EPSILON * walk
         return Energy(
             translational=translational,
             rotational=rotational,
