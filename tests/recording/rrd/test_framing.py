@@ -3,7 +3,8 @@ from pathlib import Path
 
 import pytest
 
-from carom.recording.rrd.framing import DamageError, MessageSplitter, messages
+from carom.errors import DamageError
+from carom.recording.rrd.framing import MessageSplitter, messages
 
 HEADER = b"RRF2" + bytes(8)
 MESSAGES = [struct.pack("<QQ", 2, len(body)) + body for body in (b"first", b"", b"x" * 5000)]
