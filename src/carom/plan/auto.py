@@ -41,6 +41,11 @@ SMOOTHING = 0.2  # weight of the new step in the moving average, where contacts 
 LATE_CFL = 0.5  # if impacts are resolved at the end of the step
 FREE_CFL = 1.0  # with exact times of impact and without forces, where shorter steps gain nothing
 
+# Speed up to which a contact does not rebound, over a dt, with a the acceleration that presses its pair together. A
+# contact that nothing holds closes by a dt in a step; if both bodies of a pair accelerate towards each other by a, by
+# 2 a dt. With exact times of impact, `SLOW` of `contact.events.event_loop` times 2 a dt is ½ a dt: velocities at the
+# time of an impact follow from the accelerations alone, so a contact that is held seems to close by up to that.
+PER_STEP = 2.0
 EXACT_IMPACT = 1e-9  # largest relative error of the approach speed of an exact impact
 
 BOUNCES_UP_TO = 200  # bouncing bodies; gauss-radau15 restarts all bodies at each impact (docs/trade.md)
@@ -135,17 +140,15 @@ def ended_bounces(scene: Scene) -> str:
     bounces = interactions.restitution(scene, contact).modelled and not integrator(scene).ends_steps_at_impacts
     if not (bounces and interactions.resting(scene, contact).modelled):
         return ""
-    field, meaning = math.hypot(*scene.gravity.uniform), "a: the acceleration of field and gravity, dt: the step"
+    field, meaning = math.hypot(*scene.gravity.uniform), "dt: the step"
     if field > 0.0:
         limits = step_limits(scene)
         reach = max(limits.target_dx or 0.0, limits.held_dx or 0.0)
         longest = scene.time.fixed_dt or min(limits.max_dt, math.sqrt(2.0 * reach / field) if reach else math.inf)
-        meaning += f"; in this field up to {scene.unit_system.text(2.0 * field * longest, VELOCITY, '.2g')}"
-    speed = f"about 2 a dt ({meaning})"
-    if why_late(scene) or scene.contact.solver == "staged":
-        return f"bodies that close more slowly than {speed} do not bounce"
+        meaning += f"; in this field up to {scene.unit_system.text(PER_STEP * field * longest, VELOCITY, '.2g')}"
     return (
-        f"bounces shorter than a step end at rest; bodies that touch something bounce off others only from {speed} on"
+        "bounces that would last no longer than about a step end at rest: two bodies that gravity or others press "
+        f"together with an acceleration a rebound only from {PER_STEP:g} a dt on ({meaning})"
     )
 
 

@@ -28,7 +28,7 @@ Value = float | str
 
 _COMPONENTS = {  # of checkpoints and of impacts, by their units
     "m": "position integrator_position_rest orbit_near orbit_position",
-    "m/s": "velocity approach_speed contact_rest_speed integrator_velocity_rest orbit_velocity",
+    "m/s": "velocity approach_speed contact_rest_speed contact_load_speed integrator_velocity_rest orbit_velocity",
     "m/s²": "acceleration integrator_accepted integrator_correction sleep_reference",
     "rad/s": "angular_velocity",
     "s": "time previous_dt contact_dt held_kick integrator_last_dt",

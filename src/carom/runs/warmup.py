@@ -22,7 +22,7 @@ from carom.contact_table import CONTACT_ROW
 from carom.physics.bodies import Bodies
 from carom.physics.contact.broad_phase.grid import ALL_PAIRS_UP_TO
 from carom.physics.contact.broad_phase.pairs import search_by
-from carom.physics.contact.constraints import CONTACT, CONTACT_STATE
+from carom.physics.contact.constraints import CONTACT
 from carom.physics.contact.contact_tap import ContactTap
 from carom.physics.contact.impact_totals import ImpactTotals
 from carom.physics.contact.islands import Islands, number_sets
@@ -224,7 +224,7 @@ def compile_ahead() -> None:
     tap = ContactTap(bodies, frictionless, open_space, friction=True, totals=totals)
     tap.add_impacts(solver.order.pairs, solver)
     tap.rows(solver.order.pairs, solver)
-    solver.rest_speeds_by_pair()
+    solver.speeds_by_pair()
     solver.statistics()
     solver.compile_phases()
     FrameStore(1, bodies).keep()
@@ -257,12 +257,12 @@ def _compile_encoding() -> None:
 def _compile_second_steps(bodies: Bodies) -> None:
     """Compile the kernels that a run with contacts needs from its second step on, with two bodies in contact."""
     pairs, place, ends, none = np.array([[0, 1]]), np.zeros(1, np.int64), len(bodies.ends.velocity), np.zeros(3)
-    contacts, states = np.zeros(1, CONTACT), np.zeros(1, CONTACT_STATE)
+    contacts = np.zeros(1, CONTACT)
     cache = ImpulseCache(pairs, place, contacts, 1.0)
     cache.carry_to(pairs, place, 1.0, contacts, SOLO)
     assert len(cache.impulse) == 1
     unequal = np.arange(3.0 * ends).reshape(ends, 3)
-    Islands(ends, SOLO).write_rest_speeds(pairs, pairs[0], unequal, np.ones(ends), none, 1.0, states)
+    Islands(ends, SOLO).write_load_speeds(pairs, pairs[0], unequal, np.ones(ends), none, 1.0, np.zeros(1))
     largest_values(unequal, none, bodies.position)
     Ledger().plus(np.zeros((1, 3)))
     load_helpers()

@@ -151,6 +151,38 @@ def test_a_distant_plane_does_not_hold_a_body_whose_impacts_are_exhausted() -> N
     assert (mass * velocity).sum() == pytest.approx(count * 1e-3 * speed, rel=EXACT), "no wall has taken any of it"
 
 
+@pytest.mark.parametrize(
+    ("ratio", "integrator"), [(1e4, "auto"), (1e10, "leapfrog"), (1e16, "leapfrog"), (1e12, "auto")]
+)
+def test_a_heavy_elastic_ball_that_presses_a_light_one_against_a_wall_returns(ratio: float, integrator: str) -> None:
+    # Galperin's billiard: floor(π / arctan √(m/M)) impacts. Beyond some 10⁵ in a step the rest of them is one, and the
+    # heavy ball turns round early by the time in which it would cover the remaining gap, 2 × 10⁻⁵ of the distance.
+    bodies = [
+        {"position": [1.437, 0.0, 0.0], "radius": 0.5, "mass": 1.0},
+        {"position": [3.374, 0.0, 0.0], "radius": 0.5, "mass": ratio, "velocity": [-1.0, 0.0, 0.0]},
+    ]
+    document = {
+        "body": bodies,
+        "plane": [{"normal": [1.0, 0.0, 0.0]}],
+        "gravity": {"constant": 0.0},
+        "contact": {"restitution": 1.0, "static_friction": 0.0},
+        "time": {"duration": 10.0, "integrator": integrator},
+    }
+    space = ended(document)
+    light, heavy = space.state.velocity[:, 0]
+    kinetic = light * light / ratio + heavy * heavy
+    assert kinetic == pytest.approx(1.0, abs=1e-9)
+    angle = np.arctan(1.0 / np.sqrt(ratio))
+    if ratio <= 1e10:
+        impacts = int(np.pi / angle)
+        assert space.extremes.impacts == impacts
+        met = (impacts + 1) // 2  # every other impact is with the wall; these turn (√m v, √M V) by 2 arctan √(m/M)
+        assert heavy == pytest.approx(-np.cos(2.0 * angle * met), abs=1e-9)
+    assert heavy == pytest.approx(1.0, abs=2.0 / np.sqrt(ratio))
+    # reflected at 1.5 m, where both balls touch the wall
+    assert space.state.position[1, 0] == pytest.approx(3.0 - 3.374 + 10.0, abs=2.0 / np.sqrt(ratio) + 1e-4)
+
+
 @pytest.mark.parametrize("spread", [0, 3, 8])  # decades of the masses
 def test_impulses_of_a_group_push_where_contacts_close_and_only_there(spread: int) -> None:
     rng = np.random.default_rng(spread)

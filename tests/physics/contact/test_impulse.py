@@ -43,7 +43,7 @@ def resolve(
 ) -> FloatArray:
     """Resolve the contact of a pair in one pass of the kernel; return its ledger."""
     solver = solver_of(bodies, PAIR, [restitution, static_friction, kinetic_friction])
-    solver.rest_speed[:] = rest_speed
+    solver.rest_speed[:] = solver.load_speed[:] = rest_speed
     solver.resolve_impacts(bias_rate, max_iterations=1, impacts_only=False)
     return np.asarray(solver.ledger[0])
 

@@ -63,7 +63,7 @@ def test_sweeps_as_needed_end_when_no_contact_changes_by_more_than_counts(
     bodies.angular_velocity[:] = 0.0
     pairs = HierarchicalGrid(bodies.radius, np.zeros(3)).pairs(bodies.position)
     solver = solver_of(bodies, pairs, [0.0, 0.6, 0.6], sweeps=sweeps)
-    solver.rest_speed[:] = 1.0
+    solver.rest_speed[:] = solver.load_speed[:] = 1.0
     assert least <= solver.hold(1.0, 1.0, 0.0, 0.0, 8) <= most
 
 

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from carom.physics.contact.constraints import CONTACT_STATE
 from carom.physics.contact.events.time_of_impact import step_by_impacts
 from carom.physics.contact.islands import Islands
 from carom.physics.jit.team import SOLO, Team
@@ -23,32 +22,30 @@ IntArray = NDArray[np.int64]
 NO_FIELD = np.zeros(3)
 
 
-def rest_speeds(
+def load_speeds(
     pairs: IntArray, acceleration: FloatArray, inverse_mass: FloatArray, field: FloatArray, dt: float, team: Team = SOLO
 ) -> FloatArray:
-    states = np.zeros(len(pairs), CONTACT_STATE)
-    states["rest_speed"] = np.nan
+    speeds: FloatArray = np.full(len(pairs), np.nan)
     state = (acceleration, inverse_mass, field, dt)
-    presses = Islands(len(acceleration), team).write_rest_speeds(pairs, np.unique(pairs), *state, states)
-    speeds: FloatArray = states["rest_speed"]
+    presses = Islands(len(acceleration), team).write_load_speeds(pairs, np.unique(pairs), *state, speeds)
     assert presses == np.any(speeds > 0.0)
     return speeds
 
 
-def test_the_rest_speed_is_what_gravity_causes_in_a_step_and_no_field_counts() -> None:
+def test_the_load_speed_is_what_gravity_causes_in_a_step_and_no_field_counts() -> None:
     acceleration = np.array([[3.0, 0.0, -9.0], [0.0, 0.0, -9.0], [100.0, 0.0, 0.0]])
     pairs = np.array([[0, 1]])
-    assert rest_speeds(pairs, acceleration, np.ones(3), np.array([0.0, 0.0, -9.0]), 0.1) == pytest.approx(
+    assert load_speeds(pairs, acceleration, np.ones(3), np.array([0.0, 0.0, -9.0]), 0.1) == pytest.approx(
         [2 * 3.0 * 0.1]
     )
-    assert rest_speeds(pairs, np.zeros((3, 3)), np.ones(3), NO_FIELD, 0.1) == pytest.approx([0.0])
+    assert load_speeds(pairs, np.zeros((3, 3)), np.ones(3), NO_FIELD, 0.1) == pytest.approx([0.0])
 
 
 def test_a_pile_shares_its_load_and_piles_are_apart() -> None:
     acceleration = np.zeros((7, 3))
     acceleration[3, 0], acceleration[6, 0] = 4.0, 9.0
     pairs = np.array([[0, 2], [1, 2], [1, 3], [4, 5], [5, 6]])
-    assert np.array_equal(rest_speeds(pairs, acceleration, np.ones(7), NO_FIELD, 1.0), [8.0, 8.0, 8.0, 18.0, 18.0])
+    assert np.array_equal(load_speeds(pairs, acceleration, np.ones(7), NO_FIELD, 1.0), [8.0, 8.0, 8.0, 18.0, 18.0])
 
 
 def test_piles_are_what_a_search_of_the_graph_finds_on_any_number_of_threads() -> None:
@@ -69,7 +66,7 @@ def test_piles_are_what_a_search_of_the_graph_finds_on_any_number_of_threads() -
     mover = np.where(inverse_mass[pairs[:, 0]] > 0.0, pairs[:, 0], pairs[:, 1])
     expected = 2.0 * np.sqrt(largest[pile[mover]]) * 0.1
     for threads in (1, 2, 4):
-        assert np.array_equal(rest_speeds(pairs, acceleration, inverse_mass, NO_FIELD, 0.1, Team(threads)), expected)
+        assert np.array_equal(load_speeds(pairs, acceleration, inverse_mass, NO_FIELD, 0.1, Team(threads)), expected)
 
 
 def test_an_impact_keeps_its_bounce_beside_a_heavy_pile_far_away() -> None:

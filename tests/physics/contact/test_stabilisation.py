@@ -27,7 +27,7 @@ def push(
     """Push what overlaps; return the ledger and the overlaps left."""
     pairs = HierarchicalGrid(bodies.radius, np.zeros(3)).pairs(bodies.position)
     solver = solver_of(bodies, pairs, [restitution, 0.0, 0.0])
-    solver.rest_speed[:] = rest
+    solver.rest_speed[:] = solver.load_speed[:] = rest
     solver.correct_positions(sweeps)
     solver.update_geometry()
     return solver.ledger, solver.overlaps
@@ -74,7 +74,7 @@ def test_contacts_pushed_in_blocks_have_the_bits_of_those_pushed_one_by_one(
         pairs = HierarchicalGrid(bodies.radius, np.zeros(3)).pairs(bodies.position)
         pairs = pairs[pairs[:, 1] >= fixed]  # two fixed bodies are no contact
         solver = solver_of(bodies, pairs, [restitution, 0.0, 0.0], box, records=True)
-        solver.rest_speed[:] = rest
+        solver.rest_speed[:] = solver.load_speed[:] = rest
         np.asarray(solver.recorded)[:] = np.zeros(1, RECORDED)
         solver.correct_positions(sweeps)
         given = columns(solver.recorded, ("correction_x", "correction_y", "correction_z"))

@@ -36,7 +36,7 @@ def resolved(threads: int, hub: bool) -> tuple[FloatArray, ...]:
     solver = solver_of(bodies, pairs, [0.5, 0.6, 0.4], threads=threads)
     sweeps = solver.resolve_impacts(0.0, 3, impacts_only=False)
     bodies.velocity[:, 2] -= bodies.position[:, 2]  # presses all of it together
-    solver.rest_speed[:] = 1e-3
+    solver.rest_speed[:] = solver.load_speed[:] = 1e-3
     held = solver.hold(1.0, 1.0, 0.0, 0.0, 5)
     assert sweeps == 3 and held > 5, "conjugate gradients follow the sweeps"
     return bodies.velocity, bodies.angular_velocity, solver.ledger, solver.approach, solver.impulses

@@ -11,6 +11,7 @@ from typing import NamedTuple, Protocol
 from carom.arrays import BoolArray, FloatArray, IntArray, RecordArray, dtype_of
 from carom.physics.aligned import CACHE_LINE
 from carom.physics.contact.guided_walls import Guide
+from carom.physics.contact.loads import LoadRecord
 from carom.physics.contact.moving_walls import SurfaceVelocity
 from carom.physics.contact.rolling import AngularImpulse, ContactGeometry, RollingFields
 from carom.physics.diagnostics.ledger import LedgerRecord
@@ -278,6 +279,7 @@ class ConstraintSystem(NamedTuple):
     enough: FloatArray  # (m,) `ENOUGH`, or `ENOUGH_AS_NEEDED` where small changes end the iterations
     small_change: FloatArray  # (m,) m/s, a smaller change of a contact's velocities needs no further iteration
     states: RecordArray[ContactStateRecord]  # (m,)
+    load_speed: FloatArray  # (m,) m/s, which the largest acceleration of its island causes in a step; see `islands`
     search: RecordArray[SearchRecord]  # (m,)
     measured: RecordArray[MeasuredRecord]  # (m,)
     recorded: RecordArray[ImpulseRecord]  # (m,), or ROLLING_RECORDED; no rows unless contacts are recorded
@@ -299,6 +301,7 @@ class ConstraintSystem(NamedTuple):
     active: IntArray  # (b,) bodies and planes with a contact
     # (n + p,) whether contacts have pressed each body since the last step; False for fixed ends
     pressed: BoolArray
+    loads: RecordArray[LoadRecord]  # (n + p,) `LOAD`, of the last kick; 0 for fixed ends
     piece_results: RecordArray[PieceResultsRecord]  # (k,)
     sums: RecordArray[BlockSumsRecord]  # (b / BODIES_PER_BLOCK,)
     settings: RecordArray[SettingsRecord]  # (1,)

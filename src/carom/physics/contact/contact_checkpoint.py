@@ -26,6 +26,7 @@ class ContactCheckpoint:
 
     pairs: IntArray  # (m, 2), sorted; includes near contacts
     rest_speed: FloatArray  # (m,) m/s, closing speed up to which a contact is at rest
+    load_speed: FloatArray  # (m,) m/s, see `ConstraintSystem`
     dt: float  # s, the step for which these speeds were computed
     held_pairs: IntArray  # (k, 2), sorted; usually the same as ``pairs``
     impulse: FloatArray  # (k, 4) N s: λ_n, λ_t; (k, 7) where the law resists rolling, with Λ in N m s

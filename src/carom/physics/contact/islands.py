@@ -1,10 +1,11 @@
-"""Rest speeds, the restitution thresholds of islands: a contact that closes no faster than this is at rest.
+"""Load speeds: how fast a contact at rest may close in a step, whatever its direction.
 
 A contact at rest closes no faster than the acceleration of gravity can make it in one step. The bodies of an island
 share its load, so the largest acceleration of the whole island counts: in the middle of a pile nothing accelerates, but
 the load is greatest. An island is a connected component of the collision graph without fixed ends; other islands have
 no influence. The uniform field is subtracted, since it accelerates all bodies alike, unless something is fixed and does
-not fall. Without gravity, the speed is 0, and every contact is an impact.
+not fall. Without gravity, the speed is 0, and every contact is an impact. The rest speed of a
+contact, its restitution threshold, is at most its load speed (`loads`).
 
 Islands are found by union-find: each island is a tree whose root is its lowest body (Galler & Fischer 1964).
 """
@@ -15,12 +16,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from carom.arrays import BoolArray, FloatArray, IntArray, RecordArray
+from carom.arrays import BoolArray, FloatArray, IntArray
 from carom.physics.contact.constraints import (
     ENOUGH_AS_NEEDED,
     MIN_PER_TASK,
     ConstraintSystem,
-    ContactStateRecord,
     ends_of,
 )
 from carom.physics.contact.geometry import are_near
@@ -29,6 +29,7 @@ from carom.physics.jit.decorators import inline, inner, kernel, long_kernel, uno
 from carom.physics.jit.instructions import atomic_load, atomic_max, atomic_replace, from_front
 from carom.physics.jit.team import Team
 from carom.physics.vector import between, sizes, vector
+from carom.plan.auto import PER_STEP
 
 if TYPE_CHECKING:
     from carom.physics.contact.events.trajectories import Trajectories
@@ -58,7 +59,7 @@ class Islands:
         self._parent = np.empty(ends, dtype=np.int64)  # these arrays are used only for bodies with contacts
         self._largest = np.empty(ends)  # m²/s⁴, |a|² of a body; at the root of an island, the largest of the island
 
-    def write_rest_speeds(
+    def write_load_speeds(
         self,
         pairs: IntArray,
         active: IntArray,
@@ -66,9 +67,9 @@ class Islands:
         inverse_mass: FloatArray,
         field: FloatArray,
         dt: float,
-        states: RecordArray[ContactStateRecord],
+        speeds: FloatArray,
     ) -> bool:
-        """Write the rest speed of each contact, 2 |a|max dt of its island.
+        """Write the load speed of each contact, `PER_STEP` |a|max dt of its island.
 
         Two bodies that rest on each other and start a step at rest close at most that fast at its end.
 
@@ -84,8 +85,8 @@ class Islands:
             (n + p,) 1/kg; fixed ends do not transmit load.
         field
             (3,) m/s², the uniform field if it accelerates all bodies alike; otherwise zeros.
-        states
-            (m,) `CONTACT_STATE`; ``rest_speed`` is written.
+        speeds
+            (m,) m/s, is written.
 
         Returns
         -------
@@ -100,7 +101,7 @@ class Islands:
             team.divide(len(pairs), MIN_PER_TASK, _join, pairs, inverse_mass, parent)
             team.divide(len(active), MIN_PER_TASK, _spread_largest, active, parent, largest.view(np.int64))
         joined = bool(flags[UNEQUAL])
-        team.divide(len(pairs), MIN_PER_TASK, _write_speeds, pairs, inverse_mass, tables, joined, dt, states)
+        team.divide(len(pairs), MIN_PER_TASK, _write_speeds, pairs, inverse_mass, tables, joined, dt, speeds)
         return bool(flags[PRESSES])
 
 
@@ -143,8 +144,8 @@ IslandTables = tuple[IntArray, FloatArray, BoolArray]
 
 
 @unowned
-def write_rest_speeds(system: ConstraintSystem, field: FloatArray, dt: float, tables: IslandTables) -> bool:
-    """Write the rest speed of each contact as `Islands` does."""
+def write_load_speeds(system: ConstraintSystem, field: FloatArray, dt: float, tables: IslandTables) -> bool:
+    """Write the load speed of each contact as `Islands` does."""
     pairs, active, inverse_mass = system.pairs, system.active, system.inverse_mass
     parent, largest, flags = tables
     flags[UNEQUAL] = flags[PRESSES] = False
@@ -153,7 +154,7 @@ def write_rest_speeds(system: ConstraintSystem, field: FloatArray, dt: float, ta
     if joined:
         _join(0, len(pairs), pairs, inverse_mass, parent)
         _spread_largest(0, len(active), active, parent, largest.view(np.int64))
-    _write_speeds(0, len(pairs), pairs, inverse_mass, tables, joined, dt, system.states)
+    _write_speeds(0, len(pairs), pairs, inverse_mass, tables, joined, dt, system.load_speed)
     return bool(flags[PRESSES])
 
 
@@ -214,17 +215,17 @@ def _write_speeds(
     tables: IslandTables,
     joined: bool,
     dt: float,
-    states: RecordArray[ContactStateRecord],
+    speeds: FloatArray,
 ) -> None:
-    """Write the rest speed of each contact; the same for all where islands were not ``joined``."""
+    """Write the load speed of each contact; the same for all where islands were not ``joined``."""
     parent, largest, flags = tables
-    presses, rest_speed = False, 0.0
+    presses, speed = False, 0.0
     for c in range(lo, hi):
         if joined or c == lo:
             mover = pairs[c, 0] if inverse_mass[pairs[c, 0]] > 0.0 else pairs[c, 1]
-            rest_speed = 2.0 * np.sqrt(largest[root_of(parent, mover)]) * dt
-        states[c].rest_speed = rest_speed
-        presses = presses or rest_speed > 0.0
+            speed = PER_STEP * np.sqrt(largest[root_of(parent, mover)]) * dt
+        speeds[c] = speed
+        presses = presses or speed > 0.0
     if presses:
         flags[PRESSES] = True
 
@@ -240,7 +241,7 @@ def excess_square(acceleration: FloatArray, field: FloatArray, i: int) -> float:
 
 
 @kernel
-def island_rest_speeds(
+def island_load_speeds(
     pairs: IntArray,
     T: Trajectories,
     scale: float,
@@ -249,12 +250,13 @@ def island_rest_speeds(
     field: FloatArray,
     dt: float,
 ) -> None:
-    """Write the rest speed of each body, 2 |a|max dt of its island, (n + p,) m/s, for all pairs that may touch.
+    """Write the load speed of each body, `PER_STEP` |a|max dt of its island, (n + p,) m/s.
 
-    Pairs no farther apart than ``(r_i + r_j) scale + skin`` are joined, and so are bodies near a guided wall. The rest
+    Pairs no farther apart than ``(r_i + r_j) scale + skin`` are joined, and so are bodies near a guided wall. The load
     speed of fixed ends is 0. The queue of events, which is empty before a drift, serves as workspace.
     """
-    x, radius, inverse_mass, speeds, parent, n = T.x, T.radius, T.inverse_mass, T.rest_speed, T.queue, len(T.x)
+    x, radius, inverse_mass, speeds, parent, n = T.x, T.radius, T.inverse_mass, T.load_speed, T.queue, len(T.x)
+    T.drift[0].loading = dt
     for i in range(n):
         parent[i] = i
     for c in range(len(pairs)):
@@ -265,10 +267,10 @@ def island_rest_speeds(
         if are_near(dx, dy, dz, radius[i] + radius[j], sizes(T.box), scale, skin):
             join(parent, i, j)
     for i in range(n):
-        speeds[i] = 2.0 * np.sqrt(excess_square(acceleration, field, i)) * dt if inverse_mass[i] > 0.0 else 0.0
+        speeds[i] = PER_STEP * np.sqrt(excess_square(acceleration, field, i)) * dt if inverse_mass[i] > 0.0 else 0.0
     for p in range(len(T.offset)):
         if inverse_mass[n + p] > 0.0:
-            _join_through_wall(p, 2.0 * np.sqrt(excess_square(acceleration, field, n + p)) * dt, scale, skin, T)
+            _join_through_wall(p, PER_STEP * np.sqrt(excess_square(acceleration, field, n + p)) * dt, scale, skin, T)
     for i in range(n):
         island = root_of(parent, i)
         speeds[island] = max(speeds[island], speeds[i])
@@ -278,7 +280,7 @@ def island_rest_speeds(
 
 @inline
 def _join_through_wall(p: int, speed: float, scale: float, skin: float, T: Trajectories) -> None:
-    """Join the bodies near a wall that contacts move, and give them its rest speed (m/s); see `island_rest_speeds`."""
+    """Join the bodies near a wall that contacts move, and give them its load speed (m/s); see `island_load_speeds`."""
     first = -1
     for i in range(len(T.x)):
         x, y, z = vector(T.x, i)
@@ -286,7 +288,7 @@ def _join_through_wall(p: int, speed: float, scale: float, skin: float, T: Traje
         if nx * x + ny * y + nz * z - offset <= T.radius[i] * scale + skin:
             first = i if first < 0 else first
             join(T.queue, first, i)
-            T.rest_speed[i] = max(T.rest_speed[i], speed)
+            T.load_speed[i] = max(T.load_speed[i], speed)
 
 
 @inner

@@ -40,6 +40,7 @@ from carom.physics.contact.sticking import SlidingContacts, time_to_stick
 from carom.physics.diagnostics.dissipation import SignsOfDissipation
 from carom.physics.diagnostics.run_monitor import Profile
 from carom.physics.jit.team import Team
+from carom.plan.auto import PER_STEP
 from carom.plan.features import Requirements
 from carom.registry import load
 from carom.scene.schema import ContactSettings
@@ -88,6 +89,8 @@ class ContactPipeline:
         sweeps = contact.sweeps if self._lasts or contact.sweeps != "auto" else "converged"
         recorded = totals is not None, sweeps, contact.rules
         self.solver = ContactSolver(bodies, planes, materials, box, friction, team, *recorded)
+        if not self._lasts:
+            self.solver.assume_loads()
         self.torques = Torques(bodies, team)
         self.contacts = OrderedContacts.of(empty_graph().pairs, bodies, contact.colouring)  # the contacts of the step
         self.snapshots = SnapshotSource(self.solver, bodies.ends.inverse_mass)
@@ -95,7 +98,7 @@ class ContactPipeline:
         if requirements.impact_time.modelled:
             event_driven = load("model", "time-of-impact")
             drift = (friction, self._near.has_statics, requirements.resting.modelled)
-            self.event_drift = event_driven(bodies, world, *drift, self._near.search, team)
+            self.event_drift = event_driven(bodies, world, self.solver.loads, *drift, self._near.search, team)
         self.tap = ContactTap(bodies, materials, box, friction, totals) if totals else None
         self.signs = SignsOfDissipation(bodies, materials, not planes.moves and world.shear is None)
         self.sleepers: Sleepers | None = None
@@ -106,6 +109,8 @@ class ContactPipeline:
     def forget(self) -> None:
         """Return to the state before the first step."""
         self._impulses = ImpulseCache.empty()
+        if self._lasts:
+            self.solver.find_loads(0.0)
         self._order_contacts(empty_graph().pairs, 0.0)
         self._fell_asleep = False  # whether contacts fell asleep at the end of this step
         self._slept: SleepingContacts | None = None  # contacts that slept in this step
@@ -131,13 +136,15 @@ class ContactPipeline:
         if not self._lasts:
             return None
         hold, sleepers = self._impulses, self.sleepers
-        pairs, rest_speed = self.contacts.pairs, self.solver.rest_speeds_by_pair()
+        pairs, (rest_speed, load_speed) = self.contacts.pairs, self.solver.speeds_by_pair()
         impulse = hold.impulse_of(self.solver.contacts)
         if sleepers is None:
             moved = self.boundary.memory
-            return ContactCheckpoint(pairs, rest_speed, self._dt, hold.pairs, impulse, hold.kick, piston=moved)
+            return ContactCheckpoint(
+                pairs, rest_speed, load_speed, self._dt, hold.pairs, impulse, hold.kick, piston=moved
+            )
         awake, held = sleepers.have_awake_end(pairs), sleepers.have_awake_end(hold.pairs)
-        kept = pairs[awake], rest_speed[awake], self._dt, hold.pairs[held], impulse[held], hold.kick
+        kept = pairs[awake], rest_speed[awake], load_speed[awake], self._dt, hold.pairs[held], impulse[held], hold.kick
         return ContactCheckpoint(*kept, sleepers.memory)
 
     @property
@@ -167,7 +174,8 @@ class ContactPipeline:
         """Restore the contacts that are not asleep."""
         self._order_contacts(memory.pairs, memory.dt)
         self.solver.rest_speed[self.solver.order.place] = memory.rest_speed
-        self._presses = bool(memory.rest_speed.max(initial=0.0) > 0.0)
+        self.solver.load_speed[self.solver.order.place] = memory.load_speed
+        self._presses = bool(memory.load_speed.max(initial=0.0) > 0.0)
         self._impulses = ImpulseCache.of(memory.held_pairs, memory.impulse, memory.kick)
 
     def begin(self, dt: float) -> None:
@@ -208,9 +216,12 @@ class ContactPipeline:
             if self.signs.judges and kick > 0.0:
                 self.signs.after_hold(self.contacts, self.solver, kick)
             self.ledger_apart = self.solver.audited
+            self.solver.find_loads(kick)
             self.boundary.add_contacts(self.solver, self.solver.contacts)
             if self.tap:
                 self.tap.add_hold(self.contacts.pairs, self.solver)
+        elif self._lasts:
+            self.solver.find_loads(0.0)
         self.boundary.begin_drift()
 
     def drift(self, kick: float, dt: float, damping: float = 0.0, strength: float = 1.0) -> None:
@@ -404,8 +415,9 @@ class ContactPipeline:
         loaded = self._near.loading * dt
         self._presses = self._needs.resting.modelled and self.solver.find_rest_speeds(self._field, loaded)
         if self._shear and self._needs.resting.modelled:
-            closing = 2.0 * self._flow * dt  # m/s, see `Islands.write_rest_speeds`
-            np.maximum(self.solver.rest_speed, closing, out=self.solver.rest_speed)
+            closing = PER_STEP * self._flow * dt  # m/s
+            for speeds in (self.solver.rest_speed, self.solver.load_speed):
+                np.maximum(speeds, closing, out=speeds)
             self._presses = self._presses or (closing > 0.0 and len(pairs) > 0)
         self._dt, self.sweeps, self._too_few_sweeps = dt, 0, False
 

@@ -286,9 +286,10 @@ def add_arc_speeds(
     v: FloatArray,
     surface: FloatArray,
     dt: float,
+    load_speed: FloatArray,
     states: RecordArray[ContactStateRecord],
 ) -> None:
-    """Add the closing speeds of bodies that roll along walls to the rest speeds of the contacts [lo, hi).
+    """Add the closing speeds of bodies that roll along walls to the speeds of the contacts [lo, hi).
 
     After a straight drift of dt s along a wall with the radius of curvature f, a body closes faster by v_t² dt/f than
     on a plane.
@@ -296,10 +297,12 @@ def add_arc_speeds(
     n = len(x)
     for c in range(from_front(lo), hi):
         i, j = ends_of(pairs, c)
-        if j >= n and states[c].rest_speed > 0.0:
+        if j >= n and load_speed[c] > 0.0:
             (px, py, pz), (vx, vy, vz) = vector(x, i), vector(v, i)
             nx, ny, nz, _, focal = nearest_point(surface, j - n, px, py, pz)
             if focal > 0.0:
                 vn = vx * nx + vy * ny + vz * nz
                 along = vx * vx + vy * vy + vz * vz - vn * vn
-                states[c].rest_speed += max(0.0, along) * dt / focal
+                turning = max(0.0, along) * dt / focal
+                states[c].rest_speed += turning
+                load_speed[c] += turning

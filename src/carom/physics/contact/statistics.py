@@ -269,8 +269,8 @@ def limits_of(
         reached.append(("WARN", still_closing(contact)))
     if exhausted:
         text = (
-            "A body had so many impacts in one step that its last contacts were held without a rebound; shorter "
-            "steps (time.fixed_dt, time.cfl) resolve more of them."
+            "A body had so many impacts in one step that its last ones were resolved together, and without a rebound "
+            "where energy is lost; shorter steps (time.fixed_dt, time.cfl) resolve more of them."
         )
         reached.append(("WARN", text))
     if crossed:

@@ -31,6 +31,7 @@ from carom.physics.contact.law import Materials, exerts_torque, material_index, 
 from carom.physics.diagnostics.extremes import Extreme
 from carom.physics.diagnostics.ledger import clear_terms
 from carom.physics.jit.decorators import entry_of, inline, kernel, long_kernel
+from carom.plan.auto import PER_STEP
 from carom.scene.schema import Coefficients
 from carom.scene.units.dimension import ENERGY, TIME
 from carom.scene.units.system import UnitSystem
@@ -54,9 +55,6 @@ ROUNDED = 1e-9
 # of the order of the angle by which normals and loads turn in a step, at most 0.2; a work of first order in the step
 # does not cancel at all.
 CANCELLED = 0.25
-# Multiple of a dt, for an acceleration a that presses two bodies together: the factor of the rest speed, see
-# `contact.islands`. A rebound of a dt / 2 is back within the step.
-TURNED_BACK = 2.0
 ALIKE = 0.1  # of the length of a kick; with drag, both kicks of a step differ, and the works cancel nevertheless
 COLLAPSE = 100  # impacts of a body in a drift after which contacts with e < 1 are held: `events.event_loop`
 SLOWEST = 1e-100  # m/s, for the coefficient of a contact of a held group that does not close
@@ -347,13 +345,13 @@ def judge_impacts(
                 first, second = ends_of(pairs, k)
                 _press(first, second, contacts[place[k]], inverse_mass, kick, load)
         pressed = _along(load, i, j, entry.nx, entry.ny, entry.nz)
-        if v > TURNED_BACK * pressed * dt and kick > 0.0:
+        if v > PER_STEP * pressed * dt and kick > 0.0:
             k = first_of(i, pairs)  # where the contact itself is held, its impulse does not separate the ends
             while k < len(pairs) and pairs[k, 0] == i and pairs[k, 1] < j:
                 k += 1
             if k < len(pairs) and pairs[k, 0] == i and pairs[k, 1] == j:
                 pressed += contacts[place[k]].normal_impulse * Kn / kick
-        if v > TURNED_BACK * pressed * dt:
+        if v > PER_STEP * pressed * dt:
             found = _add(wrong[STOPPED], abs(excess), i, j, step, time)
     if together != 0.0:
         found = _add(wrong[RESTITUTION], abs(together), a, b, step, time)
@@ -444,7 +442,7 @@ def judge_contacts(
                 found = _add(wrong[RESTITUTION], excess, i, j, step, time)
         elif e > 0.0 and contact.normal_impulse > 0.0 and len(load) > 0:
             pressed = push + _along(load, i, j, contact.nx, contact.ny, contact.nz)
-            if v > TURNED_BACK * pressed * dt:
+            if v > PER_STEP * pressed * dt:
                 found = _add(wrong[STOPPED], e * e * struck, i, j, step, time)
     while b < len(held_pairs):
         if held[b].did != _IDLE:

@@ -188,6 +188,7 @@ def _contacts_of(memory: ContactCheckpoint) -> dict[str, Values]:
     found: dict[str, Values] = {
         "contact_pairs": memory.pairs.ravel().astype(np.uint32),
         "contact_rest_speed": memory.rest_speed,
+        "contact_load_speed": memory.load_speed,
         "contact_dt": np.array([memory.dt]),
         "held_pairs": (memory.held_pairs[:0] if own else memory.held_pairs).ravel().astype(np.uint32),
         "held_impulse": memory.impulse[:, :4].ravel(),
@@ -314,9 +315,11 @@ class _Row:
         angular = np.empty((len(held), 0))
         if "held_angular" in self._stored:
             angular = self._finite("held_angular", 3 * len(held)).reshape(-1, 3)
+        loaded = "load" if "contact_load_speed" in self._stored else "rest"  # recordings of one speed had this one
         return ContactCheckpoint(
             pairs=pairs,
             rest_speed=self._finite("contact_rest_speed", len(pairs)),
+            load_speed=self._finite(f"contact_{loaded}_speed", len(pairs)),
             dt=self.number("contact_dt"),
             held_pairs=held,
             impulse=np.concatenate((impulse.reshape(-1, 4), angular), axis=1),

@@ -42,8 +42,9 @@ from carom.physics.contact.events.trajectories import (
     write_search_radii,
 )
 from carom.physics.contact.impact_log import IMPACT, NO_IMPACTS, ROLLING_IMPACT, ROUNDING, ImpactRecord, Impacts
-from carom.physics.contact.islands import island_rest_speeds
+from carom.physics.contact.islands import island_load_speeds
 from carom.physics.contact.law import dissipates, has_torque, material_index
+from carom.physics.contact.loads import LoadRecord
 from carom.physics.contact.near_pairs import ContactWorld
 from carom.physics.contact.solver.prepare import ImpulseCache
 from carom.physics.integrators.kick_drift import MIN_BODIES_PER_TASK, drift
@@ -53,6 +54,7 @@ from carom.physics.vector import between, vector
 
 LOG_ROWS = 4096  # largest number of impacts in one call
 MOST_TOUCHING = 16  # contacts per body at one moment, on average
+SINGLE_ROWS = 4  # of the log of bodies that touch, one in so many is for single impacts; groups have the others
 GAP_ROUNDING = 16 * 2.0**-53  # of the coordinates and of the sum of radii
 WIDEST = 2.0  # times the radii; up to this width, the contact grids also find neighbours
 # Limits of the largest search radius, in body radii, for `narrow`: it saves time, and the squares are finite.
@@ -66,6 +68,7 @@ class EventDrivenDrift:
         self,
         bodies: Bodies,
         world: ContactWorld,
+        loads: RecordArray[LoadRecord],  # (n + p,) of the bodies
         friction: bool,  # whether impulses change spins
         anchored: bool,  # whether something is fixed
         forces: bool,  # whether a force presses contacts together
@@ -93,7 +96,8 @@ class EventDrivenDrift:
             inverse_mass=ends.inverse_mass,
             inverse_inertia=ends.inverse_inertia,
             radius=ends.radius,
-            rest_speed=np.zeros(len(ends.radius)),
+            load_speed=np.zeros(len(ends.radius)),
+            loads=loads,
             box=shear.at(0.0) if shear else world.box,
             surface=planes.surface,
             offset=planes.offset,
@@ -111,7 +115,7 @@ class EventDrivenDrift:
     def _compile(self) -> None:
         """Run every kernel without impacts, so that the first impact does not wait for compilation."""
         T, nobody, nothing = self.trajectories, np.empty((0, 2), dtype=np.int64), np.empty(0, dtype=np.int64)
-        alone, pressed = Neighbours(nothing, nothing, nothing), np.ones(len(T.rest_speed), dtype=np.bool_)
+        alone, pressed = Neighbours(nothing, nothing, nothing), np.ones(len(T.load_speed), dtype=np.bool_)
         self._begin = entry_of(begin, T, 1.0, 0.0, 0.0, False, pressed)
         self._predict = entry_of(predict, 0, 0, alone, T)
         self._fill_queue = entry_of(_fill_queue, T)
@@ -120,7 +124,7 @@ class EventDrivenDrift:
         self._begin(T, 1.0, 0.0, 0.0, False, pressed)
         self._straighten(ImpulseCache.empty(), None)
         if self._forces:
-            self._write_rest_speeds(nobody, 1.0, 1.0, 0.0)
+            self._write_load_speeds(nobody, 1.0, 1.0, 0.0)
         if self._is_open:
             narrow(nobody, 1.0, 0.0, T, nobody)
         self._resolve(nobody, T)
@@ -171,7 +175,7 @@ class EventDrivenDrift:
             self._begin(T, dt, kick, damping, bends, pressed)
             self._straighten(held, asleep)
             if self._forces:
-                self._write_rest_speeds(pairs, loading * dt, scale, skin)
+                self._write_load_speeds(pairs, loading * dt, scale, skin)
             if narrows:
                 near = np.empty_like(pairs)
                 pairs = near[: narrow(pairs, scale, skin, T, near)]
@@ -197,7 +201,7 @@ class EventDrivenDrift:
         Without a pair, only the kernels are loaded.
         """
         T, bodies = self.trajectories, self._bodies
-        T.rest_speed[:] = 0.0
+        T.load_speed[:] = 0.0
         drift = T.drift
         drift["dt"] = drift["kick"] = drift["clock"] = dt
         drift["exhausted"] = drift["strays"] = 0
@@ -221,10 +225,10 @@ class EventDrivenDrift:
         if asleep is not None:
             self.trajectories.body["is_straight"][asleep] = True
 
-    def _write_rest_speeds(self, pairs: IntArray, dt: float, scale: float, skin: float) -> None:
-        """Compute the rest speed of each body."""
+    def _write_load_speeds(self, pairs: IntArray, dt: float, scale: float, skin: float) -> None:
+        """Compute the load speed of each body."""
         acceleration = self._bodies.ends.acceleration
-        island_rest_speeds(pairs, self.trajectories, scale, skin, acceleration, self.field, dt)
+        island_load_speeds(pairs, self.trajectories, scale, skin, acceleration, self.field, dt)
 
     def _neighbours(self, largest: float, scale: float, skin: float, dt: float, narrows: bool) -> IntArray:
         """Return the pairs whose search radii overlap; a small ``largest`` (in body radii) is used for all bodies."""
@@ -296,7 +300,7 @@ def resolve_touching(T: Trajectories, pairs: IntArray, log: RecordArray[ImpactRe
             if not (speed > ROUNDING * speeds or (sweep == 0 and c == 0)):
                 continue
             lossy = dissipates(T.materials[material_index(i, j, len(T.x), T.places)])
-            if sweep < (MAX_IN_COLLAPSE if lossy else MAX_ELASTIC) and row < len(log) // 2:
+            if sweep < (MAX_IN_COLLAPSE if lossy else MAX_ELASTIC) and row < len(log) // SINGLE_ROWS:
                 collide(i, j, log, row, T)
                 row += 1
             elif row + MOST_CONTACTS <= len(log):

@@ -16,6 +16,13 @@ ratios above 10¹², the matrix of the contacts would lose a light body between 
 Bodies that separate and meet again could also be held infinitely often. Each time, the gap up to which their contacts
 are held doubles, until it covers the whole drift.
 
+Where no contact of the group dissipates (e = 1), its impulses are twice those that end the closing at the present
+time. That reverses the component of √m v that they remove, so the energy is conserved. A light ball between a heavy one
+and a wall then turns the heavy ball round as its remaining impacts would, only earlier, by twice the time in which the
+heavy ball would cover the remaining gap. As soon as an impact has acted on several contacts, the bodies go on with
+single impacts. A body that is exhausted again and again, such as a ball between two walls that nearly touch it, stays
+where it is without closing contacts, and rebounds at the end of the drift.
+
 Rejected: impulses with e = 0 one by one, as numerous as the impacts; leaving an exhausted body out of the drift, so
 that others pass through it.
 """
@@ -29,6 +36,7 @@ import numpy as np
 
 from carom.arrays import FloatArray, IntArray, RecordArray
 from carom.physics.contact.events.trajectories import (
+    MOST_HOLDS,
     Neighbours,
     Trajectories,
     advance,
@@ -36,22 +44,25 @@ from carom.physics.contact.events.trajectories import (
     contact_geometry,
     elapsed,
     mean_velocity_of_wall,
+    release,
     slowing,
     velocity,
     velocity_of_partner,
 )
 from carom.physics.contact.guided_walls import push_guided
 from carom.physics.contact.impact_log import ROUNDING, ImpactRecord
+from carom.physics.contact.law import dissipates, material_index
 from carom.physics.contact.rolling import set_angular_impulse
 from carom.physics.contact.solids import tangent_plane
 from carom.physics.contact.translating_walls import velocity_in_drift, walls_translate
 from carom.physics.jit.decorators import inline, inner, kernel
 from carom.physics.sheared_box import add_work, is_sheared, nearest_in_drift
-from carom.physics.vector import along, between, vector
+from carom.physics.vector import Vector, along, between, vector
 
 MOST_BODIES = 48  # in a group; further bodies are held in groups of their own
 MOST_CONTACTS = 3 * MOST_BODIES
 DEPENDENT = 1e-29  # of the square of a direction; a smaller orthogonal component is rounding
+MOST_RELEASES = 3  # of an exhausted elastic body in a drift; a chain of impacts between masses needs one or two
 SPEED_ROUNDING = 10.0 * ROUNDING  # of the fastest body; slower closing needs no impulse
 
 
@@ -65,7 +76,9 @@ class Group(NamedTuple):
     place: IntArray  # (MOST_CONTACTS, 2) indices of the ends in `body`; -1 for an end that does not move
     normal: FloatArray  # (MOST_CONTACTS, 3) from the first to the second end
     before: FloatArray  # (MOST_CONTACTS,) m/s, v_n in the drift before the group is held
-    allowed: FloatArray  # (MOST_CONTACTS,) m/s, closing speed that the gap allows
+    allowed: (
+        FloatArray  # (MOST_CONTACTS,) m/s, closing speed that the gap allows, or at which an elastic contact is still
+    )
     impulse: FloatArray  # (MOST_CONTACTS,) N s after division by the unit of the group
 
 
@@ -90,6 +103,20 @@ def hold_group(
         np.zeros(MOST_CONTACTS),
     )
     bodies, contacts = _gather(i, j, neighbours, T, group)
+    elastic, waits, guided = _is_elastic(contacts, group, T), False, False
+    for end in range(2 if j < len(T.x) else 1):
+        body = T.body[j if end else i]
+        waits = waits or (body.exhausted and body.releases == MOST_RELEASES)
+    for k in range(bodies):
+        guided = guided or group.body[k] >= len(T.x)
+    waits = waits and elastic and T.drift[0].clock < T.drift[0].dt  # with the rebound, until the end of the drift
+    if waits and guided:  # the wall would move on without it
+        waits = elastic = False
+    if elastic:
+        for c in range(contacts):
+            ends = group.ends[c, 0], group.ends[c, 1]
+            normal = group.normal[c, 0], group.normal[c, 1], group.normal[c, 2]
+            group.allowed[c] = _further_closing(ends, normal, T) / slowing(T)
     fastest, largest = 0.0, 0.0
     for k in range(bodies):
         fastest = max(fastest, abs(group.v[k, 0]) + abs(group.v[k, 1]) + abs(group.v[k, 2]))
@@ -98,8 +125,13 @@ def hold_group(
     for k in range(bodies):
         group.root[k] = np.sqrt(T.inverse_mass[group.body[k]] / unit)
     find_impulses(bodies, contacts, SPEED_ROUNDING * fastest, group)
+    active = 0
     for c in range(contacts):
-        group.impulse[c] /= unit
+        active += group.impulse[c] > 0.0
+        group.impulse[c] *= (2.0 if elastic else 1.0) / unit
+    if elastic:
+        for k in range(bodies):
+            _rebound(k, waits, group, T)
     count = 0
     for k in range(bodies):
         b = group.body[k]
@@ -119,7 +151,9 @@ def hold_group(
         if body.exhausted:
             body.holds += 1
             body.standoff *= 2.0
-    row = _log(contacts, T, group, log, row)
+            if elastic and not waits and (active > 1 or body.holds == MOST_HOLDS):
+                release(j if end else i, T)
+    row = _log(contacts, elastic, T, group, log, row)
     for k in range(bodies):
         b = group.body[k]
         if b >= len(T.x):
@@ -128,6 +162,30 @@ def hold_group(
             push_guided(T.surface, b - len(T.x), T.drift[0].clock, vx * nx + vy * ny + vz * nz)
             T.v[b, 0], T.v[b, 1], T.v[b, 2] = 0.0, 0.0, 0.0
     return count, row
+
+
+@inline
+def _is_elastic(contacts: int, group: Group, T: Trajectories) -> bool:
+    """Return whether no contact of a group dissipates energy."""
+    for c in range(contacts):
+        if dissipates(T.materials[material_index(group.ends[c, 0], group.ends[c, 1], len(T.x), T.places)]):
+            return False
+    return True
+
+
+@inner
+def _further_closing(ends: tuple[int, int], normal: Vector, T: Trajectories) -> float:
+    """Return what the kick so far, walls and shear add to the normal velocity of a contact in the drift, in m/s."""
+    (i, j), (nx, ny, nz), s = ends, normal, T.drift[0].clock - T.drift[0].kick
+    ax, ay, az = between(T.a, i, j)
+    further = s * (ax * nx + ay * ny + az * nz)
+    if walls_translate(T.surface) and j >= len(T.x):
+        wx, wy, wz = velocity_in_drift(T.surface, j - len(T.x), elapsed(T))
+        further += wx * nx + wy * ny + wz * nz
+    if is_sheared(T.box):
+        wx, wy, wz = velocity_of_partner(i, j, T)
+        further += wx * nx + wy * ny + wz * nz
+    return float(further)
 
 
 @inner
@@ -350,36 +408,46 @@ def _extend(count: int, square: float, Q: FloatArray, R: FloatArray, weight: Flo
 
 
 @inner
-def _log(contacts: int, T: Trajectories, group: Group, log: RecordArray[ImpactRecord], row: int) -> int:
+def _rebound(k: int, waits: bool, group: Group, T: Trajectories) -> None:
+    """Add to a body's velocity without closing contacts as much again as it has lost; if it ``waits``, later."""
+    x, y, z = vector(T.v, group.body[k])
+    x, y, z = group.v[k, 0] - x, group.v[k, 1] - y, group.v[k, 2] - z
+    if not waits:
+        group.v[k, 0], group.v[k, 1], group.v[k, 2] = group.v[k, 0] + x, group.v[k, 1] + y, group.v[k, 2] + z
+        return
+    body = T.body[group.body[k]]
+    if not body.exhausted:
+        body.exhausted = body.is_straight = True
+        body.later_x = body.later_y = body.later_z = 0.0
+    body.releases = MOST_RELEASES
+    body.later_x, body.later_y, body.later_z = body.later_x + x, body.later_y + y, body.later_z + z
+
+
+@inner
+def _log(contacts: int, elastic: bool, T: Trajectories, group: Group, log: RecordArray[ImpactRecord], row: int) -> int:
     """Log the contacts that had an impulse, with the mean of the speeds before and after it; return the next row.
 
     Summed over the group, -λ (v_n + v_n')/2 is the energy lost.
     """
     clock, f = T.drift[0].clock, slowing(T)
-    s = clock - T.drift[0].kick
     for c in range(contacts):
         Jn = f * group.impulse[c]
         if not Jn > 0.0:
             continue
         i, j = group.ends[c, 0], group.ends[c, 1]
         nx, ny, nz, ri, rj = contact_geometry(i, j, T)
-        ax, ay, az = between(T.a, i, j)
         vx, vy, vz = between(T.v, i, j)
-        change = s * (ax * nx + ay * ny + az * nz)
-        if walls_translate(T.surface) and j >= len(T.x):
-            wx, wy, wz = velocity_in_drift(T.surface, j - len(T.x), elapsed(T))
-            change += wx * nx + wy * ny + wz * nz
+        change = _further_closing((i, j), (nx, ny, nz), T)
         if is_sheared(T.box):
             wx, wy, wz = velocity_of_partner(i, j, T)
-            change += wx * nx + wy * ny + wz * nz
             add_work(T.box, -Jn * (wx * nx + wy * ny + wz * nz))
         before, after = f * group.before[c] + change, f * (vx * nx + vy * ny + vz * nz) + change
         entry = log[row]
         row += 1
         entry.i, entry.j, entry.time, entry.clock = i, j, elapsed(T), clock
         entry.nx, entry.ny, entry.nz = nx, ny, nz
-        entry.approach, entry.rest_speed = max(0.0, -before), max(T.rest_speed[i], T.rest_speed[j])
-        entry.restitution_loss = -Jn * (0.5 * (before + after))
+        entry.approach, entry.rest_speed = max(0.0, -before), max(T.load_speed[i], T.load_speed[j])
+        entry.restitution_loss = 0.0 if elastic else -Jn * (0.5 * (before + after))
         entry.friction_loss = entry.stabilisation_gain = 0.0
         entry.normal_impulse, entry.arm_i, entry.arm_j = Jn, ri, rj
         entry.friction_x = entry.friction_y = entry.friction_z = 0.0

@@ -22,7 +22,8 @@ from carom.physics.contact.events.drift import WIDEST
 from carom.physics.contact.events.event_loop import predict
 from carom.physics.contact.events.trajectories import Neighbours, Trajectories, begin, straighten, write_search_radii
 from carom.physics.contact.geometry import are_near, height_above, update_geometry
-from carom.physics.contact.islands import excess_square, island_rest_speeds, write_rest_speeds
+from carom.physics.contact.islands import excess_square, island_load_speeds, write_load_speeds
+from carom.physics.contact.loads import add_loads, clear_loads, write_rest_speeds
 from carom.physics.contact.near_pairs import LARGEST_SKIN
 from carom.physics.contact.near_pairs import ROUNDING as MOST_ROUNDED
 from carom.physics.contact.pipeline import ContactPipeline
@@ -175,6 +176,8 @@ def hold_steady(
     mark_pressed(0, m, contacts.pairs, place, system.contacts, system.inverse_mass, system.pressed)
     carry_each(0, m, system.contacts, kick / last_kick, system.contacts)
     _hold(contacts, contacts.holding, (last_dt, booked, drift))
+    clear_loads(system.active, system.loads)
+    add_loads(system.pairs, system.contacts, system.inverse_mass, kick, system.loads)
 
 
 @unowned
@@ -204,7 +207,7 @@ def drift_steady(contacts: SteadyContacts, path: DampedPath, dt: float) -> bool:
     bends = rules.bends and (path.damping > 0.0 or path.kick == 0.5 * dt)
     begin(T, dt, path.kick, path.damping, bends, system.pressed)
     straighten(contacts.pairs, contacts.place, system.contacts, T)
-    island_rest_speeds(near[:m], T, scale, skin, system.acceleration, rules.field, dt)
+    island_load_speeds(near[:m], T, scale, skin, system.acceleration, rules.field, dt)
     predict(0, n, later, T)
     first = np.inf
     for i in range(n):
@@ -227,8 +230,10 @@ def find_steady(contacts: SteadyContacts, x: FloatArray, radius: FloatArray, dt:
         recorded[k] = 0
     shapes = x, radius, system.box, system.surface, system.offset
     begin_contacts(0, m, system.pairs, shapes, system.contacts, system.states, rounding, contacts.normals)
-    if not write_rest_speeds(system, rules.field, dt, (buffers.parent, buffers.largest, buffers.flags)):
+    if not write_load_speeds(system, rules.field, dt, (buffers.parent, buffers.largest, buffers.flags)):
         return False
+    moving = system.velocity, system.acceleration
+    write_rest_speeds(0, m, system.pairs, system.contacts, moving, system.loads, system.load_speed, dt, system.states)
     if rules.pushes:
         b, v, pushed, pushed_in = len(system.active), system.velocity, system.pushed, system.pushed_in
         find_push_fractions(0, m, system.pairs, contacts.counts, system.states)
@@ -261,7 +266,17 @@ def resolve_steady(
     if sweeps >= rules.most_sweeps:
         closing, negligible = contacts.buffers.flags, CONVERGED * settings.fastest
         closing[0] = False
-        check_closing(0, m, system.pairs, system.contacts, system.states, system.velocity, (negligible, dt), closing)
+        check_closing(
+            0,
+            m,
+            system.pairs,
+            system.contacts,
+            system.states,
+            system.load_speed,
+            system.velocity,
+            (negligible, dt),
+            closing,
+        )
         if closing[0]:
             return False, sweeps
     for c in range(m):

@@ -31,6 +31,7 @@ from carom.physics.contact.constraints import ContactRecord
 from carom.physics.contact.geometry import normal_and_distance
 from carom.physics.contact.guided_walls import straighten_guided
 from carom.physics.contact.impact_log import ROUNDING
+from carom.physics.contact.loads import LoadRecord, pressing
 from carom.physics.contact.solids import tangent_plane
 from carom.physics.contact.translating_walls import displacement_in_drift, velocity_in_drift, walls_translate
 from carom.physics.diagnostics.momentum import centre_velocity
@@ -39,6 +40,7 @@ from carom.physics.jit.decorators import borrowing, inline, kernel, long_kernel,
 from carom.physics.jit.instructions import from_front
 from carom.physics.sheared_box import flow_in_drift, is_sheared, nearest_in_drift, velocity_of_image
 from carom.physics.vector import Vector, add, along, between, vector
+from carom.plan.auto import PER_STEP
 from carom.scene.schema import Coefficients
 
 FIRST_STANDOFF = 1e-9  # of the radius, the standoff of a body that is exhausted for the first time
@@ -66,7 +68,13 @@ class TrajectoryRecord(QueuedRecord, Protocol):
     start_y: float
     start_z: float
     standoff: float  # m, gap up to which its contacts are held once it is exhausted, see `held_group`
-    holds: int  # how often its contacts were held in this drift
+    holds: int  # how often its contacts were held in this drift, or since it was last released
+    released: int  # its impacts when it was last released; 0 before
+    releases: int  # how often it was released in this drift
+    later_x: float  # m/s, velocity that it regains at the end of the drift; meaningful if it is exhausted
+    later_y: float
+    later_z: float
+    rattles: bool  # whether it has had so many impacts in this drift that slow ones no longer rebound
     strays: bool  # whether its path leaves the search radius
     is_straight: bool  # whether its path does not bend with the field, because it is held or fixed
     is_free: bool  # whether it has touched nothing since the last step, so that it bounces at any speed
@@ -84,6 +92,7 @@ class DriftRecord(Protocol):
     damping: float  # 1/s, rate at which drag slows bodies down; 0 without drag
     clock: float  # s, the present time
     slow: float  # of the rest speed; slower contacts are left to the end of the step
+    loading: float  # s, the step times `NearPairs.loading`
     field_x: float  # m/s², the uniform field that bends paths; zeros where no path bends
     field_y: float
     field_z: float
@@ -119,7 +128,8 @@ class Trajectories(NamedTuple):
     inverse_mass: FloatArray  # (n + p,) 1/kg
     inverse_inertia: FloatArray  # (n + p,) 1/(kg m²)
     radius: FloatArray  # (n + p,) m
-    rest_speed: FloatArray  # (n + p,) m/s, closing speed up to which the body's contacts are at rest
+    load_speed: FloatArray  # (n + p,) m/s, which the largest acceleration of the body's island causes in a step
+    loads: RecordArray[LoadRecord]  # (n + p,) of the contacts that are held
     box: FloatArray  # (3,) m, zeros in open space; or the record of a sheared box
     surface: FloatArray  # (p, 3) normals, or records: see `solids`
     offset: FloatArray  # (p,) m
@@ -218,6 +228,15 @@ def arrive(i: int, T: Trajectories) -> None:
     body = T.body[i]
     body.now, body.strays, body.exhausted = T.drift[0].clock, False, False
     body.standoff, body.holds = FIRST_STANDOFF * T.radius[i], 0 if T.inverse_mass[i] > 0.0 else MOST_HOLDS
+    body.released, body.releases, body.rattles = 0, 0, False
+
+
+@unowned
+def release(i: int, T: Trajectories) -> None:
+    """Let an exhausted body go on with single impacts, as many as before."""
+    body = T.body[i]
+    body.exhausted, body.released, body.releases = False, body.impacts, body.releases + 1
+    body.standoff, body.holds = FIRST_STANDOFF * T.radius[i], 0
 
 
 @kernel
@@ -327,9 +346,14 @@ def centre(i: int, T: Trajectories) -> Vector:
 
 
 @unowned
-def rest_speed(i: int, T: Trajectories) -> float:
-    """Return the closing speed (m/s) up to which contacts of a body are at rest: 0 if it has touched nothing."""
-    return 0.0 if T.body[i].is_free else T.rest_speed[i]
+def rest_speed(i: int, j: int, normal: Vector, T: Trajectories) -> float:
+    """Return the closing speed (m/s) up to which a contact is at rest: 0 if its bodies have touched nothing."""
+    most = 0.0 if T.body[i].is_free else T.load_speed[i]
+    if j < len(T.x) and not T.body[j].is_free:
+        most = max(most, T.load_speed[j])
+    if most == 0.0 or T.body[i].rattles or (j < len(T.x) and T.body[j].rattles):
+        return most
+    return float(min(most, PER_STEP * T.drift[0].loading * pressing(i, j, normal, T.a, T.loads)))
 
 
 @unowned
@@ -373,11 +397,14 @@ def leaves_search_radius(i: int, T: Trajectories) -> bool:
 
 @borrowing
 def finish(lo: int, hi: int, T: Trajectories) -> None:
-    """Move the bodies [lo, hi) to the end of the drift."""
+    """Move the bodies [lo, hi) to the end of the drift, where exhausted bodies regain what `hold_group` kept."""
     dt = T.drift[0].dt
     for i in range(lo, hi):
+        body = T.body[i]
         vx, vy, vz = vector(T.v, i)
-        add(T.x, i, dt - T.body[i].now, vx, vy, vz)
+        add(T.x, i, dt - body.now, vx, vy, vz)
+        if body.exhausted:
+            add(T.v, i, 1.0, body.later_x, body.later_y, body.later_z)
 
 
 @kernel

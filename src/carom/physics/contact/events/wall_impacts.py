@@ -50,7 +50,7 @@ def predict_with_walls(lo: int, hi: int, T: Trajectories, surface: FloatArray) -
         wx, wy, wz = vx + since_kick * gx, vy + since_kick * gy, vz + since_kick * gz
         bend = np.sqrt(gx * gx + gy * gy + gz * gz)
         held = body.is_straight and not body.is_free  # if it rolls, its contacts close again at the end of the drift
-        slow = (1.0 if held else drift.slow) * rest_speed(i, T) + body.negligible_speed
+        share = 1.0 if held else drift.slow
         for solid in range(len(T.offset)):
             wait = _time_to_wall(solid, (x, y, z), (wx, wy, wz), (gx, gy, gz), bend, T.radius[i], span, T)
             when = clock + wait
@@ -71,7 +71,8 @@ def predict_with_walls(lo: int, hi: int, T: Trajectories, surface: FloatArray) -
             turning = 0.0  # m/s, closing speed of a body that rolls along the wall, at the end of the drift
             if not body.is_free and focal > 0.0:
                 turning = max(0.0, ux * ux + uy * uy + uz * uz - closing * closing) * dt / focal
-            if closing > slow + turning:
+            slow = share * rest_speed(i, n + solid, (-nx, -ny, -nz), T)
+            if closing > slow + body.negligible_speed + turning:
                 if when == body.impact_time and body.partner < n + solid:
                     continue
                 body.impact_time, body.partner = when, n + solid

@@ -24,6 +24,7 @@ from carom.physics.contact.geometry import update_geometry
 from carom.physics.contact.graph import SolveOrder, solve_order_of
 from carom.physics.contact.islands import MOST_EXACT, Islands, mark_meshed
 from carom.physics.contact.law import Materials
+from carom.physics.contact.loads import UNKNOWN, LoadRecord, add_loads, clear_loads, write_rest_speeds
 from carom.physics.contact.solids import add_arc_speeds
 from carom.physics.contact.solver.body_state import active_bodies, gather, scatter
 from carom.physics.contact.solver.impacts import CONVERGED, check_closing
@@ -109,6 +110,7 @@ class ContactSolver:
         self._islands = Islands(len(bodies.ends.velocity), team)
         self.order = solve_order_of(np.zeros((0, 2), dtype=np.int64), np.zeros(0, dtype=np.int64))
         self._active = np.zeros(0, dtype=np.int64)  # bodies and planes with a contact
+        self._loaded = self._active  # bodies and planes that may have a load
         self._counts: IntArray | None = None  # (n + p,) number of contacts of each end, once needed
         self._settings = np.zeros(1, SETTINGS)
         self._settings["spins"] = friction
@@ -207,11 +209,16 @@ class ContactSolver:
         """(m,) m/s; a contact that closes no faster is at rest and does not bounce."""
         return self._system.states["rest_speed"]
 
-    def rest_speeds_by_pair(self) -> FloatArray:
-        """Return a copy of `rest_speed` in the order of the pairs, (m,) m/s."""
-        speeds = np.empty(len(self.order.place))
-        _gather_rest_speeds(self.order.place, self._system.states, speeds)
-        return speeds
+    @property
+    def load_speed(self) -> FloatArray:
+        """(m,) m/s, which the largest acceleration of a contact's island causes in a step."""
+        return self._system.load_speed
+
+    def speeds_by_pair(self) -> tuple[FloatArray, FloatArray]:
+        """Return copies of `rest_speed` and `load_speed` in the order of the pairs, (m,) m/s."""
+        speeds = np.empty((2, len(self.order.place)))
+        _gather_speeds(self.order.place, self._system.states, self._system.load_speed, speeds)
+        return speeds[0], speeds[1]
 
     @property
     def approach(self) -> FloatArray:
@@ -243,13 +250,16 @@ class ContactSolver:
         self._team.divide(len(self._system.pairs), MIN_PER_TASK, update_geometry, *self._geometry())
 
     def find_rest_speeds(self, field: FloatArray, dt: float) -> bool:
-        """Compute the rest speed of each contact (see `Islands`); return whether one is not 0."""
-        ends, system = self._bodies.ends, self._system
+        """Compute load speeds and rest speeds (see `Islands`, `loads`); return whether a load speed is not 0."""
+        ends, system, team, m = self._bodies.ends, self._system, self._team, len(self._system.pairs)
         accelerated = (ends.acceleration, ends.inverse_mass, field, dt)
-        presses = self._islands.write_rest_speeds(system.pairs, system.active, *accelerated, system.states)
+        presses = self._islands.write_load_speeds(system.pairs, system.active, *accelerated, system.load_speed)
+        moving = ends.velocity, ends.acceleration
+        loaded = moving, system.loads, system.load_speed, dt, system.states
+        team.divide(m, MIN_PER_TASK, write_rest_speeds, system.pairs, system.contacts, *loaded)
         if presses and self._planes.curves:
-            moving = (system.pairs, system.position, ends.velocity, system.surface, dt, system.states)
-            self._team.divide(len(system.pairs), MIN_PER_TASK, add_arc_speeds, *moving)
+            curved = system.pairs, system.position, ends.velocity, system.surface, dt, system.load_speed, system.states
+            team.divide(m, MIN_PER_TASK, add_arc_speeds, *curved)
         return presses
 
     def correct_positions(self, max_iterations: int) -> float:
@@ -307,6 +317,24 @@ class ContactSolver:
         )
 
     @property
+    def loads(self) -> RecordArray[LoadRecord]:
+        """(n + p,) `LOAD`, of the contacts held before the drift."""
+        return self._workspace.loads
+
+    def assume_loads(self) -> None:
+        """Take all bodies as loaded in all directions, where no impulses of contacts are kept that could tell."""
+        for axis in ("xx", "yy", "zz"):
+            self.loads[axis][: len(self._bodies)] = UNKNOWN
+
+    def find_loads(self, kick: float) -> None:
+        """Find the loads of all bodies from the impulses of a kick (s); a kick of 0 means that no contact is held."""
+        clear_loads(self._loaded, self.loads)
+        self._loaded = self._active if kick > 0.0 else self._active[:0]
+        if kick > 0.0:
+            system = self._system
+            add_loads(system.pairs, system.contacts, self._bodies.ends.inverse_mass, kick, self.loads)
+
+    @property
     def any_rests(self) -> bool:
         """Whether a contact was at rest when impacts were last resolved."""
         return bool(self._settings["any_rests"][0])
@@ -351,7 +379,7 @@ class ContactSolver:
     def is_closing(self, dt: float) -> bool:
         """Return whether a contact still closes too fast after the iterations of a step of dt s."""
         system, closing = self._system, np.zeros(1, dtype=np.bool_)
-        contacts = (system.pairs, system.contacts, system.states, self._bodies.ends.velocity)
+        contacts = (system.pairs, system.contacts, system.states, system.load_speed, self._bodies.ends.velocity)
         negligible = CONVERGED * float(self._settings["fastest"][0])
         self._team.divide(len(system.pairs), MIN_PER_TASK, check_closing, *contacts, (negligible, dt), closing)
         return bool(closing[0])
@@ -382,6 +410,8 @@ class ContactSolver:
 
 
 @kernel
-def _gather_rest_speeds(place: IntArray, states: RecordArray[ContactStateRecord], speeds: FloatArray) -> None:
+def _gather_speeds(
+    place: IntArray, states: RecordArray[ContactStateRecord], load_speed: FloatArray, speeds: FloatArray
+) -> None:
     for c in range(len(place)):
-        speeds[c] = states[place[c]].rest_speed
+        speeds[0, c], speeds[1, c] = states[place[c]].rest_speed, load_speed[place[c]]

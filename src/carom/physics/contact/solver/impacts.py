@@ -161,11 +161,12 @@ def check_closing(
     pairs: IntArray,
     contacts: RecordArray[ContactRecord],
     states: RecordArray[ContactStateRecord],
+    load_speed: FloatArray,
     v: FloatArray,
     limits: tuple[float, float],
     closing: BoolArray,
 ) -> None:
-    """Set ``closing`` if one of the contacts [lo, hi) closes faster than its rest speed and its tolerance.
+    """Set ``closing`` if one of the contacts [lo, hi) closes faster than its load speed and its tolerance.
 
     Open gaps are not counted: they may close in the next step.
 
@@ -182,7 +183,7 @@ def check_closing(
         vx, vy, vz = relative_to_image(contact, *between(v, i, j))
         vn = vx * contact.nx + vy * contact.ny + vz * contact.nz
         small = smaller_arm(contact)
-        left = INTOLERABLE * tolerated(state.rest_speed, state.approach_speed, state.overlap / small, small / dt)
-        if -(vn + max(0.0, contact.velocity_bias)) > max(state.rest_speed, negligible, left):
+        left = INTOLERABLE * tolerated(load_speed[c], state.approach_speed, state.overlap / small, small / dt)
+        if -(vn + max(0.0, contact.velocity_bias)) > max(load_speed[c], negligible, left):
             closing[0] = True
             return

@@ -129,7 +129,7 @@ def _push_apart(c: int, system: ConstraintSystem) -> float:
     ux, uy, uz = relative_to_image(system.contacts[c], b.vx - a.vx, b.vy - a.vy, b.vz - a.vz)
     vn, tx, ty, tz = along_and_across(nx, ny, nz, ux, uy, uz)
     material = system.materials[material_index(i, j, n, system.places)]
-    if separates(vn, state.rest_speed, restitution(material, -vn, state.rest_speed)):
+    if separates(vn, system.load_speed[c], restitution(material, -vn, system.load_speed[c])):
         return 0.0
     delta, mi, mj, reduced = push_of(state.push_fraction, overlap, a, b)
     if mi > 0.0:
@@ -211,15 +211,15 @@ def audit_corrections(
 
 
 @inline
-def separates(vn: float, rest_speed: float, e: float) -> bool:
+def separates(vn: float, load_speed: float, e: float) -> bool:
     """Return whether a contact opens without a push, because it separates or rebounds with e.
 
     Parameters
     ----------
-    vn, rest_speed
+    vn, load_speed
         m/s
     """
-    return (vn > MAX_SEPARATION * rest_speed) | (e > 0.0)
+    return (vn > MAX_SEPARATION * load_speed) | (e > 0.0)
 
 
 @inline
@@ -344,9 +344,9 @@ class _Correction:
         """
         a, b, block, n, d = self._a, self._b, self._block, self._n, self._d
         states = block.records("states", CONTACT_STATE, (AMOUNTS,))
-        rest_speed = states.field("rest_speed")
+        load_speed = read_doubles(self._builder, block.address("load_speed", block.places[0]))
         vn, *t = in_lanes(velocity_along)(*n, a, b)
-        pushed: Mask = overlaps & ~in_lanes(separates)(vn, rest_speed, self._restitution(-vn, rest_speed))
+        pushed: Mask = overlaps & ~in_lanes(separates)(vn, load_speed, self._restitution(-vn, load_speed))
 
         def of_pushed(amount: Lanes) -> Lanes:
             return amount.where(pushed, block.nothing)
@@ -372,12 +372,12 @@ class _Correction:
             recorded.add_to(pushed, correction_x=x, correction_y=y, correction_z=z)
         return pushed
 
-    def _restitution(self, approach: Lanes, rest_speed: Lanes) -> Lanes:
+    def _restitution(self, approach: Lanes, load_speed: Lanes) -> Lanes:
         """Return the restitution of each contact by the law."""
         block, coefficients = self._block, []
         kinds = [block.kind_of("materials").dtype, "float64", "float64"]
         for k, material in enumerate(block.materials()):
-            given = [material, approach.lane(k), rest_speed.lane(k)]
+            given = [material, approach.lane(k), load_speed.lane(k)]
             coefficients.append(block.code.call(_restitution_of_one, "float64", *zip(kinds, given, strict=True)))
         return gathered(self._builder, coefficients)
 
@@ -395,6 +395,6 @@ class _Correction:
         return read_doubles(self._builder, self._block.address("enough", self._block.places[0]))
 
 
-def _restitution_of_one(material: Coefficients, approach: float, rest_speed: float) -> float:
+def _restitution_of_one(material: Coefficients, approach: float, load_speed: float) -> float:
     """Call the law: `Code.call` takes a plain function of Python, not a kernel."""
-    return restitution(material, approach, rest_speed)
+    return restitution(material, approach, load_speed)

@@ -161,7 +161,7 @@ def prepare(first: int, end: int, system: ConstraintSystem) -> None:
             # bodies of an open contact that nothing has pressed meet in an impact, if at all
             meets = is_open and not (system.pressed[i] or system.pressed[j])
             system.held[c] = not (meets or -vn > fastest)
-            negligible = min(SMALL_OF_REST * rest_speed, SMALL_OF_RADIUS * smaller_arm(contact) / dt)
+            negligible = min(SMALL_OF_REST * system.load_speed[c], SMALL_OF_RADIUS * smaller_arm(contact) / dt)
             system.small_change[c] = negligible if system.enough[c] > ENOUGH else 0.0
             if system.held[c]:
                 opening = -(vn + bias) if drift > 0.0 else 0.0  # along a wall that curves towards the body, bias < 0

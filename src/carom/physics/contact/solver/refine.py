@@ -178,30 +178,30 @@ def _violation(piece: int, system: ConstraintSystem) -> float:
         small = smaller_arm(contact)
         # before a drift, approach_speed is from the previous step, and checkpoints do not store it
         approach = 0.0 if drift > 0.0 else state.approach_speed
-        allowed = tolerated(state.rest_speed, approach, state.overlap / small, small / settings.dt)
+        allowed = tolerated(system.load_speed[c], approach, state.overlap / small, small / settings.dt)
         most = tolerance * allowed + negligible
         if settings.is_lenient and system.enough[c] > ENOUGH:
-            most = max(most, state.rest_speed)
+            most = max(most, system.load_speed[c])
         excess = max(excess, missed - most)
     return excess
 
 
 @kernel
-def tolerated(rest_speed: float, approach: float, depth: float, radius_per_step: float) -> float:
+def tolerated(load_speed: float, approach: float, depth: float, radius_per_step: float) -> float:
     """Return the closing speed (m/s) that the search may leave to a contact.
 
     Parameters
     ----------
-    rest_speed, approach
+    load_speed, approach
         m/s, of the contact.
     depth
         Overlap relative to the smaller radius.
     radius_per_step
         m/s, smaller radius over dt.
     """
-    if approach <= rest_speed and depth > DEEP:
-        return DEEP_TOLERANCE * rest_speed
-    return min(max(REST_TOLERANCE * rest_speed, APPROACH_TOLERANCE * approach), RADIUS_TOLERANCE * radius_per_step)
+    if approach <= load_speed and depth > DEEP:
+        return DEEP_TOLERANCE * load_speed
+    return min(max(REST_TOLERANCE * load_speed, APPROACH_TOLERANCE * approach), RADIUS_TOLERANCE * radius_per_step)
 
 
 @unowned

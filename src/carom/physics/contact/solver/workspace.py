@@ -32,6 +32,7 @@ from carom.physics.contact.constraints import (
 )
 from carom.physics.contact.graph import SolveOrder
 from carom.physics.contact.law import Materials, has_torque
+from carom.physics.contact.loads import LOAD
 from carom.physics.sheared_box import SHEARED_BOX
 from carom.scene.start import HalfSpaces
 
@@ -75,11 +76,13 @@ class Workspace:
         self._contacts = Buffer(contact), Buffer(contact)
         self._held = Buffer(np.bool_)
         self._small_change = Buffer(np.float64)
+        self._load_speed = Buffer(np.float64)
         self._states = Buffer(CONTACT_STATE)
         self._search = Buffer(SEARCH)
         self._measured = Buffer(MEASURED)
         self._recorded = Buffer(ROLLING_RECORDED if rolls else RECORDED)
         self.pressed = np.ones(count, dtype=np.bool_)
+        self.loads = np.zeros(count, dtype=LOAD)
         self._bodies = aligned_empty(count, GUIDED_BODY if planes.guided else BODY_STATE)
         if planes.guided:
             for axis, along in zip(("axis_x", "axis_y", "axis_z"), planes.guided.normal, strict=True):
@@ -111,7 +114,8 @@ class Workspace:
         """
         m, ends = len(order.pairs), self._ends
         contacts = self._contacts[1] if keep is not None and self._contacts[0].holds(keep) else self._contacts[0]
-        recorded = self._recorded.take(m if self._records else 0)
+        recorded, load_speed = self._recorded.take(m if self._records else 0), self._load_speed.take(m)
+        load_speed[:] = 0.0
         recorded.view(np.float64)[:] = 0.0
         return ConstraintSystem(
             pairs=order.pairs,
@@ -122,6 +126,7 @@ class Workspace:
             enough=enough,
             small_change=self._small_change.take(m),
             states=self._states.take(m),
+            load_speed=load_speed,
             search=self._search.take(m),
             measured=self._measured.take(m),
             recorded=recorded,
@@ -142,6 +147,7 @@ class Workspace:
             islands=self._islands,
             active=active,
             pressed=self.pressed,
+            loads=self.loads,
             piece_results=np.empty(len(order.pieces), PIECE_RESULTS),
             sums=np.empty(-(-len(active) // BODIES_PER_BLOCK), BLOCK_SUMS),
             settings=settings,

@@ -1,0 +1,144 @@
+"""The load of each body, and the restitution threshold of a contact that follows from it.
+
+A contact is at rest if its pair would be pressed together again within about a step. What presses a pair along its
+normal is, per unit of mass,
+
+    A = max(0, (a_i - a_j)·n, (b_i - b_j)·n) + n·(L_i + L_j)·n,    b = a + Σ J/(m h),    L = Σ λ n nᵀ/(m h)
+
+with the sums over the contacts of a body in the last kick h, J their impulses on it and λ the normal ones. The first
+term is the relative acceleration, without and with the contacts. The second is the load that contacts carry in the
+direction of the normal: in a pile, where nothing accelerates, a body that leaves one contact is pressed back by the
+others. Marbles side by side on a floor carry a load, but none along their common normal, so they bounce at any speed.
+
+The rest speed is `PER_STEP` A dt, and at most the load speed of the island (`islands`): no load makes a body faster
+than the largest acceleration does.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
+
+from carom.arrays import FloatArray, IntArray, RecordArray, dtype_of
+from carom.physics.contact.impact_log import ROUNDING
+from carom.physics.jit.decorators import inline, kernel, long_kernel, unowned
+from carom.physics.jit.instructions import from_front
+from carom.physics.vector import Vector, between, vector
+from carom.plan.auto import PER_STEP
+
+if TYPE_CHECKING:
+    from carom.physics.contact.constraints import ContactRecord, ContactStateRecord
+
+UNKNOWN = 1e200  # m/s², a load in all directions: the rest speed is then the load speed
+
+
+class LoadRecord(Protocol):
+    """What contacts did to a body in the last kick, over its mass and the kick."""
+
+    x: float  # m/s², the acceleration by its contacts, Σ J/(m h)
+    y: float
+    z: float
+    xx: float  # m/s², the load Σ λ n nᵀ/(m h), symmetric
+    yy: float
+    zz: float
+    xy: float
+    xz: float
+    yz: float
+
+
+LOAD = dtype_of(LoadRecord)
+
+
+@kernel
+def clear_loads(active: IntArray, loads: RecordArray[LoadRecord]) -> None:
+    """Remove the loads of these bodies."""
+    for k in range(len(active)):
+        load = loads[active[k]]
+        load.x = load.y = load.z = 0.0
+        load.xx = load.yy = load.zz = load.xy = load.xz = load.yz = 0.0
+
+
+@long_kernel
+def add_loads(
+    pairs: IntArray,
+    contacts: RecordArray[ContactRecord],
+    inverse_mass: FloatArray,
+    kick: float,
+    loads: RecordArray[LoadRecord],
+) -> None:
+    """Add the impulses of a kick (s) to the loads of the bodies at both ends, in the order of the contacts."""
+    for c in range(len(pairs)):
+        contact = contacts[c]
+        normal = contact.normal_impulse
+        if not normal > 0.0:
+            continue
+        nx, ny, nz = contact.nx, contact.ny, contact.nz
+        fx, fy, fz = contact.friction_x, contact.friction_y, contact.friction_z
+        for end in range(2):
+            i = from_front(pairs[c, end])
+            w = inverse_mass[i] / kick
+            if w == 0.0:
+                continue
+            load, s = loads[i], (2 * end - 1) * w
+            load.x += s * (normal * nx + fx)
+            load.y += s * (normal * ny + fy)
+            load.z += s * (normal * nz + fz)
+            w *= normal
+            load.xx += w * nx * nx
+            load.yy += w * ny * ny
+            load.zz += w * nz * nz
+            load.xy += w * nx * ny
+            load.xz += w * nx * nz
+            load.yz += w * ny * nz
+
+
+@unowned
+def pressing(i: int, j: int, normal: Vector, a: FloatArray, loads: RecordArray[LoadRecord]) -> float:
+    """Return the acceleration A (m/s²) that presses two bodies, or a body and a solid, together; see the module."""
+    nx, ny, nz = normal
+    one, other = loads[i], loads[j]
+    ax, ay, az = between(a, j, i)
+    freely = ax * nx + ay * ny + az * nz
+    supported = freely + (one.x - other.x) * nx + (one.y - other.y) * ny + (one.z - other.z) * nz
+    xx, yy, zz = one.xx + other.xx, one.yy + other.yy, one.zz + other.zz
+    xy, xz, yz = one.xy + other.xy, one.xz + other.xz, one.yz + other.yz
+    across = 2.0 * (nx * ny * xy + nx * nz * xz + ny * nz * yz)
+    carried = nx * nx * xx + ny * ny * yy + nz * nz * zz + across
+    return float(max(0.0, freely, supported) + max(0.0, carried))
+
+
+@long_kernel
+def write_rest_speeds(
+    lo: int,
+    hi: int,
+    pairs: IntArray,
+    contacts: RecordArray[ContactRecord],
+    moving: tuple[FloatArray, FloatArray],
+    loads: RecordArray[LoadRecord],
+    load_speed: FloatArray,
+    dt: float,
+    states: RecordArray[ContactStateRecord],
+) -> None:
+    """Write the rest speeds (m/s) of the contacts [lo, hi) in a step of dt s.
+
+    ``moving`` are the velocities (m/s) and accelerations (m/s²) of bodies and planes. Slower closing than the rounding
+    of velocities is at rest, too.
+    """
+    v, a = moving
+    for c in range(lo, hi):
+        rest_speed, most = 0.0, load_speed[c]
+        if most > 0.0:
+            i, j = from_front(pairs[c, 0]), from_front(pairs[c, 1])
+            contact = contacts[c]
+            normal = contact.nx, contact.ny, contact.nz
+            rounded = _size(v, i) + _size(v, j) + (contact.arm_i + contact.arm_j) / dt
+            rest_speed = min(most, max(ROUNDING * rounded, PER_STEP * dt * pressing(i, j, normal, a, loads)))
+        states[c].rest_speed = rest_speed
+
+
+@inline
+def _size(v: FloatArray, i: int) -> float:
+    vx, vy, vz = vector(v, i)
+    size: float = np.abs(vx) + np.abs(vy) + np.abs(vz)
+    return size
