@@ -329,9 +329,7 @@ def judge_impacts(
             excess = min(0.0, entry.restitution_loss)
         if abs(excess) <= tolerated:
             continue
-        is_held = row > 0 and entry.clock == log[row - 1].clock
-        is_held = is_held or (row + 1 < len(log) and entry.clock == log[row + 1].clock)
-        if v > entry.rest_speed or is_held:
+        if v > entry.rest_speed or v == 0.0:  # only a held group has contacts that do not close
             if e < 1.0 and len(impacts) == 0:
                 impacts = _count_impacts(log, bodies)
             if e >= 1.0 or max(impacts[i], impacts[j] if j < bodies else 0) < COLLAPSE:
@@ -352,7 +350,7 @@ def judge_impacts(
             if k < len(pairs) and pairs[k, 0] == i and pairs[k, 1] == j:
                 pressed += contacts[place[k]].normal_impulse * Kn / kick
         if v > PER_STEP * pressed * dt:
-            found = _add(wrong[STOPPED], abs(excess), i, j, step, time)
+            found = _add(wrong[STOPPED], e * e * struck, i, j, step, time)
     if together != 0.0:
         found = _add(wrong[RESTITUTION], abs(together), a, b, step, time)
     return found
