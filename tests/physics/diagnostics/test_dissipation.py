@@ -9,6 +9,7 @@ import pytest
 
 from carom.physics.contact.constraints import CONTACT, CONTACT_STATE
 from carom.physics.contact.impact_log import IMPACT, NO_IMPACTS, Impacts
+from carom.physics.contact.loads import LOAD
 from carom.physics.diagnostics.dissipation import (
     COLLAPSE,
     GAIN,
@@ -62,11 +63,8 @@ def log_of(*impacts: dict[str, float]) -> Impacts:
     return Impacts(log)
 
 
-NOTHING_HELD = np.empty((0, 2), np.int64), np.empty(0, np.int64), np.empty(0, CONTACT)
-
-
 def judged(signs: SignsOfDissipation, impacts: Impacts) -> list[float]:
-    signs.judge_impacts(impacts, DT, NOTHING_HELD, 0.5 * DT)
+    signs.judge_impacts(impacts, DT, np.zeros(2, LOAD))
     return signs.rows["energy"].tolist()
 
 
@@ -126,9 +124,9 @@ def works(did: int, first: float, last: float, *, holds: bool = True, slides: bo
     states["friction_loss"], states["rest_speed"] = last, 1.0
     held["did"], held["friction"] = did, first
     pairs = np.array([[0, 1]])
-    before = pairs, held, np.zeros((2, 3)), True, holds
+    before, pressed = (pairs, held, True, holds), (DT, np.zeros((2, 3)), np.zeros(2, LOAD))
     resolved = pairs, np.zeros(1, np.int64), contacts, states, NO_IMPACTS.pairs
-    judge_contacts(*resolved, signs._ends, before, DT, 7, 0.07, signs.rows)
+    judge_contacts(*resolved, signs._ends, before, pressed, 7, 0.07, signs.rows)
     return signs.rows["energy"].tolist()
 
 

@@ -100,7 +100,7 @@ class ContactPipeline:
             drift = (friction, self._near.has_statics, requirements.resting.modelled)
             self.event_drift = event_driven(bodies, world, self.solver.loads, *drift, self._near.search, team)
         self.tap = ContactTap(bodies, materials, box, friction, totals) if totals else None
-        self.signs = SignsOfDissipation(bodies, materials, not planes.moves and world.shear is None)
+        self.signs = SignsOfDissipation(bodies, materials, not planes.moves and world.shear is None, planes.moves)
         self.sleepers: Sleepers | None = None
         if contact.sleep and self._lasts:
             self.sleepers = load("model", "sleep")(contact.sleep, bodies, planes, box)
@@ -240,7 +240,7 @@ class ContactPipeline:
         )
         if len(self.impacts):
             self.boundary.add_impacts(self.impacts.log)
-            self.signs.judge_impacts(self.impacts, dt, (held.pairs, held.place, self.solver.contacts), self._first_kick)
+            self.signs.judge_impacts(self.impacts, dt, self.solver.loads)
         if self.tap:
             self.tap.add_drift(self.impacts)
 
@@ -475,8 +475,7 @@ class ContactPipeline:
             self.impacts = Impacts(self.event_drift.log[:0])
             self._count_impacts()
             self.boundary.add_impacts(self.impacts.log)
-            empty = ImpulseCache.empty()
-            self.signs.judge_impacts(self.impacts, 1.0, (empty.pairs, empty.place, self.solver.contacts), 0.0)
+            self.signs.judge_impacts(self.impacts, 1.0, self.solver.loads)
         if self._lasts:
             self.signs.before_hold(self.contacts, self.solver)
             for drift in (1.0, 0.0):

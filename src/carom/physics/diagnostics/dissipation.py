@@ -24,10 +24,11 @@ from carom.arrays import FloatArray, IntArray, RecordArray, dtype_of
 from carom.event import Event
 from carom.physics.bodies import Bodies
 from carom.physics.contact.constraints import ContactRecord, ContactStateRecord, ends_of
-from carom.physics.contact.graph import comes_before, first_of
+from carom.physics.contact.graph import comes_before
 from carom.physics.contact.impact_log import ImpactRecord, Impacts
 from carom.physics.contact.islands import join_islands, root_of
 from carom.physics.contact.law import Materials, exerts_torque, material_index, restitution_of_impact, slides
+from carom.physics.contact.loads import LoadRecord, pressing
 from carom.physics.diagnostics.extremes import Extreme
 from carom.physics.diagnostics.ledger import clear_terms
 from carom.physics.jit.decorators import entry_of, inline, kernel, long_kernel
@@ -95,11 +96,9 @@ class HeldContacts(Protocol):
 
     did: int  # bits
     friction: float  # J, lost in the first kick
-    push: float  # m/s², by which the impulse of that kick accelerates the ends away from each other
 
 
 HELD = dtype_of(HeldContacts)
-NO_LOAD: FloatArray = np.empty((0, 3))
 NO_PAIRS: IntArray = np.empty((0, 2), np.int64)
 
 
@@ -110,10 +109,7 @@ class JudgedEnds(NamedTuple):
     places: IntArray
     inverse_mass: FloatArray  # (n + p,) 1/kg
     bodies: int  # n
-
-
-Held = tuple[IntArray, IntArray, RecordArray[ContactRecord]]
-"""Sorted pairs, (m, 2), the places of their records, (m,), and the records with their impulses."""
+    walls_move: bool  # a wall that accelerates presses bodies, too, so impacts at walls may stop
 
 
 class SignsOfDissipation:
@@ -124,11 +120,13 @@ class SignsOfDissipation:
     holds
         Whether the friction of contacts that stick is judged: no wall and no image moves, since the slip changes with
         their velocity.
+    walls_move
+        Whether a wall moves.
     """
 
-    def __init__(self, bodies: Bodies, materials: Materials, holds: bool) -> None:
+    def __init__(self, bodies: Bodies, materials: Materials, holds: bool, walls_move: bool) -> None:
         self._bodies, self._holds = bodies, holds
-        self._ends = JudgedEnds(materials.rows, materials.places, bodies.ends.inverse_mass, len(bodies))
+        self._ends = JudgedEnds(materials.rows, materials.places, bodies.ends.inverse_mass, len(bodies), walls_move)
         # the kernels, compiled for the records of the run
         self._note_held: Callable[..., None] | None = None
         self._judge_impacts: Callable[..., bool] | None = None
@@ -147,7 +145,7 @@ class SignsOfDissipation:
         """Begin a step, which ends at a time (s); whether the energy is checked then."""
         self._step, self._time, self.judges = step, time, judged
         if judged:
-            self._held_pairs, self._held, self._load, self._kick = NO_PAIRS, np.empty(0, HELD), NO_LOAD, 0.0
+            self._held_pairs, self._held, self._kick = NO_PAIRS, np.empty(0, HELD), 0.0
 
     @property
     def memory(self) -> tuple[WrongWork, ...]:
@@ -170,24 +168,23 @@ class SignsOfDissipation:
     def before_hold(self, contacts: OrderedContacts, solver: ContactSolver) -> None:
         """Note what contacts did in the last kick, before the first kick of a judged step."""
         self._held = np.zeros(len(contacts.pairs), HELD)
-        self._note(contacts, solver, NO_LOAD, 0.0)
+        self._note(contacts, solver, 0.0)
 
     def after_hold(self, contacts: OrderedContacts, solver: ContactSolver, kick: float) -> None:
-        """Note what they did in the first kick, of a length in s, and how strongly they press each body."""
+        """Note what they did in the first kick, of a length in s."""
         self._held_pairs, self._kick = contacts.pairs, kick
-        self._load = self._bodies.ends.acceleration.copy()
-        self._note(contacts, solver, self._load, kick)
+        self._note(contacts, solver, kick)
 
-    def _note(self, contacts: OrderedContacts, solver: ContactSolver, load: FloatArray, kick: float) -> None:
+    def _note(self, contacts: OrderedContacts, solver: ContactSolver, kick: float) -> None:
         held = contacts.pairs, contacts.order.place, solver.contacts, solver.states
-        asked = *held, self._ends, kick, self._held, load
+        asked = *held, self._ends, kick, self._held
         note = self._note_held = self._note_held or entry_of(note_held, *asked)
         note(*asked)
 
-    def judge_impacts(self, impacts: Impacts, dt: float, held: Held, kick: float) -> None:
-        """Judge the impacts during a drift of dt (s), given the contacts that were held in a first kick (s)."""
-        pressing = *held, kick, self._bodies.ends.acceleration
-        asked = impacts.log, self._ends, dt, pressing, _ROUNDED, self._step, self._time, self.rows
+    def judge_impacts(self, impacts: Impacts, dt: float, loads: RecordArray[LoadRecord]) -> None:
+        """Judge the impacts during a drift of dt (s), given the loads of the bodies in the first kick."""
+        pressed = dt, self._bodies.ends.acceleration, loads
+        asked = impacts.log, self._ends, pressed, _ROUNDED, self._step, self._time, self.rows
         judge = self._judge_impacts = self._judge_impacts or entry_of(judge_impacts, *asked)
         self.any |= judge(*asked)
 
@@ -197,8 +194,9 @@ class SignsOfDissipation:
         """Judge the contacts at the end of a step of dt (s) whose energy is checked, after a last kick (s)."""
         alike = abs(kick - self._kick) <= ALIKE * self._kick
         resolved = contacts.pairs, contacts.order.place, solver.contacts, solver.states, impacts.pairs
-        held = self._held_pairs, self._held, self._load, alike, alike and self._holds
-        asked = *resolved, self._ends, held, dt, self._step, self._time, self.rows
+        held = self._held_pairs, self._held, alike, alike and self._holds
+        pressed = dt, self._bodies.ends.acceleration, solver.loads
+        asked = *resolved, self._ends, held, pressed, self._step, self._time, self.rows
         judge = self._judge_contacts = self._judge_contacts or entry_of(judge_contacts, *asked)
         self.any |= judge(*asked)
 
@@ -239,14 +237,12 @@ def note_held(
     ends: JudgedEnds,
     kick: float,
     held: RecordArray[HeldContacts],
-    load: FloatArray,
 ) -> None:
     """Note what each contact did in a kick, in the order of the pairs.
 
-    A kick of 0 s stands for the last one of the step before. With the length of the first kick, also note its work, and
-    add the accelerations that the impulses cause to ``load``, (n + p, 3) m/s².
+    A kick of 0 s stands for the last one of the step before. With the length of the first kick, also note its work.
     """
-    rows, places, inverse_mass, bodies = ends
+    rows, places, bodies = ends.rows, ends.places, ends.bodies
     for k in range(len(pairs)):
         (i, j), contact = ends_of(pairs, k), contacts[place[k]]
         held[k].did |= _what_it_does(contact, rows[material_index(i, j, bodies, places)])
@@ -254,8 +250,6 @@ def note_held(
             clear_terms(states[place[k]])  # they belong to the previous step, which is booked
         else:
             held[k].friction = states[place[k]].friction_loss
-            held[k].push = contact.normal_impulse * (inverse_mass[i] + inverse_mass[j]) / kick
-            _press(i, j, contact, inverse_mass, kick, load)
 
 
 @inline
@@ -266,20 +260,6 @@ def _what_it_does(contact: ContactRecord, material: Coefficients) -> int:
     if exerts_torque(material):  # its work on spins is booked as friction
         return _OTHER
     return _OTHER if slides(material, Jn, contact.friction_x, contact.friction_y, contact.friction_z) else _STUCK
-
-
-@inline
-def _press(i: int, j: int, contact: ContactRecord, inverse_mass: FloatArray, kick: float, load: FloatArray) -> None:
-    Jn, mi, mj = contact.normal_impulse / kick, inverse_mass[i], inverse_mass[j]
-    Fx = Jn * contact.nx + contact.friction_x / kick
-    Fy = Jn * contact.ny + contact.friction_y / kick
-    Fz = Jn * contact.nz + contact.friction_z / kick
-    load[i, 0] -= mi * Fx
-    load[i, 1] -= mi * Fy
-    load[i, 2] -= mi * Fz
-    load[j, 0] += mj * Fx
-    load[j, 1] += mj * Fy
-    load[j, 2] += mj * Fz
 
 
 @inline
@@ -294,8 +274,7 @@ def _add(row: WrongWorkRecord, energy: float, i: int, j: int, step: int, time: f
 def judge_impacts(
     log: RecordArray[ImpactRecord],
     ends: JudgedEnds,
-    dt: float,
-    pressing: tuple[IntArray, IntArray, RecordArray[ContactRecord], float, FloatArray],
+    pressed: tuple[float, FloatArray, RecordArray[LoadRecord]],
     tolerance: FloatArray,
     step: int,
     time: float,
@@ -306,9 +285,9 @@ def judge_impacts(
     ``tolerance`` has the error of each that is not wrong, or of all, relative to ½ μ v_n².
     The impulses of a group that is held act at one time, and their energies have a meaning only together.
     """
-    rows, places, inverse_mass, bodies = ends
-    pairs, place, contacts, kick, acceleration = pressing
-    load, impacts, found = acceleration[:0], places[:0, 0], False  # found once a step, if necessary
+    rows, places, inverse_mass, bodies, walls_move = ends
+    dt, acceleration, loads = pressed
+    impacts, found = places[:0, 0], False  # counted if necessary
     together, largest, a, b = 0.0, 0.0, 0, 0
     for row in range(len(log)):
         entry = log[row]
@@ -337,31 +316,13 @@ def judge_impacts(
                 if abs(excess) > largest:
                     largest, a, b = abs(excess), i, j
             continue
-        if len(load) == 0:
-            load = acceleration.copy()
-            for k in range(len(pairs) if kick > 0.0 else 0):
-                first, second = ends_of(pairs, k)
-                _press(first, second, contacts[place[k]], inverse_mass, kick, load)
-        pressed = _along(load, i, j, entry.nx, entry.ny, entry.nz)
-        if v > PER_STEP * pressed * dt and kick > 0.0:
-            k = first_of(i, pairs)  # where the contact itself is held, its impulse does not separate the ends
-            while k < len(pairs) and pairs[k, 0] == i and pairs[k, 1] < j:
-                k += 1
-            if k < len(pairs) and pairs[k, 0] == i and pairs[k, 1] == j:
-                pressed += contacts[place[k]].normal_impulse * Kn / kick
-        if v > PER_STEP * pressed * dt:
+        if walls_move and j >= bodies:
+            continue
+        if v > PER_STEP * dt * pressing(i, j, (entry.nx, entry.ny, entry.nz), acceleration, loads):
             found = _add(wrong[STOPPED], e * e * struck, i, j, step, time)
     if together != 0.0:
         found = _add(wrong[RESTITUTION], abs(together), a, b, step, time)
     return found
-
-
-@inline
-def _along(load: FloatArray, i: int, j: int, nx: float, ny: float, nz: float) -> float:
-    """Return the acceleration (m/s²) with which two ends approach each other."""
-    ax, ay, az = load[i, 0] - load[j, 0], load[i, 1] - load[j, 1], load[i, 2] - load[j, 2]
-    acceleration: float = ax * nx + ay * ny + az * nz
-    return acceleration
 
 
 @kernel
@@ -383,8 +344,8 @@ def judge_contacts(
     states: RecordArray[ContactStateRecord],
     struck_pairs: IntArray,
     ends: JudgedEnds,
-    before: tuple[IntArray, RecordArray[HeldContacts], FloatArray, bool, bool],
-    dt: float,
+    before: tuple[IntArray, RecordArray[HeldContacts], bool, bool],
+    pressed: tuple[float, FloatArray, RecordArray[LoadRecord]],
     step: int,
     time: float,
     wrong: RecordArray[WrongWorkRecord],
@@ -394,8 +355,9 @@ def judge_contacts(
     Return whether anything is wrong. Islands in which an impact or a lost contact has changed the kick before the drift
     are not judged.
     """
-    rows, places, inverse_mass, bodies = ends
-    held_pairs, held, load, alike, holds = before
+    rows, places, inverse_mass, bodies, walls_move = ends
+    held_pairs, held, alike, holds = before
+    dt, acceleration, loads = pressed
     count = len(inverse_mass)
     island = np.arange(count)
     join_islands(pairs, inverse_mass, island)
@@ -416,11 +378,9 @@ def judge_contacts(
         material = rows[material_index(i, j, bodies, places)]
         root = root_of(island, i if inverse_mass[i] > 0.0 else j)
         did, lost, size = _what_it_does(contact, material), state.friction_loss, abs(state.friction_loss)
-        push = 0.0
         known = b < len(held_pairs) and held_pairs[b, 0] == i and held_pairs[b, 1] == j
         if known:
             did, lost, size = did | held[b].did, lost + held[b].friction, size + abs(held[b].friction)
-            push = held[b].push
             b += 1
         if not (did == _IDLE or (known and did == _STUCK)) or state.approach_speed > state.rest_speed:
             sticks_only[root] = False
@@ -438,10 +398,11 @@ def judge_contacts(
             excess = abs(state.restitution_loss)
             if e >= 1.0 and not contact.normal_impulse > 0.0 and excess > ROUNDED * struck:
                 found = _add(wrong[RESTITUTION], excess, i, j, step, time)
-        elif e > 0.0 and contact.normal_impulse > 0.0 and len(load) > 0:
-            pressed = push + _along(load, i, j, contact.nx, contact.ny, contact.nz)
-            if v > PER_STEP * pressed * dt:
-                found = _add(wrong[STOPPED], e * e * struck, i, j, step, time)
+            continue
+        normal = contact.nx, contact.ny, contact.nz
+        stopped = e > 0.0 and contact.normal_impulse > 0.0 and not (walls_move and j >= bodies)
+        if stopped and v > PER_STEP * dt * pressing(i, j, normal, acceleration, loads):
+            found = _add(wrong[STOPPED], e * e * struck, i, j, step, time)
     while b < len(held_pairs):
         if held[b].did != _IDLE:
             _exclude(held_pairs[b, 0], held_pairs[b, 1], inverse_mass, island, is_judged)

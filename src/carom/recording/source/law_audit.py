@@ -20,10 +20,10 @@ import numpy as np
 from carom.arrays import BoolArray, FloatArray, IntArray
 from carom.errors import RecordingError
 from carom.event import Event
-from carom.physics.contact.constraints import CONTACT
 from carom.physics.contact.impact_log import IMPACT
 from carom.physics.contact.islands import number_sets
 from carom.physics.contact.law import MATERIAL
+from carom.physics.contact.loads import LOAD
 from carom.physics.diagnostics.dissipation import WRONG, WRONG_WORK, JudgedEnds, judge_impacts
 from carom.physics.diagnostics.energy import Energy
 from carom.recording.source import Setup
@@ -420,10 +420,10 @@ class LawAudit:
         materials = np.zeros(1 + len(setup.planes), MATERIAL)
         materials["restitution"] = np.nan if setup.restitution is None else setup.restitution
         inverse_mass = np.append(np.where(setup.fixed, 0.0, 1.0 / setup.mass), np.zeros(len(setup.planes)))
-        ends = JudgedEnds(materials, np.empty((0, 2), np.int64), inverse_mass, n)
-        nothing = np.empty((0, 2), np.int64), np.empty(0, np.int64), np.empty(0, CONTACT), 0.0, np.zeros((0, 3))
+        ends = JudgedEnds(materials, np.empty((0, 2), np.int64), inverse_mass, n, False)
+        unloaded = dt, np.zeros((len(inverse_mass), 3)), np.zeros(len(inverse_mass), LOAD)
         wrong = np.zeros(len(WRONG), WRONG_WORK)
-        judge_impacts(log, ends, dt, nothing, tolerance, *place, wrong)
+        judge_impacts(log, ends, unloaded, tolerance, *place, wrong)
         for sentence, row in zip(WRONG, wrong, strict=True):
             if row["energy"] > 0.0:
                 pair = np.array([row["i"], row["j"]])
