@@ -82,7 +82,7 @@ def test_extremes_are_compared_with_closed_forms_and_none_may_gain_energy() -> N
     for name in extremes():
         expect = Scene.load(f"extremes/{name}").expect
         stated |= {name} if expect.state else set()
-        # the error of the integrator, or what the solver leaves to contacts at rest; lifting an overlapping start costs more
+        # error of the integrator, or what the solver leaves to contacts at rest; a start that overlaps is lifted
         assert name == "overlapped-gravity" or (expect.energy_gain or 0.0) <= 1e-3
         assert not expect.state or "# Theory: " in extremes()[name].read_text(encoding="utf-8")
     assert len(stated) >= 10
