@@ -30,7 +30,7 @@ from carom.scene.start import InitialBodies
 LASTS = 4  # steps: a contact that presses for so long carries a load; what stops a slow impact is gone sooner
 LOOK_AFTER = LASTS + 1.0  # steps, for the loads of contacts after an interval
 RETURNS = 2.0  # steps: a bounce that takes longer is not one that a step may end at rest; it takes 2 v/a
-SHARED = 2e-2  # of the kinetic energy of bodies that touch: runs that differ by less may have shared impulses otherwise
+SHARED = 5e-2  # of the kinetic energy of bodies that touch: runs that differ by less may have shared impulses otherwise
 SURFACE = 2.5  # m r²/I of a ball: friction changes the speed of its surface so much more than its velocity
 
 Pair = tuple[int, int]  # of bodies and, from n on, planes and walls
@@ -77,8 +77,8 @@ class Touching:
 
     @property
     def rubbed(self) -> float:
-        """The largest change of a velocity by friction in a step, in m/s."""
-        return _rubbed(self.loads, self.friction) if self.changes else 0.0
+        """The largest change of a velocity by friction, in m/s, where impacts may turn loads round."""
+        return 2.0 * _rubbed(self.loads, self.friction) if self.changes else 0.0
 
 
 @dataclass(slots=True)
@@ -133,22 +133,31 @@ class CloseLook:
                 energy += 0.5 * float(inertia[body]) * turns * turns
         return energy
 
-    def lacks_a_bounce(self, touching: Touching) -> bool:
+    def lacks_a_bounce(self, touching: Touching, refined: Frame) -> bool:
         """Return whether the run made plastic an impact whose bounce takes longer than its steps."""
         bounced = {(int(row["i"]), int(row["j"])) for row in self.run.impacts}
+        energy = self._kinetic(touching, refined)
         for row in self.refined.impacts:
             ends = int(row["i"]), int(row["j"])
             if ends in bounced or not touching.bodies & set(ends) or self.run.pressed.get(ends, 0.0) <= 0.0:
                 continue
+            approach = float(row["approach_speed"])
+            if 0.5 * self._reduced_mass(ends) * approach * approach <= SHARED * energy:
+                continue  # no more than what contacts may share otherwise
             normal = np.array([row["nx"], row["ny"], row["nz"]])
             returned = 0.0  # m/s, by loads along the normal and by friction, in a step
             for load in (load for end in ends for load in self.run.loads.get(end, [])):
                 along = abs(float(load.direction @ normal))
                 across = math.sqrt(max(0.0, 1.0 - along * along))
                 returned += load.speed * (along + (touching.friction * across if load.rubs else 0.0))
-            if 2.0 * float(row["approach_speed"]) > RETURNS * returned:
+            if 2.0 * approach > RETURNS * returned:
                 return True
         return False
+
+    def _reduced_mass(self, ends: Pair) -> float:
+        """Return the reduced mass (kg) of a pair; planes, walls and fixed bodies are immovable."""
+        n, start = len(self.start.mass), self.start
+        return 1.0 / sum(1.0 / float(start.mass[end]) for end in ends if end < n and not start.fixed[end])
 
 
 def _beyond(vector: FloatArray, loads: list[Load], share: float) -> float:

@@ -55,6 +55,7 @@ PULLED = (
     0.1  # tolerance of velocities over the change in a step by forces that vary along a path, unlike a uniform field
 )
 LEDGER = 1e-3  # tolerance of an entry over the energy that moves, as `record.energy_tolerance` by default
+SUDDEN = 0.2  # tolerance of an entry in a single interval over the kinetic energy, where little of it is uncertain
 CHAOTIC = 5e-2  # the same tolerance where chaos ends the comparison of bodies, so that entries are statistics
 REGULAR = 0.99  # of the motion; if less was compared, chaos decides
 OVERLAP = 5e-2  # tolerance of overlaps over the smaller radius; a step may move bodies by half a radius or more
@@ -312,6 +313,7 @@ class _Comparison:
         self._rng = np.random.default_rng(0)  # directions in which twins are displaced
         self.last: Frame | None = None  # of the run
         self._last_fine: Frame | None = None
+        self._last_twin: Frame | None = None
         self.moved: list[Moved] = []
         self.largest: dict[str, float] = {}
         self.steps = self.refined_steps = self.instants = self.windows = self.shared = 0
@@ -319,6 +321,7 @@ class _Comparison:
         self._entries: tuple[str, ...] = ()
         self._differences: list[FloatArray] = []  # of the entries, for each interval, J
         self._kinetic = 0.0  # J, the largest so far
+        self._certain = 0.0  # fraction of the kinetic energy in bodies that could be compared at the last instant
         self._opened: Frame | None = None
         self._waiting: tuple[Frame, Frame] | None = None  # frames of both runs before impacts near the last instant
 
@@ -338,8 +341,9 @@ class _Comparison:
             return
         if self._opened is not None:
             self._open(before, (frame.time - before.time) / (frame.step - before.step))
-        assert self._fine is not None and self._last_fine is not None
-        twin, fine_before = _reached(self._twin, frame.time), self._last_fine
+        assert self._fine is not None and self._last_fine is not None and self._last_twin is not None
+        fine_before, twin_before = self._last_fine, self._last_twin
+        twin = self._last_twin = _reached(self._twin, frame.time)
         fine_step = self._fine.step
         fine = self._last_fine = _reached(self._fine, frame.time)
         self.steps += frame.step - before.step
@@ -350,15 +354,52 @@ class _Comparison:
         compared = self._free & known
         self._seen += int(self._free.sum())
         self._bodies_seen += int(compared.sum())
-        self._differences.append(
-            (_entries(fine.energy)[1] - _entries(fine_before.energy)[1])
-            - (_entries(frame.energy)[1] - _entries(before.energy)[1])
-        )
+        taken = _booked(before, frame)
+        self._differences.append(_booked(fine_before, fine) - taken)
+        self._judge_losses(before, frame, fine_before, fine, _booked(twin_before, twin) - taken)
         restart = self._judge(before, frame, fine_before, fine, compared)
         self._judge_overlaps(before, frame, fine)
         _forget_overlap(self._fine)
         if restart or compared.sum() < COMPARABLE * self._free.sum():
             self._opened = frame
+
+    def _judge_losses(self, before: Frame, frame: Frame, fine_before: Frame, fine: Frame, of_twin: FloatArray) -> None:
+        """Compare the entries of one interval, at whose start bodies with nearly all the energy moved with certainty.
+
+        Chaos within it may change who has the energy, but hardly how much of it is left. An entry counts if the twin
+        agrees with the run, or with the shorter steps: then the run alone is wrong. It must also differ two steps
+        later, since an impact may be just before or after the instant.
+        """
+        certain, self._certain = self._certain, self._certain_share(frame)
+        allowed = SUDDEN * max(self._kinetic_of(before).sum(), self._kinetic_of(frame).sum())
+        differ = self._differences[-1]
+        doubt = 10.0 * np.minimum(np.abs(of_twin), np.abs(differ - of_twin))
+        differ = np.where(np.abs(differ) > allowed + doubt, differ, 0.0)
+        if certain < 1.0 - CHAOTIC or not differ.any():
+            return
+        after = frame.time + 2.0 * frame.dt
+        spaces = self._close_spaces(frame.dt)
+        later = []
+        for space, one in zip(spaces, (frame, fine), strict=True):
+            space.restore(one.checkpoint)
+            later.append(_reached(space, after))
+        lasting = _booked(fine_before, later[1]) - _booked(before, later[0])
+        for k in np.flatnonzero(np.minimum(np.abs(differ), np.abs(lasting)) > allowed).tolist():
+            run, refined = float(_booked(before, frame)[k]), float(_booked(fine_before, fine)[k])
+            values = run, refined, abs(refined - run), float(allowed)
+            self._add(Moved(self._entries[k], before.time, frame.time, (), "", *values, "J"))
+
+    def _kinetic_of(self, frame: Frame) -> FloatArray:
+        """Return the kinetic energies of the bodies, (n,) J."""
+        energy = 0.5 * self._mass * (frame.velocity**2).sum(axis=1)
+        if frame.angular_velocity is not None:
+            energy = energy + 0.5 * self._maker.start.inertia * (frame.angular_velocity**2).sum(axis=1)
+        return np.where(self._free, energy, 0.0)
+
+    def _certain_share(self, frame: Frame) -> float:
+        """Return the fraction of the kinetic energy in bodies that can be compared."""
+        energy = self._kinetic_of(frame)
+        return float(energy[self._growth <= MOST_GROWTH].sum() / energy.sum()) if energy.any() else 0.0
 
     def finish(self) -> None:
         """Judge the entries of the ledger, over all intervals."""
@@ -391,11 +432,12 @@ class _Comparison:
         assert self._fine is not None
         self._fine.restore(checkpoint)
         _forget_overlap(self._fine)
-        self._last_fine = frame
+        self._last_fine = self._last_twin = frame
         n = len(frame.position)
         self._origin = frame.position
         self._pull, self._since = np.zeros(n), frame.time
         self._extent, self._growth, self._speed = np.zeros(n), np.ones(n), self._speeds(frame)
+        self._certain = self._certain_share(frame)
 
     def _speeds(self, frame: Frame) -> FloatArray:
         """Return the speeds of the bodies' centres or surfaces, (n,) m/s."""
@@ -459,7 +501,7 @@ class _Comparison:
                 waits = True
                 done |= touching.bodies
                 continue
-            lacks = look.lacks_a_bounce(touching)
+            lacks = look.lacks_a_bounce(touching, fine)
             if not lacks and look.may_share_otherwise(touching, frame, fine):
                 self.shared += 1
                 done |= touching.bodies
@@ -485,13 +527,17 @@ class _Comparison:
 
     def _look_closely(self, before: Frame, frame: Frame, fine_before: Frame) -> CloseLook:
         """Repeat both runs between two instants, with their contacts."""
-        if self._closely is None:
-            max_dt = frame.dt / self._factor if self._batches else None
-            make = self._maker.space
-            self._closely = make(contacts=True), make(1.0 / self._factor, contacts=True, max_dt=max_dt)
-        states = zip(self._closely, (before, fine_before), strict=True)
+        states = zip(self._close_spaces(frame.dt), (before, fine_before), strict=True)
         run, refined = (look_closely(space, one, frame.time, frame.dt, self._maker.start) for space, one in states)
         return CloseLook(run, refined, self._maker.start)
+
+    def _close_spaces(self, dt: float) -> tuple[Space, Space]:
+        """Return spaces that record contacts, with steps of the run, at first of ``dt`` seconds, and shorter ones."""
+        if self._closely is None:
+            max_dt = dt / self._factor if self._batches else None
+            make = self._maker.space
+            self._closely = make(contacts=True), make(1.0 / self._factor, contacts=True, max_dt=max_dt)
+        return self._closely
 
     def _size(self, name: str, body: int, frame: Frame) -> float:
         """Return the size of what is compared: a distance in m, or a speed in m/s."""
@@ -521,6 +567,11 @@ class _Comparison:
 
     def _note(self, name: str, by: float, allowed: float) -> None:
         self.largest[name] = max(self.largest.get(name, 0.0), by / allowed if allowed > 0.0 else 0.0)
+
+
+def _booked(before: Frame, frame: Frame) -> FloatArray:
+    """Return what the entries of the ledger received between two frames, in joules."""
+    return _entries(frame.energy)[1] - _entries(before.energy)[1]
 
 
 def _entries(energy: Energy) -> tuple[tuple[str, ...], FloatArray]:
