@@ -3,12 +3,15 @@
 A contact is at rest if its pair would be pressed together again within about a step. What presses a pair along its
 normal is, per unit of mass,
 
-    A = max(0, (a_i - a_j)·n, (b_i - b_j)·n) + n·(L_i + L_j)·n,    b = a + Σ J/(m h),    L = Σ λ n nᵀ/(m h)
+    A = max(0, (a_i - a_j)·n, max(0, b_i·n) + max(0, -b_j·n)) + n·(L_i + L_j)·n,
+    b = a + Σ J/(m h),    L = Σ λ n nᵀ/(m h)
 
 with the sums over the contacts of a body in the last kick h, J their impulses on it and λ the normal ones. The first
-term is the relative acceleration, without and with the contacts. The second is the load that contacts carry in the
-direction of the normal: in a pile, where nothing accelerates, a body that leaves one contact is pressed back by the
-others. Marbles side by side on a floor carry a load, but none along their common normal, so they bounce at any speed.
+term is the relative acceleration, without and with the contacts. With them, each body counts by itself, because in a
+high column two bodies that still fall alike are stopped one after the other. The second term is the load that contacts
+carry in the direction of the normal: in a pile, where nothing accelerates, a body that leaves one contact is pressed
+back by the others. Marbles side by side on a floor carry a load, but none along their common normal, so they bounce at
+any speed.
 
 The rest speed is `PER_STEP` A dt, and at most the load speed of the island (`islands`): no load makes a body faster
 than the largest acceleration does.
@@ -100,7 +103,10 @@ def pressing(i: int, j: int, normal: Vector, a: FloatArray, loads: RecordArray[L
     one, other = loads[i], loads[j]
     ax, ay, az = between(a, j, i)
     freely = ax * nx + ay * ny + az * nz
-    supported = freely + (one.x - other.x) * nx + (one.y - other.y) * ny + (one.z - other.z) * nz
+    (ix, iy, iz), (jx, jy, jz) = vector(a, i), vector(a, j)
+    first = (ix + one.x) * nx + (iy + one.y) * ny + (iz + one.z) * nz
+    second = (jx + other.x) * nx + (jy + other.y) * ny + (jz + other.z) * nz
+    supported = max(0.0, first) + max(0.0, -second)
     xx, yy, zz = one.xx + other.xx, one.yy + other.yy, one.zz + other.zz
     xy, xz, yz = one.xy + other.xy, one.xz + other.xz, one.yz + other.yz
     across = 2.0 * (nx * ny * xy + nx * nz * xz + ny * nz * yz)
