@@ -54,6 +54,7 @@ STATE = 1e-3  # tolerance of positions over radius and distance covered, and of 
 PULLED = (
     0.1  # tolerance of velocities over the change in a step by forces that vary along a path, unlike a uniform field
 )
+ROUGH = 20.0  # factor on the tolerances of bodies that rub under load while a contact begins, ends or changes its mode
 LEDGER = 1e-3  # tolerance of an entry over the energy that moves, as `record.energy_tolerance` by default
 SUDDEN = 0.2  # tolerance of an entry in a single interval over the kinetic energy, where little of it is uncertain
 CHAOTIC = 5e-2  # the same tolerance where chaos ends the comparison of bodies, so that entries are statistics
@@ -512,7 +513,7 @@ class _Comparison:
                 by, rubbed = touching.excess(vectors[body], lasts), touching.rubbed * lasts
                 if name == "spin":
                     by, rubbed = float(np.sqrt((vectors[body] ** 2).sum())), SURFACE * rubbed
-                allowed = float(least[body] * growth[body]) + rubbed
+                allowed = (ROUGH if rubbed > 0.0 else 1.0) * float(least[body] * growth[body]) + rubbed
                 self._note(name, by, allowed)
                 if by > allowed or lacks:
                     values = self._size(name, body, frame), self._size(name, body, fine), by, allowed
