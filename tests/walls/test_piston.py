@@ -247,6 +247,18 @@ def test_an_oblique_impact_in_a_scene_with_a_piston_is_exact() -> None:
     assert last.position[:, :2] == pytest.approx(expected, abs=1e-14)
 
 
+def test_bodies_that_pass_each_other_under_a_piston_without_touching_go_on_as_before() -> None:
+    # the gap of 0.5 mm is less than a dt², by which the piston could close a gap in a step: the pair is listed
+    rough = {"restitution": 1.0, "static_friction": 0.3, "kinetic_friction": 0.3}
+    bodies = [
+        {"radius": r, "mass": m, "position": [x, y, 0.2], "velocity": [v, 0.0, 0.0]}
+        for x, y, v in ((0.0, 0.0, 0.0), (-0.05, 2.0 * r + 5e-4, 0.1))
+    ]
+    time = {"duration": 1.0, "fixed_dt": 0.07}
+    last = list(Space(scene({"mass": 2.0, "force": 1.0}, 5.0, 1.0, contact=rough, time=time, body=bodies)).run())[-1]
+    assert last.velocity.tolist() == [[0.0, 0.0, 0.0], [0.1, 0.0, 0.0]]
+
+
 @pytest.mark.parametrize("M", [1e3, 1e6])
 def test_a_heavy_piston_that_falls_on_a_ball_comes_to_rest_on_it(M: float) -> None:
     # to stop the piston, the ball rattles as often as M/m, and is held instead: nothing overlaps on the way

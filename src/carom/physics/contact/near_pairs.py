@@ -85,6 +85,11 @@ class NearPairs:
         pairs = self.search.pairs(position, scale, skin)
         return self._planes.merged(pairs, position, scale, skin) if self.has_statics else pairs
 
+    @property
+    def lists_open(self) -> bool:
+        """Whether the pairs found last may have a gap."""
+        return self.rounding > 0.0
+
     def margins(self, dt: float) -> tuple[float, float]:
         """Return scale and skin (in m): a pair is near if its distance is at most ``(r_i + r_j) scale + skin``."""
         if not self._lasting:

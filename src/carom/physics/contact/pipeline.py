@@ -429,7 +429,9 @@ class ContactPipeline:
         self.boundary.accelerate()
         bias_rate = BAUMGARTE / dt if contact.stabilisation == "baumgarte" else 0.0
         lasting = self._is_at_rest()
-        self.sweeps = solver.resolve_impacts(bias_rate, self.most_sweeps, impacts_only=lasting)
+        # where a piston or a force acts on some bodies only, others are near without being pressed: open gaps stay open
+        impacts_only = lasting or self._near.lists_open
+        self.sweeps = solver.resolve_impacts(bias_rate, self.most_sweeps, impacts_only=impacts_only)
         if self.tap:
             self.tap.add_impacts(self.contacts.pairs, solver)
         profile.mark("response")
