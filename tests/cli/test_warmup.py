@@ -19,7 +19,7 @@ from other_processor import OtherProcessor, environment_of
 PLAIN = {f"taylor.{name}_one_by_one" for name in ("_attract", "_attract_bodies", "_evaluate")}  # of CAROM_PLAIN=1 only
 OF_WALLS = {  # compiled for scenes with a [[wall]], as the kernels of a contact law are for scenes with that law
     *("solids._write_heights", "solids.add_arc_speeds", "wall_impacts._time_to_wall", "wall_impacts._until_path"),
-    *("moving_walls.set_velocities_in_drift", "moving_walls.work_of_contacts", "moving_walls.work_of_impacts"),
+    *("moving_walls.work_of_contacts", "moving_walls.work_of_impacts", "solids.add_load_of_walls"),
     *(f"translating_walls.{name}" for name in ("mean_velocities", "place", "work_at_velocities", "work_in_drift")),
 }
 OF_SHEAR = {  # compiled for sheared boxes

@@ -38,6 +38,7 @@ RESTING: list[dict[str, Any]] = [{"position": [0, 0, 0]}, {"position": [5, 0, 0]
 POST: dict[str, Any] = {"position": [9, 0, 0], "fixed": True}
 FALLING = {"constant": 0, "uniform": [0, 0, -9.81]}
 SMOOTH = {"static_friction": 0}
+ELASTIC = {"restitution": 1.0}
 ROUGH = {"point": [0, 0, -1], "static_friction": 0.5}
 
 CASES: list[tuple[str, Any, str, bool]] = [
@@ -78,6 +79,9 @@ CASES: list[tuple[str, Any, str, bool]] = [
     ("gravity presses bodies together", scene_of(MOVING), "resting", True),
     ("without it every contact is an impact", pair(), "resting", False),
     ("nor does a field that pulls all alike", pair(gravity=FALLING), "resting", False),
+    ("a wall does that curves towards them", pair(wall=[{"sphere": {"radius": 9.0}}]), "resting", True),
+    ("unless they bounce on it for ever", pair(wall=[{"sphere": {"radius": 9.0}}], contact=ELASTIC), "resting", False),
+    ("or it is flat", pair(wall=[{"disc": {"radius": 9.0, "centre": [0, 0, -9]}}]), "resting", False),
     ("a field and a floor do", pair(gravity=FALLING, plane=[{"point": [0, 0, -2]}]), "resting", True),
     ("no bounce, no restitution", pair(contact={"restitution": 0}), "restitution", False),
     (

@@ -210,8 +210,8 @@ class KickDriftStepper:
         change = np.inf
         if world.contact and world.planes.translates:
             change = world.contact.boundary.next_change(time)
-            if self.timestep.fixed_dt is None:
-                change = min(change, time + world.contact.boundary.longest_step)
+        if world.contact and world.planes.curves and self.timestep.fixed_dt is None:
+            change = min(change, time + world.contact.longest_step)
         dt, limit = self.timestep.choose(world.bodies, min(end, change) - time, self.supported_acceleration())
         if self._asked:
             asked, asked_limit = self._asked.target(world.bodies, self.supported_acceleration())

@@ -12,6 +12,7 @@ from carom.scene.forces import GRAVITY, ForceKind, kinds_of
 from carom.scene.matter import KindOfContact, kinds_of_contacts, mean_volume
 from carom.scene.parts import Part
 from carom.scene.schema import Scene
+from carom.scene.wall_shapes import shape_called
 from carom.scene.wording import counted, in_series
 
 DENSE = 0.5  # packing fraction above which contacts in a flow last; hard spheres begin to freeze at 0.494
@@ -111,7 +112,27 @@ def load(scene: Scene) -> str:
         return f"the {field}"
     if flow_presses(scene):
         return "the shear"
-    return "the piston" if scene.has_piston else ""
+    if scene.has_piston:
+        return "the piston"
+    return pressing_wall(scene)
+
+
+def pressing_wall(scene: Scene) -> str:
+    """Return the kind of wall that presses without any other force; empty if there is none.
+
+    A body that moves along a curved wall with the speed v is pressed by m v²/f, with the radius of curvature f. Bounces
+    that dissipate end there, and on a wall that accelerates. Elastic ones never end; each is an impact.
+    """
+    kinds = kinds_of_contacts(scene)
+    if "restitution" not in functions_of(scene.contact.laws) and all(e.coefficients.restitution == 1 for e in kinds):
+        return ""
+    if any(not shape_called(wall.shape).flat for wall in scene.wall):
+        return "a curved wall"
+    return (
+        "a wall that accelerates"
+        if any(wall.motion and any(wall.motion.amplitude) for wall in scene.translating)
+        else ""
+    )
 
 
 def flow_presses(scene: Scene) -> bool:

@@ -96,6 +96,11 @@ class HalfSpaces:
         return np.zeros((len(self), 3))
 
     @property
+    def press_alone(self) -> bool:
+        """Whether nothing but curves and accelerations of walls presses bodies onto them."""
+        return False
+
+    @property
     def curves(self) -> bool:
         """Whether a [[wall]], which may be curved, is among them."""
         return False

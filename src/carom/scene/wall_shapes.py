@@ -47,6 +47,7 @@ class WallShape:
     mesh: Callable[[Any, FloatArray, float], Mesh]  # (section, centre, reach) → the wall within about reach of centre
     fields: tuple[str, ...]  # of p
     parameters: Callable[[Any], Mapping[str, float]] = numbers_of  # (section) → the fields by name, in SI units
+    flat: bool = False  # whether no level surface curves towards the bodies, so that the focal distance is infinite
     thin: bool = False  # whether bodies may be on both sides, so that the distance is never negative
     axis: Callable[[Any], tuple[FloatArray, FloatArray]] | None = None  # (section) → the axis of a surface of
     # revolution, about which the wall may rotate: a point in m, and the direction

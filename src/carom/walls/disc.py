@@ -66,4 +66,4 @@ def mesh(section: Disc, centre: FloatArray, reach: float) -> Mesh:
     return mesh_of_revolution(*axis(section), profile)
 
 
-WALL = WallShape(Disc, nearest, mesh, FIELDS, parameters, thin=True, axis=axis)
+WALL = WallShape(Disc, nearest, mesh, FIELDS, parameters, flat=True, thin=True, axis=axis)

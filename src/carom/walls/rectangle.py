@@ -84,4 +84,4 @@ def mesh(section: Rectangle, centre: FloatArray, reach: float) -> Mesh:
     return Mesh(corners, np.array([[0, 1, 2], [0, 2, 3]]))
 
 
-WALL = WallShape(Rectangle, nearest, mesh, FIELDS, parameters, thin=True, periodic=periodic)
+WALL = WallShape(Rectangle, nearest, mesh, FIELDS, parameters, flat=True, thin=True, periodic=periodic)

@@ -12,7 +12,7 @@ import numpy as np
 
 from carom.arrays import FloatArray, RecordArray
 from carom.physics.bodies import Bodies
-from carom.physics.contact.moving_walls import set_velocities_in_drift, work_of_contacts, work_of_impacts
+from carom.physics.contact.moving_walls import work_of_contacts, work_of_impacts
 from carom.physics.contact.solids import SolidsWithWalls
 from carom.physics.contact.solver.contact_solver import ContactSolver
 from carom.physics.contact.translating_walls import WallTranslation, work_at_velocities, work_in_drift
@@ -83,13 +83,6 @@ class BoundaryMotion:
         self.work = 0.0
         if self._translation:
             self._velocity = self._translation.begin(*self._span, dt, booked)
-
-    def set_velocities(self, solver: ContactSolver, drift: float) -> None:
-        """Write the mean velocities of rotating walls at their contacts in a drift (s)."""
-        if self._solids.rotates:
-            system, contacts = solver.system, cast(RecordArray[Any], solver.contacts)
-            moving = system.position, system.velocity, self._solids.surface
-            set_velocities_in_drift(system.pairs, contacts, *moving, drift)
 
     def begin_drift(self) -> None:
         """Begin the drift, during which the velocities of walls that translate depend on the time."""

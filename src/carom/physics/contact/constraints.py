@@ -53,12 +53,28 @@ class RollingContactRecord(RollingFields, ContactRecord, Protocol):
     """A contact whose law resists rolling."""
 
 
-class SlidingWallContactRecord(SurfaceVelocity, ContactRecord, Protocol):
-    """A contact in a scene with moving walls."""
+class TurningNormal(Protocol):
+    """Fields of contacts in a scene with walls that may curve, and with friction."""
+
+    turn_x: float  # m/s, q at a wall before a drift, see `body_state.half_turn`
+    turn_y: float
+    turn_z: float
 
 
-class RollingWallContactRecord(SurfaceVelocity, RollingContactRecord, Protocol):
-    """A contact in a scene with moving walls, whose law resists rolling."""
+class WallContactRecord(TurningNormal, ContactRecord, Protocol):
+    """A contact in a scene with walls."""
+
+
+class RollingWallContactRecord(TurningNormal, RollingContactRecord, Protocol):
+    """A contact in a scene with walls, whose law resists rolling."""
+
+
+class SlidingWallContactRecord(SurfaceVelocity, WallContactRecord, Protocol):
+    """A contact in a scene with rotating walls."""
+
+
+class RollingSlidingWallContactRecord(SurfaceVelocity, RollingWallContactRecord, Protocol):
+    """A contact in a scene with rotating walls, whose law resists rolling."""
 
 
 class ImageContactRecord(ImageVelocity, ContactRecord, Protocol):
@@ -234,8 +250,10 @@ class SettingsRecord(Protocol):
 
 CONTACT = dtype_of(ContactRecord, size=2 * CACHE_LINE)
 ROLLING_CONTACT = dtype_of(RollingContactRecord, size=4 * CACHE_LINE)
+CONTACT_ON_WALL = dtype_of(WallContactRecord, size=3 * CACHE_LINE)
+ROLLING_ON_WALL = dtype_of(RollingWallContactRecord, size=4 * CACHE_LINE)
 CONTACT_ON_MOVING_WALL = dtype_of(SlidingWallContactRecord, size=3 * CACHE_LINE)
-ROLLING_ON_MOVING_WALL = dtype_of(RollingWallContactRecord, size=4 * CACHE_LINE)
+ROLLING_ON_MOVING_WALL = dtype_of(RollingSlidingWallContactRecord, size=4 * CACHE_LINE)
 CONTACT_OF_IMAGE = dtype_of(ImageContactRecord, size=3 * CACHE_LINE)
 ROLLING_CONTACT_OF_IMAGE = dtype_of(RollingImageContactRecord, size=4 * CACHE_LINE)
 CONTACT_STATE = dtype_of(ContactStateRecord, size=2 * CACHE_LINE)

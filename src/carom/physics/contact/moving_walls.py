@@ -24,7 +24,7 @@ from carom.arrays import FloatArray, IntArray, RecordArray
 from carom.physics.contact.rolling import angular_impulse
 from carom.physics.contact.translating_walls import displacement_in_drift, shift_of
 from carom.physics.jit.decorators import chosen_by_type, inline, kernel, with_field
-from carom.physics.vector import Vector, between, vector
+from carom.physics.vector import Vector
 
 if TYPE_CHECKING:
     from carom.physics.contact.constraints import ImpulseRecord, SlidingWallContactRecord
@@ -128,36 +128,6 @@ def velocity_in_wall(surface: Any, solid: int, time: float, point: Vector) -> Ve
     """Return s in m/s at a point (m) of a wall, a time (s) into a drift."""
     (x, y, z), (dx, dy, dz) = point, displacement_in_drift(surface, solid, time)
     return velocity_of_wall(surface, solid, (x - dx, y - dy, z - dz))
-
-
-@kernel
-def set_velocities_in_drift(
-    pairs: IntArray,
-    contacts: RecordArray[SlidingWallContactRecord],
-    position: FloatArray,
-    velocity: FloatArray,
-    surface: Any,
-    drift: float,
-) -> None:
-    """Set s of contacts before a drift (s) to its value at the middle of the drift.
-
-    The contact point moves along the wall with the body. With the value of s at the beginning of the drift, a ball that
-    rolls on a rotating disc would spiral outwards, an error of first order in dt.
-    """
-    n = len(position)
-    for c in range(len(pairs)):
-        i, j = pairs[c, 0], pairs[c, 1]
-        if j >= n:
-            contact = contacts[c]
-            nx, ny, nz = contact.nx, contact.ny, contact.nz
-            (x, y, z), (vx, vy, vz) = vector(position, i), between(velocity, j, i)
-            vn, half = vx * nx + vy * ny + vz * nz, 0.5 * drift
-            x += contact.arm_i * nx + half * (vx - vn * nx)
-            y += contact.arm_i * ny + half * (vy - vn * ny)
-            z += contact.arm_i * nz + half * (vz - vn * nz)
-            sx, sy, sz = velocity_of_wall(surface, j - n, (x, y, z))
-            sn = sx * nx + sy * ny + sz * nz
-            contact.surface_x, contact.surface_y, contact.surface_z = sx - sn * nx, sy - sn * ny, sz - sn * nz
 
 
 @kernel

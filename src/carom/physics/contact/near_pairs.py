@@ -64,7 +64,8 @@ class NearPairs:
         self.search = search_by(contact.search, bodies.radius, world.box, team)
         self._planes = PlaneSearch(bodies.radius, bodies.ends.inverse_mass, planes, team)
         self.has_statics = len(planes) > 0 or bool((bodies.ends.inverse_mass[: len(bodies)] == 0.0).any())
-        self._smallest = float(bodies.radius.min())
+        self._smallest, self._press_alone = float(bodies.radius.min()), planes.press_alone
+        self.pressing = bodies.acceleration  # (n, 3) m/s², the accelerations that press contacts together
         self._lift = planes.largest_acceleration
         self._shear = world.shear
         # m/s², of a guided wall, or of contacts that a flow closes
@@ -95,11 +96,11 @@ class NearPairs:
         if not self._lasting:
             return 1.0, 0.0
         bodies = self._bodies
-        square, coordinate = largest_values(bodies.acceleration, self._field, bodies.position, self._team)
+        square, coordinate = largest_values(self.pressing, self._field, bodies.position, self._team)
         own = max(np.sqrt(square), self._presses)
         fall = (own + self._lift) * dt * dt
         self.loading = 1.0 + self._lift / own if own > 0.0 else 1.0
-        if own == 0.0 or fall == 0.0:  # all contacts are impacts, which need no near pairs
+        if (own == 0.0 or fall == 0.0) and not self._press_alone:  # all contacts are impacts, which need no near pairs
             self.rounding = 0.0
             return 1.0, 0.0
         self.rounding = ROUNDING * float(np.spacing(coordinate))

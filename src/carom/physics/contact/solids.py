@@ -23,7 +23,8 @@ from carom.physics.contact.moving_walls import MOTION
 from carom.physics.contact.translating_walls import TRANSLATION, in_frame_of_wall, place, translation_of
 from carom.physics.jit.decorators import chosen_by_type, identity_of, kernel, leaf, long_kernel, with_field
 from carom.physics.jit.instructions import from_front
-from carom.physics.vector import Vector, vector
+from carom.physics.vector import Vector, add, vector
+from carom.plan.interactions import load, pressing_wall
 from carom.scene.schema import Scene
 from carom.scene.schema.motion import WallMotion
 from carom.scene.schema.wall import Wall
@@ -45,6 +46,7 @@ class SolidsWithWalls(HalfSpaces):
     before: Records  # (p,) the records as the step began, if walls translate
     motions: Sequence[WallMotion | None]  # (p,)
     guided: GuidedPlane | None = None  # the plane that contacts move
+    press_alone: bool = False
 
     @property
     def rotates(self) -> bool:
@@ -141,6 +143,7 @@ def solids_of(scene: Scene) -> HalfSpaces:
         before=records.copy() if translates else records,
         motions=motions,
         guided=guided,
+        press_alone=load(scene) == pressing_wall(scene) != "",
     )
 
 
@@ -228,7 +231,7 @@ def _bias_on_curve(
     normal: Vector,
     tangential: Vector,
     drift: float,
-) -> float:
+) -> tuple[float, Vector]:
     """Find `bias_along_wall` by Newton's method, from the condition that the body touches the wall after the drift.
 
     An overlap stays as it is, as at a plane: the correction of positions removes it without a velocity.
@@ -238,15 +241,16 @@ def _bias_on_curve(
     touching = min(radius, distance)
     c, path = bias, drift * np.sqrt(tx * tx + ty * ty + tz * tz)
     if not 0.0 < path < LARGEST_ARC * focal:
-        return bias
+        return bias, normal
+    qx, qy, qz = -nx, -ny, -nz
     for _ in range(ARC_PASSES):
         px, py, pz = x + drift * (tx + c * nx), y + drift * (ty + c * ny), z + drift * (tz + c * nz)
         qx, qy, qz, distance, _ = nearest_point(surface, solid, px, py, pz)
         slope = -(qx * nx + qy * ny + qz * nz)
         if not slope > LARGEST_ARC:  # the body leaves an edge, or the wall is not a curve
-            return bias
+            return bias, normal
         c += (distance - touching) / (slope * drift)
-    return c
+    return c, (-qx, -qy, -qz)
 
 
 @with_field("kind", _bias_on_curve)
@@ -259,14 +263,14 @@ def bias_along_wall(
     normal: Vector,
     tangential: Vector,
     drift: float,
-) -> float:
-    """Return the speed at which a body may close so that it just touches a wall after a drift (s).
+) -> tuple[float, Vector]:
+    """Return the speed at which a body may close to just touch a wall after a drift (s), and the normal there.
 
     A body that overlaps the wall keeps its overlap. ``bias`` is the speed at which it would just touch a plane,
     ``place`` its centre in m, and ``tangential`` its velocity along the wall; the normal points to the wall. Speeds are
     in m/s.
     """
-    return bias
+    return bias, normal
 
 
 @kernel
@@ -306,3 +310,27 @@ def add_arc_speeds(
                 turning = max(0.0, along) * dt / focal
                 states[c].rest_speed += turning
                 load_speed[c] += turning
+
+
+@kernel
+def add_load_of_walls(
+    pairs: IntArray, x: FloatArray, v: FloatArray, surface: FloatArray, lift: float, load: FloatArray
+) -> float:
+    """Add what presses bodies onto walls near them, v_t²/f and ``lift``; return the largest v_t/f in 1/s.
+
+    ``lift`` is the largest acceleration of a wall, and ``load``, (n + p, 3), the accelerations that press contacts
+    together, both in m/s².
+    """
+    n, fastest = len(x), 0.0
+    for c in range(len(pairs)):
+        i, j = ends_of(pairs, c)
+        if j >= n:
+            (px, py, pz), (vx, vy, vz) = vector(x, i), vector(v, i)
+            nx, ny, nz, _, focal = nearest_point(surface, j - n, px, py, pz)
+            vn, turning = vx * nx + vy * ny + vz * nz, 0.0
+            along = np.sqrt(max(0.0, vx * vx + vy * vy + vz * vz - vn * vn))
+            if focal > 0.0:
+                turning = along / focal
+            add(load, i, -(lift + along * turning), nx, ny, nz)
+            fastest = max(fastest, turning)
+    return fastest

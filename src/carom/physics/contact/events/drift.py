@@ -80,6 +80,7 @@ class EventDrivenDrift:
         spin = slice(None) if friction else slice(0)
         self._bodies, self.anchored, self._forces = bodies, anchored, forces
         self._search, self._team, self._box, self._shear = search, team, world.box, shear
+        self.pressing = ends.acceleration  # (n + p, 3) m/s², the accelerations that press contacts together
         self.field, self.bending = world.field, world.bending
         self._is_open = not (shear or world.box.any())  # no axis is periodic
         # of the impacts of a call; it grows with the number of impacts in a step
@@ -227,8 +228,7 @@ class EventDrivenDrift:
 
     def _write_load_speeds(self, pairs: IntArray, dt: float, scale: float, skin: float) -> None:
         """Compute the load speed of each body."""
-        acceleration = self._bodies.ends.acceleration
-        island_load_speeds(pairs, self.trajectories, scale, skin, acceleration, self.field, dt)
+        island_load_speeds(pairs, self.trajectories, scale, skin, self.pressing, self.field, dt)
 
     def _neighbours(self, largest: float, scale: float, skin: float, dt: float, narrows: bool) -> IntArray:
         """Return the pairs whose search radii overlap; a small ``largest`` (in body radii) is used for all bodies."""

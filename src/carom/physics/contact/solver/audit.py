@@ -25,11 +25,18 @@ heap of 1000 spheres, one `hold` in twenty is repeated; a separate pass for the 
 
 from __future__ import annotations
 
-from carom.physics.contact.constraints import ConstraintSystem, ContactRecord, ContactStateRecord, contacts_of, ends_of
+from carom.physics.contact.constraints import (
+    ConstraintSystem,
+    ContactRecord,
+    ContactStateRecord,
+    body_count,
+    contacts_of,
+    ends_of,
+)
 from carom.physics.contact.islands import join_islands
 from carom.physics.contact.law import exerts_torque
 from carom.physics.contact.rolling import angular_impulse, relative_spin, set_angular_impulse, spin_before
-from carom.physics.contact.solver.body_state import prefetch_ends, relative_velocity, slip
+from carom.physics.contact.solver.body_state import half_turn_of, prefetch_ends, relative_velocity, slip
 from carom.physics.diagnostics.ledger import copy_terms
 from carom.physics.jit.decorators import inline, unowned
 
@@ -44,7 +51,7 @@ def audit(first: int, end: int, system: ConstraintSystem) -> None:
 @inline
 def _audit(piece: int, system: ConstraintSystem) -> None:
     lo, hi = contacts_of(piece, piece + 1, system)
-    pairs, a, bodies = system.pairs, system.acceleration, system.bodies
+    pairs, a, bodies, count = system.pairs, system.acceleration, system.bodies, body_count(system)
     settings = system.settings[0]
     spins, measures = settings.spins, settings.measures
     booked = settings.booked if settings.drift > 0.0 else 0.0
@@ -76,7 +83,8 @@ def _audit(piece: int, system: ConstraintSystem) -> None:
             measured.slope, measured.curvature = normal_energies(contact, state, vn)
         if not spins:
             continue
-        ux, uy, uz = slip(contact, body_i, body_j, ux, uy, uz)
+        vx, vy, vz = ux, uy, uz
+        ux, uy, uz = slip(contact, body_i, body_j, vx, vy, vz)
         lost = -(
             contact.friction_x * (0.5 * (state.slip_x + ux) - (kx - kn * nx))
             + contact.friction_y * (0.5 * (state.slip_y + uy) - (ky - kn * ny))
@@ -86,6 +94,8 @@ def _audit(piece: int, system: ConstraintSystem) -> None:
         friction += lost
         if measures:
             slope, curvature = friction_energies(contact, state, ux, uy, uz)
+            qx, qy, qz = half_turn_of(contact, body_i, body_j, j < count, vx, vy, vz, settings.drift)
+            slope -= contact.friction_x * qx + contact.friction_y * qy + contact.friction_z * qz
             measured.slope += slope
             measured.curvature += curvature
         if exerts_torque(system.materials[0]):  # forces do no work on spins, so the second term is missing

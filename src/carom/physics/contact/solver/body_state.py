@@ -9,19 +9,22 @@ Velocities at a contact are relative: body j minus body i.
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
 from carom.arrays import BoolArray, FloatArray, IntArray, RecordArray
 from carom.physics.contact.constraints import BodyStateRecord, ContactRecord, ends_of
 from carom.physics.contact.guided_walls import along_guide
-from carom.physics.contact.moving_walls import slip_on_wall
-from carom.physics.jit.decorators import inline, kernel, long_kernel
+from carom.physics.contact.moving_walls import slip_at_wall, slip_on_wall
+from carom.physics.contact.solids import LARGEST_ARC
+from carom.physics.jit.decorators import inline, kernel, long_kernel, with_field
 from carom.physics.jit.instructions import AHEAD, from_front, prefetch_record
 from carom.physics.jit.vectors import where
 from carom.physics.sheared_box import relative_to_image
 from carom.physics.vector import Vector
+
+LARGEST_DEVIATION = 0.5  # of q over v_t; in a step, a faster spin turns the path of a body by a radian
 
 
 class Moving(Protocol):
@@ -261,6 +264,95 @@ def slip(
     wx, wy, wz = ri * a.wx + rj * b.wx, ri * a.wy + rj * b.wy, ri * a.wz + rj * b.wz
     ux, uy, uz = slip_velocity((tx, ty, tz), (contact.nx, contact.ny, contact.nz), (wx, wy, wz))
     return slip_on_wall(contact, ux, uy, uz)
+
+
+@inline
+def half_turn(
+    contact: ContactRecord, a: BodyStateRecord, b: BodyStateRecord, tx: float, ty: float, tz: float, drift: float
+) -> Vector:
+    """Return how much slip (m/s) the first half of a drift (s) ends, as the normal of two bodies turns, given v_t.
+
+    The slip of bodies that drift changes by -w × δn, with w = ρ_i ω_i + ρ_j ω_j and the turn δn = v_t dt/d of the
+    normal. Its tangential component is -w_n n × δn. Where the turn or the spin is too large for this, q is 0.
+    """
+    nx, ny, nz, ri, rj = contact.nx, contact.ny, contact.nz, contact.arm_i, contact.arm_j
+    about = (ri * a.wx + rj * b.wx) * nx + (ri * a.wy + rj * b.wy) * ny + (ri * a.wz + rj * b.wz) * nz
+    farthest, scale = LARGEST_ARC * (ri + rj), 0.5 * drift * about / (ri + rj)
+    is_short = drift * drift * (tx * tx + ty * ty + tz * tz) < farthest * farthest
+    scale = where(is_short & (abs(scale) < LARGEST_DEVIATION), scale, 0.0)
+    return scale * (ny * tz - nz * ty), scale * (nz * tx - nx * tz), scale * (nx * ty - ny * tx)
+
+
+def _set_half_turn(contact: Any, surface: FloatArray, solid: int, body: Any, moves: Any, end: Vector) -> None:
+    (x, y, z), (tx, ty, tz), bias, gap, drift = moves
+    nx, ny, nz, arm, (ex, ey, ez) = contact.nx, contact.ny, contact.nz, contact.arm_i, end
+    px, py, pz = x + drift * (tx + bias * nx), y + drift * (ty + bias * ny), z + drift * (tz + bias * nz)
+    point = px + (arm + gap) * ex, py + (arm + gap) * ey, pz + (arm + gap) * ez
+    w = arm * body.wx, arm * body.wy, arm * body.wz
+    bx, by, bz = slip_velocity(slip_on_wall(contact, 0.0, 0.0, 0.0), (nx, ny, nz), w)
+    cx, cy, cz = slip_velocity(slip_at_wall(surface, solid, 0.0, point, (0.0, 0.0, 0.0)), end, w)
+    if not (ex == nx and ey == ny and ez == nz):  # turn it back with the normal
+        across = (cx * nx + cy * ny + cz * nz) / (1.0 + nx * ex + ny * ey + nz * ez)
+        cx, cy, cz = cx - across * (nx + ex), cy - across * (ny + ey), cz - across * (nz + ez)
+    qx, qy, qz = 0.5 * (bx - cx), 0.5 * (by - cy), 0.5 * (bz - cz)
+    most = LARGEST_DEVIATION * LARGEST_DEVIATION * (tx * tx + ty * ty + tz * tz)
+    if not qx * qx + qy * qy + qz * qz < most:
+        qx = qy = qz = 0.0
+    contact.turn_x, contact.turn_y, contact.turn_z = qx, qy, qz
+
+
+@with_field("turn_x", _set_half_turn)
+def set_half_turn(
+    contact: object,
+    surface: FloatArray,
+    solid: int,
+    body: object,
+    moves: tuple[Vector, Vector, float, float, float],
+    end: Vector,
+) -> None:
+    """Store `half_turn` of a contact with a wall: half of what the slip s - ρ ω × n loses in the drift.
+
+    Both slips are compared after a rotation of the normal at the end of the drift, ``end``, to that at its beginning.
+
+    Parameters
+    ----------
+    contact, surface, solid, body
+        The contact, its wall, and the body.
+    moves
+        The place of the body in m, v_t of the body relative to the wall and c in m/s, its gap if it overlaps in m (0
+        otherwise), and the drift in s.
+    end
+        The normal at the end of the drift.
+    """
+
+
+@with_field("turn_x", lambda contact: (contact.turn_x, contact.turn_y, contact.turn_z))
+def half_turn_on_wall(contact: object) -> Vector:
+    """Return `half_turn` of a contact with a plane or a wall, in m/s; the normal of a plane does not turn."""
+    return 0.0, 0.0, 0.0
+
+
+@inline
+def half_turn_of(
+    contact: ContactRecord,
+    a: BodyStateRecord,
+    b: BodyStateRecord,
+    between_bodies: bool,
+    tx: float,
+    ty: float,
+    tz: float,
+    drift: float,
+) -> Vector:
+    """Return the slip q (m/s) that a contact keeps before a drift (s), given v_t; 0 without a drift.
+
+    Friction ends the slip in the middle of the drift, so u = q before the drift and u = -q after it. In both kicks
+    together, it then does no work. If it ended u before the drift, it would remove 2 q²/K_t in each step.
+    """
+    if not drift > 0.0:
+        return 0.0, 0.0, 0.0
+    if between_bodies:
+        return half_turn(contact, a, b, tx, ty, tz, drift)
+    return half_turn_on_wall(contact)
 
 
 @inline

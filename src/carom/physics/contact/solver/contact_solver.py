@@ -25,7 +25,7 @@ from carom.physics.contact.graph import SolveOrder, solve_order_of
 from carom.physics.contact.islands import MOST_EXACT, Islands, mark_meshed
 from carom.physics.contact.law import Materials
 from carom.physics.contact.loads import UNKNOWN, LoadRecord, add_loads, clear_loads, write_rest_speeds
-from carom.physics.contact.solids import add_arc_speeds
+from carom.physics.contact.solids import add_arc_speeds, add_load_of_walls
 from carom.physics.contact.solver.body_state import active_bodies, gather, scatter
 from carom.physics.contact.solver.impacts import CONVERGED, check_closing
 from carom.physics.contact.solver.phase_code import IMPACTS, POSITIONS, RESTING, PhaseCode
@@ -108,6 +108,9 @@ class ContactSolver:
         self._workspace = Workspace(bodies, planes, materials, box, self._spin, records)
         self._normals = Buffer(columns=3)
         self._islands = Islands(len(bodies.ends.velocity), team)
+        # (n + p, 3) m/s², the accelerations that press contacts together
+        self.pressing = np.zeros_like(bodies.ends.acceleration) if planes.press_alone else bodies.ends.acceleration
+        self.turning = 0.0  # 1/s, the fastest turning of a normal; known where walls alone press
         self.order = solve_order_of(np.zeros((0, 2), dtype=np.int64), np.zeros(0, dtype=np.int64))
         self._active = np.zeros(0, dtype=np.int64)  # bodies and planes with a contact
         self._loaded = self._active  # bodies and planes that may have a load
@@ -252,15 +255,24 @@ class ContactSolver:
     def find_rest_speeds(self, field: FloatArray, dt: float) -> bool:
         """Compute load speeds and rest speeds (see `Islands`, `loads`); return whether a load speed is not 0."""
         ends, system, team, m = self._bodies.ends, self._system, self._team, len(self._system.pairs)
-        accelerated = (ends.acceleration, ends.inverse_mass, field, dt)
+        self.find_pressing()
+        accelerated = (self.pressing, ends.inverse_mass, field, dt)
         presses = self._islands.write_load_speeds(system.pairs, system.active, *accelerated, system.load_speed)
-        moving = ends.velocity, ends.acceleration
+        moving = ends.velocity, self.pressing
         loaded = moving, system.loads, system.load_speed, dt, system.states
         team.divide(m, MIN_PER_TASK, write_rest_speeds, system.pairs, system.contacts, *loaded)
         if presses and self._planes.curves:
             curved = system.pairs, system.position, ends.velocity, system.surface, dt, system.load_speed, system.states
             team.divide(m, MIN_PER_TASK, add_arc_speeds, *curved)
         return presses
+
+    def find_pressing(self) -> None:
+        """Compute the accelerations by which walls press bodies, where nothing else does."""
+        ends, system, lift = self._bodies.ends, self._system, self._planes.largest_acceleration
+        if self._planes.press_alone:
+            self.pressing[:] = ends.acceleration
+            near = system.pairs, system.position, ends.velocity, system.surface
+            self.turning = add_load_of_walls(*near, lift, self.pressing)
 
     def correct_positions(self, max_iterations: int) -> float:
         """Correct the overlaps of resting contacts; return how far that moves a guided wall along its normal, in m."""

@@ -51,7 +51,13 @@ from carom.physics.contact.rolling import (
     set_spin_before,
 )
 from carom.physics.contact.solids import bias_along_wall
-from carom.physics.contact.solver.body_state import apply_impulse, prefetch_ends, relative_velocity, slip
+from carom.physics.contact.solver.body_state import (
+    apply_impulse,
+    prefetch_ends,
+    relative_velocity,
+    set_half_turn,
+    slip,
+)
 from carom.physics.diagnostics.ledger import clear_terms
 from carom.physics.jit.decorators import inline, kernel, long_kernel, unowned
 from carom.physics.jit.instructions import AHEAD, prefetch_record
@@ -149,7 +155,12 @@ def prepare(first: int, end: int, system: ConstraintSystem) -> None:
                     fx, fy, fz = Kn * contact.friction_x, Kn * contact.friction_y, Kn * contact.friction_z
                     along = (-tx - fx, -ty - fy, -tz - fz)
                     normal, place = (contact.nx, contact.ny, contact.nz), vector(system.position, i)
-                    bias = bias_along_wall(system.surface, j - count, bias, contact.arm_i, place, normal, along, drift)
+                    bias, turned = bias_along_wall(
+                        system.surface, j - count, bias, contact.arm_i, place, normal, along, drift
+                    )
+                    if spins:
+                        moves = place, along, bias, min(0.0, gap), drift
+                        set_half_turn(contact, system.surface, j - count, body_i, moves, turned)
                 # a resting contact closes no faster than this kick and half of the drift's acceleration can make it
                 fastest = rest_speed * ((booked + 0.5 * drift) / dt)
                 is_open = gap > TOUCHING * (contact.arm_i + contact.arm_j - gap)

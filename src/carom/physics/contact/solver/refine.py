@@ -56,6 +56,7 @@ from carom.physics.contact.solver.body_state import (
     accumulate_impulse,
     bias_of,
     change_of_velocity,
+    half_turn_of,
     relative_velocity,
     slip,
 )
@@ -292,9 +293,10 @@ def begin_search(lo: int, hi: int, system: ConstraintSystem) -> bool:
             tx, ty, tz = contact.friction_x, contact.friction_y, contact.friction_z
             material = system.materials[material_index(i, j, count, places)]
             if sticks(material, contact.normal_impulse, tx, ty, tz):
+                qx, qy, qz = half_turn_of(contact, body_i, body_j, j < count, ux, uy, uz, drift)
                 ux, uy, uz = slip(contact, body_i, body_j, ux, uy, uz)
                 search.free_tangent = True
-                search.residual_x, search.residual_y, search.residual_z = -ux, -uy, -uz
+                search.residual_x, search.residual_y, search.residual_z = qx - ux, qy - uy, qz - uz
         is_exact |= system.enough[c] <= ENOUGH and (search.free_normal or search.free_tangent)
     return is_exact
 
@@ -335,7 +337,7 @@ def project(first: int, end: int, system: ConstraintSystem) -> None:
 @inline
 def _project(piece: int, system: ConstraintSystem) -> None:
     lo, hi = contacts_of(piece, piece + 1, system)
-    spins, slope = system.settings[0].spins, 0.0
+    spins, drift, count, slope = system.settings[0].spins, system.settings[0].drift, body_count(system), 0.0
     for c in range(lo, hi):
         search, contact = system.search[c], system.contacts[c]
         if contact.normal_impulse + search.step_normal < 0.0:
@@ -352,6 +354,10 @@ def _project(piece: int, system: ConstraintSystem) -> None:
             body_i, body_j = system.bodies[i], system.bodies[j]
             tx, ty, tz = contact.delta_x, contact.delta_y, contact.delta_z
             slope = slope_on_wall(contact, slope, tx, ty, tz)
+            if spins:
+                _, ux, uy, uz = relative_velocity(contact, body_i, body_j)
+                qx, qy, qz = half_turn_of(contact, body_i, body_j, j < count, ux, uy, uz, drift)
+                slope -= tx * qx + ty * qy + tz * qz
             nx, ny, nz = contact.nx, contact.ny, contact.nz
             slope = slope_of_image(contact, slope, normal * nx + tx, normal * ny + ty, normal * nz + tz)
             accumulate_impulse(contact, body_i, body_j, spins, normal, tx, ty, tz)

@@ -18,7 +18,8 @@ end of the drift: |d n + v dt| ≥ r_i + r_j. With v_t the tangential velocity o
     c dt = gap + R - √(R² - v_t² dt²),   R = r_i + r_j
 
 Without the square root, two spheres that roll about each other would separate along the tangent, and lose their contact
-in every other step. The scheme is RATTLE (Andersen 1983) for contacts.
+in every other step. The scheme is RATTLE (Andersen 1983) for contacts. The slip u is that of the middle of the drift,
+u - q (`half_turn`): as the normal turns, a body that spins about it begins to slip.
 
 Contacts of a colour are solved eight at a time (`solve_block`), with the same bits. Both forms call the same formulas,
 and call the law for each contact separately, so that a law needs no second form.
@@ -43,9 +44,11 @@ from carom.physics.contact.constraints import (
     CONTACT,
     CONTACT_OF_IMAGE,
     CONTACT_ON_MOVING_WALL,
+    CONTACT_ON_WALL,
     ROLLING_CONTACT,
     ROLLING_CONTACT_OF_IMAGE,
     ROLLING_ON_MOVING_WALL,
+    ROLLING_ON_WALL,
     BodyStateRecord,
     ConstraintSystem,
     ContactRecord,
@@ -72,6 +75,8 @@ from carom.physics.contact.solver.body_state import (
     accumulate_turn,
     bias_along_arc,
     bias_of,
+    half_turn,
+    half_turn_of,
     prefetch_records,
     push,
     relative_velocity,
@@ -100,8 +105,8 @@ from carom.scene.schema import Coefficients
 HOLD_CONVERGED = 1e-8  # of the largest velocity that a contact removes; smaller changes end the iterations
 Vector = Sequence[Lanes]
 KINDS = (
-    *(CONTACT, CONTACT_ON_MOVING_WALL, CONTACT_OF_IMAGE),
-    *(ROLLING_CONTACT, ROLLING_ON_MOVING_WALL, ROLLING_CONTACT_OF_IMAGE),
+    *(CONTACT, CONTACT_ON_WALL, CONTACT_ON_MOVING_WALL, CONTACT_OF_IMAGE),
+    *(ROLLING_CONTACT, ROLLING_ON_WALL, ROLLING_ON_MOVING_WALL, ROLLING_CONTACT_OF_IMAGE),
 )
 
 
@@ -171,7 +176,9 @@ def _solve_each(
             step_limit = min(step_limit, -normal / more)
         Jx, Jy, Jz = more * contact.nx, more * contact.ny, more * contact.nz
         if spins:
+            qx, qy, qz = half_turn_of(contact, body_i, body_j, j < count, ux, uy, uz, drift)
             ux, uy, uz = slip(contact, body_i, body_j, ux, uy, uz)
+            ux, uy, uz = ux - qx, uy - qy, uz - qz
             mt = contact.tangent_mass
             ox = contact.friction_x + alpha * contact.delta_x
             oy = contact.friction_y + alpha * contact.delta_y
@@ -181,7 +188,7 @@ def _solve_each(
             keeps_sliding = system.enough[c] > slides_above
             tx, ty, tz = friction(state, material, keeps_sliding, normal, tx, ty, tz)
             dx, dy, dz = tx - ox, ty - oy, tz - oz
-            slope = slope_on_wall(contact, slope, dx, dy, dz)
+            slope = slope_on_wall(contact, slope, dx, dy, dz) - (dx * qx + dy * qy + dz * qz)
             contact.friction_x, contact.friction_y, contact.friction_z = tx, ty, tz
             contact.delta_x, contact.delta_y, contact.delta_z = dx, dy, dz
             largest = max(largest, abs(dx), abs(dy), abs(dz))
@@ -279,11 +286,12 @@ class _Solution:
         block = self._block
         block.fetch_bodies_ahead("bodies", (VELOCITY, CHANGE))
         fields = block.kind_of("contacts").dtype.fields
-        on_moving_walls, of_images, self._resists = (name in fields for name in ("surface_x", "image_x", "angular_x"))
+        names = ("turn_x", "surface_x", "image_x", "angular_x")
+        on_walls, on_moving_walls, of_images, self._resists = (name in fields for name in names)
         kind = next(kind for kind in KINDS if set(kind.names or ()) == set(fields))
         contact = block.records("contacts", kind, range(2 + self._resists + of_images))
         if on_moving_walls:
-            contact.assume(**self._surface_velocity(contact))
+            contact.assume(**self._at_walls(contact, "surface"))
         bodies = a, b = block.bodies("bodies", BODY_STATE, (VELOCITY,))
         alpha = block.setting("alpha")
         vn, *u = in_lanes(relative_velocity)(contact, a, b)
@@ -295,9 +303,12 @@ class _Solution:
         J, torque, largest = [more * contact.nx, more * contact.ny, more * contact.nz], None, abs(more)
         slopes = [more * bias]
         if turns:
-            d = self._rub(contact, in_lanes(slip)(contact, a, b, *u), alpha)
+            q = self._half_turn(contact, bodies, u, on_walls)
+            u = [slips - kept for slips, kept in zip(in_lanes(slip)(contact, a, b, *u), q, strict=True)]
+            d = self._rub(contact, u, alpha)
             if on_moving_walls:
                 slopes.append(along_surface_velocity(contact, *d))
+            slopes.append(-(d[0] * q[0] + d[1] * q[1] + d[2] * q[2]))
             largest = reduce(greater, map(abs, d), largest)
             J = [along + rubbing for along, rubbing in zip(J, d, strict=True)]
             torque = in_lanes(torque_of)(contact, *d)
@@ -311,9 +322,24 @@ class _Solution:
             self._resist_rotation(contact, bodies, torque, alpha)
             contact.write(2, self._held)
 
-    def _surface_velocity(self, contact: RecordLanes) -> dict[str, Lanes]:
-        """Return s of the contacts. It is read only if one of them is with a wall, which shortens a drum's sweeps."""
-        block, names = self._block, ("surface_x", "surface_y", "surface_z")
+    def _half_turn(
+        self, contact: RecordLanes, bodies: Sequence[RecordLanes], u: Vector, on_walls: bool
+    ) -> Sequence[Lanes]:
+        """Return q of the contacts, see `half_turn_of`."""
+        builder, block = self._builder, self._block
+        nothing = [spread(builder, DOUBLE(0.0))] * 3
+
+        def before_drift() -> list[Lanes]:
+            at_walls = [*self._at_walls(contact, "turn").values()] if on_walls else nothing
+            turns = in_lanes(half_turn)(contact, *bodies, *u, block.setting("drift"))
+            between = block.between_bodies
+            return [turn.where(between, at_wall) for turn, at_wall in zip(turns, at_walls, strict=True)]
+
+        return either(builder, block.drifts, before_drift, lambda: nothing)
+
+    def _at_walls(self, contact: RecordLanes, name: str) -> dict[str, Lanes]:
+        """Return a vector that is 0 between bodies. It is read only if a contact is with a wall: a drum is faster."""
+        block, names = self._block, [f"{name}_{axis}" for axis in "xyz"]
         zero = spread(self._builder, DOUBLE(0.0))
         at_walls = (~block.between_bodies).any
         velocity = either(self._builder, at_walls, lambda: [*map(contact.field, names)], lambda: [zero] * len(names))

@@ -14,6 +14,7 @@ from carom.physics.contact.constraints import (
     CONTACT,
     CONTACT_OF_IMAGE,
     CONTACT_ON_MOVING_WALL,
+    CONTACT_ON_WALL,
     CONTACT_STATE,
     GUIDED_BODY,
     ISLAND,
@@ -24,6 +25,7 @@ from carom.physics.contact.constraints import (
     ROLLING_CONTACT,
     ROLLING_CONTACT_OF_IMAGE,
     ROLLING_ON_MOVING_WALL,
+    ROLLING_ON_WALL,
     ROLLING_RECORDED,
     SEARCH,
     ConstraintSystem,
@@ -68,6 +70,8 @@ class Workspace:
         self._materials, self._box, self._spin, self._records = materials, box, spin, records or planes.moves
         rolls = has_torque(materials.rows.dtype)
         contact = ROLLING_CONTACT if rolls else CONTACT
+        if planes.curves and len(spin):
+            contact = ROLLING_ON_WALL if rolls else CONTACT_ON_WALL
         if planes.rotates:
             contact = ROLLING_ON_MOVING_WALL if rolls else CONTACT_ON_MOVING_WALL
         if box.dtype == SHEARED_BOX:
