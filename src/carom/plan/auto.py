@@ -12,6 +12,7 @@ from carom.plan.interactions import forced_parts
 from carom.scene.forces import MOST_RELAXATIONS
 from carom.scene.integrators import AUTO, INTEGRATORS, Integrator, integrator_called
 from carom.scene.matter import body_mass, made_of, mean_mass
+from carom.scene.rest_speed import PER_STEP
 from carom.scene.schema import Scene
 from carom.scene.units.dimension import TIME, VELOCITY
 
@@ -41,11 +42,6 @@ SMOOTHING = 0.2  # weight of the new step in the moving average, where contacts 
 LATE_CFL = 0.5  # if impacts are resolved at the end of the step
 FREE_CFL = 1.0  # with exact times of impact and without forces, where shorter steps gain nothing
 
-# Speed up to which a contact does not rebound, over a dt, with a the acceleration that presses its pair together. A
-# contact that nothing holds closes by a dt in a step; if both bodies of a pair accelerate towards each other by a, by
-# 2 a dt. With exact times of impact, `SLOW` of `contact.events.event_loop` times 2 a dt is ½ a dt: velocities at the
-# time of an impact follow from the accelerations alone, so a contact that is held seems to close by up to that.
-PER_STEP = 2.0
 EXACT_IMPACT = 1e-9  # largest relative error of the approach speed of an exact impact
 
 BOUNCES_UP_TO = 200  # bouncing bodies; gauss-radau15 restarts all bodies at each impact (docs/trade.md)

@@ -10,7 +10,7 @@ import pytest
 from carom.physics.contact.constraints import CONTACT, CONTACT_STATE
 from carom.physics.contact.loads import LOAD, write_rest_speeds
 from carom.physics.space import Space
-from carom.plan.auto import PER_STEP
+from carom.scene.rest_speed import PER_STEP
 from carom.scene.schema import Scene
 
 RADIUS = 0.02
@@ -87,8 +87,8 @@ def test_what_presses_a_pair_is_the_relative_acceleration_and_the_load_along_the
         contacts, states = np.zeros(1, CONTACT), np.zeros(1, CONTACT_STATE)
         for name, component in zip(("nx", "ny", "nz"), normal, strict=True):
             contacts[name] = component
-        moving, step = (np.zeros((3, 3)), a), 1.0 / PER_STEP
-        write_rest_speeds(0, 1, np.array([[i, j]]), contacts, moving, loads, np.array([np.inf]), step, states)
+        pressed = np.zeros((3, 3)), a, loads, 1.0 / PER_STEP
+        write_rest_speeds(0, 1, np.array([[i, j]]), contacts, pressed, np.array([np.inf]), states)
         return float(states["rest_speed"][0])
 
     assert between(0, 1, along) == 0.0, "in free fall beside each other"

@@ -126,7 +126,7 @@ def works(did: int, first: float, last: float, *, holds: bool = True, slides: bo
     pairs = np.array([[0, 1]])
     before, pressed = (pairs, held, True, holds), (DT, np.zeros((2, 3)), np.zeros(2, LOAD))
     resolved = pairs, np.zeros(1, np.int64), contacts, states, NO_IMPACTS.pairs
-    judge_contacts(*resolved, signs._ends, before, pressed, 7, 0.07, signs.rows)
+    judge_contacts(resolved, signs._ends, before, pressed, (7, 0.07), signs.rows)
     return signs.rows["energy"].tolist()
 
 

@@ -191,8 +191,9 @@ def measure_velocities(interval: Interval) -> Statistic:
     if not np.nan_to_num(weighted).any():
         raise RecordingError("all bodies are at rest")
     temperature = np.nanmean(weighted * weighted, axis=(1, 2))  # J, of each state
-    of_axes, note = np.nanmean(weighted * weighted, axis=(0, 1)), ""
-    if (kinetic := interval.kinetic) is not None:
+    of_axes, note = np.nanmean(weighted * weighted, axis=1).mean(axis=0), ""  # each state counts alike
+    kinetic = interval.kinetic
+    if kinetic is not None and interval.recording.lives is None:  # else the number of bodies changes
         of_axes = kinetic.diagonal() / len(mass)
         note = "temperatures without a group are those of all frames, all else is that of the exact states"
     mean = float(of_axes.mean())

@@ -29,7 +29,7 @@ from carom.physics.jit.decorators import inline, inner, kernel, long_kernel, uno
 from carom.physics.jit.instructions import atomic_load, atomic_max, atomic_replace, from_front
 from carom.physics.jit.team import Team
 from carom.physics.vector import between, sizes, vector
-from carom.plan.auto import PER_STEP
+from carom.scene.rest_speed import PER_STEP
 
 if TYPE_CHECKING:
     from carom.physics.contact.events.trajectories import Trajectories

@@ -28,7 +28,7 @@ from carom.physics.contact.impact_log import ROUNDING
 from carom.physics.jit.decorators import inline, kernel, long_kernel, unowned
 from carom.physics.jit.instructions import from_front
 from carom.physics.vector import Vector, between, vector
-from carom.plan.auto import PER_STEP
+from carom.scene.rest_speed import PER_STEP
 
 if TYPE_CHECKING:
     from carom.physics.contact.constraints import ContactRecord, ContactStateRecord
@@ -120,18 +120,16 @@ def write_rest_speeds(
     hi: int,
     pairs: IntArray,
     contacts: RecordArray[ContactRecord],
-    moving: tuple[FloatArray, FloatArray],
-    loads: RecordArray[LoadRecord],
+    pressed: tuple[FloatArray, FloatArray, RecordArray[LoadRecord], float],
     load_speed: FloatArray,
-    dt: float,
     states: RecordArray[ContactStateRecord],
 ) -> None:
-    """Write the rest speeds (m/s) of the contacts [lo, hi) in a step of dt s.
+    """Write the rest speeds (m/s) of the contacts [lo, hi).
 
-    ``moving`` are the velocities (m/s) and accelerations (m/s²) of bodies and planes. Slower closing than the rounding
-    of velocities is at rest, too.
+    ``pressed`` are the velocities (m/s), accelerations (m/s²) and loads of bodies and planes, and the step in s. Slower
+    closing than the rounding of velocities is at rest, too.
     """
-    v, a = moving
+    v, a, loads, dt = pressed
     for c in range(lo, hi):
         rest_speed, most = 0.0, load_speed[c]
         if most > 0.0:

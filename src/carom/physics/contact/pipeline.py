@@ -40,9 +40,9 @@ from carom.physics.contact.sticking import SlidingContacts, time_to_stick
 from carom.physics.diagnostics.dissipation import SignsOfDissipation
 from carom.physics.diagnostics.run_monitor import Profile
 from carom.physics.jit.team import Team
-from carom.plan.auto import PER_STEP
 from carom.plan.features import Requirements
 from carom.registry import load
+from carom.scene.rest_speed import PER_STEP
 from carom.scene.schema import ContactSettings
 
 if TYPE_CHECKING:

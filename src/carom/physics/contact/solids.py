@@ -286,18 +286,16 @@ def add_arc_speeds(
     lo: int,
     hi: int,
     pairs: IntArray,
-    x: FloatArray,
-    v: FloatArray,
-    surface: FloatArray,
-    dt: float,
+    moving: tuple[FloatArray, FloatArray, FloatArray, float],
     load_speed: FloatArray,
     states: RecordArray[ContactStateRecord],
 ) -> None:
     """Add the closing speeds of bodies that roll along walls to the speeds of the contacts [lo, hi).
 
     After a straight drift of dt s along a wall with the radius of curvature f, a body closes faster by v_t² dt/f than
-    on a plane.
+    on a plane. ``moving`` are positions (m) and velocities (m/s), the walls, and dt.
     """
+    x, v, surface, dt = moving
     n = len(x)
     for c in range(from_front(lo), hi):
         i, j = ends_of(pairs, c)
@@ -314,11 +312,11 @@ def add_arc_speeds(
 
 @kernel
 def add_load_of_walls(
-    pairs: IntArray, x: FloatArray, v: FloatArray, surface: FloatArray, lift: float, load: FloatArray
+    pairs: IntArray, x: FloatArray, v: FloatArray, surface: FloatArray, lift: float, presses: FloatArray
 ) -> float:
     """Add what presses bodies onto walls near them, v_t²/f and ``lift``; return the largest v_t/f in 1/s.
 
-    ``lift`` is the largest acceleration of a wall, and ``load``, (n + p, 3), the accelerations that press contacts
+    ``lift`` is the largest acceleration of a wall, and ``presses``, (n + p, 3), the accelerations that press contacts
     together, both in m/s².
     """
     n, fastest = len(x), 0.0
@@ -331,6 +329,6 @@ def add_load_of_walls(
             along = np.sqrt(max(0.0, vx * vx + vy * vy + vz * vz - vn * vn))
             if focal > 0.0:
                 turning = along / focal
-            add(load, i, -(lift + along * turning), nx, ny, nz)
+            add(presses, i, -(lift + along * turning), nx, ny, nz)
             fastest = max(fastest, turning)
     return fastest

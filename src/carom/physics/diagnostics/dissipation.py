@@ -32,7 +32,7 @@ from carom.physics.contact.loads import LoadRecord, pressing
 from carom.physics.diagnostics.extremes import Extreme
 from carom.physics.diagnostics.ledger import clear_terms
 from carom.physics.jit.decorators import entry_of, inline, kernel, long_kernel
-from carom.plan.auto import PER_STEP
+from carom.scene.rest_speed import PER_STEP
 from carom.scene.schema import Coefficients
 from carom.scene.units.dimension import ENERGY, TIME
 from carom.scene.units.system import UnitSystem
@@ -159,11 +159,11 @@ class SignsOfDissipation:
         """Return to an earlier `memory`."""
         self.rows[:] = 0
         self.any = len(memory) > 0  # whether anything was wrong
-        self._known = 0.0  # J, of the last check
         self._told = [False] * len(WRONG)
         for k, row in enumerate(memory):
             self.rows[k] = row.energy, row.worst, *row.pair, row.step, row.time
             self._told[k] = row.told
+        self._known = float(self.rows["energy"].sum())  # J, of the last check
 
     def before_hold(self, contacts: OrderedContacts, solver: ContactSolver) -> None:
         """Note what contacts did in the last kick, before the first kick of a judged step."""
@@ -196,7 +196,7 @@ class SignsOfDissipation:
         resolved = contacts.pairs, contacts.order.place, solver.contacts, solver.states, impacts.pairs
         held = self._held_pairs, self._held, alike, alike and self._holds
         pressed = dt, self._bodies.ends.acceleration, solver.loads
-        asked = *resolved, self._ends, held, pressed, self._step, self._time, self.rows
+        asked = resolved, self._ends, held, pressed, (self._step, self._time), self.rows
         judge = self._judge_contacts = self._judge_contacts or entry_of(judge_contacts, *asked)
         self.any |= judge(*asked)
 
@@ -338,23 +338,20 @@ def _count_impacts(log: RecordArray[ImpactRecord], bodies: int) -> IntArray:
 
 @long_kernel
 def judge_contacts(
-    pairs: IntArray,
-    place: IntArray,
-    contacts: RecordArray[ContactRecord],
-    states: RecordArray[ContactStateRecord],
-    struck_pairs: IntArray,
+    resolved: tuple[IntArray, IntArray, RecordArray[ContactRecord], RecordArray[ContactStateRecord], IntArray],
     ends: JudgedEnds,
     before: tuple[IntArray, RecordArray[HeldContacts], bool, bool],
     pressed: tuple[float, FloatArray, RecordArray[LoadRecord]],
-    step: int,
-    time: float,
+    now: tuple[int, float],
     wrong: RecordArray[WrongWorkRecord],
 ) -> bool:
     """Judge the contacts at the end of a step: impacts that stop, elastic ones, and the friction of each island.
 
     Return whether anything is wrong. Islands in which an impact or a lost contact has changed the kick before the drift
-    are not judged.
+    are not judged. ``resolved`` ends with the pairs of impacts during the drift.
     """
+    pairs, place, contacts, states, struck_pairs = resolved
+    step, time = now
     rows, places, inverse_mass, bodies, walls_move = ends
     held_pairs, held, alike, holds = before
     dt, acceleration, loads = pressed

@@ -42,7 +42,10 @@ PATIENCE = 120.0  # s, longest wait for another process, which usually takes a f
 POLL = 0.02  # s, between two checks of a claim
 # The sources that kernels of carom are compiled from. Other modules affect a kernel only through its arguments and
 # their types. If imports into the scene counted, a changed message there would compile all kernels again.
-SOURCES = ("physics/", "scene/forces.py", "scene/portable_math.py", "contact_table.py", "arrays.py", "extend.py")
+SOURCES = (
+    *("physics/", "scene/forces.py", "scene/portable_math.py", "scene/rest_speed.py", "contact_table.py", "arrays.py"),
+    "extend.py",
+)
 _FROM = re.compile(r"^[ \t]*from[ \t]+([\w.]+)[ \t]+import[ \t]+(\([^)]*\)|[^\n]*)", re.MULTILINE)
 _IMPORT = re.compile(r"^[ \t]*import[ \t]+([^\n#]+)", re.MULTILINE)
 _VERSIONS = (numba.__version__, llvmlite.__version__, np.__version__, sys.version_info[:3], PLAIN)

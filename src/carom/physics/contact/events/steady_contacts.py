@@ -232,8 +232,8 @@ def find_steady(contacts: SteadyContacts, x: FloatArray, radius: FloatArray, dt:
     begin_contacts(0, m, system.pairs, shapes, system.contacts, system.states, rounding, contacts.normals)
     if not write_load_speeds(system, rules.field, dt, (buffers.parent, buffers.largest, buffers.flags)):
         return False
-    moving = system.velocity, system.acceleration
-    write_rest_speeds(0, m, system.pairs, system.contacts, moving, system.loads, system.load_speed, dt, system.states)
+    pressed = system.velocity, system.acceleration, system.loads, dt
+    write_rest_speeds(0, m, system.pairs, system.contacts, pressed, system.load_speed, system.states)
     if rules.pushes:
         b, v, pushed, pushed_in = len(system.active), system.velocity, system.pushed, system.pushed_in
         find_push_fractions(0, m, system.pairs, contacts.counts, system.states)
@@ -266,17 +266,8 @@ def resolve_steady(
     if sweeps >= rules.most_sweeps:
         closing, negligible = contacts.buffers.flags, CONVERGED * settings.fastest
         closing[0] = False
-        check_closing(
-            0,
-            m,
-            system.pairs,
-            system.contacts,
-            system.states,
-            system.load_speed,
-            system.velocity,
-            (negligible, dt),
-            closing,
-        )
+        resolved = system.contacts, system.states, system.load_speed
+        check_closing(0, m, system.pairs, resolved, system.velocity, (negligible, dt), closing)
         if closing[0]:
             return False, sweeps
     for c in range(m):

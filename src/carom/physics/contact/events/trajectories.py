@@ -40,7 +40,7 @@ from carom.physics.jit.decorators import borrowing, inline, kernel, long_kernel,
 from carom.physics.jit.instructions import from_front
 from carom.physics.sheared_box import flow_in_drift, is_sheared, nearest_in_drift, velocity_of_image
 from carom.physics.vector import Vector, add, along, between, vector
-from carom.plan.auto import PER_STEP
+from carom.scene.rest_speed import PER_STEP
 from carom.scene.schema import Coefficients
 
 FIRST_STANDOFF = 1e-9  # of the radius, the standoff of a body that is exhausted for the first time

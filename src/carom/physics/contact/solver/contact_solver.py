@@ -258,12 +258,12 @@ class ContactSolver:
         self.find_pressing()
         accelerated = (self.pressing, ends.inverse_mass, field, dt)
         presses = self._islands.write_load_speeds(system.pairs, system.active, *accelerated, system.load_speed)
-        moving = ends.velocity, self.pressing
-        loaded = moving, system.loads, system.load_speed, dt, system.states
-        team.divide(m, MIN_PER_TASK, write_rest_speeds, system.pairs, system.contacts, *loaded)
+        pressed = ends.velocity, self.pressing, system.loads, dt
+        speeds = system.load_speed, system.states
+        team.divide(m, MIN_PER_TASK, write_rest_speeds, system.pairs, system.contacts, pressed, *speeds)
         if presses and self._planes.curves:
-            curved = system.pairs, system.position, ends.velocity, system.surface, dt, system.load_speed, system.states
-            team.divide(m, MIN_PER_TASK, add_arc_speeds, *curved)
+            moving = system.position, ends.velocity, system.surface, dt
+            team.divide(m, MIN_PER_TASK, add_arc_speeds, system.pairs, moving, *speeds)
         return presses
 
     def find_pressing(self) -> None:
@@ -391,7 +391,7 @@ class ContactSolver:
     def is_closing(self, dt: float) -> bool:
         """Return whether a contact still closes too fast after the iterations of a step of dt s."""
         system, closing = self._system, np.zeros(1, dtype=np.bool_)
-        contacts = (system.pairs, system.contacts, system.states, system.load_speed, self._bodies.ends.velocity)
+        contacts = system.pairs, (system.contacts, system.states, system.load_speed), self._bodies.ends.velocity
         negligible = CONVERGED * float(self._settings["fastest"][0])
         self._team.divide(len(system.pairs), MIN_PER_TASK, check_closing, *contacts, (negligible, dt), closing)
         return bool(closing[0])

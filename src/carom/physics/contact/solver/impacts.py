@@ -159,9 +159,7 @@ def check_closing(
     lo: int,
     hi: int,
     pairs: IntArray,
-    contacts: RecordArray[ContactRecord],
-    states: RecordArray[ContactStateRecord],
-    load_speed: FloatArray,
+    resolved: tuple[RecordArray[ContactRecord], RecordArray[ContactStateRecord], FloatArray],
     v: FloatArray,
     limits: tuple[float, float],
     closing: BoolArray,
@@ -172,9 +170,12 @@ def check_closing(
 
     Parameters
     ----------
+    resolved
+        The contacts, their states and their load speeds in m/s.
     limits
         m/s, slower closing does not count; and s, the step.
     """
+    contacts, states, load_speed = resolved
     negligible, dt = limits
     for c in range(lo, hi):
         (i, j), contact, state = ends_of(pairs, c), contacts[c], states[c]
