@@ -339,9 +339,8 @@ def test_every_bundled_scene_meets_its_expectations_and_warns_of_nothing(name: s
     outcome = bundled(name)
     assert outcome.status == "completed", outcome.reason
     assert outcome.moments.energy_error is not None and outcome.moments.energy_error.value <= 1e-3
-    events = Recording.open(outcome.path).events().to_pylist()
-    # slow impacts on bodies that stand on something do not rebound, and friction that holds a ball which spins about
-    # the normal does work: both are faults, and the signs of dissipation say so in heaps
+    events = Recording.open(outcome.path).events().select(["kind", "level"]).to_pylist()
+    # In dense heaps some impacts end without their rebound, and it is not known whether something presses these pairs.
     assert {event["kind"] for event in events if event["level"] == "WARN"} <= {"dissipation"}
     assert outcome.moments.dissipation_error is None or outcome.moments.dissipation_error.value <= 2e-3
 
