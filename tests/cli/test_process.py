@@ -127,7 +127,7 @@ def test_the_interrupt_key_and_a_closed_terminal_close_the_recording(closed: boo
 
 @pytest.mark.slow
 def test_a_run_on_a_terminal_shows_its_progress_and_then_how_it_ended(tmp_path: Path) -> None:
-    scene = ["elastic-gas", "--set", "time.duration=20", "--set", "record.every=0.01"]  # some seconds of work
+    scene = ["elastic-gas", "--set", "time.duration=40", "--set", "record.every=0.01"]  # some seconds of work
     child, terminal = pty.fork()
     if child == 0:
         os.chdir(tmp_path)
@@ -149,7 +149,7 @@ def test_a_run_on_a_terminal_shows_its_progress_and_then_how_it_ended(tmp_path: 
     assert recording.outcome == "completed"
     summary = screen.rpartition(progress[-1][0])[2]
     assert re.search(r"outcome +\S*completed", summary)
-    assert f"{recording.summary()['steps']} steps, 20 s simulated" in summary
+    assert f"{recording.summary()['steps']} steps, 40 s simulated" in summary
     assert f"{recording.frames} frames" in summary
 
 
