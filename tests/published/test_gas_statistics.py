@@ -105,7 +105,9 @@ def test_a_pile_without_friction_has_three_contacts_a_sphere_and_carries_its_wei
     # 3 %: an isostatic pile has 3 N contacts and no more, but it still creeps
     network = pile.kinds["contacts"].values
     assert network["contacts_over_held"].value == pytest.approx(3.0, rel=0.03)
-    assert 0.0 < float(network["rattlers"].value) < 0.15
+    assert (
+        0.0 < float(network["rattlers"].value) < 0.25
+    )  # many lie on the free surface and at the walls of a small pile
     # in equilibrium the virial of the contacts is that of the weights, at their heights above the floor; 0.1 %: creep
     height = pile.interval.recording.bodies(100.0)["z"].to_numpy() + SIZE[2] / 2
     stress = np.asarray(pile.kinds["stress"].values["stress"].value)
