@@ -47,7 +47,7 @@ PATHS: dict[str, list[tuple[int, str, str]]] = {  # by command: exit code, what 
     "tradeoff": [(0, "no figure: ", "two-spheres --set time.duration=0.2 -o trade")],
     "tune": [(0, "", "two-spheres --set time.duration=0.2 --error position=1e-3 -o tuned.toml")],
     "stress": [(0, "", "never-meet -o stress")],
-    "hunt": [(0, "", "--budget 5s -o hunt")],
+    "hunt": [(0, "No law was broken", "--seed 1 --scenes 3 -o hunt")],
     "crosscheck": [(2, "pip install mujoco", "two-spheres --engine mujoco -o crosscheck")],
     "clip": [(0, "", "run.rrd --from 0.1 --to 0.3 -o clip.rrd")],
     "repair": [(0, "", "run.rrd -o repaired.rrd")],
