@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 
 from carom.physics.contact.constraints import CONTACT, CONTACT_STATE
-from carom.physics.contact.impact_log import IMPACT, NO_IMPACTS, Impacts
+from carom.physics.contact.impact_log import IMPACT, MAX_IN_COLLAPSE, NO_IMPACTS, Impacts
 from carom.physics.contact.loads import LOAD
 from carom.physics.diagnostics.dissipation import (
-    COLLAPSE,
     GAIN,
     HELD,
     HOLDING,
@@ -91,10 +90,10 @@ def test_impulses_that_hold_a_group_are_judged_together() -> None:
 
 
 def test_a_collapse_may_hold_its_contacts_but_elastic_impacts_may_not_be_held() -> None:
-    many = [{"restitution_loss": 0.75 * STRUCK, "clock": float(k)} for k in range(COLLAPSE)]
+    many = [{"restitution_loss": 0.75 * STRUCK, "clock": float(k)} for k in range(MAX_IN_COLLAPSE)]
     held = {"restitution_loss": STRUCK, "clock": 1e3}
     assert not any(judged(signs_of(0.5), log_of(*many, held)))
-    many = [{"clock": float(k)} for k in range(COLLAPSE)]
+    many = [{"clock": float(k)} for k in range(MAX_IN_COLLAPSE)]
     assert judged(signs_of(1.0), log_of(*many, held))[RESTITUTION] == pytest.approx(STRUCK)
 
 

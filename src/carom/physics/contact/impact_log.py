@@ -17,6 +17,7 @@ from carom.physics.contact.rolling import AngularImpulse, ContactGeometry
 from carom.physics.diagnostics.ledger import LedgerRecord, terms_of
 
 ROUNDING = 1e-14  # of the speed of a body, and of a radius per drift; slower closing is a rounding error
+MAX_IN_COLLAPSE = 100  # impacts of a body in a drift, with e < 1 and no force that presses, after which it is held
 
 
 class ImpactRecord(ContactGeometry, LedgerRecord, Protocol):

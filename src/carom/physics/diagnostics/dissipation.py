@@ -25,7 +25,7 @@ from carom.event import Event
 from carom.physics.bodies import Bodies
 from carom.physics.contact.constraints import ContactRecord, ContactStateRecord, ends_of
 from carom.physics.contact.graph import comes_before
-from carom.physics.contact.impact_log import ImpactRecord, Impacts
+from carom.physics.contact.impact_log import MAX_IN_COLLAPSE, ImpactRecord, Impacts
 from carom.physics.contact.islands import join_islands, root_of
 from carom.physics.contact.law import Materials, exerts_torque, material_index, restitution_of_impact, slides
 from carom.physics.contact.loads import LoadRecord, pressing
@@ -57,7 +57,6 @@ ROUNDED = 1e-9
 # does not cancel at all.
 CANCELLED = 0.25
 ALIKE = 0.1  # of the length of a kick; with drag, both kicks of a step differ, and the works cancel nevertheless
-COLLAPSE = 100  # impacts of a body in a drift after which contacts with e < 1 are held: `events.event_loop`
 SLOWEST = 1e-100  # m/s, for the coefficient of a contact of a held group that does not close
 SIGNIFICANT = 1e-6  # of the energy scale; what sweeps leave that end early is less in every extreme
 
@@ -311,7 +310,7 @@ def judge_impacts(
         if v > entry.rest_speed or v == 0.0:  # only a held group has contacts that do not close
             if e < 1.0 and len(impacts) == 0:
                 impacts = _count_impacts(log, bodies)
-            if e >= 1.0 or max(impacts[i], impacts[j] if j < bodies else 0) < COLLAPSE:
+            if e >= 1.0 or max(impacts[i], impacts[j] if j < bodies else 0) < MAX_IN_COLLAPSE:
                 together += excess
                 if abs(excess) > largest:
                     largest, a, b = abs(excess), i, j

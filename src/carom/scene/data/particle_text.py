@@ -49,7 +49,7 @@ UNITS = {
     "metal": "angstrom, ps, dalton",
     REDUCED: WITHOUT,
 }
-_IN_TITLE = re.compile(rb"\A[^\n]*\bunits = (\w{1,20})")  # in the first line, as write_data has it
+_IN_TITLE = re.compile(rb"[^\n]*\bunits = (\w{1,20})")  # in the first line, as write_data has it
 _MOST_STEPS = 10_000_000
 _COUNT = re.compile(rb"^\s*([0-9]{1,18})\s+atoms\b", re.MULTILINE)  # in the header of a data file
 _HEAD = 10_000  # bytes of a data file that have its header
@@ -269,7 +269,7 @@ def open_data(path: Path, called: str, snapshot: int) -> DataTable:
             raise SceneError(f"{called}: the sections Atoms and Velocities have different ids")
         arrays |= {name: velocities[name][order] for name in moving.names if name != "id"}
     result = Arrays(arrays, called)
-    units = _IN_TITLE.search(content[:_HEAD])
+    units = _IN_TITLE.match(content[:_HEAD])
     result.units = _units_called(called, units[1].decode() if units else "")
     result.notes = (f"{called}: data file of LAMMPS, atoms of the style {atoms.style}",)
     return result

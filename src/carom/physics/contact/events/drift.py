@@ -17,7 +17,6 @@ from carom.physics.contact.broad_phase.pairs import Search
 from carom.physics.contact.constraints import ends_of
 from carom.physics.contact.events.event_loop import (
     MAX_ELASTIC,
-    MAX_IN_COLLAPSE,
     SLOW,
     SLOW_IN_SPACE,
     collide,
@@ -41,7 +40,15 @@ from carom.physics.contact.events.trajectories import (
     straighten,
     write_search_radii,
 )
-from carom.physics.contact.impact_log import IMPACT, NO_IMPACTS, ROLLING_IMPACT, ROUNDING, ImpactRecord, Impacts
+from carom.physics.contact.impact_log import (
+    IMPACT,
+    MAX_IN_COLLAPSE,
+    NO_IMPACTS,
+    ROLLING_IMPACT,
+    ROUNDING,
+    ImpactRecord,
+    Impacts,
+)
 from carom.physics.contact.islands import island_load_speeds
 from carom.physics.contact.law import dissipates, has_torque, material_index
 from carom.physics.contact.loads import LoadRecord

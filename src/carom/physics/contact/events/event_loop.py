@@ -46,7 +46,7 @@ from carom.physics.contact.events.trajectories import (
 from carom.physics.contact.events.wall_impacts import predict_with_walls
 from carom.physics.contact.geometry import normal_and_distance
 from carom.physics.contact.guided_walls import impacts_of_wall, push_guided
-from carom.physics.contact.impact_log import ROUNDING, ImpactRecord
+from carom.physics.contact.impact_log import MAX_IN_COLLAPSE, ROUNDING, ImpactRecord
 from carom.physics.contact.law import (
     dissipates,
     exerts_torque,
@@ -76,12 +76,12 @@ SLOW = 0.25
 # long; the deepest overlap is 5 × 10⁻⁴ r instead of 1.4 × 10⁻³ r.
 SLOW_IN_SPACE = 1.0
 
-# Number of impacts of a body in a drift after which its contacts are held. A collapse (e < 1) has infinitely many
-# impacts in a finite time. Where a force presses, a light ball can stop one of 300 times its mass within this number.
+# Number of impacts of a body in a drift after which its contacts are held (`MAX_IN_COLLAPSE` with e < 1, where no force
+# presses). A collapse has infinitely many impacts in a finite time. Where a force presses, a light ball can stop one of
+# 300 times its mass within this number.
 # Without dissipation there are always finitely many, some π √(M/m) for a heavy ball that presses a light one against a
 # wall (Galperin 2003): 10⁵ for a ratio of the masses of 10⁹. Their records take 20 MB.
 MAX_IMPACTS = 1000
-MAX_IN_COLLAPSE = 100  # with e < 1, where no force presses
 MAX_ELASTIC = 100_000
 # Number of impacts of a body in a drift after which it rattles among others that press it, though no contact has yet
 # carried a load: with e < 1, its slow impacts then end at the load speed. Without this, bodies in the densest steps of
