@@ -72,6 +72,32 @@ def test_a_recording_says_what_to_install() -> None:
     used = {"forces.trap": "carom-example 0.1.0", "series.fastest": "carom-example 0.1.0"}
     assert missing(used) == (
         'it uses the force "trap" and the recorded series "fastest" of the package carom-example 0.1.0, which is not '
-        "installed: pip install carom-example==0.1.0"
+        "installed. If you trust the sender of the file, who chose this name: pip install carom-example==0.1.0"
     )
     assert missing({}) == ""
+
+
+@pytest.mark.parametrize(
+    "package",
+    [
+        "$(id) 1",
+        "evil; id 1",
+        "evil `id`",
+        "-r https://evil.example/x 1",
+        "git+https://evil.example/x 1",
+        "./evil 1",
+        "evil 1 --index-url=https://evil.example",
+        "evil[$(id)] 1",
+        "evil\n1",
+        "evil \u202e1",
+        "evil",
+        "",
+    ],
+)
+def test_no_command_contains_what_is_no_name_of_a_package_and_its_version(package: str) -> None:
+    said = missing({"forces.x": package})
+    assert "pip install" not in said and "\n" not in said and "\u202e" not in said
+
+
+def test_the_name_of_a_part_cannot_look_like_another_line() -> None:
+    assert "\n" not in missing({"forces.x\ncarom: run this": "carom-example 0.1.0"})

@@ -197,6 +197,7 @@ if TYPE_CHECKING:
     from carom.scene.wording import body_called as body_called
     from carom.scene.wording import command as command
     from carom.scene.wording import counted as counted
+    from carom.scene.wording import literal as literal
     from carom.scene.wording import nearest as nearest
     from carom.scene.wording import suggestion as suggestion
     from carom.show import keeper as keeper
@@ -285,7 +286,7 @@ _NAMES = {  # of each module; docs/extending.md lists them by purpose
     ),
     "carom.scene.units.system": "SI WITHOUT UnitSystem units_of_rebound",
     "carom.scene.wall_shapes": "Mesh WallShape across mesh_of_revolution unit_vector",
-    "carom.scene.wording": "Names bodies_called body_called command counted nearest suggestion",
+    "carom.scene.wording": "Names bodies_called body_called command counted literal nearest suggestion",
     "carom.show": "keeper overlays",
     "carom.show.catalog": "serve_catalog",
     "carom.show.causes": "CauseEdge Causes write_causes",

@@ -3,18 +3,25 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
 from io import StringIO
 from pathlib import Path
 
 import pytest
+from markdown_it import MarkdownIt
 from rich.table import Table
 from rich.text import Text
 
+from carom import run as carom_run
 from carom.cli.terminal import Terminal
+from carom.recording.rrd.framing import CHUNK
+from carom.recording.rrd.messages import decode
+from carom.scene.schema import Scene
 from carom.scene.wording import escaped
 from carom_command import carom
-from edited_recordings import changed, mapped
+from edited_recordings import changed, mapped, messages_of
 
+MARKUP = "![x](http://evil.example/p.png) <b>x</b> [y](javascript:alert(1)) `z` http://evil.example\n# w \u202e\u061c"
 UNSAFE = "\x1b]0;owned\x07[/red] [bold]x[/] \x9b2J \u202egnp.exe \r\b"
 
 
@@ -79,3 +86,45 @@ def test_a_scene_of_any_keys_is_compared_or_refused(text: str, said: str, run_fi
     done = carom("diff", run_file.name, odd.name, cwd=run_file.parent)
     assert said in done.stdout + done.stderr and "Traceback" not in done.stderr
     assert len(done.stdout.splitlines()) < 100
+
+
+def test_every_text_in_markdown_is_literal_in_what_carom_writes_for_the_viewer(tmp_path: Path) -> None:
+    bodies = [{"position": [x, 0.0, 0.0], "radius": 1.0, "mass": 1.0, "name": MARKUP} for x in (-2.0, 2.0)]
+    bodies[0]["velocity"] = [4.0, 0.0, 0.0]
+    material = {"name": MARKUP, "restitution": 0.5}
+    plane = {"point": [0.0, 0.0, -5.0], "normal": [0.0, 0.0, 1.0], "name": MARKUP}
+    scene = Scene.from_dict(
+        {
+            "title": MARKUP,
+            "time": {"duration": 1.0},
+            "material": [material],
+            "body": [body | {"material": MARKUP} for body in bodies],
+            "plane": [plane],
+        }
+    )
+    run = carom_run(scene, tmp_path / "run.rrd").path
+    assert carom("why", run.name, "--body", "1", "--at", "1", "-o", "why.rrd", cwd=tmp_path).returncode == 0
+    assert carom("fork", run.name, "--at", "0.5", "--perturb", "1ulp", "-o", "fork.rrd", cwd=tmp_path).returncode == 0
+    for name in ("run.rrd", "why.rrd", "fork.rrd"):
+        texts = list(markdown_of(tmp_path / name))
+        assert texts, name
+        for text in texts:
+            tokens = MarkdownIt("commonmark").enable(["table", "linkify"]).parse(text)
+            spans = [span for token in tokens for span in token.children or ()]
+            assert not {span.type for span in spans} & {"link_open", "image", "html_inline"}, text
+            assert "z" not in {span.content for span in spans if span.type == "code_inline"}
+            assert "html_block" not in {token.type for token in tokens}
+            assert sum(token.type == "heading_open" and token.tag == "h1" for token in tokens) <= 1
+            assert not set("\u202e\u061c") & set(text)
+
+
+def markdown_of(path: Path) -> Iterator[str]:
+    for kind, body in messages_of(path):
+        if kind != CHUNK:
+            continue
+        _, chunk = decode(body)
+        if "TextDocument:text" in chunk.components and "TextDocument:media_type" in chunk.components:
+            kinds = chunk.batch["TextDocument:media_type"].to_pylist()
+            for kind_of, text in zip(kinds, chunk.batch["TextDocument:text"].to_pylist(), strict=True):
+                if kind_of == ["text/markdown"]:
+                    yield text[0]

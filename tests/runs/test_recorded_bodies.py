@@ -26,6 +26,7 @@ from carom.runs.replay import replay
 from carom.runs.report import report
 from carom.runs.resume import continue_run, resumable_run
 from carom.scene.schema import Scene
+from carom.scene.wording import literal
 from carom_command import carom as carom_command
 
 SCENE = """
@@ -110,7 +111,7 @@ def test_a_recording_and_what_is_made_of_it_list_the_columns_that_were_not_used(
         assert used.startswith("a.npz: position from position (") and "mass from mass (" in used
         assert note.startswith("a.npz: columns that are not used: mu (")
         document = str(found._entities.static(paths.SCENE)["TextDocument:text"][0])
-        assert f"- `{used}`\n- `{note}`" in document
+        assert f"- {literal(used)}\n- {literal(note)}" in document
 
 
 def test_the_commands_list_the_columns_that_are_not_used_before_the_run(tmp_path: Path) -> None:

@@ -20,7 +20,7 @@ from carom.runs import report as reports
 from carom.runs.replay import replay
 from carom.runs.report import Report, report, worst_moment
 from carom.scene.schema import Scene
-from carom.scene.wording import escaped
+from carom.scene.wording import command_of_a_file, escaped
 from carom.show.picture import Shot
 from edited_recordings import changed, mapped
 from small_scenes import cloud
@@ -127,7 +127,7 @@ def test_texts_of_a_recording_neither_format_a_report_nor_steer_a_terminal(
         page[page.index(quote) + 1].type == "paragraph_open" and page[page.index(quote) + 4].type == "blockquote_close"
     )
     (line,) = [span.content for span in spans if span.type == "code_inline"]
-    assert line.split() == f"{escaped(HOSTILE)} # owned ```".split()
+    assert line == command_of_a_file(f"{HOSTILE}\n# owned\n```"), "one quoted word"
 
 
 def test_a_run_that_gained_energy_is_about_that(tmp_path: Path) -> None:

@@ -6,8 +6,21 @@ import re
 import shlex
 from pathlib import Path
 
+import pytest
+
 import carom
-from carom.scene.wording import Names, bodies_called, body_called, body_key, command, counted, in_series
+from carom.scene.wording import (
+    Names,
+    bodies_called,
+    body_called,
+    body_key,
+    command,
+    command_of_a_file,
+    counted,
+    hypertext,
+    in_series,
+    literal,
+)
 
 NAMES = Names(["ball", "body 1", ""], ["floor", "plane 1", "wall at -x"])
 
@@ -44,6 +57,42 @@ def test_one_is_singular_and_all_other_numbers_are_plural() -> None:
 def test_words_with_spaces_and_quotes_are_quoted() -> None:
     assert command("view", Path("runs/my run.rrd"), "--at", "1.5") == "carom view 'runs/my run.rrd' --at 1.5"
     assert shlex.split(command("replay", "it's.rrd")) == ["carom", "replay", "it's.rrd"]
+
+
+def test_a_file_whose_name_begins_like_an_option_is_none() -> None:
+    assert command("view", Path("-o.rrd"), "--at", -1) == "carom view ./-o.rrd --at -1"
+
+
+@pytest.mark.parametrize(
+    "text", ["carom run scene.toml --set 'time.duration=2 s'", "carom run 'it'\"'\"'s.toml'", "python made.py -n 3"]
+)
+def test_a_command_that_carom_recorded_is_shown_as_it_was(text: str) -> None:
+    assert command_of_a_file(text) == text
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "carom run x; touch owned",
+        "carom run $(touch owned)",
+        "carom run `touch owned`",
+        "carom run x && touch owned",
+        "carom run x\ntouch owned",
+        "carom run x > owned",
+        "carom run 'x",
+        "carom run x # \u202etouch",
+    ],
+)
+def test_a_command_of_a_stranger_is_a_single_word_for_a_shell(text: str) -> None:
+    shown = command_of_a_file(text)
+    assert len(shlex.split(shown)) == 1 and "\n" not in shown and "\u202e" not in shown
+
+
+def test_marks_of_the_direction_of_writing_are_escaped_everywhere() -> None:
+    for mark in "\u061c\u200e\u200f\u202a\u202e\u2066\u2069":
+        shown = f"\\u{ord(mark):04x}"
+        assert hypertext(f"<{mark}>") == f"&lt;{shown}&gt;"
+        assert literal(mark) == f"\\{shown}"
 
 
 def test_no_command_is_put_together_without_quoting() -> None:

@@ -20,7 +20,7 @@ from carom.scene.schema import Scene
 from carom.scene.schema.promise import STATES
 from carom.scene.units.dimension import ENERGY, RATE, TIME
 from carom.scene.units.system import SI, UnitSystem
-from carom.scene.wording import counted
+from carom.scene.wording import command_of_a_file, counted
 
 
 @dataclass(frozen=True, slots=True)
@@ -174,6 +174,7 @@ OF_ENGINES = {"energy_error": "largest change of the energy without contact, {va
 EACH = "each"  # impacts during the drift of a step
 ONCE_A_STEP = "once a pair and step"  # impacts detected at the end of a step
 _DISK = "disk"
+COMMAND = "command, as the recording says"  # a row of the overview; whoever pastes it trusts its sender
 FAILURES = ("failed", _DISK, "error")  # statuses of runs that an error ended
 _FAILED = "recording failed"
 
@@ -290,7 +291,7 @@ def overview(recording: Recording) -> list[tuple[str, str]]:
     impacts = contacts.get("impacts"), contacts.get("impacts_counted")
     counts = counts_text(contacts["total"], *impacts, contacts["summed_over"])
     return [
-        ("command", str(recording.properties.get("command", ""))),
+        (COMMAND, command_of_a_file(str(recording.properties.get("command", "")))),
         ("outcome", in_words(whole["outcome"])),
         (
             "run",

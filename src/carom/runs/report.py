@@ -20,6 +20,7 @@ from carom.recording.schema.paths import STEP
 from carom.recording.schema.series import all_series
 from carom.runs.environment import environment
 from carom.runs.outcome import (
+    COMMAND,
     FAILURES,
     description,
     energy_texts,
@@ -33,7 +34,7 @@ from carom.runs.replay import replay
 from carom.scene.parts import stamped
 from carom.scene.units.dimension import ENERGY, TIME
 from carom.scene.units.system import UnitSystem
-from carom.scene.wording import command, counted, escaped
+from carom.scene.wording import command, counted, in_one_line, literal
 from carom.show.picture import Shot, try_to_render
 from carom.show.request import Request, pair_of_extreme
 
@@ -169,7 +170,7 @@ def _extreme(name: str, moments: dict[str, Any], units: UnitSystem) -> str:
 
 def _replay(recording: Recording) -> str:
     if recording.engine:
-        return f"Recorded from {_literal(recording.engine)}; it cannot be replayed."
+        return f"Recorded from {literal(recording.engine)}; it cannot be replayed."
     if recording.is_partial:
         shown, bodies = len(recording.shown), recording.info["bodies"]
         return (
@@ -179,13 +180,13 @@ def _replay(recording: Recording) -> str:
     try:
         result = replay(recording, consent=lambda seconds: seconds <= REPLAY_AT_MOST)
     except (SceneError, RecordingError, PhysicsError) as error:
-        return f"It could not be replayed: {_literal(str(error))}"
+        return f"It could not be replayed: {literal(str(error))}"
     if result.same:
         return f"Replayed from step {result.begin}: {result.compared} of {result.frames} frames, same bits."
     if result.difference is None:
         done = f"{result.compared} of {result.frames} frames"
         return f"Not replayed to its end: {result.ended} after {done} with the same bits."
-    return f"Replayed from step {result.begin}, **it differs** at {_literal(result.difference.text(recording.units))}."
+    return f"Replayed from step {result.begin}, **it differs** at {literal(result.difference.text(recording.units))}."
 
 
 def _summary(
@@ -198,9 +199,9 @@ def _summary(
     lines = description(recording.scene_toml).splitlines()
     return "\n".join(
         [
-            f"# {_literal(recording.title)}",
+            f"# {literal(recording.title)}",
             "",
-            f"**{_literal(why[0].upper() + why[1:].splitlines()[0])}**, t = {units.text(moment, TIME, '.9g')}.",
+            f"**{literal(why[0].upper() + why[1:].splitlines()[0])}**, t = {units.text(moment, TIME, '.9g')}.",
             "",
             *(f"![The moment]({picture})" for picture in pictures),
             *([""] if pictures else []),
@@ -214,11 +215,11 @@ def _summary(
             "",
             f"The clip: {counted(clip.frames, 'frame')} from {span}. {replayed}",
             "",
-            *([*(f"> {_literal(line)}".rstrip() for line in lines), ""] if lines else []),
+            *([*(f"> {literal(line)}".rstrip() for line in lines), ""] if lines else []),
             "| | |",
             "|---|---|",
             *(
-                f"| {_literal(name)} | {_code(text) if name == 'command' else _literal(text)} |"
+                f"| {literal(name)} | {_code(text) if name == COMMAND else literal(text)} |"
                 for name, text in overview(recording)
             ),
             "",
@@ -232,7 +233,7 @@ def _ledger(clip: Recording) -> list[str]:
     energy = clip.energy()
     if clip.engine:
         texts = energy_texts(clip.summary(), clip.units)
-        return ["## Where energy went in the clip", "", *(f"- {_literal(text)}" for text in texts), ""]
+        return ["## Where energy went in the clip", "", *(f"- {literal(text)}" for text in texts), ""]
     paths = (series.path for series in all_series(stamped(clip.info)))
     entries = [path.removeprefix(LEDGER) for path in paths if path.startswith(LEDGER)]
     rows = [(name, "taken out" if name != "stabilisation" else "put in") for name in entries]
@@ -252,22 +253,16 @@ def _warned(recording: Recording) -> list[str]:
     for event in warnings[:MOST_WARNINGS]:
         first, *further = event.text.splitlines() or [""]
         time = recording.units.text(event.time, TIME, ".9g")
-        listed.append(f"- {_literal(f't = {time}: {first}')}")
-        listed += [f"  - {_literal(line.strip())}" for line in further]
+        listed.append(f"- {literal(f't = {time}: {first}')}")
+        listed += [f"  - {literal(line.strip())}" for line in further]
     if len(warnings) > MOST_WARNINGS:
         listed.append(f"- … and {len(warnings) - MOST_WARNINGS} more")
     return [f"## Warnings ({len(warnings)})", "", *listed, ""]
 
 
-def _literal(text: str) -> str:
-    """Return a text of a recording as one line of Markdown in which all characters are literal."""
-    line = re.sub(r"[\\`*_{}\[\]<>#|~!&]|(?<=:)/(?=/)", r"\\\g<0>", " ".join(escaped(text).split()))
-    return re.sub(r"^(\d*)([-+=.)])", r"\1\\\2", line)  # lists and underlined headings
-
-
 def _code(text: str) -> str:
     """Return a text of a recording as code within a row of a table."""
-    line = " ".join(escaped(text).split()).replace("|", "\\|")
+    line = in_one_line(text).replace("|", "\\|")
     fence = "`" * (1 + max(map(len, re.findall("`+", line)), default=0))
     return f"{fence} {line} {fence}" if len(fence) > 1 else f"`{line}`"
 

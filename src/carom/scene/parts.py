@@ -6,13 +6,15 @@ of installed packages.
 
 from __future__ import annotations
 
+import re
+import shlex
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from carom import registry
 from carom.scene.forces import FORCES, GRAVITY
-from carom.scene.wording import suggestion
+from carom.scene.wording import in_one_line, suggestion
 
 if TYPE_CHECKING:
     from carom.scene.schema import Scene
@@ -88,15 +90,31 @@ def names_of(kind: str, extensions: Mapping[str, str]) -> list[str]:
     return [key.removeprefix(f"{kind}.") for key in extensions if key.startswith(f"{kind}.")]
 
 
+MOST_QUOTED = 80  # characters of a text that is no name
+# a distribution and its version, as pip names them; what else a file holds is no name and is not repeated in a command
+_DISTRIBUTION = re.compile(r"([A-Za-z0-9](?:[A-Za-z0-9._-]{0,98}[A-Za-z0-9])?) ([0-9][A-Za-z0-9.!+]{0,49})")
+
+
 def missing(extensions: Mapping[str, str]) -> str:
-    """Return a sentence with the packages to install for missing parts of a recording; empty if none is missing."""
+    """Return a sentence about the packages of missing parts of a recording; empty if none is missing.
+
+    The names come from the file. Anybody can register a name with an index of packages, so the sentence says whose they
+    are, and a command contains them only if they are names of a package and a version.
+    """
     lost: dict[str, list[str]] = {}
     for key, package in extensions.items():
         kind, _, name = key.partition(".")
         if kind in registry.KINDS and name not in registry.installed(kind):
-            lost.setdefault(package, []).append(f'the {registry.KINDS[kind]} "{name}"')
-    return "; ".join(
-        f"it uses {' and '.join(parts)} of the package {package}, which is not installed: "
-        f"pip install {package.replace(' ', '==')}"
-        for package, parts in lost.items()
+            lost.setdefault(package, []).append(f'the {registry.KINDS[kind]} "{in_one_line(name)}"')
+    return "; ".join(f"it uses {' and '.join(parts)} {_from(package)}" for package, parts in lost.items())
+
+
+def _from(package: str) -> str:
+    """Say from which package parts come, and how to install it."""
+    if (named := _DISTRIBUTION.fullmatch(package)) is None:
+        given = in_one_line(package[:MOST_QUOTED])
+        return f"of a package that is not installed; the file gives no name of a package, but {given!r}"
+    return (
+        f"of the package {package}, which is not installed. If you trust the sender of the file, who chose this name: "
+        f"pip install {shlex.quote(f'{named[1]}=={named[2]}')}"
     )

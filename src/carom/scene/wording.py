@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import html
 import re
 import shlex
 from abc import abstractmethod
@@ -10,16 +11,50 @@ from bisect import bisect_right
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import accumulate
+from pathlib import Path
 from typing import overload
 
 MOST_LISTED = 8  # bodies that a sentence lists by name
-# control characters except tab and line feed, marks that reverse the direction of writing, and lone surrogates
-_UNSAFE = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u2028-\u202e\u2066-\u2069\ud800-\udfff]")
+# control characters except tab and line feed, marks of the direction of writing, and lone surrogates
+_UNSAFE = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069\ud800-\udfff]")
+_MARKS = re.compile(r"[\\`*_{}\[\]<>#|~!&]|(?<=:)/(?=/)")  # of Markdown, and what makes an address a link
+_LINE_MARKS = re.compile(r"^(\d*)([-+=.)])")  # of lists and underlined headings
 
 
 def command(*words: object) -> str:
     """Write a carom command, quoted as a shell requires, such as ``carom view 'my run.rrd'``."""
-    return shlex.join(["carom", *map(str, words)])
+    return shlex.join(["carom", *(f"./{word}" if _is_like_an_option(word) else str(word) for word in words)])
+
+
+def _is_like_an_option(word: object) -> bool:
+    return isinstance(word, Path) and str(word).startswith("-")
+
+
+def command_of_a_file(text: str) -> str:
+    """Return a command line that a file holds: as it is if it is one command with its words, else as one quoted word.
+
+    A shell that somebody pastes it into then starts nothing else: no second command, substitution or redirection.
+    """
+    try:
+        words = shlex.split(text)
+    except ValueError:  # a quotation that does not end
+        words = []
+    return text if text == shlex.join(words) else shlex.quote(in_one_line(text))
+
+
+def in_one_line(text: str) -> str:
+    """Return a text of a file without control characters and line feeds, so that it cannot look like other lines."""
+    return " ".join(escaped(text).split())
+
+
+def hypertext(text: str) -> str:
+    """Return a text of a file for a page: without tags, and with control characters as escapes."""
+    return html.escape(escaped(text))
+
+
+def literal(text: str) -> str:
+    """Return a text of a file as one line of Markdown in which every character stands for itself."""
+    return _LINE_MARKS.sub(r"\1\\\2", _MARKS.sub(r"\\\g<0>", in_one_line(text)))
 
 
 def nearest(name: str, known: Iterable[str]) -> str:

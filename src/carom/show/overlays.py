@@ -32,6 +32,7 @@ from carom.recording.schema.series import THICK, THIN
 from carom.recording.write.whole_file import Writer
 from carom.scene.units.dimension import ENERGY, LENGTH, Dimension
 from carom.scene.units.system import UnitSystem
+from carom.scene.wording import literal
 from carom.show.body_colours import fixed_colours
 
 BESIDE = WINDOW.area(3 / 5)  # of the bodies beside panels
@@ -122,10 +123,10 @@ def write_overlay(
     with Writer(out, f"carom-{paths.SCHEMA_VERSION}-{layout}", str(uuid.uuid4())) as writer:
         title = f"{a.title}: two runs"
         lines = [
-            f"# {title}",
-            text,
-            f"- Solid: **A**, {a.path.name}",
-            f"- Wires, drawn {_HALO - 1:.0%} larger: **B**, {b.path.name}",
+            f"# {literal(title)}",
+            literal(text),
+            f"- Solid: **A**, {literal(a.path.name)}",
+            f"- Wires, drawn {_HALO - 1:.0%} larger: **B**, {literal(b.path.name)}",
             "- A body has the same colour in both.",
             f"- Red lines connect counterparts that are further apart than {_SEEN:.0%} of the median radius.",
             "- The plots are logarithms: a difference that grows exponentially is a straight line.",
@@ -371,7 +372,7 @@ class Forecast:
     """The content of the drawing."""
 
     title: str
-    text: str  # Markdown
+    text: str  # paragraphs
     time: FloatArray  # (k,) s
     position: FloatArray  # (k, n, 3) m
     spread: FloatArray  # (k, n) m
@@ -397,7 +398,8 @@ def write_forecast(out: Path, recording: Recording, forecast: Forecast) -> None:
     camera.look(shown)
     application = f"carom-{paths.SCHEMA_VERSION}-{uuid.uuid4().hex[:12]}"
     with Writer(out, application, str(uuid.uuid4())) as writer:
-        clock = begin(writer, _FORK, forecast.text, recording, forecast.title, {"b": "fork", "verdict": forecast.title})
+        markdown = "\n\n".join([f"# {literal(forecast.title)}", *map(literal, forecast.text.split("\n\n"))])
+        clock = begin(writer, _FORK, markdown, recording, forecast.title, {"b": "fork", "verdict": forecast.title})
         index = clock.columns(steps, forecast.time.tolist())
         writer.log(_BODIES, _spheres(radius, None, list(recording.bodies.name), FillMode.Solid))
         for path, name, colour in _BAND:

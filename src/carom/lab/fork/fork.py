@@ -265,5 +265,5 @@ def write_ensemble(start: ForkStart, found: Ensemble, text: str, out: Path) -> N
     title = f"{start.recording.title}: {len(found.rms)} forks at t = {when}"
     rows = [(chance.time, chance.band[0], chance.probability, chance.band[1]) for chance in found.chances]
     chances = np.array(rows, dtype=np.float64).reshape(-1, 4)
-    forecast = Forecast(title, f"# {title}\n\n{text}", found.time, found.reference, found.spread, found.band, chances)
+    forecast = Forecast(title, text, found.time, found.reference, found.spread, found.band, chances)
     write_forecast(out, start.recording, forecast)

@@ -20,6 +20,7 @@ from carom.extend import (
     RecordingArgument,
     command,
     counted,
+    literal,
     recording_option,
     say,
     say_json,
@@ -238,17 +239,18 @@ def _print_causes(account: Account, names: Names, units: UnitSystem) -> None:
 
 def _markdown(answer: Answer, names: Names, units: UnitSystem) -> str:
     """Write the answer for the viewer."""
-    lines = [f"## {answer.question.text}", ""]
+    lines = [f"## {literal(answer.question.text)}", ""]
     for account in answer.accounts:
-        lines += [f"{line}  " for line in _summary(account, answer, names, units)]
+        lines += [f"{literal(line)}  " for line in _summary(account, answer, names, units)]
         lines.append("")
         for cause in account.largest[:MOST_EDGES]:
             lines.append(
-                f"- {'' if account.rests else f'{_share(cause)}: '}{_kind(cause, units)}, {names.of(cause.partner)}, "
-                f"{units.text(cause.size, IMPULSE, '.3g')}, t = {units.text(cause.moment, TIME, '.9g')}"
+                f"- {'' if account.rests else f'{_share(cause)}: '}{_kind(cause, units)}, "
+                f"{literal(names.of(cause.partner))}, {units.text(cause.size, IMPULSE, '.3g')}, "
+                f"t = {units.text(cause.moment, TIME, '.9g')}"
             )
         lines.append("")
-    return "\n".join([*lines, *(f"{line}  " for line in _behind(answer, names, units))])
+    return "\n".join([*lines, *(f"{literal(line)}  " for line in _behind(answer, names, units))])
 
 
 def _share(cause: Cause) -> str:

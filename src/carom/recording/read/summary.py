@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import asdict
-from html import escape
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -17,7 +16,7 @@ from carom.recording.read.recorded_impacts import impacts_until
 from carom.recording.read.recorded_scene import materials_of
 from carom.recording.schema.header import NOTES
 from carom.scene.units.dimension import ENERGY, TIME
-from carom.scene.wording import body_called, counted
+from carom.scene.wording import body_called, counted, hypertext
 
 if TYPE_CHECKING:
     from carom.recording.read.recording import Recording
@@ -219,9 +218,9 @@ def html_of(recording: Recording) -> str:
         if overlap is None or overlap > ROUNDED_OVERLAP:
             rows["deepest overlap"] = f"{_number(overlap)} of a radius"
     except RecordingError as error:
-        return f"<p>{escape(str(error))}</p>"
-    cells = "".join(f"<tr><th>{escape(name)}</th><td>{escape(text)}</td></tr>" for name, text in rows.items())
-    return f"<table><caption>{escape(recording.path.name)}</caption>{cells}</table>"
+        return f"<p>{hypertext(str(error))}</p>"
+    cells = "".join(f"<tr><th>{hypertext(name)}</th><td>{hypertext(text)}</td></tr>" for name, text in rows.items())
+    return f"<table><caption>{hypertext(recording.path.name)}</caption>{cells}</table>"
 
 
 def _number(value: float | None) -> str:

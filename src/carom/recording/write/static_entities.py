@@ -23,7 +23,7 @@ from carom.scene.parts import PROPERTY
 from carom.scene.portable_math import ENDLESS
 from carom.scene.units.dimension import LENGTH, MASS, RATE, TIME
 from carom.scene.wall_shapes import SIDES, Mesh, shape_called
-from carom.scene.wording import in_series
+from carom.scene.wording import in_series, literal
 
 Static = tuple[str, rr.AsComponents]
 
@@ -242,7 +242,8 @@ def _states(colours: dict[str, int]) -> rr.StateConfiguration:
 
 def _scene_document(header: Header, clock: TimeScale, origin: FloatArray) -> str:
     """Return the text at /scene, in Markdown: the run, the scales and the colours."""
-    parts = [f"# {header.title}", header.description.strip(), _run(header), _data(header)]
+    about = "\n".join(literal(line) for line in header.description.strip().splitlines())
+    parts = [f"# {literal(header.title)}", about, _run(header), _data(header)]
     parts += [_scales(header, clock, origin), _legend(header), _contacts(header)]
     return "\n\n".join(part for part in parts if part) + "\n"
 
@@ -260,13 +261,15 @@ def _run(header: Header) -> str:
         lines.append(f"| test particles | {massless} |")
     if not header.engine:
         lines += [f"| duration asked for | {units.text(header.duration, TIME, 'g')} |", f"| seed | {header.seed} |"]
-    return "\n".join(lines + [f"| {name} | {value} |" for name, value in header.properties.items()])
+    return "\n".join(
+        lines + [f"| {literal(name)} | {literal(str(value))} |" for name, value in header.properties.items()]
+    )
 
 
 def _data(header: Header) -> str:
     """List the notes on data files (unused or reinterpreted columns); empty without any."""
-    notes = [note.replace("`", "'") for notes in header.data_notes for note in notes]
-    return "\n".join(["## Data", *(f"- `{note}`" for note in notes)]) if notes else ""
+    notes = [literal(note) for notes in header.data_notes for note in notes]
+    return "\n".join(["## Data", *(f"- {note}" for note in notes)]) if notes else ""
 
 
 def _scales(header: Header, clock: TimeScale, origin: FloatArray) -> str:
@@ -295,10 +298,10 @@ def _scales(header: Header, clock: TimeScale, origin: FloatArray) -> str:
             "in the recording's property `arrows`."
         )
     if header.planes is not None:
-        names = in_series(header.planes.name)
+        names = literal(in_series(header.planes.name))
         lines.append(f"- Static planes, drawn as grids: {names}. They extend to infinity.")
     if header.shapes:
-        names = in_series([wall.name or wall.shape for wall in header.shapes])
+        names = literal(in_series([wall.name or wall.shape for wall in header.shapes]))
         lines.append(f"- Walls, drawn as translucent surfaces: {names}. Some extend beyond what is drawn.")
     if header.walls is not None:
         sides = " × ".join(f"{units.shown(side, LENGTH):g}" for side in header.walls.tolist())
@@ -348,7 +351,7 @@ def _contacts(header: Header) -> str:
     lines = ["## Contacts", "| | e | μs | μk |", "|---|---|---|---|"]
     for kind in header.materials.contacts:
         values = " | ".join(f"{value:.4g}" for value in kind.coefficients)
-        lines.append(f"| {kind} | {values} |")
+        lines.append(f"| {literal(str(kind))} | {values} |")
     return "\n".join(lines)
 
 
@@ -380,7 +383,7 @@ def _body_colours(header: Header) -> str:
     match header.coloured_by:
         case "material" if header.materials:
             pairs = zip(header.materials.names, header.materials.colours, strict=True)
-            return "by material, " + ", ".join(f"{name} {palette.name_of(colour)}" for name, colour in pairs)
+            return "by material, " + ", ".join(f"{literal(name)} {palette.name_of(colour)}" for name, colour in pairs)
         case "graph":
             return "the body's colour in the collision graph, or grey without contacts"
         case "island":

@@ -8,10 +8,8 @@ from __future__ import annotations
 import contextlib
 import errno
 import gzip
-import html
 import mmap
 import secrets
-import shlex
 import shutil
 import socket
 import socketserver
@@ -31,6 +29,7 @@ from carom.recording.edit.repair import new_layout
 from carom.recording.read.recording import Recording
 from carom.recording.schema.header import TimeScale
 from carom.recording.write.rerun_compat import StoredLayout
+from carom.scene.wording import command, hypertext
 from carom.show.keeper import HOST, is_ours
 from carom.show.supplement import Supplement
 from carom.show.viewer import binary
@@ -93,7 +92,7 @@ def write_viewer(folder: Path, title: str) -> None:
     """
     page = resources.files(__package__) / "page"
     text = (page / PAGE).read_text(encoding="utf-8")
-    text = text.replace("<title>carom</title>", f"<title>{html.escape(title)}</title>")
+    text = text.replace("<title>carom</title>", f"<title>{hypertext(title)}</title>")
     (folder / PAGE).write_text(text, encoding="utf-8")
     for name in ("viewer.css", "viewer.js"):
         (folder / name).write_bytes((page / name).read_bytes())
@@ -186,7 +185,7 @@ def hosted(recording: Recording, at: float, supplement: Supplement | None = None
                 yield Hosted(link, f"{here}/{entrance}")
             else:  # a page in the private folder leads to the link
                 redirection = folder / "open.html"
-                refresh = f'<meta http-equiv="refresh" content="0; url={html.escape(link)}" />'
+                refresh = f'<meta http-equiv="refresh" content="0; url={hypertext(link)}" />'
                 redirection.write_text(refresh, encoding="utf-8")
                 yield Hosted(link, redirection.as_uri())
         finally:
@@ -320,26 +319,26 @@ class Card:
 
 def write_page(path: Path, about: About, *, back: bool) -> None:
     """Write the page about a recording, with a link ``back`` to the others or without one."""
-    viewer = html.escape(about.viewer)
-    scene = f"<details><summary>Scene file</summary><pre>{html.escape(about.scene)}</pre></details>"
+    viewer = hypertext(about.viewer)
+    scene = f"<details><summary>Scene file</summary><pre>{hypertext(about.scene)}</pre></details>"
     paragraphs = (" ".join(part.split()) for part in about.description.split("\n\n"))
     _write(
         path,
         INDEX,
-        title=html.escape(about.title),
+        title=hypertext(about.title),
         back=f'<p><a href="{INDEX}">← All recordings</a></p>' if back else "",
         problems=_problems(about.problems),
-        description="".join(f"<p>{html.escape(each)}</p>" for each in paragraphs if each),
+        description="".join(f"<p>{hypertext(each)}</p>" for each in paragraphs if each),
         headline=_headline(about.headline),
         viewer=viewer,
-        recording=html.escape(about.recording),
-        file=html.escape(about.file),
-        quoted=html.escape(shlex.quote(about.file)),
+        recording=hypertext(about.recording),
+        file=hypertext(about.file),
+        replay=hypertext(command("replay", Path(about.file))),
         size=f"{about.size / 1e6:.3g} MB",
         missing=_missing(about.missing),
         moments="\n".join(map(_figure, about.figures)),
         energy=f"<h2>Energy</h2>{_image(about.energy, 'The energy over time')}" if about.energy else "",
-        rows="\n".join(f"<tr><th>{html.escape(row)}</th><td>{html.escape(text)}</td></tr>" for row, text in about.rows),
+        rows="\n".join(f"<tr><th>{hypertext(row)}</th><td>{hypertext(text)}</td></tr>" for row, text in about.rows),
         scene=scene if about.scene else "",
     )
 
@@ -350,7 +349,7 @@ def write_cards(folder: Path, title: str, cards: Sequence[Card]) -> None:
     _write(
         folder / INDEX,
         _CLASS,
-        title=html.escape(title),
+        title=hypertext(title),
         missing="".join(map(_missing, missing)),
         cards="\n".join(map(_card, cards)),
     )
@@ -372,39 +371,39 @@ def _write(path: Path, template: str, title: str, **texts: str) -> None:
 
 
 def _figure(figure: Figure) -> str:
-    link = html.escape(figure.link)
+    link = hypertext(figure.link)
     texts = (figure.heading, f"{figure.heading}, close up")
     images = [_image(picture, text) for picture, text in zip(figure.pictures, texts, strict=False)]
     shown = [f'<a href="{link}">{image}</a>' for image in images or ["Open this moment in the viewer"]]
-    details = " · ".join(f"<span>{html.escape(detail)}</span>" for detail in figure.details)
-    caption = f"<h2>{html.escape(figure.heading)}</h2><p>{details}</p>"
+    details = " · ".join(f"<span>{hypertext(detail)}</span>" for detail in figure.details)
+    caption = f"<h2>{hypertext(figure.heading)}</h2><p>{details}</p>"
     return f'<figure><figcaption>{caption}</figcaption><div class="pictures">{"".join(shown)}</div></figure>'
 
 
 def _card(card: Card) -> str:
-    about, link = card.about, html.escape(card.page)
+    about, link = card.about, hypertext(card.page)
     picture = _image(card.picture, about.title) if card.picture else ""
     return (
-        f'<article class="card"><a href="{link}">{picture}<h2>{html.escape(about.title)}</h2></a>'
+        f'<article class="card"><a href="{link}">{picture}<h2>{hypertext(about.title)}</h2></a>'
         f"{_problems(about.problems[:1])}{_headline(about.headline)}"
-        f'<p class="note">{html.escape(about.file)}</p></article>'
+        f'<p class="note">{hypertext(about.file)}</p></article>'
     )
 
 
 def _image(name: str, alt: str) -> str:
     width, height = SIZE
-    return f'<img src="{html.escape(name)}" alt="{html.escape(alt)}" width="{width}" height="{height}" />'
+    return f'<img src="{hypertext(name)}" alt="{hypertext(alt)}" width="{width}" height="{height}" />'
 
 
 def _problems(problems: Sequence[str]) -> str:
-    items = "".join(f"<li>{html.escape(text)}</li>" for text in problems)
+    items = "".join(f"<li>{hypertext(text)}</li>" for text in problems)
     return f'<ul class="problems">{items}</ul>' if problems else ""
 
 
 def _headline(headline: Iterable[tuple[str, str]]) -> str:
-    facts = (f"<div><dt>{html.escape(name)}</dt><dd>{html.escape(text)}</dd></div>" for name, text in headline)
+    facts = (f"<div><dt>{hypertext(name)}</dt><dd>{hypertext(text)}</dd></div>" for name, text in headline)
     return f'<dl class="headline">{"".join(facts)}</dl>'
 
 
 def _missing(reason: str) -> str:
-    return f'<p class="note">Without pictures: {html.escape(reason)}</p>' if reason else ""
+    return f'<p class="note">Without pictures: {hypertext(reason)}</p>' if reason else ""
