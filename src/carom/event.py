@@ -13,4 +13,4 @@ class Event:
     time: float  # s
     level: str  # "INFO" or "WARN"
     text: str
-    kind: str = ""  # see docs/recording.md; empty in older recordings
+    kind: str = ""  # see docs/recording.md

@@ -14,8 +14,6 @@ from carom.recording.read.recorded_scene import header_of_recording
 from carom.recording.read.recording import Recording
 from carom.recording.schema import paths
 from carom.recording.schema.series import IMPULSES, IN_PLOT, PLOTS
-from carom.runs import run
-from carom.runs.replay import replay
 from carom.scene.load import scene_from_text
 from carom.scene.units.system import SI, UnitSystem
 from carom_command import carom
@@ -250,7 +248,6 @@ def test_plots_are_in_the_units_of_the_scene(folder: Path) -> None:
     header, energy = header_of_recording(recording), PLOTS[0][0]
     assert energy.name_in(header) == "Energy (mJ)"
     assert energy.name_in(replace(header, units=SI)) == "Energy (J)"
-    assert energy.name_in(replace(header, drawing_rules=2)) == "Energy (J)", "older recordings have only SI"
     assert energy.name_in(replace(header, units=UnitSystem.of_text("au, day, solar mass"))) == (
         "Energy (solar mass au²/day²)"
     )
@@ -273,15 +270,6 @@ def test_a_recording_has_the_values_of_its_plots_in_the_units_of_the_scene(folde
                 recorded, plotted = (chunk.batch[each].flatten().to_numpy() for each in (name, IN_PLOT))
                 np.testing.assert_allclose(plotted, size * recorded, rtol=1e-6)  # of float32
     assert carom("replay", "cm.rrd", cwd=folder).returncode == 0
-
-
-def test_a_recording_by_the_older_rules_is_replayed_by_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    header_of = run.header_of
-    monkeypatch.setattr(run, "header_of", lambda space: replace(header_of(space), drawing_rules=2))
-    recording = run.run(scene_from_text(IN_CM, "scene"), tmp_path / "older.rrd")
-    monkeypatch.undo()
-    result = replay(recording)
-    assert result.same and not result.not_compared
 
 
 @pytest.mark.parametrize(

@@ -135,13 +135,12 @@ def silent(source: Path, out: Path, mutants: list[Mutant]) -> list[str]:
 
 @pytest.fixture(scope="module")
 def sources(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
-    """A recording of this version, and one of another that had no digests of checkpoints."""
+    """A recording of this version, and one of another with the same schema."""
     folder = tmp_path_factory.mktemp("sources")
-    new, old = folder / "new.rrd", folder / "old.rrd"
-    carom.run(Scene.from_dict(SCENE), new)
-    changed(new, old, "__properties/run", mapped("version.carom", lambda row: ["0.0.9"]), static=True)
-    changed(old, old, "state/checkpoint", partial(without_column, name="digest"))
-    return {"new": new, "old": old}
+    own, other = folder / "own.rrd", folder / "other.rrd"
+    carom.run(Scene.from_dict(SCENE), own)
+    changed(own, other, "__properties/run", mapped("version.carom", lambda row: ["0.0.9"]), static=True)
+    return {"own": own, "other": other}
 
 
 def chosen(mutants: list[Mutant], seed: int, count: int) -> list[Mutant]:
@@ -152,9 +151,9 @@ def chosen(mutants: list[Mutant], seed: int, count: int) -> list[Mutant]:
 @pytest.mark.parametrize(
     ("version", "count"),
     [
-        ("new", SAMPLE),
-        pytest.param("new", LARGE_SAMPLE, marks=pytest.mark.slow),
-        pytest.param("old", LARGE_SAMPLE, marks=pytest.mark.slow),
+        ("own", SAMPLE),
+        pytest.param("own", LARGE_SAMPLE, marks=pytest.mark.slow),
+        pytest.param("other", LARGE_SAMPLE, marks=pytest.mark.slow),
     ],
 )
 def test_what_is_deleted_or_altered_is_a_difference_or_named(
@@ -181,7 +180,7 @@ def test_what_once_replayed_as_the_same_bits_no_longer_does(
     entity: str, name: str, sources: dict[str, Path], tmp_path: Path
 ) -> None:
     change = partial(altered, name) if name else lambda batch: batch.slice(0, batch.num_rows - 1)
-    changed(sources["new"], tmp_path / "out.rrd", entity, change, static=entity in STATIC, every=bool(name))
+    changed(sources["own"], tmp_path / "out.rrd", entity, change, static=entity in STATIC, every=bool(name))
     result = replay(Recording.open(tmp_path / "out.rrd"))
     told = "impact_sums" if name == "group" else entity.rpartition("/")[2]  # sums by group come before static data
     assert result.difference is not None and told in result.difference.quantity

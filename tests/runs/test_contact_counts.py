@@ -8,7 +8,7 @@ def test_impacts_and_contact_steps_are_told_apart_and_said_how_they_were_counted
     steps = "10969 contact-steps (pairs that touch, summed over steps)"
     assert counts_text(10969, 11001, EACH) == f"11001 impacts, {steps}"
     assert counts_text(10969, 529, ONCE_A_STEP) == f"529 impacts (counted once a pair and step), {steps}"
-    assert counts_text(10969, 529, None) == f"529 impacts, {steps}", "an older recording does not say"
+    assert counts_text(10969, 529, None) == f"529 impacts, {steps}", "another engine does not say"
     assert counts_text(10969, None, None) == steps
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +14,6 @@ import pytest
 
 import carom
 from carom.errors import RecordingError
-from carom.physics.checkpoint import Checkpoint
 from carom.physics.frame import Frame, FrameStore
 from carom.physics.schedule import Schedule
 from carom.physics.simulation import StepStatus
@@ -22,6 +21,7 @@ from carom.physics.space import Space
 from carom.plan.auto import frame_interval
 from carom.recording.read.recording import Recording
 from carom.recording.schema import checkpoint_columns, paths
+from carom.recording.schema.header import scene_digest
 from carom.runs.comparison import different
 from carom.runs.replay import Difference, replay
 from carom.runs.run import simulate
@@ -122,7 +122,7 @@ def spoiled(path: Path, change: Callable[[Space], None]) -> Recording:
 @pytest.mark.parametrize("interval", [0.05, None])
 @pytest.mark.parametrize("stops", [False, True])
 def test_errors_are_judged_again_at_the_same_instants(interval: float | None, stops: bool, tmp_path: Path) -> None:
-    """At multiples of an interval, or, in recordings of earlier versions, at the frames; also where a run stopped."""
+    """At multiples of an interval or at the frames; also where a run stopped."""
     record = {"every": "step" if stops else 0.31, "check_every": 1000}
     scene = cloud(12, time={"duration": 1.0}, record=record, expect={"energy_error": 1.0})
     space = Spoiled(scene, record_contacts=True)
@@ -252,7 +252,7 @@ def test_a_scene_of_other_bodies_than_the_recorded_ones_is_not_run(
 ) -> None:
     recording = carom.run(cloud(12, time={"duration": 0.5}), tmp_path / "cloud.rrd")
     monkeypatch.setattr(Recording, "scene_toml", cloud(1_000_000_000).toml)
-    monkeypatch.setitem(vars(recording), "info", {**recording.info, "scene_sha256": None})  # as in older recordings
+    monkeypatch.setitem(vars(recording), "info", {**recording.info, "scene_sha256": scene_digest(recording.scene_toml)})
     with pytest.raises(RecordingError, match="has 12 bodies, but its scene has 1000000000: it is damaged"):
         replay(recording)
 
@@ -301,24 +301,3 @@ def test_bundled_scenes_without_walls_or_moving_planes_replay_and_resume_with_th
     for path, (whole, _) in runs.items():
         resumed = Recording.open(path).fingerprints()["fingerprint"].to_pylist()
         assert resumed == [frame.fingerprint for frame in Space(whole).run()], path.stem
-
-
-def test_a_recording_of_the_first_schema_is_read_and_says_why_it_cannot_run_again(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    # Version 1 kept the arrays of a checkpoint, and neither its contacts nor its books.
-    encode = checkpoint_columns.encode
-
-    def as_it_was(checkpoints: Sequence[Checkpoint]) -> dict[str, checkpoint_columns.Column]:
-        new = ("books", "contact_", "held_")
-        return {name: column for name, column in encode(checkpoints).items() if not name.startswith(new)}
-
-    with monkeypatch.context() as then:
-        then.setattr("carom.recording.schema.header.SCHEMA_VERSION", 1)
-        then.setattr(checkpoint_columns, "encode", as_it_was)
-        carom.run(cloud(12, time={"duration": 0.5}), tmp_path / "old.rrd")
-    recording = Recording.open(tmp_path / "old.rrd")
-    assert recording.outcome == "completed" and recording.summary()["frames"] == recording.frames > 10
-    assert recording.energy().num_rows == recording.frames
-    with pytest.raises(RecordingError, match="recorded by a version of carom that does not support resuming"):
-        replay(recording)

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
-import pytest
-import rerun as rr
 
 from carom.event import Event
 from carom.physics.checkpoint import Books
@@ -17,11 +15,9 @@ from carom.physics.diagnostics.energy_monitor import MonitorState
 from carom.physics.diagnostics.extremes import Extreme, Extremes
 from carom.physics.diagnostics.ledger import Ledger
 from carom.physics.diagnostics.momentum import MomentumBaseline
+from carom.physics.diagnostics.run_monitor import PaceTally
 from carom.physics.frame import Frame
-from carom.recording.schema import paths
 from carom.recording.schema.header import Header
-from carom.recording.write import encoder
-from carom.recording.write.rows import Index, Rows
 
 RUN_ID = "5e0f5d0e-9c0b-4f53-8a4c-1d2d6b1f3a77"
 
@@ -135,6 +131,7 @@ class ScriptedRun:
             activity=0.1,
             phase="free",
             limits=("a limit",),
+            pace=PaceTally(),
         )
 
     def contacts(self, position: np.ndarray, step: int) -> CollisionGraph:
@@ -168,16 +165,3 @@ class ScriptedRun:
         rate = np.linalg.norm(self.spin, axis=1, keepdims=True)
         half = 0.5 * rate * time
         return np.concatenate([self.spin / rate * np.sin(half), np.cos(half)], axis=1)
-
-
-def write_events_without_kinds(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let recorders write events as they did before events had kinds."""
-
-    def without_kinds(events: Sequence[Event]) -> Rows:
-        columns = rr.TextLog.columns(text=[e.text for e in events], level=[e.level for e in events])
-        return Rows(
-            paths.EVENTS, Index(np.array([e.step for e in events]), np.array([e.time for e in events])), columns
-        )
-
-    monkeypatch.setattr(encoder, "event_rows", without_kinds)
-    monkeypatch.setattr("carom.recording.write.recorder.event_rows", without_kinds)

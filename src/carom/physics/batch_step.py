@@ -45,7 +45,7 @@ class BatchStepper:
         self.timestep = timestep
         self._holder = holder
         self._held = False  # whether the holder has taken over
-        self._takes_back = world.scene.promise is not None  # only with an accuracy, as in earlier versions
+        self._takes_back = world.scene.promise is not None  # only with an accuracy
         self._took_last = True  # whether the integrator took the last step, not the holder
 
     @property

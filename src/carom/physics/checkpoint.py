@@ -6,7 +6,7 @@ The 64-bit fingerprint of a state is XXH64 of the bytes of its arrays, in their 
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 import xxhash
@@ -34,7 +34,7 @@ class Books:
     activity: float  # J, activity of the impacts in the last steps
     phase: str
     limits: tuple[str, ...]  # limits of the method that were reached and reported so far
-    pace: PaceTally = field(default_factory=PaceTally)  # older recordings lack it
+    pace: PaceTally
     wrong_work: tuple[WrongWork, ...] = ()  # of `diagnostics.dissipation`; empty if nothing was wrong
 
 

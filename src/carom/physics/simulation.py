@@ -64,7 +64,7 @@ class Simulation:
 
     Errors are judged at the first step at or after each multiple of `check_interval` (s), at every
     ``record.check_every``-th step, and at the end of a run. The interval follows from the scene, so a verdict does not
-    depend on the recording. If it is None, errors are judged at the frames, as in earlier versions.
+    depend on the recording. If it is None, errors are judged at the frames.
     """
 
     def __init__(

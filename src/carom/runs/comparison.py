@@ -19,7 +19,7 @@ from carom.recording.rrd.messages import Chunk
 from carom.recording.schema import paths
 from carom.recording.schema.header import TimeScale
 from carom.recording.schema.paths import IMPACT, SIM_TIME, STEP
-from carom.recording.schema.series import SERIES, all_series
+from carom.recording.schema.series import SERIES
 from carom.recording.write.rows import Rows, any_values
 from carom.recording.write.static_entities import identity, recording_name, statics
 from carom.runs.run import header_of
@@ -108,10 +108,6 @@ _SHAPES = frozenset(  # positions and sizes of drawn bodies, planes and walls; t
 )
 _DRAWING = ("schema_version", "title", "colour_by", "body_colouring", "arrow_length.")  # keys that change no number
 _OTHERS = ("__properties/", paths.MAGNIFIED, paths.START)  # the circumstances of the run, the layout, a clip's start
-_SINCE_SCHEMA_3 = (
-    *("records_contacts", "states_at_impacts", "drawing_rules"),
-    *("arrow_length.world/forces/", "world/forces/"),
-)
 
 
 class StaticCheck:
@@ -133,7 +129,6 @@ class StaticCheck:
         circumstances = {name: recording.properties.get(name, value) for name, value in header.properties.items()}
         self._header = replace(
             header,
-            drawing_rules=int(recording.info.get("drawing_rules", header.drawing_rules)),
             record_impacts=scene.record.impacts,
             group=np.repeat(np.array(numbers, np.int64), counts),
             properties=circumstances,
@@ -152,12 +147,7 @@ class StaticCheck:
             position = self._recording.checkpoint(self._first).position - self._recording.origin
             reach = float(np.max(np.abs(position).max(axis=1) + self._header.radius))
         expected = self._expected(reach or 1.0)
-        entries = self._recording.store.entries
-        # series that were added since the recording; `FrameCheck` lists them
-        added = {each.path for each in all_series(self._header.extensions)} - {entry.entity_path for entry in entries}
         for path, components in expected.items():
-            if path in added:
-                continue
             others = dict(recorded.get(path, {}))
             for name, value in components.items():
                 if reach is None and name in _SHAPES and path.startswith((paths.PLANES, paths.SHAPES, paths.MOVING)):
@@ -179,10 +169,6 @@ class StaticCheck:
         return found[0] if found else None
 
     def _skip(self, path: str, name: str, why: str) -> None:
-        if int(self._recording.info.get("schema_version", paths.SCHEMA_VERSION)) < 3 and (path + name).startswith(
-            _SINCE_SCHEMA_3
-        ):
-            return
         what = f"{name} of the property carom" if path == IDENTITY else f"{name} of /{path} (once)"
         self.skipped[f"{what}, which {why}"] = None
 

@@ -41,7 +41,6 @@ WORDS_OF_EXTREMES = "the text of the extremes in /events, which differs"
 
 # a checkpoint does not contain the step that led to it
 _BEFORE = {paths.CONTACTS, paths.FORCE_NORMAL, paths.FORCE_FRICTION, paths.TORQUE, paths.ANGULAR_ACCELERATION}
-_LATER = ("digest", paths.IMPACT_SUMS)  # components of checkpoints and contacts; earlier versions did not write them
 _LARGEST_FIRST = (paths.FORCE_NORMAL, paths.FORCE_FRICTION)  # arrows; the plan limits their number
 _ARROWS = "Arrows3D:vectors"
 _BY_CHANGE = (paths.PHASE, paths.DT_LIMIT)  # entities with a row at each change
@@ -65,12 +64,10 @@ class FrameCheck:
         self._path = recording.path
         self._rows = RecordedRows(recording)
         known = {each.path: each.past for each in all_series(header.extensions)}
-        self._series = set(known)  # recordings of earlier versions may lack some series
         self._led_there = _BEFORE | {path for path, past in known.items() if past in (Past.STEP, Past.INTERVAL)}
         self._relative = _RELATIVE | {path: () for path, past in known.items() if past in (Past.INTERVAL, Past.RUN)}
         self._clock = TimeScale(float(recording.info["time_scale"]))
         references = {name: float(value) for name, value in recording.arrow_references.items()}
-        header = replace(header, drawing_rules=recording.drawing_rules)
         header = header if recording.records_contacts else replace(header, record_impacts="none")
         # in a partial replay, the floors of arrows depend on earlier frames
         floors = arrow_floors(recording, int(steps[0])) if len(steps) and steps[0] > 0 else None
@@ -86,8 +83,6 @@ class FrameCheck:
         # whether all frames so far are frames of the run
         self._whole = all_frames and begin == 0 and is_whole(recording) and not recording.clip
         self._complete = recording.finished and REPAIRED not in recording.outcome  # no rows were lost
-        # every recorded series has a style; an older recording lacks the series added later
-        self._styled = {entry.entity_path for entry in recording.store.entries if entry.is_static}
         self._is_clip = bool(recording.clip)
         if header.records_contacts:
             whole = self._whole and self._same_words
@@ -229,10 +224,9 @@ class FrameCheck:
     def _row(self, path: str, step: int, replayed: pa.RecordBatch, compared: list[str]) -> Mismatch | None:
         found = self._rows.at(path, step)
         if not found:
-            is_there = path in self._rows.entities or path in self._styled
-            if self._complete and (is_there or path not in self._series):
+            if self._complete:
                 return Mismatch(step, f"rows of /{path}", 0, 1)
-            self.skipped[f"/{path}, {'rows of which are missing' if is_there else 'which the recording lacks'}"] = None
+            self.skipped[f"/{path}, rows of which are missing"] = None
             return None
         if len(found) > 1:
             return Mismatch(step, f"rows of /{path}", len(found), 1)
@@ -254,7 +248,7 @@ class FrameCheck:
         if times[0] != times[1]:
             return Mismatch(step, f"sim_time of /{path} (ns)", times[0], times[1])
         for name in compared:
-            if name not in recorded.components and self._complete and name not in _LATER:
+            if name not in recorded.components and self._complete:
                 return Mismatch(step, f"{name} of /{path}", 0, 1)
             if name not in recorded.components:
                 self.skipped[f"{name} of /{path}, which is missing"] = None
@@ -293,9 +287,7 @@ class FrameCheck:
         replayed = told_of(frame.events, self._clock)
         if recorded == replayed:
             return []
-        # older recordings lack kinds
-        pairs = zip(recorded, replayed, strict=False)
-        alike = all(one[:3] == other[:3] and one[3] in ("", other[3]) for one, other in pairs)
+        alike = all(one[:4] == other[:4] for one, other in zip(recorded, replayed, strict=False))
         if self._same_words or len(recorded) != len(replayed) or not alike:
             return [Mismatch(frame.step, "/events", text_of(recorded, replayed), text_of(replayed, recorded))]
         self.skipped[_WORDS] = None

@@ -25,13 +25,11 @@ from carom.recording.schema.paths import IMPACT, SIM_TIME, STEP
 from carom.recording.write.encoder import BatchEncoder
 from carom.recording.write.impact_frames import instants
 from carom.recording.write.impact_plan import ImpactPlan, Kept, impact_rows, largest
-from carom.recording.write.static_entities import STATES_AT_IMPACTS
 from carom.runs.comparison import Mismatch, chunk_of, different, same
 
 LEFT_OUT = "the number of impacts that were not recorded (only the largest between two frames are)"
 ROOM = "the numbers of contacts with arrows and of impacts with frames"
 FIRST_STATES = "states at impacts before the first frame"
-OTHER_STATES = "states at impacts, which older versions recorded differently"
 OF_OTHERS = "impacts of bodies that the clip does not show"
 
 
@@ -67,8 +65,6 @@ class ImpactCheck:
         self._path = recording.path
         self._numbers, self._recorded = impacts_by_number(recording)
         self._states = states_by_number(recording)
-        if not recording.info.get(STATES_AT_IMPACTS):
-            self.skipped[OTHER_STATES] = None
         self._rows, self._encoder, self._few = rows, encoder, few
         self._clock = TimeScale(float(recording.info["time_scale"]))
         self._references = {name: float(value) for name, value in recording.arrow_references.items()}
@@ -145,8 +141,6 @@ class ImpactCheck:
     def _states_differ(self, interval: _Interval) -> Mismatch | None:
         """Compare the states at the largest of the recorded impacts."""
         own = self._states_within(paths.BODIES, interval)[0]
-        if OTHER_STATES in self.skipped:
-            return None
         if len(own) and interval.before is None and interval.frame.step > 0:
             self.skipped[FIRST_STATES] = None
             return None
@@ -187,8 +181,6 @@ class ImpactCheck:
         numbers, table = self._states.get(path, (np.empty(0, np.int64), pa.table({})))
         inside = _within(numbers, interval)
         rows = table.slice(inside.start, inside.stop - inside.start)
-        if SIM_TIME in rows.column_names and rows[SIM_TIME].null_count:
-            self.skipped[OTHER_STATES] = None
         return numbers[inside], rows
 
     def _differ(self, steps: IntArray, recorded: pa.Table, replayed: Chunk, columns: list[str]) -> Mismatch | None:

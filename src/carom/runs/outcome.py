@@ -307,8 +307,8 @@ def overview(recording: Recording) -> list[tuple[str, str]]:
 
 
 def promise_text(verdict: dict[str, Any]) -> str:
-    """Describe the measurement and the promise; older recordings have only upper bounds."""
-    return f"{verdict['measured']:.3g}, {verdict.get('bound', 'at most')} {verdict['limit']:.3g}"
+    """Describe the measurement and the promise."""
+    return f"{verdict['measured']:.3g}, {verdict['bound']} {verdict['limit']:.3g}"
 
 
 def judged_promise(verdict: dict[str, Any]) -> str:

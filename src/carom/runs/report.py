@@ -144,7 +144,7 @@ def worst_moment(recording: Recording) -> tuple[float, str]:
         return event.time, event.text.splitlines()[0].rstrip(".")
     for name, verdict in summary["expect"].items():
         if verdict.get("judged", True) and not verdict["met"]:
-            worst = verdict if "time" in verdict else moments.get(name.removeprefix("max_"), {})  # older recordings
+            worst = verdict if "time" in verdict else moments.get(name.removeprefix("max_"), {})
             between = f", {worst['between']}" if worst.get("between") else ""
             return worst.get("time", last), f"the promise {name} was broken: {promise_text(verdict)}{between}"
     for event in sorted(warnings, key=lambda event: event.kind == "pace"):  # a change of pace is the least harmful

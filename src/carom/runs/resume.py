@@ -17,7 +17,6 @@ from carom.recording.read.recorded_scene import recorded_scene
 from carom.recording.read.recording import Recording
 from carom.recording.write.whole_file import Claim, claimed_output, refuse_name, refuse_output
 from carom.runs.environment import environment
-from carom.runs.replay import replay
 from carom.runs.run import Outcome, Watcher, recording_of, simulate, watched
 from carom.runs.window import space_of
 from carom.scene.integrators import AUTO
@@ -173,18 +172,6 @@ def continue_run(
     with contextlib.nullcontext(claim) if claim else claimed_target(source, output, force):
         if Recording.open(source).store != run.recording.store:
             raise RecordingError(f"{source} has changed since it was opened; resume it again")
-        if "scene_sha256" not in run.recording.info:
-            # an older recording, without a digest of its scene, must replay with the same bits; the frames from the
-            # checkpoint before the last one are run again
-            times = [time for time in run.recording.checkpoint_times.values() if time < run.time]
-            found = replay(run.recording, times[-1] if times else 0.0, threads=space.threads)
-            if found.difference:
-                units = run.scene.unit_system
-                raise RecordingError(
-                    f"{run.recording.path} cannot be resumed: a replay differs at {found.difference.text(units)}. The "
-                    "file was altered, or recorded by a version with different physics; "
-                    f"`{command('fork', run.recording.path)}` can continue from one of its states"
-                )
         target = output or source
         part = under_way(target)
         first = {key: value for key, value in run.recording.properties.items() if isinstance(value, str | int | float)}

@@ -199,8 +199,6 @@ def simulate(
         header = header_of(space)
         if properties is not None:
             header = replace(header, properties=properties)
-        if continued is not None:
-            header = replace(header, drawing_rules=continued.recording.drawing_rules)
         if member is not None:
             header = replace(header, member=member, properties={**header.properties, "command": member.command})
         recorder = FrameRecorder(path, header, live=live, continued=continued)
@@ -335,7 +333,6 @@ def header_of(space: Space) -> Header:
         collides=needs.contact.modelled,
         stabilises=needs.stabilisation.modelled,
         body_colouring=scene.contact.colouring == "bodies",
-        contact_rules=scene.contact_rules,
         duration=scene.time.duration,
         units=scene.unit_system,
         check_interval=space.check_interval,

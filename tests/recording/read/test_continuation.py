@@ -12,7 +12,7 @@ from carom.recording.read.frame_rows import Continuation
 from carom.recording.read.recording import Recording
 from carom.recording.schema import paths
 from carom.recording.write.recorder import FrameRecorder
-from scripted_run import ScriptedRun, write_events_without_kinds
+from scripted_run import ScriptedRun
 
 LARGEST = Event(8, 0.4, "INFO", "Hardest impact of the run, 3 J of approach (½ μ v_n²): a and b.", "extreme")
 FRAMES = 20
@@ -38,14 +38,3 @@ def test_a_resumed_run_keeps_events_by_their_kind_whatever_their_text_says(
 ) -> None:
     event = Event(5, 0.25, "WARN", text, "pace")
     assert texts_carried_over(recorded(tmp_path / "run.rrd", scripted, event)) == [text]
-
-
-def test_a_resumed_run_drops_the_closing_events_of_a_recording_without_kinds(
-    tmp_path: Path, scripted: ScriptedRun, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    write_events_without_kinds(monkeypatch)
-    event = Event(5, 0.25, "WARN", "Energy rose by 2e-3 of the energy scale.", "energy-rise")
-    recording = recorded(tmp_path / "old.rrd", scripted, event)
-    assert [(event.kind, event.text) for event in recording.warnings()] == [("energy-rise", event.text)]
-    assert recording.events()["kind"].to_pylist() == ["energy-rise", "extreme", "end"]
-    assert texts_carried_over(recording) == [event.text]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,12 +10,9 @@ import pytest
 
 import carom
 from carom.arrays import FloatArray
-from carom.physics.space import Space
 from carom.recording.read.frame_rows import RecordedRows
 from carom.recording.read.recording import Recording
 from carom.recording.schema import paths
-from carom.recording.schema.header import Header
-from carom.runs import run
 from carom.runs.replay import replay
 from carom.runs.resume import resume
 from carom.scene.schema import Scene
@@ -87,24 +83,4 @@ def test_a_replay_from_any_time_and_a_resumed_run_have_the_same_arrows(recording
     for path in (paths.TORQUE, paths.FORCE_FRICTION):
         one, other = lengths(recording, path), lengths(longer, path)
         assert one.keys() == other.keys() and all(one[step].tolist() == other[step].tolist() for step in one)
-    assert replay(longer).same
-
-
-def test_an_older_recording_keeps_its_arrows_when_it_is_replayed_or_resumed(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    header_of = run.header_of
-
-    def by_first_rules(space: Space) -> Header:
-        return replace(header_of(space), drawing_rules=1)
-
-    with monkeypatch.context() as older:
-        older.setattr(run, "header_of", by_first_rules)
-        recording = carom.run(two_pairs(1.0), tmp_path / "older.rrd")
-    assert "drawing_rules" not in recording.info
-    result = replay(recording)
-    assert result.same
-    assert result.not_compared == ["drawing_rules of the property carom, which is missing"]
-    longer = resume(recording, 2.0)
-    assert [len(each) for each in lengths(longer, paths.TORQUE).values()] == [2, 2], "noise, too"
     assert replay(longer).same

@@ -148,7 +148,6 @@ def move(path: Path, to: Path) -> None:
 SCHEMA = 1
 PENDING, DONE, FAILED = "pending", "done", "failed"
 COMPLETED = "completed"
-_FILES_BEFORE = ("scene.toml", "table.parquet", "table.csv")  # of older manifests, which do not list them
 _ENTRY = 4000  # bytes reserved for each run's entry
 
 
@@ -182,9 +181,9 @@ class StoredSweep(BaseModel):
     scene: str  # digest
     varied: list[str]
     versions: dict[str, str]
-    counts: dict[str, int] = Field(default_factory=dict)  # of runs, by status
-    units: str | None = None  # older manifests lack it
-    files: list[str] = Field(default_factory=lambda: [*_FILES_BEFORE])
+    counts: dict[str, int]  # of runs, by status
+    units: str
+    files: list[str]
     runs: Annotated[list[SweepRun], Field(min_length=1)]
 
 

@@ -95,7 +95,7 @@ def draw(document: dict[str, Any], path: Path, units: UnitSystem = SI) -> None:
         for ax in axes[len(panels) :]:
             ax.set_visible(False)
         title, reference = document["scene"]["title"], document["reference"]
-        if not reference.get("complete", True):  # older documents lack this key
+        if not reference["complete"]:
             title += f"\npositions are compared up to t = {units.text(reference['horizon'], TIME)}"
         figure.suptitle(title, fontsize=10)
         ends = [f"{_short(e)}: {e['reason']}" for e in document["settings"] if e["status"] in ("stopped", "failed")]

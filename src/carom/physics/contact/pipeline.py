@@ -90,8 +90,7 @@ class ContactPipeline:
         friction = requirements.friction.modelled
         # islands are of interest only where contacts last
         sweeps = contact.sweeps if self._lasts or contact.sweeps != "auto" else "converged"
-        recorded = totals is not None, sweeps, contact.rules
-        self.solver = ContactSolver(bodies, planes, materials, box, friction, team, *recorded)
+        self.solver = ContactSolver(bodies, planes, materials, box, friction, team, totals is not None, sweeps)
         if not self._lasts:
             self.solver.assume_loads()
         self._near.pressing = self.solver.pressing[: len(bodies)]

@@ -94,7 +94,7 @@ class EnergyBaseline:
 
     initial: float  # J, the total at the start of the run
     scale: float  # J, the largest scale of the checks so far
-    origin: Origin | None = None  # None in older recordings, whose scale had another definition
+    origin: Origin
 
 
 class EnergyAccount:
@@ -155,19 +155,17 @@ class EnergyAccount:
                 conserved = cancelling
             self.baseline = EnergyBaseline(total, self._lift, Origin(conserved, rotational, external))
         known = self.baseline
-        scale = known.scale
-        if known.origin:
-            scale = max(
-                scale,
-                abs(known.origin.conserved),
-                abs(known.origin.conserved - ledger.taken_out + ledger.stabilisation - ledger.by_forces),
-                abs(ledger.by_forces),
-                abs(external - known.origin.field),
-                abs(rotational - known.origin.rotational),
-                rotational if self._spins_count else 0.0,
-            )
-            if judged and scale != known.scale:
-                self.baseline = replace(known, scale=scale)
+        scale = max(
+            known.scale,
+            abs(known.origin.conserved),
+            abs(known.origin.conserved - ledger.taken_out + ledger.stabilisation - ledger.by_forces),
+            abs(ledger.by_forces),
+            abs(external - known.origin.field),
+            abs(rotational - known.origin.rotational),
+            rotational if self._spins_count else 0.0,
+        )
+        if judged and scale != known.scale:
+            self.baseline = replace(known, scale=scale)
         # each term of a sum, and each change of a velocity, is rounded up or down at random
         changing = translational + abs(gravitational - self._constant) + abs(external)
         changing += rotational if ledger.friction else 0.0  # otherwise nothing has changed the spins

@@ -23,7 +23,6 @@ from carom.recording.read.tables import rising
 from carom.recording.rrd.container import Container, Salvage, salvage
 from carom.recording.rrd.messages import BLUEPRINT, RECORDING, Chunk, Entry, Store
 from carom.recording.schema import paths
-from carom.recording.schema.header import schema_version
 from carom.recording.schema.paths import STEP
 from carom.recording.write.rerun_compat import StoredLayout
 from carom.recording.write.whole_file import Writer
@@ -83,11 +82,10 @@ def repair(source: str | Path, out: str | Path) -> Repaired:
         store = max(stores, key=lambda store: len(store.entries), default=None)
         if store is None or not store.entries:
             raise RecordingError(f"nothing of {source} can be read as a recording")
-        if schema_version(store.application_id) is None:
-            raise RecordingError(f"{source} was not made by carom, but by {store.application_id!r}")
         own = [layout for layout in found.stores if layout.application_id == store.application_id]
         layouts = [layout for layout in own if layout.kind == BLUEPRINT and _is_whole(layout, found)]
         recording = Recording(Container(source, [store, *layouts], finished=False), store)
+        recording.refuse_other_schema()
         if found.finished:
             with contextlib.suppress(RecordingError):
                 recording.fingerprints()  # the table of frames, which everything else needs

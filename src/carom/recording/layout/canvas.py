@@ -316,9 +316,9 @@ def spatial_view(
 
 def surroundings(header: Header) -> list[str]:
     """Return the entities of the planes, walls and periodic box of the scene."""
-    still = ((PLANES, header.planes), (SHAPES, header.shapes)) if not header.draws_motion else ()
+    still = ((PLANES, header.planes), (SHAPES, header.shapes)) if not header.drives else ()
     parts = (*still, (WALLS, header.walls), (PERIODIC_BOX, header.box))
-    return [*(path for path, part in parts if part is not None), *([f"{MOVING}/**"] if header.draws_motion else [])]
+    return [*(path for path, part in parts if part is not None), *([f"{MOVING}/**"] if header.drives else [])]
 
 
 def taken_from(sources: Mapping[str, str]) -> list[VisualizerComponentMapping]:

@@ -6,7 +6,7 @@ and order. Only the requested columns are copied from a chunk, so a table needs 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -83,13 +83,11 @@ MOMENTA = {
 _UNORDERED = (paths.EVENTS,)  # events logged at the end of a run belong to earlier steps
 
 
-def join_rows(
-    path: str, chunks: Iterable[Chunk], columns: Mapping[str, Column], optional: Sequence[str] = ()
-) -> pa.Table:
+def join_rows(path: str, chunks: Iterable[Chunk], columns: Mapping[str, Column]) -> pa.Table:
     """Join the rows of an entity. Components with one value per row become plain columns.
 
-    Chunks are in the order of their first steps. ``optional`` columns, which older recordings lack, become empty texts.
-    Raises DamageError if a row has wrong or missing values, or rows are not in the order of their steps.
+    Chunks are in the order of their first steps. Raises DamageError if a row has wrong or missing values, or rows are
+    not in the order of their steps.
     """
     steps, times = [np.empty(0, np.int64)], [np.empty(0, np.int64)]
     found: dict[str, list[pa.Array]] = {name: [] for name in columns}
@@ -104,7 +102,7 @@ def join_rows(
         steps.append(own)
         times.append(np.array(batch[SIM_TIME].cast(pa.int64()).to_numpy()))
         for name, column in columns.items():
-            values = optional_text(chunk, name) if name in optional else flat(chunk, name, column)
+            values = flat(chunk, name, column)
             text += values.nbytes if pa.types.is_string(column.type) else 0
             if text > _MOST_TEXT:
                 raise DamageError(f"more than {_MOST_TEXT} bytes of text at /{path}")
@@ -120,15 +118,6 @@ def join_rows(
             values = pa.ListArray.from_arrays(offsets, values)
         joined[name] = values
     return pa.table(joined)
-
-
-def optional_text(chunk: Chunk, name: str) -> pa.Array:
-    """Copy the texts of a component; "" in older recordings without it. Raises DamageError if they are not texts."""
-    if name not in chunk.components:
-        return pa.array([""] * chunk.batch.num_rows, pa.string())
-    if chunk.batch[name].type.value_type != pa.string():
-        raise DamageError(f"{name} of /{chunk.entity_path} of type {chunk.batch[name].type}")
-    return pa.array([(row[0] or "") if row else "" for row in chunk.batch[name].to_pylist()], pa.string())
 
 
 def flat(chunk: Chunk, name: str, column: Column) -> pa.Array:
@@ -180,9 +169,9 @@ class Entities:
         layouts = [store for store in self._container.stores if store.kind == BLUEPRINT and store.entries]
         return list(self.read(layouts[-1].entries)) if layouts else []
 
-    def table(self, path: str, columns: Mapping[str, Column], optional: Sequence[str] = ()) -> pa.Table:
+    def table(self, path: str, columns: Mapping[str, Column]) -> pa.Table:
         """Return the rows of an entity as a table of these columns."""
-        return join_rows(path, self.chunks(path), columns, optional)
+        return join_rows(path, self.chunks(path), columns)
 
     def chunks(self, path: str, component: str | None = None) -> Iterator[Chunk]:
         """Read an entity's chunks of steps in order; given a component, only chunks that have it."""

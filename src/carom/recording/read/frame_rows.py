@@ -14,13 +14,13 @@ import pyarrow.compute as pc
 
 from carom.arrays import FloatArray, IntArray, SingleArray
 from carom.errors import DamageError, RecordingError
-from carom.recording.read.entities import EVENTS, centres_of, flat, optional_text, plain, reading
+from carom.recording.read.entities import EVENTS, centres_of, flat, plain, reading
 from carom.recording.read.recorded_impacts import RecordedImpacts, impacts_until
 from carom.recording.read.recording import Recording
 from carom.recording.rrd.messages import Chunk, Entry
 from carom.recording.schema import paths
 from carom.recording.schema.header import TimeScale
-from carom.recording.schema.paths import CLOSING, IMPACT, STEP, kind_of
+from carom.recording.schema.paths import CLOSING, IMPACT, STEP
 
 if TYPE_CHECKING:
     from carom.physics.checkpoint import Checkpoint
@@ -199,10 +199,8 @@ class Continuation:
             else:
                 kept = pc.less_equal(batch[IMPACT], self.impacts.count)
             if chunk.entity_path == paths.EVENTS:
-                texts = flat(chunk, "TextLog:text", EVENTS["TextLog:text"]).to_pylist()
-                events = zip(optional_text(chunk, "kind").to_pylist(), texts, strict=True)
-                closes = pa.array([kind_of(kind, text) in CLOSING for kind, text in events], pa.bool_())
-                kept = pc.and_(kept, pc.invert(closes))
+                kinds = flat(chunk, "kind", EVENTS["kind"])
+                kept = pc.and_(kept, pc.invert(pc.is_in(kinds, pa.array(sorted(CLOSING)))))
             if pc.all(kept).as_py():
                 yield chunk
             elif pc.any(kept).as_py():

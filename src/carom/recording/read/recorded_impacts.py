@@ -153,7 +153,6 @@ def _rows_by_number(recording: Recording, entries: list[Entry], least: int = 1) 
         if any(IMPACT not in batch.schema.names for batch in batches):
             raise DamageError(f"rows of /{entries[0].entity_path} without the numbers of their impacts")
         ordered = sorted(batches, key=lambda batch: batch[IMPACT][0].as_py())
-        # a recording resumed by an older version begins with rows without times
         table = pa.concat_tables([pa.Table.from_batches([batch]) for batch in ordered], promote_options="default")
         table = table.combine_chunks()
         numbers = np.array(table[IMPACT].to_numpy())

@@ -46,7 +46,7 @@ def recorded_scene(recording: Recording, overrides: list[str] | None = None) -> 
     if len(text) > longest_text(bodies):
         raise RecordingError(f"{path} has a scene of {len(text)} characters for {bodies} bodies: it is damaged")
     stated = recording.info.get("scene_sha256")
-    if stated is not None and stated != scene_digest(text):
+    if stated != scene_digest(text):
         altered = "its scene was altered after the recording (the SHA-256 differs)"
         raise RecordingError(f"{path}: {altered}, so it cannot be rerun")
     refuse_missing_extensions(recording)
@@ -54,7 +54,6 @@ def recorded_scene(recording: Recording, overrides: list[str] | None = None) -> 
     scene = scene_from_text(text, source, bodies=RecordedBodies(recording))
     if overrides:
         scene = scene_from_text(text, source, overrides, scene.held)
-    scene = scene.by_contact_rules(recording.contact_rules)
     if scene.count != bodies:
         raise RecordingError(f"{path} has {bodies} bodies, but its scene has {scene.count}: it is damaged")
     return scene
@@ -130,7 +129,7 @@ def header_of_recording(recording: Recording) -> Header:
     planes = None
     if paths.PLANES in static:  # as drawn, without sides, unless a piston moves along its normal
         planes = planes_of(scene) if scene and "piston" in info else recording.drawn_planes()
-    colour_by = str(info.get("colour_by", "auto"))  # older recordings do not store it
+    colour_by = str(info["colour_by"])
     return Header(
         title=recording.title,
         description="",
@@ -143,13 +142,13 @@ def header_of_recording(recording: Recording) -> Header:
         radius=bodies.radius[recording.shown],  # a clip may show only some bodies
         inertia=bodies.inertia,
         spins=bool(info["spins"]),
-        has_orientation=bool(info.get("has_orientation", info["spins"])),  # older recordings have one flag
-        has_torque=bool(info.get("has_torque", info["spins"])),
-        has_friction=bool(info.get("has_friction", info["spins"])),
+        has_orientation=bool(info["has_orientation"]),
+        has_torque=bool(info["has_torque"]),
+        has_friction=bool(info["has_friction"]),
         forces=frozenset((*(kind.name for kind in FORCES if info.get(kind.present)), *names_of("forces", extensions))),
         extensions=extensions,
         collides=bool(info["collides"]),
-        stabilises=bool(info.get("stabilises", info["collides"])),
+        stabilises=bool(info["stabilises"]),
         body_colouring=bool(info["body_colouring"]),
         colour_by=colour_by if colour_by in COLOUR_BY else "auto",
         materials=None if scene is None else ShownMaterials.of(scene),
@@ -170,8 +169,6 @@ def header_of_recording(recording: Recording) -> Header:
         planes=planes,
         engine=recording.engine,
         uniform_field=recording.uniform_field,
-        drawing_rules=recording.drawing_rules,
-        contact_rules=recording.contact_rules,
         drawn_as=str(info.get("drawn_as", "")),
     )
 

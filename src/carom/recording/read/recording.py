@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Iterator
+from contextlib import suppress
 from functools import cached_property
+from importlib.metadata import version as installed_version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
@@ -32,6 +35,13 @@ if TYPE_CHECKING:
     from carom.physics.checkpoint import Checkpoint
     from carom.runs.window import Watcher, Window
 
+# A public version in its normal form (https://packaging.python.org/en/latest/specifications/version-specifiers/). The
+# text is a stranger's and becomes a command, so nothing else is quoted.
+_NUMBER = "(0|[1-9][0-9]{0,5})"
+_RELEASE = re.compile(
+    rf"{_NUMBER}(\.{_NUMBER}){{0,4}}((a|b|rc){_NUMBER})?(\.post{_NUMBER})?(\.dev{_NUMBER})?", re.ASCII
+)
+
 
 class Recording(FrameTables):
     """A recording on disk. Make one with :meth:`open`."""
@@ -43,7 +53,7 @@ class Recording(FrameTables):
 
     @classmethod
     def open(cls, path: str | Path) -> Self:
-        """Open a file. RecordingError if it does not exist, is not a recording of carom, or has a newer schema."""
+        """Open a file. RecordingError if it does not exist, is not a recording of carom, or has another schema."""
         path = Path(path)
         with reading(path):
             if not path.is_file():
@@ -52,13 +62,25 @@ class Recording(FrameTables):
         store = next((store for store in container.stores if store.kind == RECORDING), None)
         if store is None:
             raise RecordingError(f"{path} holds no recording")
-        version = schema_version(store.application_id)
+        recording = cls(container, store)
+        recording.refuse_other_schema()
+        return recording
+
+    def refuse_other_schema(self) -> None:
+        """Raise RecordingError if carom did not make it, or a version of carom that writes another schema did."""
+        version = schema_version(self.store.application_id)
         if version is None:
-            raise RecordingError(f"{path} was not made by carom, but by {store.application_id!r}")
-        if version > paths.SCHEMA_VERSION:
-            known = f"this carom reads up to {paths.SCHEMA_VERSION}"
-            raise RecordingError(f"{path} has schema version {version}; {known}: upgrade carom")
-        return cls(container, store)
+            raise RecordingError(f"{self.path} was not made by carom, but by {self.store.application_id!r}")
+        if version == paths.SCHEMA_VERSION:
+            return
+        writer = ""
+        with suppress(RecordingError):  # the properties of another schema may differ
+            writer = self.versions.get("carom", "")
+        reader = "the version of carom that recorded it reads it"
+        if _RELEASE.fullmatch(writer) and writer != installed_version("carom"):
+            reader = f"carom {writer}, which recorded it, reads it: `pip install carom=={writer}`"
+        own = f"this carom reads version {paths.SCHEMA_VERSION} only"
+        raise RecordingError(f"{self.path} has schema version {version}, and {own}; {reader}")
 
     @cached_property
     @named
@@ -103,7 +125,7 @@ class Recording(FrameTables):
     @cached_property
     @named
     def fixed(self) -> BoolArray:
-        """Mask (n,) of the bodies that another engine never moves; older recordings do not state them."""
+        """Mask (n,) of the bodies that another engine never moves; a recording without it has none."""
         n = int(self.info["bodies"])
         stored = self._entities.static(paths.STATIC_STATE).get("fixed", np.zeros(n, np.bool_))
         mask = np.asarray(stored)

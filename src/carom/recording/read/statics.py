@@ -139,16 +139,6 @@ class Statics:
         return self._entities.properties("arrows")
 
     @property
-    def drawing_rules(self) -> int:
-        """The version of the rules of drawing, see `Header.drawing_rules`."""
-        return int(self.info.get("drawing_rules", 1))
-
-    @property
-    def contact_rules(self) -> int:
-        """The version of the meaning of `contact.sweeps`, see `Scene.contact_rules`."""
-        return int(self.info.get("contact_rules", 1))
-
-    @property
     def versions(self) -> dict[str, str]:
         """Versions of the packages that recorded it."""
         stamped = ((key.partition("version."), value) for key, value in self.properties.items())
@@ -221,7 +211,7 @@ class Statics:
     @property
     @named
     def check_interval(self) -> float | None:
-        """Time (s) between checks of energy and momentum; None in older recordings, which were checked at frames."""
+        """Time (s) between checks of energy and momentum; None if they are at the frames."""
         interval = self.info.get("check_interval")
         return None if interval is None else float(interval)
 
@@ -229,7 +219,7 @@ class Statics:
     @named
     def records_contacts(self) -> bool:
         """Whether impacts and the contact table are recorded."""
-        return bool(self.info.get("records_contacts", False))
+        return bool(self.info.get("records_contacts", False))  # an overlay does not state it
 
     @property
     @named

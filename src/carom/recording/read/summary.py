@@ -158,20 +158,12 @@ def _contacts(recording: Recording) -> dict[str, Any]:
 def _moments(recording: Recording) -> dict[str, Any]:
     """Nest the worst moments.
 
-    Bodies are written as ``3,17``, since a property cannot hold a list of unknown length. Recordings without `planes`
-    number planes from n on, after the bodies, and lack their names.
+    Bodies are written as ``3,17``, since a property cannot hold a list of unknown length.
     """
     moments = _complete(_below(recording.closing, "moments"), ("value", "step", "time"))
-    n = int(recording.info["bodies"])
     for moment in moments.values():
-        ends, planes = _numbers(moment.get("bodies", "")), _numbers(moment.get("planes", ""))
-        moment["bodies"] = [end for end in ends if end < n]
-        moment["planes"] = planes or [end - n for end in ends if end >= n]
-        if not moment.get("between"):
-            from carom.recording.read.lookup import names_of  # noqa: PLC0415 - loads Numba, for old recordings only
-
-            ends = moment["bodies"] + [plane + n for plane in moment["planes"]]
-            moment["between"] = names_of(recording).pair(ends) if ends else ""
+        moment |= {name: _numbers(moment.get(name, "")) for name in ("bodies", "planes")}
+        moment.setdefault("between", "")
     return moments
 
 

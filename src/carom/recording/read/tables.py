@@ -29,7 +29,7 @@ from carom.recording.read.lookup import body_number, frame_of, goal_of, shown_bo
 from carom.recording.read.statics import Statics, named
 from carom.recording.rrd.messages import release_memory
 from carom.recording.schema import paths
-from carom.recording.schema.paths import CLOSING, SIM_TIME, STEP, kind_of
+from carom.recording.schema.paths import CLOSING, SIM_TIME, STEP
 from carom.recording.schema.series import is_recorded, names_below
 from carom.scene.start import HalfSpaces
 from carom.scene.units.dimension import TIME
@@ -83,15 +83,9 @@ class FrameTables(Statics):
 
     @named
     def events(self) -> pa.Table:
-        """Columns step, sim_time, text, level and kind, in the order of steps.
-
-        In older recordings without kinds, the kinds of some events follow from their texts.
-        """
-        events = self._entities.table(paths.EVENTS, EVENTS, optional=("kind",))
+        """Columns step, sim_time, text, level and kind, in the order of steps."""
+        events = self._entities.table(paths.EVENTS, EVENTS)
         events = events.rename_columns([name.removeprefix("TextLog:") for name in events.column_names])
-        texts = zip(events["kind"].to_pylist(), events["text"].to_pylist(), strict=True)
-        kinds = pa.array([kind_of(kind, text) for kind, text in texts], pa.string())
-        events = events.set_column(events.column_names.index("kind"), "kind", kinds)
         # events logged at the end are about earlier steps
         return events.take(np.argsort(events[STEP].to_numpy(), kind="stable"))
 
@@ -181,8 +175,7 @@ class FrameTables(Statics):
             if name not in known and name not in scalars:
                 raise RecordingError(f"there is no series {root}/{name}; there are {', '.join(known)}")
             if name not in scalars and self.frames and is_recorded(root, name, self.info):
-                reason = "a part of the file is missing, or an older carom made it"
-                raise RecordingError(f"{self.path} has no /{root}/{name}: {reason}")
+                raise RecordingError(f"{self.path} has no /{root}/{name}: a part of the file is missing")
         columns = {name: frames[name] for name in (STEP, SIM_TIME, "time")}
         columns |= {name: rows["Scalars:scalars"] for name, rows in scalars.items()}
         steps = {name: rows[STEP].to_numpy() for name, rows in scalars.items()}

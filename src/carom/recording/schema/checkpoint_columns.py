@@ -205,7 +205,7 @@ def _contacts_of(memory: ContactCheckpoint) -> dict[str, Values]:
 
 
 def decode(step: int, stored: Mapping[str, NDArray[Any] | list[Any]], bodies: int) -> Checkpoint:
-    """Undo `encode` for one row; rows of old recordings have no digest.
+    """Undo `encode` for one row.
 
     Raises RecordingError if the row is incomplete, has another number of bodies, is not finite, or differs from its
     digest, since a file from a stranger may contain anything.
@@ -233,10 +233,9 @@ def decode(step: int, stored: Mapping[str, NDArray[Any] | list[Any]], bodies: in
             books=row.books(),
             integrator=row.integrator() if _INTEGRATOR + "last_dt" in stored else None,
         )
-        if _DIGEST in stored:
-            digested = {name: values for name, values in stored.items() if name not in _NOT_DIGESTED}
-            if [int(value) for value in stored[_DIGEST]] != [_digest(digested)]:
-                raise ValueError("it does not match its digest")
+        digested = {name: values for name, values in stored.items() if name not in _NOT_DIGESTED}
+        if [int(value) for value in stored[_DIGEST]] != [_digest(digested)]:
+            raise ValueError("it does not match its digest")
         if present is None:
             return checkpoint
         numbers = np.asarray(present, dtype=np.int64)
@@ -265,8 +264,6 @@ class _Row:
 
     def books(self) -> Books:
         """Undo `_plain`."""
-        if "books" not in self._stored:
-            raise ValueError("it has no books: it was recorded by a version of carom that does not support resuming")
 
         def entries(found: dict[str, Any]) -> dict[str, Any]:
             by_name = {key: found[key] for key in _BY_NAME if isinstance(found.get(key), dict)}
@@ -315,11 +312,10 @@ class _Row:
         angular = np.empty((len(held), 0))
         if "held_angular" in self._stored:
             angular = self._finite("held_angular", 3 * len(held)).reshape(-1, 3)
-        loaded = "load" if "contact_load_speed" in self._stored else "rest"  # recordings of one speed had this one
         return ContactCheckpoint(
             pairs=pairs,
             rest_speed=self._finite("contact_rest_speed", len(pairs)),
-            load_speed=self._finite(f"contact_{loaded}_speed", len(pairs)),
+            load_speed=self._finite("contact_load_speed", len(pairs)),
             dt=self.number("contact_dt"),
             held_pairs=held,
             impulse=np.concatenate((impulse.reshape(-1, 4), angular), axis=1),

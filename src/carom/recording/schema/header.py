@@ -92,8 +92,6 @@ _FLAGS = {
     "stabilisation": "stabilises",
 }
 _FORCES = {kind.recorded_with: kind for kind in FORCES}
-_PLOTS_IN_UNITS = 3  # first version of the rules of drawing with plots in the units of a scene with [units]
-_MOVING_WALLS = 4  # first version in which planes and walls are drawn where they move
 RECORDED_PARTS = (*_FLAGS, *_FORCES)  # parts of the model on which series depend
 
 
@@ -165,8 +163,6 @@ class Header:
     fixed: BoolArray | None = None  # (n,) bodies of another engine that never move; for carom, the scene names them
     drawn_as: str = ""  # the shape of drawn bodies, where it does not follow from their number
     extensions: Mapping[str, str] = field(default_factory=dict)  # versions by name, see `extensions_of`
-    drawing_rules: int = 4  # version of the rules of drawing (docs/recording.md); 1 in the first recordings
-    contact_rules: int = 1  # version of the meaning of `contact.sweeps`, see `Scene.contact_rules`
 
     def models(self, part: str) -> bool:
         """Return whether the scene requires a part of the model, by its name in `carom explain`."""
@@ -176,20 +172,13 @@ class Header:
 
     def plot_unit(self, si: str) -> str:
         """Name the unit in which plots show a quantity, given its SI unit; "1" for none."""
-        if self.drawing_rules < _PLOTS_IN_UNITS or si not in OF_UNIT:
+        if si not in OF_UNIT:
             return self.units.recorded_unit(si)
         return self.units.unit(OF_UNIT[si]) or "1"
 
     def plot_factor(self, si: str) -> float:
         """Return the size of a plot's unit in recorded numbers, given the SI unit of a quantity."""
-        if self.drawing_rules < _PLOTS_IN_UNITS or si not in OF_UNIT:
-            return 1.0
-        return self.units.factor(OF_UNIT[si])
-
-    @property
-    def draws_motion(self) -> bool:
-        """Whether planes and walls are drawn each, where they move."""
-        return self.drives and self.drawing_rules >= _MOVING_WALLS
+        return self.units.factor(OF_UNIT[si]) if si in OF_UNIT else 1.0
 
     @property
     def coloured_by(self) -> str:
@@ -296,11 +285,11 @@ _KEYS: dict[str, dict[str, tuple[str, ...]]] = {  # by property: the keys whose 
         _COUNT: ("bodies",),
         _POSITIVE: ("time_scale", "check_interval"),
         _VECTOR: ("origin", "box", "uniform_field"),
-        _WHOLE: ("schema_version", "drawing_rules", "contact_rules", "seed", "piston"),
+        _WHOLE: ("schema_version", "seed", "piston"),
         _NUMBER: ("duration", "arrow_length.*"),
         _FLAG: (
             *("spins", "has_*", "gravitates", "collides", "stabilises", "promises", "drives"),
-            *("body_colouring", "records_contacts", "states_at_impacts"),
+            *("body_colouring", "records_contacts"),
         ),
     },
     "run": {_TEXT: ("version.*", "command", "git", "platform", "cpu")},

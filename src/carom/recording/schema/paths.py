@@ -5,12 +5,10 @@ The entities of scalars are in `series`.
 
 from __future__ import annotations
 
-import re
-
 STEP = "step"  # a count
 SIM_TIME = "sim_time"  # a duration in ns, scaled: see `TimeScale`
 IMPACT = "impact"  # a count, from 1 on: rows of impacts, and the states at some of them
-SCHEMA_VERSION = 3  # 3: impacts and contact data; 2: runs can be resumed; 1: checkpoints can only be read
+SCHEMA_VERSION = 4  # of recordings; a version of carom reads the schema that it writes
 
 SCENE = "scene"
 SCENE_TOML = "scene/toml"
@@ -50,14 +48,3 @@ WITH_FLOOR = (TORQUE, ANGULAR_ACCELERATION, FORCE_NORMAL)
 
 CENTRES = ("Ellipsoids3D:centers", "Points3D:positions", "InstancePoses3D:translations")  # of drawn bodies
 CLOSING = frozenset({"extreme", "end"})  # written when a run ends; a resumed run writes its own
-
-_BY_TEXT = (  # first words of events, for older recordings without kinds
-    (re.compile(r"^end: "), "end"),
-    (re.compile(r" of the run[,:.]"), "extreme"),
-    (re.compile(r"^Energy rose"), "energy-rise"),
-)
-
-
-def kind_of(recorded: str, text: str) -> str:
-    """Return the recorded kind of an event or, without one, the kind that its text implies; "" if unknown."""
-    return recorded or next((kind for pattern, kind in _BY_TEXT if pattern.search(text)), "")

@@ -325,7 +325,7 @@ def contents(header: Header, needs: Requirements) -> Iterator[Content]:
     yield from _contact_data(header)
     for path, why in _ALWAYS.items():
         yield Content(path, True, why)
-    moving = header.draws_motion
+    moving = header.drives
     yield Content(paths.MOVING, moving, "planes and walls, each" if moving else "no motion")
     for path, part, without in (
         (paths.PLANES, header.planes, "no planes"),

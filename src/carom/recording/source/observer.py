@@ -19,7 +19,7 @@ from carom.physics.diagnostics.energy_monitor import MonitorState
 from carom.physics.diagnostics.extremes import NOTHING, Extreme, Extremes
 from carom.physics.diagnostics.ledger import Ledger
 from carom.physics.diagnostics.momentum import Momentum, MomentumAccount, TotalMotion
-from carom.physics.diagnostics.run_monitor import Activity
+from carom.physics.diagnostics.run_monitor import Activity, PaceTally
 from carom.physics.forces.gravity.direct import DirectGravity
 from carom.physics.frame import Frame, FrameStore, copies
 from carom.recording.schema.header import LARGEST, Header, Scalar
@@ -166,6 +166,7 @@ class Observer:
                 activity=self._activity.impact_energy,
                 phase=self._activity.phase,
                 limits=(),
+                pace=PaceTally(),
             ),
             momentum_error=momentum.linear_error,
             angular_momentum_error=momentum.angular_error,

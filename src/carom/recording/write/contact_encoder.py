@@ -249,7 +249,7 @@ class ContactEncoder:
         # written even without arrows, to clear the contacts of the previous frame
         yield from force_rows(
             *(index, self._contacts, self._middle, kept.arrows, longest),
-            *(self._origin, header.has_friction, floors, self._floors.columns(floors)),
+            *(self._origin, header.has_friction, floors, [any_column(FLOOR, floors)]),
         )
         self._recorded += len(impacts)
         if len(impacts):
@@ -290,8 +290,7 @@ class ArrowFloors:
     its floors. A replay or a resumed run that begins at a later frame thus has the floors of the whole run.
     """
 
-    def __init__(self, header: Header, before: Mapping[str, float]) -> None:
-        self._applies = header.drawing_rules > 1  # with version 1, all arrows are drawn
+    def __init__(self, before: Mapping[str, float]) -> None:
         self._last = dict(before)
 
     def raised(self, path: str, largest: FloatArray) -> FloatArray:
@@ -304,8 +303,4 @@ class ArrowFloors:
 
     def alone(self, largest: FloatArray) -> FloatArray:
         """Return the floors of frames that do not depend on earlier ones."""
-        return _ROUNDING * largest if self._applies else np.zeros(len(largest))
-
-    def columns(self, floors: FloatArray) -> list[ComponentColumn]:
-        """Return the column of a batch's floors, if the recording has them."""
-        return [any_column(FLOOR, floors)] if self._applies else []
+        return _ROUNDING * largest

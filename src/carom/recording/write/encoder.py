@@ -24,6 +24,7 @@ from carom.recording.layout.plot_views import CurveOutline
 from carom.recording.read.recorded_impacts import RecordedImpacts
 from carom.recording.schema import checkpoint_columns, palette, paths
 from carom.recording.schema.header import Header
+from carom.recording.schema.paths import FLOOR
 from carom.recording.schema.series import IN_PLOT, Sample, Series, recorded
 from carom.recording.write import encoding_kernels as encoding
 from carom.recording.write.contact_encoder import (
@@ -73,7 +74,7 @@ class BatchEncoder:
         self.header = header
         self.origin = origin
         self.arrow_references = drawing.References(arrow_references or {})
-        self._floors = ArrowFloors(header, floors_before or {})
+        self._floors = ArrowFloors(floors_before or {})
         self._last_state = dict(last_state or {})
         self._recorded = tuple(recorded(header))
         self.curves = {series.path: CurveOutline() for series in self._recorded}
@@ -83,7 +84,7 @@ class BatchEncoder:
             if header.records_contacts
             else None
         )
-        self._walls = moving_walls(header) if header.draws_motion else {}
+        self._walls = moving_walls(header) if header.drives else {}
         self._box = np.zeros(3) if header.box is None else np.asarray(header.box, dtype=np.float64)
 
     def extend(self, header: Header) -> None:
@@ -258,7 +259,7 @@ class BatchEncoder:
             vector_column(rr.Arrows3D.descriptor_vectors(), arrows.vector, each),
             vector_column(rr.Arrows3D.descriptor_origins(), arrows.origin, each),
             any_column("body", body, each),
-            *self._floors.columns(floors),
+            any_column(FLOOR, floors),
         ]
         return Rows(path, index, columns)
 

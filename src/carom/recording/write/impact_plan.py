@@ -199,12 +199,11 @@ class ImpactPlan:
         everything: bool,  # whether to keep all impacts and draw arrows at all contacts, whatever their size
         oriented: bool,  # whether bodies have orientations
         turned: bool,  # whether bodies have torques
-        exceeds: bool = True,  # whether much harder impacts get frames beyond the budget: from drawing rules 2 on
     ) -> None:
         self._everything, self._columns = everything, _BodyColumns(oriented, turned)
         self._budget = np.zeros(1, _BUDGET)
         self._budget["others"] = FILE_BYTES
-        self._exceeds, self._hardest = exceeds, 0.0  # N s, of the impacts with frames
+        self._hardest = 0.0  # N s, of the impacts with frames
         self._before: SingleArray | None = None  # (n, 3) m, as drawn in the previous frame
 
     @classmethod
@@ -212,7 +211,7 @@ class ImpactPlan:
         """Return the plan of a recording; it keeps everything if the scene or the caller requests it."""
         everything = everything or header.record_impacts == "all"
         oriented, turned = header.has_orientation, header.has_torque
-        return cls(everything=everything, oriented=oriented, turned=turned, exceeds=header.drawing_rules > 1)
+        return cls(everything=everything, oriented=oriented, turned=turned)
 
     def choose(
         self, position: FloatArray, edges: IntArray, contacts: IntArray, impacts: IntArray, hardest: FloatArray
@@ -231,7 +230,7 @@ class ImpactPlan:
         kept = Kept(*np.empty((3, len(position)), dtype=np.int64))
         counts = _Counts(position.shape[1], moved, edges, contacts, impacts)
         _spend(SHARE, self._everything, self._columns, counts, self._budget, kept)
-        for f in np.flatnonzero(hardest > self._hardest).tolist() if self._exceeds else ():
+        for f in np.flatnonzero(hardest > self._hardest).tolist():
             if kept.scenes[f] == 0 and hardest[f] > _HARDER * self._hardest:
                 kept.scenes[f] = 1
             if kept.scenes[f]:

@@ -56,8 +56,7 @@ def statics(header: Header, clock: TimeScale, origin: FloatArray, reach: float) 
     yield paths.DT_LIMIT, _states(palette.DT_LIMITS)
 
 
-# in the property `carom`
-STATES_AT_IMPACTS = "states_at_impacts"  # whether frames at impacts hold more than bodies
+# values of the property `carom`
 _STATED = (  # values of the header
     *("title", "bodies", "seed", "spins", "has_orientation", "has_torque", "has_friction"),
     *("collides", "stabilises", "body_colouring", "records_contacts"),
@@ -89,10 +88,6 @@ def identity(header: Header, clock: TimeScale, origin: FloatArray) -> dict[str, 
     properties |= {f"data_notes.{k}": "\n".join(notes) for k, notes in enumerate(header.data_notes) if notes}
     if header.check_interval is not None:
         properties["check_interval"] = header.check_interval
-    if header.drawing_rules > 1:
-        properties["drawing_rules"] = header.drawing_rules
-    if header.collides and header.contact_rules > 1:
-        properties["contact_rules"] = header.contact_rules
     properties |= {name: True for name in _STATED_IF_TRUE if getattr(header, name)}
     if header.piston is not None:
         properties["piston"] = header.piston
@@ -104,7 +99,6 @@ def identity(header: Header, clock: TimeScale, origin: FloatArray) -> dict[str, 
         for path in (paths.TORQUE, paths.ANGULAR_ACCELERATION):
             properties[f"arrow_length.{path}"] = arrow_length(header, path)
     if header.records_contacts:
-        properties[STATES_AT_IMPACTS] = True
         for path in (paths.FORCE_NORMAL, *((paths.FORCE_FRICTION,) if header.has_friction else ())):
             properties[f"arrow_length.{path}"] = arrow_length(header, path)
     if header.box is not None:
@@ -154,7 +148,7 @@ def _surroundings(header: Header, origin: FloatArray, reach: float) -> Iterable[
     yield from plane_grids(header, origin, np.zeros(3), reach)
     if header.shapes:
         meshes = [shape_called(wall.shape).mesh(wall.section, origin, _PLANE_REACH * reach) for wall in header.shapes]
-        for k, mesh in enumerate(meshes) if header.draws_motion else ():
+        for k, mesh in enumerate(meshes) if header.drives else ():
             yield _wall(f"{paths.MOVING}/wall-{k}", header, mesh, origin)
         first = np.cumsum([0, *(len(mesh.corners) for mesh in meshes[:-1])])
         together = rr.Mesh3D(
@@ -187,7 +181,7 @@ def plane_grids(header: Header, origin: FloatArray, centre: FloatArray, reach: f
         planes = zip(header.planes.normal, header.planes.offset, strict=True)
         grids = [_grid(normal, offset - normal @ origin, centre, reach) for normal, offset in planes]
         radii = rr.Radius.ui_points(0.6)
-        for k, grid in enumerate(grids) if header.draws_motion else ():
+        for k, grid in enumerate(grids) if header.drives else ():
             yield f"{paths.MOVING}/plane-{k}", rr.LineStrips3D(grid, colors=palette.GREY, radii=radii)
         yield paths.PLANES, rr.LineStrips3D(np.concatenate(grids), colors=palette.GREY, radii=radii)
 

@@ -9,7 +9,7 @@ import json
 import re
 from typing import Annotated, Any, Literal, NamedTuple, Self
 
-from pydantic import AfterValidator, Field, PrivateAttr, ValidationError, model_validator
+from pydantic import AfterValidator, Field, ValidationError, model_validator
 
 from carom import registry
 from carom.scene.contact_laws import DEFAULT_LAW, functions_of, geometric_mean
@@ -222,10 +222,6 @@ class MaterialPair(Surface):
 
 
 Sweeps = Literal["auto", "converged", "as-needed", "quick"]
-# Version of the meaning of `sweeps = "auto"`. In version 1, of the first recordings, it means "converged"; in version
-# 2, a round of conjugate gradients has no limit of its own in meshed islands; in version 3, neither have the iterations
-# after the last round where kinetic friction is less than static friction.
-CONTACT_RULES = 4
 
 
 def _known_law(law: str | list[str]) -> str | list[str]:
@@ -308,8 +304,6 @@ class ContactSettings(Section):
         False, description="true: explicit bodies may overlap at the start"
     )
 
-    _rules: int = PrivateAttr(CONTACT_RULES)
-
     @model_validator(mode="before")
     @classmethod
     def _follow_the_given_friction(cls, data: Any) -> Any:
@@ -351,18 +345,6 @@ class ContactSettings(Section):
         except ValueError as error:
             raise SectionError(("law",), str(error)) from None
         return self
-
-    @property
-    def rules(self) -> int:
-        """The version of the meaning of `sweeps`, see `Scene.contact_rules`."""
-        return self._rules
-
-    def by_rules(self, rules: int) -> ContactSettings:
-        """Return these settings with the meaning that `sweeps` has in a version of the rules."""
-        first = rules < 2 and self.sweeps == "auto"
-        settings = self.model_copy(update={"sweeps": "converged"} if first else None)
-        settings._rules = rules
-        return settings
 
     @property
     def laws(self) -> tuple[str, ...]:

@@ -90,11 +90,6 @@ class Scene(Forces, Heading):
         return cast("KeyPlaces | None", self._private("_places"))
 
     @property
-    def contact_rules(self) -> int:
-        """The version of the meaning of `contact.sweeps`; older recordings are replayed by theirs."""
-        return self.contact.rules
-
-    @property
     def refinement(self) -> float:
         """The refinement that the accuracy needs; 1 without an accuracy."""
         return 1.0 if self.promise is None else self.promise.refinement
@@ -262,11 +257,7 @@ class Scene(Forces, Heading):
 
         if isinstance(overrides, str | Mapping):  # it would be read letter by letter, or key by key
             raise TypeError(f'overrides: expected a list of texts such as ["time.duration=5"], got {overrides!r}')
-        return scene_from_text(self.toml, self.title, overrides, self._held).by_contact_rules(self.contact_rules)
-
-    def by_contact_rules(self, rules: int) -> Scene:
-        """Return this scene with the meaning that `contact.sweeps` has in a version of the rules."""
-        return self.model_copy(update={"contact": self.contact.by_rules(rules)})
+        return scene_from_text(self.toml, self.title, overrides, self._held)
 
     def promising(self, promise: Promise) -> Scene:
         """Return this scene with a promise, also in its text."""

@@ -43,7 +43,7 @@ from carom.physics.contact.statistics import ContactStatistics
 from carom.physics.diagnostics.ledger import terms_of
 from carom.physics.jit.decorators import entry_of, kernel
 from carom.physics.jit.team import ALONE, Team
-from carom.scene.schema.contact import CONTACT_RULES, Sweeps
+from carom.scene.schema.contact import Sweeps
 from carom.scene.start import HalfSpaces
 
 # Fraction of r·z at the start of a round of conjugate gradients at which its iterations end, by `contact.sweeps`; with
@@ -79,8 +79,6 @@ class ContactSolver:
         Whether to keep the impulses of impacts, in `recorded`.
     sweeps
         `contact.sweeps` of the scene: whether small changes end the iterations, and whether conjugate gradients follow.
-    rules
-        `ContactSettings.rules`, the version of its meaning.
 
     Attributes
     ----------
@@ -98,7 +96,6 @@ class ContactSolver:
         team: Team,
         records: bool = False,
         sweeps: Sweeps | int = "auto",
-        rules: int = CONTACT_RULES,
     ) -> None:
         self._bodies = bodies
         self._planes = planes
@@ -119,7 +116,7 @@ class ContactSolver:
         self._settings["spins"] = friction
         self._settings["refines"] = sweeps in SOLVED_BY_SWEEPS
         self._settings["solved"] = SOLVED_BY_SWEEPS.get(sweeps, 0.0)
-        self._settings["meshed_iterations"] = MAX_MESHED_ITERATIONS if sweeps == "auto" and rules > 2 else 0
+        self._settings["meshed_iterations"] = MAX_MESHED_ITERATIONS if sweeps == "auto" else 0
         self._enough = np.zeros(0)
         self._default_enough = ENOUGH_AS_NEEDED if sweeps in AS_NEEDED else ENOUGH
         # with "auto", small changes end the iterations in meshed islands only
@@ -129,7 +126,7 @@ class ContactSolver:
         alternates = bool((materials.rows["kinetic_friction"] < materials.rows["static_friction"]).any())
         self._settings["keeps_iterating"] = sweeps in ("auto", "converged") or alternates
         self._settings["spares_meshed"] = not alternates
-        self._settings["slides_meshed"] = alternates and sweeps == "auto" and rules > 3
+        self._settings["slides_meshed"] = alternates and sweeps == "auto"
         self.code = PhaseCode(friction)
         self._run: Callable[..., int] | None = None  # `work`, compiled for this solver's systems
 
