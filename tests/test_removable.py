@@ -196,15 +196,15 @@ def test_the_recorder_of_an_engine_can_be_removed(engine: str, monkeypatch: pyte
 
 def test_tools_statistics_movies_the_web_viewer_laws_and_walls_can_be_removed(without: Callable[..., Carom]) -> None:
     tools = (f"lab/{tool}" for tool in TOOLS)
-    run = without(*tools, "lab/statistics", "show/movie.py", "show/movie_file.py", "show/web", "laws", "walls")
+    run = without(*tools, "lab/statistics", "display/movie.py", "display/movie_file.py", "display/web", "laws", "walls")
     works = (
         *("--help", "run two-spheres -o run.rrd", "inspect run.rrd", "contacts run.rrd --impacts"),
         "explain two-spheres",
     )
     needs = {
-        "movie run.rrd -o run.mp4": "carom.show.movie",
-        "view run.rrd --web": "carom.show.web",
-        "publish run.rrd": "carom.show.web",
+        "movie run.rrd -o run.mp4": "carom.display.movie",
+        "view run.rrd --web": "carom.display.web",
+        "publish run.rrd": "carom.display.web",
         "contacts run.rrd --statistics": "carom.lab.statistics",
         "explain two-spheres --set contact.law=walton": 'no contact law "walton"',
         "explain two-spheres --set 'wall=[{cylinder={radius=5}}]'": "cylinder",

@@ -37,6 +37,15 @@ if TYPE_CHECKING:
     from carom.cli.terminal import bar as bar
     from carom.cli.terminal import print_whole as print_whole
     from carom.cli.terminal import replaying as replaying
+    from carom.display import keeper as keeper
+    from carom.display import overlays as overlays
+    from carom.display.catalog import serve_catalog as serve_catalog
+    from carom.display.causes import CauseEdge as CauseEdge
+    from carom.display.causes import Causes as Causes
+    from carom.display.causes import write_causes as write_causes
+    from carom.display.overlays import Forecast as Forecast
+    from carom.display.overlays import write_forecast as write_forecast
+    from carom.display.request import named_event as named_event
     from carom.errors import needing as needing
     from carom.physics.bodies import Bodies as Bodies
     from carom.physics.checkpoint import Checkpoint as Checkpoint
@@ -200,15 +209,6 @@ if TYPE_CHECKING:
     from carom.scene.wording import literal as literal
     from carom.scene.wording import nearest as nearest
     from carom.scene.wording import suggestion as suggestion
-    from carom.show import keeper as keeper
-    from carom.show import overlays as overlays
-    from carom.show.catalog import serve_catalog as serve_catalog
-    from carom.show.causes import CauseEdge as CauseEdge
-    from carom.show.causes import Causes as Causes
-    from carom.show.causes import write_causes as write_causes
-    from carom.show.overlays import Forecast as Forecast
-    from carom.show.overlays import write_forecast as write_forecast
-    from carom.show.request import named_event as named_event
 
 _NAMES = {  # of each module; docs/extending.md lists them by purpose
     "carom.cli.options": (
@@ -287,11 +287,11 @@ _NAMES = {  # of each module; docs/extending.md lists them by purpose
     "carom.scene.units.system": "SI WITHOUT UnitSystem units_of_rebound",
     "carom.scene.wall_shapes": "Mesh WallShape across mesh_of_revolution unit_vector",
     "carom.scene.wording": "Names bodies_called body_called command counted literal nearest suggestion",
-    "carom.show": "keeper overlays",
-    "carom.show.catalog": "serve_catalog",
-    "carom.show.causes": "CauseEdge Causes write_causes",
-    "carom.show.overlays": "Forecast write_forecast",
-    "carom.show.request": "named_event",
+    "carom.display": "keeper overlays",
+    "carom.display.catalog": "serve_catalog",
+    "carom.display.causes": "CauseEdge Causes write_causes",
+    "carom.display.overlays": "Forecast write_forecast",
+    "carom.display.request": "named_event",
 }
 _HOMES = {name: module for module, names in _NAMES.items() for name in names.split()}
 

@@ -11,8 +11,8 @@ from typing import Any
 import pytest
 import rerun.blueprint as rrb
 
+from carom.display.presentation import presentation
 from carom.recording.read.recording import Recording
-from carom.show.presentation import presentation
 from carom_command import carom
 
 FALLS = """

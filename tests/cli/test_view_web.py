@@ -9,8 +9,8 @@ from urllib.parse import urlsplit
 
 import pytest
 
+from carom.display import web
 from carom.recording.write.recorder import FrameRecorder
-from carom.show import web
 from carom_command import carom
 from scripted_run import ScriptedRun
 

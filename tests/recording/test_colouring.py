@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 
 import carom
+from carom.display import supplement
+from carom.display.presentation import presentation
 from carom.errors import RecordingError
 from carom.recording.layout import drawing
 from carom.recording.layout.camera import ASPECT, CameraFit
@@ -15,8 +17,6 @@ from carom.recording.schema.paths import STEP
 from carom.recording.write.encoder import graph_colours
 from carom.runs.replay import replay
 from carom.scene.schema import Scene
-from carom.show import supplement
-from carom.show.presentation import presentation
 from small_scenes import cloud
 
 PAIRS = np.array([[0, 1], [1, 2], [3, 4], [5, 7]])  # of 7 bodies: 7 is a plane

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import carom
+from carom.display.presentation import presentation
 from carom.errors import RecordingError
 from carom.recording.edit.clip import clip
 from carom.recording.read.recorded_scene import header_of_recording
@@ -19,7 +20,6 @@ from carom.recording.schema.header import ShownMaterials
 from carom.runs.replay import replay
 from carom.scene.schema import Scene
 from carom.scene.schema.contact import COLOURS
-from carom.show.presentation import presentation
 from carom_command import carom as command
 from small_scenes import scene_of
 

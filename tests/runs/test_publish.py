@@ -17,11 +17,11 @@ import pytest
 from PIL import Image
 
 from browser import chromium, settled, wait_until_loaded
+from carom.display import web
+from carom.display.picture import Shot
 from carom.recording.read.recording import Recording
 from carom.recording.write.recorder import FrameRecorder
 from carom.runs import publish as publishing
-from carom.show import web
-from carom.show.picture import Shot
 from carom_command import carom
 from needs import BROWSER, PICTURES
 from scripted_run import ScriptedRun

@@ -12,6 +12,7 @@ import pytest
 from markdown_it import MarkdownIt
 
 import carom
+from carom.display.picture import Shot
 from carom.errors import RecordingError
 from carom.event import Event
 from carom.recording.edit import bundle
@@ -21,7 +22,6 @@ from carom.runs.replay import replay
 from carom.runs.report import Report, report, worst_moment
 from carom.scene.schema import Scene
 from carom.scene.wording import command_of_a_file, escaped
-from carom.show.picture import Shot
 from edited_recordings import changed, mapped
 from small_scenes import cloud
 

@@ -22,6 +22,9 @@ import pyarrow as pa
 from carom.cli.contacts import _json, _print
 from carom.cli.inspect import _moments, _overview, _profile
 from carom.cli.terminal import Terminal
+from carom.display.movie import _layout, frame_times
+from carom.display.presentation import asked
+from carom.display.request import Request
 from carom.lab.diff.diff import diff
 from carom.recording.edit.clip import clip
 from carom.recording.layout import ALL
@@ -32,9 +35,6 @@ from carom.recording.rrd.messages import RECORDING, decode
 from carom.runs import report
 from carom.runs.outcome import description
 from carom.runs.replay import replay
-from carom.show.movie import _layout, frame_times
-from carom.show.presentation import asked
-from carom.show.request import Request
 from damage_bytes import SLOWEST, attempt, mended, peak, read_all, tell
 from edited_recordings import assembled, messages_of, repacked, stream, with_column, without_column
 

@@ -53,7 +53,7 @@ def _missing(what: str) -> str:
         if what == BROWSER and not shutil.which(CHROMIUM):
             return f"there is no {CHROMIUM}: apt-get install chromium"
         return ""
-    from carom.show.viewer import Viewer, virtual_screen
+    from carom.display.viewer import Viewer, virtual_screen
 
     try:
         for screen in ("", "100x100"):

@@ -120,8 +120,8 @@ def report(outcome: Outcome, progress: RunProgress, as_json: bool) -> None:
 
 def live_viewer() -> str | None:
     """Start a viewer and return its address; without a screen, report it and return None."""
+    from carom.display.viewer import start_live_viewer
     from carom.errors import RecordingError
-    from carom.show.viewer import start_live_viewer
 
     try:
         return start_live_viewer()

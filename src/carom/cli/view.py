@@ -26,7 +26,7 @@ from carom.scene.units.dimension import TIME
 from carom.scene.wording import counted
 
 if TYPE_CHECKING:
-    from carom.show.request import Request
+    from carom.display.request import Request
 
 _AT = "Simulated time to show. Default: the hardest impact or, without any, the most contacts or the end."
 _EVENT = "Event to show: a moment that `carom inspect` lists, a kind of event, or impact:N for the Nth impact."
@@ -80,10 +80,10 @@ def view(
     if port and not web:
         raise typer.BadParameter("--port needs --web")
     from carom.cli.run import announce_compilation
+    from carom.display.request import Request
+    from carom.display.viewer import open_window
     from carom.recording.edit.bundle import opened
     from carom.recording.read.recording import Recording
-    from carom.show.request import Request
-    from carom.show.viewer import open_window
 
     with opened(file) as path:
         time = simulated_or_none(at, Recording.open(path).units)
@@ -104,10 +104,10 @@ def _view_in_browser(file: Path, request: Request, port: int) -> None:
     import webbrowser
     from urllib.parse import urlsplit
 
+    from carom.display.keeper import has_screen
+    from carom.display.presentation import asked
+    from carom.display.web import hosted
     from carom.recording.read.recording import Recording
-    from carom.show.keeper import has_screen
-    from carom.show.presentation import asked
-    from carom.show.web import hosted
 
     recording = Recording.open(file)
     if recording.is_overlay:
@@ -147,11 +147,11 @@ def picture(
     FILE may be the zip that `carom report` made. Earlier pictures are replaced.
     """
     from carom.cli.run import announce_compilation
+    from carom.display.picture import is_picture_of_carom, render
+    from carom.display.request import Request
     from carom.recording.edit.bundle import opened
     from carom.recording.read.recording import Recording
     from carom.recording.write.whole_file import refuse_output
-    from carom.show.picture import is_picture_of_carom, render
-    from carom.show.request import Request
 
     pixels, out = pixels_of(size), output or file.with_suffix(".png")
     if output is None and out.exists() and not is_picture_of_carom(out):
@@ -170,8 +170,8 @@ def picture(
 
 def _announce_replay(file: Path, plot: str | None, *, alone: bool = False) -> None:
     """Note that a plot of velocities takes as long as the run did."""
+    from carom.display.supplement import asked_quantities, needs_replay
     from carom.recording.read.recording import Recording
-    from carom.show.supplement import asked_quantities, needs_replay
 
     if plot is None:
         return
@@ -276,11 +276,11 @@ def movie(
 ) -> None:
     """Make a movie of a recording; needs no screen."""
     from carom.cli.terminal import MovieProgress
+    from carom.display.movie import FORMATS, frame_times, pictures
     from carom.errors import RecordingError, needing
     from carom.recording.layout.canvas import CameraMotion
     from carom.recording.read.recording import Recording
     from carom.recording.write.whole_file import claimed_output
-    from carom.show.movie import FORMATS, frame_times, pictures
 
     path = output or file.with_suffix(".mp4")
     pixels, rate = pixels_of(size), fps if fps is not None else GIF_FPS if path.suffix == ".gif" else MP4_FPS
@@ -298,7 +298,7 @@ def movie(
     if camera is not None and view in (MovieView.CLOSE_UP, MovieView.ENERGY):
         raise RecordingError(f"--camera {camera}: has no effect on --view {view}; remove one of the two options")
     with needing("movie", "carom movie", "imageio_ffmpeg", "PIL"):
-        from carom.show.movie_file import require_encoder, write_movie
+        from carom.display.movie_file import require_encoder, write_movie
 
     recording = Recording.open(file)
     first, last = (simulated_or_none(time, recording.units) for time in (start, end))

@@ -16,22 +16,11 @@ from typing import Any
 import numpy as np
 import xxhash
 
-from carom.errors import RecordingError
-from carom.recording.layout import CLOSE_UP
-from carom.recording.read.lookup import names_of
-from carom.recording.read.recorded_impacts import numbered_impacts
-from carom.recording.read.recording import Recording
-from carom.recording.schema.paths import STEP
-from carom.recording.write.whole_file import Claim, is_link_of_another, write_whole
-from carom.runs.outcome import FAILURES, Moment, description, headline, moments, overview, problems
-from carom.runs.report import ENERGY_ERROR, worst_moment
-from carom.scene.units.dimension import ANGULAR_IMPULSE, ENERGY, IMPULSE, TIME, VELOCITY
-from carom.scene.wording import counted
-from carom.show.picture import Shot, try_to_render
-from carom.show.presentation import asked
-from carom.show.request import Request
-from carom.show.supplement import has_trails
-from carom.show.web import (
+from carom.display.picture import Shot, try_to_render
+from carom.display.presentation import asked
+from carom.display.request import Request
+from carom.display.supplement import has_trails
+from carom.display.web import (
     ONLY,
     SIZE,
     About,
@@ -45,6 +34,17 @@ from carom.show.web import (
     write_style,
     write_viewer,
 )
+from carom.errors import RecordingError
+from carom.recording.layout import CLOSE_UP
+from carom.recording.read.lookup import names_of
+from carom.recording.read.recorded_impacts import numbered_impacts
+from carom.recording.read.recording import Recording
+from carom.recording.schema.paths import STEP
+from carom.recording.write.whole_file import Claim, is_link_of_another, write_whole
+from carom.runs.outcome import FAILURES, Moment, description, headline, moments, overview, problems
+from carom.runs.report import ENERGY_ERROR, worst_moment
+from carom.scene.units.dimension import ANGULAR_IMPULSE, ENERGY, IMPULSE, TIME, VELOCITY
+from carom.scene.wording import counted
 
 LIST = "carom-page.json"  # lists the files of a publication with their digests
 WHAT = "files of a page that carom published; `carom publish --force` replaces these and no others"

@@ -10,6 +10,8 @@ from typing import Any
 
 import numpy as np
 
+from carom.display.picture import Shot, try_to_render
+from carom.display.request import Request, pair_of_extreme
 from carom.errors import PhysicsError, RecordingError, SceneError
 from carom.physics.contact.statistics import OVERLAPS
 from carom.private_folder import temporary_folder
@@ -35,8 +37,6 @@ from carom.scene.parts import stamped
 from carom.scene.units.dimension import ENERGY, TIME
 from carom.scene.units.system import UnitSystem
 from carom.scene.wording import command, counted, in_one_line, literal
-from carom.show.picture import Shot, try_to_render
-from carom.show.request import Request, pair_of_extreme
 
 FRAMES = 120  # largest number of frames in the clip, half of them before the time of interest
 ROOM = 7_000_000  # bytes, largest size of the clip before compression

@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from carom.display.request import named_event
 from carom.lab.crosscheck.parting import NumberedImpacts, parting_of
 from carom.lab.tradeoff.reference import Reference, make_reference
 from carom.recording.read.recording import Recording
 from carom.runs.run import recording_space, simulate
 from carom.scene.wording import Names
-from carom.show.request import named_event
 from small_scenes import scene_of
 
 NAMES = Names(["wall", "ball", "end"], [])

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from carom.display.body_colours import fixed_colours
 from carom.errors import RecordingError
 from carom.lab.diff import _short
 from carom.lab.diff.diff import Diff, _nearest_in_order, diff, differing, impact_divergence, overlay
@@ -17,7 +18,6 @@ from carom.recording.rrd.container import Container
 from carom.recording.write.recorder import FrameRecorder
 from carom.runs.run import run
 from carom.scene.schema import Scene
-from carom.show.body_colours import fixed_colours
 from edited_recordings import changed, without_column
 from scripted_run import ScriptedRun
 from small_scenes import scene_of

@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 
 import carom
+from carom.display.close_up import close_up
+from carom.display.request import Pair, shown_step
 from carom.lab.why.history import question_of
 from carom.lab.why.why import why
 from carom.recording.layout.canvas import Area
@@ -17,8 +19,6 @@ from carom.recording.read.lookup import frame_of
 from carom.recording.read.recorded_contacts import rows_of_engine
 from carom.recording.read.recorded_scene import header_of_recording
 from carom.recording.read.recording import Recording
-from carom.show.close_up import close_up
-from carom.show.request import Pair, shown_step
 from carom_command import carom as command
 
 G = np.array([0.0, 0.0, -9.81])

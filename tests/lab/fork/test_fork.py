@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 
 import carom
+from carom.display.overlays import shades
 from carom.errors import ExperimentError
 from carom.lab.fork.branch import Branch, PerturbedResult, PerturbedTask, by_seed, execute, outcome_of, start_of
 from carom.lab.fork.fork import Chance, Ensemble, chances, ensemble, fork, inevitable, judge, text_of, write_ensemble
 from carom.plan.auto import frame_interval, integrator
 from carom.recording.read.recording import Recording
 from carom.scene.schema import Scene
-from carom.show.overlays import shades
 from small_scenes import cloud, two_planets
 
 

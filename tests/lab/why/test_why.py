@@ -11,6 +11,8 @@ import pytest
 from numpy.typing import NDArray
 
 import carom
+from carom.display import causes
+from carom.display.causes import CauseEdge
 from carom.extend import names_of
 from carom.lab.why import _behind
 from carom.lab.why.history import History, Question, question_of
@@ -21,8 +23,6 @@ from carom.physics.space import Space
 from carom.recording.read.recording import Recording
 from carom.scene.schema import Scene
 from carom.scene.start import InitialBodies
-from carom.show import causes
-from carom.show.causes import CauseEdge
 from small_scenes import cloud, pair, scene_of
 
 FloatArray = NDArray[np.float64]

@@ -7,12 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from carom.display.supplement import QUANTITIES, BodyPlots, asked_quantities, body_series, needs_replay
 from carom.errors import RecordingError
 from carom.physics.space import Space
 from carom.recording.layout.canvas import Area
 from carom.recording.read.recording import Recording
 from carom.runs.run import simulate
-from carom.show.supplement import QUANTITIES, BodyPlots, asked_quantities, body_series, needs_replay
 from small_scenes import scene_of
 
 BODIES = [
@@ -87,7 +87,7 @@ def test_velocities_and_spins_are_those_of_the_run(thrown: Recording) -> None:
 
 
 def test_positions_are_read_without_running_again(thrown: Recording, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("carom.show.supplement._replayed", None)
+    monkeypatch.setattr("carom.display.supplement._replayed", None)
     asked = asked_quantities(thrown, "top.x,top.z")
     assert not needs_replay(asked)
     x, z = body_series(thrown, asked)

@@ -3,10 +3,10 @@ from pathlib import Path
 
 import pytest
 
+from carom.display.viewer import Viewer
 from carom.errors import RecordingError
 from carom.recording.read.recording import Recording
 from carom.recording.write.recorder import FrameRecorder
-from carom.show.viewer import Viewer
 from needs import PICTURES
 from scripted_run import ScriptedRun
 

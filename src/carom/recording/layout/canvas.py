@@ -22,10 +22,10 @@ from carom.recording.schema.header import Header
 from carom.recording.schema.paths import MOVING, PERIODIC_BOX, PLANES, SHAPES, WALLS
 
 if TYPE_CHECKING:
+    from carom.display.close_up import CloseUp
+    from carom.display.legend import Legend
+    from carom.display.supplement import BodyPlots
     from carom.recording.layout.plot_views import Curves
-    from carom.show.close_up import CloseUp
-    from carom.show.legend import Legend
-    from carom.show.supplement import BodyPlots
 
 
 SLOPE = float(np.tan(np.radians(55.0 / 2)))  # of the picture's upper border: Rerun's field of view is 55° high

@@ -345,8 +345,8 @@ class Recording(FrameTables):
         bodies
             The bodies of the close-up view, by numbers or names separated by a comma.
         """
-        from carom.show.request import Request  # noqa: PLC0415 - readers need no viewer
-        from carom.show.viewer import open_window  # noqa: PLC0415
+        from carom.display.request import Request  # noqa: PLC0415 - readers need no viewer
+        from carom.display.viewer import open_window  # noqa: PLC0415
 
         open_window(self.path, Request(at, event, bodies))
 
@@ -358,8 +358,8 @@ class Recording(FrameTables):
         The moment, the event and the bodies are those of `view`; the height is in pixels, the width that of the cell.
         Raises RecordingError if there is no such moment, event or body, or rerun-notebook is not installed.
         """
-        from carom.show.notebook import show  # noqa: PLC0415 - readers need no viewer
-        from carom.show.request import Request  # noqa: PLC0415
+        from carom.display.notebook import show  # noqa: PLC0415 - readers need no viewer
+        from carom.display.request import Request  # noqa: PLC0415
 
         show(self, Request(at, event, bodies), height)
 

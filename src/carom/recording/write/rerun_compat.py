@@ -5,7 +5,7 @@ memory, or the layout of a clip, is lost. test_rerun_compat.py tries each interf
 new versions of rerun-sdk. 0.41 is the first version whose viewer renders pictures; 0.40 can only record and replay.
 
 The page of `carom view --web` drives the web viewer by the undocumented interface of Rerun's `re_viewer.js`. The slow
-test of tests/show/test_web.py tries it in a browser.
+test of tests/display/test_web.py tries it in a browser.
 """
 
 from __future__ import annotations

@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 from rerun.notebook import RecordingOpenEvent, TimelineChangeEvent, Viewer, ViewerEvent
 
+from carom.display.presentation import asked
+from carom.display.request import Request
 from carom.errors import RecordingError, install_extra
 from carom.private_folder import temporary_folder
 from carom.recording.read.recording import Recording
 from carom.recording.schema.header import TimeScale
 from carom.recording.schema.paths import SIM_TIME
 from carom.recording.write.rerun_compat import send_to_notebook
-from carom.show.presentation import asked
-from carom.show.request import Request
 
 
 def show(recording: Recording, request: Request, height: int) -> None:

@@ -8,6 +8,24 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from carom.arrays import FloatArray
+from carom.display.body_colours import body_colours, change_with_time, recorded_colours, redrawn_for, trail_colours
+from carom.display.close_up import close_up
+from carom.display.legend import GRAPH, LegendContents, drawn_at, drawn_during, impact_marks, legend
+from carom.display.request import (
+    NamedEvent,
+    Pair,
+    Request,
+    ShownStep,
+    Watcher,
+    at_impact,
+    named_event,
+    named_pair,
+    pair_of_extreme,
+    pair_of_step,
+    shown_step,
+)
+from carom.display.staging import Staging, decades, field_arrows, impact_strip, names_that_fit, whole_span
+from carom.display.supplement import BodyPlots, Supplement, asked_quantities, body_series
 from carom.errors import RecordingError, SceneError
 from carom.physics.frame import Frame
 from carom.recording.layout import (
@@ -37,24 +55,6 @@ from carom.recording.write.encoder import BatchEncoder, state_rows
 from carom.recording.write.rows import NO_STEPS, Index, Rows
 from carom.recording.write.static_entities import arrow_styles
 from carom.scene.forces import UNIFORM_FIELD
-from carom.show.body_colours import body_colours, change_with_time, recorded_colours, redrawn_for, trail_colours
-from carom.show.close_up import close_up
-from carom.show.legend import GRAPH, LegendContents, drawn_at, drawn_during, impact_marks, legend
-from carom.show.request import (
-    NamedEvent,
-    Pair,
-    Request,
-    ShownStep,
-    Watcher,
-    at_impact,
-    named_event,
-    named_pair,
-    pair_of_extreme,
-    pair_of_step,
-    shown_step,
-)
-from carom.show.staging import Staging, decades, field_arrows, impact_strip, names_that_fit, whole_span
-from carom.show.supplement import BodyPlots, Supplement, asked_quantities, body_series
 
 _ONCE = (paths.EVENTS, paths.FINGERPRINT, paths.MOMENTUM, paths.IMPACTS)  # not sent for repeated steps
 

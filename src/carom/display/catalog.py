@@ -13,9 +13,9 @@ from pathlib import Path
 import datafusion  # noqa: F401 - Rerun's client needs it, and would fail only at the first request
 from rerun.server import Server
 
+from carom.display import keeper
+from carom.display.viewer import Viewer
 from carom.errors import RecordingError
-from carom.show import keeper
-from carom.show.viewer import Viewer
 
 _HOST = "127.0.0.1"  # Rerun's own default is to listen on all interfaces, without a password
 

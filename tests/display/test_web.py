@@ -23,14 +23,14 @@ import pytest
 
 import carom
 from browser import LOADED, chromium, pixels_of, settled, wait_until_loaded
+from carom.display import web
+from carom.display.keeper import free_port
+from carom.display.presentation import presentation
+from carom.display.viewer import binary
+from carom.display.web import Hosted, hosted
 from carom.errors import RecordingError
 from carom.recording.read.recording import Recording
 from carom.scene.schema import Scene
-from carom.show import web
-from carom.show.keeper import free_port
-from carom.show.presentation import presentation
-from carom.show.viewer import binary
-from carom.show.web import Hosted, hosted
 from needs import BROWSER
 from other_user import as_root, run_as_nobody
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from carom.display import picture
 from carom.recording.schema import palette
-from carom.show import picture
 from gallery import FOLDER, entries, make
 from needs import PICTURES
 from picture_pixels import Pixels, hue_mask, largest_piece

@@ -7,15 +7,15 @@ import pytest
 from PIL import Image
 
 from carom import Scene, run
+from carom.display.picture import _marked, drawable, is_picture_of_carom, render
+from carom.display.request import Request
+from carom.display.viewer import broken_off, reason_of
 from carom.errors import RecordingError
 from carom.physics.placement.initial_state import place
 from carom.recording.layout import drawing
 from carom.recording.schema import palette
 from carom.recording.write.recorder import FrameRecorder
 from carom.scene.scene_file import bundled_scenes
-from carom.show.picture import _marked, drawable, is_picture_of_carom, render
-from carom.show.request import Request
-from carom.show.viewer import broken_off, reason_of
 from carom_command import carom
 from needs import PICTURES
 from picture_pixels import Pixels, of_colour, of_hue, region, view

@@ -8,6 +8,10 @@ import pytest
 import rerun.blueprint as rrb
 
 import carom
+from carom.display import staging
+from carom.display.presentation import Presentation, asked
+from carom.display.request import Request
+from carom.display.staging import decades
 from carom.recording.layout import blueprint
 from carom.recording.layout.camera import CameraFit
 from carom.recording.layout.canvas import Canvas, views_of
@@ -20,10 +24,6 @@ from carom.scene.forces import FORCES
 from carom.scene.scene_file import bundled_scenes
 from carom.scene.schema import Scene
 from carom.scene.units.dimension import OF_UNIT
-from carom.show import staging
-from carom.show.presentation import Presentation, asked
-from carom.show.request import Request
-from carom.show.staging import decades
 from small_scenes import scene_of
 
 MASS, GRAVITY = 2.0, 9.81

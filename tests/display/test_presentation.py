@@ -9,6 +9,10 @@ import pytest
 
 import carom
 from carom.contact_table import CONTACT_ROW
+from carom.display import close_up, request
+from carom.display.presentation import _steps, asked, presentation
+from carom.display.request import NamedEvent, Pair, Request, named_event, named_pair, pair_of_extreme, pair_of_step
+from carom.display.supplement import Trails
 from carom.errors import RecordingError
 from carom.recording.edit.clip import clip
 from carom.recording.layout import TRAILS
@@ -19,10 +23,6 @@ from carom.recording.read.recording import Recording
 from carom.recording.schema import paths
 from carom.recording.write.rows import Rows
 from carom.scene.schema import Scene
-from carom.show import close_up, request
-from carom.show.presentation import _steps, asked, presentation
-from carom.show.request import NamedEvent, Pair, Request, named_event, named_pair, pair_of_extreme, pair_of_step
-from carom.show.supplement import Trails
 from small_scenes import pair, scene_of
 
 

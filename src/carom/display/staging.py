@@ -13,6 +13,8 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from carom.arrays import ColourArray, FloatArray, IntArray
+from carom.display.request import ShownStep
+from carom.display.supplement import Static, Trails, has_trails
 from carom.recording.layout import FIELD
 from carom.recording.layout.camera import CameraFit
 from carom.recording.layout.canvas import Area, CameraMotion, LensView, View, turned, views_of
@@ -28,8 +30,6 @@ from carom.recording.schema.series import PLOTS
 from carom.recording.write.rows import Index, Rows
 from carom.recording.write.static_entities import plane_grids
 from carom.scene.units import dimension
-from carom.show.request import ShownStep
-from carom.show.supplement import Static, Trails, has_trails
 
 _LOOKS = 50  # frames of many bodies to which the camera is fitted
 MOST_BANDS = 100

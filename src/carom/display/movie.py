@@ -14,6 +14,14 @@ from itertools import cycle
 import numpy as np
 
 from carom.arrays import FloatArray
+from carom.display.body_colours import body_colours, change_with_time, redrawn_for, trail_colours
+from carom.display.legend import GRAPH, LegendContents, drawn_during, impact_marks, legend
+from carom.display.picture import headless, stable_picture, window_of
+from carom.display.presentation import asked, uniform_field
+from carom.display.request import Request
+from carom.display.staging import Staging, decades, field_arrows, impact_strip, whole_span
+from carom.display.supplement import Supplement
+from carom.display.viewer import Viewer
 from carom.errors import RecordingError
 from carom.recording.layout import (
     ALL,
@@ -34,14 +42,6 @@ from carom.recording.schema.header import TimeScale, viewer_time
 from carom.recording.schema.paths import STEP
 from carom.recording.write.static_entities import arrow_styles
 from carom.scene.units.dimension import TIME
-from carom.show.body_colours import body_colours, change_with_time, redrawn_for, trail_colours
-from carom.show.legend import GRAPH, LegendContents, drawn_during, impact_marks, legend
-from carom.show.picture import headless, stable_picture, window_of
-from carom.show.presentation import asked, uniform_field
-from carom.show.request import Request
-from carom.show.staging import Staging, decades, field_arrows, impact_strip, whole_span
-from carom.show.supplement import Supplement
-from carom.show.viewer import Viewer
 
 FORMATS = (".mp4", ".gif")
 

@@ -9,14 +9,14 @@ import pytest
 from numpy.typing import NDArray
 from PIL import Image
 
+from carom.display.picture import render
+from carom.display.request import Request
 from carom.recording.layout.canvas import Area
 from carom.recording.layout.plot_views import energy_view, place_legend
 from carom.recording.read.recorded_scene import recorded_curves
 from carom.recording.read.recording import Recording
 from carom.recording.schema.palette import LINES, PLOT_GROUNDS
 from carom.recording.write.recorder import FrameRecorder
-from carom.show.picture import render
-from carom.show.request import Request
 from needs import PICTURES
 from scripted_run import ScriptedRun
 

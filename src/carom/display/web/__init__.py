@@ -23,6 +23,9 @@ from pathlib import Path
 from string import Template
 from urllib.parse import urlsplit
 
+from carom.display.keeper import HOST, is_ours
+from carom.display.supplement import Supplement
+from carom.display.viewer import binary
 from carom.errors import RecordingError
 from carom.private_folder import temporary_folder
 from carom.recording.edit.repair import new_layout
@@ -30,9 +33,6 @@ from carom.recording.read.recording import Recording
 from carom.recording.schema.header import TimeScale
 from carom.recording.write.rerun_compat import StoredLayout
 from carom.scene.wording import command, hypertext
-from carom.show.keeper import HOST, is_ours
-from carom.show.supplement import Supplement
-from carom.show.viewer import binary
 
 PAGE = "viewer.html"
 RECORDING = "recording.rrd"

@@ -21,6 +21,9 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from carom.arrays import ColourArray, FloatArray, IntArray, SingleArray
+from carom.display.body_colours import fixed_colours
+from carom.display.overlays import BESIDE, begin, beside_bodies, send_times
+from carom.display.supplement import Static
 from carom.recording.layout import WINDOW, drawing
 from carom.recording.layout.camera import FEW, CameraFit
 from carom.recording.layout.canvas import Area, CameraMotion, View
@@ -30,9 +33,6 @@ from carom.recording.read.recording import Recording
 from carom.recording.schema import palette, paths
 from carom.recording.write.whole_file import Writer
 from carom.scene.units.dimension import IMPULSE
-from carom.show.body_colours import fixed_colours
-from carom.show.overlays import BESIDE, begin, beside_bodies, send_times
-from carom.show.supplement import Static
 
 GRAPH = "graph"
 _LINES, _MARKED, _LABELS = (f"{GRAPH}/{name}" for name in ("edges", "asked", "impulses"))

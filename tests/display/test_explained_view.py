@@ -8,6 +8,11 @@ import numpy as np
 import pytest
 
 import carom
+from carom.display import close_up, movie
+from carom.display.legend import impact_marks
+from carom.display.presentation import Presentation, asked
+from carom.display.request import Request, shown_step
+from carom.display.staging import field_arrows, names_that_fit
 from carom.recording.layout import FIELD
 from carom.recording.layout.camera import CameraFit
 from carom.recording.layout.canvas import LEGEND, Area, CameraMotion, Canvas, View, free_corner, views_of
@@ -16,11 +21,6 @@ from carom.recording.read.recorded_scene import header_of_recording
 from carom.recording.read.recording import Recording
 from carom.recording.schema import palette, paths
 from carom.scene.schema import Scene
-from carom.show import close_up, movie
-from carom.show.legend import impact_marks
-from carom.show.presentation import Presentation, asked
-from carom.show.request import Request, shown_step
-from carom.show.staging import field_arrows, names_that_fit
 
 
 @pytest.fixture(scope="module")

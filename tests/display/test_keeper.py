@@ -17,8 +17,8 @@ from pathlib import Path
 import psutil
 import pytest
 
-from carom.show import keeper
-from carom.show.viewer import Viewer
+from carom.display import keeper
+from carom.display.viewer import Viewer
 from needs import PICTURES
 from other_user import as_root, run_as_nobody
 

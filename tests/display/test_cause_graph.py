@@ -6,9 +6,9 @@ from itertools import combinations
 import numpy as np
 import pytest
 
+from carom.display.causes import MOST_NODES, CauseGraph, GraphEdge
 from carom.recording.layout.canvas import Area
 from carom.recording.schema import palette
-from carom.show.causes import MOST_NODES, CauseGraph, GraphEdge
 
 AREA = Area(640.0, 530.0)
 CHAIN = [(k + 1, k) for k in range(MOST_NODES - 1)]

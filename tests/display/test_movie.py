@@ -18,17 +18,17 @@ import pytest
 from numpy.typing import NDArray
 from PIL import Image
 
+from carom.display.movie import frame_times
 from carom.errors import RecordingError
 from carom.recording.read.recording import Recording
 from carom.recording.write.recorder import FrameRecorder
-from carom.show.movie import frame_times
 from carom_command import carom
 from needs import PICTURES
 from picture_pixels import largest_piece
 from scripted_run import ScriptedRun
 
 imageio_ffmpeg = pytest.importorskip("imageio_ffmpeg")
-from carom.show.movie_file import delays_of, require_encoder, write_movie  # noqa: E402 - it imports the encoder
+from carom.display.movie_file import delays_of, require_encoder, write_movie  # noqa: E402 - it imports the encoder
 
 pytestmark = pytest.mark.needs("imageio_ffmpeg")
 
@@ -105,7 +105,7 @@ def test_without_the_extra_one_sentence_names_it(
     recorded: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
-    monkeypatch.delitem(sys.modules, "carom.show.movie_file", raising=False)
+    monkeypatch.delitem(sys.modules, "carom.display.movie_file", raising=False)
     done = carom("movie", str(recorded), "-o", "movie.mp4", cwd=tmp_path)
     assert done.returncode == 2 and "pip install 'imageio-ffmpeg>=" in done.stderr and " 'pillow>=" in done.stderr
 

@@ -13,6 +13,7 @@ import numpy as np
 import rerun as rr
 
 from carom.arrays import ColourArray, FloatArray, IntArray, SingleArray
+from carom.display.request import ShownStep
 from carom.errors import RecordingError
 from carom.recording.layout import drawing
 from carom.recording.layout.drawing import shape
@@ -25,7 +26,6 @@ from carom.recording.schema.header import STATIC_COLOURS, Header
 from carom.recording.schema.paths import STEP
 from carom.recording.write.encoder import graph_colours
 from carom.recording.write.rows import Index, Rows
-from carom.show.request import ShownStep
 
 _MOST = 30_000_000  # bodies times frames
 _CONTACT_ENDS = "LineStrips3D:strips"

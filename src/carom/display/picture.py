@@ -16,6 +16,9 @@ from pathlib import Path
 
 import rerun as rr
 
+from carom.display.presentation import asked
+from carom.display.request import Request
+from carom.display.viewer import Viewer, virtual_screen
 from carom.errors import RecordingError
 from carom.private_folder import private_folder
 from carom.recording.layout import ALL
@@ -23,9 +26,6 @@ from carom.recording.layout.canvas import Canvas
 from carom.recording.read.lookup import names_of
 from carom.recording.read.recording import Recording
 from carom.recording.write.whole_file import whole_file
-from carom.show.presentation import asked
-from carom.show.request import Request
-from carom.show.viewer import Viewer, virtual_screen
 
 # The characters that the viewer can draw with its own font, Inter, as shipped with Rerun 0.41.
 

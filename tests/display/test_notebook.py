@@ -7,10 +7,10 @@ from typing import Any
 
 import pytest
 
+from carom.display import notebook
 from carom.errors import RecordingError
 from carom.recording.read.recording import Recording
 from carom.recording.write.recorder import FrameRecorder
-from carom.show import notebook
 from scripted_run import ScriptedRun
 
 DOCS = Path(__file__).parents[2] / "docs"

@@ -35,8 +35,8 @@ from carom.scene.units.system import SI, UnitSystem
 from carom.scene.wording import body_called
 
 if TYPE_CHECKING:
+    from carom.display.request import ShownStep
     from carom.physics.simulation import StepStatus
-    from carom.show.request import ShownStep
 
 Static = tuple[str, rr.AsComponents]
 

@@ -16,6 +16,10 @@ from numpy.typing import NDArray
 
 from carom.arrays import FloatArray, SingleArray
 from carom.contact_table import IMPACT_MODE
+from carom.display.body_colours import BodyColours
+from carom.display.legend import Legend, LegendLine
+from carom.display.request import Pair, ShownStep
+from carom.display.supplement import Static
 from carom.physics.frame import Frame
 from carom.physics.vector import minimum_images
 from carom.recording.layout import faint_bodies
@@ -30,10 +34,6 @@ from carom.recording.schema.header import Header
 from carom.recording.write.rows import BatchColumn, Index, Rows
 from carom.scene.units import dimension
 from carom.scene.units.system import UnitSystem
-from carom.show.body_colours import BodyColours
-from carom.show.legend import Legend, LegendLine
-from carom.show.request import Pair, ShownStep
-from carom.show.supplement import Static
 
 ROOT = "close_up"
 BODIES, EDGE, NORMAL, IMPULSE, SPIN = (f"{ROOT}/{name}" for name in ("bodies", "edge", "normal", "impulse", "spin"))

@@ -6,15 +6,15 @@ from typing import Any
 import pytest
 
 import carom
+from carom.display import body_colours, close_up, movie
+from carom.display.presentation import Presentation, asked
+from carom.display.request import Request
 from carom.recording.edit.clip import clip
 from carom.recording.layout import TRAILS, faint_bodies
 from carom.recording.layout.canvas import Canvas
 from carom.recording.read.recorded_scene import header_of_recording
 from carom.recording.read.recording import Recording
 from carom.recording.schema import palette, paths
-from carom.show import body_colours, close_up, movie
-from carom.show.presentation import Presentation, asked
-from carom.show.request import Request
 from small_scenes import scene_of
 
 BODIES = [

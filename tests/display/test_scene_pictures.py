@@ -7,11 +7,11 @@ import pytest
 from PIL import Image
 
 import carom
+from carom.display.picture import render
+from carom.display.request import Request
 from carom.recording.layout import drawing
 from carom.recording.schema import palette
 from carom.scene.schema import Scene
-from carom.show.picture import render
-from carom.show.request import Request
 from needs import PICTURES
 from picture_pixels import Pixels, of_colour, of_hue, view
 

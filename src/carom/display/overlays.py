@@ -19,6 +19,7 @@ import rerun.blueprint as rrb
 from rerun.components import FillMode
 
 from carom.arrays import ColourArray, FloatArray
+from carom.display.body_colours import fixed_colours
 from carom.physics.space import Space
 from carom.recording.layout import WINDOW
 from carom.recording.layout.camera import CameraFit
@@ -33,7 +34,6 @@ from carom.recording.write.whole_file import Writer
 from carom.scene.units.dimension import ENERGY, LENGTH, Dimension
 from carom.scene.units.system import UnitSystem
 from carom.scene.wording import literal
-from carom.show.body_colours import fixed_colours
 
 BESIDE = WINDOW.area(3 / 5)  # of the bodies beside panels
 

@@ -10,19 +10,19 @@ from pathlib import Path
 
 import pytest
 
+from carom.display import keeper
+from carom.display.viewer import Viewer
 from carom.errors import RecordingError
 from carom.physics.space import Space
 from carom.recording.schema.header import SweepMember
 from carom.runs.run import simulate
-from carom.show import keeper
-from carom.show.viewer import Viewer
 from needs import PICTURES
 from small_scenes import pair
 
 pytest.importorskip("datafusion")
 from rerun.catalog import CatalogClient
 
-from carom.show.catalog import catalog
+from carom.display.catalog import catalog
 
 pytestmark = pytest.mark.needs("datafusion")
 
@@ -64,13 +64,13 @@ CATALOGUE = """
 import sys
 from pathlib import Path
 from carom.lab.sweep import serve  # before libraries that start threads, as the command does
-import carom.show.keeper as keeper
+import carom.display.keeper as keeper
 
 isolate = keeper.isolate
 def checked():
     alone = isolate()
     import carom.lab.sweep.manifest as manifest
-    import carom.show.viewer as catalogue
+    import carom.display.viewer as catalogue
 
     class Window:  # in place of the viewer's
         def __init__(self, **_): pass

@@ -9,12 +9,12 @@ import pytest
 import rerun.blueprint as rrb
 
 from carom import Scene, Space
+from carom.display.overlays import ComparedTrajectory, write_trajectories
 from carom.recording.read.entities import Entities
 from carom.recording.read.recording import Recording
 from carom.recording.rrd.container import Container
 from carom.recording.schema import palette
 from carom.recording.write.whole_file import Writer
-from carom.show.overlays import ComparedTrajectory, write_trajectories
 
 RUNS = {"reference": "", "mujoco, dt = 1": "mujoco", "mujoco, dt = 2": "mujoco", "box3d, dt = 1": "box3d", "carom": ""}
 

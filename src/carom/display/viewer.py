@@ -17,17 +17,17 @@ from typing import Self, TypeVar
 
 import numpy as np
 
+from carom.display import keeper
+from carom.display.keeper import HOST, has_screen, screen_is_remote
+from carom.display.presentation import Presentation, asked
+from carom.display.request import Request
+from carom.display.supplement import Supplement
 from carom.errors import RecordingError, install_packages
 from carom.private_folder import private_folder
 from carom.recording.read.recording import Recording
 from carom.recording.schema.header import TimeScale
 from carom.recording.schema.paths import SIM_TIME
 from carom.recording.write.rerun_compat import connect_viewer
-from carom.show import keeper
-from carom.show.keeper import HOST, has_screen, screen_is_remote
-from carom.show.presentation import Presentation, asked
-from carom.show.request import Request
-from carom.show.supplement import Supplement
 
 _T = TypeVar("_T")
 
