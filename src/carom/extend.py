@@ -77,6 +77,7 @@ if TYPE_CHECKING:
     from carom.recording.edit.bundle import is_bundle as is_bundle
     from carom.recording.edit.bundle import opened as opened
     from carom.recording.export import Snapshot as Snapshot
+    from carom.recording.read.first_difference import other_bits as other_bits
     from carom.recording.read.frame_rows import RecordedPositions as RecordedPositions
     from carom.recording.read.lookup import body_number as body_number
     from carom.recording.read.lookup import names_of as names_of
@@ -92,7 +93,6 @@ if TYPE_CHECKING:
     from carom.recording.schema.header import SweepMember as SweepMember
     from carom.recording.schema.palette import LINES as LINES
     from carom.recording.schema.paths import STEP as STEP
-    from carom.recording.schema.series import Past as Past
     from carom.recording.schema.series import Plot as Plot
     from carom.recording.schema.series import Sample as Sample
     from carom.recording.schema.series import Series as Series
@@ -239,6 +239,7 @@ _NAMES = {  # of each module; docs/extending.md lists them by purpose
     "carom.plan.interactions": "damping further",
     "carom.recording.edit.bundle": "is_bundle opened",
     "carom.recording.export": "Snapshot",
+    "carom.recording.read.first_difference": "other_bits",
     "carom.recording.read.frame_rows": "RecordedPositions",
     "carom.recording.read.lookup": "body_number names_of tolerance",
     "carom.recording.read.recorded_contacts": "closing_speeds rows_by_frame",
@@ -247,7 +248,7 @@ _NAMES = {  # of each module; docs/extending.md lists them by purpose
     "carom.recording.schema.header": "SweepMember",
     "carom.recording.schema.palette": "LINES",
     "carom.recording.schema.paths": "STEP",
-    "carom.recording.schema.series": "Past Plot Sample Series",
+    "carom.recording.schema.series": "Plot Sample Series",
     "carom.recording.source": "SPHERE engine_package named_version setup_of",
     "carom.recording.source.observer": "Observer not_finite",
     "carom.recording.write.durable_sink": "DiskReserve",

@@ -19,11 +19,11 @@ from carom.physics.schedule import Schedule
 from carom.physics.simulation import StepStatus
 from carom.physics.space import Space
 from carom.plan.auto import frame_interval
+from carom.recording.read.first_difference import Difference, value_difference
 from carom.recording.read.recording import Recording
 from carom.recording.schema import checkpoint_columns, paths
 from carom.recording.schema.header import scene_digest
-from carom.runs.comparison import different
-from carom.runs.replay import Difference, replay
+from carom.runs.replay import INTERVAL, replay
 from carom.runs.run import simulate
 from carom.scene.scene_file import bundled_scenes
 from carom.scene.schema import Scene
@@ -132,8 +132,7 @@ def test_errors_are_judged_again_at_the_same_instants(interval: float | None, st
     recording = Recording.open(tmp_path / "run.rrd")
     assert recording.check_interval == interval
     result = replay(recording)
-    own = "check_interval of the property carom, which is not the scene's"
-    assert result.same and result.not_compared == ([own] if interval else [])
+    assert result.same and result.not_compared == ([INTERVAL] if interval else [])
     changed_instants = Recording.open(tmp_path / "run.rrd")
     changed_instants.__dict__["info"] = {**recording.info, "check_interval": 0.7}
     assert not replay(changed_instants).same, "what the errors were is compared"
@@ -149,7 +148,7 @@ def test_the_first_frame_body_and_quantity_that_differ_are_named(tmp_path: Path)
     result = replay(spoiled(tmp_path / "shifted.rrd", shift))
     assert not result.same and result.difference is not None
     assert (result.difference.step, result.difference.body) == (51, alone[0])
-    assert (result.difference.quantity, result.difference.unit) == ("y (as drawn)", "m")
+    assert (result.difference.quantity, result.difference.unit) == ("y (as drawn in /world/bodies)", "m")
     assert result.difference.by == pytest.approx(-1e-3, abs=1e-6)  # what was recorded is ahead; drawn in float32
     assert result.compared == 52, "frames 0 to 51"
 
@@ -174,7 +173,7 @@ def test_each_number_of_a_checkpoint_is_told_with_its_unit() -> None:
     for name, (values, _) in columns.items():
         if isinstance(values, np.ndarray) and values.dtype == np.float64:
             row = pa.array(values)
-            found = different(1, paths.CHECKPOINT, name, row, pa.array(values + 1.0))
+            found = value_difference(1, paths.CHECKPOINT, name, row, pa.array(values + 1.0))
             told[name] = "" if found is None else found.unit
     assert [name for name, unit in told.items() if not unit] == ["orientation"]  # has none
     assert (told["held_impulse"], told["ledger_friction"], told["contact_rest_speed"]) == ("N s", "J", "m/s")

@@ -48,6 +48,7 @@ if TYPE_CHECKING:
     from carom.scene.schema import Scene
     from carom.scene.units.system import UnitSystem
 
+NAMED = 3  # descriptions of data that were not compared, printed at most
 ASKS_ABOVE = 60.0  # s; a longer replay requires consent
 _CHECKS = "Check energy and momentum every N steps. Default: as the scene says."
 
@@ -288,7 +289,9 @@ def _print(result: Replay, units: UnitSystem) -> None:
     if result.difference:
         say(f"The first difference is at {result.difference.text(units)}.")
     if result.not_compared:
-        say(f"Not compared: {'; '.join(result.not_compared)}.")
+        more = len(result.not_compared) - NAMED
+        named = result.not_compared[:NAMED] + ([f"and {more} more (--json)"] if more > 0 else [])
+        say(f"Not compared: {'; '.join(named)}.")
     for file in result.changed_files:
         say(f"{file} has changed since the run was recorded; the replay used the recorded bodies.")
     if result.ended:

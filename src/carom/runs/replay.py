@@ -1,86 +1,47 @@
-"""Runs a recording again and compares every frame with the recorded one, bit for bit."""
+"""Runs a recording again, and compares the new recording with the old one, bit for bit."""
 
 from __future__ import annotations
 
 import math
+import tempfile
 import time as clock
-from collections.abc import Callable
-from contextlib import ExitStack
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from carom.event import Event
+from carom.errors import RecordingError
 from carom.physics.frame import Frame
 from carom.physics.schedule import at, every
 from carom.physics.space import Space
+from carom.plan.auto import auto_interval
 from carom.recording.edit.bundle import opened
+from carom.recording.edit.clip import Selection
+from carom.recording.read.first_difference import Difference, Extent, first_difference
+from carom.recording.read.frame_rows import Continuation
 from carom.recording.read.lookup import interval, tolerance
 from carom.recording.read.recorded_scene import recorded_scene
 from carom.recording.read.recording import Recording
-from carom.recording.schema.header import Header, Scalar, TimeScale
+from carom.recording.schema.header import Header, SweepMember
 from carom.recording.write.recorder import FrameRecorder
 from carom.recording.write.whole_file import claimed_output, refuse_itself, refuse_output
-from carom.runs.comparison import Mismatch, StaticCheck, Value
 from carom.runs.environment import versions
-from carom.runs.frame_check import WORDS_OF_EXTREMES, FrameCheck, is_whole, text_of, told_of
 from carom.runs.outcome import judge
 from carom.runs.run import Watcher, closing_summary, ending_of, header_of, outcome_text
 from carom.runs.window import checkpoint_before, space_of
 from carom.scene.data.body_sources import changed_files
-from carom.scene.forces import FORCES
-from carom.scene.units.dimension import OF_UNIT, TIME
-from carom.scene.units.system import SI, UnitSystem
-from carom.scene.wording import body_called
 
-_OUTCOME = "the outcome and its numbers (of a part of a run, or a repaired or resumed recording)"
-_EXTREMES = "the extremes and the end in /events, which another version recorded"
-_UNSTATED = "the outcome and its numbers (the run could not write them, since the disk was full or it failed)"
-_NO_OUTCOME = "the outcome and its numbers, which are missing"
-_MORE_FRAMES = "the outcome and its numbers (with more frames than the run had)"
 TRIAL_SECONDS = 1.0  # after stepping so long, a replay estimates its remaining time
+REPAIRED = "; repaired, "  # in the outcome of a repaired recording, which may lack pieces
+
+CHOICE = "the outcome, and which impacts, arrows and checkpoints were kept"
+OUTCOME = "the outcome, which the recording lacks"
+DENSE = "all but the exact states, since every step has a frame"
+INTERVAL = "the interval of the checks, which is not the scene's"
 
 Consent = Callable[[float], bool]  # remaining time (s) → whether to continue
-
-
-@dataclass(frozen=True, slots=True)
-class Difference:
-    """The first frame that differs from the recording, and the largest difference in it."""
-
-    step: int
-    time: float  # s, recorded
-    quantity: str
-    body: int | None  # None if the value does not belong to a single body
-    recorded: Value
-    replayed: Value
-    name: str = ""  # of the body
-    unit: str = ""  # of both values, in SI; empty if they have none
-
-    @property
-    def by(self) -> float | None:
-        """Size of the difference; None if the values are not numbers."""
-        if isinstance(self.recorded, str) or isinstance(self.replayed, str):
-            return None
-        return self.replayed - self.recorded
-
-    def __str__(self) -> str:
-        return self.text(SI)
-
-    def text(self, units: UnitSystem) -> str:
-        """Describe the difference, in printed units."""
-        dimension = OF_UNIT.get(self.unit)
-
-        def shown(value: Value, form: str = "") -> str:
-            if dimension is None or isinstance(value, str):
-                return f"{value:{form}}" if form else repr(value)
-            return units.text(value, dimension, form)
-
-        what = self.quantity + ("" if self.body is None else f" of {body_called(self.body, self.name)}")
-        off = "" if self.by is None else f", off by {shown(self.by, '.3g')}"
-        values = f"recorded {shown(self.recorded)}, replayed {shown(self.replayed)}"
-        return f"step {self.step}, t = {units.text(self.time, TIME, '.9g')}: {what}, {values}{off}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,7 +79,8 @@ def replay(
 ) -> Replay:
     """Run a recording again, and compare every frame with the recorded one, bit for bit.
 
-    It begins at the last checkpoint before the window, and ends at the first difference.
+    It begins at the last checkpoint before the window, and ends at the first frame whose state differs. The new frames
+    are recorded in a temporary file, which needs as much space as those of the recording.
 
     Parameters
     ----------
@@ -129,7 +91,7 @@ def replay(
     threads
         Threads for the kernels; the bits do not depend on it.
     dense
-        The ``.rrd`` in which every step of the window is recorded, if any.
+        The ``.rrd`` in which every step of the window is recorded, if any. Then only the exact states are compared.
     force
         Whether ``dense`` may replace a file.
     consent
@@ -146,8 +108,8 @@ def replay(
     Raises
     ------
     SceneError, RecordingError, PhysicsError
-        If the recording cannot be run or holds no frame, the window lies outside of it, or the state is no longer
-        finite.
+        If the recording cannot be run or holds no frame, the window lies outside of it, the temporary file cannot be
+        written, or the state is no longer finite.
     """
     if not isinstance(recording, Recording):
         with opened(Path(recording)) as path:
@@ -162,205 +124,226 @@ def replay(
     checkpoint = checkpoint_before(recording, begin)
     records = recording.records_contacts or (dense is not None and scene.record.impacts != "none")
     space = space_of(recording, scene, checkpoint, threads, record_contacts=records)
-    run = _Comparison(recording, header_of(space), checkpoint.step, end, dense is None)
+    window = _Window(recording, checkpoint.step, end)
     began = clock.perf_counter()
+    not_compared, difference = [DENSE], None
     with ExitStack() as stack:
-        recorder = None
         if dense is not None:
             stack.enter_context(claimed_output(dense, force))
-            recorder = stack.enter_context(FrameRecorder(dense, header_of(space)))
-        ended = _run_again(space, run, recorder, begin, consent, watch)
-        if recorder is not None:
-            recorder.finish(ended or "completed")
+            every_step = stack.enter_context(FrameRecorder(dense, header_of(space)))
+
+            def keep(frame: Frame) -> None:
+                if frame.time >= begin and (frame.step == 0 or frame.step > window.begin):
+                    every_step.put(frame)
+
+            ended = _run_again(space, window, keep, consent, watch, dense=True)
+            every_step.finish(ended or "completed")
+        else:
+            again = stack.enter_context(_Again.made(window, space))
+            ended = _run_again(space, window, again.see, consent, watch)
+            difference, not_compared = again.compare(space, ended)
+        seconds = clock.perf_counter() - began
     return Replay(
-        begin=checkpoint.step,
-        frames=len(run.fingerprints),
-        compared=run.compared,
-        difference=run.finish(space, ended),
+        begin=window.begin,
+        frames=len(window.fingerprints),
+        compared=window.compared,
+        difference=difference or window.difference(space, ended),
         ended=ended,
-        seconds=clock.perf_counter() - began,
+        seconds=seconds,
         recorded_with=recording.versions,
         dense=dense,
-        not_compared=list(run.check.skipped),
+        not_compared=not_compared,
         changed_files=changed_files(scene.bodies, [Path(), recording.path.parent]),
     )
 
 
-def _run_again(
-    space: Space, run: _Comparison, recorder: FrameRecorder | None, begin: float, consent: Consent, watch: Watcher
-) -> str:
-    """Run up to the end of the window or the first difference; return the reason for an earlier end, or an empty text.
+class _Window:
+    """The recorded frames of a replay, and how many of them were seen again."""
 
-    ``recorder`` receives every step from the time ``begin`` (s).
+    def __init__(self, recording: Recording, begin: int, end: float) -> None:
+        table = recording.fingerprints()
+        self.recording, self.begin, self.end = recording, begin, end + tolerance(end)
+        rows = zip(*(table[name].to_pylist() for name in ("step", "fingerprint", "time")), strict=True)
+        inside = [(step, bits, time) for step, bits, time in rows if step >= begin and time <= self.end]
+        self.fingerprints = {step: bits for step, bits, _ in inside}
+        self._times = {step: time for step, _, time in inside}
+        self.first, self.last = min(self.fingerprints, default=begin), max(self.fingerprints, default=begin)
+        self.last_recorded = int(table["step"][-1].as_py())
+        self.compared = 0
+        self.differs: int | None = None  # the first step with another state
+
+    def see(self, frame: Frame) -> None:
+        """Compare the state of a frame, if it was recorded."""
+        bits = self.fingerprints.get(frame.step)
+        self.compared += bits is not None
+        if bits not in (None, frame.fingerprint):
+            self.differs = frame.step
+
+    def difference(self, space: Space, ended: str) -> Difference | None:
+        """Return the difference of the states, or that of the lengths of the runs."""
+        if self.differs is not None:
+            return Difference(self.differs, self._times[self.differs], "the exact state", None, "one", "another")
+        if ended or self.compared == len(self.fingerprints):
+            return None
+        step = min(step for step in self.fingerprints if step > space.step)
+        return Difference(step, self._times[step], "the run ended at step", None, step, space.step)
+
+
+def _run_again(
+    space: Space,
+    window: _Window,
+    keep: Callable[[Frame], None],
+    consent: Consent,
+    watch: Watcher,
+    *,
+    dense: bool = False,
+) -> str:
+    """Run up to the end of the window or the first state that differs; return the reason for an earlier end, if any.
+
+    ``keep`` receives the frames of the steps that the recording has, or of every step.
     """
     # the pace excludes the first step, which may include a compilation
-    began, first, asked = math.inf, run.begin, False
-    schedule = at(run.fingerprints) if recorder is None else every(0.0)
+    began, first, asked = math.inf, window.begin, False
     try:
-        for frame in space.run(schedule=schedule):
+        for frame in space.run(schedule=every(0.0) if dense else at(window.fingerprints)):
             watch(space.status)
-            if frame.time > run.end:  # a step beyond the window
+            if frame.time > window.end:  # a step beyond the window
                 break
-            run.see(frame)
-            if recorder is not None and frame.time >= begin and (frame.step == 0 or frame.step > run.begin):
-                recorder.put(frame)
-            if began == math.inf and frame.step > run.begin:
+            window.see(frame)
+            keep(frame)
+            if began == math.inf and frame.step > window.begin:
                 began, first = clock.perf_counter(), frame.step
             spent = clock.perf_counter() - began
             if not asked and spent > TRIAL_SECONDS:
                 asked = True
-                if not consent(spent * max(0, run.last - space.step) / max(1, space.step - first)):
+                if not consent(spent * max(0, window.last - space.step) / max(1, space.step - first)):
                     return "declined"
-            if run.difference:
+            if window.differs is not None:
                 break
-            if frame.step >= (run.last if recorder is None else run.last_recorded):
+            if frame.step >= (window.last_recorded if dense else window.last):
                 space.stop()  # a stopped run is judged at its last step
     except KeyboardInterrupt:
         return "stopped by the user"
     return ""
 
 
-class _Comparison:
-    """Compares frames with the recorded ones."""
+class _Again:
+    """Records the window once more: frame 0, or the frames after the first one of the window.
 
-    def __init__(self, recording: Recording, header: Header, begin: int, end: float, only_recorded: bool) -> None:
-        table = recording.fingerprints()
-        self.end = end = end + tolerance(end)
-        rows = zip(*(table[name].to_pylist() for name in ("step", "fingerprint", "time")), strict=True)
-        inside = [(step, bits, time) for step, bits, time in rows if step >= begin and time <= end]
-        self.fingerprints = {step: bits for step, bits, _ in inside}
-        self._times = {step: time for step, _, time in inside}
-        self.begin, self.last = begin, max(self.fingerprints, default=begin)
-        self.last_recorded = int(table["step"][-1].as_py())
-        self.compared = 0
-        self.difference: Difference | None = None
-        self._recording = recording
-        steps = np.array(list(self.fingerprints), dtype=np.int64)
-        self.check = FrameCheck(recording, header, steps, begin, only_recorded and begin in self.fingerprints)
+    A run that begins later continues with what the recording states for that first frame, as a resumed run does.
+    """
+
+    def __init__(self, window: _Window, space: Space, path: Path) -> None:
+        recording = window.recording
+        self._window, self._path, self._recording = window, path, recording
+        is_whole = "resumed.step" not in recording.properties and REPAIRED not in recording.outcome
+        same = recording.versions == versions()
+        # whether the run begins at its start, and its recorder had all frames from there on
+        self._is_whole = window.begin == 0 and is_whole and not recording.clip
+        self._same_choice, self._same_version = self._is_whole and same, same
+        self._header = self._header_of(space)
+        self._before: Frame | None = None
+        self._last: int | None = None
+        self._recorder = self._record() if window.first == 0 else None
+
+    @classmethod
+    @contextmanager
+    def made(cls, window: _Window, space: Space) -> Iterator[_Again]:
+        """Make the temporary file, and remove it in the end."""
+        try:
+            folder = tempfile.TemporaryDirectory(prefix="carom-replay-", ignore_cleanup_errors=True)
+        except OSError as error:
+            raise _unwritable(str(error)) from error
+        with folder as place, ExitStack() as stack:
+            again = cls(window, space, Path(place) / "again.rrd")
+            stack.callback(again.close)
+            yield again
 
     def see(self, frame: Frame) -> None:
-        """Compare a frame, if it was recorded."""
-        self.check.gather(frame)
-        bits = self.fingerprints.get(frame.step)
-        if bits is None:
-            return
-        self.compared += 1
-        differs = bits != frame.fingerprint
-        found = self._difference(self.check.finish() if differs else self.check.see(frame))
-        if found is None and differs:
-            found = _largest_difference(self._recording, frame, self._times[frame.step])
-        self.difference = found
+        """Record a frame."""
+        with _writing():
+            if self._recorder is None and frame.step > self._window.first and self._before is not None:
+                self._recorder = self._record(self._before)
+            if self._recorder is not None:
+                self._recorder.put(frame)
+                self._last = frame.step
+        self._before = frame
 
-    def finish(self, space: Space, ended: str) -> Difference | None:
-        """Compare the remaining data after a run, which may have ended early; return the first difference."""
-        is_end = self.last == self.last_recorded
-        found = [self.difference or self._difference(self.check.finish())]
-        if not ended:
-            found.append(self._difference(self.check.strays(is_end)))
-        first = min((one for one in found if one is not None), key=lambda one: one.step, default=None)
-        if first is not None or ended:
-            return first
-        if self.compared < len(self.fingerprints):
-            step = min(step for step in self.fingerprints if step > space.step)
-            return Difference(step, self._times[step], "the run ended at step", None, step, space.step)
-        first = self._difference(self.check.missing(is_end)) or self._outcome(space)
-        if first is None:
-            statics = StaticCheck(self._recording, space)
-            first = self._difference(statics.difference())
-            self.check.skipped |= statics.skipped
-        return first
-
-    def _outcome(self, space: Space) -> Difference | None:
-        """Compare the outcome of the run, if its end is recorded and was reached.
-
-        Versions differ in verdicts, counts and texts, so differences from a recording of another version are only
-        listed.
-        """
-        recording, skipped = self._recording, self.check.skipped
-        if self.last < self.last_recorded:
-            return None
-        if not recording.closing:
-            skipped[_NO_OUTCOME] = None
-            return None
-        if self.begin > 0 or recording.clip or not is_whole(recording):
-            skipped[_OUTCOME] = None
-            return None
-        if not self.check.all_frames or "steps" not in recording.closing:
-            skipped[_MORE_FRAMES if "steps" in recording.closing else _UNSTATED] = None
-            return None
-        same_version = recording.versions == versions()
+    def compare(self, space: Space, ended: str) -> tuple[Difference | None, list[str]]:
+        """Close the file, compare it with the recording, and list what cannot be compared."""
+        recording, window = self._recording, self._window
+        reached_end = not ended and self._last == window.last_recorded and window.differs is None
+        closed = reached_end and self._is_whole and "steps" in recording.closing
+        not_compared = [] if self._same_choice else [CHOICE]
+        if self._same_choice and reached_end and not closed:
+            not_compared.append(OUTCOME)
+        usual = auto_interval(space.scene, space.scene.time.duration)
+        if recording.check_interval not in (None, usual) and "resumed.step" not in recording.properties:
+            not_compared.append(INTERVAL)  # the program that ran the scene chose it, and the replay uses the same one
+        if self._recorder is None or self._last is None:
+            return None, not_compared
         extremes = space.named_extremes()
         verdicts = judge(space.scene, extremes, space.time, space.state)
-        replayed: dict[str, Scalar] = {"frames": self.compared, **closing_summary(space, extremes, verdicts)}
-        if space.time >= space.scene.end:  # otherwise the user or the system ended it
-            replayed["outcome"] = outcome_text(*ending_of(verdicts, space.scene.unit_system))
-        for name, value in replayed.items():
-            recorded = recording.closing.get(name)
-            if name.startswith("profile.") or _alike(recorded, value):
-                continue
-            if not same_version:
-                skipped[f"{name} of the outcome, which another version recorded"] = None
-                continue
-            one, other = (each if isinstance(each, str) else float(each) for each in (recorded or "nothing", value))
-            return Difference(self.last, self._times[self.last], f"{name} of the outcome", None, one, other)
-        return self._end(space, same_version)
+        outcome = recording.outcome  # the user or the system may have ended the run
+        if space.time >= space.scene.end:
+            outcome = outcome_text(*ending_of(verdicts, space.scene.unit_system))
+        with _writing():
+            self._recorder.finish(outcome, closing_summary(space, extremes, verdicts), space.highlights())
+        extent = Extent(
+            after=-1 if window.first == 0 else window.first,
+            last=self._last,
+            to_the_end=reached_end,
+            same_choice=self._same_choice,
+            closed=closed,
+            is_complete=recording.finished and REPAIRED not in recording.outcome,
+            same_version=self._same_version,
+        )
+        few = None
+        if not recording.shows_all:
+            bodies = self._header.bodies
+            few = Selection(recording.shown, range(bodies), self._header.box, bodies).of
+        found, excused = first_difference(recording, Recording.open(self._path), extent, few)
+        return found, [*not_compared, *excused]
 
-    def _end(self, space: Space, same_version: bool) -> Difference | None:
-        """Compare the events that a run logs at its end: its extremes and its outcome."""
-        recording, step = self._recording, self.last
-        level = "INFO" if recording.outcome == "completed" else "WARN"
-        events = [*space.highlights(), Event(step, self._times[step], level, f"end: {recording.outcome}", "end")]
-        found, expected = self.check.closing, told_of(events, TimeScale(float(recording.info["time_scale"])))
-        ends = [[event for event in logged if event[3] == "end"] for logged in (found, expected)]
-        if ends[0] != ends[1] or [event[:4] for event in found] != [event[:4] for event in expected]:
-            if same_version:
-                texts = text_of(found, expected), text_of(expected, found)
-                return Difference(step, self._times[step], "/events at the end", None, *texts)
-            self.check.skipped[_EXTREMES] = None
-        elif found != expected:
-            self.check.skipped[WORDS_OF_EXTREMES] = None
-        return None
+    def close(self) -> None:
+        """End the thread of the recorder."""
+        if self._recorder is not None:
+            self._recorder.__exit__(None, None, None)
 
-    def _difference(self, found: Mismatch | None) -> Difference | None:
-        """Add the time and the name of the body."""
-        if found is None:
-            return None
-        time = self._times.get(found.step, np.nan)
-        name = "" if found.body is None else self._recording.bodies.name[found.body]
-        return Difference(
-            found.step, time, found.quantity, found.body, found.recorded, found.replayed, name, found.unit
+    def _record(self, before: Frame | None = None) -> FrameRecorder:
+        recording = self._recording
+        continued = None if before is None else Continuation(recording, before.step, before.checkpoint)
+        steps = None if self._same_choice else frozenset(recording.checkpoint_steps)
+        with _writing():
+            return FrameRecorder(self._path, self._header, continued=continued, checkpoints=steps)
+
+    def _header_of(self, space: Space) -> Header:
+        """Return the header that the recorder of the run had, with its circumstances."""
+        recording, scene, header = self._recording, space.scene, header_of(space)
+        # groups in the order of placement: explicit bodies, data, groups
+        given = [(-1, len(scene.body)), *((-2 - k, len(columns.mass)) for k, columns in enumerate(scene.data))]
+        numbers, counts = zip(*given, *((k, group.count) for k, group in enumerate(scene.group)), strict=True)
+        swept = dict(recording.parameters)
+        return replace(
+            header,
+            group=np.repeat(np.array(numbers, np.int64), counts),
+            # all impacts and arrows, if it is not known which of them the recorder chose
+            record_impacts=header.record_impacts if self._same_choice or not header.records_contacts else "all",
+            properties={
+                name: each for name, each in recording.properties.items() if isinstance(each, str | int | float)
+            },
+            member=SweepMember(str(swept.pop("name", "")), swept, "") if swept else None,
         )
 
 
-def _alike(recorded: Any, replayed: Scalar) -> bool:
-    """Return whether two values of the outcome have the same bits; empty texts and lists are not recorded."""
-    if recorded is None:
-        return replayed == ""
-    if isinstance(replayed, float) and isinstance(recorded, float):
-        return recorded == replayed or (math.isnan(recorded) and math.isnan(replayed))
-    return bool(recorded == replayed)
+@contextmanager
+def _writing() -> Iterator[None]:
+    try:
+        yield
+    except RecordingError as error:
+        raise _unwritable(str(error)) from error
 
 
-def _largest_difference(recording: Recording, frame: Frame, time: float) -> Difference:
-    """Return the largest difference in the first differing quantity: time, positions, then energies."""
-    if frame.time != time:
-        return Difference(frame.step, time, "time", None, time, frame.time, unit="s")
-    recorded = recording.drawn_positions(frame.step)
-    if recorded is not None and len(recorded) == len(frame.position):
-        shown = (frame.position - recording.origin).astype(np.float32)
-        off = np.abs(shown.astype(np.float64) - recorded).max(axis=1)
-        if off.max() > 0.0:
-            body = int(off.argmax())
-            axis = int(np.abs(shown[body] - recorded[body]).argmax())
-            values = float(recorded[body, axis]), float(shown[body, axis])
-            name = f"{'xyz'[axis]} (as drawn)"
-            return Difference(frame.step, time, name, body, *values, recording.bodies.name[body], "m")
-    energy = recording.energy()
-    rows = np.flatnonzero(energy["step"].to_numpy() == frame.step)
-    row = int(rows[0]) if len(rows) else 0
-    terms = ("translational", "rotational", *(kind.potential for kind in FORCES if kind.potential))
-    for name in (*terms, *dict(frame.energy.others)):
-        if len(rows) and name in energy.column_names and energy[name][row].as_py() != frame.energy.term(name):
-            value = float(energy[name][row].as_py())
-            return Difference(frame.step, time, f"{name} energy", None, value, frame.energy.term(name), unit="J")
-    return Difference(frame.step, time, "bits that affect neither drawn positions nor energies", None, 0.0, 0.0)
+def _unwritable(why: str) -> RecordingError:
+    told = "a replay records the run again in a temporary file"
+    return RecordingError(f"{told}, which failed: {why}; set TMPDIR to a folder with more space")

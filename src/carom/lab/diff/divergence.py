@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from carom import Recording
 from carom.arrays import BoolArray, FloatArray, IntArray
 from carom.errors import RecordingError
-from carom.extend import LENGTH, RATE, SI, TIME, RecordedPositions, UnitSystem, minimum_images
+from carom.extend import LENGTH, RATE, SI, TIME, RecordedPositions, UnitSystem, minimum_images, other_bits
 
 _SATURATED = 0.1  # of the size of the system; a larger difference cannot grow freely
 _POINTS, _FACTOR = 5, 10.0  # smallest number of frames, and smallest growth, for the fit of a rate
@@ -366,7 +366,7 @@ def first_bits(a: Recording, b: Recording, step: int) -> FirstBits | None:
         left, right = getattr(one, name), getattr(other, name)
         if left is None or right is None:
             continue
-        changed = (left[:n].view(np.uint64) != right[:n].view(np.uint64)).any(axis=1)
+        changed = other_bits(left[:n], right[:n]).any(axis=1)
         differs |= changed
         arrays += [name.replace("_", " ")] if changed.any() else []
     if not arrays:

@@ -15,7 +15,7 @@ import pyarrow.compute as pc
 from carom.arrays import FloatArray, IntArray, SingleArray
 from carom.errors import DamageError, RecordingError
 from carom.recording.read.entities import EVENTS, centres_of, flat, plain, reading
-from carom.recording.read.recorded_impacts import RecordedImpacts, impacts_until
+from carom.recording.read.recorded_impacts import RecordedImpacts, count_at, impacts_until
 from carom.recording.read.recording import Recording
 from carom.recording.rrd.messages import Chunk, Entry
 from carom.recording.schema import paths
@@ -26,7 +26,6 @@ if TYPE_CHECKING:
     from carom.physics.checkpoint import Checkpoint
 
 _KEPT = 3  # chunks of each entity in memory; neighbouring frames may be in different ones
-BY_EVENT = (paths.PHASE, paths.DT_LIMIT, paths.EVENTS, paths.IMPACTS)  # entities without one row for every frame
 
 
 class RecordedRows:
@@ -40,11 +39,6 @@ class RecordedRows:
                 self._entries.setdefault(entry.entity_path, []).append(entry)
         self._chunks: dict[str, OrderedDict[int, tuple[Chunk, IntArray]]] = {p: OrderedDict() for p in self._entries}
 
-    @property
-    def entities(self) -> list[str]:
-        """Entities with rows of frames, by name."""
-        return sorted(set(self._entries) - set(BY_EVENT))
-
     def at(self, path: str, step: int) -> list[Chunk]:
         """Return an entity's rows of a step, each as a separate chunk; an intact recording has one."""
         found = []
@@ -54,24 +48,6 @@ class RecordedRows:
                     chunk, steps = self._chunk(entry)
                     found += [Chunk(path, chunk.batch.slice(int(row), 1)) for row in np.flatnonzero(steps == step)]
         return found
-
-    def block(self, path: str, wanted: IntArray) -> Chunk | None:
-        """Return an entity's rows of some ascending steps if they are consecutive in a single chunk."""
-        first, last = int(wanted[0]), int(wanted[-1])
-        there = [entry for entry in self._entries.get(path, ()) if entry.overlaps(first, last)]
-        if len(there) != 1:
-            return None
-        with reading(self._recording.path):
-            chunk, steps = self._chunk(there[0])
-        begin = int(np.searchsorted(steps, first))
-        is_block = np.array_equal(steps[begin : begin + len(wanted)], wanted) and not np.any(np.diff(steps) <= 0)
-        return Chunk(path, chunk.batch.slice(begin, len(wanted))) if is_block else None
-
-    def steps(self, path: str) -> Iterator[IntArray]:
-        """Return the steps of an entity's rows, chunk by chunk."""
-        with reading(self._recording.path):
-            for entry in self._entries.get(path, ()):
-                yield self._chunk(entry)[1]
 
     def _chunk(self, entry: Entry) -> tuple[Chunk, IntArray]:
         kept = self._chunks[entry.entity_path]
@@ -166,13 +142,18 @@ def _numbers(column: pa.Array) -> SingleArray:
 
 
 class Continuation:
-    """The frames of an interrupted run up to the step of a checkpoint; a resumed run writes them before its own."""
+    """The frames of an earlier run up to a step; a resumed run writes them before its own.
 
-    def __init__(self, recording: Recording, step: int) -> None:
+    ``reached`` is the exact state at this step, if it is no checkpoint: of a run that repeats the earlier one, and that
+    writes only its own frames.
+    """
+
+    def __init__(self, recording: Recording, step: int, reached: Checkpoint | None = None) -> None:
         self.recording = recording
         self.step = step
+        self._reached = reached
         steps = recording.fingerprints()[STEP].to_numpy()
-        self.frames = int(np.count_nonzero(steps <= step))
+        self.frames = 0 if reached else int(np.count_nonzero(steps <= step))
         self.origin = recording.origin  # (3,) m
         self.clock = TimeScale(float(recording.info["time_scale"]))
         self.arrow_references = {name: float(value) for name, value in recording.arrow_references.items()}
@@ -181,17 +162,21 @@ class Continuation:
 
     @cached_property
     def impacts(self) -> RecordedImpacts:
-        """The impacts up to the checkpoint."""
+        """The impacts up to this step."""
+        if self._reached:
+            return RecordedImpacts(left_out=count_at(self.recording, self.step))
         return impacts_until(self.recording, self.step)
 
     def last(self) -> Checkpoint:
         """Read the values on which the rows of the next frame depend."""
-        found = self.recording.checkpoint(self.step)
+        found = self._reached or self.recording.checkpoint(self.step)
         contacts = found.contacts if found.contacts is not None and found.contacts.piston is not None else None
         return replace(found, acceleration=found.acceleration[:0].copy(), contacts=contacts, integrator=None)
 
     def chunks(self) -> Iterator[Chunk]:
-        """Yield all rows up to the checkpoint, without the events that closed the recording."""
+        """Yield all rows up to this step, without the events that closed the recording."""
+        if self._reached:
+            return
         for chunk in self.recording.temporal_chunks():
             batch = chunk.batch
             if STEP in batch.schema.names:

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
-from enum import Enum, auto
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from carom import registry
@@ -78,15 +77,6 @@ class Sample(NamedTuple):
     radius: FloatArray  # (n,) m
 
 
-class Past(Enum):
-    """The part of the run that a value depends on; a replay that begins later cannot compare the value."""
-
-    NONE = auto()  # only the state, which a checkpoint holds
-    STEP = auto()  # the step that led to the state
-    INTERVAL = auto()  # the steps since the previous frame
-    RUN = auto()  # all previous frames
-
-
 @dataclass(frozen=True, slots=True)
 class Series:
     """One scalar of every frame."""
@@ -100,7 +90,6 @@ class Series:
     meaning: str  # for docs/recording.md
     # the part of the model (`carom explain`) without which it is not recorded; None if it is always recorded
     part: str | None = None
-    past: Past = Past.NONE
     width: float = THIN
     inside: bool = False  # whether the series is internal to carom's solver, so that runs of other engines lack it
     # whether the plot of a constant series is omitted, too; a series of zeros is never plotted
@@ -152,8 +141,7 @@ def _force_on_piston(sample: Sample) -> float:
     return float(_piston(frame)[2] - _piston(before)[2]) / (frame.time - before.time)
 
 
-# A table, two lines a series: its name and style; its value, meaning, part of the model and dependence on earlier
-# steps.
+# A table, two lines a series: its name and style; its value, meaning and part of the model.
 # fmt: off
 SERIES = (
     Series("energy/translational", "J", "translational", BLUE, _ENERGY,
@@ -185,35 +173,32 @@ SERIES = (
            lambda s: s.energy.integration_error, "change of the total that the ledger does not explain"),
     Series("energy/relative_error", "1", "integration error / energy scale", RED, _ERROR,
            lambda s: s.energy.relative_change(s.energy.integration_error), "integration error over the energy scale; "
-               "0 within the rounding of the total",
-           past=Past.RUN),
+               "0 within the rounding of the total"),
     Series("step/dt", "s", "dt", BLUE, _DT,
-           lambda s: s.frame.dt, "length of the step; 0 at step 0", past=Past.STEP, flat_is_dull=True),
+           lambda s: s.frame.dt, "length of the step; 0 at step 0", flat_is_dull=True),
     Series("step/error", "1", "expected error / size", PURPLE, _ERROR,
            lambda s: s.frame.expected_error, "expected error of positions over the size of the system", "accuracy"),
     Series("step/contacts", "1", "contacts", BLUE, CONTACTS,
-           lambda s: len(s.frame.contacts.pairs), "contacts in the step", "contact", Past.STEP),
+           lambda s: len(s.frame.contacts.pairs), "contacts in the step", "contact"),
     Series("step/contact_force", "N", "largest force of a contact", GREEN, _FORCE,
            _largest_force, "largest normal force of a contact other than an impact: its impulse over the step",
-           _TABLE, Past.STEP, inside=True),
+           _TABLE, inside=True),
     Series("step/impact_rate", "1/s", "impacts", RED, _IMPACTS,
-           _impact_rate, "impacts since the previous frame, per time", "contact", Past.INTERVAL),
+           _impact_rate, "impacts since the previous frame, per time", "contact"),
     Series("step/colours", "1", "colours (stages)", PURPLE, _SOLVER,
-           lambda s: s.colours, "colours of the contacts in the step", "contact", Past.STEP, inside=True),
+           lambda s: s.colours, "colours of the contacts in the step", "contact", inside=True),
     Series("step/sweeps", "1", "sweeps", GREEN, _SOLVER,
-           lambda s: s.frame.sweeps, "passes of the solver over the contacts in the step", "contact", Past.STEP,
-           inside=True),
+           lambda s: s.frame.sweeps, "passes of the solver over the contacts in the step", "contact", inside=True),
     Series("step/overlap", "m", "deepest overlap", PURPLE, None,
-           lambda s: s.overlap, "deepest overlap of a contact", "contact", Past.STEP),
+           lambda s: s.overlap, "deepest overlap of a contact", "contact"),
     Series("step/relative_overlap", "1", "deepest overlap / smaller radius", PURPLE, _OVERLAP,
-           lambda s: s.relative_overlap, "largest overlap over the smaller radius of the pair", "contact", Past.STEP),
+           lambda s: s.relative_overlap, "largest overlap over the smaller radius of the pair", "contact"),
     Series("step/piston_position", "m", "piston", BLUE, _PISTON,
            lambda s: float(_piston(s.frame)[0]), "displacement of the piston along its normal", "piston"),
     Series("step/piston_velocity", "m/s", "piston", BLUE, None,
            lambda s: float(_piston(s.frame)[1]), "velocity of the piston along its normal", "piston"),
     Series("step/piston_force", "N", "on the piston", ORANGE, _FORCE,
-           _force_on_piston, "mean force of the bodies on the piston since the previous frame", "piston",
-           Past.INTERVAL),
+           _force_on_piston, "mean force of the bodies on the piston since the previous frame", "piston"),
 )
 # fmt: on
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 import time
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Generic, Self, TypeVar
@@ -113,8 +113,9 @@ class CheckpointPlan:
     _SHARE = 0.1
     _WARNINGS_AT_LEAST = 4
 
-    def __init__(self, every_frame: bool = False) -> None:
+    def __init__(self, every_frame: bool = False, steps: Collection[int] | None = None) -> None:
         self._every_frame = every_frame  # as for runs that cannot be repeated
+        self._steps = steps  # of the frames with a checkpoint, if they are known
         self._others = 0  # bytes of all frames so far, without checkpoints
         self._regular = 0  # bytes of checkpoints
         self._warned = 0
@@ -124,8 +125,8 @@ class CheckpointPlan:
 
     def chosen(self, batch: Sequence[Frame]) -> list[Frame]:
         """Return the frames of a batch that carry a checkpoint; the first may be the last frame of the batch before."""
-        if self._every_frame:
-            return list(batch)
+        if self._every_frame or self._steps is not None:
+            return [frame for frame in batch if self._steps is None or frame.step in self._steps]
         kept: list[Frame] = []
         for frame in batch:
             # about the bytes of its row without arrows: drawn bodies and contacts, and twenty scalars
@@ -171,6 +172,7 @@ class FrameRecorder:
         live: str | None = None,
         queue_size: int | None = None,
         continued: Continuation | None = None,
+        checkpoints: Collection[int] | None = None,  # steps that carry one; by default chosen by `CheckpointPlan`
     ) -> None:
         self.path = Path(path)
         self._file = _new_file(self.path)  # an earlier recording is replaced once this one is complete
@@ -192,7 +194,7 @@ class FrameRecorder:
         # a slot is reused once its frame has left the queue, the batch being written, and `_last`; a frame being copied
         # already has a place in the queue
         self._slots = max(room, batch) + batch + 1
-        self._plan = CheckpointPlan(every_frame=header.exact)
+        self._plan = CheckpointPlan(every_frame=header.exact, steps=checkpoints)
         self._addresses = AddressReserve(header.bodies)
         self._encoder: BatchEncoder | None = None
         self._references: set[str] = set()  # names of the magnitudes sent so far
@@ -341,7 +343,8 @@ class FrameRecorder:
                 impacts_before=continued.impacts,
                 floors_before=continued.arrow_floors,
             )
-            self._encoder.curves |= recorded_curves(continued.recording, continued.step)
+            if continued.frames:
+                self._encoder.curves |= recorded_curves(continued.recording, continued.step)
         else:
             there = np.isfinite(position).all(axis=1)  # where bodies come and go, not all of them exist
             origin = np.average(position[there], axis=0, weights=self.header.mass[there])

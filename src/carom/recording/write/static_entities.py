@@ -106,11 +106,6 @@ def identity(header: Header, clock: TimeScale, origin: FloatArray) -> dict[str, 
     return properties
 
 
-def recording_name(name: str) -> Static:
-    """Return the name of a recording, as Rerun writes it."""
-    return "__properties", rr.archetypes.RecordingInfo(name=name)
-
-
 def _bodies(header: Header) -> Iterable[Static]:
     is_static = header.coloured_by in STATIC_COLOURS
     colours = header.static_colours(header.coloured_by) if is_static else None
@@ -256,7 +251,12 @@ def _run(header: Header) -> str:
     if not header.engine:
         lines += [f"| duration asked for | {units.text(header.duration, TIME, 'g')} |", f"| seed | {header.seed} |"]
     return "\n".join(
-        lines + [f"| {literal(name)} | {literal(str(value))} |" for name, value in header.properties.items()]
+        lines
+        + [
+            f"| {literal(name)} | {literal(str(value))} |"
+            for name, value in sorted(header.properties.items())
+            if value != ""
+        ]
     )
 
 

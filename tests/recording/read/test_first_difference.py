@@ -16,7 +16,8 @@ from carom.errors import RecordingError
 from carom.recording.edit.clip import clip
 from carom.recording.read.recording import Recording
 from carom.recording.rrd.framing import CHUNK
-from carom.runs.replay import replay
+from carom.recording.schema import series
+from carom.runs.replay import CHOICE, replay
 from carom.runs.resume import resumable_run
 from edited_recordings import assembled, changed, is_of, mapped, messages_of, without_column
 from small_scenes import cloud
@@ -131,21 +132,29 @@ def test_a_row_where_there_was_no_frame_is_found(whole: Path, tmp_path: Path) ->
     assert result.difference is not None and "without a frame" in result.difference.quantity
 
 
+def test_a_series_that_another_version_did_not_record_is_mentioned_once(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    with monkeypatch.context() as earlier:
+        earlier.setattr(series, "SERIES", [each for each in series.SERIES if each.path != "step/contact_force"])
+        carom.run(cloud(12, time={"duration": 0.1, "max_dt": 0.02}), tmp_path / "old.rrd")
+    assert replay(tmp_path / "old.rrd").difference is not None, "this version records it"
+    other = mapped("version.carom", lambda row: ["0.0.9"])
+    changed(tmp_path / "old.rrd", tmp_path / "old.rrd", "__properties/run", other, static=True)
+    result = replay(tmp_path / "old.rrd")
+    assert result.same and "rows of /step/contact_force, which the recording lacks" in result.not_compared
+
+
 def test_a_whole_run_leaves_nothing_out_and_a_window_or_a_clip_says_what(whole: Path, tmp_path: Path) -> None:
     assert replay(Recording.open(whole)).not_compared == []
     steps = Recording.open(whole).checkpoint_times
     later = sorted(steps.values())[len(steps) // 2]
     window = replay(Recording.open(whole), later)
-    assert window.same and [said.partition(" (")[0] for said in window.not_compared] == [
-        "the numbers of contacts with arrows and of impacts with frames",
-        "quantities that depend on the steps before the first frame",
-        "which frames have a checkpoint",
-        "the outcome and its numbers",
-    ]
+    assert window.same and window.not_compared == [CHOICE]
     for bodies in (None, [1, 5, 7]):
         clip(whole, tmp_path / "clip.rrd", later + 0.05, 0.6, bodies)
         part = replay(Recording.open(tmp_path / "clip.rrd"))
-        assert part.same and part.compared == part.frames > 2
+        assert part.same and part.compared == part.frames > 2 and part.not_compared[0] == CHOICE
 
 
 @pytest.mark.parametrize("entity", ["step/dt", "energy/total", "world/bodies"])
@@ -173,7 +182,7 @@ def test_states_that_are_missing_from_a_whole_recording_are_a_difference(
 ) -> None:
     altered = changed(whole, tmp_path / "altered.rrd", entity, lambda batch: batch.slice(0, 0))
     result = replay(Recording.open(altered))
-    assert result.difference is not None and result.difference.quantity == f"/{entity}"
+    assert result.difference is not None and result.difference.quantity == f"rows of /{entity}"
 
 
 @pytest.mark.parametrize("component", ["TextLog:text", "TextLog:level"])
@@ -191,7 +200,7 @@ def test_altered_events_of_the_end_are_found(component: str, whole: Path, tmp_pa
 def test_an_altered_outcome_is_found(name: str, whole: Path, tmp_path: Path) -> None:
     altered = changed(whole, tmp_path / "altered.rrd", "__properties/outcome", mapped(name, nudged), static=True)
     result = replay(Recording.open(altered))
-    assert result.difference is not None and result.difference.quantity == f"{name} of the outcome"
+    assert result.difference is not None and result.difference.quantity == f"{name} of the property outcome"
 
 
 def altered_scene(whole: Path, out: Path, digest: bool) -> Recording:
