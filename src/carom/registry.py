@@ -79,6 +79,7 @@ HOUSE: Mapping[str, Mapping[str, str]] = {  # carom's own parts: kind â†’ name â
         "tsv": "carom.scene.data.arrow_tables:CSV",
         "txt": "carom.scene.data.arrow_tables:CSV",
         "dat": "carom.scene.data.arrow_tables:CSV",
+        "ecsv": "carom.scene.data.arrow_tables:CSV",
         "dump": "carom.scene.data.particle_text:DUMP",
         "lammpstrj": "carom.scene.data.particle_text:DUMP",
         "liggghts": "carom.scene.data.particle_text:DUMP",

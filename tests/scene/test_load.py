@@ -167,8 +167,8 @@ MISTAKES = {
         "[[pair]]\nmaterials = 'default'\nrestitution = 0.5\n" + ONE_BODY,
         [":2:", "pair.0.materials = 'default': must be a list of two"],
     ),
-    "two columns for a position": (
-        "[[bodies]]\nfile = 'a.csv'\ncolumns = { position = ['a', 'b'] }\n",
+    "one column of three for a position": (
+        "[[bodies]]\nfile = 'a.csv'\ncolumns = { position = ['a'] }\n",
         [":3:", "bodies.0.columns.position", "must be the names of three columns"],
     ),
     "a number in place of bodies": ("body = 3\n", [":1:", "body = 3: must be a list of sections"]),

@@ -22,7 +22,16 @@ from pydantic import ValidationError
 from carom.errors import SceneError
 from carom.scene.conversion import converted, members_of_list, unit_system
 from carom.scene.data.body_columns import columns_of_arrays
-from carom.scene.data.body_sources import LAW, BodySource, DataFiles, HeldBodies, SourcedBodies, Wanted, take_over_laws
+from carom.scene.data.body_sources import (
+    LAW,
+    BodySource,
+    DataFiles,
+    HeldBodies,
+    SourcedBodies,
+    Wanted,
+    compare_facts,
+    take_over_laws,
+)
 from carom.scene.explanation import explain, hint, is_known, not_a_quantity, with_words, written_path
 from carom.scene.matter import material_called
 from carom.scene.scene_file import (
@@ -259,6 +268,7 @@ def _with_bodies(
             row += section.count or 0
     _refuse(wrong)
     taken, refuted = take_over_laws(scene, units, data.get("gravity", {}), sources)
+    refuted |= compare_facts(scene, units, sources)
     _refuse(
         [
             partial(str, f"{places.of(('bodies', index, 'file'))}bodies.{index}: {scene.bodies[index].called}: {why}")

@@ -273,7 +273,7 @@ def test_of_several_steps_the_last_is_read_or_the_one_asked_for(tmp_path: Path) 
     }
     pq.write_table(pa.table(twice), tmp_path / "a.parquet")
     assert place(scene_of(tmp_path, "a.parquet")).position[:, 0].tolist() == [9.0, 12.0, 15.0]
-    assert "the file has 2" in complaint(tmp_path, "a.parquet", "snapshot = 5")
+    assert "it has 2" in complaint(tmp_path, "a.parquet", "snapshot = 5")
 
 
 def test_bodies_from_data_come_after_single_ones_and_before_groups(tmp_path: Path) -> None:
@@ -377,7 +377,7 @@ CONTENTS: dict[str, tuple[dict[str, Any], str, list[str]]] = {
     "a missing column": ({"m": None}, "", ["scene.toml:3: ", "a.csv: no column for mass (usually mass or m", "x, y"]),
     "a velocity of two axes": ({"vz": None}, "", ["columns for velocity are incomplete: vx and vy without vz; add"]),
     "a spin about one axis": ({"wz": MASS}, "", ["columns for angular_velocity are incomplete: wz without wx and wy"]),
-    "a missing axis": ({"z": None}, "", ["no column for position (usually x, y and z"]),
+    "a missing axis": ({"z": None}, "", ['no column for z; write columns = { position = ["x", "y"] }']),
     "an empty cell": ({"vy": [0.0, None, 1.0]}, "", ["a.csv: column vy, row 1: nan is not a finite number"]),
     "an infinite number": ({"y": [0.0, 1.0, np.inf]}, "", ["column y, row 2: inf is not a finite number"]),
     "a word": ({"m": ["1", "two", "3"]}, "", ["column m, row 1: 'two' is not a number"]),
@@ -420,8 +420,8 @@ def test_a_refusal_shows_the_number_of_the_file_whatever_its_unit(tmp_path: Path
     assert "column m, row 1: -2 must not be negative" in complaint(tmp_path, "a.csv", top=units)
     write_npz(tmp_path / "a.npz", radius=np.array([1.0, 1.0, 1e98]))
     assert "1e+98 is not between 1e-103 and 1e+97 in size" in complaint(tmp_path, "a.npz", top=units)
-    write_npz(tmp_path / "a.npz", fixed=np.array(["true", "false", "false"]))
-    assert "column fixed, row 0: 'true' is neither" in complaint(tmp_path, "a.npz", top=units)
+    write_npz(tmp_path / "a.npz", fixed=np.array(["true", "maybe", "false"]))
+    assert "column fixed, row 1: 'maybe' is neither" in complaint(tmp_path, "a.npz", top=units)
 
 
 def test_all_wrong_files_are_refused_in_one_message(tmp_path: Path) -> None:

@@ -65,7 +65,7 @@ def test_the_elements_of_the_state_are_those_of_the_table(
 ) -> None:
     row = (a, e, *angles)
     text = f"a,e,i,Omega,omega,M\n{','.join(map(repr, row))}\n"
-    found = bodies(tmp_path_factory.getbasetemp(), text)
+    found = bodies(tmp_path_factory.getbasetemp(), text, ORBIT.replace("= 1 }", '= 1, angle = "deg" }'))
     again = elements_of(found.position[0], found.velocity[0], 1.0)
     np.testing.assert_allclose(again[0], a, rtol=1e-12 / (1.0 - e))  # r is rounded, and near the pericentre v² ~ 2 / r
     np.testing.assert_allclose(again[1], e, atol=1e-12)
@@ -117,7 +117,7 @@ def test_rebound_has_the_same_states(tmp_path: Path) -> None:
 
 
 def test_a_table_of_jpl_is_read_in_its_own_units(tmp_path: Path) -> None:
-    section = 'orbit = { central_mass = "1 M_sun" }\ndensity = 2000'
+    section = 'orbit = { central_mass = "1 M_sun" }\ndensity = "2000 kg/m^3"'
     scene = scene_of(tmp_path, "sbdb.csv", section)
     ceres = scene.data[0]
     assert ceres.name == ["1 Ceres (A801 AA)", "2 Pallas (A802 FA)", "4 Vesta (A807 FA)"]
@@ -125,7 +125,8 @@ def test_a_table_of_jpl_is_read_in_its_own_units(tmp_path: Path) -> None:
     distance = np.linalg.norm(ceres.position, axis=1) / AU
     assert np.all((distance > 2.1) & (distance < 3.5))
     assert (
-        "sbdb.csv: read as small bodies of JPL (a [au], e, i, om, w, ma, epoch [day]), about 1.98" in scene.notes[0][0]
+        "small bodies of JPL (a [au], e, i [deg], om [deg], w [deg], ma [deg], epoch [day]), about 1.98"
+        in scene.notes[0][0]
     )
     own = scene_of(tmp_path, "sbdb.csv", section, 'units = "au, day, M_sun"').data[0]
     np.testing.assert_allclose(own.position, ceres.position / AU, rtol=1e-14)

@@ -281,7 +281,7 @@ def test_a_snapshot_is_chosen_by_its_time_in_the_units_of_the_scene(tmp_path: Pa
     with pytest.raises(SceneError, match="snapshot and snapshot_time are both given; leave one out"):
         scene_of(tmp_path, units, more="snapshot_time = 1\nsnapshot = 0\n")
     (tmp_path / "a.csv").write_text("x,y,z,m\n0,0,0,1\n", encoding="utf-8")
-    with pytest.raises(SceneError, match="reads no times of snapshots in a table of values; choose one with snapshot"):
+    with pytest.raises(SceneError, match="finds no times of steps in it; choose one with snapshot"):
         scene_of(tmp_path, file="a.csv", more="snapshot_time = 1\n")
 
 

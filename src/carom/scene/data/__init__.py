@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import math
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from carom import registry
 from carom.arrays import BoolArray, FloatArray
 from carom.errors import SceneError
+from carom.scene.data.facts import Facts
 from carom.scene.wording import suggestion
 
 MOST_ROWS = 50_000_000  # a run takes 1 kB per body
@@ -23,8 +24,6 @@ MOST_COLUMNS = 10_000
 ROOMY = 200_000_000  # bytes to which any file may decompress, such as 3 million identical bodies
 NUMBER = 8  # bytes of a number in memory
 MOST_TIMES = 100  # largest ratio of the decompressed size to the size of the file; distinct positions hardly compress
-
-STEP, BODY = "step", "body"  # columns written by `carom export`; a file with both may hold several steps
 
 _FORTRAN = re.compile(r"([+-]?\d*\.?\d*)[dD]?([+-]?\d+)")  # 1.0D-01, or 1.0-101 where the exponent has three digits
 _LONGEST_NUMBER = 60  # characters
@@ -38,7 +37,6 @@ class MotionLaw(NamedTuple):
 
     constant: float  # gravitational constant; 0 without gravity
     softening: float
-    box: tuple[float, float, float] | None  # size of its periodic box; None if space is open
     collides: bool
     integrated: str = ""  # its integrator and step, in words
     integrator: str = ""  # the same method in carom, if there is one
@@ -52,8 +50,11 @@ class DataTable:
     names: Sequence[str]  # names of its columns
     hidden: Sequence[str] = ()  # names of further columns, read only if the scene names them
     unnamed: int = 0  # number of its columns if they have no names
-    units: str = ""  # units of length, time and mass, such as "au, day, M_sun"; empty if unknown
+    paths: bool = False  # whether the names are paths of HDF5, of which the last part counts
+    vectors: Collection[str] = ()  # names of the columns that hold three numbers for each body
+    facts: Facts = Facts()  # units and whatever else the file states about its numbers
     law: MotionLaw | None = None  # None if unknown
+    timed: bool = False  # whether its format finds a snapshot by its time
     notes: tuple[str, ...] = ()  # notes on columns that are unused or reinterpreted
 
     def read(self, names: Sequence[str], texts: Sequence[str] = ()) -> dict[str, Raw]:
@@ -83,6 +84,7 @@ class Arrays(DataTable):
     def __init__(self, arrays: Mapping[str, Raw], called: str = "the arrays") -> None:
         self.called = called
         self.names = list(arrays)
+        self.vectors = [name for name, array in arrays.items() if np.shape(array)[-1:] == (3,) and np.ndim(array) > 1]
         self._arrays = arrays
 
     def read(self, names: Sequence[str], texts: Sequence[str] = ()) -> dict[str, Raw]:
@@ -114,16 +116,6 @@ def step_at(called: str, snapshot: int, steps: int, whose: str = "it") -> int:
     if not -steps <= snapshot < steps:
         raise SceneError(f"{called}: there is no snapshot {snapshot}: {whose} has {steps}")
     return snapshot % steps
-
-
-def periodic_note(called: str, size: Sequence[float] = (), axes: str = "xyz") -> str:
-    """Return the note that the periodic box of a file is ignored, with its size if known."""
-    shown = f" of {' × '.join(f'{length:g}' for length in size)}" if len(size) else ""
-    along, wanted = "", '"periodic"'
-    if axes != "xyz":
-        along = f" along {' and '.join(axes)}"
-        wanted = str(["periodic" if axis in axes else "open" for axis in "xyz"]).replace("'", '"')
-    return f"{called}: its box{shown} is periodic{along}, which is ignored; set domain.boundary = {wanted} for that"
 
 
 def refuse_bomb(called: str, claimed: int, stored: int) -> None:
@@ -165,25 +157,30 @@ def number_in(value: Any) -> float | None:
         return None
 
 
+_FLAGS = {**dict.fromkeys(("true", "t", "yes", "y", "1"), True), **dict.fromkeys(("false", "f", "no", "n", "0"), False)}
+
+
 def flags_of(called: str, column: str, raw: Raw) -> BoolArray:
-    """Return a column of true and false, or of 1 and 0."""
+    """Return a column of true and false, yes and no, or 1 and 0."""
     if raw.dtype.kind == "b":
         return raw.astype(np.bool_)
-    if raw.dtype.kind in "fiu":
-        wrong = (raw != 0) & (raw != 1)
-    else:  # an array of objects, which occurs if a row is empty
-        wrong = np.array([not isinstance(value, bool) for value in raw.tolist()])
-    if wrong.any():
-        row = int(np.argmax(wrong))
-        raise SceneError(
-            f"{called}: column {column}, row {row}: {_shown(raw.tolist()[row])} is neither true nor false (1 or 0)"
-        )
-    return raw.astype(np.bool_)
+    if raw.dtype.kind in "fiu" and np.isin(raw, (0, 1)).all():
+        return raw.astype(np.bool_)
+    flags = np.zeros(raw.shape, np.bool_)
+    for row, value in enumerate(raw.tolist()):
+        text = value.decode("utf-8", "replace") if isinstance(value, bytes) else value
+        known = bool(text) if text in (0, 1) else _FLAGS.get(str(text).strip().lower())
+        if known is None:
+            raise SceneError(
+                f"{called}: column {column}, row {row}: {_shown(value)} is neither true nor false (yes or no, 1 or 0)"
+            )
+        flags[row] = known
+    return flags
 
 
 def texts_of(raw: Raw) -> list[str]:
     """Return a column as texts; missing ones are empty."""
-    return [_text(value) for value in raw.tolist()]
+    return [_text(value).strip() for value in raw.tolist()]
 
 
 def _text(value: Any) -> str:
@@ -219,12 +216,7 @@ def open_table(
         raise SceneError(f'{called}: no format has the suffix "{path.suffix}"; {suggestion(path.suffix, known)}')
     form: DataFormat = registry.load("data_formats", ending[1:])
     with _reading(called, form):
-        if time is not None:
-            # the snapshot nearest to the time
-            if form.times is None:
-                raise SceneError(
-                    f"{called}: carom reads no times of snapshots in {form.called}; choose one with snapshot = 0, 1 …"
-                )
+        if time is not None and form.times is not None:  # otherwise a column of the table may have times
             times = np.asarray(form.times(path, called), dtype=np.float64)
             rounding = _ROUNDED * float(np.abs(times).max())
             if not times.min() - rounding <= time <= times.max() + rounding:
@@ -251,8 +243,9 @@ class _Guarded(DataTable):
     def __init__(self, table: DataTable, form: DataFormat) -> None:
         self._table = table
         self._form = form
-        self.called, self.names, self.units = table.called, table.names, table.units
-        self.law, self.notes, self.hidden = table.law, table.notes, table.hidden
+        self.called, self.names, self.hidden, self.paths = table.called, table.names, table.hidden, table.paths
+        self.vectors, self.facts, self.law, self.notes = table.vectors, table.facts, table.law, table.notes
+        self.timed = form.times is not None
 
     def read(self, names: Sequence[str], texts: Sequence[str] = ()) -> dict[str, Raw]:
         """Read columns by their names."""

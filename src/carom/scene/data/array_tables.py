@@ -7,13 +7,15 @@ particles.
 
 from __future__ import annotations
 
+import contextlib
+import json
 import math
 import re
 import warnings
 import zipfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 from numpy.lib import format as npy
@@ -27,14 +29,13 @@ from carom.scene.data import (
     DataTable,
     MotionLaw,
     Raw,
-    periodic_note,
     refuse_bomb,
     refuse_large,
     refuse_many_rows,
     step_at,
 )
-from carom.scene.data.mapping import printable
-from carom.scene.units.system import units_of_rebound
+from carom.scene.data.facts import Facts, FileBox, printable
+from carom.scene.units.system import SI, UnitSystem, units_of_rebound
 from carom.scene.wording import counted
 
 _MOST_DATASETS = 10_000
@@ -43,6 +44,14 @@ _LONGEST_PATH = 1000  # characters; the time that HDF5 takes grows as the square
 _HEADER = "Header"  # group in the snapshots of Gadget, AREPO, GIZMO and SWIFT
 _OF_TYPE = re.compile(r"PartType(\d)/(\w+)")
 _MASSES = "Masses"
+_UNIT_KEYS = ("units", "unit", "Units", "Unit", "UNITS")  # attributes of AMUSE, unyt, pint, PyTables, and of H5MD
+_OF_UNITS = ("Parameters", "Units")  # groups in which Gadget-4 and SWIFT state units
+_SIZES = {  # key of [units] → unit, and attributes of Gadget and AREPO, GIZMO, SWIFT
+    "length": ("cm", ("UnitLength_in_cm", "UnitLength_In_CGS", "Unit length in cgs (U_L)")),
+    "mass": ("g", ("UnitMass_in_g", "UnitMass_In_CGS", "Unit mass in cgs (U_M)")),
+    "velocity": ("cm/s", ("UnitVelocity_in_cm_per_s", "UnitVelocity_In_CGS")),
+    "time": ("s", ("Unit time in cgs (U_t)",)),
+}
 _OF_GAS = ("Density",)  # of the gas around a particle, not of a sphere
 _SUFFIX = ".npy"
 _LARGEST_HEADER = 10_000  # characters
@@ -66,22 +75,40 @@ def open_hdf5(path: Path, called: str, snapshot: int) -> DataTable:
             return True if len(names) > _MOST_DATASETS else None
 
         file.visititems(add)  # ignores links, which could lead out of the file
+        of_columns, vectors = dict[str, str](), list[str]()
+        for name in names:
+            shape, attributes = file[name].shape, file[name].attrs
+            if len(shape) > 1 and shape[-1] == 3:
+                vectors.append(name)
+            if key := next((each for each in _UNIT_KEYS if each in attributes), ""):
+                of_columns[name] = _text_of(attributes[key])
         if _HEADER in file and "NumPart_ThisFile" in file[_HEADER].attrs:
-            return _Snapshot(path, called, names, dict(file[_HEADER].attrs))
-    return _Datasets(path, called, names)
+            stated = {key: file[group].attrs[key] for group in _OF_UNITS if group in file for key in file[group].attrs}
+            return _Snapshot(path, called, names, stated | dict(file[_HEADER].attrs), of_columns)
+    table = _Datasets(path, called, names, vectors)
+    table.facts = Facts(of_columns=of_columns)
+    return table
+
+
+def _text_of(value: Any) -> str:
+    """Return the text of an attribute, whose type depends on the program."""
+    one = np.ravel(value)[0] if np.size(value) == 1 else ""
+    return one.decode("utf-8", "replace") if isinstance(one, bytes) else str(one)
 
 
 class _NamedArrays(DataTable):
     """Arrays of a file, by their names."""
 
-    def __init__(self, path: Path, called: str, names: Sequence[str]) -> None:
+    def __init__(self, path: Path, called: str, names: Sequence[str], vectors: Sequence[str] = ()) -> None:
         self._path = path
         self.called = called
-        self.names = names
+        self.names, self.vectors = names, vectors
 
 
 class _Datasets(_NamedArrays):
     """Datasets of a file, by their full paths."""
+
+    paths = True
 
     def read(self, names: Sequence[str], texts: Sequence[str] = ()) -> dict[str, Raw]:
         """Read datasets, whose shapes are checked before memory is allocated."""
@@ -107,7 +134,9 @@ class _Snapshot(_Datasets):
     A dataset that every type has becomes one column. The mass of a type is in the header's table, or in a dataset.
     """
 
-    def __init__(self, path: Path, called: str, names: Sequence[str], header: Mapping[str, Any]) -> None:
+    def __init__(
+        self, path: Path, called: str, names: Sequence[str], header: Mapping[str, Any], of_columns: Mapping[str, str]
+    ) -> None:
         super().__init__(path, called, names)
         self.hidden = names
         files = int(np.max(header.get("NumFilesPerSnapshot", 1)))
@@ -137,13 +166,23 @@ class _Snapshot(_Datasets):
             for kind, count in self._counts.items()
         )
         notes = [f"{called}: read as a snapshot of Gadget, particles {', '.join(types)}"]
-        if float(np.max(header.get("BoxSize", 0.0))) > 0.0:
-            notes.append(periodic_note(called, np.ravel(header["BoxSize"]).tolist()))
+        box = np.ravel(header.get("BoxSize", 0.0)).astype(float)
+        has_box = len(box) in (1, 3) and float(box.max()) > 0.0
         if float(np.max(header.get("Omega0", 0.0))) > 0.0:
             notes.append(
                 f"{called}: Omega0 is above 0, so its lengths are comoving and its velocities contain Gadget's factor "
                 "√a; its numbers are used unchanged"
             )
+        units = _units_of_gadget(header)
+        self.facts = Facts(
+            units=UnitSystem(units),
+            of_columns={**of_columns}
+            | {path.split("/", 1)[1]: text for path, text in of_columns.items() if "/" in path},
+            time=float(np.max(header["Time"])) if "Time" in header else None,
+            box=FileBox((0.0, 0.0, 0.0), tuple(np.broadcast_to(box, 3).tolist()), "xyz") if has_box else None,
+        )
+        if units:
+            notes.append(f"{called}: its units are {', '.join(units.values())}")
         self.notes = tuple(notes)
 
     def read(self, names: Sequence[str], texts: Sequence[str] = ()) -> dict[str, Raw]:
@@ -170,6 +209,21 @@ class _Snapshot(_Datasets):
         return name == _MASSES and kind in self._masses
 
 
+def _units_of_gadget(header: Mapping[str, Any]) -> dict[str, str]:
+    """Return the units that a header states, by the keys of [units].
+
+    Gadget and AREPO count lengths and masses in 1/h of UnitLength_in_cm and UnitMass_in_g (Springel, User guide for
+    GADGET-2, section 5.2: "the internal length unit in cm/h"), with h in HubbleParam.
+    """
+    h = float(np.max(header.get("HubbleParam", 1.0))) or 1.0
+    found = dict[str, str]()
+    for key, (unit, names) in _SIZES.items():
+        if name := next((each for each in names if each in header), ""):
+            size = float(np.max(header[name])) / (h if key != "velocity" and not name.startswith("Unit ") else 1.0)
+            found[key] = f"{size!r} {unit}"
+    return found
+
+
 HDF5 = DataFormat("an HDF5 file", open_hdf5)
 
 
@@ -177,7 +231,22 @@ def open_npz(path: Path, called: str, snapshot: int) -> DataTable:
     """Open an archive of arrays."""
     with zipfile.ZipFile(path) as archive:
         names = [name.removesuffix(_SUFFIX) for name in archive.namelist() if name.endswith(_SUFFIX)]
-    return _Archive(path, called, names)
+        vectors = list[str]()
+        for name in names:
+            with archive.open(name + _SUFFIX) as member, contextlib.suppress(ValueError):
+                shape = _header_of(member)[0]
+                vectors += [name] if len(shape) > 1 and shape[-1] == 3 else []
+    return _Archive(path, called, names, vectors)
+
+
+def _header_of(member: IO[bytes]) -> tuple[tuple[int, ...], np.dtype[Any]]:
+    """Read the shape and the type of an array."""
+    version = npy.read_magic(member)
+    if version not in ((1, 0), (2, 0)):
+        raise ValueError(f"an array of version {version[0]}.{version[1]}")
+    read = npy.read_array_header_1_0 if version == (1, 0) else npy.read_array_header_2_0
+    shape, _, kind = read(member, max_header_size=_LARGEST_HEADER)
+    return shape, kind
 
 
 class _Archive(_NamedArrays):
@@ -193,11 +262,7 @@ class _Archive(_NamedArrays):
     def _array(self, archive: zipfile.ZipFile, name: str) -> Raw:
         info = archive.getinfo(name + _SUFFIX)
         with archive.open(info) as member:
-            version = npy.read_magic(member)
-            if version not in ((1, 0), (2, 0)):
-                raise ValueError(f"an array of version {version[0]}.{version[1]}")
-            read = npy.read_array_header_1_0 if version == (1, 0) else npy.read_array_header_2_0
-            shape, _, kind = read(member, max_header_size=_LARGEST_HEADER)
+            shape, kind = _header_of(member)
             if kind.hasobject:
                 raise SceneError(f"{self.called}: array {name} holds Python objects, which are not read; save numbers")
             size = math.prod(shape) * kind.itemsize
@@ -231,8 +296,8 @@ def open_gsd(path: Path, called: str, snapshot: int) -> DataTable:
             raise SceneError(f'{called}: a GSD file of the schema "{file.schema[:40]}"; "hoomd" is needed')
         frame = step_at(called, snapshot, frames)
 
-        def chunk(name: str) -> Any:
-            which = next((each for each in (frame, 0) if file.chunk_exists(each, name)), None)
+        def chunk(name: str, frames: Sequence[int] = (frame, 0)) -> Any:
+            which = next((each for each in frames if file.chunk_exists(each, name)), None)
             return None if which is None else np.asarray(file.read_chunk(which, name))
 
         count = chunk("particles/N")
@@ -240,16 +305,35 @@ def open_gsd(path: Path, called: str, snapshot: int) -> DataTable:
             raise SceneError(f"{called}: frame {frame} has no particles")
         refuse_many_rows(called, int(count[0]))
         refuse_bomb(called, 12 * int(count[0]), path.stat().st_size)
+        # what a frame omits equals that of the first frame, or has its default where their numbers of particles differ
+        first = chunk("particles/N", (0,))
+        known = (frame, 0) if first is not None and int(first[0]) == int(count[0]) else (frame,)
         arrays: dict[str, Raw] = {
-            name: values for name in _CHUNKS if (values := chunk(f"particles/{name}")) is not None
+            name: values for name in _CHUNKS if (values := chunk(f"particles/{name}", known)) is not None
         }
-        box, step = chunk("configuration/box"), chunk("configuration/step")
+        shapes, box, step = chunk("particles/type_shapes"), chunk("configuration/box"), chunk("configuration/step")
+    if shapes is not None and "diameter" not in arrays:
+        kinds = arrays.get("typeid", np.zeros(int(count[0]), np.int64))
+        diameters = _diameters_of(shapes, kinds)
+        arrays |= {} if diameters is None else {"diameter": diameters}
     table = Arrays(arrays, called)
     table.notes = (
         f"{called}: frame {frame} of HOOMD, step {0 if step is None else int(step[0])}, in single precision",
-        *(() if box is None else (periodic_note(called, box[:3].tolist()),)),
     )
+    if box is not None:  # HOOMD's box is about the origin, and periodic
+        size = tuple(box[:3].astype(float).tolist())
+        table.facts = Facts(box=FileBox(tuple(-0.5 * each for each in size), size, "xyz" if size[2] else "xy"))
     return table
+
+
+def _diameters_of(shapes: Raw, kinds: Raw) -> FloatArray | None:
+    """Return the diameters of spheres from the shapes of their types, one JSON text a row; None for other shapes."""
+    try:
+        texts = [bytes(row.astype(np.uint8)).rstrip(b"\0") for row in shapes]
+        of_type = [json.loads(text) if text else {} for text in texts]
+        return np.array([float(of_type[kind]["diameter"]) for kind in kinds.tolist()])
+    except (ValueError, LookupError, TypeError, AttributeError):
+        return None
 
 
 GSD = DataFormat("a GSD file", open_gsd)
@@ -319,22 +403,21 @@ def open_rebound(path: Path, called: str, snapshot: int) -> DataTable:
     arrays |= {"mass": _attracting(simulation, mass[:particles], called, notes), "radius": radius[:particles]}
     there = {name: array for name, array in arrays.items() if array.any() or name == "position"}
     table = Arrays(there | ({"name": np.array(names, dtype=object)} if any(names) else {}), called)
-    table.units = units_of_rebound(simulation.units)
-    box = None
+    units, box = units_of_rebound(simulation.units), None
     if simulation.boundary == "periodic":
         x, y, z = (float(simulation.root_size) * getattr(simulation, f"N_root_{axis}") for axis in "xyz")
-        box = (x, y, z)
+        box = FileBox((-0.5 * x, -0.5 * y, -0.5 * z), (x, y, z), "xyz")
     name = printable(str(simulation.integrator))
     step = "" if name in _CHOOSING else f" with dt = {simulation.dt:g}"
     table.law = MotionLaw(
         constant=0.0 if simulation.gravity == "none" else float(simulation.G),
         softening=float(simulation.softening),
-        box=box,
         collides=simulation.collision != "none",
         integrated=f'integrator = "{name}"{step}',
         integrator=_INTEGRATORS.get(str(simulation.integrator), ""),
         ghosts=(int(simulation.N_ghost_x), int(simulation.N_ghost_y), int(simulation.N_ghost_z)),
     )
+    table.facts = Facts(units=UnitSystem.of_text(units) if units else SI, time=float(simulation.t), box=box)
     table.notes = tuple(f"{called}: {note}" for note in notes)
     return table
 

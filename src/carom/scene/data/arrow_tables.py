@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import csv
 import io
+import itertools
 import mmap
 import re
 from collections.abc import Callable, Iterable, Iterator, Sequence, Set
@@ -24,10 +25,8 @@ from carom import registry
 from carom.arrow_claims import claims, columns, unpacked_bytes
 from carom.errors import SceneError
 from carom.scene.data import (
-    BODY,
     MOST_COLUMNS,
     NUMBER,
-    STEP,
     DataFormat,
     DataTable,
     Raw,
@@ -37,7 +36,7 @@ from carom.scene.data import (
     refuse_many_columns,
     refuse_many_rows,
 )
-from carom.scene.data.mapping import printable
+from carom.scene.data.facts import Facts, printable
 from carom.scene.wording import counted
 
 _HEAD = 1_000_000  # bytes by which a file is recognised; a longer line is refused
@@ -58,6 +57,13 @@ _SIGNS = {
     re.compile(rb"ITEM: TIMESTEP"): "dump",
     re.compile(rb"Des'n|" + _MPC_LINE, re.MULTILINE): "mpcorb",
 }
+_UNIT_KEYS = (b"unit", b"units")  # in the metadata of a field
+_ECSV = re.compile(r"#\s*%ECSV\b")
+_ECSV_NAME = re.compile(r"\bname:\s*('[^']*'|\"[^\"]*\"|[^,}\n]+)")
+_ECSV_UNIT = re.compile(r"\bunit:\s*('[^']*'|\"[^\"]*\"|[^,}\n]+)")
+_ECSV_EPOCH = re.compile(r"\bepoch:\s*['\"]?J2000(?:\.0)?\b")
+_J2000 = 2_451_545.0  # Julian date
+_LONGEST_COMMENT = 10_000  # characters
 _PARQUET_END = 8  # bytes at the end: the length of the footer, and a mark
 _FOOTER_HEAD = 32  # first bytes of a footer, which contain the number of its elements
 _FOOTER = re.compile(rb"\x15[\x80-\xff]*[\x00-\x7f]\x19\xfc([\x80-\xff]*[\x00-\x7f])", re.S)  # of 15 or more elements
@@ -235,7 +241,7 @@ def open_csv(path: Path, called: str, snapshot: int) -> DataTable:
             other: DataFormat = registry.load("data_formats", name)
             return other.open(path, called, snapshot)
     refuse_large(called, "the file", path.stat().st_size)
-    return _TextTable(path, called, snapshot)
+    return _TextTable(path, called)
 
 
 def open_parquet(path: Path, called: str, snapshot: int) -> DataTable:
@@ -248,7 +254,7 @@ def open_parquet(path: Path, called: str, snapshot: int) -> DataTable:
         refuse_bomb(called, _claimed(file.metadata, set(wanted)), path.stat().st_size)
         return file.read(columns=wanted)
 
-    return _ArrowTable(called, file.schema_arrow.names, read, snapshot)
+    return _ArrowTable(called, file.schema_arrow.names, read, file.schema_arrow)
 
 
 def _columns_of_parquet(path: Path) -> int:
@@ -313,7 +319,7 @@ def open_arrow(path: Path, called: str, snapshot: int) -> DataTable:
                 raise SceneError(f"{called}: column {printable(name)} is of type {kind}; write numbers or text")
         return table.select(wanted)
 
-    return _ArrowTable(called, reader.schema.names, read, snapshot)
+    return _ArrowTable(called, reader.schema.names, read, reader.schema)
 
 
 def _stores_each_row(kind: pa.DataType) -> bool:
@@ -325,27 +331,34 @@ def _stores_each_row(kind: pa.DataType) -> bool:
     return all(_stores_each_row(kind.field(k).type) for k in range(kind.num_fields))
 
 
+def _is_list(kind: pa.DataType) -> bool:
+    return bool(pa.types.is_list(kind) or pa.types.is_large_list(kind) or pa.types.is_fixed_size_list(kind))
+
+
+def _unit_of(column: pa.Field) -> str:
+    """Return the unit in the metadata of a column; empty without one."""
+    metadata = column.metadata or {}
+    return next((metadata[key].decode("utf-8", "replace") for key in _UNIT_KEYS if key in metadata), "")
+
+
 class _ArrowTable(DataTable):
     """Columns of an Arrow table."""
 
-    def __init__(self, called: str, names: Sequence[str], read: _Read, snapshot: int) -> None:
+    def __init__(self, called: str, names: Sequence[str], read: _Read, schema: pa.Schema | None = None) -> None:
         self.called = called
         self.names = list(names)
         self._read = read
-        self._snapshot = snapshot
+        if schema is not None:
+            fields = [schema.field(k) for k in range(len(schema))]
+            self.vectors = [each.name for each in fields if _is_list(each.type)]
+            self.facts = Facts(of_columns={each.name: text for each in fields if (text := _unit_of(each))})
 
     def read(self, names: Sequence[str], texts: Sequence[str] = ()) -> dict[str, Raw]:
-        """Read columns; if a file has several steps, read the rows of one."""
+        """Read columns."""
         for name in names:
             if self.names.count(name) > 1:
                 raise SceneError(f'{self.called}: two columns are called "{name}"; give each column its own name')
-        steps = [STEP] if STEP in self.names and BODY in self.names and STEP not in names else []
-        table = self._read(list(dict.fromkeys([*names, *steps])), texts)
-        if steps:
-            values = pc.unique(table[STEP])
-            if not -len(values) <= self._snapshot < len(values):
-                raise SceneError(f"{self.called}: there is no snapshot {self._snapshot}; the file has {len(values)}")
-            table = table.filter(pc.equal(table[STEP], values[self._snapshot]))
+        table = self._read(list(dict.fromkeys(names)), texts)
         return {name: self._array(name, table[name], name in texts) for name in names}
 
     def _array(self, name: str, column: pa.ChunkedArray, is_text: bool) -> Raw:
@@ -356,7 +369,7 @@ class _ArrowTable(DataTable):
                 lengths = (pc.max(pc.binary_length(chunk.dictionary)).as_py() or 0 for chunk in column.chunks)
                 refuse_large(self.called, f"column {name}", len(column) * max(lengths, default=0))
             column, kind = column.cast(kind.value_type), kind.value_type
-        if pa.types.is_list(kind) or pa.types.is_large_list(kind) or pa.types.is_fixed_size_list(kind):
+        if _is_list(kind):
             lengths = pc.fill_null(pc.list_value_length(column), 0).to_numpy()
             if np.any(lengths != 3):
                 row = int(np.argmax(lengths != 3))
@@ -374,10 +387,11 @@ class _ArrowTable(DataTable):
 class _TextTable(_ArrowTable):
     """Columns of a text file."""
 
-    def __init__(self, path: Path, called: str, snapshot: int) -> None:
+    def __init__(self, path: Path, called: str) -> None:
         self._path = path
         self._dialect = dialect_of(path, called)
-        super().__init__(called, self._dialect.names, self._read_text, snapshot)
+        super().__init__(called, self._dialect.names, self._read_text)
+        self.facts = _facts_of_ecsv(path)
         self.notes = (self._dialect.note,) if self._dialect.note else ()
         self.unnamed = 0 if self.names else self._dialect.columns
 
@@ -411,6 +425,27 @@ class _TextTable(_ArrowTable):
                 column = pc.replace_substring_regex(column, r"\.0$", "")
             table = table.set_column(table.column_names.index(text), text, column)
         return table
+
+
+def _facts_of_ecsv(path: Path) -> Facts:
+    """Return the units in the header of astropy's Enhanced CSV, which is YAML in comments; none for other texts."""
+    with path.open(encoding="utf-8", errors="replace") as file:
+        if not _ECSV.match(file.readline(_LONGEST_COMMENT)):
+            return Facts()
+        lines = itertools.takewhile(
+            lambda line: line.startswith("#"), iter(lambda: file.readline(_LONGEST_COMMENT), "")
+        )
+        header = "\n".join(line[1:].strip() for line in itertools.islice(lines, MOST_COLUMNS))
+    columns, _, meta = header.partition("\nmeta:")
+    starts = [*_ECSV_NAME.finditer(columns)]
+    ends = [*(each.start() for each in starts[1:]), len(columns)]
+    of_columns = {
+        each[1].strip("'\""): found[1].strip("'\" ")
+        for each, end in zip(starts, ends, strict=True)
+        if (found := _ECSV_UNIT.search(columns, each.end(), end))
+    }
+    epoch = _ECSV_EPOCH.search(meta)
+    return Facts(of_columns=of_columns, epoch=_J2000 if epoch else None)
 
 
 CSV = DataFormat("a table of values", open_csv)

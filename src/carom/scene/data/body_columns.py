@@ -5,9 +5,9 @@ from __future__ import annotations
 import hashlib
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -15,23 +15,23 @@ from numpy.typing import ArrayLike, NDArray
 from carom.arrays import BoolArray, FloatArray
 from carom.errors import SceneError
 from carom.scene.data import Arrays, DataTable, Raw, flags_of, numbers_of, step_at, texts_of
+from carom.scene.data.facts import Facts, column_factor, refuse_other_units
 from carom.scene.data.mapping import (
+    DIMENSIONS,
     VECTORS,
     ColumnMapping,
-    column_factor,
+    columns_in,
     mapping_of,
-    printable,
     question,
-    unit_in,
     unused_columns,
     with_material,
 )
 from carom.scene.data.orbital_elements import OrbitTable
+from carom.scene.data.steps import Steps, axis_of_steps, rows_of_step, steps_in
 from carom.scene.schema.body import BodyData, Missing
 from carom.scene.schema.contact import Material
 from carom.scene.schema.quantity import LARGEST, SMALLEST
-from carom.scene.units.dimension import ANGULAR_VELOCITY, DENSITY, LENGTH, MASS, VELOCITY
-from carom.scene.units.system import OWN, UnitSystem
+from carom.scene.units.system import UnitSystem
 from carom.scene.wording import counted
 
 
@@ -114,63 +114,65 @@ _POSITIVE = ("density", "radius", "diameter")
 _NOT_NEGATIVE = ("mass", "inertia")  # both are 0 for a test particle
 _SIZES = ("radius", "diameter", "density")  # quantities for which 0 is a missing value
 _SAME_DISTANCE = 0.02  # relative; distances from the Sun nearly equal distances from the barycentre
-_DIMENSIONS = {  # dimensions whose product is the dimension of a quantity
-    "position": (LENGTH,),
-    "velocity": (VELOCITY,),
-    "angular_velocity": (ANGULAR_VELOCITY,),
-    "mass": (MASS,),
-    "density": (DENSITY,),
-    "radius": (LENGTH,),
-    "diameter": (LENGTH,),
-    "inertia": (MASS, LENGTH, LENGTH),
-}
+
+
+class ReadBodies(NamedTuple):
+    """The bodies of a table, and what its file states; the box is in units of the simulation."""
+
+    columns: BodyColumns
+    notes: tuple[str, ...]
+    facts: Facts
 
 
 def read_columns(
     section: BodyData, table: DataTable, units: UnitSystem, material: Material | None = None, constant: float = 0.0
-) -> tuple[BodyColumns, tuple[str, ...]]:
-    """Read and check the bodies of a [[bodies]] table, whose numbers are in the units of the scene.
+) -> ReadBodies:
+    """Read and check the bodies of a [[bodies]] table, in units of the simulation.
 
-    ``constant`` is the gravitational constant, for orbital elements. Return the bodies, and notes on used and unused
-    columns. Raises SceneError, which names the table, the column and the row.
+    ``constant`` is the gravitational constant, for orbital elements. The notes name used and unused columns. Raises
+    SceneError, which names the table, the column and the row.
     """
+    orbits = None
     if section.orbit is not None:
-        table = OrbitTable(table, section.orbit, constant, units)
-        own = {"position": table.position, "velocity": table.velocity}
+        table = orbits = OrbitTable(table, section.orbit, constant, units)
+        own = {"position": orbits.position, "velocity": orbits.velocity}
         section = section.model_copy(update={"columns": section.columns.model_copy(update=own)})
+    columns_there = columns_in(table, section)
     if material is not None:
-        section = with_material(section, material, table.names)
-    named = [columns for _, columns in section.columns if columns is not None]
-    asked = {name for columns in named for name in ((columns,) if isinstance(columns, str) else columns)}
-    names = [*table.names, *(name for name in table.hidden if name in asked)]
-    mapping = mapping_of(section, names, table.called)
-    _refuse_other_units(table, units, mapping)
-    wanted = list(dict.fromkeys(column for columns in mapping.values() for column in columns))
-    raw = table.read(wanted, texts=mapping.get("name", ()))
-    reader = _Reader(section, table.called, mapping, raw, units)
-    position = reader.vectors("position")
-    if section.columns.radius is None:
-        reader.refuse_distance(position)
-    n = len(position)
-    if n == 0:
-        raise SceneError(f"{table.called}: it has no rows")
-    if section.count is not None and section.count != n:
-        raise SceneError(f"{table.called}: it has {n} rows, but count = {section.count}")
+        section = with_material(section, material, columns_there)
+    mapping = mapping_of(section, columns_there, table)
+    if table.law is not None:
+        refuse_other_units(table.called, table.facts, units, (d for each in mapping for d in DIMENSIONS.get(each, ())))
+    steps = steps_in(columns_there)
+    if orbits is not None:  # computed from the masses
+        del mapping["position"], mapping["velocity"]
+    wanted = dict.fromkeys([*(column.name for columns in mapping.values() for column in columns), *steps.names])
+    raw = table.read(list(wanted), texts=[column.name for column in mapping.get("name", ())])
+    reader = _Reader(section, table, mapping, raw, units, steps, None if orbits is None else orbits.rows)
+    if orbits is None:
+        position, velocity = reader.vectors("position"), reader.vectors("velocity")
+        if section.columns.radius is None:
+            reader.refuse_distance(position)
     radius = 0.5 * reader.numbers("diameter") if "diameter" in mapping else reader.numbers("radius")
-    fixed = reader.flags()
     has_density = "density" in mapping or section.density is not None
     volume = (4.0 / 3.0) * math.pi * radius * radius * radius
     with np.errstate(over="ignore"):
         mass = reader.numbers("density") * volume if has_density else reader.numbers("mass")
         inertia = section.inertia_ratio * mass * radius * radius if "inertia" not in mapping else None
+    if orbits is not None:
+        position, velocity = orbits.states(mass, reader.kept)
+    if (n := len(position)) == 0:
+        raise SceneError(f"{table.called}: it has no rows")
+    if section.count is not None and section.count != n:
+        raise SceneError(f"{table.called}: it has {n} rows, but count = {section.count}")
     columns = BodyColumns(
-        position=position,
-        velocity=reader.vectors("velocity"),
+        position=position if section.origin is None else position - np.array(section.origin),
+        velocity=velocity,
         angular_velocity=reader.vectors("angular_velocity"),
         mass=mass,
         radius=radius,
         inertia=reader.numbers("inertia") if inertia is None else inertia,
-        fixed=fixed,
+        fixed=reader.flags(),
         name=reader.names(),
     )
     moves = columns.velocity.any(axis=1) | columns.angular_velocity.any(axis=1)
@@ -182,62 +184,85 @@ def read_columns(
     for mistake, rows in mistakes.items():
         if rows.any():
             raise SceneError(f"{table.called}: row {reader.row(int(np.argmax(rows)))} {mistake}")
-    unused = unused_columns(section, mapping, table.names)
-    notes = [f"{table.called}: {'; '.join(reader.used)}"]
+    unused = unused_columns(section, mapping, columns_there, [*reader.choosing, *(orbits.own if orbits else ())])
+    notes = [f"{table.called}: {'; '.join(reader.used)}"] if mapping else []
     if unused:
         notes.append(f"{table.called}: columns that are not used: {unused}")
-    return columns, (*table.notes, *notes, *reader.notes)
+    facts = table.facts if orbits is None else orbits.stated()
+    if facts.box is not None and "position" in mapping:
+        facts = replace(facts, box=facts.box.scaled(reader.factor("position")))
+    return ReadBodies(columns, (*table.notes, *notes, *reader.notes), facts)
 
 
 class _Reader:
     """Converts the columns of each quantity; values in the scene replace columns."""
 
     def __init__(
-        self, section: BodyData, called: str, mapping: ColumnMapping, raw: dict[str, Raw], units: UnitSystem
+        self,
+        section: BodyData,
+        table: DataTable,
+        mapping: ColumnMapping,
+        raw: dict[str, Raw],
+        units: UnitSystem,
+        steps: Steps,
+        rows: int | None,
     ) -> None:
-        self._units = units
-        self._section = section
-        self._called = called
-        self._mapping = mapping
+        self._units, self._section, self._mapping = units, section, mapping
+        self._called, self._facts = table.called, table.facts
         self._ranges = dict[str, tuple[float, float]]()  # ranges of quantities, in units of the simulation
-        self._raw = {
-            name: self._snapshot(quantity, name, raw[name]) for quantity in mapping for name in mapping[quantity]
+        own = {
+            column.name: 2 if quantity in VECTORS and len(columns) == 1 else 1
+            for quantity, columns in mapping.items()
+            for column in columns
         }
-        first = mapping["position"][0]
-        self._rows = len(self._raw[first])
+        axis = axis_of_steps(section, table, steps, raw, own)
+        self._raw = {
+            column.name: self._step(quantity, column.name, raw[column.name], own[column.name], axis)
+            for quantity, columns in mapping.items()
+            for column in columns
+        }
+        first = next(iter(self._raw), "")
+        self._rows = rows if rows is not None else len(self._raw[first])
         for name, array in self._raw.items():
             if len(array) != self._rows:
-                raise SceneError(f"{called}: column {name} has {len(array)} rows, and {first} has {self._rows}")
-        self._row = np.arange(self._rows)  # row numbers in the file
-        self.notes = list[str]()
-        if section.missing is not None and section.missing.leave_out:
+                raise SceneError(f"{table.called}: column {name} has {len(array)} rows, and {first} has {self._rows}")
+        self.kept = np.arange(self._rows)  # numbers of the rows of the file that are read
+        mask, note, self.choosing = rows_of_step(section, table, steps, raw, self._rows, units)
+        self.notes = [note] if note else []
+        if mask is not None:
+            self._keep(mask)
+        if section.missing is not None and section.missing.leave_out and "position" in mapping:
             # leave out the rows without a position
             there = np.ones(self._rows, dtype=np.bool_)
-            for name in self._mapping["position"]:
-                gaps = np.isnan(numbers_of(self._called, name, self._raw[name], with_gaps=True))
+            for column in self._mapping["position"]:
+                gaps = np.isnan(numbers_of(self._called, column.name, self._raw[column.name], with_gaps=True))
                 there &= ~gaps.reshape(self._rows, -1).any(axis=1)
-            self._row = self._row[there]
-            self._raw = {name: array[there] for name, array in self._raw.items()}
-            if len(self._row) < self._rows:
-                gone = counted(self._rows - len(self._row), "row")
-                self.notes.append(f"{self._called}: {gone} of {self._rows} without a position left out")
-            self._rows = len(self._row)
+            before = self._rows
+            self._keep(there)
+            if self._rows < before:
+                gone = counted(before - self._rows, "row")
+                self.notes.append(f"{self._called}: {gone} of {before} without a position left out")
+
+    def _keep(self, mask: BoolArray) -> None:
+        self.kept = self.kept[mask]
+        self._raw = {name: array[mask] for name, array in self._raw.items()}
+        self._rows = len(self.kept)
 
     def row(self, place: int) -> int:
         """Return the row of the file from which a body comes."""
-        return int(self._row[place])
+        return int(self.kept[place])
 
     def vectors(self, quantity: str) -> FloatArray:
-        """Return (n, 3) vectors."""
+        """Return (n, 3) vectors; those in a plane have z = 0."""
         columns = self._mapping.get(quantity)
         if columns is None:
             constant = getattr(self._section, quantity, None) or (0.0, 0.0, 0.0)
             return np.tile(np.array(constant), (self._rows, 1))
         if len(columns) == 1:
-            return self._numbers(quantity, columns[0])
-        array = np.empty((self._rows, 3))
-        for axis, column in enumerate(columns):
-            array[:, axis] = self._numbers(quantity, column)
+            return self._numbers(quantity)
+        array = np.zeros((self._rows, 3))
+        for axis in range(len(columns)):
+            array[:, axis] = self._numbers(quantity, axis)
         return array
 
     def numbers(self, quantity: str) -> FloatArray:
@@ -245,25 +270,25 @@ class _Reader:
         columns = self._mapping.get(quantity)
         if columns is None:
             return np.full(self._rows, float(getattr(self._section, quantity)))
-        return self._numbers(quantity, columns[0])
+        return self._numbers(quantity)
 
     def flags(self) -> BoolArray:
         """Return a mask (n,) of the fixed bodies."""
         columns = self._mapping.get("fixed")
         if columns is None:
             return np.full(self._rows, bool(self._section.fixed))
-        return flags_of(self._called, columns[0], self._raw[columns[0]])
+        return flags_of(self._called, columns[0].name, self._raw[columns[0].name])
 
     def names(self) -> list[str] | None:
         """Return (n,) names; None if there are none."""
         columns = self._mapping.get("name")
-        return None if columns is None else texts_of(self._raw[columns[0]])
+        return None if columns is None else texts_of(self._raw[columns[0].name])
 
     @property
     def used(self) -> list[str]:
         """Notes on the column of each quantity, with the range of its values."""
         return [
-            f"{quantity.replace('_', ' ')} from {', '.join(map(printable, columns))}{self._range(quantity)}"
+            f"{quantity.replace('_', ' ')} from {', '.join(column.shown for column in columns)}{self._range(quantity)}"
             for quantity, columns in self._mapping.items()
         ]
 
@@ -272,7 +297,7 @@ class _Reader:
         if quantity not in self._ranges:
             return ""
         least, most = self._ranges[quantity]
-        dimensions = _DIMENSIONS[quantity]
+        dimensions = DIMENSIONS[quantity]
         if len(dimensions) > 1:
             return f" ({least:.6g} to {most:.6g})"
         if least == most:
@@ -281,43 +306,46 @@ class _Reader:
 
     def refuse_distance(self, position: FloatArray) -> None:
         """Refuse radii that equal the distances from the origin, since three such spheres would overlap."""
-        column = self._mapping.get("radius", ("",))[0]
-        if not column or len(position) < 3:
+        columns = self._mapping.get("radius")
+        if columns is None or len(position) < 3:
             return
-        values = self._raw[column]
+        values = self._raw[columns[0].name]
         if values.dtype.kind not in "fiu" or np.shape(values) != (len(position),):
             return
         with np.errstate(over="ignore", invalid="ignore"):
             distance = np.sqrt((position * position).sum(axis=1))
-            radius = np.asarray(values, np.float64) * self._factor("radius", column)
+            radius = np.asarray(values, np.float64) * self.factor("radius")
             is_distance = bool(np.all(np.abs(radius - distance) <= _SAME_DISTANCE * distance))
         if is_distance:
-            raise question(self._called, column, "radius", "the distance from the origin, which it equals in each row")
+            raise question(
+                self._called, columns[0], "radius", "the distance from the origin, which it equals in each row"
+            )
 
-    def _factor(self, quantity: str, column: str) -> float:
-        """Return the size of a column's unit in units of the simulation."""
-        return column_factor(self._called, column, quantity, _DIMENSIONS[quantity], self._units)
+    def factor(self, quantity: str, place: int = 0) -> float:
+        """Return the size of the unit of a quantity's column in units of the simulation."""
+        column = self._mapping[quantity][place]
+        return column_factor(self._called, column, self._facts, quantity, DIMENSIONS[quantity], self._units)
 
-    def _snapshot(self, quantity: str, name: str, array: Raw) -> Raw:
+    def _step(self, quantity: str, name: str, array: Raw, dimensions: int, axis: int) -> Raw:
         """Return a column or, if it has several steps, the chosen one; check its shape."""
-        dimensions = 2 if quantity in VECTORS and len(self._mapping[quantity]) == 1 else 1
         if array.ndim == dimensions + 1:
-            array = array[step_at(self._called, self._section.snapshot, len(array), whose=name)]
+            array = array.take(step_at(self._called, self._section.snapshot, array.shape[axis], whose=name), axis)
         if array.ndim != dimensions or (dimensions == 2 and array.shape[1] != 3):
             right = "(n, 3)" if dimensions == 2 else "(n,)"
             raise SceneError(f"{self._called}: {name} has the shape {array.shape}, and {quantity} needs {right}")
         return array
 
-    def _numbers(self, quantity: str, column: str) -> FloatArray:
+    def _numbers(self, quantity: str, place: int = 0) -> FloatArray:
         missing, key = self._section.missing, "radius" if quantity == "diameter" else quantity
         stands = getattr(missing, key, None)  # replaces missing values
+        column = self._mapping[quantity][place].name
         given = numbers_of(self._called, column, self._raw[column], with_gaps=stands is not None)
-        factor = self._factor(quantity, column)
+        factor = self.factor(quantity, place)
         values = given if factor == 1.0 else given * factor
         gaps = np.isnan(given) | (given == 0.0 if quantity in _SIZES else False)
         if stands is not None and gaps.any():
             values = np.where(gaps, 2.0 * stands if quantity == "diameter" else stands, values)
-            shown = self._units.text(stands, _DIMENSIONS[key][0])
+            shown = self._units.text(stands, DIMENSIONS[key][0])
             lacking = counted(int(gaps.sum()), "row")
             self.notes.append(f"{self._called}: {lacking} of {self._rows} without a {quantity}: {key} = {shown}")
         size = np.abs(values)
@@ -331,46 +359,15 @@ class _Reader:
         }
         for what, rows in wrong.items():
             if rows.any():
-                place = np.unravel_index(int(np.argmax(rows)), rows.shape)
-                may_replace = gaps[place] and key in Missing.model_fields
+                at = np.unravel_index(int(np.argmax(rows)), rows.shape)
+                may_replace = gaps[at] and key in Missing.model_fields
                 hint = f"; missing = {{ {key} = … }} gives it a value" if may_replace else ""
-                row = self.row(int(place[0]))
-                raise SceneError(f"{self._called}: column {column}, row {row}: {given[place]:g} {what}{hint}")
+                row = self.row(int(at[0]))
+                raise SceneError(f"{self._called}: column {column}, row {row}: {given[at]:g} {what}{hint}")
         if values.size:
             least, most = self._ranges.get(quantity, (math.inf, -math.inf))
             self._ranges[quantity] = (min(least, float(values.min())), max(most, float(values.max())))
         return values
-
-
-def _refuse_other_units(table: DataTable, units: UnitSystem, mapping: ColumnMapping) -> None:
-    """Refuse a table in other units than the scene."""
-    if not table.units or units.dimensionless:
-        return
-    its = UnitSystem.of_text(table.units)
-    if its.dimensionless:
-        if units.given:  # the scene says what they are
-            return
-        raise SceneError(
-            f'{table.called}: its numbers have no units; write units = "{table.units}" at the top of the scene, or '
-            "[units] with their length, time and mass"
-        )
-    read = (
-        dimension
-        for quantity, columns in mapping.items()
-        if not all(map(unit_in, columns))
-        for dimension in _DIMENSIONS.get(quantity, ())
-    )
-    other = next((dimension for dimension in read if not units.agrees(its, dimension)), None)
-    if other is None:
-        return
-    named = ", ".join(
-        f'{dimension.plain} = "{unit}"' for dimension, unit in zip(OWN, table.units.split(", "), strict=True)
-    )
-    scene = "those of the scene in SI" if units.is_si else f"the scene has {other.name} in {units.unit(other)}"
-    raise SceneError(
-        f"{table.called}: its numbers are in {table.units}, and {scene}; write units = "
-        f'"{table.units}" at the top of the scene, or [units] with {named}'
-    )
 
 
 def columns_of_arrays(
@@ -390,7 +387,7 @@ def columns_of_arrays(
     table = {quantity: _row_for_each_body(quantity, value, bodies) for quantity, value in given.items()}
     if name is not None and not isinstance(name, str):
         table["name"] = _row_for_each_body("name", name, bodies)
-    return read_columns(BodyData(), Arrays(table), units, material)[0]
+    return read_columns(BodyData(), Arrays(table), units, material).columns
 
 
 def _row_for_each_body(quantity: str, value: ArrayLike, bodies: int) -> NDArray[Any]:

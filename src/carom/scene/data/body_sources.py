@@ -11,9 +11,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
+import numpy as np
+
 from carom.errors import SceneError
 from carom.scene.data import MotionLaw, open_table
 from carom.scene.data.body_columns import BodyColumns, read_columns
+from carom.scene.data.facts import Facts, FileBox, contradiction
 from carom.scene.schema.body import BodyData
 from carom.scene.schema.contact import Material
 from carom.scene.units.dimension import GRAVITATIONAL_CONSTANT, LENGTH, TIME
@@ -35,6 +38,7 @@ class SourcedBodies(NamedTuple):
     material: Material | None = None  # material that defined their density, if known
     notes: tuple[str, ...] = ()  # notes on parts of the source that are unused or reinterpreted
     law: MotionLaw | None = None  # law of motion in the source, if known
+    facts: Facts = Facts()  # what the source states about its numbers
     constant: float | None = None  # gravitational constant, if they come from orbital elements
 
 
@@ -93,9 +97,9 @@ class DataFiles:
             )
         time = None if section.snapshot_time is None else wanted.units.shown(section.snapshot_time, TIME)
         table = open_table(path, section.file, section.snapshot, section.columns.header, time)
-        columns, notes = read_columns(section, table, wanted.units, wanted.material, wanted.constant)
+        columns, notes, facts = read_columns(section, table, wanted.units, wanted.material, wanted.constant)
         constant = wanted.constant if section.orbit is not None else None
-        return SourcedBodies(columns, digest, wanted.material, notes, table.law, constant)
+        return SourcedBodies(columns, digest, wanted.material, notes, table.law, facts, constant)
 
 
 def changed_files(sections: Iterable[BodyData], folders: Sequence[Path]) -> list[str]:
@@ -172,16 +176,6 @@ def take_over_laws(
             elif not math.isclose(own, number, rel_tol=_SAME_LAW):
                 remedy = f"leave gravity.{key} out, or set that"
                 refuted[index] = f"gravity.{key} is {number!r} in it, but {own!r} here; {remedy}"
-        if law.box is not None:
-            x, y, z = law.box
-            size = scene.domain.size or (0.0, 0.0, 0.0)
-            alike = [
-                math.isclose(units.shown(a, LENGTH), b, rel_tol=_SAME_LAW) for a, b in zip(size, law.box, strict=True)
-            ]
-            if len(scene.domain.repeating) < len(alike) or not all(alike):
-                refuted[index] = (
-                    f'its box is periodic; set domain.boundary = "periodic" and domain.size = [{x:g}, {y:g}, {z:g}]'
-                )
         x, y, z = law.ghosts
         images = f"N_ghost_x, N_ghost_y, N_ghost_z = {x}, {y}, {z}"
         if law.constant > 0.0 and not is_off and any(law.ghosts):
@@ -191,7 +185,7 @@ def take_over_laws(
                 f"{images}: each of its particles attracts {copies} of the others, but here each body once; set "
                 "gravity.constant = 0, or N_ghost_x = N_ghost_y = N_ghost_z = 0 in REBOUND",
             )
-        elif law.collides and scene.contact.enabled and (any(law.ghosts) if law.box is None else not all(law.ghosts)):
+        elif law.collides and scene.contact.enabled and _differs_in_ghosts(law, bodies.facts):
             notes.append(
                 f"{images}: its bodies meet those many copies of each other, but here the nearest copy in a periodic "
                 "box, and none in open space"
@@ -203,7 +197,67 @@ def take_over_laws(
             )
         if not law.collides and scene.contact.enabled:
             notes.append("its bodies pass through each other; contact.enabled = false does the same here")
-        called = scene.bodies[index].called
-        new = [f"{called}: {note}" for note in notes]  # a changed scene already has its earlier notes
-        each_bodies[index] = bodies._replace(notes=(*bodies.notes, *(note for note in new if note not in bodies.notes)))
+        _add_notes(scene, index, each_bodies, notes)
     return taken, refuted
+
+
+def compare_facts(scene: Scene, units: UnitSystem, each_bodies: list[SourcedBodies]) -> dict[int, str]:
+    """Compare what the files state with the scene and with each other; add notes to the bodies in ``each_bodies``.
+
+    Return contradictions by the index of the [[bodies]] table.
+    """
+    refuted = dict[int, str]()
+    for index, bodies in enumerate(each_bodies):
+        for before in range(index):
+            other = scene.bodies[before].called
+            if differs := contradiction(bodies.facts, other, each_bodies[before].facts):
+                refuted.setdefault(index, differs)
+        box = bodies.facts.box
+        if box is None:
+            continue
+        low, size = ([units.shown(each, LENGTH) for each in values] for values in (box.low, box.size))
+        shown = " × ".join(f"{each:g}" for each in size)
+        own = scene.domain.size or (0.0, 0.0, 0.0)
+        alike = [math.isclose(a, b, rel_tol=_SAME_LAW) for a, b in zip(own, box.size, strict=True)]
+        open_axes = [axis for k, axis in enumerate("xyz") if axis in box.periodic and k not in scene.domain.repeating]
+        if bodies.law is not None and box.periodic and (open_axes or not all(alike)):
+            refuted[index] = (
+                f'its box is periodic; set domain.boundary = "periodic" and domain.size = '
+                f"[{', '.join(f'{each:g}' for each in size)}]"
+            )
+        elif open_axes:
+            wanted = '"periodic"' if box.periodic == "xyz" else _quoted_axes(box)
+            along = "" if box.periodic == "xyz" else f" along {' and '.join(box.periodic)}"
+            note = f"its box of {shown} is periodic{along}, which is ignored; set domain.boundary = {wanted} for that"
+            _add_notes(scene, index, each_bodies, [note])
+        elif any(axis in box.periodic and not same for axis, same in zip("xyz", alike, strict=True)):
+            mine = " × ".join(f"{units.shown(each, LENGTH):g}" for each in own)
+            _add_notes(scene, index, each_bodies, [f"its periodic box is {shown}, and domain.size is {mine}"])
+        # bodies beyond the walls, because the program has its box elsewhere
+        half = 0.5 * np.array(own)
+        beyond: list[bool] = np.any(np.abs(bodies.columns.position) > half, axis=0).tolist()
+        if any(beyond[axis] for axis in scene.domain.walled) and scene.bodies[index].origin is None:
+            middle = [a + 0.5 * b for a, b in zip(low, size, strict=True)]
+            ends = [f"{a:g} to {a + b:g}" for a, b in zip(low, size, strict=True)]
+            refuted[index] = (
+                f"its box is {' × '.join(ends)}, and the walls of domain are about the origin; write origin = "
+                f"[{', '.join(f'{each:g}' for each in middle)}] in [[bodies]]"
+            )
+    return refuted
+
+
+def _quoted_axes(box: FileBox) -> str:
+    """Return the boundary along each axis as a list for a scene."""
+    return str(["periodic" if axis in box.periodic else "open" for axis in "xyz"]).replace("'", '"')
+
+
+def _add_notes(scene: Scene, index: int, each_bodies: list[SourcedBodies], notes: Iterable[str]) -> None:
+    """Add notes to the bodies of a table; a changed scene already has its earlier notes."""
+    bodies, called = each_bodies[index], scene.bodies[index].called
+    new = [f"{called}: {note}" for note in notes]
+    each_bodies[index] = bodies._replace(notes=(*bodies.notes, *(note for note in new if note not in bodies.notes)))
+
+
+def _differs_in_ghosts(law: MotionLaw, facts: Facts) -> bool:
+    """Return whether bodies meet across the faces of the box in REBOUND only, or here only."""
+    return any(law.ghosts) if facts.box is None else not all(law.ghosts)

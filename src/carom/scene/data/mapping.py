@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import math
-import re
-from collections.abc import Sequence
-from functools import lru_cache
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 from carom.errors import SceneError
-from carom.scene.data import BODY, STEP
+from carom.scene.data import DataTable
+from carom.scene.data.facts import FileColumn, column_named, columns_of, printable
 from carom.scene.schema.body import BodyData
 from carom.scene.schema.contact import Material
-from carom.scene.units.dimension import BASE, Dimension, UnitError, nearest_float, unit, unit_of
-from carom.scene.units.system import UnitSystem
+from carom.scene.units.dimension import ANGLE, ANGULAR_VELOCITY, DENSITY, LENGTH, MASS, TIME, VELOCITY, Dimension
 from carom.scene.wording import suggestion
 
 QUANTITIES = (
@@ -20,22 +18,43 @@ QUANTITIES = (
     *("mass", "density", "radius", "diameter", "inertia", "fixed", "name"),
 )
 VECTORS = ("position", "velocity", "angular_velocity")
+DIMENSIONS: dict[str, tuple[Dimension, ...]] = {  # dimensions whose product is the dimension of a quantity
+    "position": (LENGTH,),
+    "velocity": (VELOCITY,),
+    "angular_velocity": (ANGULAR_VELOCITY,),
+    "mass": (MASS,),
+    "density": (DENSITY,),
+    "radius": (LENGTH,),
+    "diameter": (LENGTH,),
+    "inertia": (MASS, LENGTH, LENGTH),
+}
+# Usual names of columns in all formats, as `FileColumn.plain` writes them; case and separators do not matter.
 USUAL: dict[str, tuple[str, ...]] = {
     "position": ("position", "positions", "pos", "coordinates", "xyz", "points"),
-    "velocity": ("velocity", "velocities", "vel", "v"),
-    "angular_velocity": ("angular_velocity", "angular_velocities", "omega", "spin", "angvel"),
+    "velocity": (
+        *("velocity", "velocities", "vel", "velo", "v"),
+        *("linvelvec", "linvel", "linearvelocity", "linearvelocities"),  # linVelVec is YADE's
+    ),
+    "angular_velocity": (
+        *("angularvelocity", "angularvelocities", "omega", "omegas", "spin", "angvel"),
+        *("angvelvec", "rotationalvelocity"),
+    ),
     "mass": ("mass", "masses", "m"),
     "density": ("density", "rho"),
     "radius": ("radius", "radii", "r"),
     "diameter": ("diameter", "diameters", "diam"),
-    "inertia": ("inertia", "moment_of_inertia"),
+    "inertia": ("inertia", "momentofinertia"),
     "fixed": ("fixed",),
-    "name": ("name", "names", "label"),
+    "name": ("name", "names", "label", "fullname"),
 }
 USUAL_AXES: dict[str, tuple[str, ...]] = {  # with x, y and z instead of the star
-    "position": ("*", "p*", "pos*", "pos_*", "position*", "position_*", "*u"),
-    "velocity": ("v*", "v_*", "vel*", "vel_*", "velocity*", "velocity_*"),
-    "angular_velocity": ("w*", "w_*", "omega*", "omega_*", "angvel*", "angvel_*", "angular_velocity_*"),
+    "position": ("*", "p*", *(f"{name}*" for name in USUAL["position"]), "*u"),
+    "velocity": tuple(f"{name}*" for name in USUAL["velocity"]),
+    "angular_velocity": ("w*", *(f"{name}*" for name in USUAL["angular_velocity"])),
+}
+_LOST = {  # beginnings of the names of vectors that may hold a quantity under an unknown name
+    "velocity": ("v", "lin", "momenta", "momentum"),
+    "angular_velocity": ("ang", "om", "rot", "spin"),
 }
 ELEMENTS = {  # columns of orbital elements; case matters
     "a": ("a", "semi_major_axis", "sma"),
@@ -48,11 +67,14 @@ ELEMENTS = {  # columns of orbital elements; case matters
     "tp": ("tp", "t_p", "T", "time_of_perihelion", "time_of_pericentre"),
     "epoch": ("epoch",),
 }
+_OF_ELEMENTS = {
+    **{"a": LENGTH, "q": LENGTH, "tp": TIME, "epoch": TIME},
+    **dict.fromkeys(("i", "node", "peri", "M"), ANGLE),
+}
 ORIENTED = ("e", "i", "node", "peri")  # the elements that every orbit needs; others may replace each other
 _RIVALS = (("mass", "density"), ("radius", "diameter"))  # pairs of quantities that determine each other
 _MOST_SHOWN = 12  # columns that a message lists
 _MOST_NOTED = 200  # columns that a note lists
-_LONGEST_NAME = 40  # characters
 
 # further columns of elements
 _ORBIT = frozenset(("a", "e", "ecc", "inc", "incl", "om", "node", "peri", "ma", "tp", "epoch", "moid"))
@@ -62,78 +84,123 @@ _MEANINGS = {  # names with several meanings: the meanings, and columns that sug
     "rho": ("a distance", _SPHERICAL),
     "m": ("a mean anomaly or a magnitude", frozenset[str]()),
 }
-_WITH_UNIT = re.compile(r"(.*?)\s*(?:\[([^\[\]]+)\]|\(([^()]+)\))\s*")  # "x [au]", "mass (kg)"
-
 _COEFFICIENTS = "[contact] or a [[material]] gives coefficients"
-_ELSEWHERE = {  # why some columns of spheres are not used
-    **dict.fromkeys(("mu", "friction", "friction_coefficient", "mu_s", "mu_k", "mus", "muk"), _COEFFICIENTS),
-    **dict.fromkeys(("restitution", "cor", "coefficient_of_restitution"), _COEFFICIENTS),
+_ELSEWHERE = {  # why some columns of spheres are not used, by their plain names
+    **dict.fromkeys(("mu", "friction", "frictioncoefficient", "mus", "muk"), _COEFFICIENTS),
+    **dict.fromkeys(("restitution", "cor", "coefficientofrestitution"), _COEFFICIENTS),
     **dict.fromkeys((f"quat{axis}" for axis in "wxyzijk"), "a sphere starts without a rotation"),
     **dict.fromkeys((f"q{axis}" for axis in "wxyz"), "a sphere starts without a rotation"),
     **dict.fromkeys(("orientation", "quaternion", "quat"), "a sphere starts without a rotation"),
-    **dict.fromkeys((f"angmom{axis}" for axis in "xyz"), "give an angular velocity"),
     **dict.fromkeys((f"{force}{axis}" for force in ("f", "tq", "torque") for axis in "xyz"), "carom computes forces"),
     **dict.fromkeys(("q", "charge"), "there is no force on charges"),
 }
 
-ColumnMapping = dict[str, tuple[str, ...]]  # quantity → one column, or three
+ColumnMapping = dict[str, tuple[FileColumn, ...]]  # quantity → one column, three, or two in a plane
 
 
-def mapping_of(section: BodyData, names: Sequence[str], called: str) -> ColumnMapping:
+def columns_in(table: DataTable, section: BodyData) -> list[FileColumn]:
+    """Return the columns of a table, with the hidden ones that the scene names."""
+    named = [columns for _, columns in section.columns if columns is not None]
+    asked = {name for columns in named for name in ((columns,) if isinstance(columns, str) else columns)}
+    names = [*table.names, *(name for name in table.hidden if name in asked)]
+    return columns_of(names, table.facts, table.paths)
+
+
+def mapping_of(section: BodyData, columns: Sequence[FileColumn], table: DataTable) -> ColumnMapping:
     """Return the columns of each quantity that has no value in the scene.
 
-    Raises SceneError if a column is missing, or two columns hold the same quantity.
+    Raises SceneError if a column is missing, if two columns hold the same quantity, or if a vector of an unknown name
+    may hold one that would be 0.
     """
     mapping: ColumnMapping = {}
+    called = table.called
     for quantity in QUANTITIES:
         asked = getattr(section.columns, quantity)
         if asked is not None:
-            columns = (asked,) if isinstance(asked, str) else asked
-            mapping[quantity] = tuple(_named(column, names, called, quantity) for column in columns)
+            names = (asked,) if isinstance(asked, str) else asked
+            mapping[quantity] = tuple(_named(name, columns, table, quantity) for name in names)
         elif not _is_given(section, quantity):
-            candidates = _candidates(section, quantity, names)
+            candidates = _candidates(section, quantity, columns)
             if len(candidates) > 1:
-                shown = " and ".join(" ".join(columns) for columns in candidates[:2])
-                quoted = ", ".join(f'"{column}"' for column in candidates[0])
-                column = f"[{quoted}]" if len(candidates[0]) > 1 else quoted
+                shown = " and ".join(" ".join(column.name for column in each) for each in candidates[:2])
+                quoted = ", ".join(f'"{column.name}"' for column in candidates[0])
+                names = f"[{quoted}]" if len(candidates[0]) > 1 else quoted
                 raise SceneError(
-                    f"{called}: two columns for {quantity}, {shown}; select one: columns = {{ {quantity} = {column} }}"
+                    f"{called}: two columns for {quantity}, {shown}; select one: columns = {{ {quantity} = {names} }}"
                 )
             if candidates:
-                _refuse_doubtful(quantity, candidates[0][0], names, called)
+                _refuse_doubtful(quantity, candidates[0][0], columns, called)
                 mapping[quantity] = candidates[0]
-            elif quantity != "position":  # a missing position is an error
-                # a vector with only one or two of the usual columns
-                plain = {_plain(name) for name in names}
-                for pattern in USUAL_AXES.get(quantity, ()):
-                    axes = [pattern.replace("*", axis) for axis in "xyz"]
-                    there, missing = ([axis for axis in axes if (axis in plain) is wanted] for wanted in (True, False))
-                    if there and missing:
-                        raise SceneError(
-                            f"{called}: columns for {quantity} are incomplete: {' and '.join(there)} without "
-                            f"{' and '.join(missing)}; add the rest, or give {quantity} = [x, y, z] for all bodies"
-                        )
+            elif quantity in ("velocity", "angular_velocity"):
+                part = _part_of_vector(quantity, columns, len(mapping["position"]) == len("xy"), called)
+                mapping |= {quantity: part} if part else {}
+        if quantity == "position":
+            _refuse_missing(section, mapping, columns, called, ("position",))
     for first, second in _RIVALS:  # the scene must name the column of one
         if first in mapping and second in mapping:
             asked = [quantity for quantity in (first, second) if getattr(section.columns, quantity) is not None]
             if len(asked) != 1:
+                names = " and ".join(mapping[each][0].name for each in (first, second))
                 raise SceneError(
-                    f"{called}: columns for both {first} and {second}, {mapping[first][0]} and {mapping[second][0]}; "
-                    f'select one: columns = {{ {first} = "{mapping[first][0]}" }}'
+                    f"{called}: columns for both {first} and {second}, {names}; "
+                    f'select one: columns = {{ {first} = "{mapping[first][0].name}" }}'
                 )
             del mapping[second if asked == [first] else first]
-    _refuse_missing(section, mapping, names, called)
+    _refuse_missing(section, mapping, columns, called, ("radius", "mass"))
+    _refuse_lost_vectors(section, mapping, columns, table)
     return mapping
 
 
-def with_material(section: BodyData, material: Material, names: Sequence[str]) -> BodyData:
+def _part_of_vector(quantity: str, columns: Sequence[FileColumn], plane: bool, called: str) -> tuple[FileColumn, ...]:
+    """Return the two columns of a vector in a plane; raise SceneError if a vector in space lacks columns."""
+    known = {column.plain: column for column in columns}
+    for pattern in USUAL_AXES[quantity]:
+        axes = [pattern.replace("*", axis) for axis in "xyz"]
+        there, missing = ([axis for axis in axes if (axis in known) is wanted] for wanted in (True, False))
+        if plane and missing == axes[2:]:
+            return tuple(known[axis] for axis in there)
+        if there and missing:
+            raise SceneError(
+                f"{called}: columns for {quantity} are incomplete: {' and '.join(known[axis].name for axis in there)} "
+                f"without {' and '.join(missing)}; add the rest, or give {quantity} = [x, y, z] for all bodies"
+            )
+    return ()
+
+
+def _refuse_lost_vectors(
+    section: BodyData, mapping: ColumnMapping, columns: Sequence[FileColumn], table: DataTable
+) -> None:
+    """Refuse a vector that may be a velocity, if the bodies would be at rest without it."""
+    plain = {column.plain: column for column in columns}
+    used = {column.name for each in mapping.values() for column in each}
+    for quantity, beginnings in _LOST.items():
+        if quantity in mapping or _is_given(section, quantity):
+            continue
+        for name, column in plain.items():
+            axes = [f"{name[:-1]}{axis}" for axis in "xyz"]
+            is_vector = column.name in table.vectors or (name[-1:] == "x" and all(axis in plain for axis in axes))
+            if is_vector and name.startswith(beginnings) and column.name not in used:
+                names = [column.name] if column.name in table.vectors else [plain[axis].name for axis in axes]
+                listed = ", ".join(map(printable, names))
+                as_named = f'"{names[0]}"' if len(names) == 1 else str(names).replace("'", '"')
+                if name.startswith(("mom", "angmom", "angularmom")):
+                    remedy = f"divide it by the {'mass' if quantity == 'velocity' else 'moment of inertia'} in the file"
+                else:
+                    remedy = f"write columns = {{ {quantity} = {as_named} }} if so"
+                raise SceneError(
+                    f"{table.called}: {listed} may hold the {quantity.replace('_', ' ')}, which no other column has; "
+                    f"{remedy}, or {quantity} = [0, 0, 0] in [[bodies]]"
+                )
+
+
+def with_material(section: BodyData, material: Material, columns: Sequence[FileColumn]) -> BodyData:
     """Return a table with values of its material for quantities that neither the table nor a column states."""
 
     def is_known(*quantities: str) -> bool:
         return any(
             getattr(section.columns, quantity) is not None
             or _is_given(section, quantity)
-            or _candidates(section, quantity, names)
+            or _candidates(section, quantity, columns)
             for quantity in quantities
         )
 
@@ -143,105 +210,71 @@ def with_material(section: BodyData, material: Material, names: Sequence[str]) -
     return section.model_copy(update={key: value for key, value in given.items() if value is not None})
 
 
-def unused_columns(section: BodyData, mapping: ColumnMapping, names: Sequence[str]) -> str:
-    """List the columns that are not used for bodies, with reasons where known; empty if there are none."""
-    used = {column for columns in mapping.values() for column in columns}
-    if STEP in names and BODY in names:
-        used |= {STEP, BODY}  # step and body select the rows
-    given = {quantity for quantity in QUANTITIES if _is_given(section, quantity)}
-    usual = {name: quantity for quantity in given for columns in _usual(quantity, names) for name in columns}
-    unused = [name for name in names if name not in used]
+def unused_columns(
+    section: BodyData, mapping: ColumnMapping, columns: Sequence[FileColumn], choosing: Sequence[str] = ()
+) -> str:
+    """List the columns that are not used for bodies, with reasons where known; empty if there are none.
 
-    def described(name: str) -> str:
-        why = f"the scene gives the {usual[name]}" if name in usual else _ELSEWHERE.get(_plain(name), "")
-        return printable(name) + (f" ({why})" if why else "")
+    The columns ``choosing`` select the rows.
+    """
+    used = {*choosing, *(column.name for each in mapping.values() for column in each)}
+    given = {quantity for quantity in QUANTITIES if _is_given(section, quantity)}
+    usual = {
+        column.name: "radius" if quantity == "diameter" else quantity
+        for quantity in given
+        for each in _usual(quantity, columns)
+        for column in each
+    }
+    unused = [column for column in columns if column.name not in used]
+
+    def described(column: FileColumn) -> str:
+        why = f"the scene gives the {usual[column.name]}" if column.name in usual else _ELSEWHERE.get(column.plain, "")
+        return printable(column.name) + (f" ({why})" if why else "")
 
     listed = ", ".join(map(described, unused[:_MOST_NOTED]))
     more = len(unused) - _MOST_NOTED
     return f"{listed} and {more} more" if more > 0 else listed
 
 
-def printable(name: str) -> str:
-    """Return a name from a file as one short line of text."""
-    return "".join(char if char.isprintable() else "�" for char in name[:_LONGEST_NAME])
-
-
-def unit_in(name: str) -> str:
-    """Return the unit in the name of a column, such as "au" in "x [au]"; empty without one."""
-    return _split(name.strip())[1]
-
-
-def elements_in(names: Sequence[str]) -> dict[str, str]:
+def elements_in(columns: Sequence[FileColumn]) -> dict[str, FileColumn]:
     """Return the columns of the orbital elements that a table has."""
-    plain = {_split(name.strip())[0]: name for name in reversed(names)}
+    plain = {column.proper: column for column in reversed(columns)}
+    for column in reversed(columns):
+        for element, dimension in _OF_ELEMENTS.items():
+            other = column.with_suffix(dimension, brief=True)
+            if other and other.proper in ELEMENTS[element]:
+                plain.setdefault(other.proper, other)
     small = {name.casefold(): column for name, column in plain.items() if not (len(name) == 1 and name.isupper())}
-    found = dict[str, str]()
+    found = dict[str, FileColumn]()
     for element, usual in ELEMENTS.items():
         exact = [plain[name] for name in usual if name in plain]
         alike = [small[name] for name in usual if name.islower() and name in small]
-        if columns := [*exact, *(column for column in alike if column not in found.values())]:
-            found[element] = columns[0]
+        if known := [*exact, *(column for column in alike if column not in found.values())]:
+            found[element] = known[0]
     return found
 
 
-def column_factor(called: str, column: str, quantity: str, dimensions: Sequence[Dimension], units: UnitSystem) -> float:
-    """Return the size of a column's unit, stated by its name or the scene, in units of the simulation.
-
-    The dimension of the quantity is the product of ``dimensions``.
-    """
-    text = unit_in(column)
-    if not text or units.dimensionless:
-        return math.prod(units.factor(dimension) for dimension in dimensions)
-    try:
-        if len(dimensions) == 1:
-            unit_of(text, dimensions[0])
-            return units.number(f"1 {text}", dimensions[0])
-        its = unit(text)
-        if its.exponents != tuple(sum(each.exponents[k] for each in dimensions) for k in range(len(BASE))):
-            raise UnitError(f'"{text}" is not a {quantity.replace("_", " ")}')
-    except UnitError as error:
-        raise SceneError(f"{called}: column {printable(column)} for {quantity}: {error}") from None
-    factor = nearest_float(its.size)
-    for dimension in dimensions:
-        factor = units.of_si(factor, dimension)
-    return factor
-
-
-@lru_cache(maxsize=10_000)
-def _split(name: str) -> tuple[str, str]:
-    """Split the name of a column into the name proper and its unit."""
-    parts = _WITH_UNIT.fullmatch(name) if name.endswith(("]", ")")) and len(name) <= _MOST_NOTED else None
-    if parts is None:
-        return name, ""
-    text = parts[2] or parts[3]
-    try:
-        unit(text)
-    except UnitError:
-        return name, ""
-    return parts[1], text
-
-
-def question(called: str, column: str, quantity: str, others: str) -> SceneError:
+def question(called: str, column: FileColumn, quantity: str, others: str) -> SceneError:
     """Return the error for a column that may have another meaning than the usual one."""
-    named = f'columns = {{ {quantity} = "{printable(column)}" }}'
+    named = f'columns = {{ {quantity} = "{printable(column.name)}" }}'
     return SceneError(
-        f"{called}: column {printable(column)} may be the {quantity}, or {others}; write {named} if it is the "
+        f"{called}: column {printable(column.name)} may be the {quantity}, or {others}; write {named} if it is the "
         f"{quantity}, or give {quantity} = … for all bodies"
     )
 
 
-def _refuse_doubtful(quantity: str, column: str, names: Sequence[str], called: str) -> None:
+def _refuse_doubtful(quantity: str, column: FileColumn, columns: Sequence[FileColumn], called: str) -> None:
     """Refuse a name with several meanings unless other columns confirm the usual one."""
-    plain, own = [_plain(name) for name in names], _split(column.strip())[0]
-    others, signs = _MEANINGS.get(_plain(column), ("", frozenset[str]()))
-    if not others or unit_in(column):
+    plain, own = [each.plain for each in columns], column.proper
+    others, signs = _MEANINGS.get(column.plain, ("", frozenset[str]()))
+    if not others or column.unit:
         return
-    place = plain.index(_plain(column))
-    if "m" in plain[max(0, place - 1) : place + 2] and own == "r" and "M" not in names:  # "m, r", as in REBOUND
+    place, proper = plain.index(column.plain), {each.proper for each in columns}
+    if "m" in plain[max(0, place - 1) : place + 2] and own == "r" and "M" not in proper:  # "m, r", as in REBOUND
         return
-    if beside := [name for name, known in zip(names, plain, strict=True) if known in signs]:
-        raise question(called, column, quantity, f"{others}, since there is a column {printable(beside[0])}")
-    if own == "M" and not {"X", "R"} & {name.strip() for name in names}:
+    if beside := [each for each in columns if each.plain in signs]:
+        raise question(called, column, quantity, f"{others}, since there is a column {printable(beside[0].name)}")
+    if own == "M" and not {"X", "R"} & proper:
         raise question(called, column, quantity, others)
 
 
@@ -256,69 +289,88 @@ def _is_given(section: BodyData, quantity: str) -> bool:
     return quantity != "name" and getattr(section, quantity, None) is not None
 
 
-def _named(column: str, names: Sequence[str], called: str, quantity: str) -> str:
-    """Return the column that the scene names."""
-    exact = [name for name in names if name == column] or [name for name in names if _plain(name) == _plain(column)]
-    if not exact:
-        known = suggestion(column, names) if len(names) <= _MOST_SHOWN else _listed(names)
-        raise SceneError(f'{called}: there is no column "{column}" for {quantity}; {known}')
-    if len(exact) > 1:
-        raise SceneError(f'{called}: {len(exact)} columns are called "{column}"; give each column its own name')
-    return exact[0]
+def _named(name: str, columns: Sequence[FileColumn], table: DataTable, quantity: str) -> FileColumn:
+    """Return the column that the scene names; a unit that the scene adds to the name counts."""
+    asked = column_named(name, table.paths)
+    exact = [column for column in columns if column.name == name]
+    found = exact or [column for column in columns if column.plain == asked.plain]
+    if not found:
+        names = [column.name for column in columns]
+        known = suggestion(name, names) if len(columns) <= _MOST_SHOWN else _listed(columns)
+        raise SceneError(f'{table.called}: there is no column "{name}" for {quantity}; {known}')
+    if len(found) > 1:
+        raise SceneError(f'{table.called}: {len(found)} columns are called "{name}"; give each column its own name')
+    if asked.unit and not exact:
+        return replace(found[0], unit=asked.unit, odd="")
+    return next(_with_suffix(quantity, found, brief=True), found[0])
 
 
-def _candidates(section: BodyData, quantity: str, names: Sequence[str]) -> list[tuple[str, ...]]:
+def _with_suffix(quantity: str, columns: Sequence[FileColumn], brief: bool) -> Iterator[FileColumn]:
+    """Yield the columns whose names end with a unit of a quantity, as "mass_kg" does."""
+    dimensions = DIMENSIONS.get(quantity, ())
+    if len(dimensions) == 1:
+        yield from filter(None, (column.with_suffix(dimensions[0], brief) for column in columns))
+
+
+def _candidates(section: BodyData, quantity: str, columns: Sequence[FileColumn]) -> list[tuple[FileColumn, ...]]:
     """Return the usual columns of a quantity; none for the inertia if the scene states the radius or the mass."""
-    columns = _usual(quantity, names)
-    if quantity != "inertia" or not columns:
-        return columns
+    found = _usual(quantity, columns)
+    if quantity != "inertia" or not found:
+        return found
     replaced = (("radius", "diameter"), ("mass", "density"))
-    stale = any(_is_given(section, of[0]) and any(_usual(each, names) for each in of) for of in replaced)
-    return [] if stale else columns
+    stale = any(_is_given(section, of[0]) and any(_usual(each, columns) for each in of) for of in replaced)
+    return [] if stale else found
 
 
-def _usual(quantity: str, names: Sequence[str]) -> list[tuple[str, ...]]:
-    """Return the columns that may hold a quantity: single ones and triples."""
-    plain = [_plain(name) for name in names]
-    single = [(name,) for name, known in zip(names, plain, strict=True) if known in USUAL[quantity]]
+def _usual(quantity: str, columns: Sequence[FileColumn]) -> list[tuple[FileColumn, ...]]:
+    """Return the columns that may hold a quantity: single ones and triples; else those with a unit as a suffix."""
+    return _alike(quantity, columns) or _alike(quantity, list(_with_suffix(quantity, columns, brief=False)))
+
+
+def _alike(quantity: str, columns: Sequence[FileColumn]) -> list[tuple[FileColumn, ...]]:
+    plain = [column.plain for column in columns]
+    single = [(column,) for column, name in zip(columns, plain, strict=True) if name in USUAL[quantity]]
     threes = []
     for pattern in USUAL_AXES.get(quantity, ()):
         axes = [pattern.replace("*", axis) for axis in "xyz"]
         if all(axis in plain for axis in axes):
             repeated = next((axis for axis in axes if plain.count(axis) > 1), None)
-            columns = tuple(names[plain.index(axis)] for axis in axes)
-            threes += [columns, columns] if repeated else [columns]
+            three = tuple(columns[plain.index(axis)] for axis in axes)
+            threes += [three, three] if repeated else [three]
     return single + threes
 
 
-def _plain(name: str) -> str:
-    """Return a name for comparisons: in lower case, without a unit, and only the last part of an HDF5 path."""
-    return _split(name.strip())[0].rsplit("/", 1)[-1].strip().casefold()
-
-
-def _refuse_missing(section: BodyData, mapping: ColumnMapping, names: Sequence[str], called: str) -> None:
+def _refuse_missing(
+    section: BodyData, mapping: ColumnMapping, columns: Sequence[FileColumn], called: str, wanted: Sequence[str]
+) -> None:
     """Refuse a table without a position, a radius or a mass."""
-    wanted = {
+    usual = {
         "position": "x, y and z, or position",
         "radius": "radius or r, or diameter",
         "mass": "mass or m, or density",
     }
-    for quantity, usual in wanted.items():
+    for quantity in wanted:
         given = quantity in mapping or _is_given(section, quantity) or dict(_RIVALS).get(quantity) in mapping
         if not given:
             constant = "" if quantity == "position" else f", or give {quantity} = … for all bodies"
-            if quantity == "position" and set(ORIENTED) <= set(elements_in(names)):
+            if quantity == "position" and set(ORIENTED) <= set(elements_in(columns)):
                 raise SceneError(
                     f'{called}: it has orbital elements; write orbit = {{ central_mass = "1 M_sun" }} to read them'
                 )
+            plain = {column.plain: column.name for column in columns}
+            if quantity == "position" and {"x", "y"} <= set(plain):
+                raise SceneError(
+                    f"{called}: no column for z; write columns = {{ position = "
+                    f'["{plain["x"]}", "{plain["y"]}"] }} if the bodies are in the plane z = 0'
+                )
             one = '["…", "…", "…"]' if quantity in VECTORS else '"…"'
             raise SceneError(
-                f"{called}: no column for {quantity} (usually {usual}); {_listed(names)}; name it with "
+                f"{called}: no column for {quantity} (usually {usual[quantity]}); {_listed(columns)}; name it with "
                 f"columns = {{ {quantity} = {one} }}{constant}"
             )
 
 
-def _listed(names: Sequence[str]) -> str:
-    shown = ", ".join(map(printable, names[:_MOST_SHOWN]))
-    more = f" and {len(names) - _MOST_SHOWN} more" if len(names) > _MOST_SHOWN else ""
-    return f"its columns are {shown}{more}" if names else "it has no columns"
+def _listed(columns: Sequence[FileColumn]) -> str:
+    shown = ", ".join(printable(column.name) for column in columns[:_MOST_SHOWN])
+    more = f" and {len(columns) - _MOST_SHOWN} more" if len(columns) > _MOST_SHOWN else ""
+    return f"its columns are {shown}{more}" if columns else "it has no columns"

@@ -17,7 +17,8 @@ import numpy as np
 
 from carom.errors import SceneError
 from carom.scene.data import Arrays, DataFormat, DataTable, Raw, number_in, refuse_large, step_at
-from carom.scene.data.mapping import printable
+from carom.scene.data.facts import ECLIPTIC, SUN, Facts, printable
+from carom.scene.units.dimension import LENGTH, TIME, size_of
 
 _BEGIN, _END = "$$SOE", "$$EOE"
 _TARGET = re.compile(r"Target body name:\s*(.*?)(?:\s{2,}|\s*\{|\s*$)", re.MULTILINE)
@@ -52,7 +53,8 @@ class _Block(NamedTuple):
     epoch: str  # Julian day
     values: list[float]  # position and velocity
     units: tuple[str, str]  # of lengths and times
-    circumstances: str
+    centre: str
+    frame: str
 
 
 def open_horizons(path: Path, called: str, snapshot: int) -> DataTable:
@@ -72,18 +74,37 @@ def open_horizons(path: Path, called: str, snapshot: int) -> DataTable:
     for block in blocks:
         for what, own, others in (
             ("epoch", first.epoch, block.epoch),
-            ("units", first.units, block.units),
-            ("frame", first.circumstances, block.circumstances),
+            ("centre", first.centre, block.centre),
+            ("frame", first.frame, block.frame),
         ):
             if own != others:
-                raise SceneError(f"{called}: {first.name} and {block.name} differ in {what}: {own} and {others}")
+                raise SceneError(
+                    f"{called}: {first.name} and {block.name} differ in {what}: {own} and {others}; ask Horizons for "
+                    f"all bodies with one {what}"
+                )
     length, time = first.units
+    # in the units of the first block
     values = np.array([block.values for block in blocks])
+    for row, block in enumerate(blocks):
+        if block.units != first.units:
+            lengths, times = (
+                size_of(theirs, each) / size_of(ours, each)
+                for theirs, ours, each in zip(block.units, first.units, (LENGTH, TIME), strict=True)
+            )
+            values[row, :3] *= float(lengths)
+            values[row, 3:] *= float(lengths / times)
     names = [f"{axis} [{length}]" for axis in "xyz"] + [f"v{axis} [{length}/{time}]" for axis in "xyz"]
     arrays: dict[str, Raw] = {"name": np.array([block.name for block in blocks], dtype=object)}
     table = Arrays(arrays | dict(zip(names, values.T, strict=True)), called)
-    table.notes = (f"{called}: read as vectors of Horizons at JD {first.epoch}, {first.circumstances}",)
+    table.facts = Facts(frame=_frame(first.frame), centre=first.centre.partition(" (")[0], epoch=number_in(first.epoch))
+    about = f"relative to {first.centre or '?'}, in {first.frame or 'an unnamed frame'}"
+    table.notes = (f"{called}: read as vectors of Horizons at JD {first.epoch}, {about}",)
     return table
+
+
+def _frame(written: str) -> str:
+    """Return the name of a frame of Horizons as `Facts` has it."""
+    return ECLIPTIC if written.casefold().startswith("ecliptic of j2000") else written
 
 
 def _block(before: str, rows: str, called: str, snapshot: int, index: int) -> _Block:
@@ -107,8 +128,7 @@ def _block(before: str, rows: str, called: str, snapshot: int, index: int) -> _B
     values = [number for number in map(number_in, texts) if number is not None]
     if len(values) != len(_VECTOR):
         raise SceneError(f"{called}: the block of {name} has values that are not numbers at JD {epoch}")
-    where = f"relative to {stated(_CENTRE) or '?'}, in {stated(_FRAME) or 'an unnamed frame'}"
-    return _Block(name, epoch, values, (_NAMES[units[-1][0]], _NAMES[units[-1][1]]), where)
+    return _Block(name, epoch, values, (_NAMES[units[-1][0]], _NAMES[units[-1][1]]), stated(_CENTRE), stated(_FRAME))
 
 
 def _table(title: str, rows: str) -> list[tuple[str, Sequence[str]]]:
@@ -157,6 +177,7 @@ def open_mpc(path: Path, called: str, snapshot: int) -> DataTable:
         names.append(line[_READABLE].strip() or line[_DESIGNATION].strip())
     arrays: dict[str, Raw] = {"name": np.array(names, dtype=object)}
     table = Arrays(arrays | {name: np.array(values) for name, values in columns.items()}, called)
+    table.facts = Facts(frame=ECLIPTIC, centre=SUN)
     table.notes = (f"{called}: read as MPCORB, {len(names)} orbits relative to the Sun and the ecliptic of J2000",)
     return table
 

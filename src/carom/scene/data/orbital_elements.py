@@ -8,7 +8,7 @@ Kepler's equation for ellipses, parabolas and hyperbolas (Danby, *Fundamentals o
 and in the orbital plane, with x towards the pericentre,
 
     x = q - χ² c₂,           ẋ = -√μ χ c₁ / r,                r = q + e χ² c₂,
-    y = √(q (1 + e)) χ c₁,   ẏ = √(μ q (1 + e)) c₀ / r,       μ = G M,
+    y = √(q (1 + e)) χ c₁,   ẏ = √(μ q (1 + e)) c₀ / r,       μ = G (M + m),
 
 where c₀(z) … c₃(z) are Stumpff's functions.
 """
@@ -17,24 +17,32 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
 
-from carom.arrays import FloatArray
+from carom.arrays import FloatArray, IntArray
 from carom.errors import SceneError
-from carom.scene.data import DataTable, Raw, numbers_of, texts_of
-from carom.scene.data.mapping import ELEMENTS, ORIENTED, column_factor, elements_in, printable, unit_in
+from carom.scene.data import DataTable, Raw, numbers_of
+from carom.scene.data.facts import ECLIPTIC, SUN, Facts, column_factor, columns_of
+from carom.scene.data.mapping import ELEMENTS, ORIENTED, elements_in
 from carom.scene.portable_math import cosine_and_sine, cube_root
 from carom.scene.schema.body import KeplerianOrbits
-from carom.scene.units.dimension import ANGLE, LENGTH, MASS, TIME, Dimension
+from carom.scene.units.dimension import ANGLE, LENGTH, MASS, TIME, Dimension, size_of
 from carom.scene.units.system import UnitSystem
 
 _ANGLES = ("i", "node", "peri", "M")
-_DEGREES = ("deg", "degree", "degrees", "°")
+_TURNING = ("i", "node", "peri")  # angles that no program counts beyond a turn
 _DEGREE = math.pi / 180.0
+_TURN = 2.0 * math.pi * (1.0 + 1e-9)  # radians, with the error of printed digits
 _OF_JPL = {"full_name", "pdes", "spkid"}  # columns that identify a table of JPL's small bodies
-_UNITS_OF_JPL = {"a": "au", "q": "au", "tp": "day", "epoch": "day", "diameter": "km"}
+_UNITS_OF_JPL = {
+    **{"a": "au", "q": "au", "tp": "day", "epoch": "day", "diameter": "km"},
+    **dict.fromkeys(("i", "om", "w", "ma"), "deg"),
+}
+_IN_DEGREES = {"i", "om", "w", "ma"}  # JPL's names of angles, which it writes in degrees
+_JULIAN = (2.2e6, 2.7e6)  # Julian dates of the years 1311 to 2680; an epoch outside of these is counted otherwise
 _TERMS = 9  # terms in the series of Stumpff's functions; the next one is less than 1e-18
 _MOST_STEPS = 1000  # of Newton's method: about 6 for an ellipse, one per unit of the anomaly for a hyperbola
 
@@ -45,19 +53,21 @@ class OrbitTable(DataTable):
     Raises SceneError, which names the missing elements, or the first row that is not an orbit.
     """
 
+    position, velocity = "position on the orbit", "velocity on the orbit"
+    own = (position, velocity)
+
     def __init__(self, table: DataTable, orbit: KeplerianOrbits, constant: float, units: UnitSystem) -> None:
-        self.called, self.units, self.hidden = table.called, table.units, table.hidden
-        self._table, self._units, self._epoch = table, units, orbit.epoch
-        self._mu = constant * orbit.central_mass
-        if self._mu <= 0.0:
+        self.called, self.hidden, self.facts, self.paths = table.called, table.hidden, table.facts, table.paths
+        self.vectors, self.timed, self.law = table.vectors, table.timed, table.law
+        self._table, self._units, self._orbit, self._constant = table, units, orbit, constant
+        if constant * orbit.central_mass <= 0.0:
             raise SceneError(f"{self.called}: orbits need gravity.constant above 0")
         is_of_jpl = bool(_OF_JPL & set(table.names))
-        units_of = _UNITS_OF_JPL if is_of_jpl else {}
-        self._inner = {f"{name} [{units_of[name]}]" if name in units_of else name: name for name in table.names}
-        if "full_name" in table.names:  # a designation, for an object without a name
-            self._inner |= {"name": "full_name"}
-            del self._inner["full_name"]
-        self._columns = elements_in(list(self._inner))
+        if is_of_jpl:
+            self.facts = replace(table.facts, of_columns=_UNITS_OF_JPL, frame=ECLIPTIC, centre=SUN)
+        # a designation, for an object without a name
+        names = [name for name in table.names if name != "name" or "full_name" not in table.names]
+        self._columns = elements_in(columns_of(names, self.facts, self.paths))
         # refuse a table that lacks an element
         there = self._columns
         missing = [f"{element} ({ELEMENTS[element][0]})" for element in ORIENTED if element not in there]
@@ -68,58 +78,101 @@ class OrbitTable(DataTable):
                 f"{self.called}: orbit needs the columns a or q, e, i, om, w, and ma or tp; there is no "
                 f"{', no '.join(missing)}"
             )
-        if "tp" in there and "M" not in there and self._epoch is None and "epoch" not in there:
+        if "tp" in there and "M" not in there and orbit.epoch is None and "epoch" not in there:
             raise SceneError(f"{self.called}: tp needs an epoch: a column, or orbit.epoch in the same unit")
-        length, speed = ("", "") if units.own else (" [m]", " [m/s]")  # in the units of the simulation
-        self.position, self.velocity = f"position on the orbit{length}", f"velocity on the orbit{speed}"
-        used = set(self._columns.values())
-        self.names = [self.position, self.velocity, *(name for name in self._inner if name not in used)]
+        used = {column.name for column in there.values()}
+        self.names = [*self.own, *(name for name in names if name not in used)]
         mass = units.text(orbit.central_mass, MASS)
         source = "small bodies of JPL" if is_of_jpl else "orbital elements"
-        listed = ", ".join(map(printable, self._columns.values()))
-        about = f"{self.called}: read as {source} ({listed}), about {mass} at the origin"
-        self.notes = (*table.notes, about)
+        listed = ", ".join(column.shown for column in there.values())
+        self._angle = angle = self._unit_of_angles()
+        self.notes = (
+            *table.notes,
+            f"{self.called}: read as {source} ({listed}){f', angles in {angle}' if angle else ''}, about {mass} at "
+            "rest at the origin, with μ = G (M + m)",
+        )
 
     def read(self, names: Sequence[str], texts: Sequence[str] = ()) -> dict[str, Raw]:
-        """Read columns, and convert the elements if a position or a velocity is requested."""
-        own = (self.position, self.velocity)
-        inner = {name: self._inner.get(name, name) for name in names if name not in own}
-        raw = self._table.read(list(inner.values()), [self._inner.get(name, name) for name in texts])
-        found = {name: raw[column] for name, column in inner.items()}
-        for name in texts:
-            found[name] = np.array([text.strip() for text in texts_of(found[name])], dtype=object)
-        if set(own) & set(names):
-            position, velocity = self._states()
-            found |= {self.position: position, self.velocity: velocity}
-        return found
+        """Read columns other than the elements."""
+        return self._table.read(names, texts)
+
+    @property
+    def rows(self) -> int:
+        """Number of rows of the file."""
+        return len(self._raw[self._columns["e"].name])
+
+    def stated(self) -> Facts:
+        """Return what the file states, with the epoch of the bodies if it is a Julian date."""
+        own = self._orbit.epoch
+        if own is None and "epoch" in self._columns:
+            own = float(numbers_of(self.called, "epoch", self._raw[self._columns["epoch"].name])[0])
+        return self.facts if own is None or not _JULIAN[0] < own < _JULIAN[1] else replace(self.facts, epoch=own)
 
     @cached_property
     def _raw(self) -> dict[str, Raw]:
         """The columns of all elements; they are read once, because each read parses a whole text file."""
-        return self._table.read([self._inner[name] for name in self._columns.values()])
+        return self._table.read([column.name for column in self._columns.values()])
 
-    def _element(self, element: str) -> FloatArray:
-        """Return an element of all bodies: angles in degrees, times in the unit of their column."""
-        name = self._columns[element]
-        column = self._inner[name]
+    def _unit_of_angles(self) -> str:
+        """Return the unit of the angles whose columns name none; empty if there are none.
+
+        It is that of ``orbit.angle``, of the file, or of the scene, and otherwise a degree. Raises SceneError where the
+        values point to the other unit.
+        """
+        unnamed = [element for element in _ANGLES if element in self._columns and not self._columns[element].unit]
+        if not unnamed:
+            return ""
+        if self._orbit.angle is not None:
+            return self._orbit.angle
+        if self.facts.states(ANGLE):
+            return self.facts.units.given["angle"]
+        largest = {element: float(np.abs(self._numbers(element)).max(initial=0.0)) for element in unnamed}
+        asked = ", ".join(self._columns[element].name for element in unnamed)
+        remedy = 'write orbit = { …, angle = "rad" } or angle = "deg" in [[bodies]]'
+        if text := self._units.given.get("angle", ""):
+            in_radians = size_of(text, ANGLE) == 1
+            if in_radians and any(largest.get(element, 0.0) > _TURN for element in _TURNING):
+                raise SceneError(
+                    f'{self.called}: [units] angle = "{text}", but {asked} are up to {max(largest.values()):g}, which '
+                    f"suggests degrees; {remedy}"
+                )
+            return text
+        of_jpl = {self._columns[element].proper for element in unnamed} <= _IN_DEGREES
+        if 0.0 < max(largest.values()) <= _TURN and not of_jpl:
+            raise SceneError(
+                f"{self.called}: {asked} are all within ±2π, which suggests radians (REBOUND's), but no unit is "
+                f"stated; {remedy}"
+            )
+        return "deg"
+
+    def _numbers(self, element: str) -> FloatArray:
+        """Return an element of all rows, in the unit of its column."""
+        column = self._columns[element].name
         values = numbers_of(self.called, column, self._raw[column])
         if values.ndim != 1 or not np.isfinite(values).all():
             row = int(np.argmax(~np.isfinite(values)))
             raise SceneError(f"{self.called}: column {column}, row {row}: {values[row]:g} is not a finite number")
-        if element in _ANGLES and unit_in(name) and unit_in(name) not in _DEGREES:
-            return values * (column_factor(self.called, name, "angle", (ANGLE,), self._units) / _DEGREE)
+        return values
+
+    def _element(self, element: str) -> FloatArray:
+        """Return an element of the bodies that are read: angles in degrees, times in the unit of their column."""
+        values, column = self._numbers(element)[self._kept], self._columns[element]
+        if element in _ANGLES:
+            text = column.unit or self._angle
+            return values if text == "deg" else values * float(size_of(text, ANGLE) / size_of("deg", ANGLE))
         return values * self._factor(element, LENGTH) if element in ("a", "q") else values
 
     def _factor(self, element: str, dimension: Dimension) -> float:
         """Return the size of an element's unit in units of the simulation."""
-        return column_factor(self.called, self._columns[element], element, (dimension,), self._units)
+        return column_factor(self.called, self._columns[element], self.facts, element, (dimension,), self._units)
 
-    def _states(self) -> tuple[FloatArray, FloatArray]:
-        """Return the positions and velocities (n, 3) at the epoch."""
+    def states(self, mass: FloatArray, kept: IntArray) -> tuple[FloatArray, FloatArray]:
+        """Return the positions and velocities (n, 3) at the epoch, of bodies with masses (n,) in some rows."""
+        self._kept = kept
         e = self._element("e")
         beta, q = self._shape(e)
         # √μ t since the pericentre, for an ellipse since the nearest one
-        ellipse, root_mu = beta > 0.0, math.sqrt(self._mu)
+        ellipse, root_mu = beta > 0.0, np.sqrt(self._constant * (self._orbit.central_mass + mass))
         rate = np.abs(beta) * np.sqrt(np.abs(beta))  # rate of the mean anomaly with √μ t
         elapsed = self._elapsed(len(e)) * root_mu
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -127,7 +180,7 @@ class OrbitTable(DataTable):
                 mean = self._element("M")
                 if (parabola := beta == 0.0).any():
                     row = int(np.argmax(parabola))
-                    raise SceneError(f"{self.called}: row {row}: a parabola has no mean anomaly; give q and tp")
+                    raise SceneError(f"{self.called}: row {kept[row]}: a parabola has no mean anomaly; give q and tp")
                 turns = np.fmod(mean, 360.0) / 360.0 + elapsed * rate / (2.0 * math.pi)
                 open_time = mean * _DEGREE / rate + elapsed
             else:
@@ -154,7 +207,7 @@ class OrbitTable(DataTable):
             axis=1,
         )
         position = x[:, None] * towards + y[:, None] * across
-        velocity = root_mu * (vx[:, None] * towards + vy[:, None] * across)
+        velocity = root_mu[:, None] * (vx[:, None] * towards + vy[:, None] * across)
         return position, velocity
 
     def _shape(self, e: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -172,26 +225,27 @@ class OrbitTable(DataTable):
         if wrong.any():
             row = int(np.argmax(wrong))
             raise SceneError(
-                f"{self.called}: row {row}: {key} = {size[row] / self._factor(key, LENGTH):g} and e = {e[row]:g} "
-                "are no orbit; an ellipse has 0 ≤ e < 1 and a > 0, a hyperbola e > 1 and a < 0, and q is above 0"
+                f"{self.called}: row {self._kept[row]}: {key} = {size[row] / self._factor(key, LENGTH):g} and "
+                f"e = {e[row]:g} are no orbit; an ellipse has 0 ≤ e < 1 and a > 0, a hyperbola e > 1 and a < 0, and q "
+                "is above 0"
             )
         return beta, q
 
     def _elapsed(self, bodies: int) -> FloatArray:
         """Return the time from the epoch of the mean anomaly, or from the pericentre, to the epoch of the scene."""
         own = self._element("epoch") if "epoch" in self._columns else None
-        if self._epoch is None and own is not None and np.any(own != own[:1]):
+        if self._orbit.epoch is None and own is not None and np.any(own != own[:1]):
             raise SceneError(
                 f"{self.called}: its epochs differ, from {own.min():.10g} to {own.max():.10g}; give orbit.epoch in the "
                 "same unit"
             )
         if "M" in self._columns:
-            if self._epoch is None:
+            if self._orbit.epoch is None:
                 return np.zeros(bodies)
             if own is None:
                 raise SceneError(f"{self.called}: orbit.epoch needs the epoch of the mean anomalies: a column epoch")
-            return (self._epoch - own) * self._factor("epoch", TIME)
-        start = np.full(bodies, self._epoch) if own is None or self._epoch is not None else own
+            return (self._orbit.epoch - own) * self._factor("epoch", TIME)
+        start = np.full(bodies, self._orbit.epoch) if own is None or self._orbit.epoch is not None else own
         return (start - self._element("tp")) * self._factor("tp", TIME)
 
 

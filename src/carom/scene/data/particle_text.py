@@ -25,29 +25,30 @@ from carom.scene.data import (
     DataFormat,
     DataTable,
     Raw,
+    number_in,
     numbers_of,
-    periodic_note,
     refuse_large,
     refuse_many_columns,
     refuse_many_rows,
     step_at,
 )
-from carom.scene.data.mapping import printable
-from carom.scene.units.system import WITHOUT
+from carom.scene.data.facts import Facts, FileBox, printable
+from carom.scene.units.system import SI, WITHOUT, UnitSystem
 
 _STEP = b"ITEM: TIMESTEP"
 _BEFORE = re.compile(rb"(?:ITEM: (?:UNITS|TIME)[ \t]*\r?\n[^\n]{0,100}\n)*(?=ITEM: TIMESTEP)")  # in the first step
 _TAIL = re.compile(r"(?m)^ITEM: TIME\n")  # of the next step, after the rows of a step
 # Names of units in LAMMPS (its command `units`) and in carom; a mass in g/mol is that of one atom in daltons.
 REDUCED = "lj"
+_OF_ATOMS = {"length": "angstrom", "mass": "dalton", "density": "g/cm^3"}
 UNITS = {
-    "si": "m, s, kg",
-    "cgs": "cm, s, g",
-    "micro": "um, us, pg",
-    "nano": "nm, ns, ag",
-    "real": "angstrom, fs, dalton",
-    "metal": "angstrom, ps, dalton",
-    REDUCED: WITHOUT,
+    "si": UnitSystem({"length": "m", "time": "s", "mass": "kg"}),
+    "cgs": UnitSystem({"length": "cm", "time": "s", "mass": "g"}),
+    "micro": UnitSystem({"length": "um", "time": "us", "mass": "pg"}),
+    "nano": UnitSystem({"length": "nm", "time": "ns", "mass": "ag"}),
+    "real": UnitSystem({**_OF_ATOMS, "time": "fs"}),
+    "metal": UnitSystem({**_OF_ATOMS, "time": "ps"}),
+    REDUCED: UnitSystem.of_text(WITHOUT),
 }
 _IN_TITLE = re.compile(rb"[^\n]*\bunits = (\w{1,20})")  # in the first line, as write_data has it
 _MOST_STEPS = 10_000_000
@@ -56,7 +57,9 @@ _HEAD = 10_000  # bytes of a data file that have its header
 _LINES = 20  # lines of a data file per atom, with bonds, angles and dihedrals
 _LONGEST = 1_000_000  # characters in a line
 _PROPERTIES = re.compile(r'\bProperties="?([^\s"]+)"?', re.IGNORECASE)
-_PERIODIC = re.compile(r'\bpbc="?[^"]*T', re.IGNORECASE)
+_PERIODIC = re.compile(r'\bpbc="?([TF01][TFrueals01 ]*)', re.IGNORECASE)
+_LATTICE = re.compile(r'\bLattice="([^"]*)"', re.IGNORECASE)
+_ORIGIN = re.compile(r'\bOrigin="([^"]*)"', re.IGNORECASE)
 _OWN = {"velo": "velocity"}  # names of quantities in OVITO and in carom
 _NAMED = {3: ("x", "y", "z"), 4: ("x", "y", "z", "w")}
 _AXES = {"pos": "{}", "velocity": "v{}", "vel": "v{}", "omega": "w{}", "orientation": "q{}"}
@@ -150,13 +153,16 @@ class _Dump(DataTable):
         self._scaled = {f"{axis}{end}": axis for axis in "xyz" for end in ("s", "su") if axis not in self._written}
         self.names = [self._scaled.get(name, name) for name in self._written]
         units = "".join(items.get("UNITS", [])[:1]).strip() or units
-        self.units = _units_called(called, units)
         self.notes = (f"{called}: step {printable(step)} of LAMMPS{f', units {printable(units)}' if units else ''}",)
         ends = bounds[0].split()[-3:]  # such as pp pp ff; old versions write none
         repeated = "".join(axis for axis, end in zip("xyz", ends, strict=False) if end in ("pp", "p"))
-        if repeated:
-            size = () if self._box is None else (self._box[:, 1] - self._box[:, 0]).tolist()
-            self.notes += (periodic_note(called, size, repeated),)
+        box = None
+        if self._box is not None and not self._skewed:
+            box = FileBox(
+                tuple(self._box[:, 0].tolist()), tuple((self._box[:, 1] - self._box[:, 0]).tolist()), repeated
+            )
+        time = "".join(items.get("TIME", [])[:1])
+        self.facts = Facts(units=_units_called(called, units), time=number_in(time), box=box)
 
     def read(self, names: Sequence[str], texts: Sequence[str] = ()) -> dict[str, Raw]:
         """Read columns by their names."""
@@ -178,14 +184,14 @@ class _Dump(DataTable):
         return np.asarray(low + numbers_of(self.called, column, raw) * (high - low))
 
 
-def _units_called(called: str, name: str) -> str:
-    """Return the units that LAMMPS calls so, for `DataTable.units`; empty if there is no name."""
+def _units_called(called: str, name: str) -> UnitSystem:
+    """Return the units that LAMMPS calls so; SI, which states nothing, without a name."""
     if name and name not in UNITS:
         raise SceneError(
             f"{called}: its numbers are in the units {printable(name)} of LAMMPS, which carom does not know; it knows "
             f"{', '.join(UNITS)}"
         )
-    return UNITS.get(name, "")
+    return UNITS.get(name, SI)
 
 
 def _box(called: str, rows: Sequence[str]) -> FloatArray | None:
@@ -270,8 +276,9 @@ def open_data(path: Path, called: str, snapshot: int) -> DataTable:
         arrays |= {name: velocities[name][order] for name in moving.names if name != "id"}
     result = Arrays(arrays, called)
     units = _IN_TITLE.match(content[:_HEAD])
-    result.units = _units_called(called, units[1].decode() if units else "")
-    result.notes = (f"{called}: data file of LAMMPS, atoms of the style {atoms.style}",)
+    result.facts = Facts(units=_units_called(called, units[1].decode() if units else ""))
+    said = f", units {units[1].decode()}" if units else ""
+    result.notes = (f"{called}: data file of LAMMPS, atoms of the style {atoms.style}{said}",)
     return result
 
 
@@ -328,9 +335,22 @@ def open_xyz(path: Path, called: str, snapshot: int) -> DataTable:
         rows = [file.readline(_LONGEST) for _ in range(count)]
     names = _names(called, comment, rows)
     table = TextRows(called, names, rows, line + 2)
-    if _PERIODIC.search(comment):
-        table.notes = (periodic_note(called),)
+    table.facts = Facts(box=_lattice(comment))
     return table
+
+
+def _lattice(comment: str) -> FileBox | None:
+    """Return the box that a comment of the extended form states; None for one that is no cuboid."""
+    found = _LATTICE.search(comment)
+    vectors = [number_in(word) for word in found[1].split()] if found else []
+    if len(vectors) != 9 or any(each is None or (k % 4 and each) for k, each in enumerate(vectors)):
+        return None
+    corner = _ORIGIN.search(comment)
+    low = [number_in(word) or 0.0 for word in corner[1].split()] if corner else [0.0, 0.0, 0.0]
+    repeated = _PERIODIC.search(comment)
+    signs = repeated[1].split() if repeated else ["T", "T", "T"]  # ASE and OVITO: a lattice repeats by default
+    periodic = "".join(axis for axis, sign in zip("xyz", signs, strict=False) if sign.upper()[:1] in ("T", "1"))
+    return FileBox((*low[:3],), tuple(float(vectors[k] or 0.0) for k in (0, 4, 8)), periodic) if len(low) == 3 else None
 
 
 def _names(called: str, comment: str, rows: list[str]) -> list[str]:

@@ -27,7 +27,7 @@ from carom.scene.data import (
     refuse_many_columns,
     refuse_many_rows,
 )
-from carom.scene.data.mapping import printable
+from carom.scene.data.facts import printable
 
 _MAGIC = b"# vtk DataFile Version"
 _KINDS = {
@@ -107,8 +107,8 @@ class _Reader:
 
 
 def _arrays(reader: _Reader) -> dict[str, Raw]:
-    """Read the points and the arrays of the points."""
-    arrays, points, of_points = dict[str, Raw](), 0, False
+    """Read the points and the arrays of the points; ``each`` is the number of points, or of cells."""
+    arrays, points, of_points, each = dict[str, Raw](), 0, False, 0
 
     def whole(word: str) -> int:
         if not word.isdecimal() or len(word) > 12:
@@ -139,19 +139,17 @@ def _arrays(reader: _Reader) -> dict[str, Raw]:
             raise SceneError(
                 f"{reader.called}: cells in the form of VTK 5 are not read; save it as version 4.2, or .vtp"
             )
-        elif title == "POINT_DATA":
-            of_points = True
-        elif title == "CELL_DATA":
-            break
+        elif title in ("POINT_DATA", "CELL_DATA"):  # VTK writes the data of cells first
+            of_points, each = title == "POINT_DATA", whole(rest[0])
         elif title == "SCALARS":
             width = whole(rest[2]) if rest[2] else 1
             if reader.words()[:1] != ["LOOKUP_TABLE"]:
                 raise SceneError(f"{reader.called}: no line LOOKUP_TABLE after SCALARS {printable(rest[0])}")
-            add(rest[0], rest[1], width, points)
+            add(rest[0], rest[1], width, each)
         elif title in ("VECTORS", "NORMALS"):
-            add(rest[0], rest[1], 3, points)
+            add(rest[0], rest[1], 3, each)
         elif title == "TENSORS":
-            add(rest[0], rest[1], 9, points)
+            add(rest[0], rest[1], 9, each)
         elif title == "FIELD":
             for _ in range(min(whole(rest[1]), 10_000)):
                 field = [*reader.words(), "", "", ""]

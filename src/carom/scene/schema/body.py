@@ -80,7 +80,7 @@ class Body(Matter):
         return self
 
 
-Axes = tuple[Name, Name, Name]
+Axes = tuple[Name, Name, Name] | tuple[Name, Name]
 DIGEST = r"^[0-9a-f]{64}$"
 # pairs that determine each other
 _RIVALS = {"mass": "density", "density": "mass", "inertia": "inertia_factor", "diameter": "radius"}
@@ -89,7 +89,9 @@ _RIVALS = {"mass": "density", "density": "mass", "inertia": "inertia_factor", "d
 class Columns(Section):
     """The column of a file for each quantity; where none is given, the usual name is used."""
 
-    position: Axes | Name | None = Field(None, description="m; three columns, or one that holds [x, y, z]")
+    position: Axes | Name | None = Field(
+        None, description="m; three columns, two in the plane z = 0, or one that holds [x, y, z]"
+    )
     velocity: Axes | Name | None = Field(None, description="m/s; three columns, or one that holds [x, y, z]")
     angular_velocity: Axes | Name | None = Field(None, description="rad/s; three columns, or one that holds [x, y, z]")
     mass: Name | None = Field(None, description="kg")
@@ -113,13 +115,16 @@ class _OrNames:
 
 
 class KeplerianOrbits(Section):
-    """How a file of orbital elements is read. Its columns are a or q, e, i, om, w, and ma or tp (angles in degrees)."""
+    """How a file of orbital elements is read. Its columns are a or q, e, i, om, w, and ma or tp."""
 
-    central_mass: Annotated[Positive, MASS] = Field(description="kg, mass at rest at the origin; more than 0")
+    central_mass: Annotated[Positive, MASS] = Field(description="kg, mass of the body at the origin; more than 0")
     epoch: Real | None = Field(
         None,
         description="initial time of the scene, in the unit of the columns epoch and tp, such as a Julian date; by "
         "default that of the file",
+    )
+    angle: Literal["deg", "rad"] | None = Field(
+        None, description="unit of the angles; by default that of the file or of [units], else degrees"
     )
 
 
@@ -160,7 +165,10 @@ class BodyData(Matter):
         None, description="{ radius, mass, density, leave_out }, for rows of the file that lack a value"
     )
     orbit: KeplerianOrbits | None = Field(
-        None, description="{ central_mass, epoch }, for a file with orbital elements instead of positions"
+        None, description="{ central_mass, epoch, angle }, for a file with orbital elements instead of positions"
+    )
+    origin: Annotated[Vector, LENGTH] | None = Field(
+        None, description="m, [x, y, z] in the file of the point that is the origin of the scene"
     )
     radius: Annotated[Positive, LENGTH] | None = Field(
         None, description="m, of all bodies, instead of a column; more than 0"

@@ -115,6 +115,17 @@ def written_names(defined: Iterable[str]) -> Iterator[str]:
                 yield f"{prefixed}s"
 
 
+# names of units in data files of astropy, AMUSE, unyt, MDAnalysis and the Exoplanet Archive: carom's names
+_FOREIGN = {
+    **dict.fromkeys(("Msun", "MSun", "solMass"), "M_sun"),
+    **dict.fromkeys(("Mearth", "MEarth", "earthMass"), "M_earth"),
+    **dict.fromkeys(("Mjup", "MJupiter", "jupiterMass"), "M_jupiter"),
+    **dict.fromkeys(("Rsun", "RSun", "solRad"), "R_sun"),
+    **dict.fromkeys(("Rearth", "REarth", "earthRad"), "R_earth"),
+    **dict.fromkeys(("Rjup", "RJupiter", "jupiterRad"), "R_jupiter"),
+    **{"Angstrom": "angstrom", "u": "dalton", "Da": "dalton"},
+}
+
 LONGEST = 80  # characters of a text that are read
 DEFINITIONS = Path(__file__).with_name("definitions.txt")
 
@@ -168,6 +179,7 @@ def unit(text: str) -> Unit:
     written = _joined(text.strip().translate(_SUPERSCRIPTS)) if len(text) <= LONGEST else ""
     if not _UNIT.fullmatch(written):
         raise UnitError(f'"{text[:LONGEST]}" is not a unit')
+    written = _NAMES.sub(lambda name: _FOREIGN.get(name[0], name[0]), written)
     for name in _NAMES.findall(written):
         if name not in _written():
             raise UnknownUnitError(name, _written())
@@ -276,6 +288,11 @@ def quantity(text: str, dimension: Dimension) -> Fraction:
         return Fraction(parts[1]) * unit_of(parts[2], dimension).size
     except UnitError as error:
         raise UnitError(f"{error}; expected {dimension.called}{_such_as(dimension)}") from None
+
+
+def size_of(text: str, dimension: Dimension) -> Fraction:
+    """Return the size in SI of a unit that is a name, or a number of named units, such as "3.085678e21 cm"."""
+    return quantity(text, dimension) if text[:1].isdigit() else unit_of(text, dimension).size
 
 
 def _parts(text: str) -> re.Match[str] | None:

@@ -18,6 +18,7 @@ from carom.scene.units.dimension import (
     UnitError,
     nearest_float,
     quantity,
+    size_of,
     unit,
     unit_of,
 )
@@ -110,14 +111,14 @@ class UnitSystem:
         if self.dimensionless:
             raise UnitError(f'units = "{WITHOUT}": expected a plain number')
         value = quantity(text, dimension)
-        return nearest_float(value / self._size(dimension) if self.own else value)
+        return nearest_float(value / self.size(dimension) if self.own else value)
 
     def converted(self, number: float, dimension: Dimension) -> float:
         """Convert a plain number of the scene, or of an option, to the units of the simulation."""
-        if not self.converts or self._size(dimension) == 1:
+        if not self.converts or self.size(dimension) == 1:
             return number
         try:
-            return nearest_float(Fraction(float.__repr__(float(number))) * self._size(dimension))
+            return nearest_float(Fraction(float.__repr__(float(number))) * self.size(dimension))
         except (ValueError, OverflowError):  # not finite: the schema will refuse it
             return number
 
@@ -128,15 +129,15 @@ class UnitSystem:
 
     def of_si(self, number: float, dimension: Dimension) -> float:
         """Convert a number in SI to the units of the simulation."""
-        return nearest_float(Fraction(repr(number)) / self._size(dimension)) if self.own else number
+        return nearest_float(Fraction(repr(number)) / self.size(dimension)) if self.own else number
 
     def factor(self, dimension: Dimension) -> float:
         """Return the factor that converts the scene's plain numbers to the units of the simulation; 1 in SI."""
-        return nearest_float(self._size(dimension)) if self.converts else 1.0
+        return nearest_float(self.size(dimension)) if self.converts else 1.0
 
     def agrees(self, other: UnitSystem, dimension: Dimension) -> bool:
         """Return whether both systems have the same unit of a dimension."""
-        return self._size(dimension) == other._size(dimension)
+        return self.size(dimension) == other.size(dimension)
 
     def shown(self, number: float, dimension: Dimension) -> float:
         """Convert a number of the simulation to its printed unit."""
@@ -177,16 +178,16 @@ class UnitSystem:
             return dimension.unit
         return composed([(self.given.get(name, NAMED[name].unit), powers[name]) for name in _IN_PRINT])
 
-    def _size(self, dimension: Dimension) -> Fraction:
+    def size(self, dimension: Dimension) -> Fraction:
         """Return the exact size of the scene's unit, in SI units."""
         if dimension not in self._sizes:
             size = Fraction(1)
             if not self.dimensionless and dimension.plain in self.given:
-                size = unit_of(self.given[dimension.plain], dimension).size
+                size = size_of(self.given[dimension.plain], dimension)
             elif not self.dimensionless:
                 for name, power in zip(BASE, dimension.exponents, strict=True):
                     if power and name in self.given:
-                        size *= unit_of(self.given[name], NAMED[name]).size ** power
+                        size *= size_of(self.given[name], NAMED[name]) ** power
             self._sizes[dimension] = size
         return self._sizes[dimension]
 

@@ -1,0 +1,127 @@
+"""Tables with several steps: which rows of a long table, or which axis of an array, is the step that a scene reads.
+
+A long table has a row for each body and step: the names of its bodies repeat beside a column of times. An array of
+shape (steps, n, 3) may also have the bodies first; the other arrays of the file, or ``count``, tell.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from carom.arrays import BoolArray
+from carom.errors import SceneError
+from carom.scene.data import DataTable, Raw, numbers_of, step_at
+from carom.scene.data.facts import FileColumn, column_factor
+from carom.scene.schema.body import BodyData
+from carom.scene.units.dimension import TIME
+from carom.scene.units.system import UnitSystem
+
+_TIMES = ("t", "time", "simtime", "frame", "step", "timestep", "snapshot")  # plain names of columns
+_BODIES = ("id", "body", "particle", "particleid", "name", "names", "label", "fullname", "object", "planet", "hash")
+_ROUNDED = 1e-8  # relative error of a time that was printed and typed again
+
+
+class Steps(NamedTuple):
+    """The columns of a table that may tell its steps apart."""
+
+    times: list[FileColumn]
+    bodies: list[FileColumn]
+
+    @property
+    def names(self) -> list[str]:
+        """Names of the columns to read; none without a column of times."""
+        return [column.name for column in (*self.times, *self.bodies)] if self.times else []
+
+
+def steps_in(columns: Sequence[FileColumn]) -> Steps:
+    """Return the columns of times and of bodies."""
+    times = [column for name in _TIMES for column in columns if column.plain == name]
+    return Steps(times, [column for column in columns if column.plain in _BODIES])
+
+
+def rows_of_step(
+    section: BodyData, table: DataTable, steps: Steps, raw: Mapping[str, Raw], rows: int, units: UnitSystem
+) -> tuple[BoolArray | None, str, list[str]]:
+    """Choose the rows of one step of a long table.
+
+    Returns
+    -------
+    mask, note, choosing
+        The rows (n,), or None for all; a note on them; the columns by which they were chosen.
+    """
+    there = [each for each in steps.times if raw[each.name].shape == (rows,)]
+    several = [each for each in there if len(_distinct(raw[each.name])) > 1]
+    if section.count == rows or not several:
+        if section.snapshot_time is not None and not table.timed:
+            raise SceneError(f"{table.called}: carom finds no times of steps in it; choose one with snapshot = 0, 1 …")
+        return None, "", []
+    by = several[0]
+    values = _distinct(raw[by.name])
+    known = [each for each in steps.bodies if raw[each.name].shape == (rows,)]
+    again = next((each for each in known if len(_distinct(raw[each.name])) < rows), None)
+    is_chosen = section.snapshot_time is not None or "snapshot" in section.model_fields_set
+    if again is None and known and not is_chosen:
+        return None, "", []
+    if again is None and not is_chosen:
+        raise SceneError(
+            f"{table.called}: column {by.shown} has {len(values)} values and no column names the bodies; write "
+            f"snapshot = -1 to read the rows of its last value, or count = {rows} if each row is a body"
+        )
+    index = step_at(table.called, section.snapshot, len(values))
+    if section.snapshot_time is not None:
+        by = next((each for each in several if each.plain in ("t", "time", "simtime")), by)
+        values = _distinct(raw[by.name])
+        times = numbers_of(table.called, by.name, values)
+        times = times * column_factor(table.called, by, table.facts, "time", (TIME,), units)
+        wanted, rounding = section.snapshot_time, _ROUNDED * float(np.abs(times).max())
+        if not times.min() - rounding <= wanted <= times.max() + rounding:
+            raise SceneError(
+                f"{table.called}: snapshot_time = {units.text(wanted, TIME)} is outside of its {len(times)} steps, "
+                f"from {units.span(float(times.min()), float(times.max()), TIME)}"
+            )
+        index = int(np.argmin(np.abs(times - wanted)))
+    shown = _text(values[index])
+    note = f"{table.called}: step {index} of {len(values)} (from 0), {by.shown} = {shown}, is read"
+    return raw[by.name] == values[index], note, [by.name, *([again.name] if again else [])]
+
+
+def _distinct(values: Raw) -> Raw:
+    """Return the distinct values, in the order of their first rows."""
+    try:
+        _, first = np.unique(values, return_index=True)
+    except TypeError:  # texts with gaps
+        _, first = np.unique(values.astype(str), return_index=True)
+    return np.asarray(values[np.sort(first)])
+
+
+def _text(value: object) -> str:
+    return value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value)
+
+
+def axis_of_steps(
+    section: BodyData, table: DataTable, steps: Steps, raw: Mapping[str, Raw], dimensions: Mapping[str, int]
+) -> int:
+    """Return the axis of the steps in arrays with several of them, 0 or 1; ask if nothing tells.
+
+    ``dimensions`` has the number of axes of each array of one step.
+    """
+    stacked = [name for name, own in dimensions.items() if raw[name].ndim == own + 1]
+    if not stacked:
+        return 0
+    shape = raw[stacked[0]].shape
+    bodies = {len(raw[name]) for name, own in dimensions.items() if raw[name].ndim == own}
+    bodies |= set() if section.count is None else {section.count}
+    times = {len(raw[each.name]) for each in steps.times if raw[each.name].ndim == 1}
+    told = bool(bodies or times)
+    for axis in (0, 1):
+        if told and bodies <= {shape[1 - axis]} and times <= {shape[axis]}:
+            return axis
+    if told or shape[0] == 1 or "snapshot" in section.model_fields_set:
+        return 0
+    raise SceneError(
+        f"{table.called}: {stacked[0]} has the shape {shape}: {shape[0]} steps of {shape[1]} bodies, or {shape[1]} "
+        f"steps of {shape[0]}; write count = {shape[1]} or count = {shape[0]}"
+    )
