@@ -22,7 +22,7 @@ NEEDS_AN_EXTRA = ("serve_catalog",)  # carom[catalog]
 
 
 def test_a_person_who_explores_the_package_finds_what_it_offers() -> None:
-    functions = ["replay", "resume", "run"]
+    functions = ["replay", "rerun", "resume", "run", "show", "view"]
     assert dir(carom) == ["Frame", "Recording", "Scene", "Space", "__version__", "errors", "record", *functions]
     assert carom.__version__ == version("carom")
     assert carom.errors.SceneError.__doc__

@@ -7,6 +7,7 @@ recording = carom.run(scene, "recordings/cloud.rrd")
 recording.energy()                       # a pyarrow.Table over step and sim_time
 carom.replay(recording).same             # whether it runs again with the same bits
 carom.resume(recording, until=20.0)      # the same run, to a later time
+carom.view(recording, at=12.0)           # Rerun's viewer, in a window
 """
 
 from __future__ import annotations
@@ -17,17 +18,21 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from carom import errors as errors
     from carom import record as record
+    from carom.display.notebook import show as show
+    from carom.display.viewer import view as view
     from carom.physics.frame import Frame as Frame
     from carom.physics.space import Space as Space
     from carom.recording.read.recording import Recording as Recording
     from carom.runs.replay import replay as replay
     from carom.runs.resume import resume as resume
     from carom.runs.run import run as run
+    from carom.runs.window import rerun as rerun
     from carom.scene.schema import Scene as Scene
 
     __version__: str
 
-__all__ = ["Frame", "Recording", "Scene", "Space", "__version__", "errors", "record", "replay", "resume", "run"]
+__all__ = ["Frame", "Recording", "Scene", "Space", "__version__", "errors", "record"]
+__all__ += ["replay", "rerun", "resume", "run", "show", "view"]
 
 _HOMES = {
     "Frame": "carom.physics.frame",
@@ -35,8 +40,11 @@ _HOMES = {
     "Scene": "carom.scene.schema",
     "Space": "carom.physics.space",
     "replay": "carom.runs.replay",
+    "rerun": "carom.runs.window",
     "resume": "carom.runs.resume",
     "run": "carom.runs.run",
+    "show": "carom.display.notebook",
+    "view": "carom.display.viewer",
 }
 
 

@@ -62,6 +62,14 @@ class ExistsError(RecordingError):
         self.path = path
 
 
+class NotRecordedError(RecordingError):
+    """The recording does not hold what is asked; `carom.rerun` computes it, unless another engine made the run."""
+
+    def __init__(self, path: Path, what: str, engine: str = "") -> None:
+        remedy = f"it was recorded from {engine}, which carom cannot rerun" if engine else "carom.rerun computes it"
+        super().__init__(f"{path} does not hold {what}; {remedy}")
+
+
 class DamageError(RecordingError):
     """A part of a file is damaged; the message names the part, but not the file."""
 

@@ -119,7 +119,6 @@ if TYPE_CHECKING:
     from carom.runs.outcome import in_words as in_words
     from carom.runs.outcome import judge as judge
     from carom.runs.refinement import refine as refine
-    from carom.runs.report import report as report
     from carom.runs.resume import continued_scene as continued_scene
     from carom.runs.run import Outcome as Outcome
     from carom.runs.run import Watcher as Watcher
@@ -209,6 +208,7 @@ if TYPE_CHECKING:
     from carom.scene.wording import literal as literal
     from carom.scene.wording import nearest as nearest
     from carom.scene.wording import suggestion as suggestion
+    from carom.sharing.report import report as report
 
 _NAMES = {  # of each module; docs/extending.md lists them by purpose
     "carom.cli.options": (
@@ -259,7 +259,7 @@ _NAMES = {  # of each module; docs/extending.md lists them by purpose
     "carom.runs.environment": "Interrupts command_line environment versions",
     "carom.runs.outcome": "Verdict in_words judge",
     "carom.runs.refinement": "refine",
-    "carom.runs.report": "report",
+    "carom.sharing.report": "report",
     "carom.runs.resume": "continued_scene",
     "carom.runs.run": "Outcome Watcher closing_summary recording_space simulate",
     "carom.runs.snapshot_writer": "observed_recording observed_totals",

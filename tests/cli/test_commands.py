@@ -14,9 +14,9 @@ import pytest
 
 from carom.recording.read.recorded_impacts import RecordedImpacts
 from carom.recording.read.recording import Recording
-from carom.runs.report import worst_moment
 from carom.scene.parts import unknown
 from carom.scene.schema import Scene
+from carom.sharing.report import worst_moment
 from carom_command import carom, carom_process
 
 ONE_BODY = "[[body]]\nradius = 1.0\n"
@@ -111,7 +111,7 @@ def test_inspect_counts_in_the_singular_and_the_plural(tmp_path: Path) -> None:
 def test_the_commands_that_inspect_names_take_the_zip_of_a_report(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("carom.runs.report.try_to_render", lambda *_: "not now")  # takes seconds
+    monkeypatch.setattr("carom.sharing.report.try_to_render", lambda *_: "not now")  # takes seconds
     carom("run", "two-spheres", "-o", "x.rrd", cwd=tmp_path)
     assert carom("report", "x.rrd", "-o", "x.zip", cwd=tmp_path).returncode == 0
     for command in ("clip --around 1.6 --window 0.1", "picture --at 99", "view --at 99"):

@@ -11,8 +11,10 @@ import pyarrow.parquet as pq
 import pytest
 
 from carom.physics.placement import place
-from carom.recording.export import Snapshot, snapshots
+from carom.recording.export import Snapshot
 from carom.recording.read.recording import Recording
+from carom.runs.recomputed import snapshots
+from carom.runs.window import rerun
 from carom.scene.data.body_columns import BodyColumns
 from carom.scene.schema import Scene
 from carom_command import carom
@@ -35,7 +37,7 @@ def test_every_format_has_the_bits_of_the_state(cradle: Path, tmp_path: Path) ->
         done = carom("export", str(cradle), "--at", "0.1", "-o", name, cwd=tmp_path)
         assert done.returncode == 0, done.stderr
         assert done.stdout == f"{name} written: 1 step of 7 bodies, t = 0.1 s.\n"
-    bodies = Recording.open(cradle).bodies(0.1)
+    bodies = rerun(cradle, 0.1).bodies(0.1)
     times = Recording.open(cradle).fingerprints()["time"].to_numpy()
     time = float(times[np.searchsorted(times, 0.1 - 1e-12)])  # of the first frame from then on
     radius = np.full(BALLS, 0.1)  # as the scene has it, of steel
@@ -100,7 +102,7 @@ def test_the_bodies_of_a_clip_are_exported_and_no_others(cradle: Path, tmp_path:
     for name in ("one.csv", "one.parquet", "one.npz", "one.vtk", "one.extxyz"):
         done = carom("export", "clip.rrd", "--at", "0.1", "-o", name, cwd=tmp_path)
         assert done.stdout == f"{name} written: 1 step of 2 bodies, t = 0.1 s.\n", done.stderr
-    whole = Recording.open(cradle).bodies(0.1).take([0, 3])
+    whole = rerun(cradle, 0.1).bodies(0.1).take([0, 3])
     position = np.stack([whole[axis].to_numpy() for axis in "xyz"], axis=1)
     for table in (pq.read_table(tmp_path / "one.parquet"), pc.read_csv(tmp_path / "one.csv")):
         assert table["body"].to_pylist() == [0, 3] and table["name"].to_pylist() == whole["name"].to_pylist()

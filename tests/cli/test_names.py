@@ -118,7 +118,7 @@ def test_inspect_names_what_touched_and_says_which_energy_that_is(collided: tupl
 
 def test_a_report_names_what_touched(collided: tuple[Path, str], monkeypatch: pytest.MonkeyPatch) -> None:
     path, pair = collided
-    monkeypatch.setattr("carom.runs.report.try_to_render", lambda *_: "not now")
+    monkeypatch.setattr("carom.sharing.report.try_to_render", lambda *_: "not now")
     made = carom("report", str(path), "-o", "report.zip", "--force", cwd=path.parent)
     assert made.returncode == 0, made.stderr
     with zipfile.ZipFile(path.parent / "report.zip") as bundle:

@@ -10,7 +10,7 @@ import carom as library
 from carom.errors import SceneError
 from carom.recording.read.recording import Recording
 from carom.runs.outcome import overview
-from carom.runs.report import worst_moment
+from carom.sharing.report import worst_moment
 from carom_command import carom
 from small_scenes import pair
 

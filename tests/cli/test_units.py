@@ -124,7 +124,7 @@ def test_json_is_in_the_units_of_the_recording(folder: Path) -> None:
 def test_json_names_the_units_of_its_numbers(
     folder: Path, command: tuple[str, ...], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("carom.runs.report.try_to_render", lambda *_: "not now")  # takes seconds
+    monkeypatch.setattr("carom.sharing.report.try_to_render", lambda *_: "not now")  # takes seconds
     told = {name: json.loads(printed(folder, *command, f"{name}.rrd", "--json")) for name in ("si", "cm", "own")}
     assert {name: document["units"] for name, document in told.items()} == {"si": "SI", "cm": "SI", "own": "cm, ms, g"}
 

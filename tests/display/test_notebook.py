@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 
+import carom
 from carom.display import notebook
 from carom.errors import RecordingError
 from carom.recording.read.recording import Recording
@@ -71,7 +72,7 @@ def recording(tmp_path: Path) -> Recording:
 
 
 def test_a_notebook_gets_the_recording_and_pauses_at_the_moment(recording: Recording, viewers: list[SpyViewer]) -> None:
-    recording.show(at=0.1, height=321)
+    carom.show(recording, at=0.1, height=321)
     (viewer,) = viewers
     assert viewer.displayed and viewer.options["height"] == 321
     assert viewer.files[0] == recording.path.read_bytes() and len(viewer.files) == 2
@@ -80,14 +81,14 @@ def test_a_notebook_gets_the_recording_and_pauses_at_the_moment(recording: Recor
 
 def test_a_moment_that_is_not_in_the_recording_displays_nothing(recording: Recording, viewers: list[SpyViewer]) -> None:
     with pytest.raises(RecordingError, match="99 s is outside"):
-        recording.show(at=99.0)
+        carom.show(recording, at=99.0)
     assert not viewers
 
 
 def test_without_the_extra_one_sentence_names_it(recording: Recording, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("rerun.notebook.HAS_NOTEBOOK", False)
     with pytest.raises(RecordingError, match=r"pip install 'rerun-sdk\[notebook\]"):
-        recording.show()
+        carom.show(recording)
 
 
 @pytest.mark.needs("nbclient")
@@ -110,7 +111,7 @@ def test_a_notebook_of_the_docs_runs_and_prints_what_it_shows(name: str, tmp_pat
 
     NotebookClient(run, timeout=300, kernel_name="python3", store_widget_state=False, resources=where).execute()
     assert [results(cell) for cell in run.cells] == [results(cell) for cell in shown.cells]
-    shows = any(".show(" in cell["source"] for cell in run.cells)
+    shows = any("carom.show(" in cell["source"] for cell in run.cells)
     assert any("Viewer" in str(cell.get("outputs")) for cell in run.cells) == shows, "the viewer is displayed"
 
 

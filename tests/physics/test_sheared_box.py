@@ -17,8 +17,8 @@ from carom.arrays import FloatArray
 from carom.errors import SceneError
 from carom.physics.frame import Frame
 from carom.physics.space import Space
-from carom.recording.export import snapshots
 from carom.recording.export.extended_xyz import write_extended_xyz
+from carom.runs.recomputed import snapshots
 from carom.scene.schema import Scene
 from small_scenes import scene_of
 

@@ -10,9 +10,9 @@ import carom
 from carom.errors import SceneError
 from carom.recording.read.recorded_scene import recorded_scene
 from carom.runs.replay import replay
-from carom.runs.report import report
 from carom.runs.resume import continue_run, resumable_run
 from carom.scene.schema import Scene
+from carom.sharing.report import report
 
 
 def row(bodies: int, name: str = "") -> Scene:
@@ -37,7 +37,7 @@ def test_a_scene_of_more_than_4_mb_is_replayed_resumed_and_reported(
     assert replay(recording).same
     run = resumable_run(recording, until=0.004)
     assert continue_run(run, run.space(), tmp_path / "longer.rrd").status == "completed"
-    monkeypatch.setattr("carom.runs.report.try_to_render", lambda *_: "not of interest here")
+    monkeypatch.setattr("carom.sharing.report.try_to_render", lambda *_: "not of interest here")
     assert "same bits" in report(recording, tmp_path / "x.zip").replayed
 
 

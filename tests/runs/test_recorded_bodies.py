@@ -17,16 +17,17 @@ from carom.lab.sweep.plan import plan
 from carom.lab.sweep.sweep import SweepTask, execute
 from carom.recording.edit.bundle import opened
 from carom.recording.edit.clip import clip
-from carom.recording.export import snapshots, write
+from carom.recording.export import write
 from carom.recording.read.recorded_scene import recorded_scene
 from carom.recording.read.recording import Recording
 from carom.recording.schema import paths
 from carom.runs.environment import versions
+from carom.runs.recomputed import snapshots
 from carom.runs.replay import replay
-from carom.runs.report import report
 from carom.runs.resume import continue_run, resumable_run
 from carom.scene.schema import Scene
 from carom.scene.wording import literal
+from carom.sharing.report import report
 from carom_command import carom as carom_command
 
 SCENE = """
@@ -85,7 +86,7 @@ def recording(tmp_path: Path) -> Recording:
 def test_a_recording_replays_resumes_clips_and_reports_without_the_data_files(
     recording: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("carom.runs.report.try_to_render", lambda *_: "not of interest here")
+    monkeypatch.setattr("carom.sharing.report.try_to_render", lambda *_: "not of interest here")
     assert replay(recording).same
     clip(recording.path, tmp_path / "clip.rrd", 0.01, 0.02, bodies=[0, 8])
     assert replay(Recording.open(tmp_path / "clip.rrd")).same
@@ -225,8 +226,8 @@ def test_a_report_on_too_many_bodies_has_those_around_the_moment_and_says_so(
         time={"duration": 0.02, "fixed_dt": 0.01},
     )
     recording = carom.run(scene, tmp_path / "run.rrd")
-    monkeypatch.setattr("carom.runs.report.try_to_render", lambda *_: "not of interest here")
-    monkeypatch.setattr("carom.runs.report.ROOM", 450_000)
+    monkeypatch.setattr("carom.sharing.report.try_to_render", lambda *_: "not of interest here")
+    monkeypatch.setattr("carom.sharing.report.ROOM", 450_000)
     made = report(recording, tmp_path / "x.zip")
     assert not made.replays
     assert "of 3000 bodies, the ones nearest" in made.replayed

@@ -93,7 +93,8 @@ TESTS: dict[str, tuple[str, ...]] = {
     "src/carom/recording/source/": ("runs/test_engine_recorder.py", "runs/test_changing_bodies.py", "lab/engines"),
     "src/carom/recording/write/": ("recording/write", "recording/read/test_contacts.py"),
     "src/carom/registry": ("test_registry.py", "test_extension.py", "test_removable.py"),
-    "src/carom/runs/": ("runs/test_run.py", "runs/test_replay.py", "runs/test_report.py"),
+    "src/carom/runs/": ("runs/test_run.py", "runs/test_replay.py"),
+    "src/carom/sharing/": ("sharing", "cli/test_names.py"),
     "src/carom/scene/": (
         "scene/test_load.py",
         "scene/test_explanation.py",
@@ -106,7 +107,7 @@ TESTS: dict[str, tuple[str, ...]] = {
     "src/carom/scene/schema/shear": ("physics/test_sheared_box.py", "physics/test_sheared_packing.py"),
     "src/carom/scene/units/": ("scene/units", "cli/test_units.py"),
     "src/carom/display/": ("display/test_presentation.py", "display/test_panels.py", "display/test_colours.py"),
-    "src/carom/display/web/": ("display/test_web.py", "cli/test_view_web.py", "runs/test_publish.py"),
+    "src/carom/display/web/": ("display/test_web.py", "cli/test_view_web.py", "sharing/test_publish.py"),
     "src/carom/walls/": ("walls",),
     "benchmarks/": ("test_benchmark_results.py", "test_planted_faults.py"),
     "configs/": ("scene/test_starters.py", "cli/test_stress.py"),

@@ -32,9 +32,9 @@ from carom.recording.layout.canvas import Canvas
 from carom.recording.read.recording import Recording
 from carom.recording.rrd.framing import CHUNK
 from carom.recording.rrd.messages import RECORDING, decode
-from carom.runs import report
 from carom.runs.outcome import description
 from carom.runs.replay import replay
+from carom.sharing import report
 from damage_bytes import SLOWEST, attempt, mended, peak, read_all, tell
 from edited_recordings import assembled, messages_of, repacked, stream, with_column, without_column
 

@@ -131,16 +131,17 @@ def _table(
     from carom.errors import RecordingError
     from carom.recording.read.lookup import names_of, shown_body
     from carom.recording.read.recorded_contacts import of_body
+    from carom.runs.recomputed import contacts_of, impacts_of
 
     numbers = [shown_body(recording, body) for body in bodies]
     if len(set(numbers)) < len(numbers):
         raise RecordingError(f"--body {bodies[0]} --body {bodies[1]}: a body has no contact with itself")
     with replaying(recording) as watch:
         if impacts:
-            table = recording.impacts(start, end, replay=again, watch=watch)
+            table = impacts_of(recording, start, end, replay=again, watch=watch)
         else:
             at = _hardest(recording, numbers) if at is None and numbers else at
-            table = recording.contacts(at, replay=again, watch=watch)
+            table = contacts_of(recording, at, replay=again, watch=watch)
     for number in numbers:
         table = of_body(table, number)
     if len(numbers) == 2 and table.num_rows == 0:

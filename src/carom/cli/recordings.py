@@ -160,9 +160,10 @@ def export(
     from carom.cli.terminal import replaying
     from carom.errors import RecordingError
     from carom.recording.edit.bundle import opened
-    from carom.recording.export import VTK, refuse_format, refuse_series, series_of, snapshots, write
+    from carom.recording.export import VTK, refuse_format, refuse_series, series_of, write
     from carom.recording.read.recording import Recording
     from carom.recording.write.whole_file import refuse_output
+    from carom.runs.recomputed import snapshots
 
     refuse_format(output)
     if everything and at is not None:
@@ -201,7 +202,7 @@ def report(
     from carom.cli.run import announce_compilation
     from carom.recording.read.recording import Recording
     from carom.recording.write.whole_file import refuse_output
-    from carom.runs.report import report as make
+    from carom.sharing.report import report as make
 
     recording = Recording.open(file)
     path = output or file.with_name(f"{file.stem}-report.zip")

@@ -221,8 +221,8 @@ def publish(
     from carom.cli.run import announce_compilation
     from carom.recording.edit.bundle import opened
     from carom.recording.read.recording import Recording
-    from carom.runs.publish import publish as make
-    from carom.runs.publish import refuse_folder
+    from carom.sharing.publish import publish as make
+    from carom.sharing.publish import refuse_folder
 
     one = files[0]
     folder = output or one.with_name(f"{one.stem}-page" if len(files) == 1 else "recordings-page")

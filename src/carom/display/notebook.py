@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 from rerun.notebook import RecordingOpenEvent, TimelineChangeEvent, Viewer, ViewerEvent
 
@@ -15,8 +17,21 @@ from carom.recording.schema.paths import SIM_TIME
 from carom.recording.write.rerun_compat import send_to_notebook
 
 
-def show(recording: Recording, request: Request, height: int) -> None:
-    """Display the viewer below the cell; see `Recording.show`."""
+def show(
+    recording: Recording | str | Path,
+    at: float | None = None,
+    *,
+    height: int = 600,
+    event: str | None = None,
+    bodies: str | None = None,
+) -> None:
+    """Display Rerun's viewer below the cell of a notebook, paused at a moment. Needs `carom[notebook]`.
+
+    The moment, the event and the bodies are those of `carom.view`; the height is in pixels, the width that of the cell.
+    Raises RecordingError if there is no such moment, event or body, or rerun-notebook is not installed.
+    """
+    recording = recording if isinstance(recording, Recording) else Recording.open(recording)
+    request = Request(at, event, bodies)
     if recording.is_overlay:
         moment, extra = recording.moment(request.at), b""
     else:

@@ -24,6 +24,7 @@ from carom.recording.read.recording import Recording
 from carom.recording.schema.header import Header, TimeScale
 from carom.recording.schema.paths import SIM_TIME, STEP
 from carom.recording.write.impact_frames import Instant, instants
+from carom.runs.window import Window
 
 
 @dataclass(frozen=True, slots=True)
@@ -312,7 +313,7 @@ def _run(
     added: list[Frame] = []
     before, shown = None, None
     started: float | None = None
-    window = recording.rerun(goal, watch=watch, contacts=True)
+    window = Window(recording, goal, watch=watch, contacts=True)
     for frame in window.frames(earlier):
         started = clock.monotonic() if started is None else started
         if clock.monotonic() - started > limit:

@@ -30,6 +30,7 @@ from carom.recording.schema.paths import STEP
 from carom.recording.write.durable_sink import FLUSH
 from carom.recording.write.rerun_compat import send_layout
 from carom.recording.write.rows import Index, Rows
+from carom.runs.window import Window
 from carom.scene.units.dimension import OF_UNIT
 from carom.scene.units.system import SI, UnitSystem
 from carom.scene.wording import body_called
@@ -254,7 +255,7 @@ def _recorded(recording: Recording, bodies: Sequence[int]) -> _Read:
 def _replayed(recording: Recording, bodies: Sequence[int], watch: Callable[[StepStatus], None]) -> _Read:
     frames = recording.fingerprints()
     steps, times = frames[STEP].to_numpy(), frames["time"].to_numpy()
-    window, wanted = recording.rerun(float(times[0]), watch=watch), set(steps.tolist())
+    window, wanted = Window(recording, float(times[0]), watch=watch), set(steps.tolist())
     found: dict[str, list[FloatArray]] = {vector: [] for vector, *_ in _VECTORS}
     for frame in window.frames(np.inf):
         if frame.step in wanted:

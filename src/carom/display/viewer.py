@@ -266,6 +266,27 @@ def binary() -> str:
     raise RecordingError("rerun-sdk is installed without its viewer (the package rerun_cli)")
 
 
+def view(
+    recording: Recording | str | Path, at: float | None = None, *, event: str | None = None, bodies: str | None = None
+) -> None:
+    """Open Rerun's viewer in a window, paused at a moment; return when the window is closed.
+
+    Raises RecordingError if there is no such moment, event or body, or no screen.
+
+    Parameters
+    ----------
+    recording
+        The recording, or its file.
+    at
+        s; without it, the event or otherwise the most interesting moment.
+    event
+        The name of an event, whose bodies the close-up view shows.
+    bodies
+        The bodies of the close-up view, by numbers or names separated by a comma.
+    """
+    open_window(recording.path if isinstance(recording, Recording) else recording, Request(at, event, bodies))
+
+
 def open_window(path: str | Path, request: Request, *, say: Callable[[str], None] = lambda _: None) -> None:
     """Open a recording, paused at a moment; return when the window is closed.
 

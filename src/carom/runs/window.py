@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
@@ -14,14 +15,50 @@ from carom.physics.checkpoint import Checkpoint
 from carom.physics.frame import Frame
 from carom.physics.simulation import StepStatus
 from carom.physics.space import Space
-from carom.recording.read.lookup import goal_of
+from carom.recording.read.lookup import goal_of, tolerance
 from carom.recording.read.recorded_contacts import of_shown, table_of_rows, with_angular_impulses
 from carom.recording.read.recorded_scene import fixed_of, recorded_scene, start_of
 from carom.recording.read.recording import Recording
+from carom.recording.read.tables import frames_with, state_table, table_of_bodies
 from carom.scene.schema import Scene
 from carom.scene.units.dimension import TIME
 
 Watcher = Callable[[StepStatus], None]
+
+
+def rerun(
+    recording: Recording | str | Path,
+    before: float,
+    *,
+    contacts: bool = False,
+    threads: int | None = None,
+    watch: Watcher | None = None,
+) -> Window:
+    """Run a recording again from its last checkpoint before a time (s), for data that the file does not hold.
+
+    Its bodies, contacts, impacts and trajectories are those of `Recording`, but computed, in float64. A rerun goes
+    forward only: ask for later times after earlier ones.
+
+    Parameters
+    ----------
+    recording
+        The recording, or its file.
+    before
+        s, the first time that is asked for.
+    contacts
+        Whether contacts and impacts are asked for.
+    threads
+        Threads for the kernels; the bits do not depend on it.
+    watch
+        Called after every frame with the progress.
+
+    Raises
+    ------
+    RecordingError
+        If the recording has no checkpoint, or cannot be rerun.
+    """
+    opened = recording if isinstance(recording, Recording) else Recording.open(recording)
+    return Window(opened, before - tolerance(before), contacts=contacts, threads=threads, watch=watch)
 
 
 class Window:
@@ -99,6 +136,19 @@ class Window:
         if len(states) < len(steps):
             raise RecordingError(f"{self._recording.path} ends earlier when it is rerun; its bits differ")
         return states
+
+    def bodies(self, at: float) -> pa.Table:
+        """Return the state of all bodies at the end of the step that contains a time (s); see `BodyTable`."""
+        return table_of_bodies(self._recording, self.state_at(at), self.source)
+
+    def trajectory(self, body: int | str, start: float = -np.inf, end: float = np.inf) -> pa.Table:
+        """Return the path of one body, with one row per frame from one time (s) on to another; see `Recording`."""
+        number, steps, _ = frames_with(self._recording, body, start, end)
+        if steps[0] < self.begin:
+            raise RecordingError(f"the rerun begins at step {self.begin}, after step {steps[0]}: rerun an earlier time")
+        table = state_table(self.states(steps.tolist()), number)
+        exact = pa.array(np.ones(table.num_rows, dtype=bool))
+        return table.append_column("exact", exact).replace_schema_metadata({"source": self.source})
 
     def contacts(self, at: float) -> pa.Table:
         """Return the contact table of the step that contains a time (s)."""

@@ -13,6 +13,7 @@ from carom.lab.why.history import question_of
 from carom.recording.edit.clip import clip
 from carom.recording.edit.repair import repair
 from carom.recording.read.recording import Recording
+from carom.runs.recomputed import contacts_of, impacts_of
 from carom.scene.schema import Scene
 
 TWO_PAIRS = {
@@ -44,7 +45,7 @@ def apart(whole: Path, tmp_path: Path) -> Path:
 
 def test_a_clip_of_bodies_that_did_not_meet_has_no_impacts(apart: Path) -> None:
     recording = Recording.open(apart)
-    assert recording.impacts().num_rows == recording.impacts(replay=True).num_rows == 0
+    assert recording.impacts().num_rows == impacts_of(recording, replay=True).num_rows == 0
     assert recording.contacts().num_rows == 0
     assert recording.moment() == 1.0  # the last frame
 
@@ -52,9 +53,9 @@ def test_a_clip_of_bodies_that_did_not_meet_has_no_impacts(apart: Path) -> None:
 def test_a_replay_of_a_clip_is_asked_about_its_bodies_only(struck: Path) -> None:
     recording = Recording.open(struck)
     for replay in (False, True):
-        pairs = recording.impacts(replay=replay).select(["i", "j"]).to_pylist()
+        pairs = impacts_of(recording, replay=replay).select(["i", "j"]).to_pylist()
         assert pairs == [{"i": 0, "j": 1}]
-        at = recording.contacts(0.3, replay=replay).select(["i", "j"]).to_pylist()
+        at = contacts_of(recording, 0.3, replay=replay).select(["i", "j"]).to_pylist()
         assert {(row["i"], row["j"]) for row in at} <= {(0, 1)}
 
 

@@ -16,11 +16,12 @@ from numpy.typing import NDArray
 
 import carom
 from carom.contact_table import CONTACT_ROW
-from carom.errors import RecordingError
+from carom.errors import NotRecordedError, RecordingError
 from carom.physics.frame import Frame
 from carom.physics.space import Space
 from carom.recording.edit.clip import clip
 from carom.recording.read.lookup import frame_of
+from carom.recording.read.recorded_contacts import of_body
 from carom.recording.read.recorded_impacts import impacts_by_number, sums_between
 from carom.recording.read.recording import Recording
 from carom.recording.rrd.container import Container
@@ -28,6 +29,7 @@ from carom.recording.rrd.framing import CHUNK
 from carom.recording.rrd.messages import Chunk, Entry, decode
 from carom.recording.write.contact_encoder import BatchContacts
 from carom.recording.write.impact_plan import ImpactPlan, Kept, impact_rows
+from carom.runs.recomputed import contacts_of, impacts_of
 from carom.runs.replay import CHOICE, replay
 from carom.runs.resume import continue_run, resumable_run
 from carom.scene.schema import Scene
@@ -103,14 +105,14 @@ def test_every_impact_is_recorded_at_its_own_time_within_the_rounding_of_float32
     np.testing.assert_allclose(table["time"].to_numpy(), truth["time"], atol=1e-9)  # the timeline counts nanoseconds
     np.testing.assert_allclose(table["normal_impulse"].to_numpy(), truth["normal_impulse"], rtol=SINGLE)
     assert table.schema.metadata == {b"source": b"recorded", b"left_out": b"0"}
-    assert_close(table, recording.impacts(replay=True))
+    assert_close(table, impacts_of(recording, replay=True))
 
 
 def test_impacts_of_a_recording_without_them_are_those_of_a_replay_with_the_same_bits(
     silent: Recording, truth: np.ndarray
 ) -> None:
     assert not {"impacts", "world/forces/normal"} & entities(silent)
-    table = silent.impacts()
+    table = impacts_of(silent)
     for name in ("step", "time", "normal_impulse", "approach_speed", "x"):
         assert table[name].to_pylist() == truth[name].tolist()
     assert table.schema.metadata[b"source"] == b"replayed from step 0, with the same bits"
@@ -120,8 +122,7 @@ def test_impacts_of_an_interval_and_a_body_are_those_of_the_whole_run_that_fit(
     recording: Recording, silent: Recording, truth: np.ndarray
 ) -> None:
     inside = (truth["time"] >= 0.5) & (truth["time"] <= 1.5) & ((truth["i"] == 1) | (truth["j"] == 1))
-    for source in (recording, silent):
-        table = source.impacts(0.5, 1.5, "high")
+    for table in (recording.impacts(0.5, 1.5, "high"), of_body(impacts_of(silent, 0.5, 1.5), 1)):
         assert table["step"].to_pylist() == truth["step"][inside].tolist()
 
 
@@ -145,7 +146,7 @@ def test_only_the_impacts_around_an_interval_are_read(recording: Recording, monk
 @pytest.mark.parametrize("frame", [17, 19, 20])
 def test_the_contacts_of_a_frame_are_those_of_its_step(recording: Recording, silent: Recording, frame: int) -> None:
     time = float(recording.fingerprints()["time"][frame].as_py())
-    table, exact = recording.contacts(time), silent.contacts(time)
+    table, exact = recording.contacts(time), contacts_of(silent, time)
     seen = exact.filter(pa.array(np.isin(exact["j"].to_numpy() * 10 + exact["i"].to_numpy(), _pairs(table))))
     assert table.num_rows > 0
     for name in ("i", "j", "mode"):
@@ -165,7 +166,7 @@ def test_an_impact_of_a_long_step_is_where_the_bodies_met(tmp_path: Path) -> Non
     contact = {"timing": "time-of-impact", "static_friction": 0.0, "kinetic_friction": 0.0}
     recorded = carom.run(scene_of(bodies, gravity={"constant": 0.0}, contact=contact, time=time), tmp_path / "run.rrd")
     assert recorded.steps()["step"].to_pylist() == [0, 1], "they are far apart again at the end of the step"
-    table, exact = recorded.contacts(1.0), recorded.contacts(1.0, replay=True)
+    table, exact = recorded.contacts(1.0), contacts_of(recorded, 1.0, replay=True)
     assert table["ny"].to_pylist() == pytest.approx([0.6], abs=SINGLE), "of 2 m between the centres"
     for name in ("time", "x", "y", "z", "nx", "ny", "nz"):
         np.testing.assert_allclose(table[name].to_numpy(), exact[name].to_numpy(), atol=5.0 * SINGLE)
@@ -176,7 +177,9 @@ def _pairs(table: pa.Table) -> np.ndarray:
 
 
 def test_the_contacts_of_a_step_without_a_frame_are_run_again(recording: Recording) -> None:
-    table = recording.contacts(1.012)  # between 1.010 and 1.015
+    with pytest.raises(NotRecordedError, match=r"does not hold the contacts of the step .* 1\.012 s; carom\.rerun"):
+        recording.contacts(1.012)  # between 1.010 and 1.015
+    table = contacts_of(recording, 1.012)
     assert set(table["step"].to_pylist()) == {203}
     assert b"with the same bits" in table.schema.metadata[b"source"]
 
@@ -372,8 +375,8 @@ def test_the_angular_impulses_of_an_impact_change_the_spins(tmp_path: Path, repl
     ]
     times, record = {"duration": 2.0, "fixed_dt": 0.1}, {"every": "step"}
     recording = carom.run(scene_of(balls, gravity={"constant": 0.0}, time=times, record=record), tmp_path / "run.rrd")
-    (impact,) = recording.impacts(replay=replayed).to_pylist()
-    (contact,) = recording.contacts(impact["time"], replay=replayed).to_pylist()
+    (impact,) = impacts_of(recording, replay=replayed).to_pylist()
+    (contact,) = contacts_of(recording, impact["time"], replay=replayed).to_pylist()
     spins = recording.checkpoint(recording.checkpoint_steps[-1]).angular_velocity
     assert spins is not None and np.all(np.abs(spins[:, 2]) > 0.05), "both rotate after it, and did not before"
     expected = recording.bodies.inertia * np.abs(spins[:, 2])
@@ -441,9 +444,10 @@ def test_impacts_and_contacts_too_large_for_float32_are_those_of_a_replay(tmp_pa
     ]
     scene = scene_of(suns, gravity={"constant": 0.0}, time={"duration": 1000.0, "max_dt": 100.0})
     recording = carom.run(scene, tmp_path / "suns.rrd")
-    (impact,) = recording.impacts().to_pylist()
-    assert impact == recording.impacts(replay=True).to_pylist()[0] and 3.5e38 < impact["energy_lost"] < 8e41
-    (contact,) = recording.contacts(impact["time"]).to_pylist()
+    assert recording.impacts()["energy_lost"].to_pylist() == [np.inf]
+    (impact,) = impacts_of(recording).to_pylist()
+    assert impact == impacts_of(recording, replay=True).to_pylist()[0] and 3.5e38 < impact["energy_lost"] < 8e41
+    (contact,) = contacts_of(recording, impact["time"]).to_pylist()
     assert contact["energy_lost"] == impact["energy_lost"]
     clip(recording.path, tmp_path / "clip.rrd", 0.0, 1e3, [0, 1], exact=False)
     part = Recording.open(tmp_path / "clip.rrd")  # it cannot be run again
@@ -551,13 +555,13 @@ def test_the_force_on_the_floor_is_the_weight_of_what_rests_on_it(tmp_path: Path
     recording = carom.run(tower, tmp_path / "tower.rrd")
     weights = {(0, 1): mass[1] * field, (0, 2): sum(mass) * field}
     for again, precision in ((False, SINGLE), (True, 1e-9)):  # 1e-9: of the solver, which iterates over two contacts
-        rows = recording.contacts(0.1, replay=again).to_pylist()
+        rows = contacts_of(recording, 0.1, replay=again).to_pylist()
         forces = {(row["i"], row["j"]): row["normal_force"] for row in rows}
         assert forces == pytest.approx(weights, rel=precision)
         assert {row["mode"] for row in rows} == {"resting"} and {row["tangential_force"] for row in rows} == {0.0}
 
 
 def test_an_impact_has_an_impulse_and_no_force(recording: Recording) -> None:
-    rows = recording.contacts(recording.impacts()["time"][0].as_py()).to_pylist()
+    rows = contacts_of(recording, recording.impacts()["time"][0].as_py()).to_pylist()
     assert [row["normal_force"] for row in rows if row["mode"] == "impact"] == [None]
     assert recording.impacts()["normal_force"].null_count == recording.impacts().num_rows

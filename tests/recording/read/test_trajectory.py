@@ -79,7 +79,9 @@ def test_a_trajectory_has_the_exact_state_at_checkpoints_and_nulls_elsewhere(
 
 
 def test_a_replayed_trajectory_has_the_bits_of_the_run(recording: Recording, steps: list[Frame]) -> None:
-    path = recording.trajectory("left", 1.0, 2.0, replay=True)
+    with pytest.raises(RecordingError, match="the rerun begins at step"):
+        carom.rerun(recording, 4.1).trajectory("left", 1.0, 2.0)
+    path = carom.rerun(recording, 1.0).trajectory("left", 1.0, 2.0)
     own = [steps[step] for step in path["step"].to_pylist()]
     assert path.num_rows == 11
     assert np.array_equal(vectors(path, "x y z"), [frame.position[0] for frame in own])
@@ -92,7 +94,7 @@ def test_a_replayed_trajectory_has_the_bits_of_the_run(recording: Recording, ste
 def test_bodies_have_the_exact_state_at_the_end_of_the_step_that_a_time_is_in(
     recording: Recording, steps: list[Frame], at: float, step: int
 ) -> None:
-    states = recording.bodies(at)
+    states = carom.rerun(recording, at).bodies(at)
     assert states.schema.metadata[b"step"] == str(step).encode()
     assert np.array_equal(vectors(states, "x y z"), steps[step].position)
     assert np.array_equal(vectors(states, "vx vy vz"), steps[step].velocity)
@@ -101,7 +103,9 @@ def test_bodies_have_the_exact_state_at_the_end_of_the_step_that_a_time_is_in(
 
 def test_bodies_say_whether_they_are_from_a_checkpoint_or_a_replay(recording: Recording) -> None:
     assert recording.bodies(4.0).schema.metadata[b"source"] == b"checkpoint"
-    assert b"replayed from step" in recording.bodies(1.504).schema.metadata[b"source"]
+    with pytest.raises(RecordingError, match=r"does not hold the exact state .* 1\.504 s; carom.rerun computes it"):
+        recording.bodies(1.504)
+    assert b"replayed from step" in carom.rerun(recording, 1.504).bodies(1.504).schema.metadata[b"source"]
 
 
 @pytest.mark.parametrize(

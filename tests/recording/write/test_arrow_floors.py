@@ -13,6 +13,7 @@ from carom.arrays import FloatArray
 from carom.recording.read.frame_rows import RecordedRows
 from carom.recording.read.recording import Recording
 from carom.recording.schema import paths
+from carom.runs.recomputed import impacts_of
 from carom.runs.replay import replay
 from carom.runs.resume import resume
 from carom.scene.schema import Scene
@@ -68,7 +69,7 @@ def test_each_frame_holds_the_floor_of_its_arrows(recording: Recording) -> None:
     rows, steps = RecordedRows(recording), recording.fingerprints()["step"].to_pylist()
     floors = np.array([rows.at(paths.FORCE_NORMAL, step)[0].batch["floor"][0].values[0].as_py() for step in steps])
     largest = np.zeros(len(steps))
-    for impact in recording.impacts(replay=True).to_pylist():
+    for impact in impacts_of(recording, replay=True).to_pylist():
         at = np.searchsorted(recording.fingerprints()["time"].to_numpy(), impact["time"] - 1e-12)
         largest[at] = max(largest[at], impact["normal_impulse"])
     assert floors == pytest.approx(OF_LARGEST * np.maximum.accumulate(largest), rel=1e-15)

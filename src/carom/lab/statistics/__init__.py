@@ -19,7 +19,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from carom import Recording, Scene
+from carom import Recording, Scene, rerun
 from carom.arrays import BoolArray, FloatArray, IntArray, Records
 from carom.contact_table import CONTACT_ROW, ImpactSums, PairSums
 from carom.errors import RecordingError, SceneError
@@ -174,7 +174,7 @@ class Interval:
             table = self.recording.impacts(self.time[0], self.time[-1])
             return table, sums_between(self.recording, first, last)
         begin, end = self.time[0] - tolerance(self.time[0]), self.time[-1] + tolerance(self.time[-1])
-        window = self.recording.rerun(begin, contacts=True, watch=self.watch)
+        window = rerun(self.recording, begin, contacts=True, watch=self.watch)
         table = window.impacts(begin, end)
         parts = [window.impact_sums.get(step) for step in self.step[1:].tolist()]
         return table, None if None in parts else ImpactSums.over(part for part in parts if part is not None)
@@ -333,7 +333,7 @@ class Interval:
         rows = self.chosen(max(1, min(MOST_CONTACT_FRAMES, MOST_CONTACTS // self.bodies)))
         times = self.time[rows].tolist()
         if self.replay or not self.recording.records_contacts:
-            window = self.recording.rerun(times[0], contacts=True, watch=self.watch)
+            window = rerun(self.recording, times[0], contacts=True, watch=self.watch)
             tables = [window.contacts(time) for time in times]
         else:
             tables = [self.recording.contacts(time) for time in times]
@@ -403,13 +403,14 @@ class Interval:
         """Exact velocities at some moments, (k, n, 3) m/s, relative to the flow of a sheared box; NaN if absent."""
         most = max(1, min(MOST_STATES, MOST_VELOCITIES // self.bodies))
         if self.replay:
-            window = self.recording.rerun(float(self.time[0]), watch=self.watch)
+            window = rerun(self.recording, float(self.time[0]), watch=self.watch)
             states = window.states(self.step[self.chosen(most)].tolist())
             return np.stack([self._relative_to_flow(state.velocity, state.position) for state in states])
         known = [step for step in self.recording.checkpoint_times if self.step[0] <= step <= self.step[-1]]
         known = [step for step in known if step > 0] or known
         if not known:
-            state = self.recording.bodies(float(self.time[-1]))
+            last = float(self.time[-1])
+            state = rerun(self.recording, last, watch=self.watch).bodies(last)
             return self._relative_to_flow(_vectors(state, _VELOCITY), _vectors(state, _POINT))[None]
         places = np.unique(np.linspace(0, len(known) - 1, min(most, len(known))).round().astype(np.int64))
         kept = self.recording.checkpoints(np.array(known)[places].tolist())

@@ -9,20 +9,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
 from numpy.typing import NDArray
 
 from carom import registry
-from carom.arrays import BoolArray, FloatArray, IntArray
+from carom.arrays import FloatArray, IntArray
 from carom.errors import ExistsError, RecordingError
-from carom.recording.read.lookup import tolerance
-from carom.recording.read.recording import Recording
 from carom.recording.read.tables import AXES
-from carom.recording.schema.paths import STEP
 
 if TYPE_CHECKING:
     from carom.physics.checkpoint import Checkpoint
-    from carom.runs.window import Watcher
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,63 +48,6 @@ class Snapshot:
 
     def __len__(self) -> int:
         return len(self.mass)
-
-
-def snapshots(
-    recording: Recording, at: float | None, *, everything: bool, watch: Watcher | None = None
-) -> Iterator[Snapshot]:
-    """Yield the state at a time (s), or all recorded frames; steps between checkpoints are recomputed.
-
-    Raises RecordingError if there is no such moment, or a rerun does not give the same bits.
-    """
-    table = recording.fingerprints()
-    times, steps = table["time"].to_numpy(), table[STEP].to_numpy()
-    recording.require_frames()
-    moment = float(times[0]) if everything else recording.moment(at)
-    goal = min(moment - tolerance(moment), float(times[-1]))
-    if recording.engine:
-        yield from _kept(recording, steps if everything else steps[[int(np.searchsorted(times, goal))]])
-        return
-    window = recording.rerun(goal, watch=watch)
-    own = _own(recording, window.fixed)
-    wanted, left = (set(steps.tolist()), len(steps)) if everything else (set[int](), 1)
-    frames = window.frames(np.inf if everything else goal)
-    chosen = (frame for frame in frames if (frame.step in wanted if everything else frame.time >= goal))
-    for frame in itertools.islice(chosen, left):
-        if window.differs is not None:
-            raise RecordingError(f"{recording.path}: the rerun has different bits from step {window.differs} on")
-        left -= 1
-        yield Snapshot(frame.checkpoint, *own, window.cell(frame.time))
-    if left:
-        raise RecordingError(f"{recording.path} ends earlier when it is rerun; its bits differ")
-
-
-def _kept(recording: Recording, steps: IntArray) -> Iterator[Snapshot]:
-    """Yield the exact states of some frames of a run that cannot be repeated."""
-    body, mass, radius, others = _own(recording, np.zeros(len(recording.bodies.mass), np.bool_))
-    kept = recording.checkpoint_times
-    if missing := [int(step) for step in steps if step not in kept]:
-        raise RecordingError(
-            f"{recording.path} has no exact state at step {missing[0]} and cannot be rerun; record with exact=True"
-        )
-    for state in recording.checkpoints(steps.tolist()):
-        there = recording.present(state.step)[body]
-        own = {name: values[there] for name, values in others.items()}
-        yield Snapshot(state, body[there], mass[there], radius[there], own)
-
-
-def _own(recording: Recording, fixed: BoolArray) -> tuple[IntArray, FloatArray, FloatArray, dict[str, NDArray[Any]]]:
-    """Return numbers, masses and radii of the shown bodies, and further columns that differ from the defaults."""
-    bodies, shown, found = recording.bodies, np.array(recording.shown, dtype=np.int64), dict[str, NDArray[Any]]()
-    mass, radius, inertia = (np.asarray(each)[shown] for each in (bodies.mass, bodies.radius, bodies.inertia))
-    if not np.allclose(inertia, 0.4 * mass * radius * radius, rtol=1e-12, atol=0.0):
-        found["inertia"] = inertia
-    if fixed[shown].any():
-        found["fixed"] = fixed[shown]
-    names = [bodies.name[body] for body in recording.shown]
-    if any(name != f"body {row}" for row, name in enumerate(names)):
-        found["name"] = np.array(names, dtype=np.str_)
-    return shown, mass, radius, found
 
 
 VTK = ".vtk"  # the only format that holds a single step

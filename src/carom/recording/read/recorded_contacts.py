@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Iterator, Mapping, Sequence
 from operator import itemgetter
 from typing import TYPE_CHECKING, Any
 
@@ -13,17 +12,17 @@ from numpy.typing import NDArray
 
 from carom.arrays import BoolArray, FloatArray, IntArray, Records
 from carom.contact_table import CONTACT_ROW, IMPACT_MODE, MODES
-from carom.errors import DamageError, RecordingError, SceneError
+from carom.errors import DamageError, NotRecordedError, RecordingError
 from carom.recording.read.entities import plain, reading
-from carom.recording.read.lookup import frame_of, goal_of
+from carom.recording.read.lookup import frame_of
 from carom.recording.rrd.messages import Chunk
 from carom.recording.schema import paths
 from carom.recording.schema.paths import STEP
+from carom.scene.units.dimension import TIME
 
 if TYPE_CHECKING:
     from carom.physics.checkpoint import Checkpoint
     from carom.recording.read.recording import Recording
-    from carom.runs.window import Watcher
 
 
 _COLUMNS = (  # name, type and unit
@@ -79,14 +78,6 @@ def forces(columns: Mapping[str, Any], mode: NDArray[np.uint8], dt: float) -> di
     }
 
 
-def finite(recorded: pa.Table, repeat: Callable[[], pa.Table]) -> pa.Table:
-    """Return the recorded table or, beyond the range of float32 (3.4e38), the table of a replay if that is possible."""
-    if any(bool(np.isinf(recorded[name].to_numpy()).any()) for name in MEASURED):
-        with suppress(RecordingError, SceneError):
-            return repeat()
-    return recorded
-
-
 def modes(numbers: NDArray[np.uint8], path: str) -> pa.Array:
     """Return the modes of contacts as texts."""
     if len(numbers) and int(numbers.max()) >= len(MODES):
@@ -140,19 +131,15 @@ _SAME = 1e-5  # relative error of sums of float32 impulses, and of the length of
 _TIME_AND_PLACE = ("time", "x", "y", "z", "nx", "ny", "nz")  # of an impact
 
 
-def contacts(recording: Recording, at: float | None, *, replay: bool, watch: Watcher | None = None) -> pa.Table:
+def contacts(recording: Recording, at: float | None) -> pa.Table:
     """Return the contacts of the step that contains a time (s); see `Recording.contacts`."""
     at = recording.moment(at)
     row = frame_of(recording, at)
-
-    def replayed() -> pa.Table:
-        return recording.rerun(goal_of(recording, at), contacts=True, watch=watch).contacts(at)
-
-    if recording.records_contacts and row is not None and not replay:
-        with reading(recording.path):
-            table = with_angular_impulses(_table(recording, *_row_of_contacts(recording, row)), recording)
-        return finite(table, replayed)
-    return replayed()
+    if row is None or not recording.records_contacts:
+        when = recording.units.text(at, TIME, ".9g")
+        raise NotRecordedError(recording.path, f"the contacts of the step that contains {when}", recording.engine)
+    with reading(recording.path):
+        return with_angular_impulses(_table(recording, *_row_of_contacts(recording, row)), recording)
 
 
 def rows_of_engine(recording: Recording, row: int) -> tuple[Records, float]:

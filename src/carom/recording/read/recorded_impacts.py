@@ -10,13 +10,12 @@ import pyarrow as pa
 
 from carom.arrays import FloatArray, IntArray
 from carom.contact_table import ImpactSums
-from carom.errors import DamageError, RecordingError
+from carom.errors import DamageError, NotRecordedError, RecordingError
 from carom.recording.read.entities import Column, flat, plain, reading
 from carom.recording.read.lookup import interval, shown_body, tolerance
 from carom.recording.read.recorded_contacts import (
     MEASURED,
     check_pairs,
-    finite,
     modes,
     of_body,
     table_of,
@@ -28,7 +27,6 @@ from carom.recording.schema.paths import IMPACT, IMPACT_SUMS, SIM_TIME, STEP
 
 if TYPE_CHECKING:
     from carom.recording.read.recording import Recording
-    from carom.runs.window import Watcher
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,28 +58,15 @@ class RecordedImpacts:
         return f"{text}{total}, {more} more than counted: they parted by the end of their step"
 
 
-def impacts(
-    recording: Recording,
-    start: float | None,
-    end: float | None,
-    body: int | str | None,
-    *,
-    replay: bool,
-    watch: Watcher | None = None,
-) -> pa.Table:
+def impacts(recording: Recording, start: float | None, end: float | None, body: int | str | None) -> pa.Table:
     """Return the impacts of an interval; see `Recording.impacts`."""
     first, last = interval(recording, start, end)
-    first, last = first - tolerance(first), last + tolerance(last)
     number = None if body is None else shown_body(recording, body)
-
-    def replayed() -> pa.Table:
-        return recording.rerun(first, contacts=True, watch=watch).impacts(first, last)
-
-    if recording.records_contacts and not replay:
-        with reading(recording.path):
-            table = _recorded(recording, first, last)
-        return of_body(finite(table, replayed), number)
-    return of_body(replayed(), number)
+    if not recording.records_contacts:
+        raise NotRecordedError(recording.path, "impacts", recording.engine)
+    with reading(recording.path):
+        table = _recorded(recording, first - tolerance(first), last + tolerance(last))
+    return of_body(table, number)
 
 
 def numbered_impact(recording: Recording, number: int) -> tuple[float, int, int, int]:
@@ -200,8 +185,6 @@ def _recorded(recording: Recording, first: float, last: float) -> pa.Table:
     entries = recording.store.frames_of(paths.IMPACTS, lowest, highest)
     found, before = [table_of({"step": np.empty(0, np.int64)}, "")], 0
     for chunk in recording.chunks(entries):
-        if not chunk.batch.num_rows:  # a clip by a version before 25 November 2026
-            continue
         numbers = chunk.batch[IMPACT].to_numpy() if IMPACT in chunk.batch.schema.names else np.empty(0)
         if len(numbers) != chunk.batch.num_rows or np.any(np.diff(numbers, prepend=before) <= 0):
             raise DamageError(f"rows of /{paths.IMPACTS} that are not sorted by number")

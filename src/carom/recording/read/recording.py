@@ -33,7 +33,6 @@ from carom.scene.wording import counted
 
 if TYPE_CHECKING:
     from carom.physics.checkpoint import Checkpoint
-    from carom.runs.window import Watcher, Window
 
 # A public version in its normal form (https://packaging.python.org/en/latest/specifications/version-specifiers/). The
 # text is a stranger's and becomes a command, so nothing else is quoted.
@@ -158,12 +157,10 @@ class Recording(FrameTables):
         first, last = self.lives.T
         return np.asarray((first >= 0) & (first <= step) & (step <= last))
 
-    def trajectory(
-        self, body: int | str, start: float = -np.inf, end: float = np.inf, *, replay: bool = False
-    ) -> pa.Table:
+    def trajectory(self, body: int | str, start: float = -np.inf, end: float = np.inf) -> pa.Table:
         """Return the path of one body, with one row per frame.
 
-        Raises RecordingError if there is no such body or no frame in the interval, or the run cannot be repeated.
+        Raises RecordingError if there is no such body or no frame in the interval.
 
         Parameters
         ----------
@@ -171,34 +168,24 @@ class Recording(FrameTables):
             Its number or its name.
         start, end
             s, both included.
-        replay
-            Whether to recompute the frames, for all columns in float64.
 
         Returns
         -------
         path
             Columns step, time (s), x, y, z (m), vx, vy, vz (m/s), with orientations qx, qy, qz, qw, with spins wx, wy,
-            wz (rad/s), and ``exact``: whether the row is in float64. Without a replay, only rows of checkpoints are
-            exact; the others have float32 positions and nulls elsewhere. The metadata of the schema state the
-            ``source``.
+            wz (rad/s), and ``exact``: whether the row is in float64. Only rows of checkpoints are; the others have
+            float32 positions and nulls elsewhere. `carom.rerun` computes all in float64. The metadata of the schema
+            state the ``source``.
         """
         check_times(start=start, end=end)
-        return trajectory(self, body, start, end, replay=replay)
+        return trajectory(self, body, start, end)
 
-    def impacts(
-        self,
-        start: float | None = None,
-        end: float | None = None,
-        body: int | str | None = None,
-        *,
-        replay: bool = False,
-        watch: Watcher | None = None,
-    ) -> pa.Table:
-        """Return the impacts of an interval in order of time.
+    def impacts(self, start: float | None = None, end: float | None = None, body: int | str | None = None) -> pa.Table:
+        """Return the recorded impacts of an interval in order of time; numbers above 3.4e38 are infinite.
 
-        If they are not recorded, the steps are recomputed. A clip also holds the impacts of the step before its first
-        frame. A clip of selected bodies holds only impacts among them or with planes. Raises RecordingError if there is
-        no such body or it is not shown, no part of the interval is recorded, or the run cannot be repeated.
+        A clip also holds the impacts of the step before its first frame. A clip of selected bodies holds only impacts
+        among them or with planes. Raises RecordingError if there is no such body or it is not shown, no part of the
+        interval is recorded, or no impacts are recorded; `carom.rerun` computes them all, in float64.
 
         Parameters
         ----------
@@ -206,10 +193,6 @@ class Recording(FrameTables):
             s, both included; by default the whole recording.
         body
             Number or name of a body whose impacts are returned; by default all impacts.
-        replay
-            Whether to recompute the steps in any case, to get all impacts, and all numbers in float64.
-        watch
-            Called now and then during a replay with its progress.
 
         Returns
         -------
@@ -221,22 +204,18 @@ class Recording(FrameTables):
             schema state the ``source`` and how many impacts were ``left_out`` of the recording.
         """
         check_times(start=start, end=end)
-        return impacts(self, start, end, body, replay=replay, watch=watch)
+        return impacts(self, start, end, body)
 
-    def contacts(self, at: float | None = None, *, replay: bool = False, watch: Watcher | None = None) -> pa.Table:
-        """Return the contacts of the step that contains a time, by pair.
+    def contacts(self, at: float | None = None) -> pa.Table:
+        """Return the recorded contacts of the step that contains a time, by pair.
 
-        A step without a frame or without recorded contacts is recomputed. Raises RecordingError if the time is not in
-        the recording, or the run cannot be repeated.
+        Raises RecordingError if the time is not in the recording, or the step has no frame or no recorded contacts;
+        `carom.rerun` computes them, in float64.
 
         Parameters
         ----------
         at
             s, by default the moment of `moment`.
-        replay
-            Whether to recompute the step in any case, for all columns in float64.
-        watch
-            Called now and then during a replay with its progress.
 
         Returns
         -------
@@ -247,7 +226,7 @@ class Recording(FrameTables):
             kick but opened within the step. The metadata of the schema state the ``source``.
         """
         check_times(at=at)
-        return contacts(self, at, replay=replay, watch=watch)
+        return contacts(self, at)
 
     @cached_property
     @named
@@ -270,14 +249,6 @@ class Recording(FrameTables):
         rows = zip(table[STEP].to_pylist(), table["time"].to_pylist(), strict=True)
         times |= {int(step): float(time) for step, time in rows}
         return dict(sorted(times.items()))
-
-    def rerun(
-        self, before: float, *, contacts: bool = False, threads: int | None = None, watch: Watcher | None = None
-    ) -> Window:
-        """Rerun from the last checkpoint before a time (s), for unrecorded data; see `carom.runs.window`."""
-        from carom.runs.window import Window  # noqa: PLC0415 - loads the physics
-
-        return Window(self, before, contacts=contacts, threads=threads, watch=watch)
 
     @property
     def checkpoint_steps(self) -> list[int]:
@@ -330,38 +301,6 @@ class Recording(FrameTables):
     def _repr_html_(self) -> str:
         """Return the summary as a table, for notebooks."""
         return html_of(self)
-
-    def view(self, at: float | None = None, *, event: str | None = None, bodies: str | None = None) -> None:
-        """Open Rerun's viewer in a window, paused at a moment; return when the window is closed.
-
-        Raises RecordingError if there is no such moment, event or body, or no screen.
-
-        Parameters
-        ----------
-        at
-            s; without it, the event or otherwise the most interesting moment.
-        event
-            The name of an event, whose bodies the close-up view shows.
-        bodies
-            The bodies of the close-up view, by numbers or names separated by a comma.
-        """
-        from carom.display.request import Request  # noqa: PLC0415 - readers need no viewer
-        from carom.display.viewer import open_window  # noqa: PLC0415
-
-        open_window(self.path, Request(at, event, bodies))
-
-    def show(
-        self, at: float | None = None, *, height: int = 600, event: str | None = None, bodies: str | None = None
-    ) -> None:
-        """Display Rerun's viewer below the cell of a notebook, paused at a moment. Needs `carom[notebook]`.
-
-        The moment, the event and the bodies are those of `view`; the height is in pixels, the width that of the cell.
-        Raises RecordingError if there is no such moment, event or body, or rerun-notebook is not installed.
-        """
-        from carom.display.notebook import show  # noqa: PLC0415 - readers need no viewer
-        from carom.display.request import Request  # noqa: PLC0415
-
-        show(self, Request(at, event, bodies), height)
 
     @cached_property
     def _given_state(self) -> dict[str, Values]:

@@ -53,8 +53,8 @@ class BodyTable:
     def __call__(self, at: float | None = None) -> pa.Table:
         """Return the state of all bodies at the end of the step that contains a time, in float64.
 
-        It is read from a checkpoint, or recomputed from the previous one. By default, the time (s) is that of
-        `Recording.moment`. Raises RecordingError if it is not in the recording, or the run cannot be repeated.
+        By default, the time (s) is that of `Recording.moment`. Raises RecordingError if it is not in the recording, or
+        this step has no checkpoint; `carom.rerun` then computes the state.
 
         Returns
         -------

@@ -10,7 +10,7 @@ import numpy as np
 import pyarrow as pa
 
 from carom.arrays import FloatArray, IntArray, SingleArray
-from carom.errors import DamageError, RecordingError
+from carom.errors import DamageError, NotRecordedError, RecordingError
 from carom.event import Event
 from carom.recording.read.entities import (
     EVENTS,
@@ -25,7 +25,7 @@ from carom.recording.read.entities import (
     reading,
     values_of,
 )
-from carom.recording.read.lookup import body_number, frame_of, goal_of, shown_body, tolerance
+from carom.recording.read.lookup import body_number, frame_of, shown_body, tolerance
 from carom.recording.read.statics import Statics, named
 from carom.recording.rrd.messages import release_memory
 from carom.recording.schema import paths
@@ -206,13 +206,20 @@ AXES = {
 def bodies_at(recording: Recording, at: float | None) -> pa.Table:
     """Return the state of all bodies at the end of the step that contains a time (s); see `BodyTable`."""
     at = recording.moment(at)
-    row, source, checkpoint = frame_of(recording, at), "checkpoint", None
+    row, checkpoint = frame_of(recording, at), None
     if row is not None:
         step = int(recording.fingerprints()[STEP][row].as_py())
         checkpoint = recording.checkpoint(step) if step in recording.checkpoint_times else None
     if checkpoint is None:
-        window = recording.rerun(goal_of(recording, at))
-        checkpoint, source = window.state_at(at), window.source
+        when = recording.units.text(at, TIME, ".9g")
+        raise NotRecordedError(
+            recording.path, f"the exact state at the end of the step that contains {when}", recording.engine
+        )
+    return table_of_bodies(recording, checkpoint, "checkpoint")
+
+
+def table_of_bodies(recording: Recording, checkpoint: Checkpoint, source: str) -> pa.Table:
+    """Return a state as a table of all bodies; see `BodyTable`."""
     numbers = np.flatnonzero(recording.present(checkpoint.step))
     states = state_table([checkpoint], numbers)
     names = recording.bodies.name
@@ -236,8 +243,13 @@ def state_table(states: Sequence[Checkpoint], which: slice | int | IntArray) -> 
     return pa.table(columns)
 
 
-def trajectory(recording: Recording, body: int | str, start: float, end: float, *, replay: bool) -> pa.Table:
+def trajectory(recording: Recording, body: int | str, start: float, end: float) -> pa.Table:
     """Return the path of one body; see `Recording.trajectory`."""
+    return _recorded_path(recording, *frames_with(recording, body, start, end))
+
+
+def frames_with(recording: Recording, body: int | str, start: float, end: float) -> tuple[int, IntArray, FloatArray]:
+    """Return the number of a body, and steps and times (s) of the frames of an interval (s) that have it."""
     number = body_number(recording, body)
     frames = recording.fingerprints()
     times = frames["time"].to_numpy()
@@ -253,12 +265,7 @@ def trajectory(recording: Recording, body: int | str, start: float, end: float, 
             span = recording.units.span(max(start, float(times[0])), min(end, float(times[-1])), TIME, "g")
             raise RecordingError(f"{recording.path}: {name} does not exist from {span}")
         steps = frames[STEP].to_numpy()[inside]
-    if not replay:
-        return _recorded_path(recording, number, steps, times[inside])
-    window = recording.rerun(float(times[inside[0]]))
-    table = state_table(window.states(steps.tolist()), number)
-    exact = pa.array(np.ones(table.num_rows, dtype=bool))
-    return table.append_column("exact", exact).replace_schema_metadata({"source": window.source})
+    return number, steps, times[inside]
 
 
 def _recorded_path(recording: Recording, number: int, steps: IntArray, times: FloatArray) -> pa.Table:

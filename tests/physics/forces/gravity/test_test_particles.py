@@ -19,9 +19,10 @@ from carom.physics.forces.gravity.tree import TreeGravity
 from carom.physics.placement import place
 from carom.physics.space import Space
 from carom.recording.edit.clip import clip
-from carom.recording.export import snapshots, write
+from carom.recording.export import write
 from carom.recording.read.recording import Recording
 from carom.recording.schema import paths
+from carom.runs.recomputed import snapshots
 from carom.runs.replay import replay
 from carom.runs.resume import continue_run, resumable_run
 from carom.scene.schema import Scene

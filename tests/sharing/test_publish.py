@@ -21,7 +21,7 @@ from carom.display import web
 from carom.display.picture import Shot
 from carom.recording.read.recording import Recording
 from carom.recording.write.recorder import FrameRecorder
-from carom.runs import publish as publishing
+from carom.sharing import publish as publishing
 from carom_command import carom
 from needs import BROWSER, PICTURES
 from scripted_run import ScriptedRun
@@ -276,7 +276,7 @@ def test_a_publication_that_fails_leaves_the_old_folder(
 
     carom("publish", run.name, "-o", "out", cwd=run.parent)
     before = {path.name: path.read_bytes() for path in (run.parent / "out").iterdir()}
-    monkeypatch.setattr("carom.runs.publish.write_page", fail)
+    monkeypatch.setattr("carom.sharing.publish.write_page", fail)
     assert carom("publish", run.name, "-o", "out", "--force", cwd=run.parent).returncode != 0
     assert {path.name: path.read_bytes() for path in (run.parent / "out").iterdir()} == before
     assert sorted(path.name for path in run.parent.iterdir()) == ["my run.rrd", "out"]

@@ -1,4 +1,4 @@
-"""A run that tests of this folder read."""
+"""A run that several tests read."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from small_scenes import cloud
 
 
 @pytest.fixture(scope="session")
-def _cloud_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def cloud_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return carom.run(cloud(), tmp_path_factory.mktemp("cloud") / "cloud.rrd").path
 
 
 @pytest.fixture
-def cloud_run(_cloud_file: Path) -> Recording:
+def cloud_run(cloud_file: Path) -> Recording:
     """The whole run of `cloud()`; its file must not be written to."""
-    return Recording.open(_cloud_file)
+    return Recording.open(cloud_file)

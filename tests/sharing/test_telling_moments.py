@@ -10,9 +10,9 @@ import pytest
 import carom
 from carom.recording.read.recording import Recording
 from carom.runs.outcome import description, problems
-from carom.runs.publish import telling_moments
 from carom.scene.scene_file import starter
 from carom.scene.schema import Scene
+from carom.sharing.publish import telling_moments
 
 
 def ball(**changes: Any) -> Scene:

@@ -17,11 +17,11 @@ from carom.errors import RecordingError
 from carom.event import Event
 from carom.recording.edit import bundle
 from carom.recording.read.recording import Recording
-from carom.runs import report as reports
 from carom.runs.replay import replay
-from carom.runs.report import Report, report, worst_moment
 from carom.scene.schema import Scene
 from carom.scene.wording import command_of_a_file, escaped
+from carom.sharing import report as reports
+from carom.sharing.report import Report, report, worst_moment
 from edited_recordings import changed, mapped
 from small_scenes import cloud
 

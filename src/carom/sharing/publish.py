@@ -42,9 +42,9 @@ from carom.recording.read.recording import Recording
 from carom.recording.schema.paths import STEP
 from carom.recording.write.whole_file import Claim, is_link_of_another, write_whole
 from carom.runs.outcome import FAILURES, Moment, description, headline, moments, overview, problems
-from carom.runs.report import ENERGY_ERROR, worst_moment
 from carom.scene.units.dimension import ANGULAR_IMPULSE, ENERGY, IMPULSE, TIME, VELOCITY
 from carom.scene.wording import counted
+from carom.sharing.report import ENERGY_ERROR, worst_moment
 
 LIST = "carom-page.json"  # lists the files of a publication with their digests
 WHAT = "files of a page that carom published; `carom publish --force` replaces these and no others"

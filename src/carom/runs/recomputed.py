@@ -1,0 +1,127 @@
+"""Data of a recording: read where the file holds them, otherwise computed from the last checkpoint before them."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+from numpy.typing import NDArray
+
+from carom.arrays import BoolArray, FloatArray, IntArray
+from carom.errors import NotRecordedError, RecordingError, SceneError
+from carom.recording.export import Snapshot
+from carom.recording.read.lookup import goal_of, interval, tolerance
+from carom.recording.read.recorded_contacts import MEASURED
+from carom.recording.read.recording import Recording
+from carom.recording.schema.paths import STEP
+from carom.runs.window import Watcher, Window
+
+
+def contacts_of(
+    recording: Recording, at: float | None = None, *, replay: bool = False, watch: Watcher | None = None
+) -> pa.Table:
+    """Return the contacts of the step that contains a time (s); see `Recording.contacts`.
+
+    With ``replay``, the step is computed in any case, for all columns in float64. ``watch`` receives its progress.
+    """
+    moment = recording.moment(at)
+
+    def computed() -> pa.Table:
+        return Window(recording, goal_of(recording, moment), contacts=True, watch=watch).contacts(moment)
+
+    return computed() if replay else _recorded_or(computed, lambda: recording.contacts(moment))
+
+
+def impacts_of(
+    recording: Recording,
+    start: float | None = None,
+    end: float | None = None,
+    *,
+    replay: bool = False,
+    watch: Watcher | None = None,
+) -> pa.Table:
+    """Return the impacts of an interval (s); see `Recording.impacts`.
+
+    With ``replay``, the steps are computed in any case, for all impacts and for all columns in float64. ``watch``
+    receives their progress.
+    """
+    first, last = interval(recording, start, end)
+    first, last = first - tolerance(first), last + tolerance(last)
+
+    def computed() -> pa.Table:
+        return Window(recording, first, contacts=True, watch=watch).impacts(first, last)
+
+    return computed() if replay else _recorded_or(computed, lambda: recording.impacts(start, end))
+
+
+def _recorded_or(computed: Callable[[], pa.Table], recorded: Callable[[], pa.Table]) -> pa.Table:
+    """Return the recorded table if there is one, and its numbers are in the range of float32 (3.4e38)."""
+    try:
+        table = recorded()
+    except NotRecordedError:
+        return computed()
+    if any(bool(np.isinf(table[name].to_numpy()).any()) for name in MEASURED):
+        with suppress(RecordingError, SceneError):
+            return computed()
+    return table
+
+
+def snapshots(
+    recording: Recording, at: float | None, *, everything: bool, watch: Watcher | None = None
+) -> Iterator[Snapshot]:
+    """Yield the state at a time (s), or all recorded frames; steps between checkpoints are recomputed.
+
+    Raises RecordingError if there is no such moment, or a rerun does not give the same bits.
+    """
+    table = recording.fingerprints()
+    times, steps = table["time"].to_numpy(), table[STEP].to_numpy()
+    recording.require_frames()
+    moment = float(times[0]) if everything else recording.moment(at)
+    goal = min(moment - tolerance(moment), float(times[-1]))
+    if recording.engine:
+        yield from _kept(recording, steps if everything else steps[[int(np.searchsorted(times, goal))]])
+        return
+    window = Window(recording, goal, watch=watch)
+    own = _own(recording, window.fixed)
+    wanted, left = (set(steps.tolist()), len(steps)) if everything else (set[int](), 1)
+    frames = window.frames(np.inf if everything else goal)
+    chosen = (frame for frame in frames if (frame.step in wanted if everything else frame.time >= goal))
+    for frame in itertools.islice(chosen, left):
+        if window.differs is not None:
+            raise RecordingError(f"{recording.path}: the rerun has different bits from step {window.differs} on")
+        left -= 1
+        yield Snapshot(frame.checkpoint, *own, window.cell(frame.time))
+    if left:
+        raise RecordingError(f"{recording.path} ends earlier when it is rerun; its bits differ")
+
+
+def _kept(recording: Recording, steps: IntArray) -> Iterator[Snapshot]:
+    """Yield the exact states of some frames of a run that cannot be repeated."""
+    body, mass, radius, others = _own(recording, np.zeros(len(recording.bodies.mass), np.bool_))
+    kept = recording.checkpoint_times
+    if missing := [int(step) for step in steps if step not in kept]:
+        raise RecordingError(
+            f"{recording.path} has no exact state at step {missing[0]} and cannot be rerun; record with exact=True"
+        )
+    for state in recording.checkpoints(steps.tolist()):
+        there = recording.present(state.step)[body]
+        own = {name: values[there] for name, values in others.items()}
+        yield Snapshot(state, body[there], mass[there], radius[there], own)
+
+
+def _own(recording: Recording, fixed: BoolArray) -> tuple[IntArray, FloatArray, FloatArray, dict[str, NDArray[Any]]]:
+    """Return numbers, masses and radii of the shown bodies, and further columns that differ from the defaults."""
+    bodies, shown, found = recording.bodies, np.array(recording.shown, dtype=np.int64), dict[str, NDArray[Any]]()
+    mass, radius, inertia = (np.asarray(each)[shown] for each in (bodies.mass, bodies.radius, bodies.inertia))
+    if not np.allclose(inertia, 0.4 * mass * radius * radius, rtol=1e-12, atol=0.0):
+        found["inertia"] = inertia
+    if fixed[shown].any():
+        found["fixed"] = fixed[shown]
+    names = [bodies.name[body] for body in recording.shown]
+    if any(name != f"body {row}" for row, name in enumerate(names)):
+        found["name"] = np.array(names, dtype=np.str_)
+    return shown, mass, radius, found
