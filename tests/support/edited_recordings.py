@@ -169,7 +169,7 @@ def _index(old: bytes, moved: dict[int, tuple[int, bytes]], change: Change) -> b
         assert isinstance(payload, bytes) and isinstance(size, int)
         batch = record_batch(memoryview(payload), LZ4, size)
         chunks = [moved[offset] for offset in batch["chunk_byte_offset"].to_pylist()]
-        rows = [decode(body)[1].batch.num_rows for _, body in chunks]
+        rows = [decode(body, messages.LARGEST)[1].batch.num_rows for _, body in chunks]
         columns = {"offset": [at for at, _ in chunks], "size": [len(body) for _, body in chunks]}
         for name, values in columns.items():
             batch = with_column(batch, f"chunk_byte_{name}", pa.array(values, pa.uint64()))

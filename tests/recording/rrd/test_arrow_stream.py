@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
+import tempfile
 from collections.abc import Callable
 from pathlib import Path
 
@@ -9,12 +12,13 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
+import inflated_recordings
 from carom.arrow_claims import claims
 from carom.errors import DamageError
 from carom.recording.rrd.container import Container
 from carom.recording.rrd.framing import END
 from carom.recording.rrd.messages import record_batch
-from edited_recordings import assembled, messages_of, stream, with_column
+from edited_recordings import LZ4, assembled, messages_of, stream, with_column
 
 ROWS = 200_000_000
 
@@ -109,3 +113,31 @@ def test_a_message_of_endless_fields_is_not_taken_apart(run_file: Path) -> None:
     assembled(run_file, run_file, parts, footer=False)
     with pytest.raises(DamageError, match="too many fields"):
         Container.open(run_file)
+
+
+ROOMY = 1 << 26
+
+
+@pytest.mark.parametrize(("size", "stored"), [(ROOMY + 1, 1_000_000), (ROOMY + 1, ROOMY // 8), (4 * ROOMY, ROOMY // 3)])
+def test_a_chunk_of_far_more_bytes_than_its_file_is_refused_before_it_is_unpacked(size: int, stored: int) -> None:
+    payload, held = memoryview(bytes(size // 200)), pa.total_allocated_bytes()
+    with pytest.raises(DamageError, match=f"would have {size} bytes"):
+        record_batch(payload, LZ4, size, stored)
+    assert pa.total_allocated_bytes() == held
+
+
+def test_rows_that_take_no_bytes_of_the_file_are_refused() -> None:
+    rows = 1_000_000
+    payload = stream(pa.record_batch([pa.array(np.zeros(rows))], names=["component"]))
+    packed = pa.compress(payload, codec="lz4_raw", asbytes=True)
+    with pytest.raises(DamageError, match=f"a chunk of {rows} rows in {len(packed)} bytes"):
+        record_batch(memoryview(packed), LZ4, len(payload))
+
+
+@pytest.mark.slow
+def test_no_small_recording_takes_half_a_gigabyte() -> None:
+    """The command that takes most, on a file whose states unpack 200 times. `make hunt` tries all."""
+    with tempfile.TemporaryDirectory() as folder:
+        done = [sys.executable, inflated_recordings.__file__, folder, "state-checkpoint-moving-whole"]
+        said = subprocess.run(done, capture_output=True, text=True, check=False)
+    assert said.returncode == 0, said.stdout + said.stderr

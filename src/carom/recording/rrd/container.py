@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
@@ -62,7 +63,7 @@ class Container:
             footer = framing.read_footer(file)
             if footer is not None:
                 return cls(path, _manifests(footer, path.stat().st_size), finished=True)
-            index = ChunkIndex()
+            index = ChunkIndex(path.stat().st_size)
             for message in framing.messages(file):
                 index.add(message, read_body(file, message))
             return cls(path, index.stores(), finished=False)
@@ -70,9 +71,10 @@ class Container:
     def chunks(self, entries: Iterable[Entry]) -> Iterator[Chunk]:
         """Read chunks in order. Raises DamageError if one differs from the index."""
         with self.path.open("rb") as file:
+            stored = os.fstat(file.fileno()).st_size
             for entry in entries:
                 file.seek(entry.offset)
-                _, chunk = decode(file.read(entry.length))
+                _, chunk = decode(file.read(entry.length), stored)
                 found = chunk.entity_path, chunk.is_static, chunk.batch.num_rows
                 lacks_steps = entry.first_step is not None and STEP not in chunk.timelines
                 if found != (entry.entity_path, entry.is_static, entry.rows) or lacks_steps:
@@ -81,9 +83,10 @@ class Container:
 
 
 class ChunkIndex:
-    """An index built message by message, for files without a footer."""
+    """An index built message by message, for a file of ``stored`` bytes without a footer."""
 
-    def __init__(self) -> None:
+    def __init__(self, stored: int) -> None:
+        self._stored = stored
         self._stores: dict[tuple[int, str], Store] = {}
         self._activated: set[str] = set()
 
@@ -95,7 +98,7 @@ class ChunkIndex:
             case framing.ACTIVATION:
                 self._activated.add(activated_by(body).store_id)
             case framing.CHUNK:
-                store, chunk = decode(body)
+                store, chunk = decode(body, self._stored)
                 self._known(store).entries.append(entry_of(chunk, message))
 
     def stores(self) -> list[Store]:
@@ -114,7 +117,7 @@ def _manifests(footer: bytes, size: int) -> list[Store]:
             raise DamageError("malformed footer")
         parts = messages.fields(manifest)
         table = messages.fields(messages.data(parts, 4))
-        batch = record_batch(messages.data(table, 2), messages.number(table, 3), messages.number(table, 4))
+        batch = record_batch(messages.data(table, 2), messages.number(table, 3), messages.number(table, 4), size)
         store = store_named(messages.data(parts, 1))
         if batch.num_rows > size // _SHORTEST:
             raise DamageError(f"its footer lists {batch.num_rows} chunks in {size} bytes")
@@ -215,7 +218,7 @@ class _Pass:
         self._file = file
         self._size = size
         self._found = found
-        self._index = ChunkIndex()
+        self._index = ChunkIndex(size)
         self._budget = _PATIENCE * size
 
     def go(self) -> None:
@@ -270,7 +273,7 @@ class _Pass:
             return False
         try:
             message = next(framing.messages(self._file, at))
-            ChunkIndex().add(message, self._body(message))
+            ChunkIndex(self._size).add(message, self._body(message))
         except DamageError:
             return False
         return True
