@@ -85,8 +85,8 @@ def attacks(source: Path, folder: Path) -> Iterator[Path]:
                 if (larger := inflated(parts[k][1], noise, TIMES * noise or ROOMY)) is not None:
                     made[k] = (CHUNK, larger)
             if made != parts:
-                kind = "static" if static else "moving"
-                name = f"{ATTACK}{entity.replace('/', '-')}-{kind}-{'whole' if footer else 'killed'}.rrd"
+                rows = "static" if static else "moving"
+                name = f"{ATTACK}{entity.replace('/', '-')}-{rows}-{'whole' if footer else 'killed'}.rrd"
                 yield assembled(source, folder / name, made, footer)
 
 
