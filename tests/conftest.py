@@ -27,8 +27,8 @@ from collections.abc import Generator
 
 import pytest
 
-from carom.cli.run import start_on_a_new_installation
 from carom.extend import cores
+from carom.terminal.compilation import start_on_a_new_installation
 from cloud_run import cloud_file, cloud_run  # noqa: F401 - fixtures
 from needs import missing_though_required, need
 from other_processor import other_processor  # noqa: F401 - a fixture

@@ -11,32 +11,6 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from carom.cli.options import ForceOption as ForceOption
-    from carom.cli.options import JsonOption as JsonOption
-    from carom.cli.options import OptionalTime as OptionalTime
-    from carom.cli.options import RecordingArgument as RecordingArgument
-    from carom.cli.options import SceneArgument as SceneArgument
-    from carom.cli.options import SetOption as SetOption
-    from carom.cli.options import ThreadsOption as ThreadsOption
-    from carom.cli.options import bundled as bundled
-    from carom.cli.options import not_a_folder as not_a_folder
-    from carom.cli.options import output_option as output_option
-    from carom.cli.options import recording_option as recording_option
-    from carom.cli.options import seconds as seconds
-    from carom.cli.options import simulated as simulated
-    from carom.cli.options import simulated_or_none as simulated_or_none
-    from carom.cli.options import time_option as time_option
-    from carom.cli.options import work_time as work_time
-    from carom.cli.printing import duration_text as duration_text
-    from carom.cli.printing import finite as finite
-    from carom.cli.printing import say as say
-    from carom.cli.printing import say_json as say_json
-    from carom.cli.run import announce_compilation as announce_compilation
-    from carom.cli.terminal import LiveLine as LiveLine
-    from carom.cli.terminal import Terminal as Terminal
-    from carom.cli.terminal import bar as bar
-    from carom.cli.terminal import print_whole as print_whole
-    from carom.cli.terminal import replaying as replaying
     from carom.display import keeper as keeper
     from carom.display import overlays as overlays
     from carom.display.catalog import serve_catalog as serve_catalog
@@ -209,15 +183,41 @@ if TYPE_CHECKING:
     from carom.scene.wording import nearest as nearest
     from carom.scene.wording import suggestion as suggestion
     from carom.sharing.report import report as report
+    from carom.terminal.compilation import announce_compilation as announce_compilation
+    from carom.terminal.console import LiveLine as LiveLine
+    from carom.terminal.console import Terminal as Terminal
+    from carom.terminal.console import bar as bar
+    from carom.terminal.console import print_whole as print_whole
+    from carom.terminal.console import replaying as replaying
+    from carom.terminal.options import ForceOption as ForceOption
+    from carom.terminal.options import JsonOption as JsonOption
+    from carom.terminal.options import OptionalTime as OptionalTime
+    from carom.terminal.options import RecordingArgument as RecordingArgument
+    from carom.terminal.options import SceneArgument as SceneArgument
+    from carom.terminal.options import SetOption as SetOption
+    from carom.terminal.options import ThreadsOption as ThreadsOption
+    from carom.terminal.options import bundled as bundled
+    from carom.terminal.options import not_a_folder as not_a_folder
+    from carom.terminal.options import output_option as output_option
+    from carom.terminal.options import recording_option as recording_option
+    from carom.terminal.options import seconds as seconds
+    from carom.terminal.options import simulated as simulated
+    from carom.terminal.options import simulated_or_none as simulated_or_none
+    from carom.terminal.options import time_option as time_option
+    from carom.terminal.options import work_time as work_time
+    from carom.terminal.printing import duration_text as duration_text
+    from carom.terminal.printing import finite as finite
+    from carom.terminal.printing import say as say
+    from carom.terminal.printing import say_json as say_json
 
 _NAMES = {  # of each module; docs/extending.md lists them by purpose
-    "carom.cli.options": (
+    "carom.terminal.options": (
         "ForceOption JsonOption OptionalTime RecordingArgument SceneArgument SetOption ThreadsOption bundled "
         "not_a_folder output_option recording_option seconds simulated simulated_or_none time_option work_time"
     ),
-    "carom.cli.printing": "duration_text finite say say_json",
-    "carom.cli.run": "announce_compilation",
-    "carom.cli.terminal": "LiveLine Terminal bar print_whole replaying",
+    "carom.terminal.printing": "duration_text finite say say_json",
+    "carom.terminal.compilation": "announce_compilation",
+    "carom.terminal.console": "LiveLine Terminal bar print_whole replaying",
     "carom.errors": "needing",
     "carom.physics.bodies": "Bodies",
     "carom.physics.checkpoint": "Checkpoint",

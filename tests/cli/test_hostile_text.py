@@ -13,11 +13,11 @@ from rich.table import Table
 from rich.text import Text
 
 from carom import run as carom_run
-from carom.cli.terminal import Terminal
 from carom.recording.rrd.framing import CHUNK
 from carom.recording.rrd.messages import decode
 from carom.scene.schema import Scene
 from carom.scene.wording import escaped
+from carom.terminal.console import Terminal
 from carom_command import carom
 from edited_recordings import changed, mapped, messages_of
 

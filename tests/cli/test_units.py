@@ -9,13 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from carom.cli.printing import count_text
 from carom.recording.read.recorded_scene import header_of_recording
 from carom.recording.read.recording import Recording
 from carom.recording.schema import paths
 from carom.recording.schema.series import IMPULSES, IN_PLOT, PLOTS
 from carom.scene.load import scene_from_text
 from carom.scene.units.system import SI, UnitSystem
+from carom.terminal.printing import count_text
 from carom_command import carom
 
 DROPPED = """

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from carom.cli.printing import warning_lines
 from carom.event import Event
 from carom.recording.read.recording import Recording
 from carom.scene.units.system import SI
+from carom.terminal.printing import warning_lines
 from carom_command import carom
 
 # Two spheres that overlap at rest: Baumgarte's bias throws them apart, which is a rise of the energy.

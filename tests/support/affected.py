@@ -21,7 +21,7 @@ HEAP, ORBITS = f"{_GOLDEN}[golden/heap]", f"{_GOLDEN}[golden/orbits]"
 TESTS: dict[str, tuple[str, ...]] = {
     "src/carom/": ("test_public_api.py", "test_registry.py"),
     "src/carom/cli/": ("cli/test_commands.py", "cli/test_help.py", "cli/test_contacts.py"),
-    "src/carom/cli/options": ("cli/test_units.py", "cli/test_moments.py", "lab/hunt/test_hunt.py"),
+    "src/carom/terminal/options": ("cli/test_units.py", "cli/test_moments.py", "lab/hunt/test_hunt.py"),
     "src/carom/cli/run": ("cli/test_replay.py", "cli/test_warmup.py", "cli/test_outputs.py"),
     "src/carom/lab/": ("cli/test_help.py",),
     "src/carom/lab/crosscheck/": ("lab/crosscheck", "cli/test_crosscheck.py"),
@@ -108,6 +108,7 @@ TESTS: dict[str, tuple[str, ...]] = {
     "src/carom/scene/units/": ("scene/units", "cli/test_units.py"),
     "src/carom/display/": ("display/test_presentation.py", "display/test_panels.py", "display/test_colours.py"),
     "src/carom/display/web/": ("display/test_web.py", "cli/test_view_web.py", "sharing/test_publish.py"),
+    "src/carom/terminal/": ("terminal", "cli/test_commands.py", "cli/test_help.py"),
     "src/carom/walls/": ("walls",),
     "benchmarks/": ("test_benchmark_results.py", "test_planted_faults.py"),
     "configs/": ("scene/test_starters.py", "cli/test_stress.py"),

@@ -39,7 +39,7 @@ def carom(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
         contextlib.redirect_stdout(stdout),
         contextlib.redirect_stderr(stderr),
         patch.object(sys, "argv", ["carom", *arguments]),
-        patch("carom.cli.run.announce_compilation"),  # the listener would outlive the command
+        patch("carom.physics.jit.decorators.on_compilation"),  # the listener would outlive the command
     ):
         try:
             run_command()

@@ -21,7 +21,6 @@ import pyarrow as pa
 
 from carom.cli.contacts import _json, _print
 from carom.cli.inspect import _moments, _overview, _profile
-from carom.cli.terminal import Terminal
 from carom.display.movie import _layout, frame_times
 from carom.display.presentation import asked
 from carom.display.request import Request
@@ -35,6 +34,7 @@ from carom.recording.rrd.messages import RECORDING, decode
 from carom.runs.outcome import description
 from carom.runs.replay import replay
 from carom.sharing import report
+from carom.terminal.console import Terminal
 from damage_bytes import SLOWEST, attempt, mended, peak, read_all, tell
 from edited_recordings import assembled, messages_of, repacked, stream, with_column, without_column
 

@@ -7,7 +7,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from carom.cli.options import (
+from carom.scene.units.dimension import ANGULAR_IMPULSE, ENERGY, FORCE, IMPULSE, TIME, VELOCITY, Dimension
+from carom.scene.wording import counted
+from carom.terminal.options import (
     ForceOption,
     JsonOption,
     OptionalTime,
@@ -17,9 +19,7 @@ from carom.cli.options import (
     simulated_or_none,
     time_option,
 )
-from carom.cli.printing import say, say_json
-from carom.scene.units.dimension import ANGULAR_IMPULSE, ENERGY, FORCE, IMPULSE, TIME, VELOCITY, Dimension
-from carom.scene.wording import counted
+from carom.terminal.printing import say, say_json
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -127,11 +127,11 @@ def _table(
     again: bool,
 ) -> pa.Table:
     """Return the contacts of the recording that concern the bodies."""
-    from carom.cli.terminal import replaying
     from carom.errors import RecordingError
     from carom.recording.read.lookup import names_of, shown_body
     from carom.recording.read.recorded_contacts import of_body
     from carom.runs.recomputed import contacts_of, impacts_of
+    from carom.terminal.console import replaying
 
     numbers = [shown_body(recording, body) for body in bodies]
     if len(set(numbers)) < len(numbers):
@@ -161,8 +161,8 @@ def _measure(
     output: Path | None,
 ) -> None:
     """Print or write the statistics of an interval (s)."""
-    from carom.cli.terminal import replaying
     from carom.lab.statistics.statistics_report import Statistics, draw
+    from carom.terminal.console import replaying
 
     with replaying(recording) as watch:
         statistics = Statistics.of(recording, start, end, again, watch)
@@ -270,8 +270,8 @@ def _print(recording: Recording, table: pa.Table, at: OptionalTime) -> None:
     """Print the contacts of the step that contains a time (s), or impacts if no time is given."""
     from rich.table import Table
 
-    from carom.cli.terminal import print_whole
     from carom.recording.read.lookup import names_of
+    from carom.terminal.console import print_whole
 
     names = names_of(recording)
     count, units, moment = counted(table.num_rows, "impact" if at is None else "contact"), recording.units, ""

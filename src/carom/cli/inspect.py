@@ -8,11 +8,11 @@ from itertools import zip_longest
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from carom.cli.options import JsonOption, RecordingArgument
-from carom.cli.printing import materials_table, mention_killed_run, say_json, warning_lines
 from carom.event import Event
 from carom.scene.units.dimension import TIME
 from carom.scene.wording import command, counted
+from carom.terminal.options import JsonOption, RecordingArgument
+from carom.terminal.printing import materials_table, mention_killed_run, say_json, warning_lines
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -47,7 +47,7 @@ def inspect(file: RecordingArgument, as_json: JsonOption = False) -> None:
     if as_json:
         say_json(summary)
         return
-    from carom.cli.terminal import Terminal
+    from carom.terminal.console import Terminal
 
     console = Terminal(soft_wrap=True)
     if is_overlay:

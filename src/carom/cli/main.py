@@ -223,9 +223,9 @@ def _say_warnings_once() -> None:
     show, said = warnings.showwarning, set[str]()
 
     def say_once(message: Warning | str, category: type[Warning], *place: Any, **more: Any) -> None:
-        from carom.cli.printing import say
         from carom.errors import DroppedRunWarning
         from carom.scene.load import OldNameWarning
+        from carom.terminal.printing import say
 
         if not issubclass(category, OldNameWarning | DroppedRunWarning):
             show(message, category, *place, **more)
@@ -239,8 +239,8 @@ def _say_warnings_once() -> None:
 def run_command() -> None:
     """Run the command; report a user's mistake (exit code 2) or a failure of the system (1) without a traceback."""
     # imported now: at the limit of open files, imports fail
-    from carom.cli.printing import say
     from carom.errors import ExistsError, ExperimentError, PhysicsError, RecordingError, SceneError
+    from carom.terminal.printing import say
 
     keep_freed_memory()
     collect_garbage_rarely()

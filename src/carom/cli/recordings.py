@@ -7,7 +7,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from carom.cli.options import (
+from carom.scene.units.dimension import TIME
+from carom.scene.wording import counted
+from carom.terminal.options import (
     ForceOption,
     JsonOption,
     OptionalTime,
@@ -18,9 +20,7 @@ from carom.cli.options import (
     simulated_or_none,
     time_option,
 )
-from carom.cli.printing import bytes_text, mention_killed_run, say, say_json
-from carom.scene.units.dimension import TIME
-from carom.scene.wording import counted
+from carom.terminal.printing import bytes_text, mention_killed_run, say, say_json
 
 if TYPE_CHECKING:
     from carom.scene.units.system import UnitSystem
@@ -157,13 +157,13 @@ def export(
 
     States between checkpoints are computed again. With --all, a .vtk becomes a folder of files and a .vtk.series.
     """
-    from carom.cli.terminal import replaying
     from carom.errors import RecordingError
     from carom.recording.edit.bundle import opened
     from carom.recording.export import VTK, refuse_format, refuse_series, series_of, write
     from carom.recording.read.recording import Recording
     from carom.recording.write.whole_file import refuse_output
     from carom.runs.recomputed import snapshots
+    from carom.terminal.console import replaying
 
     refuse_format(output)
     if everything and at is not None:
@@ -199,10 +199,10 @@ def report(
     """Pack a bug report into a zip of less than 10 MB: clip, scene, picture, versions and a summary to paste."""
     from dataclasses import asdict
 
-    from carom.cli.run import announce_compilation
     from carom.recording.read.recording import Recording
     from carom.recording.write.whole_file import refuse_output
     from carom.sharing.report import report as make
+    from carom.terminal.compilation import announce_compilation
 
     recording = Recording.open(file)
     path = output or file.with_name(f"{file.stem}-report.zip")

@@ -1,16 +1,9 @@
-"""Commands that simulate: `carom run`, `resume`, `replay`, and `warmup`, which compiles the kernels ahead.
-
-This module loads neither Numba nor the physics at its import: on a new installation, a second process, which compiles
-kernels, starts before the run loads them.
-"""
+"""Commands that simulate: `carom run`, `resume`, `replay`, and `warmup`, which compiles the kernels ahead."""
 
 from __future__ import annotations
 
-import os
-import subprocess
 import sys
-import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
@@ -18,7 +11,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from carom.cli.options import (
+from carom.scene.units.dimension import TIME
+from carom.scene.wording import command
+from carom.terminal.compilation import NO_CACHE, announce_compilation, start_on_a_new_installation
+from carom.terminal.options import (
     ForceOption,
     JsonOption,
     LiveOption,
@@ -34,19 +30,14 @@ from carom.cli.options import (
     simulated_or_none,
     time_option,
 )
-from carom.cli.printing import duration_text, mention_killed_run, say, say_json
-from carom.physics import jit
-from carom.physics.jit import cores
-from carom.scene.units.dimension import TIME
-from carom.scene.wording import command
+from carom.terminal.printing import duration_text, mention_killed_run, say, say_json
 
 if TYPE_CHECKING:
-    from carom.cli.progress import RunProgress
     from carom.runs.refinement import Refinement
     from carom.runs.replay import Replay
     from carom.runs.run import Outcome
-    from carom.scene.schema import Scene
     from carom.scene.units.system import UnitSystem
+    from carom.terminal.progress import RunProgress
 
 NAMED = 3  # descriptions of data that were not compared, printed at most
 ASKS_ABOVE = 60.0  # s; a longer replay requires consent
@@ -78,8 +69,8 @@ def run(
 
     path = output or default_output(Path(scene).stem)
     with claimed_output(path, force) as claim:
-        from carom.cli.progress import RunProgress, preparing, watch_look_ahead
         from carom.runs.run import recording_space, simulate
+        from carom.terminal.progress import RunProgress, preparing, watch_look_ahead
 
         progress = RunProgress(loaded, quiet=as_json)
         announce_compilation(progress.say, helped, loaded)
@@ -146,10 +137,10 @@ def resume(
     as_json: JsonOption = False,
 ) -> None:
     """Continue a run that was interrupted, killed or has ended; results are the same as without interruption."""
-    from carom.cli.progress import RunProgress
     from carom.recording.read.recording import Recording
     from carom.runs.resume import claimed_target, resumable_run, under_way
     from carom.runs.resume import continue_run as go_on
+    from carom.terminal.progress import RunProgress
 
     if until is not None and not 0.0 < until < float("inf"):
         raise typer.BadParameter(f"{until:g}: expected a time later than the start", param_hint="--until")
@@ -301,58 +292,6 @@ def _print(result: Replay, units: UnitSystem) -> None:
             say(f"{when} with {', '.join(f'{name} {version}' for name, version in sorted(packages.items()))}")
     if result.dense:
         say(f"Every step: {result.dense}")
-
-
-NO_CACHE = "no cache folder is writable; set NUMBA_CACHE_DIR to a folder of your own"
-
-
-def start_compiling() -> subprocess.Popen[bytes] | None:
-    """Start a second process that compiles kernels beside the first run, and ends with it; return None on one core."""
-    if cores() < 2:
-        return None
-    try:
-        helper = subprocess.Popen(
-            [sys.executable, "-P", "-m", "carom.runs.warmup"],
-            stdin=subprocess.PIPE,  # closed when this process ends
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
-        )
-    except OSError:
-        return None
-    threading.Thread(target=helper.wait, name="compile-ahead", daemon=True).start()  # prevents a zombie process
-    return helper
-
-
-def start_on_a_new_installation() -> subprocess.Popen[bytes] | None:
-    """Start the second process before the run loads its modules, if the default cache folder contains no kernel.
-
-    With another cache folder, the second process starts at the first compilation.
-    """
-    folder = Path(jit.__file__).parent / "__pycache__"
-    new = "NUMBA_CACHE_DIR" not in os.environ and os.access(folder, os.W_OK) and not any(folder.glob("*.nbc"))
-    return start_compiling() if new else None
-
-
-def announce_compilation(
-    say: Callable[[str], None] | None = None, helped: bool = False, scene: Scene | None = None
-) -> None:
-    """Announce the first compilation of a kernel, by default on stderr, and start a second process for others.
-
-    ``helped`` says that the process already runs. The time that compilation takes depends on the scene.
-    """
-    from carom.physics.jit.decorators import cache_folder, on_compilation
-
-    takes = "one or two minutes" if scene and (scene.wall or scene.contact.laws) else "about 15 s"
-    text = f"Compiling kernels, once on this machine ({takes}) …"
-    if not cache_folder():
-        text = f"Compiling kernels ({takes}), at every start: {NO_CACHE} …"
-
-    def announce() -> None:
-        (say or partial(typer.echo, err=True))(text)
-        if not helped and cache_folder():
-            start_compiling()
-
-    on_compilation(announce)
 
 
 def warmup(scenes: ScenesArgument = None, as_json: JsonOption = False) -> None:

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from carom.cli.options import ForceOption, JsonOption, SceneArgument, SetOption
-from carom.cli.printing import bytes_text, count_text, duration_text, materials_table, say_json, simulated_text
 from carom.scene.units.dimension import TIME
 from carom.scene.wording import command, counted
+from carom.terminal.options import ForceOption, JsonOption, SceneArgument, SetOption
+from carom.terminal.printing import bytes_text, count_text, duration_text, materials_table, say_json, simulated_text
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -44,7 +44,7 @@ def scenes(
         return
     from rich.table import Table
 
-    from carom.cli.terminal import Terminal
+    from carom.terminal.console import Terminal
 
     table = Table("scene", "what it is", "bodies", box=None, pad_edge=False)
     for name, (_, scene) in found.items():
@@ -104,14 +104,14 @@ def explain(
     import json
     from dataclasses import asdict
 
-    from carom.cli.progress import notes_on, preparing, watch_look_ahead
-    from carom.cli.run import announce_compilation
-    from carom.cli.terminal import LiveLine, Patience, Terminal
     from carom.errors import SceneError
     from carom.recording.schema.header import ShownMaterials
     from carom.runs.estimate import estimate
     from carom.scene.parts import PARTS, unknown
     from carom.scene.schema import Scene
+    from carom.terminal.compilation import announce_compilation
+    from carom.terminal.console import LiveLine, Patience, Terminal
+    from carom.terminal.progress import notes_on, preparing, watch_look_ahead
 
     changes, further = list(overrides or []), [*(parts or []), *(forced or [])]
     for part in further:

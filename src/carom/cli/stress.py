@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from carom.cli.options import JsonOption, SetOption, output_option
-from carom.cli.printing import duration_text, say_json
 from carom.errors import SceneError
 from carom.scene.scene_file import EXTREMES, extreme_scenes
 from carom.scene.units.dimension import TIME
 from carom.scene.wording import command, suggestion
+from carom.terminal.options import JsonOption, SetOption, output_option
+from carom.terminal.printing import duration_text, say_json
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -98,13 +98,13 @@ def stress(
     """Run the scenes at the limits of the method and compare each with its criteria; exit with 1 on a miss."""
     from rich.markup import escape
 
-    from carom.cli.progress import RunProgress
-    from carom.cli.run import announce_compilation
-    from carom.cli.terminal import Terminal
     from carom.recording.write.whole_file import output_folder
     from carom.runs.environment import versions
     from carom.runs.outcome import in_words
     from carom.scene.schema import Scene
+    from carom.terminal.compilation import announce_compilation
+    from carom.terminal.console import Terminal
+    from carom.terminal.progress import RunProgress
 
     scenes = {short: Scene.load(path, overrides) for short, path in extremes(name).items()}
     output_folder(folder)

@@ -10,7 +10,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from carom.cli.options import (
+from carom.scene.units.dimension import TIME
+from carom.scene.wording import counted
+from carom.terminal.options import (
     ForceOption,
     JsonOption,
     OptionalTime,
@@ -21,9 +23,7 @@ from carom.cli.options import (
     simulated_or_none,
     time_option,
 )
-from carom.cli.printing import bytes_text, duration_text, say, say_json
-from carom.scene.units.dimension import TIME
-from carom.scene.wording import counted
+from carom.terminal.printing import bytes_text, duration_text, say, say_json
 
 if TYPE_CHECKING:
     from carom.display.request import Request
@@ -79,11 +79,11 @@ def view(
     """
     if port and not web:
         raise typer.BadParameter("--port needs --web")
-    from carom.cli.run import announce_compilation
     from carom.display.request import Request
     from carom.display.viewer import open_window
     from carom.recording.edit.bundle import opened
     from carom.recording.read.recording import Recording
+    from carom.terminal.compilation import announce_compilation
 
     with opened(file) as path:
         time = simulated_or_none(at, Recording.open(path).units)
@@ -146,12 +146,12 @@ def picture(
 
     FILE may be the zip that `carom report` made. Earlier pictures are replaced.
     """
-    from carom.cli.run import announce_compilation
     from carom.display.picture import is_picture_of_carom, render
     from carom.display.request import Request
     from carom.recording.edit.bundle import opened
     from carom.recording.read.recording import Recording
     from carom.recording.write.whole_file import refuse_output
+    from carom.terminal.compilation import announce_compilation
 
     pixels, out = pixels_of(size), output or file.with_suffix(".png")
     if output is None and out.exists() and not is_picture_of_carom(out):
@@ -218,11 +218,11 @@ def publish(
     from contextlib import ExitStack
     from dataclasses import asdict
 
-    from carom.cli.run import announce_compilation
     from carom.recording.edit.bundle import opened
     from carom.recording.read.recording import Recording
     from carom.sharing.publish import publish as make
     from carom.sharing.publish import refuse_folder
+    from carom.terminal.compilation import announce_compilation
 
     one = files[0]
     folder = output or one.with_name(f"{one.stem}-page" if len(files) == 1 else "recordings-page")
@@ -275,12 +275,12 @@ def movie(
     force: ForceOption = False,
 ) -> None:
     """Make a movie of a recording; needs no screen."""
-    from carom.cli.terminal import MovieProgress
     from carom.display.movie import FORMATS, frame_times, pictures
     from carom.errors import RecordingError, needing
     from carom.recording.layout.canvas import CameraMotion
     from carom.recording.read.recording import Recording
     from carom.recording.write.whole_file import claimed_output
+    from carom.terminal.console import MovieProgress
 
     path = output or file.with_suffix(".mp4")
     pixels, rate = pixels_of(size), fps if fps is not None else GIF_FPS if path.suffix == ".gif" else MP4_FPS

@@ -9,8 +9,6 @@ from typing import Self
 from rich.table import Table
 from rich.text import Text
 
-from carom.cli.printing import bytes_text, duration_text, simulated_text, warning_lines
-from carom.cli.terminal import LiveLine, Patience, Terminal, bar
 from carom.physics.look_ahead.trial_run import Watcher, WorkBudget
 from carom.physics.simulation import StepStatus
 from carom.physics.space import Space
@@ -23,6 +21,8 @@ from carom.scene.schema import Scene
 from carom.scene.units.dimension import TIME
 from carom.scene.units.system import UnitSystem
 from carom.scene.wording import command, counted
+from carom.terminal.console import LiveLine, Patience, Terminal, bar
+from carom.terminal.printing import bytes_text, duration_text, simulated_text, warning_lines
 
 MANY_STEPS = 10_000_000  # some 10 s of the fastest steps
 LEAST_FRAMES = 0.9  # of the requested frames; if fewer are recorded, a note says so

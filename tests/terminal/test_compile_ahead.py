@@ -12,12 +12,12 @@ from pathlib import Path
 
 import pytest
 
-from carom.cli import run
 from carom.physics import jit as parallel
 from carom.physics.jit import cores
 from carom.physics.space import Space
 from carom.runs.warmup import SCENES
 from carom.scene.schema import Scene
+from carom.terminal import compilation
 from other_processor import OtherProcessor, written
 
 PILE = {"title": "a pile", **SCENES["a pile, recorded"]}
@@ -45,7 +45,7 @@ print(json.dumps([space.fingerprint(), listener.compiled]))
 """
 START = """
 import sys
-from carom.cli.run import start_compiling
+from carom.terminal.compilation import start_compiling
 print(start_compiling().pid, flush=True)
 sys.stdin.read()
 """
@@ -75,8 +75,8 @@ def test_the_second_process_ends_with_the_first_however_that_ends(tmp_path: Path
 
 
 def test_no_second_process_is_started_where_it_could_not_help(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(run, "cores", lambda: 1)
-    assert run.start_compiling() is None
+    monkeypatch.setattr(compilation, "cores", lambda: 1)
+    assert compilation.start_compiling() is None
 
 
 def test_on_a_new_installation_the_second_process_starts_at_once(
@@ -87,10 +87,10 @@ def test_on_a_new_installation_the_second_process_starts_at_once(
     monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
     started: list[str] = []
     monkeypatch.setattr(parallel, "__file__", str(tmp_path / "__init__.py"))
-    monkeypatch.setattr(run, "start_compiling", lambda: started.append("a process"))
-    run.start_on_a_new_installation()
+    monkeypatch.setattr(compilation, "start_compiling", lambda: started.append("a process"))
+    compilation.start_on_a_new_installation()
     (kernels / "a-kernel.nbc").touch()
-    run.start_on_a_new_installation()
+    compilation.start_on_a_new_installation()
     assert len(started) == 1
 
 

@@ -8,9 +8,9 @@ from typing import Any
 
 import pytest
 
-from carom.cli.progress import RunProgress
 from carom.recording.read.recording import Recording
 from carom.scene.schema import Scene
+from carom.terminal.progress import RunProgress
 from carom_command import carom
 
 

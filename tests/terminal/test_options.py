@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 import typer
 
-from carom.cli.options import work_time
+from carom.terminal.options import work_time
 
 
 @pytest.mark.parametrize(("text", "seconds"), [("60s", 60.0), ("90", 90.0), ("10min", 600.0), ("1.5 h", 5400.0)])

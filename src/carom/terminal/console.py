@@ -15,10 +15,10 @@ from rich.segment import Segment
 from rich.table import Table
 from rich.text import Text
 
-from carom.cli.printing import duration_text
 from carom.scene.units.dimension import TIME
 from carom.scene.units.system import UnitSystem
 from carom.scene.wording import escaped
+from carom.terminal.printing import duration_text
 
 if TYPE_CHECKING:
     from carom.arrays import FloatArray

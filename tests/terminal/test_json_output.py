@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from carom.cli.printing import finite
+from carom.terminal.printing import finite
 from carom_command import carom
 
 UNBOUNDED = """

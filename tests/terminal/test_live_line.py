@@ -8,8 +8,8 @@ from typing import Any
 
 import pytest
 
-from carom.cli import terminal as carom_terminal
-from carom.cli.terminal import LiveLine, Patience, Terminal
+from carom.terminal import console as carom_terminal
+from carom.terminal.console import LiveLine, Patience, Terminal
 
 TEXT = "looking ahead for the step that keeps 1e-06 …"
 

@@ -1,0 +1,75 @@
+"""Announces the compilation of kernels, and has a second process compile others meanwhile.
+
+This module loads neither Numba nor the physics at its import: on a new installation, the second process starts before
+the run loads them.
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import threading
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import typer
+
+from carom.physics import jit
+from carom.physics.jit import cores
+
+if TYPE_CHECKING:
+    from carom.scene.schema import Scene
+
+NO_CACHE = "no cache folder is writable; set NUMBA_CACHE_DIR to a folder of your own"
+
+
+def start_compiling() -> subprocess.Popen[bytes] | None:
+    """Start a second process that compiles kernels beside the first run, and ends with it; return None on one core."""
+    if cores() < 2:
+        return None
+    try:
+        helper = subprocess.Popen(
+            [sys.executable, "-P", "-m", "carom.runs.warmup"],
+            stdin=subprocess.PIPE,  # closed when this process ends
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+        )
+    except OSError:
+        return None
+    threading.Thread(target=helper.wait, name="compile-ahead", daemon=True).start()  # prevents a zombie process
+    return helper
+
+
+def start_on_a_new_installation() -> subprocess.Popen[bytes] | None:
+    """Start the second process before the run loads its modules, if the default cache folder contains no kernel.
+
+    With another cache folder, the second process starts at the first compilation.
+    """
+    folder = Path(jit.__file__).parent / "__pycache__"
+    new = "NUMBA_CACHE_DIR" not in os.environ and os.access(folder, os.W_OK) and not any(folder.glob("*.nbc"))
+    return start_compiling() if new else None
+
+
+def announce_compilation(
+    say: Callable[[str], None] | None = None, helped: bool = False, scene: Scene | None = None
+) -> None:
+    """Announce the first compilation of a kernel, by default on stderr, and start a second process for others.
+
+    ``helped`` says that the process already runs. The time that compilation takes depends on the scene.
+    """
+    from carom.physics.jit.decorators import cache_folder, on_compilation
+
+    takes = "one or two minutes" if scene and (scene.wall or scene.contact.laws) else "about 15 s"
+    text = f"Compiling kernels, once on this machine ({takes}) …"
+    if not cache_folder():
+        text = f"Compiling kernels ({takes}), at every start: {NO_CACHE} …"
+
+    def announce() -> None:
+        (say or partial(typer.echo, err=True))(text)
+        if not helped and cache_folder():
+            start_compiling()
+
+    on_compilation(announce)
