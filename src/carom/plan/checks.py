@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 
 from carom import registry
 from carom.errors import SceneError
@@ -11,6 +10,7 @@ from carom.plan.auto import gravity_method, integrator, uses_tree
 from carom.plan.features import require
 from carom.plan.hierarchy import why_no_hierarchy
 from carom.plan.interactions import dampings, differing, pushing
+from carom.plan.room import refuse_small_memory
 from carom.scene.contact_laws import law_called
 from carom.scene.forces import DRAG, BodyForce, PairForce, force_called
 from carom.scene.integrators import ENCOUNTERS_BY
@@ -20,11 +20,6 @@ from carom.scene.schema.piston import piston_of
 from carom.scene.units.dimension import ACCELERATION, DENSITY, LENGTH
 from carom.scene.wall_shapes import shape_called
 from carom.scene.wording import body_key, counted
-
-BYTES_PER_BODY = 700  # state, workspace, queued frames and the initial state; measured at 10⁵ bodies and rounded up
-ADDRESSES_OF_LIBRARIES = 1_100_000_000  # bytes that a run of two bodies maps, mostly libraries
-ADDRESSES_PER_BODY = 4000  # bytes mapped by a run that records every step: with 2400, 4 × 10⁵ bodies abort
-GRAVITY_BYTES_PER_BODY = {"none": 0, "direct": 550, "tree": 130, "fast-multipole": 280}  # 16 slabs of sums; boxes
 
 EARTH = 9.81  # m/s², as a user writes it: 9.8 to 9.82
 LIGHTEST = 100.0  # kg/m³; balls of cork have 200
@@ -42,11 +37,6 @@ TREE_ERRORS = {
 }
 MONOPOLES = 19.0  # factor by which the error is larger without quadrupoles, at most
 SMALLEST_ANGLE = 0.1  # rad; below, a direct sum is as fast
-
-
-def memory_estimate(scene: Scene) -> int:
-    """Estimate the memory of a run without its contacts, in bytes."""
-    return scene.count * (BYTES_PER_BODY + GRAVITY_BYTES_PER_BODY[gravity_method(scene)])
 
 
 def refuse_impossible(scene: Scene) -> None:
@@ -67,7 +57,7 @@ def refuse_impossible(scene: Scene) -> None:
         _refuse_further_forces(scene)
         _refuse_what_no_error_controls(scene)
         _refuse_what_is_no_hierarchy(scene)
-        _refuse_small_memory(scene)
+        refuse_small_memory(scene)
         _refuse_narrow_box(scene)
 
 
@@ -327,30 +317,6 @@ def _refuse_narrow_box(scene: Scene) -> None:
             f"domain.size = {units.vector(scene.domain.size, LENGTH)}: a periodic box must be at least four times the "
             f"largest radius wide ({least}), or a body may touch another body and its image at once",
             ("domain", "size"),
-        )
-
-
-def _refuse_small_memory(scene: Scene) -> None:
-    """Refuse scenes that exceed the memory or the limit of ``ulimit -v``, at which Rerun and OpenBLAS abort."""
-    import resource  # noqa: PLC0415 - POSIX only
-
-    try:
-        memory = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
-    except (AttributeError, ValueError, OSError):
-        memory = 2**47  # unknown: the whole address space
-    needed, counts = memory_estimate(scene), [group.count for group in scene.group]
-    if needed > memory:
-        raise SceneError(
-            f"{scene.count:.3g} bodies need about {needed / 1e9:.3g} GB of memory, but this machine has "
-            f"{memory / 1e9:.3g} GB; lower the count",
-            ("group", counts.index(max(counts)), "count") if counts else (),
-        )
-    limit, _ = resource.getrlimit(resource.RLIMIT_AS)
-    needed = ADDRESSES_OF_LIBRARIES + ADDRESSES_PER_BODY * scene.count
-    if limit != resource.RLIM_INFINITY and limit < needed:
-        raise SceneError(
-            f"{scene.count:.3g} bodies need about {needed / 1e9:.3g} GB of address space, but `ulimit -v` allows "
-            f"{limit / 1e9:.3g} GB; raise the limit or lower the count"
         )
 
 

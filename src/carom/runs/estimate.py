@@ -34,8 +34,8 @@ from carom.plan.auto import (
     smallest_radius,
     step_limits,
 )
-from carom.plan.checks import memory_estimate
 from carom.plan.features import Requirements
+from carom.plan.room import memory_estimate
 from carom.private_folder import temporary_folder
 from carom.recording.schema.header import Header, TimeScale
 from carom.recording.schema.series import contents

@@ -19,6 +19,7 @@ from carom.physics.diagnostics.extremes import Extremes
 from carom.physics.look_ahead.trial_run import Watcher as LookAheadWatcher
 from carom.physics.simulation import StepStatus
 from carom.physics.space import Space
+from carom.plan.room import refuse_small_disk
 from carom.recording.read.frame_rows import Continuation
 from carom.recording.read.recorded_impacts import RecordedImpacts
 from carom.recording.read.recording import Recording
@@ -196,6 +197,7 @@ def simulate(
     claimed = contextlib.nullcontext(claim) if claim else claimed_output(path, force)
     with Interrupts() as interrupts, claimed, collecting_garbage_rarely():
         began, begin = time.perf_counter(), space.time
+        refuse_small_disk(space.scene, path.absolute().parent, begin)
         header = header_of(space)
         if properties is not None:
             header = replace(header, properties=properties)

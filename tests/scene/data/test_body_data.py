@@ -560,7 +560,17 @@ def cases(of: Mapping[str, tuple[str, Any, str]]) -> list[Any]:
     return [pytest.param(name, marks=param.marks) for name, (file, *_) in of.items() for param in files(file)]
 
 
+def wide_chunk(path: Path) -> None:
+    """Write a dataset of three numbers, whose only chunk has room for 4 × 10⁸."""
+    import h5py
+
+    with h5py.File(path, "w") as file:
+        file.create_dataset("x", (3,), "f8", maxshape=(None,), chunks=(400_000_000,), compression="gzip")
+        file.update({name: np.ones(3) for name in columns() if name != "x"})
+
+
 BOMBS: dict[str, tuple[str, Callable[[Path], None], str]] = {
+    "a chunk larger than its dataset": ("a.h5", wide_chunk, "would take 3200000"),
     "datasets of a fill value": ("a.h5", filled, "would take 3200000000 bytes of memory"),
     "columns of nulls": ("a.arrow", nulls, "column x is of type null; write numbers or text"),
     "columns of one run": ("a.arrow", runs, "column x is of type run_end_encoded"),

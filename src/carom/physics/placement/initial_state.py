@@ -23,6 +23,7 @@ from carom.physics.placement.region import (
     plummer_lengths,
 )
 from carom.physics.placement.wall_clearance import refuse_crossing_walls
+from carom.plan.room import refuse_small_memory
 from carom.scene.matter import drawn_radii, made_of, mass_of, mean_volume
 from carom.scene.scene_file import KeyPath, naming_places
 from carom.scene.schema import Body, BodyGroup, Region, Scene
@@ -40,10 +41,11 @@ def place(scene: Scene) -> InitialBodies:
     Raises
     ------
     SceneError
-        If bodies with given positions overlap each other or a plane and the scene does not allow it, or a group does
-        not fit.
+        If the memory is too small, bodies with given positions overlap each other or a plane and the scene does not
+        allow it, or a group does not fit.
     """
     with naming_places(scene):
+        refuse_small_memory(scene)
         box = None if scene.domain.period is None else np.array(scene.domain.period)
         parts = [_given(scene)] if scene.body or scene.bodies else []
         if parts and scene.contact.enabled:

@@ -23,7 +23,7 @@ MOST_BYTES = 100 * MOST_ROWS  # of one column as an array
 MOST_COLUMNS = 10_000
 ROOMY = 200_000_000  # bytes to which any file may decompress, such as 3 million identical bodies
 NUMBER = 8  # bytes of a number in memory
-MOST_TIMES = 100  # largest ratio of the decompressed size to the size of the file; distinct positions hardly compress
+MOST_TIMES = 32  # largest ratio of the decompressed size to the size of the file; distinct positions hardly compress
 
 _FORTRAN = re.compile(r"([+-]?\d*\.?\d*)[dD]?([+-]?\d+)")  # 1.0D-01, or 1.0-101 where the exponent has three digits
 _LONGEST_NUMBER = 60  # characters

@@ -116,7 +116,7 @@ class _Datasets(_NamedArrays):
 
         with h5py.File(self._path, "r") as file:
             datasets = {name: file[name] for name in names}
-            claimed = sum(math.prod(each.shape) * max(each.dtype.itemsize, NUMBER) for each in datasets.values())
+            claimed = sum(_most_values(each) * max(each.dtype.itemsize, NUMBER) for each in datasets.values())
             refuse_bomb(self.called, claimed, self._path.stat().st_size)
             return {name: self._array(name, dataset) for name, dataset in datasets.items()}
 
@@ -124,8 +124,13 @@ class _Datasets(_NamedArrays):
         if dataset.external or dataset.is_virtual:
             raise SceneError(f"{self.called}: dataset {name} is stored in another file, which is not read")
         refuse_many_rows(self.called, max(dataset.shape, default=0))
-        refuse_large(self.called, f"column {name}", math.prod(dataset.shape) * dataset.dtype.itemsize)
+        refuse_large(self.called, f"column {name}", _most_values(dataset) * dataset.dtype.itemsize)
         return np.asarray(dataset[()])
+
+
+def _most_values(dataset: Any) -> int:
+    """Return how many values HDF5 unpacks at a time: the dataset or a chunk of it, which may be far larger."""
+    return max(math.prod(dataset.shape), math.prod(dataset.chunks or ()))
 
 
 class _Snapshot(_Datasets):
