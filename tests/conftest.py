@@ -27,7 +27,7 @@ from collections.abc import Generator
 
 import pytest
 
-from carom.extend import cores
+from carom.physics.jit import cores
 from carom.terminal.compilation import start_on_a_new_installation
 from cloud_run import cloud_file, cloud_run  # noqa: F401 - fixtures
 from needs import missing_though_required, need

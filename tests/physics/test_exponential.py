@@ -8,7 +8,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from carom.extend import exponential, logarithm, power
+from carom.physics.exponential import exponential, logarithm, power
 from carom.scene import portable_math
 
 ULP = 2.0**-52

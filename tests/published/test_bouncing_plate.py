@@ -16,7 +16,7 @@ import pytest
 
 from carom import Scene, Space
 from carom.arrays import FloatArray
-from carom.extend import every
+from carom.physics.schedule import every
 
 E, T, G = 0.5, 0.1, 9.81  # restitution, s and m/s²
 OMEGA = 2.0 * math.pi / T

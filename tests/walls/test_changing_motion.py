@@ -11,7 +11,7 @@ import pytest
 import carom
 from carom import Frame, Scene, Space
 from carom.arrays import FloatArray
-from carom.extend import every
+from carom.physics.schedule import every
 
 r, M, G, MU = 0.1, 2.0, 9.81, 0.3  # m and kg, of a ball; m/s²; the coefficient of friction
 

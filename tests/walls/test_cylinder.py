@@ -14,7 +14,7 @@ import carom
 from carom import Scene, Space
 from carom.arrays import FloatArray
 from carom.errors import SceneError
-from carom.extend import every
+from carom.physics.schedule import every
 
 R, r = 1.0, 0.1  # m, of the cylinder and of the ball
 G = 9.81  # m/s²

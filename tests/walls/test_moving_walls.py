@@ -13,7 +13,7 @@ import carom
 from carom import Frame, Scene, Space
 from carom.arrays import FloatArray
 from carom.errors import SceneError
-from carom.extend import every
+from carom.physics.schedule import every
 
 R, r = 1.0, 0.1  # m, of the wall and of a ball
 G, MU = 9.81, 0.3  # m/s² and the coefficient of friction

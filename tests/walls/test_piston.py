@@ -12,7 +12,7 @@ import pytest
 import carom
 from carom import Frame, Recording, Scene, Space
 from carom.arrays import FloatArray
-from carom.extend import every
+from carom.physics.schedule import every
 from carom.recording.read.recorded_scene import header_of_recording
 
 r, m = 0.05, 0.5  # m and kg, of a ball

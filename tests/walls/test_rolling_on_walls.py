@@ -10,7 +10,7 @@ import pytest
 
 from carom import Scene, Space
 from carom.arrays import FloatArray
-from carom.extend import every
+from carom.physics.schedule import every
 from rolling_balls import AT_REST, Turning, in_cone, in_cylinder, in_sphere, rolling_without_slip
 
 R, r = 1.0, 0.1  # m, of the wall and of the ball

@@ -14,7 +14,7 @@ import carom
 from carom import Frame, Scene, Space
 from carom.arrays import FloatArray
 from carom.errors import SceneError
-from carom.extend import every
+from carom.physics.schedule import every
 from carom.recording.edit.clip import clip
 
 r, M = 0.1, 2.0  # m and kg, of a ball

@@ -17,10 +17,16 @@ from typing import Any, Self
 
 import numpy as np
 
-from carom import Frame, Scene, Space
 from carom.arrays import FloatArray, IntArray
 from carom.errors import ExperimentError, PhysicsError
-from carom.extend import TIME, auto, every, minimum_images, whole_file, write_whole
+from carom.physics.frame import Frame
+from carom.physics.schedule import every
+from carom.physics.space import Space
+from carom.physics.vector import minimum_images
+from carom.plan import auto
+from carom.recording.write.whole_file import whole_file, write_whole
+from carom.scene.schema import Scene
+from carom.scene.units.dimension import TIME
 
 TELLING = 5.0  # s between two lines of progress
 STEPS = (4.0, 2.0, 1.0, 0.5)  # step factors of each integrator, if only the integrator matters

@@ -9,11 +9,11 @@ from typing import Any
 
 import pytest
 
-from carom.extend import Interrupts
 from carom.lab.hunt import alone
 from carom.lab.hunt.alone import Ending, difference, in_new_processes, last_ending
 from carom.lab.hunt.random_scenes import drawn
 from carom.lab.shrink.trials import Budget
+from carom.runs.environment import Interrupts
 from carom_command import carom
 
 SEED = 1756  # its first scenes are a rotating sphere, a cylinder at rest and planes: layouts that one process mixes

@@ -13,13 +13,13 @@ from numpy.typing import NDArray
 import carom
 from carom.display import causes
 from carom.display.causes import CauseEdge
-from carom.extend import names_of
 from carom.lab.why import _behind
 from carom.lab.why.history import History, Question, question_of
 from carom.lab.why.why import Answer, answer_from, why
 from carom.physics.placement import place
 from carom.physics.schedule import every
 from carom.physics.space import Space
+from carom.recording.read.lookup import names_of
 from carom.recording.read.recording import Recording
 from carom.scene.schema import Scene
 from carom.scene.start import InitialBodies

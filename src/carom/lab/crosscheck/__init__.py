@@ -9,14 +9,18 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from carom.extend import TIME, JsonOption, SetOption, ThreadsOption, bundled, command, output_option, say, say_json
+from carom.scene.units.dimension import TIME
+from carom.scene.wording import command
+from carom.terminal.options import JsonOption, SetOption, ThreadsOption, bundled, output_option
+from carom.terminal.printing import say, say_json
 
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from carom import Scene
-    from carom.extend import Terminal, UnitSystem
     from carom.lab.crosscheck.crosscheck import Crosscheck, Teller
+    from carom.scene.schema import Scene
+    from carom.scene.units.system import UnitSystem
+    from carom.terminal.console import Terminal
 
 
 SEVERAL_LIMIT = 30.0  # s, of each run and reference, if there are several scenes
@@ -46,12 +50,12 @@ def crosscheck_command(
 
     Results are kept; the same command continues where it stopped.
     """
-    from carom import Scene
     from carom.errors import ExperimentError
-    from carom.extend import bundled_folders
     from carom.lab.crosscheck.crosscheck import Crosscheck, Runs
     from carom.lab.engines import engines_called
     from carom.lab.tradeoff import STOPPED, ran
+    from carom.scene.scene_file import bundled_folders
+    from carom.scene.schema import Scene
 
     chosen, known = engines_called(engines or [""]), bundled_folders()  # without an engine, the message lists them
     names = list(dict.fromkeys(name for source in scenes for name in known.get(source.rstrip("/"), [source])))
@@ -137,8 +141,8 @@ def _show_several(
 
 
 def _console() -> Terminal:
-    from carom.extend import Terminal
     from carom.lab.tradeoff import PIPE_WIDTH
+    from carom.terminal.console import Terminal
 
     return Terminal(markup=True, piped=PIPE_WIDTH)
 

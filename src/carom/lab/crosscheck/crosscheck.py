@@ -14,29 +14,24 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-from carom import Recording, Scene
 from carom.arrays import FloatArray
 from carom.errors import ExperimentError, PhysicsError, RecordingError
-from carom.extend import (
-    Ended,
-    LocalWorkers,
-    Names,
-    Verdict,
-    WorkerDiedError,
-    cores,
-    finite,
-    judge,
-    named_version,
-    names_of_solids,
-    place,
-    recording_space,
-    simulate,
-)
 from carom.lab.compared_run import Setting, Trajectory, sample_times, write_document
 from carom.lab.crosscheck.parting import NumberedImpacts, parting_of
 from carom.lab.engines import COMPLETED, Engine, Watched, engine_called, watch
 from carom.lab.tradeoff.settings_grid import SettingResult, result_entry
 from carom.lab.tradeoff.tradeoff import REFERENCE, Study
+from carom.physics.jit import cores
+from carom.physics.placement import place
+from carom.recording.read.recording import Recording
+from carom.recording.source import named_version
+from carom.runs.outcome import Verdict, judge
+from carom.runs.run import recording_space, simulate
+from carom.runs.workers import Ended, LocalWorkers, WorkerDiedError
+from carom.scene.schema import Scene
+from carom.scene.start import names_of_solids
+from carom.scene.wording import Names
+from carom.terminal.printing import finite
 
 
 @dataclass(frozen=True, slots=True)

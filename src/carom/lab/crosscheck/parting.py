@@ -13,14 +13,17 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from carom import Recording
 from carom.arrays import FloatArray, IntArray
 from carom.errors import ExperimentError, RecordingError
-from carom.extend import TIME, Names, impacts_by_number, whole_file
 from carom.lab.compared_run import Trajectory
 from carom.lab.tradeoff.reference import Reference
 from carom.lab.tradeoff.settings_grid import SettingResult
 from carom.lab.tradeoff.tradeoff_figure import FAINT, LEAST, styled
+from carom.recording.read.recorded_impacts import impacts_by_number
+from carom.recording.read.recording import Recording
+from carom.recording.write.whole_file import whole_file
+from carom.scene.units.dimension import TIME
+from carom.scene.wording import Names
 
 if TYPE_CHECKING:
     from carom.lab.crosscheck.crosscheck import Crosscheck

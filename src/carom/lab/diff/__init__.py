@@ -8,30 +8,19 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from carom.extend import (
-    ENERGY,
-    FORCE,
-    IMPULSE,
-    LENGTH,
-    TIME,
-    VELOCITY,
-    ForceOption,
-    JsonOption,
-    bodies_called,
-    command,
-    counted,
-    not_a_folder,
-    recording_option,
-    say_json,
-)
+from carom.scene.units.dimension import ENERGY, FORCE, IMPULSE, LENGTH, TIME, VELOCITY
+from carom.scene.wording import bodies_called, command, counted
+from carom.terminal.options import ForceOption, JsonOption, not_a_folder, recording_option
+from carom.terminal.printing import say_json
 
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from carom import Recording
-    from carom.extend import Names, UnitSystem
     from carom.lab.diff.diff import Diff, ImpactDivergence, ImpactPair
     from carom.lab.diff.divergence import FirstBits
+    from carom.recording.read.recording import Recording
+    from carom.scene.units.system import UnitSystem
+    from carom.scene.wording import Names
 
 ROWS = 12  # rows in the table of the growing difference
 KEYS = 50  # different keys of the scene printed at most; --json has all
@@ -52,10 +41,12 @@ def diff_command(
     """
     from dataclasses import replace
 
-    from carom import Recording
-    from carom.extend import names_of, opened, refuse_itself, refuse_output
     from carom.lab.diff.diff import diff as compare
     from carom.lab.diff.diff import overlay
+    from carom.recording.edit.bundle import opened
+    from carom.recording.read.lookup import names_of
+    from carom.recording.read.recording import Recording
+    from carom.recording.write.whole_file import refuse_itself, refuse_output
 
     if output is not None:
         for path in (a, b):
@@ -129,7 +120,7 @@ def _impacts_document(found: ImpactDivergence, names: Names) -> dict[str, Any]:
 
 
 def _print(found: Diff, names: Names, recordings: tuple[Recording, Recording], output: Path | None) -> None:
-    from carom.extend import Terminal
+    from carom.terminal.console import Terminal
 
     console, units = Terminal(soft_wrap=True), recordings[0].units
     console.print(_overview(found, names, units))

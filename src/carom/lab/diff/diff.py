@@ -12,24 +12,9 @@ import numpy as np
 import pyarrow as pa
 from pydantic import BaseModel
 
-from carom import Recording, Scene
 from carom.arrays import BoolArray, FloatArray, IntArray
+from carom.display import overlays
 from carom.errors import RecordingError, SceneError
-from carom.extend import (
-    DEEPEST,
-    STEP,
-    TIME,
-    RecordedBodies,
-    UnitSystem,
-    body_called,
-    count_at,
-    impacts_by_number,
-    is_too_deep,
-    line_of_long_key,
-    overlays,
-    scene_from_text,
-    tolerance,
-)
 from carom.lab.diff.divergence import (
     SAME_TIME,
     DiffVerdict,
@@ -41,6 +26,17 @@ from carom.lab.diff.divergence import (
     first_bits,
     verdict,
 )
+from carom.recording.read.lookup import tolerance
+from carom.recording.read.recorded_impacts import count_at, impacts_by_number
+from carom.recording.read.recorded_scene import RecordedBodies
+from carom.recording.read.recording import Recording
+from carom.recording.schema.paths import STEP
+from carom.scene.load import scene_from_text
+from carom.scene.scene_file import DEEPEST, is_too_deep, line_of_long_key
+from carom.scene.schema import Scene
+from carom.scene.units.dimension import TIME
+from carom.scene.units.system import UnitSystem
+from carom.scene.wording import body_called
 
 
 @dataclass(frozen=True, slots=True)

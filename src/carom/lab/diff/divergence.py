@@ -12,10 +12,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from carom import Recording
 from carom.arrays import BoolArray, FloatArray, IntArray
 from carom.errors import RecordingError
-from carom.extend import LENGTH, RATE, SI, TIME, RecordedPositions, UnitSystem, minimum_images, other_bits
+from carom.physics.vector import minimum_images
+from carom.recording.read.first_difference import other_bits
+from carom.recording.read.frame_rows import RecordedPositions
+from carom.recording.read.recording import Recording
+from carom.scene.units.dimension import LENGTH, RATE, TIME
+from carom.scene.units.system import SI, UnitSystem
 
 _SATURATED = 0.1  # of the size of the system; a larger difference cannot grow freely
 _POINTS, _FACTOR = 5, 10.0  # smallest number of frames, and smallest growth, for the fit of a rate

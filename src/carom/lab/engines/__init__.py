@@ -16,33 +16,26 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from carom import Frame, Scene, Space, registry
+from carom import registry
 from carom.arrays import FloatArray, IntArray
 from carom.errors import ExperimentError, RecordingError
-from carom.extend import (
-    SI,
-    SPHERE,
-    TIME,
-    Coefficients,
-    Extremes,
-    HalfSpaces,
-    InitialBodies,
-    Observer,
-    UnitSystem,
-    engine_package,
-    further,
-    half_spaces,
-    not_finite,
-    observed_recording,
-    observed_totals,
-    pair_coefficients,
-    place,
-    require,
-    setup_of,
-    suggestion,
-)
 from carom.lab.compared_run import RunStoppedError, Setting, Trajectory, between
+from carom.physics.diagnostics.extremes import Extremes
+from carom.physics.frame import Frame
+from carom.physics.placement import place
+from carom.physics.space import Space
+from carom.plan.features import require
+from carom.plan.interactions import further
 from carom.record import Fault, Model, Source, State, Tolerances
+from carom.recording.source import SPHERE, engine_package, setup_of
+from carom.recording.source.observer import Observer, not_finite
+from carom.runs.snapshot_writer import observed_recording, observed_totals
+from carom.scene.matter import pair_coefficients
+from carom.scene.schema import Coefficients, Scene
+from carom.scene.start import HalfSpaces, InitialBodies, half_spaces
+from carom.scene.units.dimension import TIME
+from carom.scene.units.system import SI, UnitSystem
+from carom.scene.wording import suggestion
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,13 +18,13 @@ from scipy.optimize import nnls
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from carom import Scene
 from carom.arrays import FloatArray, IntArray, Records, SingleArray
 from carom.errors import RecordingError
-from carom.extend import engine_package, named_version
 from carom.lab.compared_run import Setting
 from carom.lab.engines import EngineSimulation, SteppedEngine, dt_of, problem_of, refuse
 from carom.record import CONTACT, Model, Plane, State, StateMemory
+from carom.recording.source import engine_package, named_version
+from carom.scene.schema import Scene
 
 PACKAGE = "robox3d"
 _NEAR = 0.2  # largest distance of a contact point from its plane, over its distance from the centre

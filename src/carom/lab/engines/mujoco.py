@@ -13,13 +13,13 @@ from typing import Any
 
 import numpy as np
 
-from carom import Scene
 from carom.arrays import FloatArray, IntArray, Records
 from carom.errors import RecordingError
-from carom.extend import Coefficients, engine_package, named_version
 from carom.lab.compared_run import Setting
 from carom.lab.engines import EngineSimulation, InOrder, SteppedEngine, dt_of, problem_of
 from carom.record import CONTACT, Model, Plane, Source, State
+from carom.recording.source import engine_package, named_version
+from carom.scene.schema import Coefficients, Scene
 
 WORLD = 0  # the body that owns everything static
 

@@ -16,13 +16,13 @@ from typing import Any
 
 import numpy as np
 
-from carom import Scene
 from carom.arrays import FloatArray, Records, SingleArray
 from carom.errors import RecordingError
-from carom.extend import Coefficients, engine_package, named_version
 from carom.lab.compared_run import Setting
 from carom.lab.engines import EngineSimulation, SteppedEngine, dt_of, problem_of
 from carom.record import CONTACT, Model, Plane, State
+from carom.recording.source import engine_package, named_version
+from carom.scene.schema import Coefficients, Scene
 
 WORLD = -1  # the body that owns static shapes
 _NAMES = ("body_label", "body_key")  # attributes with the names, in newer and older versions

@@ -18,13 +18,13 @@ from typing import Any
 
 import numpy as np
 
-from carom import Scene
 from carom.arrays import FloatArray, Records
 from carom.errors import RecordingError
-from carom.extend import SPHERE, engine_package, named_version
 from carom.lab.compared_run import Setting
 from carom.lab.engines import EngineSimulation, SteppedEngine, dt_of, problem_of, refuse
 from carom.record import CONTACT, Model, Plane, State
+from carom.recording.source import SPHERE, engine_package, named_version
+from carom.scene.schema import Scene
 
 BASE = -1  # the number of a body's first link
 SLOW = 200  # with more bodies, copying their states takes more than a thirtieth of a step

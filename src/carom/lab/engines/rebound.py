@@ -15,26 +15,22 @@ from typing import Any
 
 import numpy as np
 
-from carom import Scene, Space
 from carom.arrays import FloatArray, IntArray, Records
 from carom.errors import ExperimentError, RecordingError
-from carom.extend import (
-    DOMINANT,
-    TIME,
-    WITHOUT,
-    UnitSystem,
-    engine_package,
-    further,
-    half_spaces,
-    named_version,
-    pair_coefficients,
-    place,
-    require,
-    units_of_rebound,
-)
 from carom.lab.compared_run import STEPS, RunStoppedError, Setting, Trajectory
 from carom.lab.engines import FINER, EngineSimulation, InOrder, own_step, refuse, watch
+from carom.physics.placement import place
+from carom.physics.space import Space
+from carom.plan.features import require
+from carom.plan.hierarchy import DOMINANT
+from carom.plan.interactions import further
 from carom.record import Model, Source, State, StateMemory
+from carom.recording.source import engine_package, named_version
+from carom.scene.matter import pair_coefficients
+from carom.scene.schema import Scene
+from carom.scene.start import half_spaces
+from carom.scene.units.dimension import TIME
+from carom.scene.units.system import WITHOUT, UnitSystem, units_of_rebound
 
 G_SI = 6.674e-11  # m³ kg⁻¹ s⁻²; REBOUND's own differs in the fifth digit
 READ = ("x", "y", "z", "vx", "vy", "vz")  # the first numbers of a particle in memory

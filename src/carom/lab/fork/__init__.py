@@ -8,20 +8,18 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from carom.extend import (
+from carom.scene.wording import command
+from carom.terminal.console import LiveLine, bar
+from carom.terminal.options import (
     ForceOption,
     JsonOption,
-    LiveLine,
     RecordingArgument,
     SetOption,
-    bar,
-    command,
     recording_option,
-    say,
-    say_json,
     simulated,
     time_option,
 )
+from carom.terminal.printing import say, say_json
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -63,10 +61,11 @@ def fork_command(
     Only the steps after the moment are run. One file contains both runs and their difference; with --seeds, it contains
     the band that all forks span.
     """
-    from carom import Recording
     from carom.errors import ExperimentError
-    from carom.extend import opened, refuse_itself, refuse_output
     from carom.lab.fork.branch import Branch, start_of
+    from carom.recording.edit.bundle import opened
+    from carom.recording.read.recording import Recording
+    from carom.recording.write.whole_file import refuse_itself, refuse_output
 
     ulps = 0
     if perturb is not None:
@@ -141,9 +140,11 @@ def _many(
 ) -> tuple[dict[str, Any], list[str]]:
     from dataclasses import replace
 
-    from carom.extend import TIME, LocalWorkers, cores
     from carom.lab.fork.branch import PerturbedTask, by_seed, outcome_of, results_of
     from carom.lab.fork.fork import Chance, chances, ensemble, inevitable, write_ensemble
+    from carom.physics.jit import cores
+    from carom.runs.workers import LocalWorkers
+    from carom.scene.units.dimension import TIME
 
     units = start.scene.unit_system
     expression = None if outcome is None else outcome_of(start, outcome)  # before the workers start
@@ -216,8 +217,8 @@ def _document(start: ForkStart, found: Ensemble, outcome: str | None, moment: In
 def _lines(start: ForkStart, found: Ensemble, outcome: str | None, moment: Inevitable | None) -> Iterator[str]:
     import numpy as np
 
-    from carom.extend import LENGTH, TIME
     from carom.lab.diff.divergence import rate_text
+    from carom.scene.units.dimension import LENGTH, TIME
 
     units = start.scene.unit_system
 

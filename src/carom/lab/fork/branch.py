@@ -11,24 +11,23 @@ from typing import Any
 
 import numpy as np
 
-from carom import Recording, Scene, Space
 from carom.arrays import FloatArray, SingleArray
 from carom.errors import ExperimentError, RecordingError
-from carom.extend import (
-    TIME,
-    Checkpoint,
-    Every,
-    Workers,
-    auto,
-    checkpoint_before,
-    continued_scene,
-    minimum_images,
-    recorded_scene,
-    require,
-    space_of,
-    tolerance,
-)
 from carom.lab.run_summary import Expression, Observation, Touches, UnknownNameError
+from carom.physics.checkpoint import Checkpoint
+from carom.physics.schedule import Every
+from carom.physics.space import Space
+from carom.physics.vector import minimum_images
+from carom.plan import auto
+from carom.plan.features import require
+from carom.recording.read.lookup import tolerance
+from carom.recording.read.recorded_scene import recorded_scene
+from carom.recording.read.recording import Recording
+from carom.runs.resume import continued_scene
+from carom.runs.window import checkpoint_before, space_of
+from carom.runs.workers import Workers
+from carom.scene.schema import Scene
+from carom.scene.units.dimension import TIME
 
 _BODIES = ("body", "bodies", "group", "seed", "units", "title", "description")
 _STATE = {"domain": "the positions of the bodies depend on it", "sweep": "one fork is one run"}

@@ -20,14 +20,17 @@ from pathlib import Path
 
 import numpy as np
 
-from carom import Recording
 from carom.arrays import FloatArray
-from carom.extend import LENGTH, TIME, Forecast, Outcome, in_words, simulate, write_forecast
+from carom.display.overlays import Forecast, write_forecast
 from carom.lab.diff.diff import Diff, diff, overlay
 from carom.lab.diff.divergence import DistanceCurve, Divergence, divergence_of
 from carom.lab.fork.branch import Branch, BranchPath, ForkStart, PerturbedResult, PerturbedTask, path_of
 from carom.lab.run_summary import Expression
 from carom.private_folder import temporary_folder
+from carom.recording.read.recording import Recording
+from carom.runs.outcome import in_words
+from carom.runs.run import Outcome, simulate
+from carom.scene.units.dimension import LENGTH, TIME
 
 # The probability of an outcome over the time of the fork.
 _Z = 1.96  # standard deviations that contain 95 % of a normal distribution

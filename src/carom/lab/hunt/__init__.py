@@ -8,7 +8,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from carom.extend import JsonOption, counted, output_option, say, say_json, work_time
+from carom.scene.wording import counted
+from carom.terminal.options import JsonOption, output_option, work_time
+from carom.terminal.printing import say, say_json
 
 if TYPE_CHECKING:
     from carom.lab.hunt.hunt import Hunt, Miss, Tally
@@ -58,7 +60,8 @@ def hunt_command(
 
 
 def _watched(hunt: Hunt, *, quiet: bool) -> Tally:
-    from carom.extend import Terminal, announce_compilation
+    from carom.terminal.compilation import announce_compilation
+    from carom.terminal.console import Terminal
 
     console = Terminal(stderr=True, quiet=quiet)
     if not quiet:

@@ -11,11 +11,13 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
-from carom import Scene, Space
 from carom.errors import PhysicsError, SceneError
-from carom.extend import Interrupts, LocalWorkers
 from carom.lab.hunt.random_scenes import drawn
 from carom.lab.shrink.trials import Budget, observe
+from carom.physics.space import Space
+from carom.runs.environment import Interrupts
+from carom.runs.workers import LocalWorkers
+from carom.scene.schema import Scene
 
 POLL = 0.2  # s, between two checks of the budget
 STEPS = 400  # a longer run is abandoned

@@ -10,20 +10,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from carom import Recording, Scene, Space
 from carom.errors import ExperimentError, PhysicsError, SceneError
-from carom.extend import (
-    Interrupts,
-    Requirements,
-    auto,
-    command,
-    output_folder,
-    recording_space,
-    report,
-    require,
-    scene_from_text,
-    simulate,
-)
 from carom.lab.hunt.alone import STEPS, Ending, difference
 from carom.lab.hunt.documents import Document
 from carom.lab.hunt.random_scenes import IMPACTS, SMOOTH, drawn
@@ -33,6 +20,17 @@ from carom.lab.shrink.literal import key_of, text_of, write
 from carom.lab.shrink.reducer import Reducer
 from carom.lab.shrink.trials import Budget, Condition, OutOfTime, observe
 from carom.lab.shrink.whole_run import applies, moved_by_shorter_steps
+from carom.physics.space import Space
+from carom.plan import auto
+from carom.plan.features import Requirements, require
+from carom.recording.read.recording import Recording
+from carom.recording.write.whole_file import output_folder
+from carom.runs.environment import Interrupts
+from carom.runs.run import recording_space, simulate
+from carom.scene.load import scene_from_text
+from carom.scene.schema import Scene
+from carom.scene.wording import command
+from carom.sharing.report import report
 
 LEDGER = 1e-9  # of the energy scale, in flight without forces: some 10⁶ roundings of 10⁻¹⁶
 CONSERVED = 1e-9  # of the largest momentum

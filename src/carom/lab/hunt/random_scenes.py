@@ -11,7 +11,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from carom.extend import PARTS
 from carom.lab.hunt.documents import (
     Document,
     Draw,
@@ -29,6 +28,7 @@ from carom.lab.hunt.documents import (
     vector,
 )
 from carom.lab.hunt.random_boundaries import enclosed
+from carom.scene.parts import PARTS
 
 MOST_BODIES = 16
 DRIFT = 10.0  # common velocity of all bodies; the rounding of its energy is not part of the scale of errors

@@ -9,12 +9,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from carom.extend import ForceOption, JsonOption, SetOption, command, counted, say, say_json, work_time
+from carom.scene.wording import command, counted
+from carom.terminal.options import ForceOption, JsonOption, SetOption, work_time
+from carom.terminal.printing import say, say_json
 
 if TYPE_CHECKING:
-    from carom import Scene
-    from carom.extend import InitialBodies
     from carom.lab.shrink.reducer import Reducer, ReducerProgress, Reduction
+    from carom.scene.schema import Scene
+    from carom.scene.start import InitialBodies
 
 EVERY = 10.0  # s between lines of progress without a terminal
 
@@ -77,11 +79,11 @@ def shrink_command(
     from dataclasses import asdict
     from math import inf
 
-    from carom.extend import refuse_output, refuse_scene_output
     from carom.lab.shrink.condition import condition_from
     from carom.lab.shrink.literal import earlier, key_of, source_of
     from carom.lab.shrink.reducer import Reducer
     from carom.lab.shrink.whole_run import CommandShows
+    from carom.recording.write.whole_file import refuse_output, refuse_scene_output
 
     if condition is not None and while_command is not None:
         raise typer.BadParameter("give either --while or --while-command", param_hint="--while-command")
@@ -138,7 +140,8 @@ def _reduced(
 @contextmanager
 def _watched(reducer: Reducer) -> Iterator[None]:
     """Show the progress on a terminal, or a line for each stage elsewhere."""
-    from carom.extend import Terminal, announce_compilation
+    from carom.terminal.compilation import announce_compilation
+    from carom.terminal.console import Terminal
 
     console = Terminal(stderr=True)
     announce_compilation()

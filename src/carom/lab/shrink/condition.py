@@ -6,10 +6,14 @@ import re
 from dataclasses import dataclass, replace
 
 from carom.errors import ExperimentError
-from carom.extend import TIME, Expect, Names, Verdict, names_of_solids, nearest, suggestion
 from carom.lab.run_summary import LASTING, SUNK, Expression, Observation, Pair, UnknownNameError, end_name
 from carom.lab.shrink.trials import Condition
 from carom.lab.shrink.whole_run import MovesWithSteps, ReplayDiffers, Varies
+from carom.runs.outcome import Verdict
+from carom.scene.schema.promise import Expect
+from carom.scene.start import names_of_solids
+from carom.scene.units.dimension import TIME
+from carom.scene.wording import Names, nearest, suggestion
 
 WARNINGS = ("energy-rise", "energy-ledger", "energy-lost", "dissipation", "limit", "pace", "horizon")
 _MET = re.compile(r"\s*impact of (.+?) and (.+?)\s*")

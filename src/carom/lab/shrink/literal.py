@@ -14,25 +14,22 @@ from typing import TYPE_CHECKING, Any, cast
 
 import tomlkit
 
-from carom import Frame, Recording, Scene
 from carom.arrays import FloatArray
 from carom.errors import RecordingError
-from carom.extend import (
-    DEFAULT,
-    RECORDED,
-    InitialBodies,
-    body_materials,
-    checkpoint_before,
-    counted,
-    half_spaces,
-    is_bundle,
-    opened,
-    place,
-    recorded_scene,
-    start_of,
-    versions,
-    write_whole,
-)
+from carom.physics.frame import Frame
+from carom.physics.placement import place
+from carom.recording.edit.bundle import is_bundle, opened
+from carom.recording.read.recorded_scene import recorded_scene, start_of
+from carom.recording.read.recording import Recording
+from carom.recording.write.whole_file import write_whole
+from carom.runs.environment import versions
+from carom.runs.window import checkpoint_before
+from carom.scene.matter import body_materials
+from carom.scene.scene_file import RECORDED
+from carom.scene.schema import Scene
+from carom.scene.schema.contact import DEFAULT
+from carom.scene.start import InitialBodies, half_spaces
+from carom.scene.wording import counted
 
 if TYPE_CHECKING:
     from carom.lab.shrink.reducer import Reduction, Stage

@@ -6,13 +6,19 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from carom import Frame, Scene, Space
 from carom.errors import ExperimentError
-from carom.extend import InitialBodies, Interrupts, Schedule, counted, every, place
 from carom.lab.run_summary import Observation
 from carom.lab.shrink.leave_out import drop_parts, leave_out_bodies, round_numbers, set_defaults
 from carom.lab.shrink.literal import BodyStates, Document, at_moment, literal, with_value
 from carom.lab.shrink.trials import Budget, Condition, Judges, OutOfTime, Smallest, Trials, observe
+from carom.physics.frame import Frame
+from carom.physics.placement import place
+from carom.physics.schedule import Schedule, every
+from carom.physics.space import Space
+from carom.runs.environment import Interrupts
+from carom.scene.schema import Scene
+from carom.scene.start import InitialBodies
+from carom.scene.wording import counted
 
 ROOM = 200_000_000  # bytes of stored states of a run
 ROUNDING = 1e-9  # of the duration, by which a sum of steps may fall short

@@ -12,12 +12,19 @@ from dataclasses import dataclass, field
 from types import TracebackType
 from typing import Self
 
-from carom import Frame, Scene, Space
 from carom.errors import ExperimentError, PhysicsError
 from carom.event import Event
-from carom.extend import Every, Interrupts, LocalWorkers, Schedule, WorkerDiedError, auto, cores, toml_text
 from carom.lab.run_summary import Observation, Touches, said_by
 from carom.lab.shrink.literal import BODIES, Document
+from carom.physics.frame import Frame
+from carom.physics.jit import cores
+from carom.physics.schedule import Every, Schedule
+from carom.physics.space import Space
+from carom.plan import auto
+from carom.runs.environment import Interrupts
+from carom.runs.workers import LocalWorkers, WorkerDiedError
+from carom.scene.scene_file import toml_text
+from carom.scene.schema import Scene
 
 
 @dataclass(frozen=True, slots=True)

@@ -21,28 +21,24 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from carom import Scene, Space
 from carom.arrays import FloatArray
 from carom.errors import ExperimentError, PhysicsError, SceneError
-from carom.extend import (
-    BASE,
-    LENGTH,
-    Checkpoint,
-    Dimension,
-    StepStatus,
-    auto,
-    converted,
-    every,
-    place,
-    refine,
-    require,
-    rescaled,
-    suggestion,
-)
 from carom.lab.run_summary import Observation, said_by
 from carom.lab.shrink.literal import BODIES, Document, with_value
 from carom.lab.shrink.trials import Condition
+from carom.physics.checkpoint import Checkpoint
+from carom.physics.placement import place
+from carom.physics.schedule import every
+from carom.physics.simulation import StepStatus
+from carom.physics.space import Space
+from carom.plan import auto
+from carom.plan.features import require
 from carom.private_folder import temporary_folder
+from carom.runs.refinement import refine
+from carom.scene.conversion import converted, rescaled
+from carom.scene.schema import Scene
+from carom.scene.units.dimension import BASE, LENGTH, Dimension
+from carom.scene.wording import suggestion
 
 EPS = float(np.finfo(np.float64).eps)
 PERTURBED = 6  # runs that measure the growth of roundings

@@ -19,26 +19,22 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from carom import Recording, Scene, rerun
 from carom.arrays import BoolArray, FloatArray, IntArray, Records
 from carom.contact_table import CONTACT_ROW, ImpactSums, PairSums
 from carom.errors import RecordingError, SceneError
-from carom.extend import (
-    STEP,
-    TIME,
-    Dimension,
-    RecordedPositions,
-    StepStatus,
-    UnitSystem,
-    closing_speeds,
-    command,
-    count_at,
-    recorded_scene,
-    rows_by_frame,
-    start_of,
-    sums_between,
-    tolerance,
-)
+from carom.physics.simulation import StepStatus
+from carom.recording.read.frame_rows import RecordedPositions
+from carom.recording.read.lookup import tolerance
+from carom.recording.read.recorded_contacts import closing_speeds, rows_by_frame
+from carom.recording.read.recorded_impacts import count_at, sums_between
+from carom.recording.read.recorded_scene import recorded_scene, start_of
+from carom.recording.read.recording import Recording
+from carom.recording.schema.paths import STEP
+from carom.runs.window import rerun
+from carom.scene.schema import Scene
+from carom.scene.units.dimension import TIME, Dimension
+from carom.scene.units.system import UnitSystem
+from carom.scene.wording import command
 
 Watcher = Callable[[StepStatus], None]
 

@@ -33,8 +33,9 @@ import numpy as np
 
 from carom.arrays import FloatArray
 from carom.errors import RecordingError
-from carom.extend import ENERGY, LENGTH, RATE, TIME, VELOCITY, Dimension, minimum_images
 from carom.lab.statistics import Histogram, Interval, MeasuredValue, NothingThereError, Statistic
+from carom.physics.vector import minimum_images
+from carom.scene.units.dimension import ENERGY, LENGTH, RATE, TIME, VELOCITY, Dimension
 
 _BEFORE, _IMPACT, _AFTER = range(3)  # kinds of vertices of a path, in order
 PLANES = "planes"  # the group of planes and walls

@@ -10,9 +10,7 @@ import numpy as np
 import pyarrow as pa
 from rich.table import Table
 
-from carom import Recording
-from carom.errors import RecordingError
-from carom.extend import UnitSystem, counted, needing, print_whole, say, whole_file
+from carom.errors import RecordingError, needing
 from carom.lab.statistics import Histogram, Interval, MeasuredValue, Statistic, Watcher
 from carom.lab.statistics.motion_statistics import (
     measure_free_paths,
@@ -21,6 +19,12 @@ from carom.lab.statistics.motion_statistics import (
     measure_velocities,
 )
 from carom.lab.statistics.structure_statistics import measure_forces, measure_network, measure_pair_correlation
+from carom.recording.read.recording import Recording
+from carom.recording.write.whole_file import whole_file
+from carom.scene.units.system import UnitSystem
+from carom.scene.wording import counted
+from carom.terminal.console import print_whole
+from carom.terminal.printing import say
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

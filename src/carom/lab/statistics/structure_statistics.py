@@ -31,8 +31,8 @@ from scipy.spatial import cKDTree
 
 from carom.arrays import BoolArray, FloatArray, IntArray
 from carom.errors import RecordingError
-from carom.extend import FORCE
 from carom.lab.statistics import Histogram, Interval, MeasuredValue, Statistic
+from carom.scene.units.dimension import FORCE
 
 HOLDING = {False: 4, True: 2}  # smallest number of contacts that hold a sphere, without and with friction
 ALONG = 1 / sqrt(2)  # cos 45°

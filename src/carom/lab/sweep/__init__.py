@@ -9,7 +9,11 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from carom.extend import LiveLine, SetOption, bar, bundled, command, duration_text, needing, say_json
+from carom.errors import needing
+from carom.scene.wording import command
+from carom.terminal.console import LiveLine, bar
+from carom.terminal.options import SetOption, bundled
+from carom.terminal.printing import duration_text, say_json
 
 if TYPE_CHECKING:
     from carom.lab.sweep.manifest import StoredSweep, SweepRun
@@ -177,9 +181,9 @@ def sweep_command(
             show(table, conditions or [], sort, columns)
         return
 
-    from carom.extend import command_line
     from carom.lab.sweep.plan import plan
     from carom.lab.sweep.sweep import sweep as make
+    from carom.runs.environment import command_line
 
     if plot is not None:
         # refuse an impossible figure before anything is computed
@@ -243,8 +247,8 @@ def show(folder: Path, conditions: list[str], sort: str | None, columns: str | N
     from rich.markup import escape
     from rich.table import Table
 
-    from carom.extend import Terminal
     from carom.lab.sweep.sweep_table import chosen
+    from carom.terminal.console import Terminal
 
     rows, stored = _rows(folder)
     keys = _keys(rows, stored, sort, columns or ",".join(key for key in SHOWN if key in rows[0]))
@@ -306,13 +310,13 @@ def serve(folder: Path) -> None:
     network namespace that other users of the machine cannot reach. Without a screen, the server accepts viewers
     elsewhere.
     """
-    from carom.extend import keeper
+    from carom.display import keeper
 
     alone = keeper.has_screen() and not keeper.screen_is_remote() and keeper.isolate()
     from carom.lab.sweep.manifest import Folder, read
 
     with needing("catalog", "carom sweep --catalog", "datafusion", "pandas"):
-        from carom.extend import serve_catalog
+        from carom.display.catalog import serve_catalog
     paths = [folder / run.file for run in read(Folder(folder)).runs if run.file.startswith("runs/")]
     serve_catalog(folder.resolve().name, paths, typer.echo, alone)
 

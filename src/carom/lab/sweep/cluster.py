@@ -15,8 +15,8 @@ import dask
 from distributed import Client, Future, KilledWorker
 
 from carom.errors import ExperimentError
-from carom.extend import Ended, TaskDroppedError, WorkerDiedError
 from carom.lab.sweep.sweep import unfit
+from carom.runs.workers import Ended, TaskDroppedError, WorkerDiedError
 
 _CONNECT = 20.0  # s
 _ANSWER = 60.0  # s within which a scheduler must answer

@@ -19,8 +19,11 @@ from typing import Annotated, Any, Self
 from pydantic import BaseModel, Field, ValidationError
 
 from carom.errors import ExperimentError
-from carom.extend import DEEPEST, DiskReserve, is_link_of_another, is_too_deep, new_name, output_folder, versions
 from carom.lab.sweep.plan import Plan, SweepPoint
+from carom.recording.write.durable_sink import DiskReserve
+from carom.recording.write.whole_file import is_link_of_another, new_name, output_folder
+from carom.runs.environment import versions
+from carom.scene.scene_file import DEEPEST, is_too_deep
 
 _ATTEMPT = re.compile(r"\.?(.+)\.[0-9a-f]{8}\.rrd(\.\w+)?")  # a recording being written, or its lock
 NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)

@@ -12,9 +12,11 @@ from typing import Any
 
 import tomlkit
 
-from carom import Scene
 from carom.errors import ExperimentError, SceneError
-from carom.extend import HeldBodies, scene_from_text, variation
+from carom.scene import variation
+from carom.scene.data.body_sources import HeldBodies
+from carom.scene.load import scene_from_text
+from carom.scene.schema import Scene
 
 SEED = "seed"
 _LONGEST_NAME = 120  # characters; a file's name has 255, and an attempt's is longer

@@ -13,29 +13,21 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
-from carom import Recording
 from carom.errors import ExperimentError, PhysicsError, RecordingError, SceneError
-from carom.extend import (
-    DataFiles,
-    Ended,
-    Interrupts,
-    LocalWorkers,
-    SweepMember,
-    TaskDroppedError,
-    WorkerDiedError,
-    Workers,
-    cores,
-    counted,
-    finite,
-    output_folder,
-    recording_space,
-    scene_from_text,
-    simulate,
-    versions,
-)
 from carom.lab.sweep import sweep_table as table
 from carom.lab.sweep.manifest import DONE, FAILED, PENDING, Folder, Manifest, SweepRun, clear, move
 from carom.lab.sweep.plan import SEED, Plan, SweepPoint, digest
+from carom.physics.jit import cores
+from carom.recording.read.recording import Recording
+from carom.recording.schema.header import SweepMember
+from carom.recording.write.whole_file import output_folder
+from carom.runs.environment import Interrupts, versions
+from carom.runs.run import recording_space, simulate
+from carom.runs.workers import Ended, LocalWorkers, TaskDroppedError, WorkerDiedError, Workers
+from carom.scene.data.body_sources import DataFiles
+from carom.scene.load import scene_from_text
+from carom.scene.wording import counted
+from carom.terminal.printing import finite
 
 Report = dict[str, Any]  # fields of `SweepRun`
 

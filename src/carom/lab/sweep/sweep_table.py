@@ -17,9 +17,11 @@ import pyarrow.csv
 import pyarrow.parquet
 
 from carom.errors import ExperimentError
-from carom.extend import Physical, nearest_float, physical, suggestion, whole_file
 from carom.lab.sweep.manifest import Folder, SweepRun, put
 from carom.lab.sweep.plan import SEED
+from carom.recording.write.whole_file import whole_file
+from carom.scene.units.dimension import Physical, nearest_float, physical
+from carom.scene.wording import suggestion
 
 Row = dict[str, Any]
 

@@ -9,17 +9,20 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from carom.extend import TIME, SceneArgument, SetOption, ThreadsOption, command, say, say_json
+from carom.scene.units.dimension import TIME
+from carom.scene.wording import command
+from carom.terminal.options import SceneArgument, SetOption, ThreadsOption
+from carom.terminal.printing import say, say_json
 
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from carom.extend import UnitSystem
     from carom.lab.compared_run import Setting
     from carom.lab.tradeoff.reference import Teller
     from carom.lab.tradeoff.settings_grid import SettingResult
     from carom.lab.tradeoff.tradeoff import Study
     from carom.lab.tradeoff.tune import Tuning
+    from carom.scene.units.system import UnitSystem
 
 VaryOption = Annotated[
     list[str] | None,
@@ -110,9 +113,9 @@ def opened(
     advice: str | None = None,
 ) -> tuple[Study, list[Setting] | None]:
     """Open or begin the study of a scene; return it with the settings of ``--vary`` (None without)."""
-    from carom import Scene
     from carom.lab.tradeoff.settings_grid import vary as grid
     from carom.lab.tradeoff.tradeoff import ADVICE, Study
+    from carom.scene.schema import Scene
 
     scene = Scene.load(source, overrides)
     settings = grid(scene, vary) if vary else None
@@ -132,7 +135,8 @@ def ran(measure: Callable[[Teller], object], *, quiet: bool) -> bool:
     """Measure, and print the progress; return False if the interrupt key stopped it."""
     from rich.markup import escape
 
-    from carom.extend import Terminal, announce_compilation
+    from carom.terminal.compilation import announce_compilation
+    from carom.terminal.console import Terminal
 
     if not quiet:
         announce_compilation()
@@ -171,7 +175,7 @@ def _draw(study: Study, quiet: bool) -> None:
 def _show(study: Study) -> None:
     from rich.markup import escape
 
-    from carom.extend import Terminal
+    from carom.terminal.console import Terminal
 
     console = Terminal(markup=True, piped=PIPE_WIDTH)
     console.print(table_of(study))
@@ -297,8 +301,8 @@ def tune_command(
     improves. It leaves out settings whose recording would have fewer frames. Measurements are kept; the same command
     continues where it stopped.
     """
-    from carom.extend import refuse_scene_output
     from carom.lab.tradeoff.tune import limits, stopped, tuned, write
+    from carom.recording.write.whole_file import refuse_scene_output
 
     asked = limits(error or [])
     path = output or Path(f"{Path(scene).stem}-tuned.toml")
@@ -307,7 +311,7 @@ def tune_command(
     found: list[Tuning] = []
     finished = ran(lambda tell: found.append(tuned(study, asked, repeats, tell, settings)), quiet=as_json)
     if not as_json:
-        from carom.extend import Terminal
+        from carom.terminal.console import Terminal
 
         console = Terminal(markup=True, piped=PIPE_WIDTH)
         console.print(table_of(study, asked))

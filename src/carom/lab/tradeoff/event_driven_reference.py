@@ -23,18 +23,16 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.integrate import DOP853, OdeSolution
 
-from carom import Scene, Space
 from carom.arrays import FloatArray
-from carom.extend import (
-    LAW,
-    TIME,
-    BodyProxy,
-    CollisionContext,
-    bodies_called,
-    forces_of_packages,
-    pair_coefficients,
-)
 from carom.lab.compared_run import Trajectory
+from carom.physics.contact.law import LAW
+from carom.physics.forces.kernel_forces import forces_of_packages
+from carom.physics.reference_api import BodyProxy, CollisionContext
+from carom.physics.space import Space
+from carom.scene.matter import pair_coefficients
+from carom.scene.schema import Scene
+from carom.scene.units.dimension import TIME
+from carom.scene.wording import bodies_called
 
 MOST_BODIES = 20  # the pairs are examined one by one, in Python
 MOST_CONTACTS = 10_000

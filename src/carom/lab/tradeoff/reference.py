@@ -19,11 +19,16 @@ from dataclasses import astuple, dataclass, replace
 
 import numpy as np
 
-from carom import Scene, Space
 from carom.arrays import FloatArray
-from carom.extend import LENGTH, TIME, auto, counted, minimum_images, require
 from carom.lab.compared_run import Trajectory, follow, sample_times
 from carom.lab.tradeoff.event_driven_reference import EPS, TIGHTEST, solve, why_not
+from carom.physics.space import Space
+from carom.physics.vector import minimum_images
+from carom.plan import auto
+from carom.plan.features import require
+from carom.scene.schema import Scene
+from carom.scene.units.dimension import LENGTH, TIME
+from carom.scene.wording import counted
 
 
 # Errors of a run relative to a reference: of positions and times up to a horizon, of statistics beyond it.

@@ -18,12 +18,18 @@ from typing import Any
 
 import numpy as np
 
-from carom import Scene
 from carom.arrays import BoolArray, FloatArray
 from carom.errors import SceneError
-from carom.extend import INTEGRATORS, auto, damping, finite, integrator_called, require, variation, why_no_hierarchy
 from carom.lab.compared_run import AS_WRITTEN, STEPS, Setting, Trajectory
 from carom.lab.tradeoff.reference import NAMES, Errors, Reference, refined, scale_of
+from carom.plan import auto
+from carom.plan.features import require
+from carom.plan.hierarchy import why_no_hierarchy
+from carom.plan.interactions import damping
+from carom.scene import variation
+from carom.scene.integrators import INTEGRATORS, integrator_called
+from carom.scene.schema import Scene
+from carom.terminal.printing import finite
 
 STEP = "step"  # a pseudo-key: a factor on the step, whichever limit applies
 THREADS = "threads"  # threads of the kernels, which change the cost but no bits

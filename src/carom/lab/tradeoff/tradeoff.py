@@ -19,10 +19,8 @@ from typing import Any
 
 import numpy as np
 
-from carom import Scene, Space
 from carom.arrays import FloatArray
 from carom.errors import ExperimentError, PhysicsError, SceneError
-from carom.extend import TIME, at, cores, environment, output_folder, with_promise
 from carom.lab.compared_run import (
     AS_WRITTEN,
     RunBound,
@@ -43,6 +41,14 @@ from carom.lab.tradeoff.settings_grid import (
     result_entry,
     result_of,
 )
+from carom.physics.jit import cores
+from carom.physics.look_ahead.find_step import with_promise
+from carom.physics.schedule import at
+from carom.physics.space import Space
+from carom.recording.write.whole_file import output_folder
+from carom.runs.environment import environment
+from carom.scene.schema import Scene
+from carom.scene.units.dimension import TIME
 
 DOCUMENT = "tradeoff.json"
 REFERENCE = "reference.npz"

@@ -12,12 +12,15 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from carom import Space
+from carom.display import overlays
 from carom.errors import ExperimentError, install_extra
-from carom.extend import SI, TIME, UnitSystem, overlays, whole_file
 from carom.lab.compared_run import AS_WRITTEN
 from carom.lab.tradeoff.settings_grid import pareto_front
 from carom.lab.tradeoff.tradeoff import Study
+from carom.physics.space import Space
+from carom.recording.write.whole_file import whole_file
+from carom.scene.units.dimension import TIME
+from carom.scene.units.system import SI, UnitSystem
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -17,11 +17,17 @@ from pathlib import Path
 from typing import Any
 
 from carom.errors import ExperimentError, SceneError
-from carom.extend import TIME, auto, finite, require, suggestion, toml_for, write_whole
 from carom.lab.compared_run import AS_WRITTEN, Setting
 from carom.lab.tradeoff.reference import COMPARED, NAMES, Teller
 from carom.lab.tradeoff.settings_grid import GridPoint, SettingResult, default_points, knobs, result_entry
 from carom.lab.tradeoff.tradeoff import Study
+from carom.plan import auto
+from carom.plan.features import require
+from carom.recording.write.whole_file import write_whole
+from carom.scene.scene_file import toml_for
+from carom.scene.units.dimension import TIME
+from carom.scene.wording import suggestion
+from carom.terminal.printing import finite
 
 FRAMES_KEPT = 0.95  # least number of frames over that of the scene's recording, so that motion stays smooth
 NEARER = 0.9  # if half the step leaves a larger fraction of the excess, no shorter step is tried

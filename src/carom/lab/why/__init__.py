@@ -9,33 +9,28 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 import typer
 
-from carom.extend import (
-    ENERGY,
-    IMPULSE,
-    TIME,
-    VELOCITY,
+from carom.scene.units.dimension import ENERGY, IMPULSE, TIME, VELOCITY
+from carom.scene.wording import command, counted, literal
+from carom.terminal.options import (
     ForceOption,
     JsonOption,
     OptionalTime,
     RecordingArgument,
-    command,
-    counted,
-    literal,
     recording_option,
-    say,
-    say_json,
     simulated_or_none,
     time_option,
 )
+from carom.terminal.printing import say, say_json
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from carom import Recording
     from carom.arrays import FloatArray
-    from carom.extend import Names, UnitSystem
     from carom.lab.why.account import Account, Cause
     from carom.lab.why.why import Answer
+    from carom.recording.read.recording import Recording
+    from carom.scene.units.system import UnitSystem
+    from carom.scene.wording import Names
 
 
 MOST_CAUSES = 12  # printed causes of a body; --json has all
@@ -65,10 +60,13 @@ def why_command(
     The steps before the moment are run again, so any recording will do; one of another engine needs the forces of its
     contacts. FILE may be the zip of `carom report`.
     """
-    from carom import Recording
-    from carom.extend import names_of, opened, refuse_itself, refuse_output, replaying
     from carom.lab.why.history import question_of
     from carom.lab.why.why import why as answer_to
+    from carom.recording.edit.bundle import opened
+    from carom.recording.read.lookup import names_of
+    from carom.recording.read.recording import Recording
+    from carom.recording.write.whole_file import refuse_itself, refuse_output
+    from carom.terminal.console import replaying
 
     if output is not None:
         refuse_itself(output, file)
@@ -151,7 +149,8 @@ def _account_document(account: Account, names: Names, knows_field: bool) -> dict
 
 def _print(answer: Answer, names: Names, units: UnitSystem, file: Path, oldest: int) -> None:
     """Print an answer; ``oldest`` is the step of the recording's first checkpoint."""
-    from carom.extend import Terminal, tolerance
+    from carom.recording.read.lookup import tolerance
+    from carom.terminal.console import Terminal
 
     console = Terminal(soft_wrap=True)
     console.print(answer.question.text, style="bold")
@@ -212,7 +211,7 @@ def _speed(velocity: FloatArray, units: UnitSystem) -> str:
 def _print_causes(account: Account, names: Names, units: UnitSystem) -> None:
     from rich.table import Table
 
-    from carom.extend import print_whole
+    from carom.terminal.console import print_whole
 
     if not account.causes:
         return
@@ -334,7 +333,7 @@ def _first_cause(answer: Answer, names: Names, units: UnitSystem) -> str:
 
 def _write(out: Path, recording: Recording, answer: Answer, text: str) -> None:
     """Write a recording of the bodies and contacts behind an answer."""
-    from carom.extend import CauseEdge, Causes, write_causes
+    from carom.display.causes import CauseEdge, Causes, write_causes
 
     cone, question = answer.cone, answer.question
     edges = [

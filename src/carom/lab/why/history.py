@@ -11,26 +11,22 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from carom import Recording, Scene, Space
 from carom.arrays import BoolArray, FloatArray, Records
 from carom.contact_table import CONTACT_ROW, IMPACT_MODE, OPEN
+from carom.display.request import named_event
 from carom.errors import ExperimentError, RecordingError
-from carom.extend import (
-    SI,
-    TIME,
-    Checkpoint,
-    StepStatus,
-    UnitSystem,
-    body_number,
-    closing_speeds,
-    every,
-    named_event,
-    names_of,
-    recorded_scene,
-    rows_by_frame,
-    space_of,
-    tolerance,
-)
+from carom.physics.checkpoint import Checkpoint
+from carom.physics.schedule import every
+from carom.physics.simulation import StepStatus
+from carom.physics.space import Space
+from carom.recording.read.lookup import body_number, names_of, tolerance
+from carom.recording.read.recorded_contacts import closing_speeds, rows_by_frame
+from carom.recording.read.recorded_scene import recorded_scene
+from carom.recording.read.recording import Recording
+from carom.runs.window import space_of
+from carom.scene.schema import Scene
+from carom.scene.units.dimension import TIME
+from carom.scene.units.system import SI, UnitSystem
 
 Watcher = Callable[[StepStatus], None]
 

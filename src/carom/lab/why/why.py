@@ -11,13 +11,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from carom import Recording
 from carom.arrays import FloatArray, IntArray, Records
 from carom.errors import ExperimentError, RecordingError
-from carom.extend import STEP, TIME, tolerance
 from carom.lab.why.account import Account, impacts_by_step, impulses_on
 from carom.lab.why.cone import Cone, Edge, Link, chain_of
 from carom.lab.why.history import History, Question, Step, Watcher, recorded_history
+from carom.recording.read.lookup import tolerance
+from carom.recording.read.recording import Recording
+from carom.recording.schema.paths import STEP
+from carom.scene.units.dimension import TIME
 
 
 @dataclass(frozen=True, slots=True)
