@@ -152,24 +152,29 @@ class _Comparison:
 
     def _rows(self, path: str, at_impacts: bool) -> Difference | None:
         """Compare the rows of an entity on the timeline of steps, or those of states at impacts."""
-        extent, chosen = self._extent, path in (paths.IMPACTS, paths.CHECKPOINT) or at_impacts
+        extent = self._extent
         ours, theirs = (self._batches(run, path, at_impacts) for run in (self._recorded, self._again))
+        if at_impacts and not extent.same_choice:
+            none = np.empty(0, np.int64), pa.table({})
+            drawn = np.intersect1d(
+                self._states[0].get(paths.BODIES, none)[0], self._states[1].get(paths.BODIES, none)[0]
+            )
+            ours, theirs = (_selected(each, lambda keys: np.isin(keys, drawn)) for each in (ours, theirs))
+        is_chosen = path in (paths.IMPACTS, paths.CHECKPOINT) and not at_impacts and not extent.same_choice
         lacks_some = not extent.is_complete or (not extent.same_version and path not in self._known)
-        if lacks_some or (chosen and not extent.same_choice) or path == paths.CHECKPOINT:
+        if lacks_some or is_chosen or path == paths.CHECKPOINT:
             own = _keys(self._batches(self._recorded, path, at_impacts))
 
             def present(keys: IntArray) -> BoolArray:
                 there = np.isin(keys, own)
-                if lacks_some and not chosen and not there.all():
+                if lacks_some and not is_chosen and not there.all():
                     self.excused[f"rows of /{path}, which the recording lacks"] = None
-                if lacks_some or not extent.same_choice:
+                if lacks_some or is_chosen:
                     return there
+                # a file ends with a checkpoint; in the recording, a warning may add one there
                 return there | (keys < extent.last) if not extent.to_the_end else np.ones(len(keys), np.bool_)
 
             theirs = _selected(theirs, present)
-        if at_impacts and not extent.same_choice:
-            other = _keys(self._batches(self._again, path, at_impacts))
-            ours = _selected(ours, lambda keys: np.isin(keys, other))
         one: pa.RecordBatch | None = None
         two: pa.RecordBatch | None = None
         while True:
@@ -207,13 +212,14 @@ class _Comparison:
 
     def _in_rows(self, path: str, one: pa.RecordBatch, two: pa.RecordBatch) -> Difference | None:
         """Return the first difference of rows that are not alike; None if it is excused."""
+        key = IMPACT if IMPACT in one.schema.names else STEP
         keys = [_key(one).to_pylist(), _key(two).to_pylist()]
         for k, (own, other) in enumerate(zip(*keys, strict=True)):
             if own != other:
                 first = own < other
                 return self._only(path, one if first else two, k, recorded=first)
             step, rows = self._step(one, k), (one.slice(k, 1), two.slice(k, 1))
-            for name in dict.fromkeys(each for row in rows for each in row.schema.names if each not in (_ROW_ID, STEP)):
+            for name in dict.fromkeys(each for row in rows for each in row.schema.names if each not in (_ROW_ID, key)):
                 there = [name in row.schema.names for row in rows]
                 if not there[0] and not self._extent.same_version:
                     self.excused[f"{name} of /{path}, which is missing"] = None
