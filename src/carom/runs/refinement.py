@@ -72,6 +72,8 @@ TRIAL_SECONDS = 1.0  # after stepping so long, the remaining time is estimated
 CALLED = {"position": "distance covered", "velocity": "velocity", "spin": "speed of the surface"}
 MOST_IMPACTS = 3  # that a message lists
 
+CORRECTED = -1  # the place of the corrections of positions among the entries of the ledger
+
 Impacts = tuple[tuple[str, float], ...]  # the names of both ends, and the closing speed in m/s
 Consent = Callable[[float], bool]  # remaining time (s) → whether to continue
 Watcher = Callable[[StepStatus], None]
@@ -373,6 +375,8 @@ class _Comparison:
         """
         certain, self._certain = self._certain, self._certain_share(frame)
         allowed = SUDDEN * max(self._kinetic_of(before).sum(), self._kinetic_of(frame).sum())
+        allowed = max(allowed, (CHAOTIC if self.shared else LEDGER) * self._kinetic)
+        allowed += self._moved_energy(before, frame, fine_before, fine)
         differ = self._differences[-1]
         doubt = 10.0 * np.minimum(np.abs(of_twin), np.abs(differ - of_twin))
         differ = np.where(np.abs(differ) > allowed + doubt, differ, 0.0)
@@ -389,6 +393,16 @@ class _Comparison:
             run, refined = float(_booked(before, frame)[k]), float(_booked(fine_before, fine)[k])
             values = run, refined, abs(refined - run), float(allowed)
             self._add(Moved(self._entries[k], before.time, frame.time, (), "", *values, "J"))
+
+    def _moved_energy(self, before: Frame, frame: Frame, fine_before: Frame, fine: Frame) -> float:
+        """Return the energy (J) by which positions differ, and that corrections of positions put in or took out.
+
+        Contacts take out again what a correction put in, and what bodies that it displaced gain in a fall.
+        """
+        force = self._mass[:, np.newaxis] * frame.acceleration
+        work = np.abs((force * self._between(fine.position, frame.position)).sum(axis=1))
+        corrected = abs(_booked(before, frame)[CORRECTED]) + abs(_booked(fine_before, fine)[CORRECTED])
+        return float(work[self._free].sum() + corrected)
 
     def _kinetic_of(self, frame: Frame) -> FloatArray:
         """Return the kinetic energies of the bodies, (n,) J."""

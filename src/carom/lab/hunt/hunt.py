@@ -115,6 +115,12 @@ LAWS = [
         "expect.contact_audit",
         lambda scene, needs: needs.contact.modelled,
     ),
+    HuntedLaw(
+        "signs",
+        "contacts dissipate what their laws say",
+        "warning dissipation",
+        lambda scene, needs: needs.contact.modelled,
+    ),
     HuntedLaw("overlap", "no overlap above 5 % of a radius persists", "overlap at rest", _corrects_overlaps),
     HuntedLaw(
         "replay", "the bits do not depend on threads, checkpoints or the search", "replay differs", lambda *_: True

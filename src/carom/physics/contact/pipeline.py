@@ -215,7 +215,7 @@ class ContactPipeline:
             if self.tap:  # a step begins; these entries belong to the previous step, which is already booked
                 self.solver.ledger[:] = 0.0
             if self.signs.judges:
-                self.signs.before_hold(self.contacts, self.solver)
+                self.signs.before_hold(self.contacts, self.solver, self._impulses)
             self._hold_contacts(self._dt, kick, dt, 0.0, booked, against)
             if self.signs.judges and kick > 0.0:
                 self.signs.after_hold(self.contacts, self.solver, kick)
@@ -488,7 +488,7 @@ class ContactPipeline:
             self.boundary.add_impacts(self.impacts.log)
             self.signs.judge_impacts(self.impacts, 1.0, self.solver.loads)
         if self._lasts:
-            self.signs.before_hold(self.contacts, self.solver)
+            self.signs.before_hold(self.contacts, self.solver, self._impulses)
             for drift in (1.0, 0.0):
                 self._hold_contacts(1.0, 1.0, drift, 0.0, 1.0)
             self.signs.after_hold(self.contacts, self.solver, 1.0)

@@ -32,6 +32,7 @@ from carom.physics.contact.loads import LoadRecord, pressing
 from carom.physics.diagnostics.extremes import Extreme
 from carom.physics.diagnostics.ledger import clear_terms
 from carom.physics.jit.decorators import entry_of, inline, kernel, long_kernel
+from carom.physics.vector import Vector
 from carom.scene.rest_speed import PER_STEP
 from carom.scene.schema import Coefficients
 from carom.scene.units.dimension import ENERGY, TIME
@@ -41,6 +42,7 @@ from carom.scene.wording import Names
 if TYPE_CHECKING:
     from carom.physics.contact.graph import OrderedContacts
     from carom.physics.contact.solver.contact_solver import ContactSolver
+    from carom.physics.contact.solver.prepare import ImpulseCache
 
 RESTITUTION, STOPPED, GAIN, HOLDING = range(4)  # the statements above, when they are wrong
 WRONG = (
@@ -164,19 +166,20 @@ class SignsOfDissipation:
             self._told[k] = row.told
         self._known = float(self.rows["energy"].sum())  # J, of the last check
 
-    def before_hold(self, contacts: OrderedContacts, solver: ContactSolver) -> None:
-        """Note what contacts did in the last kick, before the first kick of a judged step."""
+    def before_hold(self, contacts: OrderedContacts, solver: ContactSolver, last: ImpulseCache) -> None:
+        """Note what contacts did in the last kick, before the first kick of a judged step.
+
+        Their records in ``solver`` have the same impulses, but not after a checkpoint.
+        """
         self._held = np.zeros(len(contacts.pairs), HELD)
-        self._note(contacts, solver, 0.0)
+        held = contacts.pairs, contacts.order.place, solver.states
+        note_last(*held, last.pairs, last.impulse, self._ends, self._held)
 
     def after_hold(self, contacts: OrderedContacts, solver: ContactSolver, kick: float) -> None:
         """Note what they did in the first kick, of a length in s."""
         self._held_pairs, self._kick = contacts.pairs, kick
-        self._note(contacts, solver, kick)
-
-    def _note(self, contacts: OrderedContacts, solver: ContactSolver, kick: float) -> None:
         held = contacts.pairs, contacts.order.place, solver.contacts, solver.states
-        asked = *held, self._ends, kick, self._held
+        asked = *held, self._ends, self._held
         note = self._note_held = self._note_held or entry_of(note_held, *asked)
         note(*asked)
 
@@ -228,37 +231,62 @@ class SignsOfDissipation:
 
 
 @kernel
+def note_last(
+    pairs: IntArray,
+    place: IntArray,
+    states: RecordArray[ContactStateRecord],
+    last_pairs: IntArray,
+    last_impulse: FloatArray,
+    ends: JudgedEnds,
+    held: RecordArray[HeldContacts],
+) -> None:
+    """Note what each contact did in the last kick, and clear its work, which is booked.
+
+    ``last_pairs``, (m, 2), sorted, and ``last_impulse``, (m, 4) N s, are an `ImpulseCache`.
+    """
+    rows, places, bodies = ends.rows, ends.places, ends.bodies
+    b = 0
+    for k in range(len(pairs)):
+        clear_terms(states[place[k]])
+        i, j = ends_of(pairs, k)
+        while b < len(last_pairs) and comes_before(last_pairs[b, 0], last_pairs[b, 1], i, j):
+            b += 1
+        held[k].did = _IDLE
+        if b < len(last_pairs) and last_pairs[b, 0] == i and last_pairs[b, 1] == j:
+            Jn, x, y, z = last_impulse[b, 0], last_impulse[b, 1], last_impulse[b, 2], last_impulse[b, 3]
+            held[k].did = _what(Jn, (x, y, z), rows[material_index(i, j, bodies, places)])
+
+
+@kernel
 def note_held(
     pairs: IntArray,
     place: IntArray,
     contacts: RecordArray[ContactRecord],
     states: RecordArray[ContactStateRecord],
     ends: JudgedEnds,
-    kick: float,
     held: RecordArray[HeldContacts],
 ) -> None:
-    """Note what each contact did in a kick, in the order of the pairs.
-
-    A kick of 0 s stands for the last one of the step before. With the length of the first kick, also note its work.
-    """
+    """Note what each contact did in the first kick, in the order of the pairs, and the work of its friction."""
     rows, places, bodies = ends.rows, ends.places, ends.bodies
     for k in range(len(pairs)):
         (i, j), contact = ends_of(pairs, k), contacts[place[k]]
         held[k].did |= _what_it_does(contact, rows[material_index(i, j, bodies, places)])
-        if kick == 0.0:
-            clear_terms(states[place[k]])  # they belong to the previous step, which is booked
-        else:
-            held[k].friction = states[place[k]].friction_loss
+        held[k].friction = states[place[k]].friction_loss
 
 
 @inline
 def _what_it_does(contact: ContactRecord, material: Coefficients) -> int:
-    Jn = contact.normal_impulse
+    return _what(contact.normal_impulse, (contact.friction_x, contact.friction_y, contact.friction_z), material)
+
+
+@inline
+def _what(Jn: float, friction: Vector, material: Coefficients) -> int:
+    """Return what a contact with these impulses (N s) does."""
     if not Jn > 0.0:
         return _IDLE
     if exerts_torque(material):  # its work on spins is booked as friction
         return _OTHER
-    return _OTHER if slides(material, Jn, contact.friction_x, contact.friction_y, contact.friction_z) else _STUCK
+    return _OTHER if slides(material, Jn, friction[0], friction[1], friction[2]) else _STUCK
 
 
 @inline
