@@ -47,7 +47,7 @@ _REACHING = (paths.PLANES, paths.SHAPES, paths.MOVING)  # drawn as large as the 
 _STATES = (paths.STATIC_STATE, paths.GIVEN_STATE, paths.SCENE_TOML)  # the initial data of a run
 _PROPERTY, _CLOSING, _REFERENCES = "__properties/", "__properties/outcome", "__properties/arrows"
 # the circumstances of the run, the place of a clip, the layout
-_CIRCUMSTANCES = ("__properties/run", "__properties/clip", paths.START, paths.MAGNIFIED)
+_CIRCUMSTANCES = ("__properties/run", "__properties/clip", "__properties/repair", paths.START, paths.MAGNIFIED)
 _NEVER_SAME = ("RecordingInfo:start_time", "wall_time", "profile.")  # prefixes of static components
 
 
