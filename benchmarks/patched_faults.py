@@ -21,7 +21,8 @@ from carom.physics.contact.events.drift import EventDrivenDrift
 from carom.physics.contact.impact_log import Impacts
 from carom.physics.contact.pipeline import ContactPipeline
 from carom.physics.contact.solver.contact_solver import ContactSolver
-from carom.physics.diagnostics.bookkeeper import BalanceAudit, Bookkeeper
+from carom.physics.diagnostics.bookkeeper import BalanceAudit
+from carom.physics.forces.drag import StokesDrag
 from carom.physics.forces.force import TotalForce
 from carom.physics.integrators import kick_drift
 from carom.physics.step import KickDriftStepper
@@ -103,11 +104,11 @@ def _resolve(spoil: Callable[[Bodies, np.ndarray, np.ndarray, np.ndarray], None]
     resolve, drift = ContactPipeline.resolve, EventDrivenDrift._resolve
 
     def resolved(self: Any, *given: Any) -> None:
-        velocity, spin = self._bodies.velocity.copy(), self._bodies.angular_velocity.copy()
+        velocity, spin = self.bodies.velocity.copy(), self.bodies.angular_velocity.copy()
         resolve(self, *given)
-        pairs = self._found.pairs
-        if len(pairs) and not np.array_equal(velocity, self._bodies.velocity):
-            spoil(self._bodies, pairs, velocity, spin)
+        pairs = self.contacts.pairs
+        if len(pairs) and not np.array_equal(velocity, self.bodies.velocity):
+            spoil(self.bodies, pairs, velocity, spin)
 
     def drifted(self: Any, *given: Any) -> Impacts:
         velocity, spin = self._bodies.velocity.copy(), self._bodies.angular_velocity.copy()
@@ -306,16 +307,16 @@ def _turn() -> dict[Any, dict[str, Any]]:
     resolve = ContactPipeline.resolve
 
     def resolved(self: Any, *given: Any) -> None:
-        spin = self._bodies.angular_velocity.copy()
+        spin = self.bodies.angular_velocity.copy()
         resolve(self, *given)
-        ratio = (self._bodies.inertia / np.roll(self._bodies.inertia, 1))[:, None]
-        self._bodies.angular_velocity[:] = spin + ratio * (self._bodies.angular_velocity - spin)
+        ratio = (self.bodies.inertia / np.roll(self.bodies.inertia, 1))[:, None]
+        self.bodies.angular_velocity[:] = spin + ratio * (self.bodies.angular_velocity - spin)
 
     return {ContactPipeline: {"resolve": resolved}}
 
 
 def _drag_unbooked() -> dict[Any, dict[str, Any]]:
-    return {Bookkeeper: {"book_exchanges": lambda self, entry, exchanges: None}}
+    return {StokesDrag: {"book": lambda self, account: None}}
 
 
 FAULTS = [

@@ -265,7 +265,7 @@ def test_scenes_run_and_replay_without_the_optional_physics(bare: Carom) -> None
 def test_nothing_imports_exact_times_of_impact_but_the_growth_of_packings(
     without: Callable[..., Carom], tmp_path: Path
 ) -> None:
-    """The pipeline gets them from the registry; spheres that grow meet at exact times, too."""
+    """The pipeline gets them from a row of `plan/step_parts.py`; spheres that grow meet at exact times, too."""
     events, users = HOUSE / "physics" / "contact" / "events", set[str]()
     for path in (path for path in HOUSE.rglob("*.py") if path.parent != events):
         for node in ast.parse(path.read_text(encoding="utf-8")).body:

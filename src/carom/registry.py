@@ -123,9 +123,7 @@ HOUSE: Mapping[str, Mapping[str, str]] = {  # carom's own parts: kind â†’ name â
         "pybullet": "carom.lab.engines.pybullet:pybullet",
         "newton": "carom.lab.engines.newton:newton",
     },
-    "model": {  # optional parts of the physics, which no package can define
-        "sleep": "carom.physics.contact.sleep.sleepers:Sleepers",
-        "time-of-impact": "carom.physics.contact.events.drift:EventDrivenDrift",
+    "model": {  # optional parts of the physics, which no package can define; for others see `carom.plan.step_parts`
         "piston": "carom.physics.contact.piston_motion:PistonPlane.of",
         "steady-steps": "carom.physics.contact.events.steady_steps:make",
     },
@@ -188,9 +186,9 @@ def load(kind: str, name: str) -> Any:
         near = suggestion(name, known) if known else f"no installed package has a {KINDS[kind]} (in {sys.prefix})"
         raise ExtensionError(f'no {KINDS[kind]} "{name}"; {near}')
     if found is None:
-        return _imported(target)
+        return imported(target)
     try:
-        return _imported(target)
+        return imported(target)
     except Exception as error:
         reason = (str(error).strip().splitlines() or [type(error).__name__])[0][:200]
         raise ExtensionError(
@@ -199,7 +197,8 @@ def load(kind: str, name: str) -> Any:
         ) from error
 
 
-def _imported(target: str) -> Any:
+def imported(target: str) -> Any:
+    """Return the attribute of a module, given as module:attribute."""
     module, _, attribute = target.partition(":")
     try:
         part: Any = importlib.import_module(module)

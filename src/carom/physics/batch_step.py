@@ -123,14 +123,15 @@ class BatchStepper:
         refuse_infinities(bodies, world.names.bodies, clock.step, clock.time, clock.units)
         for work in works:
             work.follow(batch.dt, self._integrator.at)
-        self._books.book_path_works()
+            work.book(self._books.audit)
         if rotates:
             rotate(bodies.orientation, bodies.angular_velocity, clock.dt, world.team)
         if contact:
             self._books.begin_contacts()
             if batch.meeting:
                 contact.resolve_meeting(batch.meeting.ends, clock.dt)
-            contact.end_batch(clock.dt, world.profile)
+            world.step.dt, world.step.last_kick = clock.dt, 0.0
+            contact.end_batch(world.step)
         # an impact or the end of the run shortens one step, but does not limit the next
         clock.foresee("error" if clock.limit in ("end", "impact") else clock.limit, batch.steps)
         world.profile.mark("integrate")

@@ -183,7 +183,7 @@ def can_fly(world: World) -> bool:
         and world.scene.expect.contact_audit is None  # the audit needs each kick
         and not (world.is_periodic and world.contact is None)  # only single steps refuse too many crossings
         and not world.forces.path_works  # they are booked step by step
-        and world.shear is None
+        and not world.is_sheared
     )
 
 

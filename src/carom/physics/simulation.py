@@ -10,6 +10,7 @@ from carom.arrays import FloatArray, Records
 from carom.contact_table import NO_ROWS
 from carom.physics.batch_step import BatchStepper
 from carom.physics.checkpoint import Checkpoint, fingerprint
+from carom.physics.contact.contact_tap import ContactTap
 from carom.physics.contact.graph import CollisionGraph, empty_graph
 from carom.physics.diagnostics.bookkeeper import Bookkeeper
 from carom.physics.diagnostics.energy import Energy
@@ -89,6 +90,7 @@ class Simulation:
         self.state = self._world.bodies
         self.profile = self._world.profile
         self._contact = self._world.contact
+        self._tap = self._contact.part(ContactTap) if self._contact else None
         self._books = Bookkeeper(self._world)
         self._stepper = _stepper_of(self._world, self._books, stride)
         self._stopping = False
@@ -257,9 +259,9 @@ class Simulation:
         buffer = None if store is None or slot is None else store.contact_rows[slot]
         impacts: Records | None = NO_ROWS if self._records_contacts else None
         contact_rows, left_out, sums = impacts, 0, None
-        if self._records_contacts and self._contact and self._contact.tap:
-            impacts, left_out, sums = self._contact.tap.pop_impacts()
-            contact_rows = self._contact.rows(buffer)
+        if self._records_contacts and self._tap:
+            impacts, left_out, sums = self._tap.pop_impacts()
+            contact_rows = self._tap.rows(buffer)
         arrays = copies(state) if store is None or slot is None else store.kept(slot)
         position, velocity, acceleration, orientation, angular_velocity, torque, angular_acceleration = arrays
         return Frame(

@@ -109,7 +109,7 @@ class Space(Simulation):
 
     def impulses(self) -> Iterator[Impulses]:
         """Yield the impulses of the last step in the order in which they acted, if contacts are recorded."""
-        return self._contact.impulses() if self._contact else iter(())
+        return self._tap.impulses() if self._tap else iter(())
 
     def kicks(self) -> list[FloatArray]:
         """Return the changes of the velocities by forces in the last step, in order, each (n, 3) m/s.

@@ -3,28 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from carom.arrays import FloatArray
 from carom.physics.checkpoint import Checkpoint
+from carom.physics.contact.hooks import PresentStep, StepHooks
 from carom.physics.contact.pipeline import ContactPipeline
 from carom.physics.contact.reactions import NO_SUPPORT
 from carom.physics.diagnostics.bookkeeper import Bookkeeper
 from carom.physics.diagnostics.run_monitor import refuse_infinities, refuse_many_crossings
-from carom.physics.forces.force import Damping, Exchange, Potentials
+from carom.physics.forces.force import Potentials
 from carom.physics.free_flight import Flight, FreeFlight, can_fly
-from carom.physics.integrators.kick_drift import DampedStep, drift, kick, wrap
+from carom.physics.integrators.kick_drift import drift, kick, wrap
 from carom.physics.rotation import rotate
 from carom.physics.schedule import Goal, looks_before
 from carom.physics.time_step import Timestep
 from carom.physics.world import World
 from carom.plan.auto import integrator
 from carom.registry import load, names
-
-if TYPE_CHECKING:
-    from carom.physics.contact.events.steady_steps import SteadySteps
 
 WARM_UP_STEPS = 3
 STICKING = "friction"  # the limit of a step that ends where a contact stops sliding or rolling
@@ -46,15 +43,17 @@ class KickDriftStepper:
         self._asked = asked
         self._substeps = integrator(world.scene).substeps
         self._ends_with_forces = integrator(world.scene).ends_with_forces
-        self._damping = world.forces.damping
-        self._exchanges: list[Exchange] = []  # of the bodies with a medium, in this step
+        self._hooks, self._now = world.hooks, world.step
+        self._kicks = world.needs.accelerates and not world.hooks.kick_before
+        self._wraps = world.is_periodic and not world.hooks.wrap
         self._flight = FreeFlight(world, timestep) if asked is None and can_fly(world) else None
         # the accuracy that contacts which stick within a step must keep; None without one
         self._sticks_within = world.scene.time.accuracy if world.scene.promise and world.contact else None
         self._is_first = False  # whether contacts carry no impulses yet
-        self._steady: SteadySteps | None = None  # of few bodies in contact
-        if self._flight and world.contact and world.contact.event_drift and "steady-steps" in names("model"):
-            self._steady = load("model", "steady-steps")(world, books, timestep, self._flight)
+        self._advance_steadily: Callable[[Goal], bool] | None = None  # few bodies in contact
+        if self._flight and world.contact and self._hooks.move and "steady-steps" in names("model"):
+            steady = load("model", "steady-steps")(world, books, timestep, self._flight)
+            self._advance_steadily = steady.advance if steady else None
 
     @property
     def checkpoint(self) -> None:
@@ -81,11 +80,8 @@ class KickDriftStepper:
             self._step(dt, with_potential=False)
         if self._flight:
             self._flight.take(0.0, np.inf, np.inf, most=0)  # loads the kernel
-        self._exchanges.clear()
-        for work in self._world.forces.path_works:
-            work.pop()
-        if self._world.shear:
-            self._world.shear.pop()
+        for part in self._world.parts:
+            part.discard()
 
     def begin(self) -> None:
         """Start at the present state, where touching contacts carry no impulses yet."""
@@ -98,20 +94,18 @@ class KickDriftStepper:
         world = self._world
         if world.needs.adaptive_step.modelled:
             self.timestep.previous = self.timestep.target(world.bodies)[0]
-        if world.shear:
-            world.shear.begin(world.clock.time)
+        for part in world.parts:
+            part.place(world.clock.time)
         if world.contact:
-            world.contact.boundary.place(world.clock.time)
             world.contact.begin(self.first_dt)
         self._is_first = True
 
     def restore(self, checkpoint: Checkpoint) -> None:
         """Continue from a checkpoint, whose bodies are already restored."""
         self.timestep.previous, self._is_first = checkpoint.previous_dt, checkpoint.step == 0
-        if self._world.shear:
-            self._world.shear.begin(self._world.clock.time)
+        for part in self._world.parts:
+            part.place(self._world.clock.time)
         if self._world.contact:
-            self._world.contact.boundary.place(self._world.clock.time)
             self._world.contact.recall(checkpoint.contacts)
 
     def advance(self, goal: Goal) -> bool:
@@ -143,14 +137,14 @@ class KickDriftStepper:
         if flight is None or looks_before(goal.schedule):
             return self._advance_once(goal)
         if contact and not contact.is_quiet:
-            is_done = self._steady is not None and self._steady.advance(goal)
+            is_done = self._advance_steadily is not None and self._advance_steadily(goal)
             return False if is_done else self._advance_once(goal)
         most, until = goal.most, np.inf
         if most > 1:
             steps, until = goal.quiet(clock)
             most, until = int(min(most, steps)), min(until, self._books.kept_until)
-        if self._damping:
-            self._damping.exchanged[:] = self._books.audit.exchanged(self._damping.kind.loss)
+        for lend in self._hooks.lend:
+            lend(self._books.audit)
         taken = flight.take(clock.time, goal.end, until, most, self._books.activity.impact_energy)
         return self._land(taken, goal) if taken.steps else self._advance_once(goal)
 
@@ -158,8 +152,8 @@ class KickDriftStepper:
         """Book steps without contacts; return whether a frame is due."""
         world, books, clock = self._world, self._books, self._world.clock
         clock.advance(taken.steps, taken.before, taken.time, taken.dt, taken.limit)
-        if self._damping:
-            books.audit.exchange_up_to(self._damping.kind.loss, self._damping.exchanged)
+        for settle in self._hooks.settle:
+            settle(books.audit)
         due, judged = goal.is_reached(clock), goal.is_check(clock)
         if world.contact:
             world.contact.add_quiet_steps()
@@ -180,12 +174,8 @@ class KickDriftStepper:
         books.begin_step(judged)
         world.profile.mark("timestep")
         potentials = self._step(clock.dt, with_potential=due or judged)
-        if self._damping:
-            books.book_exchanges(self._damping.kind.loss, self._exchanges)
-            self._exchanges.clear()
-        books.book_path_works()
-        if world.shear:
-            books.book_shear(world.shear)
+        for book in self._hooks.book:
+            book(books.audit)
         self._finish(potentials, due or judged, judged)
         return due
 
@@ -208,10 +198,8 @@ class KickDriftStepper:
         """Choose the next step of a run that ends at a time; return the time at its end, its length, and its limit."""
         world, time = self._world, self._world.clock.time
         change = np.inf
-        if world.contact and world.planes.translates:
-            change = world.contact.boundary.next_change(time)
-        if world.contact and world.planes.curves and self.timestep.fixed_dt is None:
-            change = min(change, time + world.contact.longest_step)
+        for latest_end in self._hooks.latest_end:
+            change = min(change, latest_end(time, self.timestep.fixed_dt is None))
         dt, limit = self.timestep.choose(world.bodies, min(end, change) - time, self.supported_acceleration())
         if self._asked:
             asked, asked_limit = self._asked.target(world.bodies, self.supported_acceleration())
@@ -227,95 +215,58 @@ class KickDriftStepper:
         corrects them at the end of the step. Its forces then belong to other positions, the next kick is not central,
         and angular momentum drifts by overlap × force, unless forces are computed twice.
         """
-        world, contact, damping = self._world, self._world.contact, self._damping
+        world, contact, hooks, step = self._world, self._world.contact, self._hooks, self._now
         potentials: Potentials = {}
-        last_kick = 0.0
-        if contact and world.planes.translates:
-            contact.boundary.set_span(world.clock.before, world.clock.time)
-        if world.shear:
-            world.shear.begin(world.clock.before)
+        step.before, step.time, step.dt = world.clock.before, world.clock.time, dt
         if world.needs.orientation.modelled:
             rotate(world.bodies.orientation, world.bodies.angular_velocity, dt, world.team)
             world.profile.mark("orientation")
         for index, substep in enumerate(self._substeps):
             is_last = index == len(self._substeps) - 1
-            damped = damping.step(dt) if damping else None
-            first_kick, last_kick = substep.before * dt, substep.after * dt
-            booked = first_kick  # s, part of the drift for which the first kick has done the work of the forces
-            if damped:
-                booked, last_kick = damped.booked, damped.last_kick
-            if damping and damped:  # drag has its own kicks
-                self._exchange(damping, damping.begin, damped)
-            elif first_kick and world.needs.accelerates:
-                self._kick(first_kick)
+            step.set_kicks(substep.before * dt, substep.drift * dt, substep.after * dt)
+            self._change_velocities(hooks.kick_before)
+            if step.kick and self._kicks:
+                self._kick(step.kick)
             if index == 0 and contact:
-                self._hold(contact, first_kick, dt, booked, damped)
-            for work in world.forces.path_works:
-                work.begin()
-            self._drift(substep.drift * dt, booked, damped)
-            if world.shear:  # contacts are resolved where the images are at the end of the step
-                world.shear.begin(world.clock.time)
+                world.profile.mark("integrate")
+                contact.hold(step)
+                world.profile.mark("resting")
+            self._drift(step)
             if is_last and contact:  # at the final positions
-                clock = world.clock
-                refuse_infinities(world.bodies, world.names.bodies, clock.step, clock.time, clock.units, world.team)
-                contact.find(dt, world.profile)
-            for work in world.forces.path_works:
-                work.end()
-            if world.shear:  # changes velocities
-                audit = self._books.impulse_audit
-                before = world.bodies.velocity.copy() if audit else None
-                world.shear.wrap(world.bodies, world.clock.time)
-                if audit and before is not None:
-                    audit.add_change(before)
-            elif world.is_periodic:
+                self._refuse_infinities()
+                contact.find(step)
+            for travelled in hooks.travelled:
+                travelled(step)
+            self._change_velocities(hooks.wrap)
+            if self._wraps:
                 wrap(world.bodies.position, world.box, world.team)
             if world.needs.accelerates:
                 potentials = self._sum_forces(is_last, with_potential)
-                if damping and damped:
-                    self._exchange(damping, damping.end, damped)
-                elif last_kick:
-                    self._kick(last_kick)
+                self._change_velocities(hooks.kick_after)
+                if step.last_kick and self._kicks:
+                    self._kick(step.last_kick)
             world.profile.mark("integrate")
         if contact:
-            self._resolve(contact, dt, last_kick)
+            self._resolve(contact)
         return potentials
 
-    def _hold(self, contact: ContactPipeline, kick: float, dt: float, booked: float, damped: DampedStep | None) -> None:
-        """Hold lasting contacts after the first kick, against the accelerations of the bodies; times in s."""
-        profile = self._world.profile
-        profile.mark("integrate")
-        if self._damping and damped:
-            contact.hold(damped.held_kick, dt, booked, self._damping.against)
-            if len(contact.ledger_apart):
-                loss = self._damping.lost_in_hold(damped)
-                self._exchanges.append(Exchange(loss, np.zeros(3), np.zeros(3)))
-        else:
-            contact.hold(kick, dt, booked)
-        profile.mark("resting")
-
-    def _drift(self, dt: float, kick: float, damped: DampedStep | None) -> None:
-        """Drift for a time (s), with impacts at their exact times if the scene requires it.
-
-        ``kick`` is the length (s) of the previous kick.
-        """
+    def _drift(self, step: PresentStep) -> None:
+        """Drift along straight lines, unless a part moves the bodies."""
         world, bodies, clock = self._world, self._world.bodies, self._world.clock
+        for depart in self._hooks.depart:
+            depart(step)
         if world.is_periodic:
-            refuse_many_crossings(bodies.velocity, dt, world.box, clock.step, clock.time, clock.units)
-        if world.contact and world.needs.impact_time.modelled:
-            refuse_infinities(bodies, world.names.bodies, clock.step, clock.time, clock.units, world.team)
-            if self._damping and damped:
-                before = bodies.ends.velocity.copy()
-                world.contact.drift(*damped.path[:1], dt, *damped.path[1:])
-                if len(world.contact.impacts):
-                    self._exchanges.append(self._damping.exchange_in_impacts(damped, before, world.contact.impacts))
-                    if self._books.impulse_audit:
-                        self._books.impulse_audit.add_force(before[: len(bodies)])
-            else:
-                world.contact.drift(kick, dt)
-            world.profile.mark("impacts")
-        else:
-            drift(bodies.position, bodies.velocity, dt, world.team)
+            refuse_many_crossings(bodies.velocity, step.drift, world.box, clock.step, clock.time, clock.units)
+        for move in self._hooks.move:
+            self._refuse_infinities()
+            move(step)
+        if not self._hooks.move:
+            drift(bodies.position, bodies.velocity, step.drift, world.team)
             world.profile.mark("integrate")
+
+    def _refuse_infinities(self) -> None:
+        world, clock = self._world, self._world.clock
+        refuse_infinities(world.bodies, world.names.bodies, clock.step, clock.time, clock.units, world.team)
 
     def _sum_forces(self, is_last: bool, with_potential: bool) -> Potentials:
         """Update the accelerations if a kick will use them; return the potential energies if requested."""
@@ -328,38 +279,24 @@ class KickDriftStepper:
         self._world.profile.mark("gravity")
         return potentials
 
-    def _resolve(self, contact: ContactPipeline, dt: float, last_kick: float) -> None:
+    def _resolve(self, contact: ContactPipeline) -> None:
         """Apply the impulses of the contacts after the last kick, and compute their torques."""
         world = self._world
-        contact.resolve(dt, last_kick, world.profile)
+        contact.resolve(self._now)
         if world.needs.torque.modelled:
-            contact.torques.write(dt)
+            contact.torques.write(self._now.dt)
             world.profile.mark("torque")
-        if contact.sleepers:
-            audit, bodies = self._books.impulse_audit, world.bodies
-            before = (bodies.velocity.copy(), bodies.angular_velocity.copy()) if audit else None
-            contact.fall_asleep(dt)
-            if audit and before is not None:
-                audit.add_sleep(*before)
-            world.profile.mark("sleep")
+        self._change_velocities(self._hooks.end)
 
     def _kick(self, dt: float) -> None:
         bodies = self._world.bodies
         kick(bodies.velocity, bodies.acceleration, dt, self._world.team)
-        audit, contact = self._books.impulse_audit, self._world.contact
-        if audit:
-            audit.add_kick(bodies.acceleration, dt)
-        if contact and contact.sleepers:
-            before = bodies.velocity.copy() if audit else None
-            contact.sleepers.stop()
-            if audit and before is not None:
-                audit.add_change(before)
+        if self._books.impulse_audit:
+            self._books.impulse_audit.add_kick(bodies.acceleration, dt)
+        self._change_velocities(self._hooks.kicked)
 
-    def _exchange(self, damping: Damping, act: Callable[[DampedStep], Exchange], damped: DampedStep) -> None:
-        """Let drag act on the velocities before or after the drift."""
-        audit, velocity = self._books.impulse_audit, self._world.bodies.velocity
-        before = velocity.copy() if audit else None
-        self._exchanges.append(act(damped))
-        if audit and before is not None:
-            audit.add_change(before)
-        self._world.profile.mark(damping.kind.short_name)
+    def _change_velocities(self, hooks: StepHooks) -> None:
+        """Let parts change velocities, and tell the audit."""
+        for hook in hooks:
+            with self._books.change:
+                hook(self._now)

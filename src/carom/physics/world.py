@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -9,6 +10,7 @@ import numpy as np
 from carom.arrays import FloatArray
 from carom.errors import PhysicsError
 from carom.physics.bodies import Bodies
+from carom.physics.contact.hooks import Hooks, OptionalPart, PresentStep
 from carom.physics.contact.impact_totals import ImpactTotals
 from carom.physics.contact.law import materials_of
 from carom.physics.contact.near_pairs import ContactWorld
@@ -17,6 +19,7 @@ from carom.physics.contact.solids import solids_of
 from carom.physics.diagnostics.run_monitor import Profile, remedies_of
 from carom.physics.forces.force import TotalForce
 from carom.physics.jit.team import Team
+from carom.physics.shear_motion import ShearMotion
 from carom.physics.sheared_box import ShearedBox
 from carom.plan.features import Requirements, require
 from carom.scene.matter import pair_coefficients
@@ -85,10 +88,13 @@ class World:
     planes: HalfSpaces
     is_periodic: bool
     box: FloatArray  # (3,) m, size of the periodic box, `ENDLESS` along other axes; zeros in open space
-    shear: ShearedBox | None  # the images of a sheared box
+    is_sheared: bool
     falling: FloatArray  # (3,) m/s², the uniform field if it accelerates everything equally; otherwise zeros
     forces: TotalForce
     contact: ContactPipeline | None  # None if no contact is possible
+    parts: Sequence[OptionalPart]  # optional parts of a step
+    hooks: Hooks  # of these parts
+    step: PresentStep  # the present one
     clock: Clock
     team: Team
     profile: Profile
@@ -111,12 +117,14 @@ class World:
         at_rest = np.zeros(3)
         falling, bending = (at_rest, forces.uniform) if scene.anchored else (forces.uniform, at_rest)
         shear = ShearedBox(scene.domain.shear, box) if scene.domain.shear else None
-        contact = None
+        contact, step = None, PresentStep(profile)
+        parts = [*forces.parts, *([ShearMotion(shear, bodies)] if shear else [])]
         if needs.contact.modelled:
             materials = materials_of(pair_coefficients(scene))
-            world = ContactWorld(planes, materials, box, falling, bending, shear)
+            world = ContactWorld(planes, materials, box, falling, bending, shear, needs.impact_time.modelled)
             totals = ImpactTotals(bodies, start.group, box, shear) if records_contacts else None
-            contact = ContactPipeline(scene.contact, bodies, world, needs, team, totals)
+            contact = ContactPipeline(scene, bodies, world, needs, team, step, parts, totals)
+            parts = contact.parts
         return cls(
             scene=scene,
             needs=needs,
@@ -124,11 +132,14 @@ class World:
             bodies=bodies,
             planes=planes,
             is_periodic=scene.domain.is_periodic,
-            shear=shear,
+            is_sheared=shear is not None,
             box=box,
             falling=falling,
             forces=forces,
             contact=contact,
+            parts=parts,
+            hooks=contact.hooks if contact else Hooks.of(parts),
+            step=step,
             clock=Clock(scene, scene.unit_system),
             team=team,
             profile=profile,

@@ -11,6 +11,7 @@ from carom.plan.features import require
 from carom.plan.hierarchy import why_no_hierarchy
 from carom.plan.interactions import dampings, differing, pushing
 from carom.plan.room import refuse_small_memory
+from carom.plan.step_parts import STEP_PARTS, required
 from carom.scene.contact_laws import law_called
 from carom.scene.forces import DRAG, BodyForce, PairForce, force_called
 from carom.scene.integrators import ENCOUNTERS_BY
@@ -74,22 +75,18 @@ def _refuse_missing_parts(scene: Scene) -> None:
         needed.append(("gravity_methods", method, METHOD, 'set gravity.method = "direct"'))
     if scene.drag is not None:
         needed.append(("forces", DRAG.name, ("drag",), "leave [drag] out"))
-    if scene.contact.sleep is not None:
-        needed.append(("model", "sleep", ("contact", "sleep"), "remove contact.sleep"))
-    if require(scene).impact_time.modelled:
-        late = 'contact.timing = "end-of-step"'
-        remedy = f"{without_radau} and {late}" if chosen.ends_steps_at_impacts else f"set {late}"
-        needed.append(("model", "time-of-impact", ("contact", "timing"), remedy))
     if piston := piston_of(scene):
         needed.append(("model", "piston", ("plane", piston[0], "piston"), "remove the piston"))
-    for kind, name, key, remedy in needed:
-        if name not in registry.names(kind):
-            called = registry.KINDS.get(kind, "part of the model")
-            raise registry.ExtensionError(
-                f'this scene needs the {called} "{name}", which this installation of carom lacks; {remedy}, or '
-                "install carom again",
-                key,
-            )
+    missing = [each for each in needed if each[1] not in registry.names(each[0])]
+    parts = {name: STEP_PARTS[name] for name in required(scene, require(scene), recorded=False)}
+    missing += [("model", name, part.key, part.remedy(scene)) for name, part in parts.items() if not part.is_there]
+    for kind, name, key, remedy in missing:
+        called = registry.KINDS.get(kind, "part of the model")
+        raise registry.ExtensionError(
+            f'this scene needs the {called} "{name}", which this installation of carom lacks; {remedy}, or '
+            "install carom again",
+            key,
+        )
 
 
 def _refuse_test_particles(scene: Scene) -> None:

@@ -23,8 +23,6 @@ from carom.physics.bodies import Bodies
 from carom.physics.contact.broad_phase.grid import ALL_PAIRS_UP_TO
 from carom.physics.contact.broad_phase.pairs import search_by
 from carom.physics.contact.constraints import CONTACT
-from carom.physics.contact.contact_tap import ContactTap
-from carom.physics.contact.impact_totals import ImpactTotals
 from carom.physics.contact.islands import Islands, number_sets
 from carom.physics.contact.law import materials_of
 from carom.physics.contact.near_pairs import largest_values
@@ -220,16 +218,13 @@ def compile_ahead() -> None:
     frictionless, open_space = materials_of(pair_coefficients(scene)), np.zeros(3)
     solver = ContactSolver(bodies, half_spaces(scene), frictionless, open_space, friction=True, team=SOLO)
     solver.lay(solver.order)
-    totals = ImpactTotals(bodies, np.zeros(len(bodies), np.int64), open_space)
-    tap = ContactTap(bodies, frictionless, open_space, friction=True, totals=totals)
-    tap.add_impacts(solver.order.pairs, solver)
-    tap.rows(solver.order.pairs, solver)
     solver.speeds_by_pair()
     solver.statistics()
     solver.compile_phases()
     FrameStore(1, bodies).keep()
     with compiling_all():  # kernels that only long runs need, after all others
-        for _ in Space(Scene.from_dict({"title": "", **SCENES["a ball that rolls on"]}), threads=1).run():
+        rolling = Scene.from_dict({"title": "", **SCENES["a ball that rolls on"]})
+        for _ in Space(rolling, threads=1, record_contacts=True).run():
             pass
 
 

@@ -91,6 +91,11 @@ class HalfSpaces:
         return None
 
     @property
+    def takes_colours(self) -> bool:
+        """Whether contacts move one of them, so that each of its contacts has a colour."""
+        return self.guided is not None
+
+    @property
     def spin(self) -> FloatArray:
         """The angular velocity of each, (p, 3) rad/s."""
         return np.zeros((len(self), 3))

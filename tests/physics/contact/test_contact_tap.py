@@ -216,7 +216,7 @@ def test_a_run_that_does_not_ask_has_no_rows_and_no_room_for_them() -> None:
     frames = list(space.run())
     assert all(frame.impacts is None and frame.contact_rows is None for frame in frames)
     contact = space._contact
-    assert contact is not None and contact.tap is None
+    assert contact is not None and contact.part(impact_store.ContactTap) is None
     assert len(frames[-1].contacts) > 0 and len(contact.solver.recorded) == 0
 
 

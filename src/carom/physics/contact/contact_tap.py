@@ -2,9 +2,9 @@
 
 The tap only reads the solver's records, so it does not change the run:
 
-- contacts of the previous step, held after the first kick: `add_hold`
-- impacts during the drift: `add_drift`, from their log
-- impacts at the end of the step: `add_impacts`; contacts held after the last kick: read from the solver's records
+- contacts of the previous step, held after the first kick: `held`
+- impacts during the drift: `struck`, from their log
+- impacts at the end of the step: `after_impacts`; contacts held after the last kick: read from the solver's records
 
 Rows are made on demand, since few steps are frames. Only impacts are stored at every step, in bounded memory.
 """
@@ -12,28 +12,23 @@ Rows are made on demand, since few steps are frames. Only impacts are stored at 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, NamedTuple, Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
 from carom.arrays import BoolArray, FloatArray, IntArray, RecordArray, Records
 from carom.contact_table import CONTACT_ROW, IMPACT_MODE, NO_ROWS, OPEN, RESTING, SLIDING, STICKING, ContactRow
 from carom.physics.aligned import Buffer, columns, joined, picked, raw
-from carom.physics.bodies import Bodies
 from carom.physics.contact.constraints import CONTACT, ContactRecord, ContactStateRecord, ImpulseRecord
 from carom.physics.contact.graph import comes_before, empty_graph
-from carom.physics.contact.impact_log import NO_IMPACTS, ImpactRecord, Impacts
-from carom.physics.contact.impact_totals import ImpactTotals
+from carom.physics.contact.hooks import Contacts, OptionalPart, PresentStep
+from carom.physics.contact.impact_log import NO_IMPACTS, ImpactRecord
 from carom.physics.contact.law import IMPULSES, Materials, material_index, slides
 from carom.physics.contact.rolling import ContactGeometry, angular_impulses_of
-from carom.physics.contact.solver.contact_solver import ContactSolver
 from carom.physics.diagnostics.ledger import FRICTION, RESTITUTION, STABILISATION
 from carom.physics.jit.decorators import inline, kernel, long_kernel
 from carom.physics.sheared_box import nearest_in_drift
 from carom.scene.schema import Coefficients
-
-if TYPE_CHECKING:
-    from carom.physics.contact.sleep.sleepers import SleepingContacts
 
 MOST_IMPACTS = 100_000  # stored between two frames, 15 MB; of more, the largest are stored and the others counted
 NO_ANGULAR_IMPULSES: FloatArray = np.empty((0, 0))
@@ -95,18 +90,22 @@ class Resolved(NamedTuple):
 NOTHING_HELD = Held(empty_graph().pairs, np.empty(0, dtype=np.int64), np.empty(0, CONTACT), np.empty((0, 3)))
 
 
-class ContactTap:
+class ContactTap(OptionalPart):
     """Collects the impulses and energies of the contacts of each step."""
 
-    def __init__(
-        self, bodies: Bodies, materials: Materials, box: FloatArray, friction: bool, totals: ImpactTotals
-    ) -> None:
-        self._totals = totals
-        self._data = RowData(bodies.position, box, materials, friction)
+    def __init__(self, contacts: Contacts) -> None:
+        assert contacts.totals is not None, "contacts are recorded"
+        self._contacts, self._totals = contacts, contacts.totals
+        friction, world = contacts.needs.friction.modelled, contacts.world
+        self._data = RowData(contacts.bodies.position, world.solver_box, world.materials, friction)
         self._buffer = Buffer(CONTACT_ROW)
         self._largest_count = 0  # rows of a step so far; a buffer with fewer is enlarged before use
         self.forget()
-        self._rows_of_drift()  # loads its kernel, so that the first impact does not wait for a compiler
+
+    def compile(self) -> None:
+        """Run the kernels of the hooks without contacts."""
+        self._rows_of_drift()
+        self.rows()
 
     def forget(self) -> None:
         """Return to the state before the first step."""
@@ -120,29 +119,35 @@ class ContactTap:
         self._held = NOTHING_HELD
         self._drift = NO_IMPACTS
 
-    def add_hold(self, pairs: IntArray, solver: ContactSolver) -> None:
+    def prepare(self, step: PresentStep) -> None:
+        """Clear the entries of held contacts: they belong to the previous step, which is already booked."""
+        if self._contacts.is_at_rest:
+            self._contacts.solver.ledger[:] = 0.0
+
+    def held(self, step: PresentStep) -> None:
         """Store the impulses that held contacts after the first kick.
 
         The records do not change until the next step finds its contacts, but their ledger does, so it is copied.
         """
-        self._held = Held(pairs, solver.order.place, solver.contacts, solver.ledger.copy())
+        solver = self._contacts.solver
+        self._held = Held(self._contacts.contacts.pairs, solver.order.place, solver.contacts, solver.ledger.copy())
 
-    def copy_hold(self) -> None:
+    def restarted(self) -> None:
         """Copy the records of the held contacts before the solver overwrites them."""
         self._held = self._held._replace(contacts=raw(self._held.contacts).copy().view(self._held.contacts.dtype))
 
-    def add_drift(self, impacts: Impacts) -> None:
+    def struck(self, step: PresentStep) -> None:
         """Add the impacts during the drift."""
-        self._drift = impacts
-        if len(impacts):
-            rows = self._rows_of_drift()
-            self._store(picked(rows, np.flatnonzero(rows["mode"] == IMPACT_MODE)))
+        self._drift = self._contacts.impacts
+        rows = self._rows_of_drift()
+        self._store(picked(rows, np.flatnonzero(rows["mode"] == IMPACT_MODE)))
 
-    def add_impacts(self, pairs: IntArray, solver: ContactSolver) -> None:
+    def after_impacts(self, step: PresentStep) -> None:
         """Add the impacts at the end of the step, before contacts are held again."""
-        rows = self._buffer.take(len(pairs))
+        resolved = _resolved(self._contacts)
+        rows = self._buffer.take(len(resolved.pairs))
         position, box = self._data.position, self._data.box
-        count = _write_impacts(_resolved(pairs, solver), position, box, self._step, self._ended, rows)
+        count = _write_impacts(resolved, position, box, self._step, self._ended, rows)
         if count:
             self._store(raw(rows[:count]).copy().view(CONTACT_ROW))
 
@@ -154,23 +159,17 @@ class ContactTap:
         store, self._impacts = self._impacts, ImpactStore()
         return store.rows(), store.left_out, self._totals.pop()
 
-    def rows(
-        self,
-        pairs: IntArray,
-        solver: ContactSolver,
-        buffer: Buffer | None = None,
-        slept: SleepingContacts | None = None,
-    ) -> Records:
+    def rows(self, buffer: Buffer | None = None) -> Records:
         """Return the contact table of this step, (m,) `CONTACT_ROW`, sorted by pair; in a buffer, if one is given.
 
-        It contains the contacts of the graph, contacts that exerted an impulse and have opened since, and the contacts
-        of sleepers with their forces when they fell asleep.
+        It contains the contacts of the graph, contacts that exerted an impulse and have opened since, and idle contacts
+        with the forces that they had in the solver.
         """
-        impacts = NO_ROWS
+        impacts, idle = NO_ROWS, self._contacts.idle
         if len(self._drift):
             impacts = self._rows_of_drift()
             impacts = picked(impacts, np.lexsort((-impacts["approach_speed"], impacts["j"], impacts["i"])))
-        merged = self._held, impacts, _resolved(pairs, solver), self._data, self._step, self._ended
+        merged = self._held, impacts, _resolved(self._contacts), self._data, self._step, self._ended
         buffer = Buffer(CONTACT_ROW) if buffer is None else buffer
         rows = buffer.whole if len(buffer.whole) > self._largest_count else buffer.take(self._largest_count + 1)
         count = _merge(*merged, rows)
@@ -178,15 +177,16 @@ class ContactTap:
             rows = buffer.take(count + 1)
             _merge(*merged, rows)
         self._largest_count = max(self._largest_count, count)
-        if not slept:
+        if not idle:
             return rows[:count]
-        resting, more = Resolved(*slept.records(self._ended - self._began)), np.empty(len(slept) + 1, CONTACT_ROW)
+        resting, more = Resolved(*idle.records(self._ended - self._began)), np.empty(len(idle) + 1, CONTACT_ROW)
         added = _merge(NOTHING_HELD, NO_ROWS, resting, self._data, self._step, self._ended, more)
         table = joined((rows[:count], more[:added]), CONTACT_ROW)
         return picked(table, np.lexsort((table["j"], table["i"])))
 
-    def impulses(self, solver: ContactSolver) -> Iterator[Impulses]:
+    def impulses(self) -> Iterator[Impulses]:
         """Yield all impulses of the step, in the order in which they acted."""
+        solver = self._contacts.solver
         if len(self._held.pairs):
             contacts = self._held.contacts
             pairs = np.empty_like(self._held.pairs)
@@ -220,9 +220,9 @@ class ContactTap:
             yield Impulses(pairs, *geometry, given, ended, impact=impact, approach=approach, angular=angular)
             yield Impulses(pairs, *geometry, solver.impulses, ended, angular=angular_impulses_of(solver.contacts))
 
-    def work(self, solver: ContactSolver) -> FloatArray:
+    def work(self) -> FloatArray:
         """Return the ledger of each contact of the step, (k, 3) J."""
-        return np.concatenate((self._held.terms, self._drift.ledger, solver.ledger))
+        return np.concatenate((self._held.terms, self._drift.ledger, self._contacts.solver.ledger))
 
     def _store(self, impacts: Records) -> None:
         self._impacts.add(impacts)
@@ -239,8 +239,9 @@ def _geometry(records: RecordArray[object]) -> tuple[FloatArray, FloatArray]:
     return columns(records, ("nx", "ny", "nz")), columns(records, ("arm_i", "arm_j"))
 
 
-def _resolved(pairs: IntArray, solver: ContactSolver) -> Resolved:
-    return Resolved(pairs, solver.order.place, solver.contacts, solver.states, solver.recorded)
+def _resolved(contacts: Contacts) -> Resolved:
+    solver = contacts.solver
+    return Resolved(contacts.contacts.pairs, solver.order.place, solver.contacts, solver.states, solver.recorded)
 
 
 class ImpactStore:

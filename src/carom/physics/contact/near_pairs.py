@@ -44,6 +44,22 @@ class ContactWorld:
     field: FloatArray  # (3,) m/s², the uniform field if it accelerates everything alike; zeros if something is fixed
     bending: FloatArray  # (3,) m/s², the uniform field if something is fixed; zeros if it accelerates everything alike
     shear: ShearedBox | None  # images of a sheared box
+    exact: bool  # whether impacts are resolved at their exact times
+
+    @property
+    def is_still(self) -> bool:
+        """Whether no wall and no image moves."""
+        return not self.planes.moves and self.shear is None
+
+    @property
+    def meets_in_drifts(self) -> bool:
+        """Whether all contacts are impacts in a drift: in a sheared box, they last only without exact times."""
+        return self.exact and self.shear is not None
+
+    @property
+    def solver_box(self) -> FloatArray:
+        """The box for the kernels of lasting contacts, or the record of a sheared one."""
+        return self.shear.at_present if self.shear and not self.exact else self.box
 
     def flow(self, largest: float) -> float:
         """Return the acceleration (m/s²) with which the flow of a sheared box may close contacts.

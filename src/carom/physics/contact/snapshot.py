@@ -20,7 +20,7 @@ from carom.physics.contact.solver.contact_solver import ContactSolver
 from carom.physics.jit.decorators import kernel
 
 if TYPE_CHECKING:
-    from carom.physics.contact.sleep.sleepers import SleepingContacts
+    from carom.physics.contact.hooks import IdleContacts
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,12 +130,12 @@ class SnapshotSource:
     def forget(self) -> None:
         """Return to the state before the first step."""
         self._snapshot: ContactSnapshot | None = EMPTY_SNAPSHOT  # None: not yet made
-        self._place = np.empty(0, dtype=np.int64)  # (m,) indices of the records of its contacts; -1 for sleepers
+        self._place = np.empty(0, dtype=np.int64)  # (m,) indices of the records of its contacts; -1 for idle contacts
         self._impacts = NO_IMPACTS
 
-    def set_step(self, contacts: OrderedContacts, slept: SleepingContacts | None, impacts: Impacts, dt: float) -> None:
-        """Set the contacts at the end of a step of dt s, the contacts of sleepers, and the impacts during the drift."""
-        self._contacts, self._slept, self._impacts, self._dt = contacts, slept, impacts, dt
+    def set_step(self, contacts: OrderedContacts, idle: IdleContacts | None, impacts: Impacts, dt: float) -> None:
+        """Set the contacts at the end of a step of dt s, those of no solver, and the impacts during the drift."""
+        self._contacts, self._idle, self._impacts, self._dt = contacts, idle, impacts, dt
         self._snapshot = None
 
     def set_quiet(self, contacts: OrderedContacts) -> None:
@@ -150,8 +150,8 @@ class SnapshotSource:
             solver, contacts = self._solver, self._contacts
             records = (contacts.order.place, solver.contacts, solver.states, solver.found_normals)
             late, self._place = late_contacts(contacts.pairs, contacts.colours, contacts.body_colours, *records)
-            if self._slept:
-                late, place = late.joined(self._slept.graph(), self._inverse_mass)
+            if self._idle:
+                late, place = late.joined(self._idle.graph(), self._inverse_mass)
                 self._place = np.append(self._place, -1)[place]
             self._snapshot = late.after(self._impacts, self._dt, self._inverse_mass)
         return self._snapshot
@@ -159,7 +159,7 @@ class SnapshotSource:
     def keep_contributions(self) -> Callable[[], FloatArray]:
         """Store the ledger of this step; the returned function returns the entries of each contact, (m, 3) J."""
         snapshot, place, impacts = self.snapshot, self._place, self._impacts.ledger.copy()
-        late = np.concatenate((self._solver.ledger, np.zeros((1, 3))))  # the last row is for sleepers
+        late = np.concatenate((self._solver.ledger, np.zeros((1, 3))))  # the last row is for idle contacts
         return lambda: snapshot.sums(late[place], impacts)
 
 

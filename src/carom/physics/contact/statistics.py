@@ -6,6 +6,7 @@ built only on demand (`snapshot`).
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import NamedTuple, Protocol, cast
 
 import numpy as np
@@ -255,10 +256,8 @@ def limits_of(
     *,
     serial_stage: bool,  # whether contacts need more colours than there are parallel stages
     too_few_sweeps: bool,  # whether contacts were still closing after the sweeps
-    exhausted: bool,  # whether a body had so many impacts that its contacts were held
-    crossed: bool,  # whether a body would have passed through a plane
+    of_parts: Iterable[str],  # of optional parts
     deepest: float,  # overlap / smaller radius
-    at_impacts: bool,  # whether impacts are resolved at their exact times
 ) -> list[tuple[str, str]]:
     """Return the limits of the method that a step reached: level, `WARN` or `INFO`, and text."""
     reached = []
@@ -267,19 +266,7 @@ def limits_of(
         reached.append(("INFO", text))
     if too_few_sweeps:
         reached.append(("WARN", still_closing(contact)))
-    if exhausted:
-        text = (
-            "A body had so many impacts in one step that its last ones were resolved together, and without a rebound "
-            "where energy is lost; shorter steps (time.fixed_dt, time.cfl) resolve more of them."
-        )
-        reached.append(("WARN", text))
-    if crossed:
-        longer = "" if at_impacts else ' or set contact.timing = "time-of-impact"'
-        text = (
-            "A body would have passed through a plane within one step and was stopped where it touched the plane; "
-            f"try a shorter step (time.fixed_dt, time.cfl){longer}."
-        )
-        reached.append(("WARN", text))
+    reached += [("WARN", text) for text in of_parts]
     if deepest > DEEP_OVERLAP and not contact.allow_overlap:
         more = " or more sweeps (contact.sweeps)" if contact.sweeps not in ("auto", "converged") else ""
         text = f"{OVERLAPS}; try a shorter step (time.fixed_dt, time.cfl){more}."

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 
 import numpy as np
@@ -16,7 +17,6 @@ from carom.errors import PhysicsError
 from carom.event import Event
 from carom.physics.bodies import Bodies
 from carom.physics.checkpoint import Books, Checkpoint
-from carom.physics.contact.moving_walls import ENTRY
 from carom.physics.contact.pipeline import ContactPipeline
 from carom.physics.diagnostics.dissipation import SignsOfDissipation
 from carom.physics.diagnostics.energy import Energy, EnergyAccount, EnergyBaseline
@@ -26,9 +26,7 @@ from carom.physics.diagnostics.impulse_audit import ImpulseAudit
 from carom.physics.diagnostics.ledger import Ledger
 from carom.physics.diagnostics.momentum import Momentum, MomentumAccount, TotalMotion
 from carom.physics.diagnostics.run_monitor import Activity, PaceMonitor, PaceTally, refuse_infinities
-from carom.physics.forces.force import Exchange, Potentials
-from carom.physics.sheared_box import ENTRY as SHEAR
-from carom.physics.sheared_box import ShearedBox
+from carom.physics.forces.force import Potentials
 from carom.physics.world import World
 from carom.plan.auto import integrator
 from carom.scene.forces import acts_from_outside
@@ -43,7 +41,7 @@ class BalanceAudit:
     """Energy and momentum as of the last frame or check, compared with those at the start of the run.
 
     ``uniform``, (3,) m/s², is the acceleration that is the same for all bodies, ``constant`` (J) the gravitational
-    energy between fixed bodies. ``losses`` are the ledger's entries for forces without a potential and moving walls.
+    energy between fixed bodies. ``losses`` are the ledger's entries for forces without a potential and optional parts.
     """
 
     def __init__(
@@ -58,7 +56,7 @@ class BalanceAudit:
         self._units = scene.unit_system
         held = scene.anchored or acts_from_outside(scene)
         self._energy = EnergyAccount(bodies, uniform, held, constant)
-        booked = len(self.ledger.forces) > 0  # with drag, even the field is booked step by step
+        booked = len(self.ledger.forces) > 0  # then even the field is booked step by step
         self.momenta = MomentumAccount(bodies, np.zeros(3) if booked else uniform, periodic, held)
         self.monitor = EnergyMonitor(scene.record.energy_tolerance, names, integrator(scene), scene.unit_system)
         self._suspects: Suspects | None = None
@@ -177,12 +175,14 @@ class Bookkeeper:
         self._world = world
         self.extremes = self._beginning(Extremes())
         constant = forces.potential_of_fixed_bodies()
-        losses = [*forces.losses, *([ENTRY] if world.planes.moves else []), *([SHEAR] if world.shear else [])]
+        losses = [*forces.losses, *(entry for part in world.parts for entry in part.entries)]
         self.audit = BalanceAudit(scene, bodies, world.names, forces.uniform, constant, losses)
         self.activity = Activity(len(bodies), scene.anchored or bool(forces.uniform.any()))
         without_kicks = integrator(scene).controls_error and world.contact is None
         audited = scene.expect.contact_audit is not None and not without_kicks
-        self.impulse_audit = ImpulseAudit(bodies) if audited else None
+        self.impulse_audit = world.step.audit = ImpulseAudit(bodies, world.contact) if audited else None
+        # around changes of velocities that are neither plain kicks nor impulses of contacts
+        self.change: AbstractContextManager[None] = self.impulse_audit or nullcontext()
         self.pace: PaceMonitor | None = None  # where limits set the steps
         self._events: list[Event] = []
         # s, up to which the accuracy is promised; infinite if nothing is promised, or its end is already logged
@@ -240,8 +240,8 @@ class Bookkeeper:
         clock, contact = self._world.clock, self._world.contact
         if contact:
             contact.signs.begin(clock.step, clock.time, judged)
-        if contact and contact.tap:
-            contact.tap.begin(clock.step, clock.before, clock.time)
+        for begin in self._world.hooks.begin:
+            begin(clock.step, clock.before, clock.time)
 
     def finish_step(self, potentials: Potentials, computed: bool, judged: bool) -> None:
         """Book the contacts of a step; compute energy and momentum, and judge their errors, if due."""
@@ -252,8 +252,7 @@ class Bookkeeper:
             self.activity.add_step(0, 0.0)
         clock = self._world.clock
         if self.impulse_audit:
-            impulses, work = (contact.impulses(), contact.work()) if contact else ((), np.zeros((0, 3)))
-            worst = self.impulse_audit.finish(impulses, work, self.audit.ledger)
+            worst = self.impulse_audit.finish(self.audit.ledger)
             self.extremes.add_impulse_audit(clock.step, clock.time, worst)
         if computed:
             self.measure(potentials, judged, contact)
@@ -292,21 +291,6 @@ class Bookkeeper:
             extremes.contacts = Extreme(float(T["most"]), int(T["most_step"]), float(T["most_time"]))
         extremes.total_contacts += int(T["contacts"])
         activity.impact_energy = float(T["impact_energy"])
-
-    def book_exchanges(self, entry: str, exchanges: Iterable[Exchange]) -> None:
-        """Book energy and momentum exchanged with a medium in an entry of the ledger."""
-        for exchange in exchanges:
-            self.audit.exchange(entry, *exchange)
-
-    def book_path_works(self) -> None:
-        """Book the work of forces without a potential in the last step."""
-        for work in self._world.forces.path_works:
-            self.audit.book_work(work.entry, work.pop())
-
-    def book_shear(self, shear: ShearedBox) -> None:
-        """Book the work of a sheared box in the last step, and the momentum gained by wrapping."""
-        work, impulse = shear.pop()
-        self.audit.exchange(SHEAR, -work, impulse, np.zeros(3))
 
     def check_pace(self, dt: float, limit: str) -> None:
         """Warn if the next step, of dt seconds, and the recent ones are much shorter than the first."""
@@ -369,8 +353,6 @@ class Bookkeeper:
         clock = self._world.clock
         if len(contact.ledger_apart):
             self.audit.book(contact.ledger_apart)
-        if self._world.planes.moves:
-            self.audit.book_work(ENTRY, contact.boundary.work)
         if contact.statistics.contacts:
             if self.extremes.contacts is None:
                 graph = contact.snapshots.snapshot.graph

@@ -17,15 +17,18 @@ import numpy as np
 
 from carom.arrays import FloatArray
 from carom.physics.bodies import Bodies
-from carom.physics.contact.contact_tap import Impulses
+from carom.physics.contact.contact_tap import ContactTap, Impulses
+from carom.physics.contact.pipeline import ContactPipeline
 from carom.physics.diagnostics.ledger import Ledger
 
 
 class ImpulseAudit:
     """Compares the changes of velocity in each step with the sums of impulses and kicks."""
 
-    def __init__(self, bodies: Bodies) -> None:
-        self._bodies = bodies
+    def __init__(self, bodies: Bodies, contact: ContactPipeline | None) -> None:
+        self._bodies, self._contact = bodies, contact
+        self._tap = contact.part(ContactTap) if contact else None
+        self._before = bodies.velocity, bodies.angular_velocity
         self.begin(Ledger())
 
     def begin(self, ledger: Ledger) -> None:
@@ -44,8 +47,13 @@ class ImpulseAudit:
         """Add the change of velocities by forces since they were ``before``, (n, 3) m/s."""
         self.add_force(self._bodies.velocity - before)
 
-    def add_sleep(self, velocity: FloatArray, spin: FloatArray) -> None:
-        """Add the velocities and spins lost by falling asleep, given their previous values (m/s, rad/s)."""
+    def __enter__(self) -> None:
+        """Begin a change of velocities and spins that no impulse of a contact explains."""
+        self._before = self._bodies.velocity.copy(), self._bodies.angular_velocity.copy()
+
+    def __exit__(self, *error: object) -> None:
+        """Add this change."""
+        velocity, spin = self._before
         self.add_change(velocity)
         self._spin = self._spin + (self._bodies.angular_velocity - spin)
 
@@ -54,16 +62,18 @@ class ImpulseAudit:
         self.kicks.append(change)
         self._fastest = max(self._fastest, _largest(change), _largest(self._bodies.velocity))
 
-    def finish(self, impulses: Iterable[Impulses], work: FloatArray, ledger: Ledger) -> tuple[float, tuple[int, ...]]:
+    def finish(self, ledger: Ledger) -> tuple[float, tuple[int, ...]]:
         """Return the largest error, and its body if it belongs to one.
 
         Errors of velocities, and of spins times the radius, are relative to the largest speed in the step. The sums of
         the magnitudes of a body's kicks, and of its impulses over its mass, count as speeds, because the impulses in a
         heavy pile may cancel, and each has its own rounding. The change of the ledger in the step should be the sum of
-        ``work``, (k, 3) J by contact; errors are relative to its largest entry.
+        the work of all contacts; errors are relative to its largest entry.
         """
-        bodies = self._bodies
-        given = _Given.of(impulses, bodies)
+        bodies, work = self._bodies, np.zeros((0, 3))
+        if self._tap and self._contact:
+            work = np.concatenate((self._tap.work(), *(part.losses() for part in self._contact.parts)))
+        given = _Given.of(self._tap.impulses() if self._tap else (), bodies)
         kicked = sum(self.kicks, np.zeros_like(self._velocity))
         velocity = bodies.velocity - self._velocity - kicked - given.velocity
         spin = (bodies.angular_velocity - self._spin - given.spin) * bodies.radius[: len(self._spin), np.newaxis]

@@ -30,7 +30,8 @@ import numpy as np
 from carom.arrays import FloatArray, RecordArray, dtype_of
 from carom.physics.aligned import columns
 from carom.physics.bodies import Bodies
-from carom.physics.contact.impact_log import ImpactRecord, Impacts
+from carom.physics.contact.hooks import LedgerAccount, OptionalPart, PresentStep
+from carom.physics.contact.impact_log import ImpactRecord
 from carom.physics.exponential import exponentials
 from carom.physics.forces.field import MIN_BODIES_PER_TASK, add
 from carom.physics.forces.force import Exchange
@@ -76,11 +77,13 @@ class DragLaw(NamedTuple):
     held: FloatArray  # (1,) J, the part of the loss in a step that is due to held contacts
     against: FloatArray  # (n + p, 3) m/s², a - v/τ at the beginning of the step; 0 for planes
     slowed: FloatArray  # (n, 3) m/s, the velocities along the drift before contacts are held
-    exchanged: FloatArray  # (7,) as in `Damping`
+    # (7,), the exchange with the medium in the run, to which kernels add: the energy that left the bodies in J, and the
+    # momentum and angular momentum that the balance expects, in N s and N m s
+    exchanged: FloatArray
 
 
-class StokesDrag:
-    """Slows all bodies down relative to a medium, at the same rate.
+class StokesDrag(OptionalPart):
+    """Slows all bodies down relative to a medium, at the same rate; a force, and a part of a step with its own kicks.
 
     ``outer``, (3,) m/s², is the acceleration by other forces that is the same for all bodies.
     """
@@ -90,14 +93,14 @@ class StokesDrag:
     def __init__(self, drag: Drag, bodies: Bodies, outer: FloatArray, team: Team) -> None:
         rate = 1.0 / drag.relaxation_time
         self.uniform = np.array(drag.medium_velocity) * rate
-        self.exchanged = np.zeros(7)
         step = np.zeros(2, SUMS), np.zeros(1), np.zeros_like(bodies.ends.acceleration), np.zeros_like(bodies.velocity)
-        self.law = DragLaw(rate, self.uniform, outer + self.uniform, *step, self.exchanged)
+        self.law = DragLaw(rate, self.uniform, outer + self.uniform, *step, np.zeros(7))
         self._bodies = bodies
         arrays = bodies.position, bodies.velocity, bodies.acceleration, bodies.mass
         self._kicked = KickedBodies(*arrays, bodies.ends.inverse_mass)
         self._team = team
-        self.against = self.law.against
+        self._step, self._before = _step_of(rate, 1.0), bodies.ends.velocity.copy()
+        self._exchanges: list[Exchange] = []  # of the bodies with the medium, in this step
 
     def accelerate(self, position: FloatArray, acceleration: FloatArray, *, first: bool, potential: bool) -> float:
         """Add u/τ, the constant part; see `Force`."""
@@ -107,32 +110,58 @@ class StokesDrag:
             self._team.divide(len(acceleration), MIN_BODIES_PER_TASK, add, acceleration, self.uniform)
         return 0.0
 
-    def step(self, dt: float) -> DampedStep:
-        """Return the kicks and factors of a step of dt seconds."""
-        return _step_of(self.law.rate, dt)
+    def lend(self, account: LedgerAccount) -> None:
+        """Let kernels continue the entry of the ledger."""
+        self.law.exchanged[:] = account.exchanged(self.kind.loss)
 
-    def begin(self, step: DampedStep) -> Exchange:
+    def settle(self, account: LedgerAccount) -> None:
+        """Book what kernels have exchanged."""
+        account.exchange_up_to(self.kind.loss, self.law.exchanged)
+
+    def book(self, account: LedgerAccount) -> None:
+        """Book the exchanges of the step."""
+        for exchange in self._exchanges:
+            account.exchange(self.kind.loss, *exchange)
+        self._exchanges.clear()
+
+    def discard(self) -> None:
+        """Discard the exchanges so far."""
+        self._exchanges.clear()
+
+    def kick_before(self, step: PresentStep) -> None:
         """Kick, then slow down to the mean velocity of the drift."""
+        damped = self._step = _step_of(self.law.rate, step.dt)
+        step.kick, step.booked, step.last_kick = damped.held_kick, damped.booked, damped.last_kick
+        step.path, step.against = damped.path, self.law.against
         _write_against(self.law, self._kicked)
-        _begin(self.law, self._kicked, step)
+        _begin(self.law, self._kicked, damped)
         _write_slowed(self.law, self._kicked)
-        return _exchange_of(self.law.sums, BEFORE)
+        self._exchanges.append(_exchange_of(self.law.sums, BEFORE))
+        step.profile.mark(self.kind.short_name)
 
-    def end(self, step: DampedStep) -> Exchange:
+    def held(self, step: PresentStep) -> None:
+        """Add the part of the loss that is due to held contacts."""
+        loss = _lost_in_hold(self.law, self._kicked, self._step)
+        self._exchanges.append(Exchange(loss, np.zeros(3), np.zeros(3)))
+
+    def depart(self, step: PresentStep) -> None:
+        """Note the velocities before impacts."""
+        self._before[:] = self._bodies.ends.velocity
+
+    def struck(self, step: PresentStep) -> None:
+        """Add the exchange due to impacts, and the changes of velocities that they cause besides their impulses."""
+        sums, ends, change = np.zeros(1, SUMS), self._bodies.ends, self._before.copy()
+        state = change, ends.acceleration, ends.inverse_mass, self.uniform
+        _exchange_in_impacts(step.impacts.log, step.impacts.after, *state, self._step, sums)
+        self._exchanges.append(_exchange_of(sums))
+        if step.audit:
+            step.audit.add_force(change[: len(self._bodies)])
+
+    def kick_after(self, step: PresentStep) -> None:
         """Slow down from the mean velocity of the drift, then kick."""
-        _end(self.law, self._kicked, step)
-        return _exchange_of(self.law.sums, AFTER)
-
-    def lost_in_hold(self, step: DampedStep) -> float:
-        """Return the part of the loss (J) that is due to held contacts; see `Damping`."""
-        return _lost_in_hold(self.law, self._kicked, step)
-
-    def exchange_in_impacts(self, step: DampedStep, before: FloatArray, impacts: Impacts) -> Exchange:
-        """Return the exchange with the medium due to impacts during a drift; see `Damping`."""
-        sums, ends = np.zeros(1, SUMS), self._bodies.ends
-        state = before, ends.acceleration, ends.inverse_mass, self.uniform
-        _exchange_in_impacts(impacts.log, impacts.after, *state, step, sums)
-        return _exchange_of(sums)
+        _end(self.law, self._kicked, self._step)
+        self._exchanges.append(_exchange_of(self.law.sums, AFTER))
+        step.profile.mark(self.kind.short_name)
 
 
 def _exchange_of(sums: RecordArray[DragSumsRecord], row: int = 0) -> Exchange:

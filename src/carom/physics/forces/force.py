@@ -19,19 +19,18 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from math import sqrt
-from typing import TYPE_CHECKING, NamedTuple, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import numpy as np
 
 from carom import registry
 from carom.arrays import FloatArray
 from carom.physics.bodies import Bodies
-from carom.physics.contact.impact_log import Impacts
+from carom.physics.contact.hooks import LedgerAccount, OptionalPart, PresentStep
 from carom.physics.diagnostics.run_monitor import Profile
 from carom.physics.forces import kernel_forces
 from carom.physics.forces.gravity import gravity_of
 from carom.physics.forces.kernel_forces import KernelForce, Parameters
-from carom.physics.integrators.kick_drift import DampedStep
 from carom.physics.jit.decorators import kernel
 from carom.physics.jit.team import Team
 from carom.plan.auto import uses_tree
@@ -40,7 +39,7 @@ from carom.scene.forces import FORCES, UNIFORM_FIELD, ForceKind
 from carom.scene.schema import Scene
 
 if TYPE_CHECKING:
-    from carom.physics.forces.drag import DragLaw
+    from carom.physics.forces.drag import DragLaw, StokesDrag
 
 Potentials = dict[str, float]  # J, by term of the energy
 DRIVING_FIELD = "driving_field"  # entry of the ledger: the negative work of the uniform field along periodic axes
@@ -72,40 +71,6 @@ class Exchange(NamedTuple):
     angular_impulse: FloatArray  # (3,) N m s, about the origin
 
 
-@runtime_checkable
-class Damping(Force, Protocol):
-    """A force that depends on velocities.
-
-    It defines its own kicks and factors, and books the energy that it dissipates. Its kind has ``damps`` set and names
-    the entry of the ledger. A scene has at most one such force.
-    """
-
-    law: DragLaw  # from which the functions of `integrators.kick_drift` for kernels compute the force
-    # (7,), the exchange with the medium in the run, to which these kernels add: the energy that left the bodies in J,
-    # and the momentum and angular momentum that the balance expects, in N s and N m s
-    exchanged: FloatArray
-    against: FloatArray  # (n + p, 3) m/s², at the start of the step; contacts are held against these accelerations
-
-    def step(self, dt: float) -> DampedStep:
-        """Return the kicks and factors of a step (s)."""
-
-    def begin(self, step: DampedStep) -> Exchange:
-        """Kick, then change velocities to their mean along the drift."""
-
-    def end(self, step: DampedStep) -> Exchange:
-        """Change velocities from their mean along the drift to those at its end, then kick."""
-
-    def lost_in_hold(self, step: DampedStep) -> float:
-        """Return the part of its loss (J) due to held contacts."""
-
-    def exchange_in_impacts(self, step: DampedStep, before: FloatArray, impacts: Impacts) -> Exchange:
-        """Return the exchange that is due to impacts during the drift.
-
-        ``before`` are the velocities at the beginning of the drift, (n + p, 3) m/s. They are overwritten by the changes
-        of velocities that impacts cause in addition to their impulses over the masses.
-        """
-
-
 def accelerate(
     forces: Sequence[Force], position: FloatArray, acceleration: FloatArray, potential: bool, profile: Profile
 ) -> Potentials:
@@ -130,7 +95,7 @@ class ForceLaws(NamedTuple):
     damping: DragLaw | tuple[()]  # of the force that depends on velocities, for `kick_before_drift`; empty without one
 
 
-class PathWork:
+class PathWork(OptionalPart):
     """The work of a force in the present step; its entry in the ledger has the sign of a loss: -W.
 
     ``accelerate`` writes the accelerations by the force, (n, 3) m/s², at positions, (n, 3) m, to its second argument.
@@ -144,13 +109,13 @@ class PathWork:
         self._before, self._after = np.zeros_like(self._start), np.zeros_like(self._start)
         self._work = 0.0  # J
 
-    def begin(self) -> None:
+    def depart(self, step: PresentStep) -> None:
         """Begin a drift at the present positions."""
         self._start[:] = self._bodies.position
         self._accelerate(self._start, self._before)
 
-    def end(self) -> None:
-        """Add the work of the drift since `begin`; to be called before positions are wrapped."""
+    def travelled(self, step: PresentStep) -> None:
+        """Add the work of the drift."""
         position = self._bodies.position
         self._accelerate(position, self._after)
         self._work += _work(self._bodies.mass, self._before, self._after, position - self._start)
@@ -165,10 +130,14 @@ class PathWork:
             self._accelerate(position, self._after)
             self._work += 0.5 * weight * dt * _work(self._bodies.mass, self._after, self._after, velocity)
 
-    def pop(self) -> float:
-        """Return the work of the step in joules, and begin the next step."""
-        work, self._work = self._work, 0.0
-        return work
+    def book(self, account: LedgerAccount) -> None:
+        """Book the work of the step."""
+        account.book_work(self.entry, self._work)
+        self._work = 0.0
+
+    def discard(self) -> None:
+        """Discard the work so far."""
+        self._work = 0.0
 
 
 @kernel
@@ -201,7 +170,7 @@ class TotalForce:
         self._forces: list[Force] = [registry.load("forces", kind.name)(scene, bodies, team) for kind in kinds]
         self._forces += [kernel_forces.make(name, scene, bodies, team) for name in scene.forces.given]
         self.uniform: FloatArray = np.sum([np.zeros(3), *(force.uniform for force in self._forces)], axis=0)
-        self.damping = next((force for force in self._forces if isinstance(force, Damping)), None)
+        self.damping: StokesDrag | None = next((force for force in self._forces if force.kind.damps), None)  # type: ignore[assignment] # a scene has at most one
         self.losses = [force.kind.loss for force in self._forces if force.kind.loss]
         own = (force for force in self._forces if isinstance(force, KernelForce))
         self.path_works = [PathWork(force.kind.loss, force.write, bodies) for force in own if force.kind.loss]
@@ -213,6 +182,7 @@ class TotalForce:
 
             self.losses.append(DRIVING_FIELD)
             self.path_works.append(PathWork(DRIVING_FIELD, accelerate_by_field, bodies))
+        self.parts: list[OptionalPart] = [*([self.damping] if self.damping else []), *self.path_works]
 
     @property
     def laws(self) -> ForceLaws | None:

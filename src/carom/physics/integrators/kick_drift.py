@@ -76,11 +76,11 @@ class DampedStep(NamedTuple):
 
 
 def _without_drag(function: Function) -> Function:
-    """Let kernels call a function where the first argument, a `Damping.law`, is empty; drags add their own forms."""
+    """Let kernels call a function where the first argument, a `DragLaw`, is empty; drags add their own forms."""
     return for_first(function, lambda damping: len(damping) == 0)(function)
 
 
-# The next functions are for kernels only. ``damping`` is the `Damping.law` of drag, or an empty tuple.
+# The next functions are for kernels only. ``damping`` is the `DragLaw`, or an empty tuple.
 
 
 @_without_drag
@@ -108,4 +108,4 @@ def kick_after_drift(damping: Any, bodies: KickedBodies, step: DampedStep) -> No
 
 @_without_drag
 def book_exchange(damping: Any) -> None:
-    """Add what a step has exchanged with the medium to `Damping.exchanged`."""
+    """Add what a step has exchanged with the medium to `DragLaw.exchanged`."""

@@ -8,12 +8,12 @@ Rejected: search radii that no impact can exceed. One fast body would make all b
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import numpy as np
 
 from carom.arrays import BoolArray, IntArray, RecordArray, Records
-from carom.physics.bodies import Bodies
 from carom.physics.contact.broad_phase.grid import HierarchicalGrid
-from carom.physics.contact.broad_phase.pairs import Search
 from carom.physics.contact.constraints import ends_of
 from carom.physics.contact.events.event_loop import (
     MAX_ELASTIC,
@@ -40,6 +40,7 @@ from carom.physics.contact.events.trajectories import (
     straighten,
     write_search_radii,
 )
+from carom.physics.contact.hooks import Contacts, Mover, PresentStep
 from carom.physics.contact.impact_log import (
     IMPACT,
     MAX_IN_COLLAPSE,
@@ -51,12 +52,9 @@ from carom.physics.contact.impact_log import (
 )
 from carom.physics.contact.islands import island_load_speeds
 from carom.physics.contact.law import dissipates, has_torque, material_index
-from carom.physics.contact.loads import LoadRecord
-from carom.physics.contact.near_pairs import ContactWorld
 from carom.physics.contact.solver.prepare import ImpulseCache
 from carom.physics.integrators.kick_drift import MIN_BODIES_PER_TASK, drift
 from carom.physics.jit.decorators import entry_of, inline, kernel, long_kernel
-from carom.physics.jit.team import Team
 from carom.physics.vector import between, vector
 
 LOG_ROWS = 4096  # largest number of impacts in one call
@@ -68,26 +66,19 @@ WIDEST = 2.0  # times the radii; up to this width, the contact grids also find n
 NARROWED = 0.25, 1e100
 
 
-class EventDrivenDrift:
+class EventDrivenDrift(Mover):
     """Moves bodies through a drift and resolves their impacts."""
 
-    def __init__(
-        self,
-        bodies: Bodies,
-        world: ContactWorld,
-        loads: RecordArray[LoadRecord],  # (n + p,) of the bodies
-        friction: bool,  # whether impulses change spins
-        anchored: bool,  # whether something is fixed
-        forces: bool,  # whether a force presses contacts together
-        search: Search,
-        team: Team,
-    ) -> None:
+    def __init__(self, contacts: Contacts) -> None:
+        world, bodies, near, solver = contacts.world, contacts.bodies, contacts.near, contacts.solver
         planes, materials, shear = world.planes, world.materials, world.shear
         n, ends = len(bodies), bodies.ends
-        spin = slice(None) if friction else slice(0)
-        self._bodies, self.anchored, self._forces = bodies, anchored, forces
-        self._search, self._team, self._box, self._shear = search, team, world.box, shear
-        self.pressing = ends.acceleration  # (n + p, 3) m/s², the accelerations that press contacts together
+        spin = slice(None) if contacts.needs.friction.modelled else slice(0)  # whether impulses change spins
+        self._contacts, self._bodies, self.anchored = contacts, bodies, near.has_statics
+        self._forces = contacts.needs.resting.modelled  # whether a force presses contacts together
+        self._search, self._team, self._box, self._shear = near.search, contacts.team, world.box, shear
+        self._fixed = ends.inverse_mass[:n] == 0.0
+        self.pressing = solver.pressing  # (n + p, 3) m/s², the accelerations that press contacts together
         self.field, self.bending = world.field, world.bending
         self._is_open = not (shear or world.box.any())  # no axis is periodic
         # of the impacts of a call; it grows with the number of impacts in a step
@@ -105,7 +96,7 @@ class EventDrivenDrift:
             inverse_inertia=ends.inverse_inertia,
             radius=ends.radius,
             load_speed=np.zeros(len(ends.radius)),
-            loads=loads,
+            loads=solver.loads,
             box=shear.at(0.0) if shear else world.box,
             surface=planes.surface,
             offset=planes.offset,
@@ -116,12 +107,17 @@ class EventDrivenDrift:
             strays=Neighbours(zeros, np.zeros(n, dtype=np.int64), np.empty(n, dtype=np.int64)),
         )
         drift = self.trajectories.drift
-        drift["slow"] = SLOW if anchored else SLOW_IN_SPACE
+        drift["slow"] = SLOW if self.anchored else SLOW_IN_SPACE
         drift["field_x"], drift["field_y"], drift["field_z"] = self.bending
         self._compile()
 
+    def compile(self) -> None:
+        """Run the kernels of the hooks without contacts."""
+        self._contacts.impacts = Impacts(self.log[:0])
+        self._count_impacts()
+
     def _compile(self) -> None:
-        """Run every kernel without impacts, so that the first impact does not wait for compilation."""
+        """Run every kernel of a drift without impacts, so that the first impact does not wait for compilation."""
         T, nobody, nothing = self.trajectories, np.empty((0, 2), dtype=np.int64), np.empty(0, dtype=np.int64)
         alone, pressed = Neighbours(nothing, nothing, nothing), np.ones(len(T.load_speed), dtype=np.bool_)
         self._begin = entry_of(begin, T, 1.0, 0.0, 0.0, False, pressed)
@@ -137,37 +133,46 @@ class EventDrivenDrift:
             narrow(nobody, 1.0, 0.0, T, nobody)
         self._resolve(nobody, T)
 
-    @property
-    def is_exhausted(self) -> bool:
-        """Whether a body reached the largest number of impacts in the last drift."""
-        return bool(self.trajectories.drift["exhausted"][0])
+    def warnings(self) -> Iterable[str]:
+        """Return a warning if a body reached the largest number of impacts in the last drift."""
+        if self.trajectories.drift["exhausted"][0]:
+            yield (
+                "A body had so many impacts in one step that its last ones were resolved together, and without a "
+                "rebound where energy is lost; shorter steps (time.fixed_dt, time.cfl) resolve more of them."
+            )
 
-    def drift(
-        self,
-        kick: float,
-        dt: float,
-        scale: float,
-        skin: float,
-        loading: float,
-        held: ImpulseCache,
-        pressed: BoolArray,
-        asleep: BoolArray | None,
-        damping: float = 0.0,
-        strength: float = 1.0,
-    ) -> Impacts:
-        """Move all bodies for dt after a kick, both in s, and resolve their impacts.
+    def prepare(self, step: PresentStep) -> None:
+        """Mark the bodies that contacts pressed in the last step."""
+        contacts, pressed = self._contacts, self._contacts.solver.pressed
+        if contacts.lasts:
+            pressed[:] = False
+            if contacts.unmoved is not None:
+                pressed[: len(self._bodies)] = contacts.unmoved
+            contacts.solver.mark_pressed(contacts.impulses)
 
-        Parameters
-        ----------
-        scale, skin, loading
-            As in `NearPairs`; near bodies belong to one island.
-        held
-            The impulses of the contacts that are held through the drift.
-        pressed, asleep
-            (n + p,) whether contacts have pressed each body since the last step, and (n,) which bodies sleep.
-        damping, strength
-            1/s, rate at which drag slows bodies down, and a factor of the accelerations; see `DampedPath`.
-        """
+    def move(self, step: PresentStep) -> None:
+        """Move the bodies of a step and resolve their impacts."""
+        contacts, unmoved = self._contacts, self._contacts.unmoved
+        if unmoved is not None and (unmoved | self._fixed).all():
+            contacts.impacts = NO_IMPACTS
+        else:
+            contacts.add_impacts(step, self._move(step))
+        step.profile.mark("impacts")
+
+    def conclude(self, step: PresentStep) -> None:
+        """Add the impacts to the statistics of the step."""
+        if len(self._contacts.impacts) and self._contacts.counts_impacts:
+            self._count_impacts()
+
+    def _count_impacts(self) -> None:
+        contacts, inverse_mass = self._contacts, self._bodies.ends.inverse_mass
+        records = contacts.contacts, contacts.solver.contacts, contacts.solver.states
+        contacts.statistics = contacts.statistics.with_impacts(contacts.impacts, *records, inverse_mass)
+
+    def _move(self, step: PresentStep) -> Impacts:
+        (kick, damping, strength), dt, contacts = step.path, step.drift, self._contacts
+        scale, skin = contacts.near.margins(dt)  # near bodies belong to one island
+        held = contacts.impulses if contacts.is_at_rest else ImpulseCache.empty()
         T, bodies, n = self.trajectories, self._bodies, len(self._bodies)
         if damping > 0.0:
             self.bend_by(strength)
@@ -180,10 +185,10 @@ class EventDrivenDrift:
         impacts = NO_IMPACTS
         if len(pairs) or len(T.offset):
             bends = bool(self.bending.any()) and (damping > 0.0 or kick == 0.5 * dt)  # velocities are the mean
-            self._begin(T, dt, kick, damping, bends, pressed)
-            self._straighten(held, asleep)
+            self._begin(T, dt, kick, damping, bends, contacts.solver.pressed)
+            self._straighten(held, contacts.unmoved)
             if self._forces:
-                self._write_load_speeds(pairs, loading * dt, scale, skin)
+                self._write_load_speeds(pairs, contacts.near.loading * dt, scale, skin)
             if narrows:
                 near = np.empty_like(pairs)
                 pairs = near[: narrow(pairs, scale, skin, T, near)]
@@ -218,20 +223,17 @@ class EventDrivenDrift:
         count = resolve_touching(T, pairs, self.log)
         return Impacts(self.log[:count].copy())
 
-    def step_by_impacts(self, pairs: IntArray, span: float) -> float:
-        """Return the longest step (s) that the next impact allows; infinite if there is none within a span (s).
-
-        ``pairs`` are the contacts of the last step, (m, 2), sorted.
-        """
-        T, bodies = self.trajectories, self._bodies
+    def step_by_impacts(self, span: float) -> float:
+        """Return the longest step (s) that the next impact allows; infinite if there is none within a span (s)."""
+        T, bodies, pairs = self.trajectories, self._bodies, self._contacts.contacts.pairs
         moving = (bodies.position, bodies.velocity, bodies.acceleration, bodies.radius)
         return step_by_impacts(*moving, T.surface, T.offset, pairs, span)
 
-    def _straighten(self, held: ImpulseCache, asleep: BoolArray | None) -> None:
-        """Make the paths of held bodies and sleepers straight, and mark held bodies as not free."""
+    def _straighten(self, held: ImpulseCache, unmoved: BoolArray | None) -> None:
+        """Make the paths of held bodies and of unmoved ones straight, and mark held bodies as not free."""
         straighten(held.pairs, held.place, held.contacts, self.trajectories)
-        if asleep is not None:
-            self.trajectories.body["is_straight"][asleep] = True
+        if unmoved is not None:
+            self.trajectories.body["is_straight"][unmoved] = True
 
     def _write_load_speeds(self, pairs: IntArray, dt: float, scale: float, skin: float) -> None:
         """Compute the load speed of each body."""

@@ -16,9 +16,8 @@ import numpy as np
 from carom.arrays import BoolArray, FloatArray, IntArray, RecordArray
 from carom.physics.aligned import aligned_empty, words
 from carom.physics.bodies import Bodies
-from carom.physics.contact.broad_phase.planes import mark_behind
 from carom.physics.contact.constraints import CONTACTS_PER_BLOCK, ConstraintSystem, ContactRecord
-from carom.physics.contact.events.drift import WIDEST
+from carom.physics.contact.events.drift import WIDEST, EventDrivenDrift
 from carom.physics.contact.events.event_loop import predict
 from carom.physics.contact.events.trajectories import Neighbours, Trajectories, begin, straighten, write_search_radii
 from carom.physics.contact.geometry import are_near, height_above, update_geometry
@@ -27,6 +26,7 @@ from carom.physics.contact.loads import add_loads, clear_loads, write_rest_speed
 from carom.physics.contact.near_pairs import LARGEST_SKIN
 from carom.physics.contact.near_pairs import ROUNDING as MOST_ROUNDED
 from carom.physics.contact.pipeline import ContactPipeline
+from carom.physics.contact.plane_guard import mark_behind
 from carom.physics.contact.solver.body_state import gather, scatter
 from carom.physics.contact.solver.impacts import CONVERGED, check_closing
 from carom.physics.contact.solver.phase_code import IMPACTS, POSITIONS, RESTING
@@ -104,7 +104,7 @@ class SteadyContacts(NamedTuple):
         ``against`` are the accelerations against which contacts are held before the drift, (n + p, 3) m/s² (default:
         those of the bodies).
         """
-        solver, settings, event_drift = contact.solver, contact.settings, contact.event_drift
+        solver, settings, event_drift = contact.solver, contact.settings, contact.part(EventDrivenDrift)
         assert event_drift is not None, "see `make` of `steady_steps`"
         system, normals, n = solver.system, solver.found_normals, len(bodies)
         ends, most = len(system.inverse_mass), n * (n - 1) // 2

@@ -17,6 +17,8 @@ from typing import Any, Protocol
 import numpy as np
 
 from carom.arrays import FloatArray, RecordArray, dtype_of
+from carom.physics.contact.contact_tap import ContactTap
+from carom.physics.contact.events.drift import EventDrivenDrift
 from carom.physics.contact.events.steady_contacts import (
     MOST_CONTACTS,
     SteadyContacts,
@@ -27,6 +29,7 @@ from carom.physics.contact.events.steady_contacts import (
     resolve_steady,
 )
 from carom.physics.contact.graph import OrderedContacts
+from carom.physics.contact.plane_guard import PlaneGuard
 from carom.physics.contact.reactions import add_support, write_torques
 from carom.physics.diagnostics.bookkeeper import Bookkeeper
 from carom.physics.diagnostics.run_monitor import remembered
@@ -122,15 +125,15 @@ class SteadySteps:
         most = int(min(goal.most, steps, every - clock.step % every, MOST_STEPS + 1)) - 1
         if most < 1 or len(contact.contacts) > MOST_CONTACTS or not contact.solver.code.is_complete:
             return False
-        damping, totals = world.forces.damping, self._totals
-        contacts = SteadyContacts.of(contact, world.bodies, damping.against if damping else None)
+        totals = self._totals
+        contacts = SteadyContacts.of(contact, world.bodies, world.step.against)
         for name, value in books.steady_totals().items():
             totals[name] = value
         totals["deepest_step"] = totals["most_step"] = totals["contacts"] = 0
         totals["last_kick"], totals["last_dt"] = contact.last_kick, clock.dt
         until, timestep = min(until, books.kept_until), self._timestep
-        if damping:
-            damping.exchanged[:] = books.audit.exchanged(damping.kind.loss)
+        for lend in world.hooks.lend:
+            lend(books.audit)
         asked = FlightClock(clock.time, goal.end, until, most, timestep.previous, 0.0), clock.step
         if self._go_on is None:
             share = self._waited / (clock.step - self._first + 1) * most / (most + 1)
@@ -147,8 +150,8 @@ class SteadySteps:
         clock.advance(taken, before, time, dt, LIMIT_NAMES[limit])
         contact.add_steady_steps(float(totals["last_kick"][0]), dt, int(totals["sweeps"][0]))
         books.book_steady_steps(totals)
-        if damping:
-            books.audit.exchange_up_to(damping.kind.loss, damping.exchanged)
+        for settle in world.hooks.settle:
+            settle(books.audit)
         books.activity.add_step(contact.statistics.contacts, 0.0)
         world.profile.mark("resting")
         return True
@@ -162,7 +165,10 @@ class SteadySteps:
 def make(world: World, books: Bookkeeper, timestep: Timestep, flight: FreeFlight) -> SteadySteps | None:
     """Return a `SteadySteps`; None if the scene has features that its kernel does not support."""
     contact, substeps = world.contact, integrator(world.scene).substeps
-    if PLAIN or contact is None or contact.event_drift is None or contact.sleepers or len(substeps) > 1:
+    if PLAIN or contact is None or contact.part(EventDrivenDrift) is None or len(substeps) > 1:
+        return None
+    known = EventDrivenDrift, PlaneGuard, ContactTap, type(world.forces.damping)  # parts that its kernel replaces
+    if not all(isinstance(part, known) for part in contact.parts):
         return None
     settings, is_held_twice = contact.settings, min(substeps[0]) > 0.0
     is_known = settings.stabilisation != "baumgarte" and settings.search != "k-d-tree"  # which rounds otherwise

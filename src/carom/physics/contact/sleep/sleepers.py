@@ -18,17 +18,19 @@ Rejected: single bodies that sleep (bodies resting on them would wake them in th
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from carom.arrays import BoolArray, FloatArray, IntArray, Records
-from carom.physics.bodies import Bodies
 from carom.physics.contact.constraints import CONTACT, CONTACT_STATE, RECORDED, ends_of
-from carom.physics.contact.contact_checkpoint import SleepCheckpoint
+from carom.physics.contact.contact_checkpoint import ContactCheckpoint, SleepCheckpoint
 from carom.physics.contact.graph import CollisionGraph, empty_graph
+from carom.physics.contact.hooks import NO_ENTRIES, Contacts, OptionalPart, PresentStep
 from carom.physics.contact.islands import join_islands, root_of
 from carom.physics.contact.law import IMPULSES, NORMAL
+from carom.physics.contact.reactions import supported_acceleration
 from carom.physics.contact.snapshot import late_contacts
 from carom.physics.contact.solver.prepare import ImpulseCache, begin_contacts, impulses_of
 from carom.physics.contact.statistics import NO_CONTACTS, ContactStatistics
@@ -36,12 +38,9 @@ from carom.physics.diagnostics.ledger import FRICTION, RESTITUTION, TERMS
 from carom.physics.jit.decorators import kernel
 from carom.physics.jit.team import SOLO
 from carom.physics.vector import square, write
-from carom.scene.schema.contact import Sleep
-from carom.scene.start import HalfSpaces
 
 SPIN = 10.0  # allowed surface speed over the speed: nothing brakes a spin about a normal, and it moves no neighbour
 ASLEEP = -1.0  # stored instead of the time for which a body has been slow
-NOTHING_LOST: FloatArray = np.zeros((0, len(TERMS)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,12 +79,14 @@ _NO_RECORDS = np.empty(0, CONTACT), np.empty(0, CONTACT_STATE), np.empty((0, 3))
 NO_SLEEPERS = SleepingContacts(empty_graph().pairs, np.empty((0, 4)), *_NO_RECORDS, NO_CONTACTS)
 
 
-class Sleepers:
+class Sleepers(OptionalPart):
     """Decides which bodies sleep, and keeps their contacts."""
 
-    def __init__(self, sleep: Sleep, bodies: Bodies, planes: HalfSpaces, box: FloatArray) -> None:
-        self._sleep, self._bodies = sleep, bodies
-        self._shapes = bodies.position, bodies.radius, box, planes.surface, planes.offset
+    def __init__(self, contacts: Contacts) -> None:
+        sleep, bodies, planes = contacts.settings.sleep, contacts.bodies, contacts.world.planes
+        assert sleep is not None, "see `carom.plan.step_parts`"
+        self._sleep, self._bodies, self._all_contacts = sleep, bodies, contacts
+        self._shapes = bodies.position, bodies.radius, contacts.world.box, planes.surface, planes.offset
         self._fixed = bodies.ends.inverse_mass == 0.0
         self._movable = int(np.count_nonzero(~self._fixed[: len(bodies)]))
         self._compile()
@@ -101,8 +102,8 @@ class Sleepers:
         self.have_awake_end(pairs)
         _wake_islands(pairs, ends.inverse_mass, nobody, nobody.copy())
         _kick_energy(nobody, ends.acceleration, ends.inverse_mass, 0.0)
-        _fall_asleep(pairs, np.empty((0, 4)), (*shape, ends.inverse_inertia), np.inf, self._calm, nobody)
-        self.fall_asleep(pairs, ImpulseCache.empty(), 0.0)
+        _put_to_sleep(pairs, np.empty((0, 4)), (*shape, ends.inverse_inertia), np.inf, self._calm, nobody)
+        self._fall_asleep(pairs, ImpulseCache.empty(), 0.0)
         self._keep(pairs, np.empty((0, 4)))
         self.contacts.graph()
 
@@ -114,44 +115,101 @@ class Sleepers:
         self._reference = np.zeros((n, 3))  # m/s², accelerations of the sleepers when they fell asleep
         self._count = 0  # number of sleepers
         self.contacts = NO_SLEEPERS
+        self._fell_asleep = False  # whether contacts fell asleep at the end of the last step
+        self._slept = NO_SLEEPERS  # contacts that slept in the last step
+        self._lost = NO_ENTRIES  # J, ledger of the contacts that woke in this step or fell asleep after it
 
-    @property
-    def any(self) -> bool:
+    def is_busy(self) -> bool:
         """Whether a body sleeps."""
         return self._count > 0
 
     @property
-    def all(self) -> bool:
+    def _all_sleep(self) -> bool:
         """Whether every body sleeps or is fixed."""
         return self._count == self._movable
 
-    @property
-    def asleep(self) -> BoolArray:
-        """(n,) which bodies sleep."""
-        return np.asarray(self._calm == ASLEEP)
+    def remember(self, memory: ContactCheckpoint) -> ContactCheckpoint:
+        """Leave the contacts of sleepers out of a checkpoint, and add the state that the next step needs."""
+        awake, held = self.have_awake_end(memory.pairs), self.have_awake_end(memory.held_pairs)
+        slept = SleepCheckpoint(self._calm.copy(), self._reference.copy(), self.contacts.pairs, self.contacts.force)
+        return replace(
+            memory,
+            pairs=memory.pairs[awake],
+            rest_speed=memory.rest_speed[awake],
+            load_speed=memory.load_speed[awake],
+            held_pairs=memory.held_pairs[held],
+            impulse=memory.impulse[held],
+            sleep=slept,
+        )
 
-    @property
-    def memory(self) -> SleepCheckpoint:
-        """A copy of the state that the next step needs."""
-        return SleepCheckpoint(self._calm.copy(), self._reference.copy(), self.contacts.pairs, self.contacts.force)
-
-    def recall(self, memory: SleepCheckpoint | None) -> None:
-        """Restore the state of `memory`; positions must already be those of that step."""
+    def recall(self, memory: ContactCheckpoint) -> None:
+        """Restore the state of a checkpoint; positions must already be those of that step."""
         self.forget()
-        if memory is not None:
-            self._calm, self._reference = memory.calm.copy(), memory.reference.copy()
+        if memory.sleep is not None:
+            self._calm, self._reference = memory.sleep.calm.copy(), memory.sleep.reference.copy()
             self._count_sleepers()
-            self._keep(memory.pairs, memory.force)
+            self._keep(memory.sleep.pairs, memory.sleep.force)
+        self._leave_out()
 
-    def stop(self) -> None:
+    def support(self, by_solver: FloatArray) -> FloatArray:
+        """Add the accelerations that the contacts of sleepers support."""
+        if not self._count or self._fell_asleep:
+            return by_solver
+        slept = self.contacts
+        cache = ImpulseCache(slept.pairs, slept.place, slept.contacts, 1.0)
+        by_sleepers = supported_acceleration(cache, self._bodies.ends.inverse_mass)
+        return by_sleepers + by_solver if len(by_solver) else by_sleepers
+
+    def losses(self) -> FloatArray:
+        """Return the energies of contacts that woke or fell asleep in the last step, (k, 3) J, by term."""
+        return self._lost
+
+    def kicked(self, step: PresentStep) -> None:
         """Set the velocities of the sleepers to 0 after a kick."""
         if self._count:
             ends = self._bodies.ends
             _stop(self._calm, ends.velocity, ends.angular_velocity)
 
-    def awake(self, pairs: IntArray) -> IntArray:
-        """Return the pairs with an awake end; the contacts of the others are not computed."""
+    def prepare(self, step: PresentStep) -> None:
+        """Begin a step without the contacts that fell asleep after the last one."""
+        contacts, self._lost = self._all_contacts, NO_ENTRIES
+        if self._fell_asleep:
+            memory = contacts.memory
+            assert memory is not None, "only lasting contacts fall asleep"
+            contacts.lay_out(memory)
+            self._fell_asleep = False
+            self._leave_out()
+        contacts.unmoved = np.asarray(self._calm == ASLEEP)
+
+    def search(self, step: PresentStep, others: Callable[[PresentStep], IntArray]) -> IntArray:
+        """Wake the islands that are disturbed; return the pairs with an awake end."""
+        if self._all_sleep and not self.is_disturbed():
+            return empty_graph().pairs
+        pairs, contacts = others(step), self._all_contacts
+        impulses, self._lost = self._wake(pairs, contacts.impulses, step.kick, step.dt)
+        if len(self._lost):
+            contacts.restart(impulses)
+        self._leave_out()
         return pairs[self.have_awake_end(pairs)] if self._count else pairs
+
+    def conclude(self, step: PresentStep) -> None:
+        """Count the contacts of sleepers."""
+        if self._slept:
+            self._all_contacts.statistics = self._all_contacts.statistics.plus(self._slept.statistics)
+
+    def end(self, step: PresentStep) -> None:
+        """Put islands that have been slow for long enough to sleep."""
+        contacts = self._all_contacts
+        lost = self._fall_asleep(contacts.contacts.pairs, contacts.impulses, step.dt)
+        self._fell_asleep = len(lost) > 0
+        self._lost = np.concatenate((self._lost, lost))
+        if len(self._lost):
+            contacts.ledger_apart = np.concatenate((contacts.ledger_apart, self._lost))
+        step.profile.mark("sleep")
+
+    def _leave_out(self) -> None:
+        """Leave the present contacts of sleepers to this part in the step."""
+        self._slept = self._all_contacts.idle = self.contacts
 
     def have_awake_end(self, pairs: IntArray) -> BoolArray:
         """Return which pairs have an end that is neither fixed nor asleep."""
@@ -161,7 +219,7 @@ class Sleepers:
         """Return whether a sleeper moves, or its acceleration has changed since it fell asleep."""
         return self._count > 0 and bool(self._disturbed(empty_graph().pairs).any())
 
-    def wake(self, pairs: IntArray, cache: ImpulseCache, kick: float, dt: float) -> tuple[ImpulseCache, FloatArray]:
+    def _wake(self, pairs: IntArray, cache: ImpulseCache, kick: float, dt: float) -> tuple[ImpulseCache, FloatArray]:
         """Wake the islands that are disturbed, or near awake bodies, given all near pairs.
 
         The first kick and the step take ``kick`` and ``dt`` s. Return the impulses with which the next kick starts,
@@ -171,7 +229,7 @@ class Sleepers:
         """
         disturbed = self._disturbed(pairs) if self._count else np.zeros(0, dtype=np.bool_)
         if not disturbed.any():
-            return cache, NOTHING_LOST
+            return cache, NO_ENTRIES
         ends, slept, n = self._bodies.ends, self.contacts, len(self._bodies)
         woken = np.zeros(n, dtype=np.bool_)
         _wake_islands(slept.pairs, ends.inverse_mass, disturbed, woken)
@@ -189,7 +247,7 @@ class Sleepers:
         lost[0, RESTITUTION] = -_kick_energy(woken, ends.acceleration, ends.inverse_mass, kick)
         return ImpulseCache.of(joined[order], impulse[order], length), lost
 
-    def fall_asleep(self, pairs: IntArray, cache: ImpulseCache, dt: float) -> FloatArray:
+    def _fall_asleep(self, pairs: IntArray, cache: ImpulseCache, dt: float) -> FloatArray:
         """Put islands to sleep after a step of dt s; return the energy that they lose, (k, 3) J, by term.
 
         Nothing falls asleep unless the impulses of the last kick, in ``cache``, belong to ``pairs``, the contacts of
@@ -199,16 +257,16 @@ class Sleepers:
         motion = (ends.velocity, ends.angular_velocity, bodies.radius, ends.inverse_mass)
         is_due = _count_calm(*motion, self._sleep.speed, dt, self._sleep.after, self._calm)
         if not is_due or cache.kick == 0.0 or not np.array_equal(cache.pairs, pairs):
-            return NOTHING_LOST
+            return NO_ENTRIES
         impulse = cache.impulse[:, : len(IMPULSES)]
         slept = np.zeros(len(self._calm), dtype=np.bool_)
         moving = ends.velocity, ends.angular_velocity, ends.inverse_mass, ends.inverse_inertia
-        energy = _fall_asleep(pairs, impulse, moving, self._sleep.after, self._calm, slept)
+        energy = _put_to_sleep(pairs, impulse, moving, self._sleep.after, self._calm, slept)
         if not slept.any():
-            return NOTHING_LOST
+            return NO_ENTRIES
         self._reference[slept] = ends.acceleration[: len(slept)][slept]
         self._count_sleepers()
-        self.stop()
+        _stop(self._calm, ends.velocity, ends.angular_velocity)
         kept = ~_has_awake_end(pairs, self._still)
         joined = np.concatenate((self.contacts.pairs, pairs[kept]))
         force = np.concatenate((self.contacts.force, impulse[kept] / cache.kick))
@@ -239,7 +297,7 @@ class Sleepers:
         contacts, states, normals = np.zeros(k, CONTACT), np.zeros(k, CONTACT_STATE), np.empty((k, 3))
         begin_contacts(0, k, pairs, self._shapes, contacts, states, 0.0, normals)
         impulses_of(contacts)[:] = force
-        statistics = ContactStatistics.of(pairs, contacts, states, self._bodies.ends, SOLO)._replace(work=NOTHING_LOST)
+        statistics = ContactStatistics.of(pairs, contacts, states, self._bodies.ends, SOLO)._replace(work=NO_ENTRIES)
         self.contacts = SleepingContacts(pairs, force, contacts, states, normals, statistics)
 
 
@@ -340,7 +398,7 @@ def _count_calm(
 
 
 @kernel
-def _fall_asleep(
+def _put_to_sleep(
     pairs: IntArray,
     impulse: FloatArray,
     ends: tuple[FloatArray, FloatArray, FloatArray, FloatArray],
@@ -370,3 +428,8 @@ def _fall_asleep(
         if len(spin) and inverse_inertia[i] > 0.0:
             energy += 0.5 * square(spin, i) / inverse_inertia[i]
     return energy
+
+
+def make(contacts: Contacts) -> Sleepers | None:
+    """Return the sleepers of a scene with `contact.sleep`; None if its contacts do not last."""
+    return Sleepers(contacts) if contacts.lasts else None

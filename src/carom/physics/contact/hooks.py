@@ -1,0 +1,320 @@
+"""The hooks of a step: what an optional part of the model does in it, and when.
+
+`carom.physics.step` and `carom.physics.contact.pipeline` name no optional part. They call hooks, each with the step,
+and a part implements those that it needs. The list of a hook has only the methods of the parts that implement it, so a
+scene without parts calls nothing. `carom.plan.step_parts` has a row for each part, in the order in which hooks call
+them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import NamedTuple, Protocol, TypeVar
+
+import numpy as np
+
+from carom.arrays import BoolArray, FloatArray, IntArray, Records
+from carom.physics.bodies import Bodies
+from carom.physics.contact.contact_checkpoint import ContactCheckpoint
+from carom.physics.contact.graph import CollisionGraph, OrderedContacts
+from carom.physics.contact.impact_log import NO_IMPACTS, Impacts
+from carom.physics.contact.impact_totals import ImpactTotals
+from carom.physics.contact.near_pairs import ContactWorld, NearPairs
+from carom.physics.contact.solver.contact_solver import ContactSolver
+from carom.physics.contact.solver.prepare import ImpulseCache
+from carom.physics.contact.statistics import ContactStatistics
+from carom.physics.diagnostics.run_monitor import Profile
+from carom.physics.integrators.kick_drift import DampedPath
+from carom.physics.jit.team import Team
+from carom.plan.features import Requirements
+from carom.scene.schema import ContactSettings
+
+STRAIGHT = DampedPath(0.0, 0.0, 1.0)
+NO_ENTRIES: FloatArray = np.zeros((0, 3))
+
+
+class Audit(Protocol):
+    """The audit of impulses, as parts use it."""
+
+    def add_force(self, change: FloatArray) -> None:
+        """Add changes of velocities that no impulse explains, (n, 3) m/s."""
+
+
+@dataclass(slots=True)
+class PresentStep:
+    """The present step."""
+
+    profile: Profile
+    before: float = 0.0  # s, the time at which it begins
+    time: float = 0.0  # s, the time at which it ends
+    dt: float = 0.0  # s
+    drift: float = 0.0  # s, the present drift; steps of some integrators have several
+    kick: float = 0.0  # s, the kick after which the contacts of the last step are held
+    booked: float = 0.0  # s, the part of the drift for which the work of the forces is booked by then
+    last_kick: float = 0.0  # s
+    path: DampedPath = STRAIGHT
+    against: FloatArray | None = None  # (n + p, 3) m/s²: contacts hold against these, not the bodies' accelerations
+    impacts: Impacts = NO_IMPACTS  # of the drift
+    audit: Audit | None = None  # of impulses
+    pushed: float = 0.0  # m, by which the correction of overlaps moved a solid along its normal
+
+    def set_kicks(self, before: float, drift: float, after: float) -> None:
+        """Set a drift and the plain kicks before and after it, in s."""
+        self.kick = self.booked = before
+        self.drift, self.last_kick, self.path = drift, after, DampedPath(before, 0.0, 1.0)
+
+
+class IdleContacts(Protocol):
+    """Contacts at rest that no solver computes; sorted by pair."""
+
+    def __len__(self) -> int: ...
+
+    def graph(self) -> CollisionGraph:
+        """Return the contacts that touch or carry a force."""
+        ...
+
+    def records(self, dt: float) -> tuple[IntArray, IntArray, Records, Records, Records]:
+        """Return pairs, places, `CONTACT` with the impulses of dt s, `CONTACT_STATE` and `RECORDED`."""
+        ...
+
+
+class Contacts(Protocol):
+    """The contact pipeline, as parts use it."""
+
+    settings: ContactSettings
+    bodies: Bodies
+    world: ContactWorld
+    needs: Requirements
+    team: Team
+    totals: ImpactTotals | None
+    near: NearPairs
+    solver: ContactSolver
+    contacts: OrderedContacts  # of the step
+    impulses: ImpulseCache  # with which the next kick starts
+    impacts: Impacts  # of the drift
+    idle: IdleContacts | None  # of the step
+    unmoved: BoolArray | None  # (n,) bodies that no kick moves in the step
+    lasts: bool  # whether contacts can be at rest
+    presses: bool  # whether something presses contacts together
+    ledger_apart: FloatArray  # (k, 3) J, entries of the step that belong to no contact
+    statistics: ContactStatistics  # of the step
+    counts_impacts: bool  # whether statistics include impacts
+
+    @property
+    def is_at_rest(self) -> bool:
+        """Whether contacts may be at rest."""
+
+    @property
+    def memory(self) -> ContactCheckpoint | None:
+        """A copy of the state that the next step needs."""
+
+    def lay_out(self, memory: ContactCheckpoint) -> None:
+        """Make the contacts of a memory those of the last step."""
+
+    def restart(self, impulses: ImpulseCache) -> None:
+        """Start the next kick from other impulses."""
+
+    def add_impacts(self, step: PresentStep, impacts: Impacts) -> None:
+        """Set the impacts of a drift."""
+
+
+class LedgerAccount(Protocol):
+    """The books, as parts use them; entries of the ledger have the sign of a loss."""
+
+    def book_work(self, entry: str, work: float) -> None:
+        """Book work (J) done on the bodies."""
+
+    def exchange(self, entry: str, loss: float, impulse: FloatArray, angular_impulse: FloatArray) -> None:
+        """Book energy that the bodies lost (J), and external impulses (N s and N m s)."""
+
+    def exchanged(self, entry: str) -> FloatArray:
+        """Return the energy lost so far, and the expected momenta, (7,)."""
+        ...
+
+    def exchange_up_to(self, entry: str, exchanged: FloatArray) -> None:
+        """Set what `exchanged` returns."""
+
+
+class OptionalPart:
+    """An optional part of the model. It overrides the hooks that it needs."""
+
+    entries: tuple[str, ...] = ()  # of the ledger, with the sign of a loss
+
+    # Between steps
+
+    def compile(self) -> None:
+        """Run the kernels of the hooks without contacts, so that the first contact does not wait for compilation."""
+
+    def forget(self) -> None:
+        """Return to the state before the first step."""
+
+    def remember(self, memory: ContactCheckpoint) -> ContactCheckpoint:
+        """Return a checkpoint with the state of this part."""
+        return memory
+
+    def recall(self, memory: ContactCheckpoint) -> None:
+        """Return to the state of a checkpoint."""
+
+    def discard(self) -> None:
+        """Discard what steps of the warm-up have left to be booked."""
+
+    def place(self, time: float) -> None:
+        """Place what moves by itself where it is at a time (s)."""
+
+    def latest_end(self, time: float, adaptive: bool) -> float:
+        """Return when (s) a step that begins at a time has to end; ``adaptive``: whether the scene sets no step."""
+        return np.inf
+
+    def is_busy(self) -> bool:
+        """Whether the next step differs from one without this part, or the last one did."""
+        return False
+
+    def support(self, by_solver: FloatArray) -> FloatArray:
+        """Return the accelerations that contacts support, (n + p,) m/s², given those in the solver's contacts."""
+        return by_solver
+
+    def warnings(self) -> Iterable[str]:
+        """Return the limits of the method that the last step reached."""
+        return ()
+
+    def losses(self) -> FloatArray:
+        """Return the energies of the last step that belong to no contact, (k, 3) J, by term of the ledger."""
+        return NO_ENTRIES
+
+    def lend(self, account: LedgerAccount) -> None:
+        """Let kernels that take many steps continue the entries of the ledger."""
+
+    def settle(self, account: LedgerAccount) -> None:
+        """Book what these kernels have added."""
+
+    def book(self, account: LedgerAccount) -> None:
+        """Book what the last step exchanged with the bodies."""
+
+    # In a step, in this order
+
+    def begin(self, step: int, began: float, ended: float) -> None:
+        """Begin the records of a step with a number, given the times of its beginning and end in s."""
+
+    def kick_before(self, step: PresentStep) -> None:
+        """Kick before a drift, in place of the plain kick, and set the kicks of the step."""
+
+    def kicked(self, step: PresentStep) -> None:
+        """Correct velocities after a plain kick."""
+
+    def prepare(self, step: PresentStep) -> None:
+        """Begin a step, after its first kick and before contacts are held."""
+
+    def held(self, step: PresentStep) -> None:
+        """Note the impulses of the contacts of the last step, now that they are held."""
+
+    def depart(self, step: PresentStep) -> None:
+        """Begin a drift."""
+
+    def move(self, step: PresentStep) -> None:
+        """Move the bodies; without a part that does, they move along straight lines."""
+
+    def struck(self, step: PresentStep) -> None:
+        """Note impacts during the drift."""
+
+    def arrive(self, step: PresentStep) -> None:
+        """Move what is not a body to the end of the step, and bodies to where they can be."""
+
+    def search(self, step: PresentStep, others: Callable[[PresentStep], IntArray]) -> IntArray:
+        """Return the pairs that are contacts, (m, 2), among those that the search of ``others`` returns."""
+        return others(step)
+
+    def restarted(self) -> None:
+        """Keep records of held contacts: the solver will overwrite them."""
+
+    def load(self, dt: float) -> None:
+        """Raise the speeds up to which contacts count as at rest in a step of dt seconds."""
+
+    def corrected(self, step: PresentStep) -> None:
+        """Note that overlaps are corrected."""
+
+    def travelled(self, step: PresentStep) -> None:
+        """End a drift, after overlaps are corrected and before bodies are wrapped."""
+
+    def wrap(self, step: PresentStep) -> None:
+        """Wrap the bodies into a periodic box whose images move."""
+
+    def kick_after(self, step: PresentStep) -> None:
+        """Kick after a drift, in place of the plain kick."""
+
+    def finish(self, step: PresentStep) -> None:
+        """Note the last kick, before contacts are resolved."""
+
+    def before_impacts(self, step: PresentStep) -> None:
+        """Give what is not a body its acceleration in the last kick, before contacts are resolved."""
+
+    def after_impacts(self, step: PresentStep) -> None:
+        """Note the impacts at the end of the step, before contacts are held."""
+
+    def acted(self, step: PresentStep) -> None:
+        """Note all impulses of contacts at the end of the step."""
+
+    def conclude(self, step: PresentStep) -> None:
+        """Add to the statistics of the step."""
+
+    def end(self, step: PresentStep) -> None:
+        """Change velocities at the end of the step."""
+
+
+class Mover(OptionalPart):
+    """A part that moves the bodies through a drift, and resolves impacts there."""
+
+    def resolve_meeting(self, pair: tuple[int, int] | None, dt: float) -> Impacts:
+        """Resolve the impacts of pairs that touch at the end of a step of dt s; without one, only load the kernels."""
+        raise NotImplementedError
+
+    def step_by_impacts(self, span: float) -> float:
+        """Return the longest step (s) that the next impact allows; infinite if there is none within a span (s)."""
+        raise NotImplementedError
+
+
+P = TypeVar("P", bound=OptionalPart)
+StepHooks = list[Callable[[PresentStep], None]]
+
+
+class Hooks(NamedTuple):
+    """The methods of the parts that implement each hook, in the order of the parts."""
+
+    latest_end: list[Callable[[float, bool], float]]
+    is_busy: list[Callable[[], bool]]
+    support: list[Callable[[FloatArray], FloatArray]]
+    lend: list[Callable[[LedgerAccount], None]]
+    settle: list[Callable[[LedgerAccount], None]]
+    book: list[Callable[[LedgerAccount], None]]
+    begin: list[Callable[[int, float, float], None]]
+    kick_before: StepHooks
+    kicked: StepHooks
+    prepare: StepHooks
+    held: StepHooks
+    depart: StepHooks
+    move: StepHooks
+    struck: StepHooks
+    arrive: StepHooks
+    search: list[Callable[..., IntArray]]
+    load: list[Callable[[float], None]]
+    corrected: StepHooks
+    travelled: StepHooks
+    wrap: StepHooks
+    kick_after: StepHooks
+    finish: StepHooks
+    before_impacts: StepHooks
+    after_impacts: StepHooks
+    acted: StepHooks
+    conclude: StepHooks
+    end: StepHooks
+
+    @classmethod
+    def of(cls, parts: Iterable[OptionalPart]) -> Hooks:
+        """Return the hooks of parts, given in their order."""
+        kinds = [(part, type(part)) for part in parts]
+        return cls(
+            *(
+                [getattr(part, name) for part, kind in kinds if getattr(kind, name) is not getattr(OptionalPart, name)]
+                for name in cls._fields
+            )
+        )

@@ -1,0 +1,138 @@
+"""Walls in a step: their motion, their work on the bodies, and the limits that they set to the step."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any, cast
+
+import numpy as np
+
+from carom.arrays import FloatArray, RecordArray
+from carom.physics.contact.contact_checkpoint import ContactCheckpoint
+from carom.physics.contact.hooks import Contacts, LedgerAccount, OptionalPart, PresentStep
+from carom.physics.contact.moving_walls import ENTRY, work_of_contacts, work_of_impacts
+from carom.physics.contact.solids import SolidsWithWalls
+from carom.physics.contact.translating_walls import WallTranslation, work_at_velocities, work_in_drift
+
+NO_VELOCITIES: FloatArray = np.zeros((0, 3))
+# rad, of the normal of a contact in a step where walls alone press. On a chord, a body with the tangential velocity v
+# advances by the angle arcsin(v dt/f), and is ahead by a sixth of its square: 7 × 10⁻⁵ of its path.
+LARGEST_TURN = 0.02
+
+
+class MovingWalls(OptionalPart):
+    """Moves walls through the phases of a step, and sums their work on the bodies."""
+
+    def __init__(self, contacts: Contacts) -> None:
+        bodies, solids = contacts.bodies, contacts.world.planes
+        assert isinstance(solids, SolidsWithWalls), "see `carom.plan.step_parts`"
+        self._contacts, self._solids, self._count = contacts, solids, len(bodies)
+        self._translation: WallTranslation | None = None
+        if solids.translates:
+            moving = solids.records, solids.before, bodies.ends, solids.motions
+            guided, smallest = solids.guided, float(bodies.radius.min())
+            self._translation = guided.motion(*moving, smallest) if guided else WallTranslation(*moving)
+        self._velocity = NO_VELOCITIES  # (p, 3) m/s, of solids that translate, as they do the present work
+        self._work = 0.0  # J, of moving walls on bodies in the step
+        self.entries = (ENTRY,) if solids.moves else ()
+
+    def forget(self) -> None:
+        """Return to the state before the first step."""
+        self._work = 0.0
+        if self._translation:
+            self._translation.forget()
+
+    def remember(self, memory: ContactCheckpoint) -> ContactCheckpoint:
+        """Add the state of the wall that contacts move."""
+        return replace(memory, piston=self._translation.memory) if self._translation else memory
+
+    def recall(self, memory: ContactCheckpoint) -> None:
+        """Return to the state of a checkpoint."""
+        if self._translation and memory.piston is not None:
+            self._translation.recall(memory.piston)
+
+    def place(self, time: float) -> None:
+        """Move walls that translate to their places at a time (s)."""
+        if self._translation:
+            self._translation.place(time)
+
+    def latest_end(self, time: float, adaptive: bool) -> float:
+        """Return when the velocity of a wall next changes, or a piston or a normal would move too far."""
+        end = self._translation.next_change(time) if self._translation else np.inf
+        if not adaptive:
+            return end
+        turning = self._contacts.solver.turning if self._contacts.presses else 0.0
+        longest = self._translation.longest_step if self._translation else np.inf
+        return min(end, time + min(longest, LARGEST_TURN / turning if turning > 0.0 else np.inf))
+
+    def book(self, account: LedgerAccount) -> None:
+        """Book the work of the step."""
+        if self.entries:
+            account.book_work(ENTRY, self._work)
+
+    def prepare(self, step: PresentStep) -> None:
+        """Place walls at the beginning of the step, with their mean velocities."""
+        self._work = 0.0
+        if self._translation:
+            self._velocity = self._translation.begin(step.before, step.time, step.dt, step.booked)
+
+    def held(self, step: PresentStep) -> None:
+        """Add the work of the first kick."""
+        self._add(self._contacts.solver.contacts)
+
+    def depart(self, step: PresentStep) -> None:
+        """Let the velocities of walls depend on the time in the drift."""
+        if self._translation:
+            self._translation.begin_drift()
+
+    def struck(self, step: PresentStep) -> None:
+        """Add the work in impacts during the drift."""
+        log, surface = self._contacts.impacts.log, self._solids.surface
+        if self._solids.rotates:
+            self._work += work_of_impacts(log, surface, self._count)
+        if self._solids.translates:
+            self._work += work_in_drift(log, surface, self._count)
+
+    def arrive(self, step: PresentStep) -> None:
+        """Move walls to the end of the step; bodies still have the velocities of the drift."""
+        if self._translation:
+            self._translation.arrive(step.time)
+
+    def corrected(self, step: PresentStep) -> None:
+        """Push a guided wall as far as the correction of overlaps did."""
+        if self._translation:
+            self._translation.push(step.pushed)
+
+    def finish(self, step: PresentStep) -> None:
+        """Give walls that translate their velocities after the last kick."""
+        if self._translation:
+            self._translation.finish(step.time)
+
+    def before_impacts(self, step: PresentStep) -> None:
+        """Give walls that translate the accelerations of the last kick."""
+        if self._translation:
+            self._velocity = self._translation.accelerate()
+
+    def acted(self, step: PresentStep) -> None:
+        """Add the work of impacts and of the last kick.
+
+        Walls then have no acceleration: the corrections of positions do the work of the bodies' forces only.
+        """
+        self._add(self._contacts.solver.recorded)
+        self._add(self._contacts.solver.contacts)
+        if self._translation:
+            self._translation.rest()
+
+    def conclude(self, step: PresentStep) -> None:
+        """Add the work of a wall that contacts move."""
+        if self._translation:
+            self._work += self._translation.settle()
+
+    def _add(self, impulses: RecordArray[Any]) -> None:
+        """Add the work in the present contacts by impulses, (m,)."""
+        solver = self._contacts.solver
+        touching = solver.system.pairs, cast(RecordArray[Any], solver.contacts), impulses
+        if self._solids.rotates:
+            self._work += work_of_contacts(*touching, self._solids.surface, self._count)
+        if self._solids.translates:
+            self._work += work_at_velocities(*touching, self._velocity, self._count)

@@ -1,0 +1,79 @@
+"""The optional parts of a step: what requires each, in the order in which hooks call them."""
+
+from __future__ import annotations
+
+import importlib.util
+from collections.abc import Callable
+from typing import NamedTuple
+
+from carom.plan.auto import integrator
+from carom.plan.features import Requirements
+from carom.scene.scene_file import KeyPath
+from carom.scene.schema import Scene
+
+
+class StepPart(NamedTuple):
+    """An optional part of a step in a scene with contacts."""
+
+    target: str  # module:attribute that makes it for a contact pipeline, see `carom.physics.contact.hooks`
+    is_required: Callable[[Scene, Requirements, bool], bool]  # of a scene, and whether its contacts are recorded
+    key: KeyPath  # that asks for it
+    remedy: Callable[[Scene], str]  # without the part
+
+    @property
+    def is_there(self) -> bool:
+        """Whether the part was not removed from this installation."""
+        try:
+            return importlib.util.find_spec(self.target.partition(":")[0]) is not None
+        except ModuleNotFoundError:  # its package was removed
+            return False
+
+
+def _late(scene: Scene) -> str:
+    late = 'contact.timing = "end-of-step"'
+    return f'set time.integrator = "leapfrog" and {late}' if integrator(scene).ends_steps_at_impacts else f"set {late}"
+
+
+STEP_PARTS: dict[str, StepPart] = {
+    "sleep": StepPart(
+        "carom.physics.contact.sleep.sleepers:make",
+        lambda scene, needs, recorded: scene.contact.sleep is not None,
+        ("contact", "sleep"),
+        lambda scene: "remove contact.sleep",
+    ),
+    "walls": StepPart(
+        "carom.physics.contact.wall_motion:MovingWalls",
+        lambda scene, needs, recorded: bool(scene.wall or scene.translating),
+        ("wall",),
+        lambda scene: "remove walls, and planes that move",
+    ),
+    "sheared-contacts": StepPart(
+        "carom.physics.shear_motion:ShearedContacts",
+        lambda scene, needs, recorded: scene.domain.shear is not None and not needs.impact_time.modelled,
+        ("domain", "shear"),
+        lambda scene: "remove domain.shear",
+    ),
+    "time-of-impact": StepPart(
+        "carom.physics.contact.events.drift:EventDrivenDrift",
+        lambda scene, needs, recorded: needs.impact_time.modelled,
+        ("contact", "timing"),
+        _late,
+    ),
+    "plane-guard": StepPart(
+        "carom.physics.contact.plane_guard:PlaneGuard",
+        lambda scene, needs, recorded: bool(scene.plane or scene.wall or scene.domain.walled),
+        ("plane",),
+        lambda scene: "remove planes and walls",
+    ),
+    "contact-tap": StepPart(
+        "carom.physics.contact.contact_tap:ContactTap",
+        lambda scene, needs, recorded: recorded,
+        ("record",),
+        lambda scene: "record no contacts",
+    ),
+}
+
+
+def required(scene: Scene, needs: Requirements, recorded: bool) -> list[str]:
+    """Return the names of the parts that a scene requires; ``recorded``: whether its contacts are recorded."""
+    return [name for name, part in STEP_PARTS.items() if part.is_required(scene, needs, recorded)]
