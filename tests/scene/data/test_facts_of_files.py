@@ -221,6 +221,44 @@ def test_units_of_amuse_are_those_of_its_attributes(tmp_path: Path) -> None:
 
 
 @pytest.mark.needs("h5py")
+def test_one_set_of_an_amuse_file_with_several_saves_is_read_in_si(tmp_path: Path) -> None:
+    """amuse.io.store writes units as ``to_simple_form().reference_string()``."""
+    import h5py
+
+    length, time = "system.get('S.I.').base('length')", "system.get('S.I.').base('time')"
+    units = {"x": f"(1000.0 * {length})", "vx": f"({length} * ({time}**-1))", "mass": "system.get('S.I.').base('mass')"}
+    with h5py.File(tmp_path / "a.hdf5", "w") as file:
+        for number in (1, 2):
+            group = file.create_group(f"particles/{number:010d}/attributes")
+            for axis in "xyz":
+                group[axis], group[f"v{axis}"] = [1.0 * number], [3.0]
+                group[axis].attrs["units"], group[f"v{axis}"].attrs["units"] = units["x"], units["vx"]
+            group["mass"], group["radius"] = [2.0], [4.0]
+            group["mass"].attrs["units"], group["radius"].attrs["units"] = units["mass"], length
+    scene = scene_of(tmp_path, "a.hdf5", top=ASTRONOMICAL)
+    assert scene.data[0].position[0, 0] * AU == pytest.approx(2000.0)
+    assert scene.data[0].velocity[0, 0] * AU / DAY == pytest.approx(3.0)
+    assert "particles/0000000002 is read, set 1 of 2 (from 0)" in scene.notes[0][0]
+    assert scene_of(tmp_path, "a.hdf5", "snapshot = 0").data[0].position[0, 0] == 1000.0
+
+
+@pytest.mark.needs("h5py")
+def test_an_h5md_is_read_at_a_step_in_its_units(tmp_path: Path) -> None:
+    """H5MD 1.1: an element is a group with value (steps, n, 3), step and time; value has the attribute unit."""
+    import h5py
+
+    with h5py.File(tmp_path / "a.h5md", "w") as file:
+        for name, unit in (("position", "nm"), ("velocity", "nm ps-1"), ("force", "kJ mol-1 nm-1")):
+            group = file.create_group(f"particles/all/{name}")
+            group["value"] = np.arange(12.0).reshape(2, 2, 3)
+            group["value"].attrs["unit"] = unit
+            group["time"], group["step"] = [0.0, 1.0], [0, 1]
+    bodies = scene_of(tmp_path, "a.h5md", "mass = 1\nradius = 1e-10").data[0]
+    np.testing.assert_allclose(bodies.position, np.arange(6.0, 12.0).reshape(2, 3) * 1e-9)
+    np.testing.assert_allclose(bodies.velocity, np.arange(6.0, 12.0).reshape(2, 3) * 1e3)
+
+
+@pytest.mark.needs("h5py")
 @pytest.mark.parametrize(
     ("group", "h", "header"),
     [
@@ -517,3 +555,40 @@ def test_a_box_of_the_file_is_compared_with_the_domain(tmp_path: Path) -> None:
     assert not any("its box" in note for note in inside.notes[0])
     other = scene_of(tmp_path, "a.dump", "origin = [4, 2, 4]", walls.replace("[8, 4", "[9, 4"))
     assert "its periodic box is 8 × 4 × 8, and domain.size is 9 × 4 × 8" in other.notes[0][-1]
+
+
+MERCURY = """1 0 0 0 0 1 1 2
+0.5 0.25 0.5 0 0 0 0.5 0 0 0 0 0 0 0
+2 0.5 0 0 0 1 1 2
+0.5 0.25 0.4 0 0 -1 0.125 0 0 0 1 2 3 0
+0.5 0.25 1.6 0 0 1 0.25 0 0 0 0 0 0 1
+"""
+
+
+def test_a_data_file_of_mercury_is_read_at_a_step(tmp_path: Path) -> None:
+    (tmp_path / "a.data").write_text(MERCURY)
+    scene = scene_of(tmp_path, "a.data", "density = 1000")
+    assert scene.data[0].position.tolist() == [[0.5, 0.25, 0.4], [0.5, 0.25, 1.6]]
+    assert scene.data[0].angular_velocity[0].tolist() == [1.0, 2.0, 3.0]
+    assert scene.data[0].radius.tolist() == [0.125, 0.25]
+    assert scene.notes[0][0] == "a.data: step 1 of 2 (from 0) of MercuryDPM, t = 0.5, is read"
+    assert scene_of(tmp_path, "a.data", "density = 1000\nsnapshot_time = 0.1").count == 1
+    assert "no column for mass" in refusal(tmp_path, "a.data")
+    (tmp_path / "plane.data").write_text("1 0.5 0 0 1 1\n0.1 0.2 0.3 0.4 0.05 0 -2 0\n")
+    body = scene_of(tmp_path, "plane.data", "density = 1000").data[0]
+    assert body.position.tolist() == [[0.1, 0.2, 0.0]] and body.angular_velocity.tolist() == [[0.0, 0.0, 2.0]]
+    (tmp_path / "short.data").write_text(MERCURY.rpartition("0.5 0.25")[0])
+    assert "the step from line 3 on has 1 of its 2 particles" in refusal(tmp_path, "short.data")
+
+
+def test_arrays_that_have_their_own_steps_are_not_divided_again(tmp_path: Path) -> None:
+    np.savez(tmp_path / "a.npz", position=np.arange(27.0).reshape(3, 3, 3), time=np.arange(3.0))
+    assert scene_of(tmp_path, "a.npz", "radius = 0.1\nmass = 1\nsnapshot = 0").count == 3
+
+
+def test_names_in_a_comment_are_those_of_the_columns_and_not_a_sentence_with_as_many_words(tmp_path: Path) -> None:
+    (tmp_path / "a.dat").write_text("# t[Myr], x[pc], y[pc], z[pc]\n# NOTE: see the paper\n1 2 3 4\n2 2 3 5\n")
+    said = refusal(tmp_path, "a.dat", "mass = 1\nradius = 1")
+    assert "column t[Myr] has 2 values and no column names the bodies" in said
+    body = scene_of(tmp_path, "a.dat", "mass = 1\nradius = 1\nsnapshot = -1").data[0]
+    np.testing.assert_allclose(body.position[0], np.array([2.0, 3.0, 5.0]) * KPC / 1000.0)

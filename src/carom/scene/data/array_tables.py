@@ -45,6 +45,8 @@ _HEADER = "Header"  # group in the snapshots of Gadget, AREPO, GIZMO and SWIFT
 _OF_TYPE = re.compile(r"PartType(\d)/(\w+)")
 _MASSES = "Masses"
 _UNIT_KEYS = ("units", "unit", "Units", "Unit", "UNITS")  # attributes of AMUSE, unyt, pint, PyTables, and of H5MD
+_OF_AMUSE = {"length": "m", "time": "s", "mass": "kg"}  # base units in the texts of AMUSE's files
+_OF_AMUSE_SET = re.compile(r"particles/\d{10}/")
 _OF_UNITS = ("Parameters", "Units")  # groups in which Gadget-4 and SWIFT state units
 _SIZES = {  # key of [units] → unit, and attributes of Gadget and AREPO, GIZMO, SWIFT
     "length": ("cm", ("UnitLength_in_cm", "UnitLength_In_CGS", "Unit length in cgs (U_L)")),
@@ -85,15 +87,26 @@ def open_hdf5(path: Path, called: str, snapshot: int) -> DataTable:
         if _HEADER in file and "NumPart_ThisFile" in file[_HEADER].attrs:
             stated = {key: file[group].attrs[key] for group in _OF_UNITS if group in file for key in file[group].attrs}
             return _Snapshot(path, called, names, stated | dict(file[_HEADER].attrs), of_columns)
-    table = _Datasets(path, called, names, vectors)
+    sets = sorted({found[0] for name in names if (found := _OF_AMUSE_SET.match(name))})
+    chosen = sets[step_at(called, snapshot, len(sets))] if len(sets) > 1 else ""
+    table = _Datasets(path, called, [name for name in names if name.startswith(chosen)], vectors)
     table.facts = Facts(of_columns=of_columns)
+    if chosen:  # each save of AMUSE appends a set
+        table.hidden = [name for name in names if not name.startswith(chosen)]
+        table.notes = (f"{called}: {chosen.rstrip('/')} is read, set {sets.index(chosen)} of {len(sets)} (from 0)",)
     return table
 
 
 def _text_of(value: Any) -> str:
     """Return the text of an attribute, whose type depends on the program."""
     one = np.ravel(value)[0] if np.size(value) == 1 else ""
-    return one.decode("utf-8", "replace") if isinstance(one, bytes) else str(one)
+    text = one.decode("utf-8", "replace") if isinstance(one, bytes) else str(one)
+    if "system.get(" not in text:
+        return text
+    for kind, name in _OF_AMUSE.items():
+        text = text.replace(f"system.get('S.I.').base('{kind}')", name)
+    # products of powers of base units, such as "(31556925.9936 * s)" and "(m * (s**-1))"
+    return text if ")**" in text else re.sub(r"^([\d.eE+-]+) \* ", r"\1 ", re.sub("[()]", "", text))
 
 
 class _NamedArrays(DataTable):

@@ -37,6 +37,7 @@ from carom.scene.data import (
     refuse_many_rows,
 )
 from carom.scene.data.facts import Facts, printable
+from carom.scene.data.mapping import usual_names
 from carom.scene.wording import counted
 
 _HEAD = 1_000_000  # bytes by which a file is recognised; a longer line is refused
@@ -199,7 +200,11 @@ def _with_point(cell: str) -> str:
 
 
 def _names_in(comments: Sequence[str], columns: int, separator: str) -> list[str]:
-    """Return the column names in the last comment with as many names as values; empty if there is none."""
+    """Return the column names in the comment with as many names as values; empty if there is none.
+
+    Of several, it is the last with the most usual names, since a sentence may have as many words.
+    """
+    best, most = list[str](), -1
     for comment in reversed(comments):
         if yade := _YADE.match(comment):
             names = yade[1].split("_")
@@ -208,8 +213,9 @@ def _names_in(comments: Sequence[str], columns: int, separator: str) -> list[str
             used = next((each for each in (separator, ",") if each != " " and each in text), " ")
             names = _words(text) if used == " " else _cells(text, used)
         if len(names) == columns and not any(number_in(name) is not None for name in names):
-            return names
-    return []
+            usual = usual_names(names)
+            best, most = (names, usual) if usual > most else (best, most)
+    return best
 
 
 def _rewritten(lines: _Lines, dialect: TextDialect, comma: bool, named: int, called: str) -> bytes:

@@ -227,6 +227,8 @@ class _Reader:
             if len(array) != self._rows:
                 raise SceneError(f"{table.called}: column {name} has {len(array)} rows, and {first} has {self._rows}")
         self.kept = np.arange(self._rows)  # numbers of the rows of the file that are read
+        if any(raw[name].ndim > dimensions for name, dimensions in own.items()):
+            steps = Steps([], [])  # each array has its steps
         mask, note, self.choosing = rows_of_step(section, table, steps, raw, self._rows, units)
         self.notes = [note] if note else []
         if mask is not None:

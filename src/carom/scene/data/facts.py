@@ -16,7 +16,7 @@ from functools import lru_cache
 from typing import NamedTuple
 
 from carom.errors import SceneError
-from carom.scene.units.dimension import BASE, Dimension, UnitError, nearest_float, unit, unit_of
+from carom.scene.units.dimension import BASE, Dimension, Unit, UnitError, nearest_float, physical, size_of, unit
 from carom.scene.units.system import OWN, SI, UnitSystem
 
 ECLIPTIC = "ecliptic of J2000"
@@ -132,7 +132,11 @@ def column_named(name: str, paths: bool) -> FileColumn:
 
 @lru_cache(maxsize=100_000)
 def _column(name: str, stated: str | None, paths: bool) -> FileColumn:
-    proper, text = _split(name.strip().rsplit("/", 1)[-1] if paths else name.strip(), paths)
+    proper = name.strip()
+    if paths:
+        parts = proper.split("/")
+        proper = parts[-2] if parts[-1] == "value" and len(parts) > 1 else parts[-1]  # H5MD: position/value
+    proper, text = _split(proper, paths)
     if stated is None or stated.strip().lower() in _NO_UNIT:
         return FileColumn(name, proper, text, "" if text else _bracketed(proper))
     stated = stated.strip()
@@ -161,12 +165,15 @@ def _bracketed(name: str) -> str:
     return "" if text.lower() in (*_NO_UNIT, "0", "1", "2", "x", "y", "z") else text
 
 
-def _size(text: str) -> tuple[object, ...] | None:
+def _size(text: str) -> Unit | None:
+    """Return the size in SI and the dimension of a unit, or of a number of units as in "1000 km"; None if unknown."""
+    if text[:1].isdigit():
+        several = physical(text)
+        return several and Unit(several.size, several.unit.exponents)
     try:
-        found = unit(text)
+        return unit(text)
     except UnitError:
         return None
-    return found.size, found.exponents
 
 
 def _has_dimension(text: str, dimension: Dimension) -> bool:
@@ -198,15 +205,15 @@ def column_factor(
             f'"{printable(column.name)} [{dimensions[0].unit}]" }}'
         )
     if column.unit:
+        known = _size(column.unit)
+        exponents = tuple(sum(powers) for powers in zip(*(each.exponents for each in dimensions), strict=True))
         try:
             if len(dimensions) == 1:
-                size = unit_of(column.unit, dimensions[0]).size
+                size = size_of(column.unit, dimensions[0])
+            elif known is not None and known.exponents == exponents:
+                size = known.size
             else:
-                size = unit(column.unit).size
-                if unit(column.unit).exponents != tuple(
-                    sum(each.exponents[k] for each in dimensions) for k in range(4)
-                ):
-                    raise UnitError(f'"{column.unit}" is not a {quantity.replace("_", " ")}')
+                raise UnitError(f'"{column.unit}" is not a {quantity.replace("_", " ")}')
         except UnitError as error:
             raise SceneError(f"{called}: column {printable(column.name)} for {quantity}: {error}") from None
     elif facts.units.dimensionless and not units.given:

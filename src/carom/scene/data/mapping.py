@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from carom.errors import SceneError
 from carom.scene.data import DataTable
-from carom.scene.data.facts import FileColumn, column_named, columns_of, printable
+from carom.scene.data.facts import Facts, FileColumn, column_named, columns_of, printable
 from carom.scene.schema.body import BodyData
 from carom.scene.schema.contact import Material
 from carom.scene.units.dimension import ANGLE, ANGULAR_VELOCITY, DENSITY, LENGTH, MASS, TIME, VELOCITY, Dimension
@@ -252,6 +252,12 @@ def elements_in(columns: Sequence[FileColumn]) -> dict[str, FileColumn]:
         if known := [*exact, *(column for column in alike if column not in found.values())]:
             found[element] = known[0]
     return found
+
+
+def usual_names(names: Sequence[str]) -> int:
+    """Return how many of some names are usual names of columns."""
+    columns = columns_of(names, Facts())
+    return len({column.name for quantity in QUANTITIES for each in _alike(quantity, columns) for column in each})
 
 
 def question(called: str, column: FileColumn, quantity: str, others: str) -> SceneError:

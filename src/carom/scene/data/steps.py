@@ -19,8 +19,25 @@ from carom.scene.schema.body import BodyData
 from carom.scene.units.dimension import TIME
 from carom.scene.units.system import UnitSystem
 
-_TIMES = ("t", "time", "simtime", "frame", "step", "timestep", "snapshot")  # plain names of columns
-_BODIES = ("id", "body", "particle", "particleid", "name", "names", "label", "fullname", "object", "planet", "hash")
+# plain names of columns
+_TIMES = (
+    *("t", "time", "simtime", "frame", "step", "timestep", "snapshot"),
+    *("jd", "jdtdb", "epochjd", "epoch", "date", "datetime"),
+)
+_BODIES = (
+    "id",
+    "body",
+    "particle",
+    "particleid",
+    "name",
+    "names",
+    "label",
+    "fullname",
+    "object",
+    "planet",
+    "target",
+    "hash",
+)
 _ROUNDED = 1e-8  # relative error of a time that was printed and typed again
 
 
@@ -38,7 +55,8 @@ class Steps(NamedTuple):
 
 def steps_in(columns: Sequence[FileColumn]) -> Steps:
     """Return the columns of times and of bodies."""
-    times = [column for name in _TIMES for column in columns if column.plain == name]
+    known = [column.with_suffix(TIME, brief=False) or column for column in columns]
+    times = [column for name in _TIMES for column in known if column.plain == name]
     return Steps(times, [column for column in columns if column.plain in _BODIES])
 
 
@@ -117,7 +135,7 @@ def axis_of_steps(
     times = {len(raw[each.name]) for each in steps.times if raw[each.name].ndim == 1}
     told = bool(bodies or times)
     for axis in (0, 1):
-        if told and bodies <= {shape[1 - axis]} and times <= {shape[axis]}:
+        if told and (not bodies or shape[1 - axis] in bodies) and (not times or shape[axis] in times):
             return axis
     if told or shape[0] == 1 or "snapshot" in section.model_fields_set:
         return 0
