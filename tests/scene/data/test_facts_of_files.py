@@ -592,3 +592,29 @@ def test_names_in_a_comment_are_those_of_the_columns_and_not_a_sentence_with_as_
     assert "column t[Myr] has 2 values and no column names the bodies" in said
     body = scene_of(tmp_path, "a.dat", "mass = 1\nradius = 1\nsnapshot = -1").data[0]
     np.testing.assert_allclose(body.position[0], np.array([2.0, 3.0, 5.0]) * KPC / 1000.0)
+
+
+def test_units_in_the_comments_of_the_exoplanet_archive_count(tmp_path: Path) -> None:
+    lines = ("pl_bmassj: Planet Mass [Jupiter mass]", "pl_rade: Planet Radius [Earth radii]", "x: X [AU]")
+    head = "".join(f"# COLUMN {line}\n" for line in lines)
+    (tmp_path / "a.csv").write_text(f"{head}#\npl_bmassj,pl_rade,x,y,z\n2,3,1,0,0\n")
+    names = 'mass = "pl_bmassj", radius = "pl_rade"'
+    assert "of which only some state a unit" in refusal(tmp_path, "a.csv", f"columns = {{ {names} }}")
+    named = f'columns = {{ {names}, position = ["x", "y [au]", "z [au]"] }}'
+    body = scene_of(tmp_path, "a.csv", named).data[0]
+    assert body.position.tolist() == [[AU, 0.0, 0.0]] and body.radius[0] == 3.0 * EARTH_RADIUS
+    assert body.mass[0] == pytest.approx(2.0 * 1.2668653e17 / 6.6743e-11, rel=1e-15)
+
+
+def test_a_column_of_dates_with_a_remark_divides_a_long_table(tmp_path: Path) -> None:
+    rows = "".join(f"{name},{2460676.5 + day},{day},0,0,1,0.1\n" for name in ("Sun", "Earth") for day in (0, 1))
+    (tmp_path / "a.csv").write_text(f"name,date (JD),x (AU),y (AU),z (AU),mass (kg),radius (m)\n{rows}")
+    scene = scene_of(tmp_path, "a.csv", top="contact.allow_overlap = true")
+    assert scene.data[0].name == ["Sun", "Earth"] and scene.data[0].position[:, 0].tolist() == [AU, AU]
+
+
+def test_names_that_all_repeat_equally_often_without_a_time_are_a_question(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text("name,x,y,z,m,r\n" + "A,0,0,0,1,0.1\nB,5,0,0,1,0.1\n" * 2)
+    said = refusal(tmp_path, "a.csv")
+    assert "each of 2 values of name occurs 2 times, as if the rows were steps" in said and "count = 4" in said
+    assert scene_of(tmp_path, "a.csv", "count = 4", "contact.allow_overlap = true").count == 4

@@ -44,9 +44,10 @@ _HEAD = 1_000_000  # bytes by which a file is recognised; a longer line is refus
 _SAMPLE = 50  # lines of these bytes
 _LARGEST = 500_000_000  # bytes of the largest file that is rewritten in memory
 _COMMENTS = ("#", "%", "!", "//")
-_SEPARATORS = {";": "semicolons", "\t": "tabs", ",": "commas", " ": "blanks"}
+_SEPARATORS = {";": "semicolons", "\t": "tabs", "|": "bars", ",": "commas", " ": "blanks"}
 _USUAL = {".csv": ",", ".tsv": "\t"}  # by suffix, if no separator divides all lines alike
 _COMMA = re.compile(r"[+-]?\d*,\d+(?:[eEdD][+-]?\d+)?")  # a number with a decimal comma
+_TITLE = re.compile(r"(?:format|columns?)\s*:\s*", re.IGNORECASE)  # before the names in a comment
 _YADE = re.compile(r"#\s*format\s+(\S+)")  # columns in YADE's text export, such as x_y_z_r
 _UNIT = re.compile(r"\s+(?=[\[(])")  # blanks before the unit of a name
 _STREAM_IN_FILE = 8  # bytes before the stream in an Arrow file
@@ -59,7 +60,7 @@ _SIGNS = {
     re.compile(rb"Des'n|" + _MPC_LINE, re.MULTILINE): "mpcorb",
 }
 _UNIT_KEYS = (b"unit", b"units")  # in the metadata of a field
-_ECSV = re.compile(r"#\s*%ECSV\b")
+_NASA = re.compile(r"(?m)^COLUMN (\w+):.*\[([^\[\]]+)\]")  # "COLUMN pl_bmassj: Planet Mass [Jupiter mass]"
 _ECSV_NAME = re.compile(r"\bname:\s*('[^']*'|\"[^\"]*\"|[^,}\n]+)")
 _ECSV_UNIT = re.compile(r"\bunit:\s*('[^']*'|\"[^\"]*\"|[^,}\n]+)")
 _ECSV_EPOCH = re.compile(r"\bepoch:\s*['\"]?J2000(?:\.0)?\b")
@@ -209,7 +210,7 @@ def _names_in(comments: Sequence[str], columns: int, separator: str) -> list[str
         if yade := _YADE.match(comment):
             names = yade[1].split("_")
         else:
-            text = comment.lstrip("".join(_COMMENTS)).strip()
+            text = _TITLE.sub("", comment.lstrip("".join(_COMMENTS)).strip())
             used = next((each for each in (separator, ",") if each != " " and each in text), " ")
             names = _words(text) if used == " " else _cells(text, used)
         if len(names) == columns and not any(number_in(name) is not None for name in names):
@@ -397,7 +398,7 @@ class _TextTable(_ArrowTable):
         self._path = path
         self._dialect = dialect_of(path, called)
         super().__init__(called, self._dialect.names, self._read_text)
-        self.facts = _facts_of_ecsv(path)
+        self.facts = _facts_in_comments(path)
         self.notes = (self._dialect.note,) if self._dialect.note else ()
         self.unnamed = 0 if self.names else self._dialect.columns
 
@@ -433,15 +434,15 @@ class _TextTable(_ArrowTable):
         return table
 
 
-def _facts_of_ecsv(path: Path) -> Facts:
-    """Return the units in the header of astropy's Enhanced CSV, which is YAML in comments; none for other texts."""
+def _facts_in_comments(path: Path) -> Facts:
+    """Return the units in the comments of the NASA Exoplanet Archive, and of astropy's Enhanced CSV, which are YAML."""
     with path.open(encoding="utf-8", errors="replace") as file:
-        if not _ECSV.match(file.readline(_LONGEST_COMMENT)):
-            return Facts()
         lines = itertools.takewhile(
             lambda line: line.startswith("#"), iter(lambda: file.readline(_LONGEST_COMMENT), "")
         )
         header = "\n".join(line[1:].strip() for line in itertools.islice(lines, MOST_COLUMNS))
+    if not header.startswith("%ECSV"):
+        return Facts(of_columns={name: text.lower() if " " in text else text for name, text in _NASA.findall(header)})
     columns, _, meta = header.partition("\nmeta:")
     starts = [*_ECSV_NAME.finditer(columns)]
     ends = [*(each.start() for each in starts[1:]), len(columns)]

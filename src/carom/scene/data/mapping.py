@@ -61,8 +61,14 @@ ELEMENTS = {  # columns of orbital elements; case matters
     "q": ("q", "perihelion_distance", "pericentre_distance"),
     "e": ("e", "ecc", "eccentricity"),
     "i": ("i", "inc", "incl", "inclination"),
-    "node": ("om", "node", "Omega", "Ω", "raan", "ascending_node"),
-    "peri": ("w", "peri", "omega", "ω", "argument_of_pericentre", "argument_of_perihelion"),
+    "node": (
+        *("om", "node", "Omega", "Ω", "raan", "ascending_node"),
+        *("longitude_of_ascending_node", "longitude_ascending_node", "longitude_of_the_ascending_node"),
+    ),
+    "peri": (
+        *("w", "peri", "omega", "ω", "argument_of_pericentre", "argument_of_perihelion"),
+        *("argument_of_periapsis", "argument_periapsis", "argperi", "arg_peri"),
+    ),
     "M": ("ma", "M", "mean_anomaly"),
     "tp": ("tp", "t_p", "T", "time_of_perihelion", "time_of_pericentre"),
     "epoch": ("epoch",),
@@ -148,6 +154,14 @@ def mapping_of(section: BodyData, columns: Sequence[FileColumn], table: DataTabl
             del mapping[second if asked == [first] else first]
     _refuse_missing(section, mapping, columns, called, ("radius", "mass"))
     _refuse_lost_vectors(section, mapping, columns, table)
+    for quantity, three in mapping.items():
+        if len({bool(column.unit or column.odd) for column in three}) > 1:
+            names = " and ".join(column.shown for column in three)
+            such = f"{printable(three[-1].name)} [{DIMENSIONS[quantity][0].unit}]"
+            raise SceneError(
+                f"{called}: columns for {quantity}, {names}, of which only some state a unit; write the unit of each "
+                f'in columns = {{ {quantity} = [...] }}, such as "{such}"'
+            )
     return mapping
 
 
@@ -321,6 +335,8 @@ def _with_suffix(quantity: str, columns: Sequence[FileColumn], brief: bool) -> I
 def _candidates(section: BodyData, quantity: str, columns: Sequence[FileColumn]) -> list[tuple[FileColumn, ...]]:
     """Return the usual columns of a quantity; none for the inertia if the scene states the radius or the mass."""
     found = _usual(quantity, columns)
+    if quantity == "name" and len(found) > 1:
+        found = [each for each in found if each[0].plain != "fullname"]
     if quantity != "inertia" or not found:
         return found
     replaced = (("radius", "diameter"), ("mass", "density"))
@@ -364,11 +380,13 @@ def _refuse_missing(
                     f'{called}: it has orbital elements; write orbit = {{ central_mass = "1 M_sun" }} to read them'
                 )
             plain = {column.plain: column.name for column in columns}
-            if quantity == "position" and {"x", "y"} <= set(plain):
-                raise SceneError(
-                    f"{called}: no column for z; write columns = {{ position = "
-                    f'["{plain["x"]}", "{plain["y"]}"] }} if the bodies are in the plane z = 0'
-                )
+            for pattern in USUAL_AXES["position"] if quantity == "position" else ():
+                x, y, z = (plain.get(pattern.replace("*", axis)) for axis in "xyz")
+                if x and y and not z:
+                    raise SceneError(
+                        f"{called}: no column for {pattern.replace('*', 'z')}; write columns = {{ position = "
+                        f'["{x}", "{y}"] }} if the bodies are in the plane z = 0'
+                    )
             one = '["…", "…", "…"]' if quantity in VECTORS else '"…"'
             raise SceneError(
                 f"{called}: no column for {quantity} (usually {usual[quantity]}); {_listed(columns)}; name it with "

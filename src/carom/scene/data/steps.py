@@ -6,6 +6,8 @@ shape (steps, n, 3) may also have the bodies first; the other arrays of the file
 
 from __future__ import annotations
 
+import re
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
@@ -14,7 +16,7 @@ import numpy as np
 from carom.arrays import BoolArray
 from carom.errors import SceneError
 from carom.scene.data import DataTable, Raw, numbers_of, step_at
-from carom.scene.data.facts import FileColumn, column_factor
+from carom.scene.data.facts import FileColumn, column_factor, plain_name
 from carom.scene.schema.body import BodyData
 from carom.scene.units.dimension import TIME
 from carom.scene.units.system import UnitSystem
@@ -38,6 +40,7 @@ _BODIES = (
     "target",
     "hash",
 )
+_BRACKETS = re.compile(r"\s*[\[(]")  # before a remark, as in "date (JD)"
 _ROUNDED = 1e-8  # relative error of a time that was printed and typed again
 
 
@@ -49,14 +52,14 @@ class Steps(NamedTuple):
 
     @property
     def names(self) -> list[str]:
-        """Names of the columns to read; none without a column of times."""
-        return [column.name for column in (*self.times, *self.bodies)] if self.times else []
+        """Names of the columns to read."""
+        return [column.name for column in (*self.times, *self.bodies)]
 
 
 def steps_in(columns: Sequence[FileColumn]) -> Steps:
     """Return the columns of times and of bodies."""
     known = [column.with_suffix(TIME, brief=False) or column for column in columns]
-    times = [column for name in _TIMES for column in known if column.plain == name]
+    times = [column for name in _TIMES for column in known if plain_name(_BRACKETS.split(column.proper)[0]) == name]
     return Steps(times, [column for column in columns if column.plain in _BODIES])
 
 
@@ -75,11 +78,13 @@ def rows_of_step(
     if section.count == rows or not several:
         if section.snapshot_time is not None and not table.timed:
             raise SceneError(f"{table.called}: carom finds no times of steps in it; choose one with snapshot = 0, 1 …")
+        if section.count != rows:
+            _refuse_repeated_names(table, steps, raw, rows)
         return None, "", []
     by = several[0]
     values = _distinct(raw[by.name])
     known = [each for each in steps.bodies if raw[each.name].shape == (rows,)]
-    again = next((each for each in known if len(_distinct(raw[each.name])) < rows), None)
+    again = next((each for each in known if len(set(raw[each.name].tolist())) < rows), None)
     is_chosen = section.snapshot_time is not None or "snapshot" in section.model_fields_set
     if again is None and known and not is_chosen:
         return None, "", []
@@ -104,6 +109,19 @@ def rows_of_step(
     shown = _text(values[index])
     note = f"{table.called}: step {index} of {len(values)} (from 0), {by.shown} = {shown}, is read"
     return raw[by.name] == values[index], note, [by.name, *([again.name] if again else [])]
+
+
+def _refuse_repeated_names(table: DataTable, steps: Steps, raw: Mapping[str, Raw], rows: int) -> None:
+    """Refuse a table in which each of several names occurs equally often, although no column has times."""
+    for column in steps.bodies:
+        values = raw[column.name]
+        counts = Counter(values.tolist()) if values.shape == (rows,) else Counter[object]()
+        if 1 < len(counts) < rows and len(set(counts.values())) == 1:
+            raise SceneError(
+                f"{table.called}: each of {len(counts)} values of {column.shown} occurs {rows // len(counts)} times, "
+                f"as if the rows were steps, but no column has times; write count = {rows} if each row is a body, "
+                "or keep the rows of one step in the file"
+            )
 
 
 def _distinct(values: Raw) -> Raw:
