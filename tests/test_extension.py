@@ -340,6 +340,55 @@ def test_what_knows_coulombs_law_only_refuses_another(rolling: Path, site: Path)
     assert without.returncode == 2 and 'no contact law "rolling"' in without.stderr
 
 
+RING = """
+title = "A ball runs around in a tube that is bent to a ring"
+time.duration = 1.0
+time.fixed_dt = 0.002
+[gravity]
+constant = 0
+uniform = [0, 0, -10]
+[contact]
+restitution = 0.0
+static_friction = 0.0
+[[wall]]
+ring = {{ radius = 1.0, tube = "30 cm" }}
+[[body]]
+position = [{distance}, 0, {height}]
+velocity = [0, {speed}, 0]
+radius = 0.1
+mass = 1.0
+"""
+
+
+def test_a_ball_in_a_wall_of_a_package_runs_around_at_the_slope_that_its_speed_needs(folder: Path, site: Path) -> None:
+    """At the slope θ of the wall, v² = g ρ tan θ keeps the ball at ρ = R + (r - a) sin θ, below the middle."""
+    slope, distance_to_middle = np.radians(45.0), 0.3 - 0.1
+    distance, height = 1.0 + distance_to_middle * np.sin(slope), -distance_to_middle * np.cos(slope)
+    speed = np.sqrt(10.0 * distance * np.tan(slope))
+    scene = RING.format(distance=distance, height=height, speed=speed)
+    (folder / "ring.toml").write_text(scene, encoding="utf-8")
+    read = (
+        f"{TOGETHER}import carom; path = carom.Recording.open('ring.rrd').trajectory(0); "
+        "print(json.dumps([path[name].to_pylist() for name in ('time', 'x', 'y', 'z')]))"
+    )
+    commands = json.dumps([command.split() for command in ("run ring.toml -o ring.rrd --force", "replay ring.rrd")])
+    done = subprocess.run(
+        [sys.executable, "-c", read, commands],
+        cwd=folder,
+        env=environment(site),
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    ends, path = map(json.loads, done.stdout.splitlines())
+    assert [code for code, *_ in ends] == [0, 0], ends
+    time, x, y, z = np.array(path)
+    within = 1e-4  # m: (v dt)² / 8 ρ = 5e-6 m of each step's chord, over the turns of a second, and float32
+    assert np.abs(np.hypot(x, y) - distance).max() < within and np.abs(z - height).max() < within
+    assert np.abs(np.unwrap(np.arctan2(y, x)) - speed / distance * time).max() < within
+    assert "same bits" in ends[1][1]
+
+
 def test_misspelt_keys_and_wrong_units_have_the_usual_messages(folder: Path, site: Path) -> None:
     misspelt = "explain scene.toml --set forces.trap.frequncy=1"
     unit = "explain scene.toml --set 'forces.trap.frequency=3 km'"
