@@ -113,9 +113,11 @@ def test_a_tool_that_is_built_on_a_missing_one_names_it(without: Callable[..., C
 
 OPTIONAL = {  # module → its names in scenes and commands
     "scene/data/arrow_tables.py": ("csv",),
-    "scene/data/array_tables.py": ("npz", "h5", "gsd", "bin"),
+    "scene/data/array_tables.py": ("npz", "h5", "gsd"),
+    "scene/data/mercury_table.py": ("data",),
     "scene/data/orbit_tables.py": ("horizons", "mpcorb"),
     "scene/data/particle_text.py": ("dump", "xyz"),
+    "scene/data/rebound_archive.py": ("bin",),
     "scene/data/vtk_tables.py": ("vtk", "vtp"),
     "recording/export/csv_parquet.py": ("csv",),
     "recording/export/npz.py": ("npz",),

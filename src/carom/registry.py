@@ -100,8 +100,8 @@ HOUSE: Mapping[str, Mapping[str, str]] = {  # carom's own parts: kind â†’ name â
         "h5": "carom.scene.data.array_tables:HDF5",
         "h5md": "carom.scene.data.array_tables:HDF5",
         "hdf5": "carom.scene.data.array_tables:HDF5",
-        "bin": "carom.scene.data.array_tables:REBOUND",
-        "rebound": "carom.scene.data.array_tables:REBOUND",
+        "bin": "carom.scene.data.rebound_archive:REBOUND",
+        "rebound": "carom.scene.data.rebound_archive:REBOUND",
     },
     "export_formats": {
         "parquet": "carom.recording.export.csv_parquet:write_parquet",

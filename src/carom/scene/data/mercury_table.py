@@ -10,10 +10,11 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple, TextIO
 
+from carom import registry
 from carom.errors import SceneError
 from carom.scene.data import Arrays, DataFormat, DataTable, number_in, numbers_of, refuse_many_rows, step_at
 from carom.scene.data.facts import Facts, FileBox, printable
-from carom.scene.data.particle_text import TextRows, open_data
+from carom.scene.data.text_rows import TextRows
 
 _COLUMNS = {  # by the number of words in the line of a step
     6: ("x", "y", "vx", "vy", "radius", "angle", "-wz", "info"),
@@ -35,7 +36,8 @@ def open_either(path: Path, called: str, snapshot: int) -> DataTable:
     """Open a .data file of LAMMPS or of MercuryDPM."""
     with path.open(encoding="utf-8", errors="replace", newline="\n") as file:
         if _first_line(file.readline(_LONGEST)) is None:
-            return open_data(path, called, snapshot)
+            other: DataFormat = registry.load("data_formats", "lmp")
+            return other.open(path, called, snapshot)
         file.seek(0)
         steps = [*_steps(file, called)]
         index = step_at(called, snapshot, len(steps))
