@@ -5,11 +5,14 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from pydantic import ValidationError
 
 from carom import registry
 from carom.errors import SceneError
+from carom.recording.schema.series import Series
 from carom.scene.parts import extensions_of, missing
 from carom.scene.schema import Scene
+from carom.scene.schema.contact import section_of
 
 PAIR = {"body": [{"radius": 1.0, "position": [3.0 * k, 0, 0]} for k in range(2)]}
 
@@ -17,7 +20,11 @@ PAIR = {"body": [{"radius": 1.0, "position": [3.0 * k, 0, 0]} for k in range(2)]
 @pytest.fixture
 def install(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """Two packages: a module that cannot be imported, one that can, and a name that both define."""
-    (tmp_path / "right_part.py").write_text("PART = 7\n")
+    (tmp_path / "right_part.py").write_text(
+        "from carom.recording.schema.series import SERIES\nPART, WRONG = SERIES[0], 7\n"
+        "from carom.extend import BodyForce\nFORCE = BodyForce(section=3, acceleration=print)\n"
+    )
+    (tmp_path / "leaving_part.py").write_text("import sys\nsys.exit(0)\n")
     (tmp_path / "broken_part.py").write_text("import a_package_that_is_not_there\n")
     monkeypatch.syspath_prepend(tmp_path)
     one, other = ("one", "1.0"), ("other", "2.0")
@@ -28,14 +35,23 @@ def install(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
             "twice": (registry.PartOrigin("right_part:PART", *one), registry.PartOrigin("right_part:PART", *other)),
         },
         "data_formats": {"csv": (registry.PartOrigin("right_part:PART", *one),)},
-        "forces": {"pull": (registry.PartOrigin("broken_part:PART", *one),)},
+        "forces": {
+            "pull": (registry.PartOrigin("broken_part:PART", *one),),
+            "leaving": (registry.PartOrigin("leaving_part:PART", *one),),
+            "wrong": (registry.PartOrigin("right_part:WRONG", *one),),
+            "whole-module": (registry.PartOrigin("right_part", *one),),
+            "without-section": (registry.PartOrigin("right_part:FORCE", *one),),
+        },
+        "contact_laws": {"leaving-law": (registry.PartOrigin("leaving_part:PART", *one),)},
+        "walls": {"wrong-wall": (registry.PartOrigin("right_part:WRONG", *one),)},
+        "commands": {"stay": (registry.PartOrigin("leaving_part:PART", *one),)},
     }
     monkeypatch.setattr(registry, "_installed", lambda: parts)
 
 
 @pytest.mark.usefixtures("install")
 def test_a_part_of_an_installed_package_is_found_by_its_name() -> None:
-    assert registry.load("series", "right") == 7
+    assert isinstance(registry.load("series", "right"), Series)
     assert registry.installed("series") == ("broken", "right", "twice")
 
 
@@ -45,16 +61,33 @@ def test_a_part_of_an_installed_package_is_found_by_its_name() -> None:
     [
         ("series", "rihgt", 'no recorded series "rihgt"; did you mean "right"?'),
         ("engines", "unity", 'no engine "unity"'),
-        ("commands", "dance", 'no command "dance"; no installed package has a command'),
+        ("commands", "dance", 'no command "dance"; there are stay'),
         ("series", "twice", 'the packages one and other both define a recorded series "twice"; uninstall one of them'),
         ("data_formats", "csv", 'the package one defines a data format "csv", which carom already has'),
         ("series", "broken", 'the recorded series "broken" of the package one 1.0 cannot be loaded: ModuleNotFound'),
+        ("forces", "leaving", 'the force "leaving" of the package one 1.0 cannot be loaded: SystemExit: 0'),
+        (
+            "forces",
+            "wrong",
+            'the force "wrong" of the package one 1.0 cannot be loaded: TypeError: it is an object of ',
+        ),
+        ("walls", "wrong-wall", 'the shape of a wall "wrong-wall" of the package one 1.0 cannot be loaded: TypeError'),
+        ("commands", "stay", 'the command "stay" of the package one 1.0 cannot be loaded: SystemExit: 0'),
     ],
 )
 def test_what_cannot_be_used_is_refused_in_one_sentence(kind: str, name: str, sentence: str) -> None:
     with pytest.raises(SceneError) as refused:
         registry.load(kind, name)
     assert str(refused.value).startswith(sentence) and "\n" not in str(refused.value)
+
+
+@pytest.mark.usefixtures("install")
+def test_broken_parts_harm_only_the_scenes_that_use_them() -> None:
+    for kind in ("forces", "contact_laws", "walls"):
+        for name in registry.installed(kind):
+            section = section_of(kind, name)
+            with pytest.raises(ValidationError, match=f'"{name}" of the package one 1.0'):
+                section()
 
 
 def test_a_scene_that_names_no_installed_part_says_so() -> None:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import os
+import signal
 import sys
+from types import FrameType
 
 LEAST_ADDRESS_SPACE = 1.2e9  # bytes; a run of two spheres aborts in Arrow with 0.9 GB, and completes with 1.1 GB
 DESCRIPTORS = 40  # required free descriptors: on two cores every command works with 24, and Rerun aborts below 16
@@ -12,24 +14,27 @@ RESERVED = "64M"  # addresses that an allocator of Rerun or Arrow reserves at a 
 
 
 def main() -> None:
-    """Run the command; an interrupt during its import ends it without a traceback."""
+    """Run the command. Until its modules are imported, a signal ends it with one line: there is nothing to close."""
     if os.name != "posix":
         sys.exit("carom: runs on Linux, macOS and other POSIX systems only; on Windows, use WSL")
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        if signal.getsignal(number) in (signal.SIG_DFL, signal.default_int_handler):  # nohup ignores SIGHUP
+            signal.signal(number, end_at_once)
     fit_into_address_space()
     fit_into_descriptors()
     # Arrow's own allocator keeps freed memory: a clip took 30 MB more with it, in the same time
     os.environ.setdefault("ARROW_DEFAULT_MEMORY_POOL", "system")
-    from carom.runs.environment import raise_signals, received  # noqa: PLC0415 - checks come first
+    from carom.cli.main import main as run  # noqa: PLC0415 - takes half a second
+    from carom.runs.environment import raise_signals  # noqa: PLC0415 - checks come first
 
-    raise_signals()
-    try:
-        from carom.cli.main import main as run  # noqa: PLC0415 - takes half a second
-    except BaseException:  # an interrupted import may raise anything
-        if not received():
-            raise
-        os.write(2, b"carom: interrupted\n")
-        os._exit(128 + received())
+    raise_signals([end_at_once])
     run()
+
+
+def end_at_once(number: int, frame: FrameType | None) -> None:
+    """End the process as its signal demands; an exception within an import could be caught by anybody."""
+    os.write(2, b"carom: interrupted\n")
+    os._exit(128 + number)
 
 
 def fit_into_address_space() -> None:

@@ -130,6 +130,16 @@ HOUSE: Mapping[str, Mapping[str, str]] = {  # carom's own parts: kind → name �
     },
 }
 
+MADE_OF: Mapping[str, tuple[str, ...]] = {  # kind → the classes of its parts; those of other kinds are called
+    "forces": ("carom.scene.forces:BodyForce", "carom.scene.forces:PairForce"),
+    "contact_laws": ("carom.scene.contact_laws:ContactLaw",),
+    "walls": ("carom.scene.wall_shapes:WallShape",),
+    "integrators": ("carom.scene.integrators:Integrator",),
+    "series": ("carom.recording.schema.series:Series",),
+    "placements": ("carom.physics.placement.region:Arrangement",),
+    "data_formats": ("carom.scene.data:DataFormat",),
+}
+
 
 class ExtensionError(SceneError):
     """A part that is not installed, cannot be imported, or is defined twice."""
@@ -189,13 +199,25 @@ def load(kind: str, name: str) -> Any:
     if found is None:
         return imported(target)
     try:
-        return imported(target)
-    except Exception as error:
+        part = imported(target)
+        _refuse_wrong(kind, part)
+    except (Exception, SystemExit) as error:
         reason = (str(error).strip().splitlines() or [type(error).__name__])[0][:200]
         raise ExtensionError(
             f'the {KINDS[kind]} "{name}" of the package {found.package} {found.version} cannot be loaded: '
             f"{type(error).__name__}: {reason}"
         ) from error
+    return part
+
+
+def _refuse_wrong(kind: str, part: Any) -> None:
+    """Raise TypeError if an object is no part of its kind."""
+    known = tuple(imported(target) for target in MADE_OF.get(kind, ()))
+    if known and not isinstance(part, known):
+        wanted = " or ".join(each.__name__ for each in known)
+        raise TypeError(f"it is an object of type {type(part).__name__} instead of {wanted}")
+    if not known and not callable(part):
+        raise TypeError(f"it is an object of type {type(part).__name__}, which cannot be called")
 
 
 def imported(target: str) -> Any:

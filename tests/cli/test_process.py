@@ -78,6 +78,24 @@ def test_a_signal_that_ends_processes_closes_the_recording(number: signal.Signal
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("apart", [0.02, 0.4])
+@pytest.mark.parametrize("numbers", [(signal.SIGTERM, signal.SIGTERM), (signal.SIGHUP, signal.SIGINT)])
+def test_two_signals_of_which_one_is_no_key_close_the_recording(
+    numbers: tuple[signal.Signals, signal.Signals], apart: float, tmp_path: Path
+) -> None:
+    run = start(tmp_path, *LONG)
+    wait_for_frames(tmp_path / "x.rrd", run)
+    run.send_signal(numbers[0])
+    time.sleep(apart)
+    run.send_signal(numbers[1])
+    _, stderr = run.communicate(timeout=60)
+    assert_silent(stderr)
+    assert Recording.open(tmp_path / "x.rrd").finished
+    # a press of the key while the summary is printed ends the command at once
+    assert run.returncode in ((1, 128 + numbers[1]) if numbers[1] == signal.SIGINT else (1,))
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("after", [0.5, 1.5])  # on a busy machine 0.1 s is before carom's first line
 def test_an_interrupt_while_the_command_starts_is_one_line(after: float, tmp_path: Path) -> None:
     run = start(tmp_path, *LONG)

@@ -77,3 +77,74 @@ def test_an_interrupt_within_a_callback_from_c_is_raised_after_it_without_a_trac
     done = subprocess.run([sys.executable, "-c", CALLBACK], capture_output=True, text=True, timeout=60, check=True)
     assert done.stdout == "the callback is over\ninterrupted\n"
     assert done.stderr == ""
+
+
+SEVERAL = """
+import signal, sys, time
+from carom.runs import environment
+from carom.runs.environment import Interrupts, raise_signals
+
+raise_signals()
+try:
+    signal.raise_signal(signal.SIGTERM)
+except KeyboardInterrupt:
+    signal.raise_signal(signal.SIGTERM)  # its sender repeats it
+    signal.raise_signal(signal.SIGINT)
+    print("cleaned up")
+time.sleep(1.2 * environment.SAME_PRESS)
+signal.raise_signal(signal.SIGINT)
+print("never")
+"""
+
+
+def test_a_second_signal_neither_breaks_the_end_of_a_command_nor_changes_its_exit_code() -> None:
+    done = subprocess.run([sys.executable, "-c", SEVERAL], capture_output=True, text=True, timeout=60, check=False)
+    assert done.stdout == "cleaned up\n" and done.stderr == "carom: interrupted\n"
+    assert done.returncode == 128 + signal.SIGTERM
+
+
+CLOSED = """
+import signal, time
+from carom.runs import environment
+from carom.runs.environment import Interrupts, raise_signals
+
+raise_signals()
+with Interrupts() as seen:
+    signal.raise_signal(signal.SIGHUP)
+    signal.raise_signal(signal.SIGINT)  # the first press of the key
+print(seen.count, seen.sender)
+for _ in range(2):
+    signal.raise_signal(signal.SIGTERM)
+    time.sleep(1.2 * environment.SAME_PRESS)
+print("summary")
+"""
+
+
+def test_a_closed_terminal_and_then_the_key_close_the_file_and_later_signals_do_not_disturb_the_summary() -> None:
+    done = subprocess.run([sys.executable, "-c", CLOSED], capture_output=True, text=True, timeout=60, check=False)
+    assert (done.stdout, done.stderr, done.returncode) == ("2 SIGHUP\nsummary\n", "", 0)
+
+
+AT_AN_IMPORT = """
+import builtins, signal, sys
+from carom.__main__ import main
+
+left, number, load = [int(sys.argv.pop(1))], int(sys.argv.pop(1)), builtins.__import__
+
+def counted(*arguments, **keywords):
+    left[0] -= 1
+    if left[0] == 0:
+        signal.raise_signal(number)
+    return load(*arguments, **keywords)
+
+builtins.__import__ = counted
+main()
+"""
+
+
+@pytest.mark.parametrize("place", [1, 300])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_while_the_command_is_imported_is_one_line(place: int, number: int) -> None:
+    script = [sys.executable, "-c", AT_AN_IMPORT, str(place), str(number), "--version"]
+    done = subprocess.run(script, capture_output=True, text=True, timeout=60, check=False)
+    assert (done.stdout, done.stderr, done.returncode) == ("", "carom: interrupted\n", 128 + number)

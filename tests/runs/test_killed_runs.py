@@ -42,7 +42,8 @@ def check(killed: tuple[Path, list[int]], places: range, folder: Path) -> None:
     for place in places:
         path = folder / "cut.rrd"
         path.write_bytes(content[: cuts[place]])
-        one, two = judged(path), "no frame"
+        two: Replay | str = "no frame"
+        one = judged(path)
         try:
             repair(path, folder / "fixed.rrd")
         except RecordingError as error:

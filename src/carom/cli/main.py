@@ -20,8 +20,14 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 
 from carom import registry
-from carom.private_folder import remove_private_folder
-from carom.runs.environment import collect_garbage_rarely, keep_freed_memory, leave_pandas_out, received
+from carom.runs.environment import (
+    collect_garbage_rarely,
+    is_ending,
+    keep_freed_memory,
+    leave,
+    leave_pandas_out,
+    received,
+)
 
 if TYPE_CHECKING:
     from _typeshed import ReadableBuffer
@@ -129,14 +135,22 @@ class CommandGroup(TyperGroup):
                 "package, or uninstall the package"
             )
         try:
-            return _made(cmd_name, registry.load("commands", cmd_name), EXTENSIONS)
+            function = registry.load("commands", cmd_name)
+            try:
+                return _made(cmd_name, function, EXTENSIONS)
+            except Exception as error:  # parameters of which Typer makes no options
+                said = f"{type(error).__name__}: {str(error).partition(chr(10))[0]}"
+                source = registry.source_of("commands", cmd_name)
+                raise registry.ExtensionError(f'the command "{cmd_name}" of the package {source}: {said}') from error
         except registry.ExtensionError as error:
+            from rich.markup import escape
+
             refusal = error
 
             def broken() -> None:
                 raise refusal
 
-            broken.__doc__ = str(error)  # its help
+            broken.__doc__ = escape(str(error))  # its help, which is rich markup
             return _made(cmd_name, broken, EXTENSIONS)
 
 
@@ -180,24 +194,19 @@ def main() -> NoReturn:
     except SystemExit as ending:
         code = ending.code
         if received() and code == _INTERRUPTED:
-            _leave()
+            leave()
     except BaseException:  # an interrupted import may raise anything
         if received():
-            _leave()
+            leave()
         raise
+    finally:
+        is_ending()
     sys.stdout.flush()
     if output.error is not None and output.error.errno != errno.EPIPE:  # a closed pipe is no error
         typer.echo(f"carom: cannot write to standard output: {output.error.strerror}", err=True)
         code = code or 1
+    is_ending(at_once=True)
     sys.exit(code)
-
-
-def _leave() -> NoReturn:
-    """Exit at once after a signal, without unwinding: closing Rerun's streams may never return."""
-    typer.echo("carom: interrupted", err=True)
-    sys.stdout.flush()
-    remove_private_folder()
-    os._exit(128 + received())
 
 
 def _print_version(wanted: bool) -> None:

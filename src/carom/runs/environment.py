@@ -10,6 +10,7 @@ Signals come from Ctrl-C, from job schedulers and from closed terminals.
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import gc
 import importlib.metadata
@@ -22,15 +23,14 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from types import FrameType
-from typing import Any, Self
+from typing import Any, NoReturn, Self
 
-from carom.private_folder import temporary_folder
+from carom.private_folder import remove_private_folder, temporary_folder
 
 PACKAGES = ("carom", "rerun-sdk", "numpy", "scipy", "numba")
 _ABSOLUTE = re.compile(r"^([\w.-]+=)?/(?:.*/)?")  # a path, or an option or a key that holds one
@@ -187,15 +187,31 @@ _KEPT = 512 << 20  # bytes of free memory to keep
 _LARGE = 64 << 20  # bytes; larger arrays get pages of their own
 _NEW_OBJECTS = 100_000  # the first batches create 60 000 objects, mostly modules, which remain
 
-_received: list[int] = []  # signals that were raised as KeyboardInterrupt
+_received: list[int] = []  # the signal that was raised as KeyboardInterrupt
+_heard: list[float] = []  # s, when this command was asked to end, in order
 
 
-def raise_signals() -> None:
-    """Make every signal that would end this process raise KeyboardInterrupt in the main thread, like Ctrl-C."""
+def raise_signals(before: Sequence[Any] = ()) -> None:
+    """Make the first signal that would end this process raise KeyboardInterrupt in the main thread, like Ctrl-C.
+
+    Later ones find the command on its way to its end: see `_raise`. The handlers ``before`` are replaced, too.
+    """
     for number in (signal.SIGINT, *ENDING):
-        if signal.getsignal(number) in (signal.SIG_DFL, signal.default_int_handler):  # nohup ignores SIGHUP
+        if signal.getsignal(number) in (signal.SIG_DFL, signal.default_int_handler, *before):  # nohup ignores SIGHUP
             signal.signal(number, _raise)
     sys.unraisablehook = _raise_later
+
+
+def is_ending(*, at_once: bool = False) -> None:
+    """Tell the handlers that the command ends by itself: no signal raises from now on.
+
+    When it ends ``at_once``, signals are ignored: the interpreter would restore their default actions before it has
+    ended, and a signal that comes late would change the exit code.
+    """
+    _heard.append(time.monotonic())
+    for number in (signal.SIGINT, *ENDING) if at_once else ():
+        if signal.getsignal(number) is _raise:
+            signal.signal(number, signal.SIG_IGN)
 
 
 def received() -> int:
@@ -204,8 +220,29 @@ def received() -> int:
 
 
 def _raise(number: int, frame: FrameType | None) -> None:
-    _received.append(number)
-    raise KeyboardInterrupt
+    """Raise for the first request to end; drop the same request sent again; end at once at a later one.
+
+    Wrappers and schedulers send two. A second exception, within the clean-up after the first one or after a run that a
+    signal has ended, would print a traceback and another exit code.
+    """
+    now = time.monotonic()
+    again = now - _heard[-1] if _heard else None
+    _heard.append(now)
+    if again is None:
+        _received.append(number)
+        raise KeyboardInterrupt
+    if again >= SAME_PRESS and (number == signal.SIGINT or received()):
+        leave(number)
+
+
+def leave(number: int = 0) -> NoReturn:
+    """End a command at once after a signal, without unwinding: closing Rerun's streams may never return."""
+    with contextlib.suppress(Exception):  # a full disk, or a signal within a write to the same stream
+        sys.stdout.flush()
+    with contextlib.suppress(OSError):
+        os.write(2, b"carom: interrupted\n")
+    remove_private_folder()
+    os._exit(128 + (received() or number))
 
 
 def _raise_later(lost: sys.UnraisableHookArgs) -> None:
@@ -213,6 +250,7 @@ def _raise_later(lost: sys.UnraisableHookArgs) -> None:
     if lost.exc_type is not KeyboardInterrupt or not received():
         sys.__unraisablehook__(lost)
         return
+    _heard.clear()  # it is the same request
     later = threading.Timer(AFTER_CALLBACK, signal.pthread_kill, (threading.main_thread().ident, received()))
     later.daemon = True
     later.start()
@@ -234,6 +272,7 @@ class Interrupts:
         self.count = 0
         self.sender = "the user"
         self._patience = patience
+        self._presses = 0
         self._last = -SAME_PRESS  # s, when the interrupt key was last pressed
         self._before: dict[int, Any] = {}
 
@@ -248,6 +287,8 @@ class Interrupts:
         return self
 
     def __exit__(self, *_: object) -> None:
+        if self.count and _raise in self._before.values() and not _heard:  # the command ends without an exception
+            is_ending()
         for number, handler in self._before.items():
             signal.signal(number, handler)
 
@@ -259,8 +300,9 @@ class Interrupts:
         now = time.monotonic()
         if now - self._last >= SAME_PRESS:
             self.count += 1
+            self._presses += 1
         self._last = now
-        if self.count > self._patience:
+        if self._presses > self._patience:
             if self._before.get(number) is _raise:  # in a command, whose exit code names the signal
                 _raise(number, frame)
             raise KeyboardInterrupt  # in a program, which may catch it and start another run
@@ -316,7 +358,7 @@ def collect_garbage_rarely() -> None:
         gc.set_threshold(max(_NEW_OBJECTS, threshold), *others)
 
 
-@contextmanager
+@contextlib.contextmanager
 def collecting_garbage_rarely() -> Iterator[None]:
     """Collect garbage rarely for a while, in the process of somebody else's program."""
     before = gc.get_threshold()

@@ -110,7 +110,13 @@ class Forces(Section):
 def section_of(kind: str, name: str) -> Any:
     """Return the section's model for a part of an installed package; it states why a part cannot be loaded."""
     try:
-        return registry.load(kind, name).section
+        section = registry.load(kind, name).section
+        if section is not None and not (isinstance(section, type) and issubclass(section, Section)):
+            raise registry.ExtensionError(
+                f'the {registry.KINDS[kind]} "{name}" of the package {registry.source_of(kind, name)} has an object of '
+                f"type {type(section).__name__} as its section, instead of a `carom.extend.Section`"
+            )
+        return section
     except registry.ExtensionError as error:
         return type("NotLoaded", (_NotLoaded,), {"__doc__": str(error), "__module__": __name__})
 
