@@ -32,8 +32,9 @@ from carom.scene.data.body_sources import (
     compare_facts,
     take_over_laws,
 )
+from carom.scene.data.orbital_elements import Centre
 from carom.scene.explanation import explain, hint, is_known, not_a_quantity, with_words, written_path
-from carom.scene.matter import material_called
+from carom.scene.matter import body_mass, made_of, material_called
 from carom.scene.scene_file import (
     DEEPEST,
     LARGEST_FILE,
@@ -52,6 +53,7 @@ from carom.scene.schema.contact import Material
 from carom.scene.schema.promise import ABOUT_THE_END
 from carom.scene.schema.scene import know_installed_parts
 from carom.scene.units.system import UnitSystem
+from carom.scene.wording import suggestion
 
 _LARGEST_BESIDES_BODIES = 4_000_000  # characters
 _LARGEST_BODY = 1000  # characters of a [[body]] with all its keys, a long name and comments
@@ -252,6 +254,21 @@ def _refuse(messages: Sequence[Callable[[], str]], more: int = 0) -> None:
         raise SceneError("\n".join([*shown, f"… and {more} more"] if more > 0 else shown))
 
 
+def _centre_of(scene: Scene, section: BodyData) -> Centre | None:
+    """Return the central body of the orbits in a [[bodies]] table; None if it has none."""
+    orbit, constant = section.orbit, scene.gravity.constant
+    if orbit is None:
+        return None
+    if orbit.central_mass is not None:
+        return Centre(constant, orbit.central_mass)
+    named = [body for body in scene.body if body.name == orbit.central_body]
+    if len(named) != 1:
+        known = suggestion(str(orbit.central_body), [body.name for body in scene.body if body.name])
+        raise SceneError(f'{section.called}: {len(named)} [[body]] are called "{orbit.central_body}"; {known}')
+    body = made_of(scene, named[0])
+    return Centre(constant, body_mass(body), body.name, body.position, body.velocity)
+
+
 def _with_bodies(
     scene: Scene, units: UnitSystem, data: dict[str, Any], text: str, places: KeyPlaces, source: BodySource
 ) -> tuple[Scene, str]:
@@ -260,8 +277,8 @@ def _with_bodies(
     for index, section in enumerate(scene.bodies):
         try:
             material = material_called(scene, section.material) if section.material else None
-            constant = scene.gravity.constant
-            sources.append(source.find(Wanted(section, index, len(scene.body) + row, row, units, material, constant)))
+            centre = _centre_of(scene, section)
+            sources.append(source.find(Wanted(section, index, len(scene.body) + row, row, units, material, centre)))
             row += len(sources[-1].columns)
         except SceneError as error:
             wrong.append(partial(str, f"{places.of(('bodies', index, 'file'))}bodies.{index}: {error}"))

@@ -12,6 +12,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from carom.scene.data.body_columns import BodyColumns
+from carom.scene.schema import Scene
 from data_scenes import refusal, scene_of
 
 AU, DAY = 149597870700.0, 86400.0
@@ -337,6 +338,34 @@ def test_two_heavy_bodies_orbit_in_the_period_of_both_masses(tmp_path: Path) -> 
     """Kepler's third law: n² a³ = G (M + m); at the pericentre, v² = G (M + m) (1 + e) / (a (1 - e))."""
     found = orbiting(tmp_path, "m,a,e,inc,Omega,omega,M\n0.5,1.0,0.3,0,0,0,0\n")
     assert found.velocity[0, 1] == pytest.approx(np.sqrt(1.5 * 1.3 / 0.7), rel=1e-15)
+
+
+def test_a_pair_rests_about_its_barycentre_with_the_advised_central_body(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text("m,a,e,inc,Omega,omega,M\n0.5,1.0,0.3,10,20,30,40\n")
+    star = '[[body]]\nname = "star"\nmass = 1\nradius = 1e-3\n'
+    bodies = 'radius = 1e-3\norbit = { central_body = "star" }\n'
+    advice = scene_of(tmp_path, "a.csv", bodies + star, PLAIN).notes[0][-1]
+    keys = advice.partition("if star has ")[2].replace(" and velocity", "\nvelocity")
+    scene = scene_of(tmp_path, "a.csv", bodies + star + keys, PLAIN)
+    resting, companion = scene.body[0], scene.data[0]
+    np.testing.assert_allclose(resting.position + 0.5 * companion.position[0], 0.0, atol=1e-15)
+    np.testing.assert_allclose(resting.velocity + 0.5 * companion.velocity[0], 0.0, atol=1e-15)
+    heavier = Scene.load(tmp_path / "scene.toml", overrides=["body.0.mass=3"])
+    alone = orbiting(tmp_path, (tmp_path / "a.csv").read_text())
+    np.testing.assert_allclose(companion.position - resting.position, alone.position, atol=1e-15)
+    np.testing.assert_allclose(
+        np.linalg.norm(heavier.data[0].velocity - heavier.body[0].velocity),
+        np.linalg.norm(alone.velocity) * np.sqrt(3.5 / 1.5),
+    )
+    assert '0 [[body]] are called "star"; there is none' in refusal(tmp_path, "a.csv", bodies, PLAIN)
+    both = bodies.replace("{ central", "{ central_mass = 1, central")
+    assert "either a central_mass or a central_body" in refusal(tmp_path, "a.csv", both + star, PLAIN)
+
+
+def test_a_point_cloud_is_refused_with_the_way_to_convert_it(tmp_path: Path) -> None:
+    for ending, remedy in (("ply", "save its points as .vtp or .csv"), ("pcd", "write it as .xyz")):
+        (tmp_path / f"a.{ending}").write_text("ply\n")
+        assert remedy in refusal(tmp_path, f"a.{ending}", "mass = 1\nradius = 1")
 
 
 @pytest.mark.needs("rebound")

@@ -196,6 +196,10 @@ def _shown(value: Any) -> str:
     return "empty, which" if value is None or value == "" else repr(value)[:60]
 
 
+_CONVERTED = {  # point clouds and meshes, which have no radii or masses of bodies
+    ".ply": "open it in ParaView, and save its points as .vtp or .csv",
+    ".pcd": "write it as .xyz, a row of x y z for each point, with pcl_convert or Open3D",
+}
 _ROUNDED = 1e-8  # relative error of a time that was printed and typed again
 _LONGEST_REASON = 200  # characters of a library's message
 
@@ -213,7 +217,8 @@ def open_table(
     ending = path.suffix.lower()
     known = [f".{name}" for name in registry.names("data_formats")]
     if ending not in known:
-        raise SceneError(f'{called}: no format has the suffix "{path.suffix}"; {suggestion(path.suffix, known)}')
+        remedy = _CONVERTED.get(ending) or suggestion(path.suffix, known)
+        raise SceneError(f'{called}: no format has the suffix "{path.suffix}"; {remedy}')
     form: DataFormat = registry.load("data_formats", ending[1:])
     with _reading(called, form):
         if time is not None and form.times is not None:  # otherwise a column of the table may have times

@@ -26,7 +26,7 @@ from carom.scene.data.mapping import (
     unused_columns,
     with_material,
 )
-from carom.scene.data.orbital_elements import OrbitTable
+from carom.scene.data.orbital_elements import Centre, OrbitTable
 from carom.scene.data.steps import Steps, axis_of_steps, rows_of_step, steps_in
 from carom.scene.schema.body import BodyData, Missing
 from carom.scene.schema.contact import Material
@@ -125,16 +125,20 @@ class ReadBodies(NamedTuple):
 
 
 def read_columns(
-    section: BodyData, table: DataTable, units: UnitSystem, material: Material | None = None, constant: float = 0.0
+    section: BodyData,
+    table: DataTable,
+    units: UnitSystem,
+    material: Material | None = None,
+    centre: Centre | None = None,
 ) -> ReadBodies:
     """Read and check the bodies of a [[bodies]] table, in units of the simulation.
 
-    ``constant`` is the gravitational constant, for orbital elements. The notes name used and unused columns. Raises
+    ``centre`` is the central body of orbital elements. The notes name used and unused columns. Raises
     SceneError, which names the table, the column and the row.
     """
     orbits = None
-    if section.orbit is not None:
-        table = orbits = OrbitTable(table, section.orbit, constant, units)
+    if section.orbit is not None and centre is not None:
+        table = orbits = OrbitTable(table, section.orbit, centre, units)
         own = {"position": orbits.position, "velocity": orbits.velocity}
         section = section.model_copy(update={"columns": section.columns.model_copy(update=own)})
     columns_there = columns_in(table, section)
@@ -191,7 +195,7 @@ def read_columns(
     facts = table.facts if orbits is None else orbits.stated()
     if facts.box is not None and "position" in mapping:
         facts = replace(facts, box=facts.box.scaled(reader.factor("position")))
-    return ReadBodies(columns, (*table.notes, *notes, *reader.notes), facts)
+    return ReadBodies(columns, (*table.notes, *notes, *reader.notes, *(orbits.advice if orbits else ())), facts)
 
 
 class _Reader:

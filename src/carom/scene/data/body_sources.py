@@ -17,6 +17,7 @@ from carom.errors import SceneError
 from carom.scene.data import MotionLaw, open_table
 from carom.scene.data.body_columns import BodyColumns, read_columns
 from carom.scene.data.facts import Facts, FileBox, contradiction
+from carom.scene.data.orbital_elements import Centre
 from carom.scene.schema.body import BodyData
 from carom.scene.schema.contact import Material
 from carom.scene.units.dimension import GRAVITATIONAL_CONSTANT, LENGTH, TIME
@@ -39,7 +40,7 @@ class SourcedBodies(NamedTuple):
     notes: tuple[str, ...] = ()  # notes on parts of the source that are unused or reinterpreted
     law: MotionLaw | None = None  # law of motion in the source, if known
     facts: Facts = Facts()  # what the source states about its numbers
-    constant: float | None = None  # gravitational constant, if they come from orbital elements
+    centre: Centre | None = None  # of the orbits, if they come from orbital elements
 
 
 @dataclass(frozen=True)
@@ -52,7 +53,7 @@ class Wanted:
     row: int  # number of its first body among the bodies of all [[bodies]]
     units: UnitSystem  # units of the numbers in files
     material: Material | None = None  # of the section
-    constant: float = 0.0  # gravitational constant of the scene
+    centre: Centre | None = None  # of the orbits, if the section has any
 
 
 class BodySource(Protocol):
@@ -97,9 +98,8 @@ class DataFiles:
             )
         time = None if section.snapshot_time is None else wanted.units.shown(section.snapshot_time, TIME)
         table = open_table(path, section.file, section.snapshot, section.columns.header, time)
-        columns, notes, facts = read_columns(section, table, wanted.units, wanted.material, wanted.constant)
-        constant = wanted.constant if section.orbit is not None else None
-        return SourcedBodies(columns, digest, wanted.material, notes, table.law, facts, constant)
+        columns, notes, facts = read_columns(section, table, wanted.units, wanted.material, wanted.centre)
+        return SourcedBodies(columns, digest, wanted.material, notes, table.law, facts, wanted.centre)
 
 
 def changed_files(sections: Iterable[BodyData], folders: Sequence[Path]) -> list[str]:
@@ -133,7 +133,7 @@ class HeldBodies:
         known = wanted.index < len(self.sections) and wanted.section.is_like(self.sections[wanted.index])
         if known and wanted.units == self.units:
             bodies = self.bodies[wanted.index]
-            if bodies.material in (None, wanted.material) and bodies.constant in (None, wanted.constant):
+            if bodies.material in (None, wanted.material) and bodies.centre in (None, wanted.centre):
                 return bodies
         if self.files is None:
             raise SceneError("only its name can be changed, because its file is not available")

@@ -19,6 +19,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -29,7 +30,7 @@ from carom.scene.data.facts import ECLIPTIC, SUN, Facts, column_factor, columns_
 from carom.scene.data.mapping import ELEMENTS, ORIENTED, elements_in
 from carom.scene.portable_math import cosine_and_sine, cube_root
 from carom.scene.schema.body import KeplerianOrbits
-from carom.scene.units.dimension import ANGLE, LENGTH, MASS, TIME, Dimension, size_of
+from carom.scene.units.dimension import ANGLE, LENGTH, MASS, TIME, VELOCITY, Dimension, size_of
 from carom.scene.units.system import UnitSystem
 
 _ANGLES = ("i", "node", "peri", "M")
@@ -47,6 +48,16 @@ _TERMS = 9  # terms in the series of Stumpff's functions; the next one is less t
 _MOST_STEPS = 1000  # of Newton's method: about 6 for an ellipse, one per unit of the anomaly for a hyperbola
 
 
+class Centre(NamedTuple):
+    """The body that others orbit, in units of the simulation."""
+
+    constant: float  # gravitational constant
+    mass: float
+    name: str = ""  # of the [[body]]; empty for a mass at rest at the origin
+    position: tuple[float, ...] = (0.0, 0.0, 0.0)
+    velocity: tuple[float, ...] = (0.0, 0.0, 0.0)
+
+
 class OrbitTable(DataTable):
     """A table of orbital elements as a table of positions and velocities.
 
@@ -56,11 +67,11 @@ class OrbitTable(DataTable):
     position, velocity = "position on the orbit", "velocity on the orbit"
     own = (position, velocity)
 
-    def __init__(self, table: DataTable, orbit: KeplerianOrbits, constant: float, units: UnitSystem) -> None:
+    def __init__(self, table: DataTable, orbit: KeplerianOrbits, centre: Centre, units: UnitSystem) -> None:
         self.called, self.hidden, self.facts, self.paths = table.called, table.hidden, table.facts, table.paths
         self.vectors, self.timed, self.law = table.vectors, table.timed, table.law
-        self._table, self._units, self._orbit, self._constant = table, units, orbit, constant
-        if constant * orbit.central_mass <= 0.0:
+        self._table, self._units, self._orbit, self._centre = table, units, orbit, centre
+        if centre.constant * centre.mass <= 0.0:
             raise SceneError(f"{self.called}: orbits need gravity.constant above 0")
         is_of_jpl = bool(_OF_JPL & set(table.names))
         if is_of_jpl:
@@ -82,14 +93,15 @@ class OrbitTable(DataTable):
             raise SceneError(f"{self.called}: tp needs an epoch: a column, or orbit.epoch in the same unit")
         used = {column.name for column in there.values()}
         self.names = [*self.own, *(name for name in names if name not in used)]
-        mass = units.text(orbit.central_mass, MASS)
+        mass = units.text(centre.mass, MASS)
+        where = centre.name or "at rest at the origin"
         source = "small bodies of JPL" if is_of_jpl else "orbital elements"
         listed = ", ".join(column.shown for column in there.values())
         self._angle = angle = self._unit_of_angles()
         self.notes = (
             *table.notes,
-            f"{self.called}: read as {source} ({listed}){f', angles in {angle}' if angle else ''}, about {mass} at "
-            "rest at the origin, with μ = G (M + m)",
+            f"{self.called}: read as {source} ({listed}){f', angles in {angle}' if angle else ''}, about {mass} "
+            f"({where}), with μ = G (M + m)",
         )
 
     def read(self, names: Sequence[str], texts: Sequence[str] = ()) -> dict[str, Raw]:
@@ -172,7 +184,7 @@ class OrbitTable(DataTable):
         e = self._element("e")
         beta, q = self._shape(e)
         # √μ t since the pericentre, for an ellipse since the nearest one
-        ellipse, root_mu = beta > 0.0, np.sqrt(self._constant * (self._orbit.central_mass + mass))
+        ellipse, root_mu = beta > 0.0, np.sqrt(self._centre.constant * (self._centre.mass + mass))
         rate = np.abs(beta) * np.sqrt(np.abs(beta))  # rate of the mean anomaly with √μ t
         elapsed = self._elapsed(len(e)) * root_mu
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -208,7 +220,21 @@ class OrbitTable(DataTable):
         )
         position = x[:, None] * towards + y[:, None] * across
         velocity = root_mu[:, None] * (vx[:, None] * towards + vy[:, None] * across)
-        return position, velocity
+        self.advice = self._advice(mass, position, velocity)
+        return position + np.array(self._centre.position), velocity + np.array(self._centre.velocity)
+
+    def _advice(self, mass: FloatArray, position: FloatArray, velocity: FloatArray) -> tuple[str, ...]:
+        """Return a note on the central body whose barycentre with the others rests at the origin."""
+        total = self._centre.mass + math.fsum(mass.tolist())
+        if not self._centre.name or not mass.any():
+            return ()
+        own = self._units
+        x, v = (-(mass[:, None] * each).sum(axis=0) / total for each in (position, velocity))
+        x, v = ([own.shown(float(each), kind) for each in row] for row, kind in ((x, LENGTH), (v, VELOCITY)))
+        return (
+            f"{self.called}: the barycentre of {self._centre.name} and these bodies rests at the origin if "
+            f"{self._centre.name} has position = {x} and velocity = {v}",
+        )
 
     def _shape(self, e: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return 1/a, which is 0 for a parabola, and the pericentre distance."""

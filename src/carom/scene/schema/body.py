@@ -117,7 +117,13 @@ class _OrNames:
 class KeplerianOrbits(Section):
     """How a file of orbital elements is read. Its columns are a or q, e, i, om, w, and ma or tp."""
 
-    central_mass: Annotated[Positive, MASS] = Field(description="kg, mass of the body at the origin; more than 0")
+    central_mass: Annotated[Positive, MASS] | None = Field(
+        None, description="kg, mass of the body at rest at the origin; more than 0"
+    )
+    central_body: Name | None = Field(
+        None,
+        description="name of the [[body]] instead of central_mass; orbits are relative to its position and velocity",
+    )
     epoch: Real | None = Field(
         None,
         description="initial time of the scene, in the unit of the columns epoch and tp, such as a Julian date; by "
@@ -126,6 +132,12 @@ class KeplerianOrbits(Section):
     angle: Literal["deg", "rad"] | None = Field(
         None, description="unit of the angles; by default that of the file or of [units], else degrees"
     )
+
+    @model_validator(mode="after")
+    def _one_centre(self) -> Self:
+        if (self.central_mass is None) == (self.central_body is None):
+            raise ValueError("orbit needs either a central_mass or a central_body")
+        return self
 
 
 class Missing(Section):
@@ -165,7 +177,9 @@ class BodyData(Matter):
         None, description="{ radius, mass, density, leave_out }, for rows of the file that lack a value"
     )
     orbit: KeplerianOrbits | None = Field(
-        None, description="{ central_mass, epoch, angle }, for a file with orbital elements instead of positions"
+        None,
+        description="{ central_mass or central_body, epoch, angle }, for a file with orbital elements instead of "
+        "positions",
     )
     origin: Annotated[Vector, LENGTH] | None = Field(
         None, description="m, [x, y, z] in the file of the point that is the origin of the scene"
