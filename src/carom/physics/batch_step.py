@@ -144,14 +144,11 @@ class BatchStepper:
 
         Impacts at the beginning are resolved first. If contacts are at rest at that time, the holder takes over.
         """
-        world, audit = self._world, self._books.impulse_audit
-        time, contact, velocity = world.clock.time, world.contact, world.bodies.velocity
+        world, contact, time = self._world, self._world.contact, self._world.clock.time
         for _ in range(MOST_STRIKES):
-            before = velocity.copy() if audit else velocity
-            batch = self._integrator.advance(time, end, until, most)
+            with self._books.change:
+                batch = self._integrator.advance(time, end, until, most)
             if contact is None or batch.meeting is None or batch.steps > 0:
-                if audit:
-                    audit.add_change(before)
                 return batch
             ends = batch.meeting.ends
             if batch.meeting.rests:

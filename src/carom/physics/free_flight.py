@@ -179,11 +179,9 @@ def can_fly(world: World) -> bool:
     return (
         len(world.bodies) <= MAX_IN_ONE_BLOCK
         and world.forces.laws is not None
-        and not world.planes.curves
+        and not any(part.needs_every_step for part in world.parts)
         and world.scene.expect.contact_audit is None  # the audit needs each kick
         and not (world.is_periodic and world.contact is None)  # only single steps refuse too many crossings
-        and not world.forces.path_works  # they are booked step by step
-        and not world.is_sheared
     )
 
 

@@ -88,7 +88,6 @@ class World:
     planes: HalfSpaces
     is_periodic: bool
     box: FloatArray  # (3,) m, size of the periodic box, `ENDLESS` along other axes; zeros in open space
-    is_sheared: bool
     falling: FloatArray  # (3,) m/s², the uniform field if it accelerates everything equally; otherwise zeros
     forces: TotalForce
     contact: ContactPipeline | None  # None if no contact is possible
@@ -132,7 +131,6 @@ class World:
             bodies=bodies,
             planes=planes,
             is_periodic=scene.domain.is_periodic,
-            is_sheared=shear is not None,
             box=box,
             falling=falling,
             forces=forces,

@@ -93,6 +93,8 @@ NOTHING_HELD = Held(empty_graph().pairs, np.empty(0, dtype=np.int64), np.empty(0
 class ContactTap(OptionalPart):
     """Collects the impulses and energies of the contacts of each step."""
 
+    needs_every_step = False
+
     def __init__(self, contacts: Contacts) -> None:
         assert contacts.totals is not None, "contacts are recorded"
         self._contacts, self._totals = contacts, contacts.totals

@@ -50,9 +50,9 @@ class PresentStep:
     time: float = 0.0  # s, the time at which it ends
     dt: float = 0.0  # s
     drift: float = 0.0  # s, the present drift; steps of some integrators have several
-    kick: float = 0.0  # s, the kick after which the contacts of the last step are held
+    kick: float = 0.0  # s, the kick before it; after the first one, the contacts of the last step are held
     booked: float = 0.0  # s, the part of the drift for which the work of the forces is booked by then
-    last_kick: float = 0.0  # s
+    last_kick: float = 0.0  # s, the kick after it
     path: DampedPath = STRAIGHT
     against: FloatArray | None = None  # (n + p, 3) m/s²: contacts hold against these, not the bodies' accelerations
     impacts: Impacts = NO_IMPACTS  # of the drift
@@ -140,6 +140,7 @@ class OptionalPart:
     """An optional part of the model. It overrides the hooks that it needs."""
 
     entries: tuple[str, ...] = ()  # of the ledger, with the sign of a loss
+    needs_every_step = True  # whether also steps in which nothing touches cannot be left to `free_flight`
 
     # Between steps
 

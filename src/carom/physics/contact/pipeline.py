@@ -195,7 +195,7 @@ class ContactPipeline:
     def is_quiet(self) -> bool:
         """Whether nothing touched in the last step, and nothing is held at the start of the next one."""
         touches = len(self.contacts) or self.statistics.contacts or len(self.impulses.pairs)
-        return not (touches or self.is_at_rest or self._is_busy)
+        return not (touches or (self.lasts and self.presses) or (self.hooks.is_busy and self._is_busy))
 
     @property
     def holds(self) -> bool:

@@ -32,11 +32,17 @@ DEEPEST = 0.5  # of the radius: upper limit of that overlap where coordinates ar
 class PlaneGuard(OptionalPart):
     """Prevents bodies from passing through planes within a step."""
 
+    needs_every_step = False
+
     def __init__(self, contacts: Contacts) -> None:
         self._contacts, self._bodies, self._planes = contacts, contacts.bodies, contacts.world.planes
         self._start = self._bodies.position.copy()  # m, at the beginning of the step
         self._stopped: list[tuple[NDArray[np.intp], FloatArray]] = []  # bodies, and their displacements in m
         self._was_crossed = False  # whether a drift of the step ended behind a plane
+
+    def forget(self) -> None:
+        """Return to the state before the first step."""
+        self._stopped.clear()
 
     def prepare(self, step: PresentStep) -> None:
         """Begin a step at the present positions."""

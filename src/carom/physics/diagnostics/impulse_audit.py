@@ -43,10 +43,6 @@ class ImpulseAudit:
         """Add a kick of (n, 3) m/s² for dt s."""
         self.add_force(acceleration * dt)
 
-    def add_change(self, before: FloatArray) -> None:
-        """Add the change of velocities by forces since they were ``before``, (n, 3) m/s."""
-        self.add_force(self._bodies.velocity - before)
-
     def __enter__(self) -> None:
         """Begin a change of velocities and spins that no impulse of a contact explains."""
         self._before = self._bodies.velocity.copy(), self._bodies.angular_velocity.copy()
@@ -54,7 +50,7 @@ class ImpulseAudit:
     def __exit__(self, *error: object) -> None:
         """Add this change."""
         velocity, spin = self._before
-        self.add_change(velocity)
+        self.add_force(self._bodies.velocity - velocity)
         self._spin = self._spin + (self._bodies.angular_velocity - spin)
 
     def add_force(self, change: FloatArray) -> None:

@@ -89,6 +89,7 @@ class StokesDrag(OptionalPart):
     """
 
     kind = DRAG
+    needs_every_step = False
 
     def __init__(self, drag: Drag, bodies: Bodies, outer: FloatArray, team: Team) -> None:
         rate = 1.0 / drag.relaxation_time

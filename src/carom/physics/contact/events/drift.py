@@ -69,6 +69,8 @@ NARROWED = 0.25, 1e100
 class EventDrivenDrift(Mover):
     """Moves bodies through a drift and resolves their impacts."""
 
+    needs_every_step = False
+
     def __init__(self, contacts: Contacts) -> None:
         world, bodies, near, solver = contacts.world, contacts.bodies, contacts.near, contacts.solver
         planes, materials, shear = world.planes, world.materials, world.shear

@@ -82,6 +82,8 @@ NO_SLEEPERS = SleepingContacts(empty_graph().pairs, np.empty((0, 4)), *_NO_RECOR
 class Sleepers(OptionalPart):
     """Decides which bodies sleep, and keeps their contacts."""
 
+    needs_every_step = False
+
     def __init__(self, contacts: Contacts) -> None:
         sleep, bodies, planes = contacts.settings.sleep, contacts.bodies, contacts.world.planes
         assert sleep is not None, "see `carom.plan.step_parts`"
@@ -117,6 +119,7 @@ class Sleepers(OptionalPart):
         self.contacts = NO_SLEEPERS
         self._fell_asleep = False  # whether contacts fell asleep at the end of the last step
         self._slept = NO_SLEEPERS  # contacts that slept in the last step
+        self._first_kick = 0.0  # s, of the step
         self._lost = NO_ENTRIES  # J, ledger of the contacts that woke in this step or fell asleep after it
 
     def is_busy(self) -> bool:
@@ -172,7 +175,7 @@ class Sleepers(OptionalPart):
 
     def prepare(self, step: PresentStep) -> None:
         """Begin a step without the contacts that fell asleep after the last one."""
-        contacts, self._lost = self._all_contacts, NO_ENTRIES
+        contacts, self._lost, self._first_kick = self._all_contacts, NO_ENTRIES, step.kick
         if self._fell_asleep:
             memory = contacts.memory
             assert memory is not None, "only lasting contacts fall asleep"
@@ -186,7 +189,7 @@ class Sleepers(OptionalPart):
         if self._all_sleep and not self.is_disturbed():
             return empty_graph().pairs
         pairs, contacts = others(step), self._all_contacts
-        impulses, self._lost = self._wake(pairs, contacts.impulses, step.kick, step.dt)
+        impulses, self._lost = self._wake(pairs, contacts.impulses, self._first_kick, step.dt)
         if len(self._lost):
             contacts.restart(impulses)
         self._leave_out()
