@@ -7,6 +7,7 @@ import errno
 import io
 import subprocess
 import sys
+import threading
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -898,3 +899,94 @@ def test_mujoco_that_becomes_unstable_and_resets_itself_leaves_its_last_frames(
     recording = Recording.open(tmp_path / "crash.rrd")
     assert recording.fingerprints()["step"].to_pylist() == list(range(15, 20))
     assert "the engine was reset, or reset itself" in recording.outcome
+
+
+class SilentError(Exception):
+    def __str__(self) -> str:
+        raise RuntimeError("no text")
+
+
+def odd_text(toy: Any) -> None:
+    raise SilentError
+
+
+def complex_positions(toy: Any) -> carom.record.State:
+    return carom.record.State(toy.time, toy.position + 1j, toy.velocity, angular_velocity=toy.spin)
+
+
+def half_contacts(toy: Any) -> carom.record.State:
+    state = carom.record.State(toy.time, toy.position, toy.velocity, angular_velocity=toy.spin)
+    state.contacts = [[0.5, 1.5]]
+    return state
+
+
+def endless_time(toy: Any) -> carom.record.State:
+    return carom.record.State(10**400, toy.position, toy.velocity, angular_velocity=toy.spin)
+
+
+@pytest.mark.parametrize(
+    ("state", "said"),
+    [
+        (odd_text, "SilentError: its text cannot be made (RuntimeError)"),
+        (complex_positions, "position has complex numbers"),
+        (half_contacts, "contacts must be whole numbers"),
+        (endless_time, "it must be a number"),
+    ],
+)
+def test_a_state_of_no_use_costs_a_note_and_neither_the_run_nor_a_digit(
+    state: Callable[[Any], Any], said: str, tmp_path: Path
+) -> None:
+    toy = Toy()
+    with carom.record.Recorder(toy, tmp_path / "toy.rrd") as recorder:
+        for step in range(6):
+            toy.step()
+            toy.__dict__.pop("state", None)
+            if step == 3:
+                toy.__dict__["state"] = lambda: state(toy)
+            assert recorder.frame()
+    (problem,) = recorder.problems
+    assert said in problem
+    recording = Recording.open(tmp_path / "toy.rrd")
+    assert recording.frames == (7 if state is half_contacts else 6)  # contacts are then computed from distances
+    assert recording.outcome == "completed"
+
+
+def test_an_exception_without_a_text_leaves_the_context_as_it_is_and_a_whole_file(tmp_path: Path) -> None:
+    toy = Toy()
+    with pytest.raises(SilentError), carom.record.Recorder(toy, tmp_path / "toy.rrd"):
+        raise SilentError
+    assert "its text cannot be made" in Recording.open(tmp_path / "toy.rrd").outcome
+
+
+@pytest.mark.parametrize("mass", [[10**400, 1.0, 1.0], np.array([1.0, 1j, 1.0])])
+def test_numbers_that_are_none_of_a_body_are_refused_in_a_sentence(mass: Any, tmp_path: Path) -> None:
+    toy = Toy()
+    toy.model = replace(toy.model, mass=mass)
+    with pytest.raises(RecordingError, match=r"toy 1\.0: mass is no array of numbers"):
+        carom.record.Recorder(toy, tmp_path / "toy.rrd")
+    with pytest.raises(RecordingError, match="expected the time that the run will reach"):
+        carom.record.Recorder(Toy(), tmp_path / "toy.rrd", duration=10**400)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_frames_of_two_threads_and_of_a_state_that_records_itself_make_a_file_that_can_be_read(tmp_path: Path) -> None:
+    toy, count = Toy(), 100
+    with carom.record.Recorder(toy, tmp_path / "toy.rrd") as recorder:
+        own = toy.state
+        toy.__dict__["state"] = lambda: (recorder.frame(), own())[1]
+        recorder.frame()
+        del toy.__dict__["state"]
+
+        def work() -> None:
+            for _ in range(count):
+                recorder.frame()
+
+        threads = [threading.Thread(target=work) for _ in range(2)]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+    assert ["within `state`" in problem for problem in recorder.problems] == [True]
+    recording = Recording.open(tmp_path / "toy.rrd")
+    assert recording.frames == 2 * count + 2 and recording.finished
+    assert recording.fingerprints()["step"].to_pylist() == list(range(2 * count + 2))

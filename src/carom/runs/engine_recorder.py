@@ -7,7 +7,8 @@ import os
 import threading
 import uuid
 from collections import deque
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
@@ -18,6 +19,7 @@ import numpy as np
 from carom.arrays import IntArray
 from carom.errors import RecordingError
 from carom.recording.read.recording import Recording
+from carom.recording.schema.header import LARGEST
 from carom.recording.source import (
     BulkSource,
     Model,
@@ -36,11 +38,12 @@ from carom.recording.source.observer import Observer, header_of_source, not_fini
 from carom.recording.source.population import Population, ids_of
 from carom.recording.write.whole_file import claimed_output, refuse_name
 from carom.runs.environment import environment
-from carom.runs.snapshot_writer import SnapshotWriter, Unrecorded, sentence_of
+from carom.runs.snapshot_writer import SnapshotWriter, Unrecorded, sentence_of, text_of
 from carom.scene.units.dimension import TIME, UnitError
 from carom.scene.units.system import SI, UnitSystem
 
 COMPLETED = "completed"
+LONGEST_TURN = 10.0  # s, that a thread waits for another one within `frame`, which may never return
 
 
 class Recorder:
@@ -114,7 +117,7 @@ class Recorder:
             raise RecordingError(
                 f"every = {self.every!r}: expected 1 to record each call of `frame`, 2 for every second call, and so on"
             )
-        if not 0.0 <= duration < np.inf:
+        if not 0.0 <= duration <= LARGEST:
             raise RecordingError(f"duration = {duration}: expected the time that the run will reach, or 0 if unknown")
         try:
             named = units or source.model.units
@@ -147,6 +150,7 @@ class Recorder:
         self._sink: SnapshotWriter | None = None
         self._written = self._taken = 0
         self._unrecorded = Unrecorded(self.path)
+        self._lock, self._owner = threading.Lock(), 0  # the thread that records a frame; 0 for none
         self.faults: list[Fault] = []
 
     @property
@@ -160,12 +164,35 @@ class Recorder:
         return list(self._unrecorded.texts)
 
     def frame(self) -> bool:
-        """Record the present state; return whether the recording continues. Raises nothing, see `problems`."""
-        try:
-            self._take_frame()
-        except Exception as error:
-            self._unrecorded.add(self._calls - 1, self._time_of_note, error, "This state is not recorded.")
+        """Record the present state; return whether the recording continues. Raises nothing, see `problems`.
+
+        Threads take turns; a call within `state` of the source is refused, since it would record the same state again.
+        """
+        this = threading.get_ident()
+        if self._owner == this:
+            self._note("`frame` was called within `state` of the source.", "This call records nothing.")
+            return not self._ended
+        with self._turn(this):
+            try:
+                self._take_frame()
+            except Exception as error:
+                self._note(error, "This state is not recorded.")
         return not self._ended
+
+    @contextmanager
+    def _turn(self, thread: int) -> Iterator[None]:
+        """Wait until no other thread uses the recorder; no longer than `LONGEST_TURN` for one that never ends."""
+        taken = self._owner != thread and self._lock.acquire(timeout=LONGEST_TURN)
+        before, self._owner = self._owner, thread
+        try:
+            yield
+        finally:
+            self._owner = before
+            if taken:
+                self._lock.release()
+
+    def _note(self, problem: Exception | str, consequence: str) -> None:
+        self._unrecorded.add(self._calls - 1, self._time_of_note, problem, consequence)
 
     def write(self, path: str | Path | None = None, outcome: str = "written on demand") -> Recording | None:
         """Write the frames in memory; recording into memory continues. None if the file cannot be written.
@@ -175,23 +202,26 @@ class Recorder:
         if self._ring is None:
             raise RecordingError(f"{self.path} is written during the run; give last=N to keep frames in memory")
         try:
-            target = self._next_path() if path is None else Path(path)
-            self._dump(target, outcome, ())
+            with self._turn(threading.get_ident()):
+                target = self._next_path() if path is None else Path(path)
+                self._dump(target, outcome, ())
             return Recording.open(target)
         except Exception as error:
-            self._unrecorded.add(self._calls - 1, self._time_of_note, error, "The frames in memory are not written.")
+            self._note(error, "The frames in memory are not written.")
             return None
 
     def finish(self, outcome: str = COMPLETED) -> None:
         """Close the recording, as leaving the context does. Raises nothing, see `problems`."""
-        expect_finish(self, False)
-        sink, self._sink = self._sink, None
-        if sink is not None:
-            self._ended = self._ended or outcome
-            self._close(sink, outcome, ())
+        with self._turn(threading.get_ident()):
+            expect_finish(self, False)
+            sink, self._sink = self._sink, None
+            if sink is not None:
+                self._ended = self._ended or outcome
+                self._close(sink, outcome, ())
 
     def __enter__(self) -> Self:
-        self._take_frame()
+        with self._turn(threading.get_ident()):
+            self._take_frame()
         return self
 
     def __exit__(
@@ -200,7 +230,7 @@ class Recorder:
         if error is None:
             self.finish()
         else:
-            self.finish_early(f"failed: {type(error).__name__}: {error}")
+            self.finish_early(f"failed: {type(error).__name__}: {text_of(error)}")
 
     def finish_early(self, outcome: str) -> None:
         """Close the recording of a run that did not end normally: frames in memory are written, too."""
@@ -267,7 +297,7 @@ class Recorder:
             try:
                 self._sink = self._writer(self.path, state, self._force)
             except BaseException as error:
-                self._ended = f"failed: {error}"
+                self._ended = f"failed: {text_of(error)}"
                 raise
             expect_finish(self, True)
         try:

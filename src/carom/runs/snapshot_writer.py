@@ -266,7 +266,16 @@ class Unrecorded:
         return [Event(step, time, "WARN", f"{counted(self.count, 'problem')} of recording in all.", KIND)]
 
 
-def sentence_of(error: Exception) -> str:
+def text_of(error: BaseException) -> str:
+    """Return the text of an error of somebody else's program, whose own method may raise another one."""
+    try:
+        return str(error)
+    except Exception as other:
+        return f"its text cannot be made ({type(other).__name__})"
+
+
+def sentence_of(error: BaseException) -> str:
     """Return an error as a sentence."""
-    text = str(error) if isinstance(error, RecordingError) else f"{type(error).__name__}: {error}"
+    told = text_of(error)
+    text = told if isinstance(error, RecordingError) else f"{type(error).__name__}: {told}"
     return text if text.endswith((".", "!", "?")) else f"{text}."

@@ -191,7 +191,7 @@ def time_of(state: State) -> float:
     """Return the time (s) of a state. RecordingError quotes a value that is not a number."""
     try:
         return float(state.time)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise RecordingError(f"the time of the state is {state.time!r}; it must be a number") from None
 
 
@@ -207,9 +207,15 @@ def refuse_no_rotation(engine: str, orientation: FloatArray) -> None:
 def _numbers(engine: str, name: str, values: Any) -> FloatArray:
     """Return an array of float64; RecordingError if these are no numbers."""
     try:
+        if _is_complex(values):  # whose imaginary parts NumPy would drop
+            raise TypeError("its numbers are complex")
         return np.array(values, dtype=np.float64)
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise RecordingError(f"{engine}: {name} is no array of numbers: {error}") from None
+
+
+def _is_complex(values: Any) -> bool:
+    return getattr(getattr(values, "dtype", None), "kind", "") == "c"
 
 
 def _column(engine: str, name: str, values: Any, n: int | None = None) -> FloatArray:
@@ -311,6 +317,8 @@ class StateMemory:
                 if np.shape(values) != view.shape:  # otherwise NumPy would broadcast the rows
                     changed = f"{name} has the shape {np.shape(values)}, but had {view.shape}"
                     raise RecordingError(f"{changed}; where bodies come and go, give each state their ids")
+                if _is_complex(values):
+                    raise RecordingError(f"{name} has complex numbers")
                 view[:] = values
         own.contacts = None if state.contacts is None else np.array(state.contacts)
 

@@ -35,6 +35,16 @@ def has_forces(contacts: Any) -> bool:
     return getattr(getattr(contacts, "dtype", None), "names", None) is not None
 
 
+def whole_numbers(engine: str, name: str, values: Any) -> IntArray:
+    """Return values as whole numbers. RecordingError if one has a fraction, which a cast would cut off in silence."""
+    given = np.asarray(values)
+    with np.errstate(invalid="ignore"):
+        found = given.astype(np.int64) if given.dtype.kind in "iuf" else np.empty(0, np.int64)
+    if given.size and not np.array_equal(found, given):
+        raise RecordingError(f"{engine}: {name} must be whole numbers, the numbers of bodies and planes")
+    return found
+
+
 def checked_contacts(engine: str, contacts: Any, bodies: int, ends: int) -> Records:
     """Return contacts as (m,) `CONTACT`. RecordingError names the field and the row of the first invalid value."""
     names = CONTACT.names or ()
@@ -42,7 +52,8 @@ def checked_contacts(engine: str, contacts: Any, bodies: int, ends: int) -> Reco
         raise RecordingError(f"{engine}: contacts lack the field {missing[0]}; make them as carom.record.CONTACT")
     found = np.zeros(len(np.atleast_1d(contacts)), CONTACT)
     for name in names:
-        found[name] = np.atleast_1d(contacts)[name]
+        given = np.atleast_1d(contacts)[name]
+        found[name] = whole_numbers(engine, f"{name} of contacts", given) if name in ("i", "j") else given
     for name in ("point", "normal", "force", "friction"):
         wrong = ~np.isfinite(found[name])
         if wrong.any():

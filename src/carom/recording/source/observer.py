@@ -31,6 +31,7 @@ from carom.recording.source.engine_contacts import (
     has_forces,
     rows_of_contacts,
     rows_of_graph,
+    whole_numbers,
 )
 from carom.recording.source.law_audit import AuditFinding, Fault, LawAudit, Tolerances
 from carom.recording.source.population import Present
@@ -236,7 +237,7 @@ class Observer:
                 raise RecordingError(f"{self.setup.engine}: contacts have no forces, and had some in the first state")
             records = checked_contacts(self.setup.engine, known, len(self.setup), ends)
             return records if self.setup.forces else np.stack([records["i"], records["j"]], axis=1)
-        pairs = np.asarray(known, dtype=np.int64)
+        pairs = whole_numbers(self.setup.engine, "contacts", known)
         if pairs.size and (pairs.ndim != 2 or pairs.shape[1] != 2):
             raise RecordingError(f"{self.setup.engine}: contacts has the shape {pairs.shape} instead of (m, 2)")
         if pairs.size and not (pairs.min() >= 0 and pairs.max() < ends):
