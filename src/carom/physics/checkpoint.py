@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 import xxhash
@@ -21,6 +22,7 @@ from carom.physics.diagnostics.extremes import Extremes
 from carom.physics.diagnostics.momentum import MomentumBaseline
 from carom.physics.diagnostics.run_monitor import PaceTally
 from carom.physics.integrators.batch_integrator import IntegratorCheckpoint
+from carom.physics.saved import BODY, Saved
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,13 +45,15 @@ class Checkpoint:
     """The complete state after a step, in float64."""
 
     step: int
-    time: float  # s
-    previous_dt: float  # s, the smoothed step, without the cut at the end of a run
-    position: FloatArray  # (n, 3) m
-    velocity: FloatArray  # (n, 3) m/s
-    acceleration: FloatArray  # (n, 3) m/s²
-    orientation: FloatArray | None  # (n, 4) xyzw; None where the scene requires none
-    angular_velocity: FloatArray | None  # (n, 3) rad/s; None where the scene requires none
+    time: Annotated[float, Saved("time", "s")]
+    # the smoothed step, without the cut at the end of a run
+    previous_dt: Annotated[float, Saved("previous_dt", "s")]
+    position: Annotated[FloatArray, Saved("position", "m", BODY, 3, is_squared=True)]  # (n, 3)
+    velocity: Annotated[FloatArray, Saved("velocity", "m/s", BODY, 3, is_squared=True)]  # (n, 3)
+    acceleration: Annotated[FloatArray, Saved("acceleration", "m/s²", BODY, 3, is_squared=True)]  # (n, 3)
+    # (n, 4) xyzw, and (n, 3); None where the scene requires none
+    orientation: Annotated[FloatArray | None, Saved("orientation", "", BODY, 4, is_squared=True)]
+    angular_velocity: Annotated[FloatArray | None, Saved("angular_velocity", "rad/s", BODY, 3, is_squared=True)]
     energy: Energy  # J
     contacts: ContactCheckpoint | None  # None where no contact lasts
     books: Books

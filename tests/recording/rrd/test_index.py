@@ -97,4 +97,4 @@ def test_a_chunk_of_noise_is_told_in_one_sentence(run_file: Path) -> None:
 
 
 def test_the_state_of_ten_million_bodies_that_spin_is_not_too_large_to_be_read() -> None:
-    assert checkpoint_columns._size(10**7, True, 0, 1) <= LARGEST  # a checkpoint is one chunk
+    assert checkpoint_columns._largest_size(10**7, 0, 1) <= LARGEST  # a checkpoint is one chunk

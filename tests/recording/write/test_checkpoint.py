@@ -117,9 +117,9 @@ def test_states_in_order_of_their_steps_decode_each_chunk_once(tmp_path: Path, m
     alone = [recording.checkpoint(step) for step in steps]
     decoded = list[int]()
 
-    def decode(body: bytes) -> Any:
+    def decode(body: bytes, *limits: Any) -> Any:
         decoded.append(len(body))
-        return messages.decode(body)
+        return messages.decode(body, *limits)
 
     monkeypatch.setattr(container, "decode", decode)
     together = list(recording.checkpoints())

@@ -3,18 +3,23 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 from carom.arrays import FloatArray, IntArray
+from carom.physics.saved import BODY, CONTACT, HELD, RUN, SLEEPING, Saved
 
 
 @dataclass(frozen=True, slots=True)
 class SleepCheckpoint:
     """Which bodies sleep, and their contacts. Its arrays are never written to."""
 
-    calm: FloatArray  # (n,) s, how long each body has been slow; -1 if it sleeps
-    reference: FloatArray  # (n, 3) m/s², accelerations of the sleepers when they fell asleep
-    pairs: IntArray  # (k, 2) of sleepers and fixed ends, sorted
-    force: FloatArray  # (k, 4) N, along the normal and tangential
+    # (n,) how long each body has been slow; -1 if it sleeps
+    calm: Annotated[FloatArray, Saved("sleep_calm", "s", BODY)]
+    # (n, 3) accelerations of the sleepers when they fell asleep
+    reference: Annotated[FloatArray, Saved("sleep_reference", "m/s²", BODY, 3, is_squared=True)]
+    # (k, 2) of sleepers and fixed ends, sorted
+    pairs: Annotated[IntArray, Saved("sleep_pairs", "", SLEEPING, 2, is_pairs=True)]
+    force: Annotated[FloatArray, Saved("sleep_force", "N", SLEEPING, 4)]  # (k, 4) along the normal and tangential
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,16 +29,20 @@ class ContactCheckpoint:
     Its arrays are never written to.
     """
 
-    pairs: IntArray  # (m, 2), sorted; includes near contacts
-    rest_speed: FloatArray  # (m,) m/s, closing speed up to which a contact is at rest
-    load_speed: FloatArray  # (m,) m/s, see `ConstraintSystem`
-    dt: float  # s, the step for which these speeds were computed
-    held_pairs: IntArray  # (k, 2), sorted; usually the same as ``pairs``
-    impulse: FloatArray  # (k, 4) N s: λ_n, λ_t; (k, 7) where the law resists rolling, with Λ in N m s
-    kick: float  # s, length of that kick
+    # (m, 2), sorted; includes near contacts
+    pairs: Annotated[IntArray, Saved("contact_pairs", "", CONTACT, 2, is_pairs=True)]
+    # (m,) closing speed up to which a contact is at rest
+    rest_speed: Annotated[FloatArray, Saved("contact_rest_speed", "m/s", CONTACT)]
+    load_speed: Annotated[FloatArray, Saved("contact_load_speed", "m/s", CONTACT)]  # (m,) see `ConstraintSystem`
+    dt: Annotated[float, Saved("contact_dt", "s")]  # the step for which these speeds were computed
+    # (k, 2), sorted; usually the same as ``pairs``
+    held_pairs: Annotated[IntArray, Saved("held_pairs", "", HELD, 2, is_pairs=True, repeats="pairs")]
+    # (k, 4): λ_n, λ_t; (k, 7) where the law resists rolling, with Λ
+    impulse: Annotated[FloatArray, Saved("held_impulse", "N s", HELD, 4), Saved("held_angular", "N m s", HELD, 3)]
+    kick: Annotated[float, Saved("held_kick", "s")]  # length of that kick
     sleep: SleepCheckpoint | None = None  # None where no body can sleep
     # (3,) of the piston: displacement in m, velocity in m/s, impulse of the bodies on it in N s; None without one
-    piston: FloatArray | None = None
+    piston: Annotated[FloatArray | None, Saved("piston", "", RUN, 3)] = None
 
     @property
     def highest(self) -> int:

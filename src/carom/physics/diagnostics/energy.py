@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
 
@@ -19,6 +20,7 @@ from carom.arrays import FloatArray
 from carom.physics.bodies import Bodies
 from carom.physics.diagnostics.ledger import Ledger, NamedEnergies
 from carom.physics.diagnostics.momentum import TotalMotion, internal_energy
+from carom.physics.saved import Saved
 from carom.scene.forces import GRAVITY, UNIFORM_FIELD
 
 _PULL, _FIELD = GRAVITY.potential, UNIFORM_FIELD.potential
@@ -35,14 +37,15 @@ class Energy:
     ``integration_error`` is E(t) + dissipated(t) - injected(t) - E(0), the error of the integrator alone.
     """
 
-    translational: float  # Σ ½ m v²
-    rotational: float  # Σ ½ I ω²
-    gravitational: float  # -Σ G m_i m_j / √(r_ij² + ε²)
-    field: float  # -Σ m g·x, of the uniform field
+    translational: Annotated[float, Saved("energy_translational", "J")]  # Σ ½ m v²
+    rotational: Annotated[float, Saved("energy_rotational", "J")]  # Σ ½ I ω²
+    gravitational: Annotated[float, Saved("energy_gravitational", "J")]  # -Σ G m_i m_j / √(r_ij² + ε²)
+    field: Annotated[float, Saved("energy_field", "J")]  # -Σ m g·x, of the uniform field
     ledger: Ledger
-    integration_error: float
-    scale: float  # scale of relative errors; see `EnergyAccount`
-    others: NamedEnergies = ()  # of the potentials of other forces, by their terms
+    integration_error: Annotated[float, Saved("energy_integration_error", "J")]
+    scale: Annotated[float, Saved("energy_scale", "J")]  # scale of relative errors; see `EnergyAccount`
+    # of the potentials of other forces, by their terms
+    others: Annotated[NamedEnergies, Saved("energy_", "J", is_named=True)] = ()
     rounding: float = 0.0  # J, up to which a change of the total may be rounding; 0 where the scale is far above it
 
     def term(self, name: str) -> float:

@@ -7,13 +7,14 @@ order.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Protocol
+from typing import Annotated, Protocol
 
 import numpy as np
 
 from carom.arrays import FloatArray, RecordArray
 from carom.physics.aligned import columns
 from carom.physics.jit.decorators import inline, kernel
+from carom.physics.saved import Saved
 
 RESTITUTION, FRICTION, STABILISATION = range(3)  # columns of (m, 3) arrays, J
 NamedEnergies = tuple[tuple[str, float], ...]  # J, by entry of the ledger or term of the energy; hashable
@@ -38,10 +39,12 @@ class Ledger:
     stabilisation when it enters them.
     """
 
-    restitution: float = 0.0  # removed by normal impulses
-    friction: float = 0.0  # removed by tangential impulses
-    stabilisation: float = 0.0  # added by pushing overlapping bodies apart (Baumgarte bias or split)
-    forces: NamedEnergies = ()  # removed by forces without a potential and by moving walls, by entry
+    restitution: Annotated[float, Saved("ledger_restitution", "J")] = 0.0  # removed by normal impulses
+    friction: Annotated[float, Saved("ledger_friction", "J")] = 0.0  # removed by tangential impulses
+    # added by pushing overlapping bodies apart (Baumgarte bias or split)
+    stabilisation: Annotated[float, Saved("ledger_stabilisation", "J")] = 0.0
+    # removed by forces without a potential and by moving walls, by entry
+    forces: Annotated[NamedEnergies, Saved("ledger_", "J", is_named=True)] = ()
 
     def entry(self, name: str) -> float:
         """Return an entry by its name in the recording, in joules."""

@@ -27,19 +27,7 @@ Value = float | str
 Reduce = Callable[[Chunk], Chunk]  # keeps the data of selected bodies
 Told = tuple[int, int, str, str, str]  # step, ns on the timeline, level, kind and text of an event
 
-_COMPONENTS = {  # of checkpoints and of impacts, by their units
-    "m": "position integrator_position_rest orbit_near orbit_position",
-    "m/s": "velocity approach_speed contact_rest_speed contact_load_speed integrator_velocity_rest orbit_velocity",
-    "m/s²": "acceleration integrator_accepted integrator_correction sleep_reference",
-    "rad/s": "angular_velocity",
-    "s": "time previous_dt contact_dt held_kick integrator_last_dt",
-    "J": "energy_lost",
-    "N s": "normal_impulse tangential_impulse held_impulse",
-    "N m s": "held_angular",
-}
-_UNITS = {name: unit for unit, names in _COMPONENTS.items() for name in names.split()}
-_ENERGIES = ("energy_", "ledger_")  # prefixes of names of energies in a checkpoint
-
+_OF_IMPACTS = {"approach_speed": "m/s", "energy_lost": "J", "normal_impulse": "N s", "tangential_impulse": "N s"}
 _LONG = 80  # characters of a text, above which a difference shows a part of it
 _ROW_ID = "rerun.controls.RowId"
 _ARROWS = (paths.FORCE_NORMAL, paths.FORCE_FRICTION)  # lists that begin with the largest impulses
@@ -320,7 +308,11 @@ def value_difference(step: int, path: str, name: str, recorded: pa.Array, other:
         k = int(np.abs(one.astype(np.float64) - two.astype(np.float64)).argmax())
         where = f"{'xyz'[k % 3]} (as drawn in /{path})"
         return Difference(step, np.nan, where, k // 3, one[k].item(), two[k].item(), unit="m")
-    unit = "J" if path == paths.CHECKPOINT and name.startswith(_ENERGIES) else _UNITS.get(name, "")
+    unit = _OF_IMPACTS.get(name, "")
+    if path == paths.CHECKPOINT:
+        from carom.recording.schema.checkpoint_columns import unit_of  # noqa: PLC0415 - loads Numba
+
+        unit = unit_of(name)
     unit = unit or next((series.unit for series in SERIES if series.path == path), "")
     return Difference(step, np.nan, quantity, None, one[k].item(), two[k].item(), unit=unit)
 

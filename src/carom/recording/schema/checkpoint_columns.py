@@ -16,34 +16,38 @@ from pydantic import TypeAdapter, ValidationError
 from carom.arrays import FloatArray, IntArray
 from carom.errors import RecordingError
 from carom.physics.checkpoint import Books, Checkpoint
-from carom.physics.contact.contact_checkpoint import ContactCheckpoint, SleepCheckpoint
+from carom.physics.contact.contact_checkpoint import ContactCheckpoint
 from carom.physics.diagnostics.energy import Energy
 from carom.physics.diagnostics.ledger import Ledger, NamedEnergies
 from carom.physics.frame import Frame
-from carom.physics.integrators.batch_integrator import EqualSteps, IntegratorCheckpoint, OrbitCheckpoint
+from carom.physics.saved import (
+    BODY,
+    CONTACT,
+    ENCOUNTER,
+    HELD,
+    RUN,
+    Saved,
+    all_saved,
+    first_saved,
+    may_lack,
+    saved_fields,
+    saved_parts,
+)
 from carom.recording.schema.header import LARGEST, Header
 from carom.recording.schema.paths import STEP
 
 Values = NDArray[Any] | list[str]
 Column = tuple[Values, list[int]]  # the values of all rows, and their number in each row
 
-_ENERGIES = ("translational", "rotational", "gravitational", "field", "integration_error", "scale")
-_LEDGER = ("restitution", "friction", "stabilisation")
 _DIGEST = "digest"
 _NOT_DIGESTED = (_DIGEST, STEP)  # in a clip, the step is a component, too
 _BOOKS = TypeAdapter(Books)
 _BY_NAME = ("forces", "others")  # energies by name, in JSON an object
 _IF_FOUND = ("contact_audit", "dissipation_error", "wrong_work")  # what only some runs measure or find
 _BOOKS_BYTES = 1200  # bytes as JSON
-_CONTACT_BYTES = 56  # bytes: two indices, the speed, four components of the impulse
-_INTEGRATOR = "integrator_"
-_INTEGRATOR_ARRAYS = {"position_rest": 3, "velocity_rest": 3, "accepted": 24, "correction": 24}  # numbers per body
-_ORBITS = "orbit_"
-_ORBIT_ARRAYS = {"order": 1, "near": 1, "position": 3, "velocity": 3}  # numbers per body
-_SERIES = len(EqualSteps._fields)
 _FULL = 7  # contacts per body in a dense packing, including near ones
 _PRESENT = "present"
-_OF_BODIES = ("position", "velocity", "acceleration", "orientation", "angular_velocity")
+_OF_BODIES = tuple(name for name, (first, *_) in saved_fields(Checkpoint).items() if first.per == BODY)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -87,26 +91,38 @@ def spread(found: Checkpoint, present: IntArray, bodies: int) -> PartialCheckpoi
 
 def size(frame: Frame) -> int:
     """Return the bytes of the checkpoint of a frame."""
-    memory, carried = frame.memory, frame.integrator
-    contacts = 0 if memory is None else len(memory.pairs)
-    if memory is not None and memory.sleep is not None:  # sleep adds 4 numbers per body
-        contacts += len(memory.sleep.pairs) + 32 * len(frame.position) // _CONTACT_BYTES
-    numbers = 0 if carried is None else 1 + sum(getattr(carried, name).size for name in _INTEGRATOR_ARRAYS)
-    if carried is not None and carried.orbits is not None:
-        numbers += _SERIES + sum(getattr(carried.orbits, name).size for name in _ORBIT_ARRAYS)
-    further = len(frame.energy.others) + len(frame.energy.ledger.forces)
-    return _size(len(frame.position), frame.angular_velocity is not None, contacts, further) + 8 * numbers
+    return _size_of(frame.checkpoint) + _BOOKS_BYTES
+
+
+def _size_of(part: Any) -> int:
+    """Return the bytes of an object with saved fields, and of its parts; repeated fields are not stored."""
+    numbers = {name: first for name, (first, *_) in saved_fields(type(part)).items() if not first.repeats}
+    parts = (getattr(part, name) for name in saved_parts(type(part)))
+    total = sum(_size_of(each) for each in parts if each is not None)
+    for name, first in numbers.items():
+        if (value := getattr(part, name)) is not None:
+            total += first.bytes // (first.width * first.rows) * (len(value) if first.is_named else np.size(value))
+    return total
 
 
 def largest_size(header: Header) -> int:
     """Return the bytes of a checkpoint of densely packed bodies."""
-    lasts = header.collides and len(header.forces) > 0
-    return _size(header.bodies, header.spins, _FULL * header.bodies if lasts else 0, len(header.forces))
+    contacts = _FULL * header.bodies if header.collides and header.forces else 0
+    return _largest_size(header.bodies, contacts, len(header.forces))
 
 
-def _size(bodies: int, spins: bool, contacts: int, further: int) -> int:
-    scalars = 8 * (4 + len(_ENERGIES) + len(_LEDGER) + further)
-    return 8 * bodies * (16 if spins else 9) + _CONTACT_BYTES * contacts + scalars + _BOOKS_BYTES
+def _largest_size(bodies: int, contacts: int, forces: int) -> int:
+    count = {BODY: bodies, CONTACT: contacts, HELD: contacts}
+    table = (
+        first for owner in (Checkpoint, ContactCheckpoint, Energy, Ledger) for first, *_ in saved_fields(owner).values()
+    )
+    return sum(each.bytes * count.get(each.per, 1) for each in table if not each.repeats) + 8 * forces + _BOOKS_BYTES
+
+
+def unit_of(component: str) -> str:
+    """Return the SI unit of a component; empty for pure numbers and texts."""
+    named = [each for each in all_saved(Checkpoint) if component.startswith(each.name if each.is_named else component)]
+    return next((each.unit for each in named if each.is_named or each.name == component), "")
 
 
 def encode(checkpoints: Sequence[Checkpoint]) -> dict[str, Column]:
@@ -141,27 +157,33 @@ def _row_of(checkpoint: Checkpoint) -> dict[str, Values]:
     """Return the components of a checkpoint."""
     if isinstance(checkpoint, PartialCheckpoint):
         return {**_row_of(checkpoint.among_present()), _PRESENT: checkpoint.present.astype(np.uint32)}
-    energy, ledger = checkpoint.energy, checkpoint.energy.ledger
-    arrays: dict[str, NDArray[Any] | float | None] = {
-        "position": checkpoint.position,
-        "velocity": checkpoint.velocity,
-        "acceleration": checkpoint.acceleration,
-        "time": checkpoint.time,
-        "previous_dt": checkpoint.previous_dt,
-        "orientation": checkpoint.orientation,
-        "angular_velocity": checkpoint.angular_velocity,
-    }
-    arrays |= {f"energy_{name}": energy.term(name) for name in (*_ENERGIES, *dict(energy.others))}
-    arrays |= {f"ledger_{name}": ledger.entry(name) for name in (*_LEDGER, *dict(ledger.forces))}
-    carried = checkpoint.integrator
-    if carried is not None:
-        arrays |= {_INTEGRATOR + name: getattr(carried, name) for name in ("last_dt", *_INTEGRATOR_ARRAYS)}
-        if carried.orbits is not None:
-            arrays |= {_ORBITS + name: getattr(carried.orbits, name) for name in ("series", *_ORBIT_ARRAYS)}
-    row = {name: np.asarray(array, dtype=np.float64).ravel() for name, array in arrays.items() if array is not None}
-    contacts = {} if checkpoint.contacts is None else _contacts_of(checkpoint.contacts)
     # the books as JSON, without terms that the run does not model or audit
-    return {**row, "books": [json.dumps(_plain(checkpoint.books))], **contacts}
+    return {**_components_of(checkpoint), "books": [json.dumps(_plain(checkpoint.books))]}
+
+
+def _components_of(part: Any) -> dict[str, Values]:
+    """Return the components of an object with saved fields, and of its parts."""
+    row = dict[str, Values]()
+    for name, components in saved_fields(type(part)).items():
+        value, first = getattr(part, name), components[0]
+        if value is None:
+            continue
+        if first.is_named:
+            row |= {first.name + term: np.array([energy]) for term, energy in value}
+            continue
+        if first.repeats and np.array_equal(value, getattr(part, first.repeats)):
+            value = value[:0]
+        array = np.asarray(value, dtype=np.uint32 if first.is_pairs else np.float64)
+        begin = 0
+        for each in components:
+            columns = array if len(components) == 1 else array[:, begin : begin + each.width]
+            begin += each.width
+            if columns.shape[-1:] != (0,) or each is first:
+                row[each.name] = columns.ravel()
+    for name in saved_parts(type(part)):
+        if (inner := getattr(part, name)) is not None:
+            row |= _components_of(inner)
+    return row
 
 
 def _plain(value: Any) -> Any:
@@ -182,28 +204,6 @@ def _fields_of(kind: type) -> tuple[str, ...] | None:
     return tuple(field.name for field in fields(kind)) if is_dataclass(kind) else None
 
 
-def _contacts_of(memory: ContactCheckpoint) -> dict[str, Values]:
-    # the impulses usually belong to the step's own contacts, whose pairs are then stored only once
-    own = np.array_equal(memory.held_pairs, memory.pairs)
-    found: dict[str, Values] = {
-        "contact_pairs": memory.pairs.ravel().astype(np.uint32),
-        "contact_rest_speed": memory.rest_speed,
-        "contact_load_speed": memory.load_speed,
-        "contact_dt": np.array([memory.dt]),
-        "held_pairs": (memory.held_pairs[:0] if own else memory.held_pairs).ravel().astype(np.uint32),
-        "held_impulse": memory.impulse[:, :4].ravel(),
-        "held_kick": np.array([memory.kick]),
-    }
-    if memory.impulse.shape[1] > 4:
-        found["held_angular"] = memory.impulse[:, 4:].ravel()
-    if (sleep := memory.sleep) is not None:
-        found |= {"sleep_calm": sleep.calm, "sleep_reference": sleep.reference.ravel()}
-        found |= {"sleep_pairs": sleep.pairs.ravel().astype(np.uint32), "sleep_force": sleep.force.ravel()}
-    if memory.piston is not None:
-        found["piston"] = memory.piston
-    return found
-
-
 def decode(step: int, stored: Mapping[str, NDArray[Any] | list[Any]], bodies: int) -> Checkpoint:
     """Undo `encode` for one row.
 
@@ -213,26 +213,7 @@ def decode(step: int, stored: Mapping[str, NDArray[Any] | list[Any]], bodies: in
     try:
         present = stored.get(_PRESENT)
         row = _Row(stored, bodies if present is None else len(present))
-        checkpoint = Checkpoint(
-            step=step,
-            time=row.number("time"),
-            previous_dt=row.number("previous_dt"),
-            position=row.vectors("position", 3),
-            velocity=row.vectors("velocity", 3),
-            acceleration=row.vectors("acceleration", 3),
-            orientation=row.vectors("orientation", 4) if "orientation" in stored else None,
-            angular_velocity=row.vectors("angular_velocity", 3) if "angular_velocity" in stored else None,
-            energy=Energy(
-                ledger=Ledger(
-                    **{name: row.number(f"ledger_{name}") for name in _LEDGER}, forces=row.further("ledger_", _LEDGER)
-                ),
-                **{name: row.number(f"energy_{name}") for name in _ENERGIES},
-                others=row.further("energy_", _ENERGIES),
-            ),
-            contacts=row.contacts() if "contact_pairs" in stored else None,
-            books=row.books(),
-            integrator=row.integrator() if _INTEGRATOR + "last_dt" in stored else None,
-        )
+        checkpoint: Checkpoint = row.part(Checkpoint, step=step, books=row.books())
         digested = {name: values for name, values in stored.items() if name not in _NOT_DIGESTED}
         if [int(value) for value in stored[_DIGEST]] != [_digest(digested)]:
             raise ValueError("it does not match its digest")
@@ -254,13 +235,57 @@ class _Row:
         self._stored = stored
         self._bodies = bodies
 
-    def number(self, name: str) -> float:
-        return float(self._finite(name, 1)[0])
+    def part(self, owner: type[Any], **others: Any) -> Any:
+        """Return an object with saved fields, and with ``others``."""
+        found, counts = dict[str, Any](others), {BODY: self._bodies}
+        repeated = dict[str, Saved]()
+        for name, components in saved_fields(owner).items():
+            first = components[0]
+            if first.is_named:
+                found[name] = self._named(owner, first.name)
+            elif first.name not in self._stored and name in may_lack(owner):
+                found[name] = None
+            elif first.repeats and not len(self._stored[first.name]):
+                repeated[name] = first
+            else:
+                columns = [
+                    self._values(each, counts) for each in components if each is first or each.name in self._stored
+                ]
+                found[name] = columns[0] if len(columns) == 1 else np.concatenate(columns, axis=1)
+        for name, each in repeated.items():
+            found[name] = found[each.repeats][: counts.get(each.per, 0)]
+            if len(found[name]) < counts.get(each.per, 0):
+                raise ValueError(f"{each.name} has fewer rows than there are for each {each.per}")
+        for name, part in saved_parts(owner).items():
+            found[name] = self.part(part) if first_saved(part) in self._stored else None
+        made = owner(**found)
+        if hasattr(made, "check"):
+            made.check()
+        return made
 
-    def further(self, prefix: str, known: Sequence[str]) -> NamedEnergies:
-        """Return the further components with a prefix, which not every checkpoint has, in alphabetical order."""
-        names = sorted(name.removeprefix(prefix) for name in self._stored if name.startswith(prefix))
-        return tuple((name, self.number(prefix + name)) for name in names if name not in known)
+    def _named(self, owner: type[Any], prefix: str) -> NamedEnergies:
+        """Return the energies whose components begin with a prefix and are no other field, in alphabetical order."""
+        known = {each.name for components in saved_fields(owner).values() for each in components}
+        names = sorted(name for name in self._stored if name.startswith(prefix) and name not in known)
+        return tuple((name.removeprefix(prefix), float(self._finite(name, 1)[0])) for name in names)
+
+    def _values(self, saved: Saved, counts: dict[str, int]) -> Any:
+        """Return the number or the array of a component; ``counts`` are the rows of each kind that are known."""
+        name, width = saved.name, saved.width
+        if saved.is_pairs:
+            pairs = self._pairs(name)
+            counts.setdefault(saved.per, len(pairs))
+            return pairs
+        if saved.per == RUN:
+            values = self._finite(name, width)
+            return float(values[0]) if width == 1 else values
+        count = np.asarray(self._stored[name]).size // (width * saved.rows)
+        if saved.per == ENCOUNTER and count:
+            count = self._bodies
+        values = self._finite(name, width * saved.rows * counts.setdefault(saved.per, count))
+        if saved.is_squared and np.any(np.abs(values) > LARGEST):
+            raise ValueError(f"{name} has numbers too large to be squared")
+        return values if width == 1 else values.reshape(-1, width)
 
     def books(self) -> Books:
         """Undo `_plain`."""
@@ -270,66 +295,6 @@ class _Row:
             return found | {key: tuple(value.items()) for key, value in by_name.items()}
 
         return _BOOKS.validate_python(json.loads(str(self._stored["books"][0]), object_hook=entries))
-
-    def vectors(self, name: str, width: int) -> FloatArray:
-        values = self._finite(name, width * self._bodies).reshape(self._bodies, width)
-        if np.any(np.abs(values) > LARGEST):
-            raise ValueError(f"{name} has numbers too large to be squared")
-        return values
-
-    def integrator(self) -> IntegratorCheckpoint:
-        orbits = self.orbits() if _ORBITS + "series" in self._stored else None
-        bodies = 0 if orbits is not None and len(self._stored[_INTEGRATOR + "accepted"]) == 0 else self._bodies
-        found = {
-            name: self._finite(_INTEGRATOR + name, numbers * bodies) for name, numbers in _INTEGRATOR_ARRAYS.items()
-        }
-        return IntegratorCheckpoint(
-            self.number(_INTEGRATOR + "last_dt"),
-            found["position_rest"].reshape(-1, 3),
-            found["velocity_rest"].reshape(-1, 3),
-            found["accepted"].reshape(-1, 8),
-            found["correction"].reshape(-1, 8),
-            orbits,
-        )
-
-    def orbits(self) -> OrbitCheckpoint:
-        series = EqualSteps(*self._finite(_ORBITS + "series", _SERIES).tolist())
-        found = {name: self._finite(_ORBITS + name, numbers * self._bodies) for name, numbers in _ORBIT_ARRAYS.items()}
-        if not np.array_equal(np.sort(found["order"]), np.arange(self._bodies)):
-            raise ValueError(f"{_ORBITS}order is not an order of the bodies")
-        if series.phase not in (0.0, 1.0, 2.0) or series.steps < 0.0 or series.limit not in (0.0, 1.0, 2.0):
-            raise ValueError(f"{_ORBITS}series is not a series of equal steps")
-        x, v = found["position"].reshape(-1, 3), found["velocity"].reshape(-1, 3)
-        return OrbitCheckpoint(series, found["order"], found["near"], x, v)
-
-    def contacts(self) -> ContactCheckpoint:
-        pairs = self._pairs("contact_pairs")
-        impulse = self._finite("held_impulse")
-        held = self._pairs("held_pairs")
-        held = held if len(held) else pairs[: len(impulse) // 4]
-        if impulse.size != 4 * len(held):
-            raise ValueError(f"{impulse.size // 4} impulses for {len(held)} contacts")
-        angular = np.empty((len(held), 0))
-        if "held_angular" in self._stored:
-            angular = self._finite("held_angular", 3 * len(held)).reshape(-1, 3)
-        return ContactCheckpoint(
-            pairs=pairs,
-            rest_speed=self._finite("contact_rest_speed", len(pairs)),
-            load_speed=self._finite("contact_load_speed", len(pairs)),
-            dt=self.number("contact_dt"),
-            held_pairs=held,
-            impulse=np.concatenate((impulse.reshape(-1, 4), angular), axis=1),
-            kick=self.number("held_kick"),
-            sleep=self.sleep() if "sleep_calm" in self._stored else None,
-            piston=self._finite("piston", 3) if "piston" in self._stored else None,
-        )
-
-    def sleep(self) -> SleepCheckpoint:
-        pairs = self._pairs("sleep_pairs")
-        force = self._finite("sleep_force", 4 * len(pairs)).reshape(-1, 4)
-        return SleepCheckpoint(
-            self._finite("sleep_calm", self._bodies), self.vectors("sleep_reference", 3), pairs, force
-        )
 
     def _pairs(self, name: str) -> IntArray:
         pairs = np.ascontiguousarray(np.asarray(self._stored[name], dtype=np.int64).reshape(-1, 2))

@@ -205,7 +205,7 @@ class WisdomHolman:
         orbits, run, radau = self._orbits, self._run[0], self._radau.checkpoint
         series = EqualSteps(self._phase, run["start"], run["count"], run["dt"], LIMITS.index(self._limit))
         copies = (orbits.order.astype(np.float64), orbits.near.copy(), orbits.x.copy(), orbits.v.copy())
-        own = OrbitCheckpoint(series, *copies)
+        own = OrbitCheckpoint(np.array(series), *copies)
         if self._phase == CLOSE:
             return replace(radau, orbits=own)
         nothing, no_rows = np.empty((0, 3)), np.empty((0, 8))
@@ -217,7 +217,7 @@ class WisdomHolman:
         if checkpoint is None or checkpoint.orbits is None:
             return
         own, orbits, run = checkpoint.orbits, self._orbits, self._run[0]
-        series = own.series
+        series = EqualSteps(*own.series.tolist())
         run["start"], run["count"], run["dt"] = series.start, series.steps, series.dt
         self._phase, self._limit = int(series.phase), LIMITS[int(series.limit)]
         self._set_order(own.order.astype(np.int64), own.near)

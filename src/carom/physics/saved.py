@@ -1,0 +1,80 @@
+"""How checkpoints store the fields of a state: the rows of one table, each beside the field that it stores.
+
+A field ``calm: Annotated[FloatArray, Saved("sleep_calm", "s", BODY)]`` of a class that belongs to `Checkpoint` is
+encoded, decoded, validated, digested and counted by this row (`recording/schema/checkpoint_columns.py`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Iterator
+from dataclasses import dataclass
+from functools import cache
+from types import NoneType
+from typing import Any, cast, get_args, get_type_hints
+
+# what has rows of a field; outside of close encounters, no body has rows of `ENCOUNTER`
+RUN, BODY, ENCOUNTER, CONTACT, HELD, SLEEPING = "run", "body", "encounter", "contact", "held", "sleeping"
+
+
+@dataclass(frozen=True, slots=True)
+class Saved:
+    """One component of a checkpoint. A field with two has columns of both; the second may be absent."""
+
+    name: str  # of the component; of energies by name, its beginning
+    unit: str = ""  # in SI; empty for pure numbers
+    per: str = RUN
+    width: int = 1  # numbers in a row
+    rows: int = 1  # rows for each `per`
+    is_pairs: bool = False  # whether a row names the two ends of a contact, in ascending order
+    is_squared: bool = False  # whether steps square the numbers, which therefore have a bound
+    is_named: bool = False  # whether these are energies by name, each a component
+    repeats: str = ""  # field that it usually equals; it is then stored without rows
+
+    @property
+    def bytes(self) -> int:
+        """Bytes of the rows for each `per`; the numbers of ends have 32 bits."""
+        return (4 if self.is_pairs else 8) * self.width * self.rows
+
+
+def saved_fields(owner: Any) -> dict[str, tuple[Saved, ...]]:
+    """Return the components of each saved field of a class, by the name of the field."""
+    return _table(owner)[0]
+
+
+def saved_parts(owner: Any) -> dict[str, type[Any]]:
+    """Return the classes with saved fields that a class consists of, by the name of the field; it may be None."""
+    return _table(owner)[1]
+
+
+def may_lack(owner: Any) -> set[str]:
+    """Return the names of the fields that may be None."""
+    return _table(owner)[2]
+
+
+def first_saved(owner: Any) -> str:
+    """Return the name of a component that a checkpoint has if and only if it has this part."""
+    return next(iter(saved_fields(owner).values()))[0].name
+
+
+def all_saved(owner: Any) -> Iterator[Saved]:
+    """Yield all components of a class and of its parts."""
+    for components in saved_fields(owner).values():
+        yield from components
+    for part in saved_parts(owner).values():
+        yield from all_saved(part)
+
+
+@cache
+def _table(owner: Hashable) -> tuple[dict[str, tuple[Saved, ...]], dict[str, type[Any]], set[str]]:
+    components, parts, optional = dict[str, tuple[Saved, ...]](), dict[str, type[Any]](), set[str]()
+    for name, hint in get_type_hints(cast(type, owner), include_extras=True).items():
+        found = tuple(each for each in get_args(hint) if isinstance(each, Saved))
+        values = get_args(get_args(hint)[0] if found else hint)  # of a union
+        kind: Any = next((each for each in values if each is not NoneType), hint)
+        if found:
+            components[name] = found
+        elif hasattr(kind, "__dataclass_fields__") and saved_fields(kind):
+            parts[name] = kind
+        if NoneType in values:
+            optional.add(name)
+    return components, parts, optional
