@@ -36,8 +36,7 @@ from carom.physics.space import Space
 from carom.physics.vector import minimum_images
 from carom.plan.auto import integrator
 from carom.scene.integrators import INTEGRATORS
-from carom.scene.load import scene_from_text
-from carom.scene.schema import Scene
+from carom.scene.load import Scene, scene_from_text
 from impact_reference import Solution, solve
 
 FloatArray = NDArray[np.float64]

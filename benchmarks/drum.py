@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from carom.physics.space import Space
-from carom.scene.schema import Scene
+from carom.scene.load import Scene
 from heap import FRICTION, RADIUS, RATE, SPACING, TURN, lattice
 from measurement import merge
 

@@ -32,7 +32,7 @@ from numpy.typing import NDArray
 
 from carom.physics.schedule import at
 from carom.physics.space import Space
-from carom.scene.schema import Scene
+from carom.scene.load import Scene
 
 FloatArray = NDArray[np.float64]
 

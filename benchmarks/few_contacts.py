@@ -20,7 +20,7 @@ import mujoco
 from carom.physics.jit.decorators import compiling_all
 from carom.physics.schedule import at
 from carom.physics.space import Space
-from carom.scene.schema import Scene
+from carom.scene.load import Scene
 from measurement import medians, save
 
 DT, STEPS, SINGLE = 1e-3, 2000, 200

@@ -15,8 +15,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from carom.physics.space import Space
-from carom.scene.load import load_scene
-from carom.scene.schema import Scene
+from carom.scene.load import Scene, load_scene
 from heap import SETTINGS, in_carom
 from measurement import medians, merge
 from step import in_open_space

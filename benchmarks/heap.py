@@ -24,7 +24,7 @@ import robox3d
 from numpy.typing import NDArray
 
 from carom.physics.space import Space
-from carom.scene.schema import Scene
+from carom.scene.load import Scene
 from measurement import merge
 
 FloatArray = NDArray[np.float64]

@@ -19,8 +19,8 @@ import rebound
 from numpy.typing import NDArray
 
 from carom.physics.space import Space
+from carom.scene.load import Scene
 from carom.scene.matter import pair_coefficients
-from carom.scene.schema import Scene
 from carom.scene.start import half_spaces
 
 FloatArray = NDArray[Any]

@@ -18,7 +18,7 @@ from carom.lab.tradeoff.reference import scale_of
 from carom.physics.space import Space
 from carom.plan.auto import pull_fraction
 from carom.scene.integrators import INTEGRATORS
-from carom.scene.schema import Scene
+from carom.scene.load import Scene
 
 SEEDS = range(1, 9)
 COUNTS = (2, 3, 5, 8, 10, 14, 20)

@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 
 import carom
-from carom.scene.schema import Scene
+from carom.scene.load import Scene
 from measurement import forget_peak, merge, peak_megabytes
 
 SIZES = [10**k for k in range(2, 8)]

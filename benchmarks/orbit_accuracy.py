@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from carom.physics.schedule import at
 from carom.physics.space import Space
-from carom.scene.schema import Scene
+from carom.scene.load import Scene
 
 ROOT = Path(__file__).parent
 ECCENTRICITIES = (0.0, 0.3, 0.6, 0.9)

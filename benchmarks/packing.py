@@ -17,7 +17,7 @@ import numpy as np
 
 from carom.physics.placement import place
 from carom.physics.placement.neighbours import overlapping_pairs
-from carom.scene.schema import Scene
+from carom.scene.load import Scene
 from measurement import merge
 
 SIZES, PACKINGS = [1000, 10_000, 100_000], [0.3, 0.4, 0.5, 0.6]

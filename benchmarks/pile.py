@@ -13,8 +13,8 @@ import time
 from typing import Any
 
 from carom.physics.space import Space
+from carom.scene.load import Scene
 from carom.scene.scene_file import extreme_scenes
-from carom.scene.schema import Scene
 from measurement import save
 
 CONTENDERS = (("staged", 8), ("staged", 100), ("lasting", 2), ("lasting", 8), ("lasting", 32))

@@ -45,8 +45,8 @@ from carom.recording.write.recorder import FrameRecorder  # noqa: E402
 from carom.recording.write.rerun_compat import rerun_chunks  # noqa: E402
 from carom.runs import run as experiment  # noqa: E402
 from carom.runs.run import Outcome, header_of, recording_space, simulate  # noqa: E402
+from carom.scene.load import Scene  # noqa: E402
 from carom.scene.scene_file import bundled_scenes  # noqa: E402
-from carom.scene.schema import Scene  # noqa: E402
 from measurement import merge  # noqa: E402
 
 ROUNDS = 7

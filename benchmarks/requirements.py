@@ -32,7 +32,7 @@ WORKER = """
 import json, sys, time
 from carom.physics.checkpoint import fingerprint
 from carom.physics.space import Space
-from carom.scene.schema import Scene
+from carom.scene.load import Scene
 space = Space(Scene.from_dict(json.loads(sys.stdin.readline())), 1)
 moving = (space.state.position, space.state.velocity)
 for line in sys.stdin:

@@ -16,7 +16,7 @@ from carom.errors import ExperimentError
 from carom.lab.shrink.condition import condition_from
 from carom.lab.shrink.literal import commented
 from carom.lab.shrink.reducer import Reducer
-from carom.scene.schema import Scene
+from carom.scene.load import Scene
 from patched_faults import FAULTS, Fault
 
 RESULTS = Path(__file__).parent / "results" / "shrink.json"

@@ -29,7 +29,7 @@ from carom.recording.rrd.container import Container  # noqa: E402
 from carom.recording.write import recorder as recorders  # noqa: E402
 from carom.recording.write import stream as streams  # noqa: E402
 from carom.runs.run import header_of, recording_space  # noqa: E402
-from carom.scene.schema import Scene  # noqa: E402
+from carom.scene.load import Scene  # noqa: E402
 from measurement import save  # noqa: E402
 
 FRAMES = 10.0  # a second

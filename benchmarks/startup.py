@@ -14,7 +14,7 @@ from pathlib import Path
 
 FIRST_STEP = """
 import time; began = time.perf_counter()
-from carom.scene.schema import Scene
+from carom.scene.load import Scene
 from carom.runs.run import simulate
 from carom.physics.space import Space
 space = Space(Scene.load("cloud-collapse"))

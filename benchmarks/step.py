@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from carom.physics.jit.decorators import long_kernel
 from carom.physics.jit.team import Team
 from carom.physics.space import Space
-from carom.scene.schema import Scene
+from carom.scene.load import Scene
 from carom.scene.start import InitialBodies
 from measurement import forget_peak, medians, peak_megabytes, save
 

@@ -18,8 +18,8 @@ from typer.main import get_command
 
 from carom.cli.main import app
 from carom.cli.stress import extremes
+from carom.scene.load import Scene
 from carom.scene.scene_file import bundled_scenes
-from carom.scene.schema import Scene
 from carom.scene.schema.scene import know_installed_parts
 
 know_installed_parts()  # otherwise known once a scene is read

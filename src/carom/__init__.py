@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from carom.runs.resume import resume as resume
     from carom.runs.run import run as run
     from carom.runs.window import rerun as rerun
-    from carom.scene.schema import Scene as Scene
+    from carom.scene.load import Scene as Scene
 
     __version__: str
 
@@ -37,7 +37,7 @@ __all__ += ["replay", "rerun", "resume", "run", "show", "view"]
 _HOMES = {
     "Frame": "carom.physics.frame",
     "Recording": "carom.recording.read.recording",
-    "Scene": "carom.scene.schema",
+    "Scene": "carom.scene.load",
     "Space": "carom.physics.space",
     "replay": "carom.runs.replay",
     "rerun": "carom.runs.window",

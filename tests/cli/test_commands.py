@@ -14,8 +14,8 @@ import pytest
 
 from carom.recording.read.recorded_impacts import RecordedImpacts
 from carom.recording.read.recording import Recording
+from carom.scene.load import Scene
 from carom.scene.parts import unknown
-from carom.scene.schema import Scene
 from carom.sharing.report import worst_moment
 from carom_command import carom, carom_process
 

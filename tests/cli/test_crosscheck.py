@@ -12,8 +12,8 @@ import pytest
 from carom.lab.crosscheck.crosscheck import Crosscheck, CrosscheckTask, Followed, Runs
 from carom.lab.engines import engines_called
 from carom.recording.read.recording import Recording
+from carom.scene.load import Scene
 from carom.scene.scene_file import crosscheck_scenes
-from carom.scene.schema import Scene
 from carom_command import carom
 
 pytestmark = [

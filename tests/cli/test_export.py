@@ -16,7 +16,7 @@ from carom.recording.read.recording import Recording
 from carom.runs.recomputed import snapshots
 from carom.runs.window import rerun
 from carom.scene.data.body_columns import BodyColumns
-from carom.scene.schema import Scene
+from carom.scene.load import Scene
 from carom_command import carom
 from data_scenes import scene_of
 

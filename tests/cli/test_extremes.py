@@ -16,7 +16,7 @@ from carom.errors import SceneError
 from carom.physics.simulation import StepStatus
 from carom.physics.space import Space
 from carom.runs.outcome import judge
-from carom.scene.schema import Scene
+from carom.scene.load import Scene
 from small_scenes import cloud
 
 SLOW = (

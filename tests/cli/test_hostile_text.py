@@ -15,7 +15,7 @@ from rich.text import Text
 from carom import run as carom_run
 from carom.recording.rrd.framing import CHUNK
 from carom.recording.rrd.messages import decode
-from carom.scene.schema import Scene
+from carom.scene.load import Scene
 from carom.scene.wording import escaped
 from carom.terminal.console import Terminal
 from carom_command import carom

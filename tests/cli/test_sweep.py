@@ -15,8 +15,7 @@ from carom.cli.main import run_command
 from carom.physics.space import Space
 from carom.recording.read.recording import Recording
 from carom.runs.run import simulate
-from carom.scene.load import scene_from_text
-from carom.scene.schema import Scene
+from carom.scene.load import Scene, scene_from_text
 from carom_command import carom, carom_process
 from sweep_runs import fingerprints, manifest, write_scene
 

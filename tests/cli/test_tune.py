@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from carom.scene.schema import Scene
+from carom.scene.load import Scene
 from carom_command import carom
 from small_scenes import cloud, pair
 

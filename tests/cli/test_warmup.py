@@ -13,7 +13,7 @@ from numba.core.dispatcher import Dispatcher
 
 import carom
 from carom.runs.warmup import warm_up
-from carom.scene.schema import Scene
+from carom.scene.load import Scene
 from other_processor import OtherProcessor, environment_of
 
 PLAIN = {f"taylor.{name}_one_by_one" for name in ("_attract", "_attract_bodies", "_evaluate")}  # of CAROM_PLAIN=1 only

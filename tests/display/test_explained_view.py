@@ -20,7 +20,7 @@ from carom.recording.layout.drawing import REACH, magnitude_at, part_of_longest
 from carom.recording.read.recorded_scene import header_of_recording
 from carom.recording.read.recording import Recording
 from carom.recording.schema import palette, paths
-from carom.scene.schema import Scene
+from carom.scene.load import Scene
 
 
 @pytest.fixture(scope="module")

@@ -21,8 +21,8 @@ from carom.recording.read.recording import Recording
 from carom.recording.schema import paths
 from carom.recording.schema.series import recorded
 from carom.scene.forces import FORCES
+from carom.scene.load import Scene
 from carom.scene.scene_file import bundled_scenes
-from carom.scene.schema import Scene
 from carom.scene.units.dimension import OF_UNIT
 from small_scenes import scene_of
 

@@ -22,7 +22,7 @@ from carom.recording.read.recorded_scene import header_of_recording
 from carom.recording.read.recording import Recording
 from carom.recording.schema import paths
 from carom.recording.write.rows import Rows
-from carom.scene.schema import Scene
+from carom.scene.load import Scene
 from small_scenes import pair, scene_of
 
 

@@ -11,7 +11,7 @@ from carom.display.picture import render
 from carom.display.request import Request
 from carom.recording.layout import drawing
 from carom.recording.schema import palette
-from carom.scene.schema import Scene
+from carom.scene.load import Scene
 from needs import PICTURES
 from picture_pixels import Pixels, of_colour, of_hue, view
 

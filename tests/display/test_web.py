@@ -30,7 +30,7 @@ from carom.display.viewer import binary
 from carom.display.web import Hosted, hosted
 from carom.errors import RecordingError
 from carom.recording.read.recording import Recording
-from carom.scene.schema import Scene
+from carom.scene.load import Scene
 from needs import BROWSER
 from other_user import as_root, run_as_nobody
 

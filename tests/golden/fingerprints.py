@@ -34,9 +34,8 @@ from carom.physics.frame import Frame
 from carom.physics.schedule import every
 from carom.physics.space import Space
 from carom.scene.data.body_sources import DataFiles
-from carom.scene.load import scene_from_dict
+from carom.scene.load import Scene, scene_from_dict
 from carom.scene.scene_file import bundled_scenes, extreme_scenes
-from carom.scene.schema import Scene
 
 HERE = Path(__file__).parent
 STORED = HERE / "fingerprints.json"

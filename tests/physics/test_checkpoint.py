@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from carom.physics.frame import Frame
 from carom.physics.schedule import every
 from carom.physics.space import Space
-from carom.scene.schema import Scene
+from carom.scene.load import Scene
 from scene_strategies import documents, scene_from
 from small_scenes import cloud
 

@@ -9,7 +9,7 @@ import pytest
 
 import carom
 from carom.physics.space import Space
-from carom.scene.schema import Scene
+from carom.scene.load import Scene
 from small_scenes import scene_of
 
 G = [4.905, 0.0, -8.4957]  # m/s², 9.81 m/s² inclined by 30 degrees

@@ -18,7 +18,7 @@ from carom.physics.frame import Frame
 from carom.physics.jit.decorators import WORTH_COMPILING, compiling_all
 from carom.physics.schedule import Schedule, every
 from carom.physics.space import Space
-from carom.scene.schema import Scene
+from carom.scene.load import Scene
 
 
 def one_by_one(schedule: Schedule) -> Schedule:

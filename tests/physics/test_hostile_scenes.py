@@ -14,7 +14,7 @@ import pytest
 import hostile_scenes
 from carom.errors import PhysicsError
 from carom.physics.space import Space
-from carom.scene.schema import Scene
+from carom.scene.load import Scene
 
 HANG = 600.0  # s; a scene that computes for a minute ends its process, so this is one that waits for ever
 

@@ -13,8 +13,8 @@ from carom.errors import SceneError
 from carom.physics.contact.broad_phase.grid import HierarchicalGrid
 from carom.physics.placement.neighbours import overlapping_pairs, squared_distance
 from carom.physics.space import Space
+from carom.scene.load import Scene
 from carom.scene.portable_math import ENDLESS
-from carom.scene.schema import Scene
 from small_scenes import scene_of
 
 FALLS = {"constant": 0.0, "uniform": [0.0, 0.0, -9.81]}

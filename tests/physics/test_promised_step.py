@@ -6,8 +6,7 @@ import pytest
 
 from carom.physics.space import Space
 from carom.plan.auto import step_limits
-from carom.scene.load import scene_from_text
-from carom.scene.schema import Scene
+from carom.scene.load import Scene, scene_from_text
 
 HORIZON = 0.1  # s
 # a ball that slides on a floor, and one that bounces on it, with steps 4 times shorter than those between frames

@@ -16,8 +16,8 @@ from carom.lab.hunt.documents import Document
 from carom.physics.frame import Frame
 from carom.physics.space import Space
 from carom.plan.features import require
+from carom.scene.load import Scene
 from carom.scene.parts import PARTS
-from carom.scene.schema import Scene
 from scene_strategies import documents, scene_from
 from small_scenes import cloud, pair, scene_of
 
@@ -146,7 +146,7 @@ def test_frames_do_not_have_what_is_not_required() -> None:
 KERNELS = """
 import json, sys
 from carom.physics.space import Space
-from carom.scene.schema import Scene
+from carom.scene.load import Scene
 space = Space(Scene.from_dict(json.loads(sys.argv[1])))
 for frame in space.run():
     if frame.step >= 20:

@@ -19,7 +19,7 @@ from carom.physics.frame import Frame
 from carom.physics.space import Space
 from carom.recording.export.extended_xyz import write_extended_xyz
 from carom.runs.recomputed import snapshots
-from carom.scene.schema import Scene
+from carom.scene.load import Scene
 from small_scenes import scene_of
 
 SIZE = np.array([5.0, 4.0, 6.0])  # m

@@ -20,7 +20,7 @@ from carom.physics.frame import Frame
 from carom.physics.space import Space
 from carom.physics.step_rule import LIMIT_NAMES
 from carom.scene.integrators import INTEGRATORS
-from carom.scene.schema import Scene
+from carom.scene.load import Scene
 from carom.scene.schema.settings import LARGEST_ACCURACY
 from seeds import examples
 from small_scenes import cloud, momentum_of, pair, scene_of

@@ -16,7 +16,8 @@ from carom.physics.step import KickDriftStepper
 from carom.physics.step_rule import BODIES_PER_BLOCK, step_of_largest
 from carom.physics.time_step import MIN_SHARED_BLOCKS, Timestep
 from carom.plan.auto import PAIRS_UP_TO, StepLimits
-from carom.scene.schema import Scene, Time
+from carom.scene.load import Scene
+from carom.scene.schema import Time
 from small_scenes import kinetic_energy_of, random_bodies
 
 NO_FIELD = np.zeros(3)

@@ -9,9 +9,8 @@ import pytest
 
 from carom.errors import SceneError
 from carom.plan.checks import doubts, refuse_impossible
-from carom.scene.load import scene_from_text
+from carom.scene.load import Scene, scene_from_text
 from carom.scene.scene_file import bundled_scenes, extreme_scenes
-from carom.scene.schema import Scene
 
 STILL: dict[str, Any] = {"gravity": {"constant": 0}, "body": [{"mass": 2.0, "radius": 0.1}]}
 

@@ -28,8 +28,9 @@ from carom.plan.auto import (
 from carom.plan.checks import refuse_impossible
 from carom.plan.features import require
 from carom.scene.forces import FORCES, ForceKind
+from carom.scene.load import Scene
 from carom.scene.parts import PARTS
-from carom.scene.schema import Promise, Scene
+from carom.scene.schema import Promise
 from carom.scene.wording import suggestion
 from small_scenes import cloud, pair, scene_of
 

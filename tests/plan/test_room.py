@@ -18,7 +18,7 @@ from carom.physics.placement.initial_state import place
 from carom.plan import room
 from carom.plan.room import LEAST_BODIES, refuse_small_disk, refuse_small_memory, usable_memory
 from carom.runs.estimate import estimate
-from carom.scene.schema import Scene
+from carom.scene.load import Scene
 
 GB = 10**9
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from carom.physics.space import Space
-from carom.scene.schema import Scene
+from carom.scene.load import Scene
 from small_scenes import scene_of
 
 

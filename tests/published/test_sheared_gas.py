@@ -29,7 +29,7 @@ from carom.lab.statistics.motion_statistics import measure_free_paths, measure_s
 from carom.lab.statistics.structure_statistics import measure_pair_correlation
 from carom.physics.placement.initial_state import place
 from carom.physics.space import Space
-from carom.scene.schema import Scene
+from carom.scene.load import Scene
 
 pytestmark = pytest.mark.slow  # seconds each
 

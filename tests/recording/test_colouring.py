@@ -16,7 +16,7 @@ from carom.recording.schema import palette, paths
 from carom.recording.schema.paths import STEP
 from carom.recording.write.encoder import graph_colours
 from carom.runs.replay import replay
-from carom.scene.schema import Scene
+from carom.scene.load import Scene
 from small_scenes import cloud
 
 PAIRS = np.array([[0, 1], [1, 2], [3, 4], [5, 7]])  # of 7 bodies: 7 is a plane

@@ -18,7 +18,7 @@ from carom.recording.read.recording import Recording
 from carom.recording.schema import palette, paths
 from carom.recording.schema.header import ShownMaterials
 from carom.runs.replay import replay
-from carom.scene.schema import Scene
+from carom.scene.load import Scene
 from carom.scene.schema.contact import COLOURS
 from carom_command import carom as command
 from small_scenes import scene_of

@@ -17,7 +17,7 @@ from carom.recording.read.recording import Recording
 from carom.recording.rrd.framing import CHUNK, END
 from carom.recording.rrd.messages import RECORDING, decode
 from carom.runs.replay import CHOICE, replay
-from carom.scene.schema import Scene
+from carom.scene.load import Scene
 from edited_recordings import (
     Change,
     assembled,

@@ -20,8 +20,8 @@ from carom.recording.read.recording import Recording
 from carom.recording.schema.series import contents
 from carom.runs.estimate import MARKS, Estimate, _first_frames, estimate, estimate_steps, flight_seconds
 from carom.runs.run import header_of, recording_space, run
+from carom.scene.load import Scene
 from carom.scene.parts import PARTS
-from carom.scene.schema import Scene
 from small_scenes import cloud, pair, scene_of
 
 SMOOTH = {"static_friction": 0}

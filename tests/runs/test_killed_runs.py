@@ -13,7 +13,7 @@ from carom.recording.read.recording import Recording
 from carom.recording.rrd.framing import END, messages
 from carom.recording.write import recorder
 from carom.runs.replay import Replay, replay
-from carom.scene.schema import Scene
+from carom.scene.load import Scene
 
 
 def judged(path: Path) -> Replay | str:

@@ -11,7 +11,7 @@ from carom.errors import SceneError
 from carom.recording.read.recorded_scene import recorded_scene
 from carom.runs.replay import replay
 from carom.runs.resume import continue_run, resumable_run
-from carom.scene.schema import Scene
+from carom.scene.load import Scene
 from carom.sharing.report import report
 
 

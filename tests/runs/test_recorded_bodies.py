@@ -25,7 +25,7 @@ from carom.runs.environment import versions
 from carom.runs.recomputed import snapshots
 from carom.runs.replay import replay
 from carom.runs.resume import continue_run, resumable_run
-from carom.scene.schema import Scene
+from carom.scene.load import Scene
 from carom.scene.wording import literal
 from carom.sharing.report import report
 from carom_command import carom as carom_command

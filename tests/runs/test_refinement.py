@@ -10,7 +10,7 @@ import pytest
 import carom
 from carom.recording.read.recording import Recording
 from carom.runs.refinement import Refinement, refine
-from carom.scene.schema import Scene
+from carom.scene.load import Scene
 from small_scenes import pair, scene_of
 
 FEW = 20  # instants

@@ -25,8 +25,8 @@ from carom.recording.schema import checkpoint_columns, paths
 from carom.recording.schema.header import scene_digest
 from carom.runs.replay import INTERVAL, replay
 from carom.runs.run import simulate
+from carom.scene.load import Scene
 from carom.scene.scene_file import bundled_scenes
-from carom.scene.schema import Scene
 from carom.scene.units.system import UnitSystem
 from edited_recordings import changed, mapped
 from other_processor import OtherProcessor

@@ -23,7 +23,7 @@ from carom.recording.edit.repair import repair
 from carom.recording.read.recording import Recording
 from carom.runs.resume import claimed_target, continue_run, resumable_run
 from carom.runs.run import recording_space, simulate
-from carom.scene.schema import Scene
+from carom.scene.load import Scene
 from small_scenes import bundled, cloud, two_planets
 
 LONG = (  # a tenth of the duration takes the same path

@@ -27,9 +27,8 @@ from carom.recording.write.encoder import BatchEncoder
 from carom.runs.outcome import judge
 from carom.runs.resume import resumable_run
 from carom.runs.run import Outcome, recording_of, recording_space, simulate
-from carom.scene.load import scene_from_text
+from carom.scene.load import Scene, scene_from_text
 from carom.scene.scene_file import bundled_scenes
-from carom.scene.schema import Scene
 from small_scenes import cloud, pair
 
 

@@ -15,8 +15,8 @@ from pydantic.fields import FieldInfo
 
 from carom.scene.conversion import parts_of
 from carom.scene.format_page import FILE, MARK, page, schema_text, without_schema_line
+from carom.scene.load import Scene
 from carom.scene.scene_file import bundled_scenes, extreme_scenes
-from carom.scene.schema import Scene
 from carom.scene.schema.body import Columns
 from carom.scene.units.dimension import DIMENSIONS, OF_UNIT, Dimension
 

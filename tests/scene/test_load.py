@@ -15,9 +15,8 @@ import pytest
 from carom.errors import SceneError
 from carom.physics.placement import place
 from carom.plan.checks import refuse_impossible
-from carom.scene.load import scene_from_text
+from carom.scene.load import Scene, scene_from_text
 from carom.scene.scene_file import bundled_scenes, starter
-from carom.scene.schema import Scene
 
 ONE_BODY = "[[body]]\nradius = 1.0\n"
 

@@ -10,8 +10,7 @@ import pytest
 import carom
 from carom.errors import SceneError
 from carom.runs.replay import replay
-from carom.scene.load import OldNameWarning
-from carom.scene.schema import Scene
+from carom.scene.load import OldNameWarning, Scene
 from carom_command import carom as command
 
 BODY = "[[body]]\nradius = 1.0\n"

@@ -16,7 +16,7 @@ ULP = 2.0**-52
 PLACE = """
 import hashlib
 from carom.physics.placement import place
-from carom.scene.schema import Scene
+from carom.scene.load import Scene
 
 for radius in ({"distribution": "log-uniform"}, {"distribution": "power-law", "exponent": -3.5}):
     group = {"count": 500, "radius": {"min": 0.01, "max": 0.1, **radius}}

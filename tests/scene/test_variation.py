@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from carom.errors import SceneError
-from carom.scene.schema import Scene
+from carom.scene.load import Scene
 from carom.scene.variation import combinations, override, values_of
 
 

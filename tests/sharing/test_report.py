@@ -18,7 +18,7 @@ from carom.event import Event
 from carom.recording.edit import bundle
 from carom.recording.read.recording import Recording
 from carom.runs.replay import replay
-from carom.scene.schema import Scene
+from carom.scene.load import Scene
 from carom.scene.wording import command_of_a_file, escaped
 from carom.sharing import report as reports
 from carom.sharing.report import Report, report, worst_moment

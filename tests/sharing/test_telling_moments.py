@@ -10,8 +10,8 @@ import pytest
 import carom
 from carom.recording.read.recording import Recording
 from carom.runs.outcome import description, problems
+from carom.scene.load import Scene
 from carom.scene.scene_file import starter
-from carom.scene.schema import Scene
 from carom.sharing.publish import telling_moments
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from carom.errors import SceneError
-from carom.scene.schema import Scene
+from carom.scene.load import Scene
 
 SAMPLES = Path(__file__).parents[1] / "scene" / "data" / "samples"  # files as people have them
 

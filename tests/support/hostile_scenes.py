@@ -21,9 +21,8 @@ from carom.physics.space import Space
 from carom.plan.checks import refuse_impossible
 from carom.runs.warmup import warm_up
 from carom.scene.integrators import AUTO, INTEGRATORS
-from carom.scene.load import scene_from_text
+from carom.scene.load import Scene, scene_from_text
 from carom.scene.scene_file import bundled_scenes
-from carom.scene.schema import Scene
 
 MEMORY = 3 * 2**30  # bytes that the process may take besides what it has when it begins
 SLOWEST = 60  # s of CPU for one scene, after which its process ends; the slowest seen took 10

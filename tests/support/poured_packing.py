@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from carom.physics.space import Space
-from carom.scene.schema import Scene
+from carom.scene.load import Scene
 
 FloatArray = NDArray[np.float64]
 

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from hypothesis.strategies import DrawFn
 
 from carom.lab.hunt.documents import DIRECTIONS, QUARTERS, Document, impacts, meeting, smooth
-from carom.scene.schema import Scene
+from carom.scene.load import Scene
 
 Value = TypeVar("Value")
 

@@ -14,9 +14,9 @@ from carom.physics.contact.graph import colour_contacts, solve_order_of
 from carom.physics.contact.law import materials_of
 from carom.physics.contact.solver.contact_solver import ContactSolver
 from carom.physics.jit.team import Team
+from carom.scene.load import Scene
 from carom.scene.matter import PairCoefficients
 from carom.scene.scene_file import bundled_scenes
-from carom.scene.schema import Scene
 from carom.scene.schema.contact import Sweeps
 from carom.scene.start import HalfSpaces, InitialBodies
 

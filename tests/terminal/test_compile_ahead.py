@@ -16,7 +16,7 @@ from carom.physics import jit as parallel
 from carom.physics.jit import cores
 from carom.physics.space import Space
 from carom.runs.warmup import SCENES
-from carom.scene.schema import Scene
+from carom.scene.load import Scene
 from carom.terminal import compilation
 from other_processor import OtherProcessor, written
 
@@ -26,7 +26,7 @@ RUN = f"""
 import json
 from numba.core import event
 from carom.physics.space import Space
-from carom.scene.schema import Scene
+from carom.scene.load import Scene
 
 class Listener(event.Listener):
     def __init__(self):

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from carom.recording.read.recording import Recording
-from carom.scene.schema import Scene
+from carom.scene.load import Scene
 from carom.terminal.progress import RunProgress
 from carom_command import carom
 

@@ -58,7 +58,7 @@ def run(
 ) -> None:
     """Simulate a scene and record it to an .rrd file."""
     helped = start_on_a_new_installation() is not None
-    from carom.scene.schema import Scene
+    from carom.scene.load import Scene
 
     changes = list(overrides or [])
     if check_every is not None:
@@ -303,7 +303,7 @@ def warmup(scenes: ScenesArgument = None, as_json: JsonOption = False) -> None:
     from dataclasses import asdict
 
     from carom.runs.warmup import warm_up
-    from carom.scene.schema import Scene
+    from carom.scene.load import Scene
 
     loaded = [Scene.load(scene) for scene in scenes or []]
     if not as_json:

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from carom.runs.estimate import Cost, EntityCost
-    from carom.scene.schema import Scene
+    from carom.scene.load import Scene
 
 
 _SCHEMA = "Print the JSON schema of scene files, for editors."
@@ -29,8 +29,8 @@ def scenes(
     as_json: Annotated[bool, typer.Option("--json", help="Print the list as JSON.")] = False,
 ) -> None:
     """List the bundled scenes."""
+    from carom.scene.load import Scene
     from carom.scene.scene_file import bundled_scenes, crosscheck_scenes, extreme_scenes
-    from carom.scene.schema import Scene
 
     if schema:
         from carom.scene.format_page import schema_text
@@ -107,8 +107,8 @@ def explain(
     from carom.errors import SceneError
     from carom.recording.schema.header import ShownMaterials
     from carom.runs.estimate import estimate
+    from carom.scene.load import Scene
     from carom.scene.parts import PARTS, unknown
-    from carom.scene.schema import Scene
     from carom.terminal.compilation import announce_compilation
     from carom.terminal.console import LiveLine, Patience, Terminal
     from carom.terminal.progress import notes_on, preparing, watch_look_ahead

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from carom.physics.diagnostics.extremes import Extreme
     from carom.runs.outcome import Verdict
     from carom.runs.run import Outcome, Watcher
-    from carom.scene.schema import Scene
+    from carom.scene.load import Scene
 
 PIPE_WIDTH = 140  # characters of the table where the output is not a terminal
 _FOLDER = Path("recordings/stress")
@@ -101,7 +101,7 @@ def stress(
     from carom.recording.write.whole_file import output_folder
     from carom.runs.environment import versions
     from carom.runs.outcome import in_words
-    from carom.scene.schema import Scene
+    from carom.scene.load import Scene
     from carom.terminal.compilation import announce_compilation
     from carom.terminal.console import Terminal
     from carom.terminal.progress import RunProgress

@@ -25,7 +25,7 @@ from carom.physics.space import Space
 from carom.physics.vector import minimum_images
 from carom.plan import auto
 from carom.recording.write.whole_file import whole_file, write_whole
-from carom.scene.schema import Scene
+from carom.scene.load import Scene
 from carom.scene.units.dimension import TIME
 
 TELLING = 5.0  # s between two lines of progress

@@ -12,7 +12,7 @@ from carom.physics.integrators.batch_integrator import BY_LEAPFROG, IntegratorCh
 from carom.physics.schedule import Goal
 from carom.physics.world import Clock
 from carom.plan.auto import integrator
-from carom.scene.schema import Scene
+from carom.scene.load import Scene
 
 HORIZON = "horizon"  # the limit of the last step that keeps the accuracy
 

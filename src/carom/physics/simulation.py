@@ -36,7 +36,7 @@ from carom.plan.auto import (
     wider_limits,
 )
 from carom.plan.features import require
-from carom.scene.schema import Scene
+from carom.scene.load import Scene
 from carom.scene.start import InitialBodies
 
 WARM_UP_DT = 1e-3  # of the step that the limits allow at the start

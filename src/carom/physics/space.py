@@ -20,7 +20,7 @@ from carom.physics.reference_api import BodyProxy
 from carom.physics.schedule import Goal, at, every
 from carom.physics.simulation import Simulation
 from carom.plan.checks import refuse_impossible
-from carom.scene.schema import Scene
+from carom.scene.load import Scene
 from carom.scene.start import InitialBodies
 
 ONE_STEP = Goal(end=np.inf, schedule=at(()), checks=at(()), most=1)

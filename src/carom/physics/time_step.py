@@ -38,7 +38,8 @@ from carom.physics.step_rule import (
     target,
 )
 from carom.plan.auto import PAIRS_UP_TO, StepLimits
-from carom.scene.schema import Scene, Time
+from carom.scene.load import Scene
+from carom.scene.schema import Time
 
 MIN_SHARED_BLOCKS = 10
 

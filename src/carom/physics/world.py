@@ -22,8 +22,8 @@ from carom.physics.jit.team import Team
 from carom.physics.shear_motion import ShearMotion
 from carom.physics.sheared_box import ShearedBox
 from carom.plan.features import Requirements, require
+from carom.scene.load import Scene
 from carom.scene.matter import pair_coefficients
-from carom.scene.schema import Scene
 from carom.scene.start import HalfSpaces, InitialBodies
 from carom.scene.units.dimension import TIME
 from carom.scene.units.system import UnitSystem

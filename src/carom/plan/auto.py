@@ -11,9 +11,9 @@ from carom.plan.hierarchy import FEWEST_ORBITS, far_apart, orbits_often
 from carom.plan.interactions import forced_parts
 from carom.scene.forces import MOST_RELAXATIONS
 from carom.scene.integrators import AUTO, INTEGRATORS, Integrator, integrator_called
+from carom.scene.load import Scene
 from carom.scene.matter import body_mass, made_of, mean_mass
 from carom.scene.rest_speed import PER_STEP
-from carom.scene.schema import Scene
 from carom.scene.units.dimension import TIME, VELOCITY
 
 FRAMES = 600  # of an "auto" recording: enough to scrub through smoothly, few enough to open at once

@@ -15,8 +15,8 @@ from carom.plan.step_parts import STEP_PARTS, required
 from carom.scene.contact_laws import law_called
 from carom.scene.forces import DRAG, BodyForce, PairForce, force_called
 from carom.scene.integrators import ENCOUNTERS_BY
+from carom.scene.load import Scene
 from carom.scene.scene_file import KeyPath, naming_places
-from carom.scene.schema import Scene
 from carom.scene.schema.piston import piston_of
 from carom.scene.units.dimension import ACCELERATION, DENSITY, LENGTH
 from carom.scene.wall_shapes import shape_called

@@ -34,8 +34,8 @@ from carom.plan.hierarchy import heaviest, orbits_often
 from carom.plan.interactions import forced_parts
 from carom.scene.forces import GRAVITY, UNIFORM_FIELD, kinds_of
 from carom.scene.integrators import AUTO
+from carom.scene.load import Scene
 from carom.scene.parts import Part, in_order
-from carom.scene.schema import Scene
 from carom.scene.units.dimension import LENGTH, TIME
 
 

@@ -13,8 +13,8 @@ from typing import NamedTuple
 import numpy as np
 
 from carom.plan.interactions import contact, damping, gravity
+from carom.scene.load import Scene
 from carom.scene.matter import body_mass, made_of, mean_mass
-from carom.scene.schema import Scene
 from carom.scene.units.dimension import LENGTH
 from carom.scene.wording import body_called
 

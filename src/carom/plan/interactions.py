@@ -9,9 +9,9 @@ import math
 
 from carom.scene.contact_laws import exerts_torque, functions_of
 from carom.scene.forces import GRAVITY, ForceKind, kinds_of
+from carom.scene.load import Scene
 from carom.scene.matter import KindOfContact, kinds_of_contacts, mean_volume
 from carom.scene.parts import Part
-from carom.scene.schema import Scene
 from carom.scene.wall_shapes import shape_called
 from carom.scene.wording import counted, in_series
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from carom.errors import RecordingError, SceneError
 from carom.plan.auto import frame_interval, gravity_method, integrator, step_limits
-from carom.scene.schema import Scene
+from carom.scene.load import Scene
 
 BYTES_PER_BODY = 700  # state, workspace, queued frames and the initial state; measured at 10⁵ bodies and rounded up
 ADDRESSES_OF_LIBRARIES = 1_100_000_000  # bytes that a run of two bodies maps, mostly libraries

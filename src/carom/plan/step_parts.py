@@ -8,8 +8,8 @@ from typing import NamedTuple
 
 from carom.plan.auto import integrator
 from carom.plan.features import Requirements
+from carom.scene.load import Scene
 from carom.scene.scene_file import KeyPath
-from carom.scene.schema import Scene
 
 
 class StepPart(NamedTuple):

@@ -46,7 +46,7 @@ from carom.recording.write.static_entities import statics
 from carom.recording.write.stream import BATCH_BYTES, Stream, frames_in_batch
 from carom.runs.run import header_of, kept_accuracy, recording_space, shortfall_text
 from carom.scene.forces import FORCES
-from carom.scene.schema import Scene
+from carom.scene.load import Scene
 from carom.scene.start import InitialBodies
 from carom.scene.units.dimension import LENGTH, TIME
 

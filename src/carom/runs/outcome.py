@@ -15,8 +15,8 @@ from carom.contact_table import ROUNDED_OVERLAP
 from carom.physics.diagnostics.extremes import Extreme, Extremes
 from carom.recording.read.recording import Recording
 from carom.recording.schema.header import Scalar
+from carom.scene.load import Scene
 from carom.scene.scene_file import starter
-from carom.scene.schema import Scene
 from carom.scene.schema.promise import STATES
 from carom.scene.units.dimension import ENERGY, RATE, TIME
 from carom.scene.units.system import SI, UnitSystem

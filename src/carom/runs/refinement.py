@@ -42,7 +42,7 @@ from carom.recording.read.recorded_scene import recorded_scene, start_of
 from carom.recording.read.recording import Recording
 from carom.runs.close_look import SURFACE, CloseLook, look_closely
 from carom.runs.window import checkpoint_before
-from carom.scene.schema import Scene
+from carom.scene.load import Scene
 from carom.scene.start import InitialBodies, names_of_solids
 from carom.scene.units.dimension import OF_UNIT, TIME, VELOCITY
 from carom.scene.units.system import SI, UnitSystem

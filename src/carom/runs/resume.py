@@ -20,7 +20,7 @@ from carom.runs.environment import environment
 from carom.runs.run import Outcome, Watcher, recording_of, simulate, watched
 from carom.runs.window import space_of
 from carom.scene.integrators import AUTO
-from carom.scene.schema import Scene
+from carom.scene.load import Scene
 from carom.scene.units.dimension import TIME
 from carom.scene.wording import command
 

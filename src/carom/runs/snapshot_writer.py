@@ -30,7 +30,7 @@ from carom.recording.write.recorder import FrameRecorder
 from carom.recording.write.whole_file import claimed_output
 from carom.runs.environment import environment
 from carom.runs.outcome import ONCE_A_STEP, closing_of
-from carom.scene.schema import Scene
+from carom.scene.load import Scene
 from carom.scene.wording import counted
 
 WAITING_BYTES = 32_000_000  # bytes of states that wait for the writer

@@ -45,8 +45,8 @@ from carom.recording.write.impact_plan import ImpactPlan
 from carom.registry import ExtensionError
 from carom.runs.environment import collect_garbage_rarely
 from carom.runs.run import recording_space, run
+from carom.scene.load import Scene
 from carom.scene.matter import pair_coefficients
-from carom.scene.schema import Scene
 from carom.scene.start import half_spaces
 from carom.scene.units.system import SI
 

@@ -20,7 +20,7 @@ from carom.recording.read.recorded_contacts import of_shown, table_of_rows, with
 from carom.recording.read.recorded_scene import fixed_of, recorded_scene, start_of
 from carom.recording.read.recording import Recording
 from carom.recording.read.tables import frames_with, state_table, table_of_bodies
-from carom.scene.schema import Scene
+from carom.scene.load import Scene
 from carom.scene.units.dimension import TIME
 
 Watcher = Callable[[StepStatus], None]

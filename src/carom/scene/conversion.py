@@ -13,7 +13,7 @@ from typing import Any, Literal
 from pydantic import BaseModel
 
 from carom.scene.scene_file import KeyPath
-from carom.scene.schema import Gravity, Scene
+from carom.scene.schema import Gravity, SceneModel
 from carom.scene.units.dimension import GRAVITATIONAL_CONSTANT, NAMED, Dimension, UnitError, unit_of
 from carom.scene.units.system import SI, UnitSystem
 from carom.scene.wording import suggestion
@@ -147,13 +147,13 @@ class _Factors(UnitSystem):
 
 def rescaled(data: Mapping[str, Any], factor_of: Callable[[Dimension], float]) -> dict[str, Any]:
     """Return a scene in the units of the simulation, with numbers multiplied by a factor for each dimension."""
-    factors, places = _Factors(factor_of=factor_of), _places(Scene)
+    factors, places = _Factors(factor_of=factor_of), _places(SceneModel)
     return {key: _walked(value, places.get(key), factors, (key,), []) for key, value in data.items()}
 
 
 def place(key: str) -> _Place | None:
     """Return the values that a key of a scene and the keys below it may have; None if none is a quantity."""
-    return None if key == _WRITTEN_BY_CAROM else _places(Scene).get(key)
+    return None if key == _WRITTEN_BY_CAROM else _places(SceneModel).get(key)
 
 
 @cache

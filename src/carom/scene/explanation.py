@@ -16,7 +16,7 @@ from pydantic.fields import FieldInfo
 from carom import registry
 from carom.scene.conversion import Wrong, members_of_list, parts_of, place_of
 from carom.scene.scene_file import KeyPath, KeyPlaces
-from carom.scene.schema import Coefficients, Scene
+from carom.scene.schema import Coefficients, SceneModel
 from carom.scene.schema.quantity import SectionError
 from carom.scene.units.system import UnitSystem
 
@@ -45,7 +45,7 @@ REMARKS = {"diameter": " It is half of the diameter."}
 def hint(path: KeyPath) -> str:
     """Name the keys most similar to an unknown key, or all keys of its section; the text begins with a semicolon."""
     section = _field(path[:-1])
-    model = Scene if len(path) == 1 else section and model_in(section.annotation)
+    model = SceneModel if len(path) == 1 else section and model_in(section.annotation)
     if model is None:
         return ""
     key, here = str(path[-1])[:LONGEST], list(model.model_fields)
@@ -62,7 +62,7 @@ def hint(path: KeyPath) -> str:
         return _meant(inside)
     if len(path) > 1 and (path[0] == "wall" or path[-2] == "motion" or path[-2] in choices):
         return f"; known here: {', '.join(here)}"
-    places, other = _places(Scene), OTHER_WORDS.get(key)
+    places, other = _places(SceneModel), OTHER_WORDS.get(key)
     if key in places and other not in here:
         return _meant(places[key])
     if other is not None and ("." in other or other in here or len(path) == 1):
@@ -242,7 +242,7 @@ def _list_at(path: KeyPath) -> str:
 
 def _field(path: KeyPath) -> FieldInfo | None:
     """Return the field of the last key in a path; None if the schema has no such key."""
-    model: type[BaseModel] | None = Scene
+    model: type[BaseModel] | None = SceneModel
     field = None
     for key in path:
         if isinstance(key, str):

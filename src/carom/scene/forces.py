@@ -16,7 +16,7 @@ from carom import registry
 from carom.scene.units.dimension import ACCELERATION, GRAVITATIONAL_CONSTANT, TIME, VELOCITY
 
 if TYPE_CHECKING:
-    from carom.scene.schema import Scene
+    from carom.scene.schema import SceneModel
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,18 +24,19 @@ class ForceKind:
     """A force: when it is modelled, and the name of its energy."""
 
     name: str  # name of the part of the model and, with underscores, of the module that computes the force
-    decide: Callable[[Scene], tuple[bool, str]]  # returns whether it is modelled, and why
+    decide: Callable[[SceneModel], tuple[bool, str]]  # returns whether it is modelled, and why
     potential: str = ""  # its term of the energy, if it has a potential
     loss: str = ""  # its entry in the ledger, if it has no potential
     legend: str = ""  # legend of its energy series
     meaning: str = ""  # meaning of the energy series, for docs/recording.md
     colour: str = ""  # colour of the energy series, a name in the palette of curves
     flag: str = ""  # in the properties of a recording; by default `has_` and the short name
-    pushes: Callable[[Scene], bool] = lambda scene: False  # whether it accelerates all bodies at rest equally
+    pushes: Callable[[SceneModel], bool] = lambda scene: False  # whether it accelerates all bodies at rest equally
     differs: bool = False  # whether it accelerates bodies at rest differently, so that they may meet and press
     damps: bool = False  # whether it depends on velocities, and is solved within the drift
     part: str = ""  # part of the model without which the energy series is not recorded; by default the force itself
-    contradiction: Callable[[Scene], str] = lambda scene: ""  # why ``model.force`` cannot force it; empty if it can
+    # why ``model.force`` cannot force it; empty if it can
+    contradiction: Callable[[SceneModel], str] = lambda scene: ""
 
     @property
     def short_name(self) -> str:
@@ -53,7 +54,7 @@ class ForceKind:
         return self.part or self.name
 
 
-def _gravity(scene: Scene) -> tuple[bool, str]:
+def _gravity(scene: SceneModel) -> tuple[bool, str]:
     if scene.gravity.method == "none":
         return False, 'gravity.method = "none"'
     if scene.gravity.constant == 0:
@@ -64,13 +65,13 @@ def _gravity(scene: Scene) -> tuple[bool, str]:
     return True, f"{scene.count} bodies, G = {constant}"
 
 
-def _uniform_field(scene: Scene) -> tuple[bool, str]:
+def _uniform_field(scene: SceneModel) -> tuple[bool, str]:
     if any(scene.gravity.uniform):
         return True, f"gravity.uniform = {scene.unit_system.vector(scene.gravity.uniform, ACCELERATION)}"
     return False, "gravity.uniform is zero"
 
 
-def _drag(scene: Scene) -> tuple[bool, str]:
+def _drag(scene: SceneModel) -> tuple[bool, str]:
     if scene.drag is None:
         return False, "no [drag]"
     units = scene.unit_system
@@ -79,7 +80,7 @@ def _drag(scene: Scene) -> tuple[bool, str]:
     return True, f"drag.relaxation_time = {units.text(scene.drag.relaxation_time, TIME, 'g')}{moving}"
 
 
-def _medium_moves(scene: Scene) -> bool:
+def _medium_moves(scene: SceneModel) -> bool:
     return scene.drag is not None and any(scene.drag.medium_velocity)
 
 
@@ -176,7 +177,7 @@ def kind_called(name: str) -> ForceKind:
     force = force_called(name)
     removed = f"removed by the force {name} since the start; negative if it added energy"
 
-    def decide(scene: Scene) -> tuple[bool, str]:
+    def decide(scene: SceneModel) -> tuple[bool, str]:
         given = scene.forces.given
         return (True, f"[forces.{name}]") if name in given else (False, f"no [forces.{name}]")
 
@@ -193,11 +194,11 @@ def kind_called(name: str) -> ForceKind:
     )
 
 
-def acts_from_outside(scene: Scene) -> bool:
+def acts_from_outside(scene: SceneModel) -> bool:
     """Return whether a force of an installed package acts on single bodies, so that it changes the momentum."""
     return any(isinstance(force_called(name), BodyForce) for name in scene.forces.given)
 
 
-def kinds_of(scene: Scene) -> tuple[ForceKind, ...]:
+def kinds_of(scene: SceneModel) -> tuple[ForceKind, ...]:
     """Return carom's own forces and the scene's forces of installed packages, in the order of summation."""
     return (*FORCES, *(kind_called(name) for name in scene.forces.given))

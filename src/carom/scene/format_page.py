@@ -18,8 +18,8 @@ from pydantic.fields import FieldInfo
 from carom import registry
 from carom.scene.contact_laws import law_called
 from carom.scene.conversion import members_of_list, parts_of
+from carom.scene.load import Scene
 from carom.scene.scene_file import value_text
-from carom.scene.schema import Scene
 from carom.scene.schema.scene import know_installed_parts
 from carom.scene.units.dimension import Dimension
 from carom.scene.wall_shapes import shape_called

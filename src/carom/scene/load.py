@@ -11,6 +11,7 @@ import tomllib
 import warnings
 from collections.abc import Callable, Collection, Mapping, Sequence
 from functools import partial
+from os import PathLike
 from pathlib import Path
 from typing import Any
 
@@ -47,7 +48,7 @@ from carom.scene.scene_file import (
     scene_path,
     toml_text,
 )
-from carom.scene.schema import Scene, Time
+from carom.scene.schema import SceneModel, Time
 from carom.scene.schema.body import BodyData
 from carom.scene.schema.contact import Material
 from carom.scene.schema.promise import ABOUT_THE_END
@@ -61,6 +62,102 @@ _COMMENTED = 200_000  # characters; overrides keep the comments of texts up to t
 MOST_MESSAGES = 8
 _MOST_DETAILS = 1000  # mistakes that are examined; a hostile text may contain a million
 _TOO_DEEP = f"tables or lists nested more than {DEEPEST} levels deep"
+
+
+class Scene(SceneModel):
+    """What to simulate: validated, complete, immutable.
+
+    Examples
+    --------
+    >>> scene = Scene.from_dict({"body": [{"radius": 1.0}], "time": {"duration": 1.0}})
+    >>> scene.time.duration
+    1.0
+    """
+
+    @classmethod
+    def load(cls, source: str | Path, overrides: list[str] | None = None) -> Scene:
+        """Load a TOML file, or a bundled scene by its name; see `carom.scene.load.load_scene`."""
+        if not isinstance(source, str | PathLike):
+            made = "; Scene.from_dict makes one from a dict" if isinstance(source, dict) else ""
+            raise TypeError(f"a scene is the path of a file or a bundled name, not {type(source).__name__}{made}")
+        if isinstance(overrides, str):
+            raise TypeError(f'overrides are a list of texts, such as ["{overrides}"]')
+        return load_scene(source, overrides or [])
+
+    @classmethod
+    def from_dict(cls, data: dict[str, Any]) -> Scene:
+        """Build a scene from the same keys as a TOML file; raises `SceneError` like `load`."""
+        if not isinstance(data, dict):
+            raise TypeError(f"Scene.from_dict: a dict of sections is needed, not {type(data).__name__}")
+        return scene_from_dict(data)
+
+    @classmethod
+    def from_arrays(
+        cls,
+        *,
+        position: ArrayLike,
+        radius: ArrayLike,
+        mass: ArrayLike | None = None,
+        density: ArrayLike | None = None,
+        velocity: ArrayLike | None = None,
+        angular_velocity: ArrayLike | None = None,
+        inertia: ArrayLike | None = None,
+        fixed: ArrayLike | None = None,
+        name: str | ArrayLike | None = None,
+        made_of: str | None = None,
+        **sections: Any,
+    ) -> Scene:
+        """Build a scene from bodies in arrays.
+
+        Parameters
+        ----------
+        position
+            (n, 3) m.
+        radius, mass, density, inertia, fixed
+            m, kg, kg/m³, kg m² (or as ``units`` says), and whether a body neither moves nor rotates; (n,), or one value
+            for all. A mass or a density is needed, or a material that defines one. Without ``inertia``, bodies are
+            solid spheres, unless their material defines another factor.
+        velocity, angular_velocity
+            m/s and rad/s; (n, 3), or (3,) for all. Zero by default.
+        name
+            n names, or one name to which each body adds its number.
+        made_of
+            The name of a [[material]] for all these bodies. `with_bodies` adds bodies of another material.
+        sections
+            The other keys of a scene, such as ``time={"duration": 1.0}``.
+
+        Raises
+        ------
+        SceneError
+            If an array has another shape or a value that is not finite, or a section is wrong.
+
+        Examples
+        --------
+        >>> scene = Scene.from_arrays(position=[[0, 0, 0], [3, 0, 0]], radius=1.0, density=2600.0)
+        >>> scene.count
+        2
+        """
+        arrays = {"position": position, "radius": radius, "mass": mass, "density": density, "velocity": velocity}
+        arrays |= {"angular_velocity": angular_velocity, "inertia": inertia, "fixed": fixed}
+        return scene_from_arrays(arrays, name, made_of, sections)
+
+    def with_bodies(self, *, keep: bool = False, **arrays: Any) -> Scene:
+        """Return this scene with other bodies, given as for `from_arrays`.
+
+        Parameters
+        ----------
+        keep
+            Whether the scene's own bodies and groups stay in addition to the new ones.
+        arrays
+            ``position``, ``radius`` and so on.
+        """
+        return scene_with_arrays(self, keep, arrays)
+
+    def changed(self, overrides: list[str]) -> Scene:
+        """Return this scene with changed keys, in the syntax of ``--set``; raises `SceneError` like `load`."""
+        if isinstance(overrides, str | Mapping):  # it would be read letter by letter, or key by key
+            raise TypeError(f'overrides: expected a list of texts such as ["time.duration=5"], got {overrides!r}')
+        return scene_from_text(self.toml, self.title, overrides, self._held)
 
 
 def load_scene(source: str | Path, overrides: list[str]) -> Scene:

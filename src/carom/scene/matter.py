@@ -16,7 +16,7 @@ import numpy as np
 from carom.arrays import FloatArray, IntArray
 from carom.scene.contact_laws import Numbers, law_called
 from carom.scene.portable_math import power
-from carom.scene.schema import Body, BodyGroup, Coefficients, Material, Scene
+from carom.scene.schema import Body, BodyGroup, Coefficients, Material, SceneModel
 from carom.scene.schema.body import Matter
 from carom.scene.schema.contact import DEFAULT, Surface, combined
 
@@ -116,7 +116,7 @@ class KindOfContact:
         return f"{one} on {one}" if one == other else f"{one} and {other}"
 
 
-def body_materials(scene: Scene) -> BodyMaterials:
+def body_materials(scene: SceneModel) -> BodyMaterials:
     """Return the material of each body."""
     given = _given(scene)
     names = list(dict.fromkeys(name for name, _ in given))
@@ -125,7 +125,7 @@ def body_materials(scene: Scene) -> BodyMaterials:
     return BodyMaterials(names, index.astype(np.int64))
 
 
-def pair_coefficients(scene: Scene) -> PairCoefficients:
+def pair_coefficients(scene: SceneModel) -> PairCoefficients:
     """Return the coefficients of all kinds of contacts."""
     names, further = _names(scene), tuple(_of_law(scene, DEFAULT, DEFAULT))
     table, own = _table(scene, names), len(Coefficients._fields)
@@ -142,7 +142,7 @@ def pair_coefficients(scene: Scene) -> PairCoefficients:
     return PairCoefficients(rows[:, :own], bodies, places, *law, rows[:, own:])
 
 
-def kinds_of_contacts(scene: Scene) -> list[KindOfContact]:
+def kinds_of_contacts(scene: SceneModel) -> list[KindOfContact]:
     """List the possible kinds of contacts between the materials and planes of a scene."""
     names, own = _names(scene), len(Coefficients._fields)
     table = _table(scene, names)
@@ -158,12 +158,12 @@ def kinds_of_contacts(scene: Scene) -> list[KindOfContact]:
     ]
 
 
-def material_called(scene: Scene, name: str) -> Material | None:
+def material_called(scene: SceneModel, name: str) -> Material | None:
     """Return the material of a name; None for that of [contact]."""
     return next((material for material in scene.material if material.name == name), None)
 
 
-def made_of(scene: Scene, matter: AnyMatter) -> AnyMatter:
+def made_of(scene: SceneModel, matter: AnyMatter) -> AnyMatter:
     """Return a body or a group with the density and the inertia factor of its material."""
     material = material_called(scene, matter.material) if matter.material else None
     if material is None:
@@ -173,14 +173,14 @@ def made_of(scene: Scene, matter: AnyMatter) -> AnyMatter:
     return matter.model_copy(update={"density": density, "inertia_factor": factor})
 
 
-def between(scene: Scene, one: str, other: str) -> Coefficients:
+def between(scene: SceneModel, one: str, other: str) -> Coefficients:
     """Return the coefficients of a contact of two materials."""
     meeting = combined(_coefficients_of(scene, one), _coefficients_of(scene, other))
     pair = next((pair for pair in scene.pair if set(pair.materials) == {one, other}), None)
     return meeting if pair is None else pair.completed(meeting)
 
 
-def _coefficients_of(scene: Scene, name: str) -> Coefficients:
+def _coefficients_of(scene: SceneModel, name: str) -> Coefficients:
     material, default = material_called(scene, name), scene.contact.coefficients
     return default if material is None else material.completed(default)
 
@@ -189,7 +189,7 @@ def _called(name: str, material: str | None) -> str:
     return f"{name} ({material})" if material else name
 
 
-def _given(scene: Scene) -> list[tuple[str, int]]:
+def _given(scene: SceneModel) -> list[tuple[str, int]]:
     """Return the materials in the order of the bodies, each with its number of bodies."""
     members: Iterable[tuple[Matter, int]] = [
         *((body, 1) for body in scene.body),
@@ -199,12 +199,12 @@ def _given(scene: Scene) -> list[tuple[str, int]]:
     return [(matter.material or DEFAULT, count) for matter, count in members]
 
 
-def _names(scene: Scene) -> list[str]:
+def _names(scene: SceneModel) -> list[str]:
     """Return the materials of the bodies."""
     return list(dict.fromkeys(name for name, _ in _given(scene))) if scene.material else [DEFAULT]
 
 
-def _of_law(scene: Scene, one: str, other: str, plane: Surface | None = None) -> dict[str, float]:
+def _of_law(scene: SceneModel, one: str, other: str, plane: Surface | None = None) -> dict[str, float]:
     """Return the further coefficients of the contact laws for two materials.
 
     ``plane`` may have its own coefficients. A coefficient missing from the section of a material, a pair or a plane
@@ -232,7 +232,7 @@ def _completed(numbers: Numbers, law: str, surface: Surface | None) -> dict[str,
     return {**numbers, **{key: value for key, value in stated.items() if key not in implied}}
 
 
-def _table(scene: Scene, names: list[str]) -> FloatArray:
+def _table(scene: SceneModel, names: list[str]) -> FloatArray:
     """Return the coefficients of each material with each material, plane and wall, (a, a + p, 3 + k)."""
     walls = 2 * len(scene.domain.walled)
 

@@ -17,7 +17,7 @@ from carom.scene.forces import FORCES, GRAVITY
 from carom.scene.wording import in_one_line, suggestion
 
 if TYPE_CHECKING:
-    from carom.scene.schema import Scene
+    from carom.scene.schema import SceneModel
 
 PARTS = (  # in the order in which a step uses them
     "warm-up",
@@ -66,7 +66,7 @@ def unknown(name: str) -> str:
     return f'no part "{name}"; {suggestion(name, PARTS)}'
 
 
-def extensions_of(scene: Scene) -> dict[str, str]:
+def extensions_of(scene: SceneModel) -> dict[str, str]:
     """Return the package and version of each part that a scene uses from installed packages, by kind.name."""
     used: dict[str, Iterable[str]] = {
         "forces": scene.forces.given,

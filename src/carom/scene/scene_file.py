@@ -29,7 +29,7 @@ from carom.errors import SceneError
 from carom.scene.wording import command
 
 if TYPE_CHECKING:
-    from carom.scene.schema import Scene
+    from carom.scene.schema import SceneModel
 
 PACKAGE = Path(__file__).parents[1]
 CROSSCHECK = "crosscheck"  # the folder of scenes from bug reports of other engines
@@ -210,7 +210,7 @@ def parse_value(text: str) -> Any:
         return float(text) if _NUMBER.fullmatch(text) else text
 
 
-def toml_for(scene: Scene, folder: Path) -> str:
+def toml_for(scene: SceneModel, folder: Path) -> str:
     """Return the text of a scene with names of data files relative to a folder."""
     files = None if scene.held is None else scene.held.files
     if files is None or files.folder.resolve() == folder.resolve():
@@ -298,7 +298,7 @@ class KeyPlaces:
 
 
 @contextmanager
-def naming_places(scene: Scene) -> Iterator[None]:
+def naming_places(scene: SceneModel) -> Iterator[None]:
     """Prefix the message of a `SceneError` with the place of its key, if the scene was read from a text."""
     try:
         yield

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from carom.arrays import BoolArray, FloatArray, IntArray
-from carom.scene.schema import Scene
+from carom.scene.load import Scene
 from carom.scene.wall_shapes import unit_vector
 from carom.scene.wording import joined
 

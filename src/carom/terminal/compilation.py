@@ -21,7 +21,7 @@ from carom.physics import jit
 from carom.physics.jit import cores
 
 if TYPE_CHECKING:
-    from carom.scene.schema import Scene
+    from carom.scene.load import Scene
 
 NO_CACHE = "no cache folder is writable; set NUMBA_CACHE_DIR to a folder of your own"
 

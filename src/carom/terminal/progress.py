@@ -17,7 +17,7 @@ from carom.plan.checks import doubts
 from carom.runs.estimate import forewarning
 from carom.runs.outcome import accuracy_text, counts_text, error_text, in_words, overlap_text
 from carom.runs.run import Outcome, shortfall_text
-from carom.scene.schema import Scene
+from carom.scene.load import Scene
 from carom.scene.units.dimension import TIME
 from carom.scene.units.system import UnitSystem
 from carom.scene.wording import command, counted

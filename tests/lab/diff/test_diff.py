@@ -17,7 +17,7 @@ from carom.recording.read.recording import Recording
 from carom.recording.rrd.container import Container
 from carom.recording.write.recorder import FrameRecorder
 from carom.runs.run import run
-from carom.scene.schema import Scene
+from carom.scene.load import Scene
 from edited_recordings import changed, without_column
 from scripted_run import ScriptedRun
 from small_scenes import scene_of

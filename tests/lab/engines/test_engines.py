@@ -16,7 +16,7 @@ from carom.lab.engines.rebound import shortest_period
 from carom.lab.tradeoff.tradeoff import Study
 from carom.recording.read.recording import Recording
 from carom.recording.source import Model, Plane, State
-from carom.scene.schema import Scene
+from carom.scene.load import Scene
 
 STAR = {"mass": 1.0, "radius": 0.01, "position": [0.0, 0.0, 0.0]}
 ROUND = (1.0 + 1e-6) ** 0.5  # m/s, the speed on a circle of radius 1 about both masses

@@ -16,7 +16,7 @@ from carom.lab.fork.branch import Branch, PerturbedResult, PerturbedTask, by_see
 from carom.lab.fork.fork import Chance, Ensemble, chances, ensemble, fork, inevitable, judge, text_of, write_ensemble
 from carom.plan.auto import frame_interval, integrator
 from carom.recording.read.recording import Recording
-from carom.scene.schema import Scene
+from carom.scene.load import Scene
 from small_scenes import cloud, two_planets
 
 

@@ -16,8 +16,7 @@ from carom.lab.hunt.random_scenes import Drawn, drawn
 from carom.lab.shrink.trials import OutOfTime
 from carom.physics.diagnostics.bookkeeper import BalanceAudit
 from carom.physics.space import Space
-from carom.scene.load import scene_from_dict
-from carom.scene.schema import Scene
+from carom.scene.load import Scene, scene_from_dict
 from carom_command import carom
 
 

@@ -24,8 +24,7 @@ from carom.lab.shrink.whole_run import IMAGES, INVARIANCES, CommandShows, Image,
 from carom.physics.diagnostics.bookkeeper import BalanceAudit
 from carom.physics.space import Space
 from carom.runs.workers import Ended
-from carom.scene.load import scene_from_text
-from carom.scene.schema import Scene
+from carom.scene.load import Scene, scene_from_text
 from carom_command import carom
 
 GAS: dict[str, Any] = {  # a dozen spheres that meet within a second

@@ -23,7 +23,7 @@ from carom.lab.statistics.motion_statistics import (
 )
 from carom.physics.contact import contact_tap
 from carom.recording.write import impact_plan
-from carom.scene.schema import Scene
+from carom.scene.load import Scene
 from carom_command import carom as command
 from small_scenes import scene_of
 

@@ -8,7 +8,7 @@ import pytest
 
 from carom.lab.tradeoff import tradeoff
 from carom.lab.tradeoff.reference import Reference, Teller, make_reference
-from carom.scene.schema import Scene
+from carom.scene.load import Scene
 
 _made: dict[tuple[str, float, tuple[Any, ...]], tuple[Reference, list[str]]] = {}
 

@@ -11,7 +11,7 @@ from carom.lab.tradeoff.settings_grid import GridPoint, SettingResult, default_p
 from carom.lab.tradeoff.tradeoff import Study
 from carom.lab.tradeoff.tune import Tuning, excess, tuned
 from carom.plan.auto import integrator
-from carom.scene.schema import Scene
+from carom.scene.load import Scene
 from small_scenes import cloud
 
 PRICES = {  # of a step; costs are computed from them, so that a search is the same each time

@@ -12,7 +12,7 @@ import pytest
 from carom.lab.compared_run import sample_times
 from carom.lab.tradeoff.event_driven_reference import solve, why_not
 from carom.physics.space import Space
-from carom.scene.schema import Scene
+from carom.scene.load import Scene
 from published.test_two_body_bounce import AT_REST, BOUNCES
 from small_scenes import pair, scene_of
 

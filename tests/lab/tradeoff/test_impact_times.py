@@ -10,7 +10,7 @@ import pytest
 from carom.lab.compared_run import follow, sample_times
 from carom.lab.tradeoff.event_driven_reference import solve
 from carom.physics.space import Space
-from carom.scene.schema import Scene
+from carom.scene.load import Scene
 from published.test_two_body_bounce import BOUNCES
 from small_scenes import scene_of
 

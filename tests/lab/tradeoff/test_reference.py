@@ -15,8 +15,7 @@ from carom.lab.tradeoff import event_driven_reference as exact
 from carom.lab.tradeoff.event_driven_reference import solve
 from carom.lab.tradeoff.reference import fineness, make_reference, refined
 from carom.physics.space import Space
-from carom.scene.load import scene_from_text
-from carom.scene.schema import Scene
+from carom.scene.load import Scene, scene_from_text
 from small_scenes import cloud, pair, scene_of
 
 

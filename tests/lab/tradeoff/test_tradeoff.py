@@ -16,7 +16,7 @@ from carom.lab.tradeoff.settings_grid import default_settings, vary
 from carom.lab.tradeoff.tradeoff import Study
 from carom.lab.tradeoff.tradeoff_figure import draw, record
 from carom.recording.read.recording import Recording
-from carom.scene.schema import Scene
+from carom.scene.load import Scene
 from small_scenes import cloud, pair
 
 

@@ -14,7 +14,7 @@ from carom.lab.compared_run import Trajectory, follow, sample_times
 from carom.lab.tradeoff.reference import ErrorScale, compare, make_reference, refined
 from carom.lab.tradeoff.settings_grid import vary
 from carom.physics.space import Space
-from carom.scene.schema import Scene
+from carom.scene.load import Scene
 from scene_strategies import scene_from
 from small_scenes import cloud, pair, scene_of
 

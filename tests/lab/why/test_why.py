@@ -21,7 +21,7 @@ from carom.physics.schedule import every
 from carom.physics.space import Space
 from carom.recording.read.lookup import names_of
 from carom.recording.read.recording import Recording
-from carom.scene.schema import Scene
+from carom.scene.load import Scene
 from carom.scene.start import InitialBodies
 from small_scenes import cloud, pair, scene_of
 

@@ -15,7 +15,7 @@ from carom.physics.contact import contact_tap as impact_store
 from carom.physics.frame import Frame, FrameStore
 from carom.physics.schedule import every
 from carom.physics.space import Space
-from carom.scene.schema import Scene
+from carom.scene.load import Scene
 from small_scenes import cloud, pair, scene_of
 
 Records = NDArray[np.void]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from carom.physics.space import Space
-from carom.scene.schema import Scene
+from carom.scene.load import Scene
 
 EPS = float(np.finfo(float).eps)
 

@@ -9,7 +9,7 @@ import pytest
 
 from carom.physics.contact.events.held_group import MOST_BODIES, MOST_CONTACTS, Group, find_impulses
 from carom.physics.space import Space
-from carom.scene.schema import Scene
+from carom.scene.load import Scene
 
 DEEPEST = 0.05  # of the smaller radius, the largest overlap that may remain
 EXACT = 1e-12  # some 10⁴ roundings, of as many impacts

@@ -16,8 +16,8 @@ from carom.physics.contact.hooks import Hooks, OptionalPart, PresentStep
 from carom.physics.space import Space
 from carom.plan.features import require
 from carom.plan.step_parts import STEP_PARTS, StepPart, required
+from carom.scene.load import Scene
 from carom.scene.scene_file import bundled_scenes
-from carom.scene.schema import Scene
 
 PHYSICS = Path(carom.__file__).parent / "physics"
 CORE = ("step.py", "contact/pipeline.py", "diagnostics/bookkeeper.py")

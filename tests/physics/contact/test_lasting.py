@@ -16,7 +16,7 @@ from carom.physics.contact.law import IMPULSES
 from carom.physics.contact.solver.prepare import ImpulseCache, impulses_of
 from carom.physics.jit.team import SOLO
 from carom.physics.space import Space
-from carom.scene.schema import Scene
+from carom.scene.load import Scene
 from carom.scene.schema.contact import Sweeps
 from small_scenes import cloud, pair, random_bodies, scene_of, solver_of
 

@@ -17,8 +17,9 @@ from carom.physics.placement import place
 from carom.physics.reference_api import BodyProxy, CollisionContext
 from carom.physics.space import Space
 from carom.plan.features import require
+from carom.scene.load import Scene
 from carom.scene.matter import PairCoefficients, kinds_of_contacts, pair_coefficients
-from carom.scene.schema import Coefficients, Scene
+from carom.scene.schema import Coefficients
 from carom.scene.schema.contact import combined
 from small_scenes import random_bodies, scene_of, solver_of
 

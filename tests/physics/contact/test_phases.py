@@ -16,7 +16,7 @@ from carom.physics.jit.task import code_for
 from carom.physics.jit.vectors import WIDTH
 from carom.physics.space import Space
 from carom.runs.warmup import SCENES
-from carom.scene.schema import Scene
+from carom.scene.load import Scene
 
 PILE = {"title": "a pile", **SCENES["a pile, recorded"]}
 

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from carom.physics.space import Space
-from carom.scene.schema import Scene
+from carom.scene.load import Scene
 from scene_strategies import EPS, choices, decades, parts, vectors
 from seeds import examples
 from small_scenes import scene_of

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from carom.physics.frame import Frame
 from carom.physics.space import Space
-from carom.scene.schema import Scene
+from carom.scene.load import Scene
 from small_scenes import scene_of
 
 FloatArray = NDArray[np.float64]

@@ -10,8 +10,8 @@ import pytest
 from carom.physics.contact.constraints import CONTACT, CONTACT_STATE
 from carom.physics.contact.loads import LOAD, write_rest_speeds
 from carom.physics.space import Space
+from carom.scene.load import Scene
 from carom.scene.rest_speed import PER_STEP
-from carom.scene.schema import Scene
 
 RADIUS = 0.02
 V = 0.05  # m/s, of the body that moves; a fall for one of these steps ends at 7 to 15 cm/s

@@ -14,7 +14,7 @@ from carom.physics.contact.broad_phase.grid import HierarchicalGrid
 from carom.physics.contact.constraints import RECORDED
 from carom.physics.diagnostics.ledger import STABILISATION
 from carom.physics.space import Space
-from carom.scene.schema import Scene
+from carom.scene.load import Scene
 from seeds import examples
 from small_scenes import angular_momentum_of, cloud, kinetic_energy_of, momentum_of, random_bodies, solver_of
 

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from carom.physics.space import Space
-from carom.scene.schema import Scene
+from carom.scene.load import Scene
 from small_scenes import scene_of
 
 G, R = 9.81, 0.03  # m/s², m

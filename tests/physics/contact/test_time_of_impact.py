@@ -18,8 +18,7 @@ from carom.physics.contact.graph import OVERFLOW, CollisionGraph
 from carom.physics.frame import Frame
 from carom.physics.schedule import every
 from carom.physics.space import Space
-from carom.scene.load import scene_from_text
-from carom.scene.schema import Scene
+from carom.scene.load import Scene, scene_from_text
 from seeds import examples
 from small_scenes import cloud, scene_of
 

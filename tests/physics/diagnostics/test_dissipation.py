@@ -24,7 +24,7 @@ from carom.physics.diagnostics.dissipation import (
 from carom.physics.space import Space
 from carom.recording.schema.checkpoint_columns import decode, encode
 from carom.runs.outcome import judge
-from carom.scene.schema import Scene
+from carom.scene.load import Scene
 
 MASS = 2.0  # kg, of each body
 DT = 0.01  # s

@@ -12,7 +12,7 @@ from hypothesis import HealthCheck, given, settings
 from carom.lab.hunt.documents import Document
 from carom.physics.contact.contact_tap import ContactTap, Impulses
 from carom.physics.space import Space
-from carom.scene.schema import Scene
+from carom.scene.load import Scene
 from golden.fingerprints import AS_WRITTEN, load, moved, stored, usual_methods
 from scene_strategies import documents, scene_from
 from small_scenes import cloud

@@ -19,7 +19,7 @@ from carom.physics.space import Space
 from carom.plan.auto import integrator
 from carom.plan.checks import refuse_impossible
 from carom.plan.features import require
-from carom.scene.schema import Scene
+from carom.scene.load import Scene
 from seeds import examples
 from small_scenes import scene_of
 

@@ -19,7 +19,7 @@ from carom.physics.space import Space
 from carom.recording.read.recording import Recording
 from carom.runs.replay import replay
 from carom.runs.resume import continue_run, resumable_run
-from carom.scene.schema import Scene
+from carom.scene.load import Scene
 from small_scenes import scene_of
 
 RADAU = "gauss-radau15"

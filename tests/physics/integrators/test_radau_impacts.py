@@ -25,7 +25,7 @@ from carom.recording.read.recording import Recording
 from carom.runs.estimate import forewarning
 from carom.runs.replay import replay
 from carom.runs.resume import continue_run, resumable_run
-from carom.scene.schema import Scene
+from carom.scene.load import Scene
 from small_scenes import scene_of
 
 FloatArray = NDArray[np.float64]

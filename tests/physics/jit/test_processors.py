@@ -19,7 +19,7 @@ STEPS = 20
 RUN = f"""
 import sys
 from carom.physics.space import Space
-from carom.scene.schema import Scene
+from carom.scene.load import Scene
 
 group = {{
     "count": 2200,
@@ -57,7 +57,7 @@ PLANES = """
 import json
 from dataclasses import asdict
 from carom.physics.space import Space
-from carom.scene.schema import Scene
+from carom.scene.load import Scene
 
 plane = {"normal": [0.3, -0.5, 0.9], "point": [0.1, 0.2, 0.3]}
 group = {"count": 40, "radius": {"min": 0.2, "max": 0.5}, "region": {"radius": 3.5, "centre": [0.0, 0.0, 5.0]}}

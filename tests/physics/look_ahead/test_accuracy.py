@@ -25,8 +25,7 @@ from carom.physics.schedule import at, every
 from carom.physics.space import Space
 from carom.plan.features import require
 from carom.runs.run import kept_accuracy
-from carom.scene.load import scene_from_text
-from carom.scene.schema import Scene
+from carom.scene.load import Scene, scene_from_text
 from small_scenes import scene_of
 
 FloatArray = NDArray[np.float64]

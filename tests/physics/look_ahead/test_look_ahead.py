@@ -14,7 +14,7 @@ from carom.physics.look_ahead.trial_run import WorkBudget
 from carom.physics.schedule import at
 from carom.physics.space import Space
 from carom.runs.run import shortfall_text
-from carom.scene.schema import Scene
+from carom.scene.load import Scene
 from small_scenes import scene_of
 
 LEAST = "carom.physics.look_ahead.trial_run.LEAST"

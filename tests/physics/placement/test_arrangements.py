@@ -14,7 +14,7 @@ from carom.physics.placement import place
 from carom.physics.placement.growth import densest
 from carom.physics.placement.lattice import CELLS
 from carom.physics.placement.neighbours import overlapping_pairs
-from carom.scene.schema import Scene
+from carom.scene.load import Scene
 from carom.scene.start import InitialBodies
 
 FloatArray = NDArray[np.float64]

@@ -10,7 +10,7 @@ import pytest
 from carom.physics.placement import place, random_placement
 from carom.physics.placement import random_placement as occupancy
 from carom.physics.placement.neighbours import overlapping_pairs
-from carom.scene.schema import Scene
+from carom.scene.load import Scene
 
 CROWDED: dict[str, dict[str, Any]] = {
     "a ball of equal spheres": {

@@ -12,9 +12,8 @@ from hypothesis import strategies as st
 from carom.errors import SceneError
 from carom.physics.placement import packing_fraction, place
 from carom.physics.placement.neighbours import overlapping_pairs, squared_distance
-from carom.scene.load import scene_from_text
+from carom.scene.load import Scene, scene_from_text
 from carom.scene.matter import pair_coefficients
-from carom.scene.schema import Scene
 from carom.scene.start import half_spaces
 from seeds import examples
 

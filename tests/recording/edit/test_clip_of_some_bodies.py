@@ -14,7 +14,7 @@ from carom.recording.edit.clip import clip
 from carom.recording.edit.repair import repair
 from carom.recording.read.recording import Recording
 from carom.runs.recomputed import contacts_of, impacts_of
-from carom.scene.schema import Scene
+from carom.scene.load import Scene
 
 TWO_PAIRS = {
     "time": {"duration": 1.0},

@@ -32,7 +32,7 @@ from carom.recording.write.impact_plan import ImpactPlan, Kept, impact_rows
 from carom.runs.recomputed import contacts_of, impacts_of
 from carom.runs.replay import CHOICE, replay
 from carom.runs.resume import continue_run, resumable_run
-from carom.scene.schema import Scene
+from carom.scene.load import Scene
 from edited_recordings import assembled, changed, is_of, mapped, messages_of, repacked, stream, with_column
 from scripted_run import ScriptedRun
 from small_scenes import pair, scene_of

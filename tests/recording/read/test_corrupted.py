@@ -8,7 +8,7 @@ import pytest
 import carom
 import damage_bytes
 import damage_rows
-from carom.scene.schema import Scene
+from carom.scene.load import Scene
 
 AT_ONCE = 20  # files a process: Rerun keeps some 2 MB of every stream that wrote one
 

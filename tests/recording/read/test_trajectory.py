@@ -13,7 +13,7 @@ from carom.physics.frame import Frame
 from carom.physics.space import Space
 from carom.recording.edit.clip import clip
 from carom.recording.read.recording import Recording
-from carom.scene.schema import Scene
+from carom.scene.load import Scene
 from small_scenes import scene_of
 
 FLOAT32 = 2.0**-23  # rounding of a float32, relative

@@ -16,7 +16,7 @@ from carom.recording.schema import paths
 from carom.runs.recomputed import impacts_of
 from carom.runs.replay import replay
 from carom.runs.resume import resume
-from carom.scene.schema import Scene
+from carom.scene.load import Scene
 from small_scenes import scene_of
 
 NOISE = 1e-12  # m, by which the second pair meets off centre: its torques are 1e-12 of those of the first

@@ -13,7 +13,7 @@ from carom.errors import RecordingError
 from carom.recording.read.recording import Recording
 from carom.recording.schema.series import Sample, Series
 from carom.runs.run import run
-from carom.scene.schema import Scene
+from carom.scene.load import Scene
 
 PLANES = [{"name": "floor", "point": [0.0, 0.0, -2.0]}, {"name": "ramp", "point": [0, 0, -2], "normal": [1, 0, 2]}]
 

@@ -16,7 +16,7 @@ from carom.recording.edit.clip import clip
 from carom.recording.read.recorded_impacts import impacts_by_number, states_by_number
 from carom.recording.read.recording import Recording
 from carom.runs.replay import replay
-from carom.scene.schema import Scene
+from carom.scene.load import Scene
 from small_scenes import scene_of
 
 SINGLE = 2e-7  # relative, of rounding to float32

@@ -24,7 +24,7 @@ from carom.recording.write.rows import Index, Rows, plain_column
 from carom.recording.write.stream import Stream
 from carom.recording.write.whole_file import Claim, killed_run_of
 from carom.runs.run import header_of
-from carom.scene.schema import Scene
+from carom.scene.load import Scene
 from scripted_run import ScriptedRun
 
 SUPPORT = str(Path(scripted_run.__file__).parent)

@@ -12,7 +12,7 @@ from carom.recording.read.recording import Recording
 from carom.recording.schema import paths
 from carom.recording.schema.paths import MOVING, STEP
 from carom.recording.write.wall_places import MovingWall, moving_walls
-from carom.scene.schema import Scene
+from carom.scene.load import Scene
 from carom.scene.schema.motion import WallMotion
 
 

@@ -22,8 +22,8 @@ from carom.physics.placement import place
 from carom.plan.features import require
 from carom.plan.hierarchy import heaviest
 from carom.scene import data as table
+from carom.scene.load import Scene
 from carom.scene.matter import pair_coefficients
-from carom.scene.schema import Scene
 from carom.scene.wording import JoinedNames, NumberedNames
 from seeds import chosen_seed
 

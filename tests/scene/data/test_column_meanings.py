@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from carom.errors import SceneError
-from carom.scene.schema import Scene
+from carom.scene.load import Scene
 
 
 def scene_of(folder: Path, text: str, more: str = "", top: str = "") -> Scene:

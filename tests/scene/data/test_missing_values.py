@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from carom.scene.schema import Scene
+from carom.scene.load import Scene
 from data_scenes import refusal, scene_of
 
 TABLE = "name,x,y,z,mass,radius\nA,0,0,0,1,0.5\nB,5,0,0,,0\nC,,,,2,0.5\nD,9,0,0,3,\n"

@@ -13,7 +13,7 @@ from carom.arrays import FloatArray
 from carom.errors import SceneError
 from carom.scene.data.body_columns import BodyColumns
 from carom.scene.data.orbit_tables import julian_date
-from carom.scene.schema import Scene
+from carom.scene.load import Scene
 from data_scenes import refusal, scene_of
 
 AU, DAY, SUN, G = 149597870700.0, 86400.0, 2e30, 6.6743e-11

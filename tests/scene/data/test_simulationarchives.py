@@ -12,7 +12,7 @@ import pytest
 
 from carom.errors import SceneError
 from carom.physics.space import Space
-from carom.scene.schema import Scene
+from carom.scene.load import Scene
 
 pytestmark = pytest.mark.needs("rebound")
 

@@ -10,8 +10,7 @@ from typing import Any
 import pytest
 
 from carom.errors import SceneError
-from carom.scene.load import scene_from_text
-from carom.scene.schema import Scene
+from carom.scene.load import Scene, scene_from_text
 from carom.scene.units.dimension import (
     DIMENSIONS,
     ENERGY,
@@ -407,7 +406,7 @@ def test_vectors_and_quoted_texts_with_commas_are_one_value_each() -> None:
 
 def test_a_scene_without_units_imports_no_library_of_units() -> None:
     program = (
-        "import sys; from carom.scene.schema import Scene; Scene.load('cloud-collapse'); "
+        "import sys; from carom.scene.load import Scene; Scene.load('cloud-collapse'); "
         "assert 'pint' not in sys.modules; Scene.load('cloud-collapse', ['time.duration=1 h']); "
         "assert 'pint' in sys.modules"
     )

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from carom.lab.crosscheck.crosscheck import Crosscheck, Teller
-    from carom.scene.schema import Scene
+    from carom.scene.load import Scene
     from carom.scene.units.system import UnitSystem
     from carom.terminal.console import Terminal
 
@@ -54,8 +54,8 @@ def crosscheck_command(
     from carom.lab.crosscheck.crosscheck import Crosscheck, Runs
     from carom.lab.engines import engines_called
     from carom.lab.tradeoff import STOPPED, ran
+    from carom.scene.load import Scene
     from carom.scene.scene_file import bundled_folders
-    from carom.scene.schema import Scene
 
     chosen, known = engines_called(engines or [""]), bundled_folders()  # without an engine, the message lists them
     names = list(dict.fromkeys(name for source in scenes for name in known.get(source.rstrip("/"), [source])))

@@ -28,7 +28,7 @@ from carom.recording.source import named_version
 from carom.runs.outcome import Verdict, judge
 from carom.runs.run import recording_space, simulate
 from carom.runs.workers import Ended, LocalWorkers, WorkerDiedError
-from carom.scene.schema import Scene
+from carom.scene.load import Scene
 from carom.scene.start import names_of_solids
 from carom.scene.wording import Names
 from carom.terminal.printing import finite

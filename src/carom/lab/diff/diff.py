@@ -31,9 +31,8 @@ from carom.recording.read.recorded_impacts import count_at, impacts_by_number
 from carom.recording.read.recorded_scene import RecordedBodies
 from carom.recording.read.recording import Recording
 from carom.recording.schema.paths import STEP
-from carom.scene.load import scene_from_text
+from carom.scene.load import Scene, scene_from_text
 from carom.scene.scene_file import DEEPEST, is_too_deep, line_of_long_key
-from carom.scene.schema import Scene
 from carom.scene.units.dimension import TIME
 from carom.scene.units.system import UnitSystem
 from carom.scene.wording import body_called

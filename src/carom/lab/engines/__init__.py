@@ -30,8 +30,9 @@ from carom.record import Fault, Model, Source, State, Tolerances
 from carom.recording.source import SPHERE, engine_package, setup_of
 from carom.recording.source.observer import Observer, not_finite
 from carom.runs.snapshot_writer import observed_recording, observed_totals
+from carom.scene.load import Scene
 from carom.scene.matter import pair_coefficients
-from carom.scene.schema import Coefficients, Scene
+from carom.scene.schema import Coefficients
 from carom.scene.start import HalfSpaces, InitialBodies, half_spaces
 from carom.scene.units.dimension import TIME
 from carom.scene.units.system import SI, UnitSystem

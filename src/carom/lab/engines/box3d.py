@@ -24,7 +24,7 @@ from carom.lab.compared_run import Setting
 from carom.lab.engines import EngineSimulation, SteppedEngine, dt_of, problem_of, refuse
 from carom.record import CONTACT, Model, Plane, State, StateMemory
 from carom.recording.source import engine_package, named_version
-from carom.scene.schema import Scene
+from carom.scene.load import Scene
 
 PACKAGE = "robox3d"
 _NEAR = 0.2  # largest distance of a contact point from its plane, over its distance from the centre

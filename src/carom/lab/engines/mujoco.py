@@ -19,7 +19,8 @@ from carom.lab.compared_run import Setting
 from carom.lab.engines import EngineSimulation, InOrder, SteppedEngine, dt_of, problem_of
 from carom.record import CONTACT, Model, Plane, Source, State
 from carom.recording.source import engine_package, named_version
-from carom.scene.schema import Coefficients, Scene
+from carom.scene.load import Scene
+from carom.scene.schema import Coefficients
 
 WORLD = 0  # the body that owns everything static
 

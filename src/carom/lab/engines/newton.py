@@ -22,7 +22,8 @@ from carom.lab.compared_run import Setting
 from carom.lab.engines import EngineSimulation, SteppedEngine, dt_of, problem_of
 from carom.record import CONTACT, Model, Plane, State
 from carom.recording.source import engine_package, named_version
-from carom.scene.schema import Coefficients, Scene
+from carom.scene.load import Scene
+from carom.scene.schema import Coefficients
 
 WORLD = -1  # the body that owns static shapes
 _NAMES = ("body_label", "body_key")  # attributes with the names, in newer and older versions

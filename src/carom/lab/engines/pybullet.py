@@ -24,7 +24,7 @@ from carom.lab.compared_run import Setting
 from carom.lab.engines import EngineSimulation, SteppedEngine, dt_of, problem_of, refuse
 from carom.record import CONTACT, Model, Plane, State
 from carom.recording.source import SPHERE, engine_package, named_version
-from carom.scene.schema import Scene
+from carom.scene.load import Scene
 
 BASE = -1  # the number of a body's first link
 SLOW = 200  # with more bodies, copying their states takes more than a thirtieth of a step

@@ -26,8 +26,8 @@ from carom.plan.hierarchy import DOMINANT
 from carom.plan.interactions import further
 from carom.record import Model, Source, State, StateMemory
 from carom.recording.source import engine_package, named_version
+from carom.scene.load import Scene
 from carom.scene.matter import pair_coefficients
-from carom.scene.schema import Scene
 from carom.scene.start import half_spaces
 from carom.scene.units.dimension import TIME
 from carom.scene.units.system import WITHOUT, UnitSystem, units_of_rebound

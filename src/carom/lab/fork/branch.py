@@ -26,7 +26,7 @@ from carom.recording.read.recording import Recording
 from carom.runs.resume import continued_scene
 from carom.runs.window import checkpoint_before, space_of
 from carom.runs.workers import Workers
-from carom.scene.schema import Scene
+from carom.scene.load import Scene
 from carom.scene.units.dimension import TIME
 
 _BODIES = ("body", "bodies", "group", "seed", "units", "title", "description")

@@ -17,7 +17,7 @@ from carom.lab.shrink.trials import Budget, observe
 from carom.physics.space import Space
 from carom.runs.environment import Interrupts
 from carom.runs.workers import LocalWorkers
-from carom.scene.schema import Scene
+from carom.scene.load import Scene
 
 POLL = 0.2  # s, between two checks of the budget
 STEPS = 400  # a longer run is abandoned

@@ -27,8 +27,7 @@ from carom.recording.read.recording import Recording
 from carom.recording.write.whole_file import output_folder
 from carom.runs.environment import Interrupts
 from carom.runs.run import recording_space, simulate
-from carom.scene.load import scene_from_text
-from carom.scene.schema import Scene
+from carom.scene.load import Scene, scene_from_text
 from carom.scene.wording import command
 from carom.sharing.report import report
 

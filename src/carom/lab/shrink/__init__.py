@@ -15,7 +15,7 @@ from carom.terminal.printing import say, say_json
 
 if TYPE_CHECKING:
     from carom.lab.shrink.reducer import Reducer, ReducerProgress, Reduction
-    from carom.scene.schema import Scene
+    from carom.scene.load import Scene
     from carom.scene.start import InitialBodies
 
 EVERY = 10.0  # s between lines of progress without a terminal

@@ -16,7 +16,7 @@ from carom.physics.frame import Frame
 from carom.physics.schedule import every
 from carom.physics.space import Space
 from carom.plan.features import require
-from carom.scene.schema import Scene
+from carom.scene.load import Scene
 
 Met = tuple[int, int]  # bodies that touched in a step
 

@@ -24,9 +24,9 @@ from carom.recording.read.recording import Recording
 from carom.recording.write.whole_file import write_whole
 from carom.runs.environment import versions
 from carom.runs.window import checkpoint_before
+from carom.scene.load import Scene
 from carom.scene.matter import body_materials
 from carom.scene.scene_file import RECORDED
-from carom.scene.schema import Scene
 from carom.scene.schema.contact import DEFAULT
 from carom.scene.start import InitialBodies, half_spaces
 from carom.scene.wording import counted

@@ -16,7 +16,7 @@ from carom.physics.placement import place
 from carom.physics.schedule import Schedule, every
 from carom.physics.space import Space
 from carom.runs.environment import Interrupts
-from carom.scene.schema import Scene
+from carom.scene.load import Scene
 from carom.scene.start import InitialBodies
 from carom.scene.wording import counted
 

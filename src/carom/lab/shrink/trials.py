@@ -23,8 +23,8 @@ from carom.physics.space import Space
 from carom.plan import auto
 from carom.runs.environment import Interrupts
 from carom.runs.workers import LocalWorkers, WorkerDiedError
+from carom.scene.load import Scene
 from carom.scene.scene_file import toml_text
-from carom.scene.schema import Scene
 
 
 @dataclass(frozen=True, slots=True)

@@ -36,7 +36,7 @@ from carom.plan.features import require
 from carom.private_folder import temporary_folder
 from carom.runs.refinement import refine
 from carom.scene.conversion import converted, rescaled
-from carom.scene.schema import Scene
+from carom.scene.load import Scene
 from carom.scene.units.dimension import BASE, LENGTH, Dimension
 from carom.scene.wording import suggestion
 

@@ -31,7 +31,7 @@ from carom.recording.read.recorded_scene import recorded_scene, start_of
 from carom.recording.read.recording import Recording
 from carom.recording.schema.paths import STEP
 from carom.runs.window import rerun
-from carom.scene.schema import Scene
+from carom.scene.load import Scene
 from carom.scene.units.dimension import TIME, Dimension
 from carom.scene.units.system import UnitSystem
 from carom.scene.wording import command

@@ -15,8 +15,7 @@ import tomlkit
 from carom.errors import ExperimentError, SceneError
 from carom.scene import variation
 from carom.scene.data.body_sources import HeldBodies
-from carom.scene.load import scene_from_text
-from carom.scene.schema import Scene
+from carom.scene.load import Scene, scene_from_text
 
 SEED = "seed"
 _LONGEST_NAME = 120  # characters; a file's name has 255, and an attempt's is longer

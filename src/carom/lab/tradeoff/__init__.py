@@ -115,7 +115,7 @@ def opened(
     """Open or begin the study of a scene; return it with the settings of ``--vary`` (None without)."""
     from carom.lab.tradeoff.settings_grid import vary as grid
     from carom.lab.tradeoff.tradeoff import ADVICE, Study
-    from carom.scene.schema import Scene
+    from carom.scene.load import Scene
 
     scene = Scene.load(source, overrides)
     settings = grid(scene, vary) if vary else None

@@ -29,8 +29,8 @@ from carom.physics.contact.law import LAW
 from carom.physics.forces.kernel_forces import forces_of_packages
 from carom.physics.reference_api import BodyProxy, CollisionContext
 from carom.physics.space import Space
+from carom.scene.load import Scene
 from carom.scene.matter import pair_coefficients
-from carom.scene.schema import Scene
 from carom.scene.units.dimension import TIME
 from carom.scene.wording import bodies_called
 

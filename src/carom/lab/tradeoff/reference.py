@@ -26,7 +26,7 @@ from carom.physics.space import Space
 from carom.physics.vector import minimum_images
 from carom.plan import auto
 from carom.plan.features import require
-from carom.scene.schema import Scene
+from carom.scene.load import Scene
 from carom.scene.units.dimension import LENGTH, TIME
 from carom.scene.wording import counted
 

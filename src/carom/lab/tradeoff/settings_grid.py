@@ -28,7 +28,7 @@ from carom.plan.hierarchy import why_no_hierarchy
 from carom.plan.interactions import damping
 from carom.scene import variation
 from carom.scene.integrators import INTEGRATORS, integrator_called
-from carom.scene.schema import Scene
+from carom.scene.load import Scene
 from carom.terminal.printing import finite
 
 STEP = "step"  # a pseudo-key: a factor on the step, whichever limit applies

@@ -47,7 +47,7 @@ from carom.physics.schedule import at
 from carom.physics.space import Space
 from carom.recording.write.whole_file import output_folder
 from carom.runs.environment import environment
-from carom.scene.schema import Scene
+from carom.scene.load import Scene
 from carom.scene.units.dimension import TIME
 
 DOCUMENT = "tradeoff.json"

@@ -24,7 +24,7 @@ from carom.recording.read.recorded_contacts import closing_speeds, rows_by_frame
 from carom.recording.read.recorded_scene import recorded_scene
 from carom.recording.read.recording import Recording
 from carom.runs.window import space_of
-from carom.scene.schema import Scene
+from carom.scene.load import Scene
 from carom.scene.units.dimension import TIME
 from carom.scene.units.system import SI, UnitSystem
 

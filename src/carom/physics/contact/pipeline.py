@@ -40,7 +40,7 @@ from carom.physics.jit.team import Team
 from carom.plan.features import Requirements
 from carom.plan.step_parts import STEP_PARTS, required
 from carom.registry import imported
-from carom.scene.schema import Scene
+from carom.scene.load import Scene
 
 
 class ContactPipeline:

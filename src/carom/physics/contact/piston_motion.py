@@ -20,7 +20,7 @@ from carom.arrays import FloatArray, Records
 from carom.physics.contact.guided_walls import GUIDE
 from carom.physics.contact.translating_walls import WallTranslation
 from carom.plan.auto import timing
-from carom.scene.schema import Scene
+from carom.scene.load import Scene
 from carom.scene.schema.motion import WallMotion
 from carom.scene.schema.piston import force_of, piston_of
 

@@ -25,7 +25,7 @@ from carom.physics.jit.decorators import chosen_by_type, identity_of, kernel, le
 from carom.physics.jit.instructions import from_front
 from carom.physics.vector import Vector, add, vector
 from carom.plan.interactions import load, pressing_wall
-from carom.scene.schema import Scene
+from carom.scene.load import Scene
 from carom.scene.schema.motion import WallMotion
 from carom.scene.schema.wall import Wall
 from carom.scene.start import HalfSpaces, half_spaces

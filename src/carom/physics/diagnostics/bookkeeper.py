@@ -30,7 +30,7 @@ from carom.physics.forces.force import Potentials
 from carom.physics.world import World
 from carom.plan.auto import integrator
 from carom.scene.forces import acts_from_outside
-from carom.scene.schema import Scene
+from carom.scene.load import Scene
 from carom.scene.units.dimension import TIME
 from carom.scene.wording import Names
 

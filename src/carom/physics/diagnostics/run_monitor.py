@@ -17,7 +17,7 @@ from carom.physics.jit.decorators import kernel, long_kernel
 from carom.physics.jit.team import SOLO, Team
 from carom.plan.auto import integrator
 from carom.plan.features import require
-from carom.scene.schema import Scene
+from carom.scene.load import Scene
 from carom.scene.schema.settings import LARGEST_ACCURACY
 from carom.scene.units.dimension import TIME
 from carom.scene.units.system import SI, UnitSystem

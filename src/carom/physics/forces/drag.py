@@ -48,7 +48,8 @@ from carom.physics.integrators.kick_drift import (
 from carom.physics.jit.decorators import Function, for_first, inline, kernel
 from carom.physics.jit.team import Team
 from carom.scene.forces import DRAG, MOST_RELAXATIONS
-from carom.scene.schema import Drag, Scene
+from carom.scene.load import Scene
+from carom.scene.schema import Drag
 
 
 class DragSumsRecord(Protocol):

@@ -15,7 +15,7 @@ from carom.physics.bodies import Bodies
 from carom.physics.jit.decorators import kernel, long_kernel
 from carom.physics.jit.team import Team
 from carom.scene.forces import UNIFORM_FIELD
-from carom.scene.schema import Scene
+from carom.scene.load import Scene
 
 MIN_BODIES_PER_TASK = 5000  # about 10 µs of work
 

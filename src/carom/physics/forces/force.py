@@ -36,7 +36,7 @@ from carom.physics.jit.team import Team
 from carom.plan.auto import uses_tree
 from carom.plan.features import Requirements
 from carom.scene.forces import FORCES, UNIFORM_FIELD, ForceKind
-from carom.scene.schema import Scene
+from carom.scene.load import Scene
 
 if TYPE_CHECKING:
     from carom.physics.forces.drag import DragLaw, StokesDrag

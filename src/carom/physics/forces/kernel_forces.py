@@ -21,7 +21,7 @@ from carom.physics.jit.decorators import chosen_by_type, identity_of, kernel, le
 from carom.physics.jit.team import SOLO, Team
 from carom.physics.vector import nearest_image
 from carom.scene.forces import ForceKind, PairForce, force_called, kind_called
-from carom.scene.schema import Scene
+from carom.scene.load import Scene
 
 Parameters = tuple[Records, ...]  # (1,) records, one for each force
 

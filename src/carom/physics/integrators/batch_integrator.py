@@ -17,7 +17,7 @@ from carom.physics.bodies import Bodies
 from carom.physics.saved import BODY, ENCOUNTER, RUN, Saved
 from carom.plan.auto import integrator
 from carom.plan.features import Requirements
-from carom.scene.schema import Scene
+from carom.scene.load import Scene
 
 BY_LEAPFROG = -1.0  # value of ``last_dt`` where contacts came to rest, and leapfrog takes the steps
 

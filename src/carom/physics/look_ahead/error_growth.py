@@ -16,7 +16,7 @@ import numpy as np
 
 from carom.arrays import FloatArray
 from carom.physics.vector import minimum_images
-from carom.scene.schema import Scene
+from carom.scene.load import Scene
 from carom.scene.start import InitialBodies
 
 GOLDEN = 0.3819660112501051  # of the time between two comparisons

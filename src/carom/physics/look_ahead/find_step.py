@@ -54,8 +54,9 @@ from carom.plan.auto import auto_interval, integrator, largest_step
 from carom.plan.features import require
 from carom.plan.hierarchy import orbits_often
 from carom.scene.integrators import AUTO, INTEGRATORS
+from carom.scene.load import Scene
 from carom.scene.scene_file import naming_places
-from carom.scene.schema import Promise, Scene
+from carom.scene.schema import Promise
 from carom.scene.schema.settings import LARGEST_ACCURACY
 from carom.scene.start import InitialBodies
 from carom.scene.units.dimension import TIME

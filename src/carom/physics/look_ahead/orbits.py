@@ -19,7 +19,7 @@ import numpy as np
 from carom.arrays import FloatArray
 from carom.physics.look_ahead.trial_run import ITERATIONS, ORBIT_BODY, ORBIT_STEP, WorkBudget, radau_work
 from carom.plan.auto import largest_step
-from carom.scene.schema import Scene
+from carom.scene.load import Scene
 from carom.scene.start import InitialBodies
 
 ROUGH = 1e-3  # smallest accuracy for coarse steps; refinements of at least 0.63 resolve the innermost orbit

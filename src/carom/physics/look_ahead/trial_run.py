@@ -17,7 +17,8 @@ from carom.arrays import FloatArray
 from carom.errors import PhysicsError
 from carom.physics.simulation import Simulation
 from carom.plan.auto import gravity_method, integrator
-from carom.scene.schema import Expect, Promise, Scene
+from carom.scene.load import Scene
+from carom.scene.schema import Expect, Promise
 from carom.scene.start import InitialBodies
 
 LEAST = 5.0  # nominal s

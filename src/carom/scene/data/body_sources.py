@@ -24,7 +24,7 @@ from carom.scene.units.dimension import GRAVITATIONAL_CONSTANT, LENGTH, TIME
 from carom.scene.units.system import SI, UnitSystem
 
 if TYPE_CHECKING:
-    from carom.scene.schema import Scene
+    from carom.scene.schema import SceneModel
 
 LARGEST_DATA = 10**11  # bytes; computing their digest takes a minute
 LAW = {"constant": GRAVITATIONAL_CONSTANT, "softening": LENGTH}  # keys of [gravity] that a file may state
@@ -141,7 +141,7 @@ class HeldBodies:
 
 
 def take_over_laws(
-    scene: Scene, units: UnitSystem, given: Mapping[str, Any], each_bodies: list[SourcedBodies]
+    scene: SceneModel, units: UnitSystem, given: Mapping[str, Any], each_bodies: list[SourcedBodies]
 ) -> tuple[dict[str, float], dict[int, str]]:
     """Compare the laws of motion in the files with the scene; add notes to the bodies in ``each_bodies``.
 
@@ -201,7 +201,7 @@ def take_over_laws(
     return taken, refuted
 
 
-def compare_facts(scene: Scene, units: UnitSystem, each_bodies: list[SourcedBodies]) -> dict[int, str]:
+def compare_facts(scene: SceneModel, units: UnitSystem, each_bodies: list[SourcedBodies]) -> dict[int, str]:
     """Compare what the files state with the scene and with each other; add notes to the bodies in ``each_bodies``.
 
     Return contradictions by the index of the [[bodies]] table.
@@ -251,7 +251,7 @@ def _quoted_axes(box: FileBox) -> str:
     return str(["periodic" if axis in box.periodic else "open" for axis in "xyz"]).replace("'", '"')
 
 
-def _add_notes(scene: Scene, index: int, each_bodies: list[SourcedBodies], notes: Iterable[str]) -> None:
+def _add_notes(scene: SceneModel, index: int, each_bodies: list[SourcedBodies], notes: Iterable[str]) -> None:
     """Add notes to the bodies of a table; a changed scene already has its earlier notes."""
     bodies, called = each_bodies[index], scene.bodies[index].called
     new = [f"{called}: {note}" for note in notes]

@@ -11,7 +11,7 @@ from carom.scene.schema.quantity import Positive, Real, Section, SectionError
 from carom.scene.units.dimension import FORCE, MASS, PRESSURE, VELOCITY
 
 if TYPE_CHECKING:
-    from carom.scene.schema.scene import Scene
+    from carom.scene.schema.scene import SceneModel
 
 
 class Piston(Section):
@@ -34,12 +34,12 @@ class Piston(Section):
         return self
 
 
-def piston_of(scene: Scene) -> tuple[int, Piston] | None:
+def piston_of(scene: SceneModel) -> tuple[int, Piston] | None:
     """Return the number of the plane that is a piston, and its section; None if there is none."""
     return next(((k, plane.piston) for k, plane in enumerate(scene.plane) if plane.piston is not None), None)
 
 
-def force_of(scene: Scene) -> float:
+def force_of(scene: SceneModel) -> float:
     """Return the given force on the piston, along the normal of its plane, in N."""
     numbered = piston_of(scene)
     if numbered is None:
@@ -52,7 +52,7 @@ def force_of(scene: Scene) -> float:
     return piston.pressure * first * second
 
 
-def refuse_what_has_no_piston(scene: Scene) -> None:
+def refuse_what_has_no_piston(scene: SceneModel) -> None:
     """Refuse a piston with parts of the model that know only planes at rest, or with a prescribed motion."""
     numbered = piston_of(scene)
     if numbered is None:

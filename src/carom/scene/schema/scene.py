@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from functools import cache
-from os import PathLike
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self, cast
 
 from pydantic import Field, PrivateAttr, model_validator
@@ -35,21 +32,15 @@ from carom.scene.wall_shapes import shape_called
 from carom.scene.wording import suggestion
 
 if TYPE_CHECKING:
-    from numpy.typing import ArrayLike
-
     from carom.scene.data.body_columns import BodyColumns
     from carom.scene.data.body_sources import HeldBodies
     from carom.scene.scene_file import KeyPath, KeyPlaces
 
 
-class Scene(Forces, Heading):
-    """What to simulate: validated, complete, immutable.
+class SceneModel(Forces, Heading):
+    """The sections of a scene and the checks across them: validated, complete, immutable.
 
-    Examples
-    --------
-    >>> scene = Scene.from_dict({"body": [{"radius": 1.0}], "time": {"duration": 1.0}})
-    >>> scene.time.duration
-    1.0
+    `carom.Scene` adds how a scene is made from a file, a dictionary or arrays.
     """
 
     contact: ContactSettings = Field(ContactSettings(), description="how contacts are modelled")
@@ -164,102 +155,7 @@ class Scene(Forces, Heading):
         """The names of the walls of [[wall]]."""
         return [wall.name or f"{wall.shape} {index}" for index, wall in enumerate(self.wall)]
 
-    @classmethod
-    def load(cls, source: str | Path, overrides: list[str] | None = None) -> Scene:
-        """Load a TOML file, or a bundled scene by its name; see `carom.scene.load.load_scene`."""
-        if not isinstance(source, str | PathLike):
-            made = "; Scene.from_dict makes one from a dict" if isinstance(source, dict) else ""
-            raise TypeError(f"a scene is the path of a file or a bundled name, not {type(source).__name__}{made}")
-        if isinstance(overrides, str):
-            raise TypeError(f'overrides are a list of texts, such as ["{overrides}"]')
-        from carom.scene.load import load_scene  # noqa: PLC0415 - load needs Scene
-
-        return load_scene(source, overrides or [])
-
-    @classmethod
-    def from_dict(cls, data: dict[str, Any]) -> Scene:
-        """Build a scene from the same keys as a TOML file; raises `SceneError` like `load`."""
-        if not isinstance(data, dict):
-            raise TypeError(f"Scene.from_dict: a dict of sections is needed, not {type(data).__name__}")
-        from carom.scene.load import scene_from_dict  # noqa: PLC0415 - load needs Scene
-
-        return scene_from_dict(data)
-
-    @classmethod
-    def from_arrays(
-        cls,
-        *,
-        position: ArrayLike,
-        radius: ArrayLike,
-        mass: ArrayLike | None = None,
-        density: ArrayLike | None = None,
-        velocity: ArrayLike | None = None,
-        angular_velocity: ArrayLike | None = None,
-        inertia: ArrayLike | None = None,
-        fixed: ArrayLike | None = None,
-        name: str | ArrayLike | None = None,
-        made_of: str | None = None,
-        **sections: Any,
-    ) -> Scene:
-        """Build a scene from bodies in arrays.
-
-        Parameters
-        ----------
-        position
-            (n, 3) m.
-        radius, mass, density, inertia, fixed
-            m, kg, kg/m³, kg m² (or as ``units`` says), and whether a body neither moves nor rotates; (n,), or one value
-            for all. A mass or a density is needed, or a material that defines one. Without ``inertia``, bodies are
-            solid spheres, unless their material defines another factor.
-        velocity, angular_velocity
-            m/s and rad/s; (n, 3), or (3,) for all. Zero by default.
-        name
-            n names, or one name to which each body adds its number.
-        made_of
-            The name of a [[material]] for all these bodies. `with_bodies` adds bodies of another material.
-        sections
-            The other keys of a scene, such as ``time={"duration": 1.0}``.
-
-        Raises
-        ------
-        SceneError
-            If an array has another shape or a value that is not finite, or a section is wrong.
-
-        Examples
-        --------
-        >>> scene = Scene.from_arrays(position=[[0, 0, 0], [3, 0, 0]], radius=1.0, density=2600.0)
-        >>> scene.count
-        2
-        """
-        from carom.scene.load import scene_from_arrays  # noqa: PLC0415 - needs Scene
-
-        arrays = {"position": position, "radius": radius, "mass": mass, "density": density, "velocity": velocity}
-        arrays |= {"angular_velocity": angular_velocity, "inertia": inertia, "fixed": fixed}
-        return scene_from_arrays(arrays, name, made_of, sections)
-
-    def with_bodies(self, *, keep: bool = False, **arrays: Any) -> Scene:
-        """Return this scene with other bodies, given as for `from_arrays`.
-
-        Parameters
-        ----------
-        keep
-            Whether the scene's own bodies and groups stay in addition to the new ones.
-        arrays
-            ``position``, ``radius`` and so on.
-        """
-        from carom.scene.load import scene_with_arrays  # noqa: PLC0415 - needs Scene
-
-        return scene_with_arrays(self, keep, arrays)
-
-    def changed(self, overrides: list[str]) -> Scene:
-        """Return this scene with changed keys, in the syntax of ``--set``; raises `SceneError` like `load`."""
-        from carom.scene.load import scene_from_text  # noqa: PLC0415 - load needs Scene
-
-        if isinstance(overrides, str | Mapping):  # it would be read letter by letter, or key by key
-            raise TypeError(f'overrides: expected a list of texts such as ["time.duration=5"], got {overrides!r}')
-        return scene_from_text(self.toml, self.title, overrides, self._held)
-
-    def promising(self, promise: Promise) -> Scene:
+    def promising(self, promise: Promise) -> Self:
         """Return this scene with a promise, also in its text."""
         values = promise.model_dump(exclude_none=True)
         lines = [f"{key} = {list(value) if isinstance(value, tuple) else value!r}\n" for key, value in values.items()]
@@ -378,7 +274,7 @@ class Scene(Forces, Heading):
         return self
 
 
-def check_materials(scene: Scene) -> None:
+def check_materials(scene: SceneModel) -> None:
     """Refuse names of materials that are unknown or used twice, and bodies that contradict their material."""
     known: dict[str, Material | None] = {DEFAULT: None}
     twice = 'given, but material = "{}" has one; remove one of the two'
@@ -448,6 +344,6 @@ def know_installed_parts() -> None:
                 meaning = (section.__doc__ or "").partition(": ")[2] or section.__doc__
                 for model in holders:
                     model.model_fields[name] = FieldInfo(annotation=section | None, default=None, description=meaning)
-    rebuilt: tuple[type[Section], ...] = (InstalledForces, *surfaces, Scene)
+    rebuilt: tuple[type[Section], ...] = (InstalledForces, *surfaces, SceneModel, *SceneModel.__subclasses__())
     for model in rebuilt:
         model.model_rebuild(force=True)

@@ -14,7 +14,7 @@ from carom.scene.schema.quantity import Real, Section
 from carom.scene.units.dimension import RATE
 
 if TYPE_CHECKING:
-    from carom.scene.schema.scene import Scene
+    from carom.scene.schema.scene import SceneModel
 
 Axis = Literal["x", "y", "z"]
 
@@ -59,7 +59,7 @@ class Shear(Section):
         return cell
 
 
-def refuse_what_is_not_sheared(scene: Scene) -> None:
+def refuse_what_is_not_sheared(scene: SceneModel) -> None:
     """Refuse a sheared box with parts of the model that need forces, or the velocity of something at rest.
 
     Nothing can be fixed in a sheared box, since its images would move. A body that overlaps another one may be pushed

@@ -25,7 +25,7 @@ from carom.recording.schema import paths
 from carom.runs.recomputed import snapshots
 from carom.runs.replay import replay
 from carom.runs.resume import continue_run, resumable_run
-from carom.scene.schema import Scene
+from carom.scene.load import Scene
 from carom_command import carom as command
 
 FloatArray = NDArray[np.float64]

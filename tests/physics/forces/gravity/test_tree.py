@@ -10,7 +10,7 @@ from carom.physics.forces.gravity.boxes import GRAIN, GROUP, LEAF, Boxes
 from carom.physics.forces.gravity.tree import TreeGravity
 from carom.physics.jit.team import Team
 from carom.physics.space import Space
-from carom.scene.schema import Scene
+from carom.scene.load import Scene
 from gravity_shapes import SHAPES, Shape, ball, errors, masses, plummer, pulled_by, summed
 
 FloatArray = NDArray[np.float64]

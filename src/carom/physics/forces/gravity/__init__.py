@@ -16,7 +16,7 @@ from carom.physics.bodies import Bodies
 from carom.physics.jit.team import Team
 from carom.plan.auto import gravity_method
 from carom.scene.forces import GRAVITY
-from carom.scene.schema import Scene
+from carom.scene.load import Scene
 
 
 class GravityMethod(Protocol):

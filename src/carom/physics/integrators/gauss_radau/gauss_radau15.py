@@ -64,7 +64,7 @@ from carom.physics.jit.decorators import borrowing, entry_of, unowned
 from carom.physics.step_rule import END_TOLERANCE
 from carom.plan.auto import largest_step
 from carom.plan.features import Requirements
-from carom.scene.schema import Scene
+from carom.scene.load import Scene
 from carom.scene.start import half_spaces
 
 STEP_FRACTION = 0.17506702932189996  # η

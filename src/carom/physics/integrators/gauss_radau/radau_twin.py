@@ -37,7 +37,7 @@ from carom.physics.integrators.gauss_radau.radau_step import (
 from carom.physics.jit.decorators import borrowing, unowned
 from carom.physics.step_rule import END_TOLERANCE
 from carom.plan.auto import largest_step
-from carom.scene.schema import Scene
+from carom.scene.load import Scene
 from carom.scene.start import InitialBodies
 
 FIRST_FRACTION = 1e-3  # of the duration: the first trial step

@@ -37,8 +37,8 @@ from carom.physics.integrators.wisdom_holman.kepler import TWO_PI, WORKSPACE
 from carom.physics.integrators.wisdom_holman.orbit_steps import RUN, OrbitArrays, advance, begin, leap, meets_soon
 from carom.plan.auto import largest_step
 from carom.plan.features import Requirements
+from carom.scene.load import Scene
 from carom.scene.portable_math import cube_root
-from carom.scene.schema import Scene
 
 HILL_RADII = 12.0  # bodies on crossing orbits are close within these (docs/validation.md)
 FEWEST_HILL_RADII = 3.0  # bodies whose orbits are farther apart than this never come close
