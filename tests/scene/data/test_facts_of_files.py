@@ -12,7 +12,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from carom.scene.data.body_columns import BodyColumns
-from carom.scene.schema import Scene
+from carom.scene.load import Scene
 from data_scenes import refusal, scene_of
 
 AU, DAY = 149597870700.0, 86400.0
