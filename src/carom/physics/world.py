@@ -109,8 +109,6 @@ class World:
             torques=needs.torque.modelled,
             planes=len(planes),
         )
-        if planes.rotates and needs.spin.modelled:
-            bodies.ends.angular_velocity[len(bodies) :] = planes.spin
         box = np.array(scene.domain.period or (0.0, 0.0, 0.0))
         forces = TotalForce(scene, needs, bodies, team, profile)
         at_rest = np.zeros(3)

@@ -27,6 +27,8 @@ class MovingWalls(OptionalPart):
         bodies, solids = contacts.bodies, contacts.world.planes
         assert isinstance(solids, SolidsWithWalls), "see `carom.plan.step_parts`"
         self._contacts, self._solids, self._count = contacts, solids, len(bodies)
+        if solids.rotates and contacts.needs.spin.modelled:
+            bodies.ends.angular_velocity[len(bodies) :] = solids.spin
         self._translation: WallTranslation | None = None
         if solids.translates:
             moving = solids.records, solids.before, bodies.ends, solids.motions
