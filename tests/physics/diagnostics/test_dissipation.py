@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 
 from carom.physics.contact.constraints import CONTACT, CONTACT_STATE
-from carom.physics.contact.impact_log import IMPACT, MAX_IN_COLLAPSE, NO_IMPACTS, Impacts
+from carom.physics.contact.impact_log import IMPACT, MANY_IMPACTS, MAX_IN_COLLAPSE, NO_IMPACTS, Impacts
 from carom.physics.contact.loads import LOAD
 from carom.physics.diagnostics.dissipation import (
     GAIN,
     HELD,
     HOLDING,
+    LARGEST_TURN,
     RESTITUTION,
     SIGNIFICANT,
     STOPPED,
@@ -113,8 +114,13 @@ def test_an_impact_may_stop_where_an_acceleration_turns_it_back() -> None:
     assert judged(signs, log_of(stopped | {"nx": 0.0, "ny": 1.0}))[STOPPED] > 0.0  # across, it presses nothing
 
 
-def works(did: int, first: float, last: float, *, holds: bool = True, slides: bool = False) -> list[float]:
-    """Judge the friction of one contact that loses energies (J) in the first and the last kick."""
+def works(
+    did: int, first: float, last: float, *, holds: bool = True, slides: bool = False, across: float = 0.0
+) -> list[float]:
+    """Judge the friction of one contact that loses energies (J) in the first and the last kick.
+
+    Its bodies pass each other at the speed ``across`` (m/s).
+    """
     space = space_of(0.0)
     assert space._contact is not None
     signs = space._contact.signs
@@ -122,8 +128,10 @@ def works(did: int, first: float, last: float, *, holds: bool = True, slides: bo
     contacts["normal_impulse"], contacts["friction_y"] = 1.0, 0.5 if slides else 0.1
     states["friction_loss"], states["rest_speed"] = last, 1.0
     held["did"], held["friction"] = did, first
+    contacts["nx"] = contacts["arm_i"] = contacts["arm_j"] = 1.0
     pairs = np.array([[0, 1]])
-    before, pressed = (pairs, held, True, holds), (DT, np.zeros((2, 3)), np.zeros(2, LOAD))
+    velocity = np.array([[0.0, 0.0, 0.0], [0.0, across, 0.0]])
+    before, pressed = (pairs, held, True, holds), (DT, np.zeros((2, 3)), np.zeros(2, LOAD), velocity)
     resolved = pairs, np.zeros(1, np.int64), contacts, states, NO_IMPACTS.pairs
     judge_contacts(resolved, signs._ends, before, pressed, (7, 0.07), signs.rows)
     return signs.rows["energy"].tolist()
@@ -138,6 +146,19 @@ def test_friction_that_holds_cancels_its_work() -> None:
 def test_friction_that_slides_only_takes() -> None:
     assert not any(works(SLIDES, 1.0, 1.0, slides=True))
     assert works(SLIDES, -3.0, 1.0, slides=True)[GAIN] == pytest.approx(2.0)
+
+
+def test_friction_is_not_judged_where_a_normal_turns_far_in_a_step() -> None:
+    far = 2.0 * LARGEST_TURN / DT  # m/s, for a distance of 2 m
+    assert works(SLIDES, -3.0, 1.0, slides=True, across=0.9 * far)[GAIN] == pytest.approx(2.0)
+    assert not any(works(SLIDES, -3.0, 1.0, slides=True, across=1.1 * far))
+
+
+def test_a_body_that_rattles_may_stop_at_the_load_speed() -> None:
+    stopped = {"restitution_loss": STRUCK, "rest_speed": 2.0}
+    many = [{"restitution_loss": 0.75 * STRUCK, "clock": float(k)} for k in range(MANY_IMPACTS - 1)]
+    assert not any(judged(signs_of(0.5), log_of(*many, stopped)))
+    assert judged(signs_of(0.5), log_of(*many[1:], stopped))[STOPPED] > 0.0
 
 
 def test_friction_on_a_moving_wall_may_do_work_but_a_gain_is_found() -> None:

@@ -80,7 +80,7 @@ class ContactPipeline:
         self.torques = Torques(bodies, team)
         self.contacts = OrderedContacts.of(empty_graph().pairs, bodies, contact.colouring)
         self.snapshots = SnapshotSource(self.solver, bodies.ends.inverse_mass)
-        self.signs = SignsOfDissipation(bodies, world.materials, world.is_still, world.planes.moves)
+        self.signs = SignsOfDissipation(bodies, world.materials, world.is_still, world.planes)
         names = required(scene, requirements, totals is not None)
         made: list[OptionalPart | None] = [imported(STEP_PARTS[name].target)(self) for name in names]
         self.parts = [*others, *(part for part in made if part)]
@@ -189,7 +189,7 @@ class ContactPipeline:
         if len(impacts):
             for struck in self.hooks.struck:
                 struck(step)
-            self.signs.judge_impacts(impacts, step.drift, self.solver.loads)
+            self.signs.judge_impacts(impacts, self.near.loading * step.drift, self.solver.loads)
 
     @property
     def is_quiet(self) -> bool:
@@ -298,7 +298,8 @@ class ContactPipeline:
         for conclude in self.hooks.conclude:
             conclude(step)
         if self.signs.judges and len(self.contacts):
-            self.signs.judge_contacts(self.contacts, self.solver, self.impacts, step.dt, step.last_kick)
+            loaded = self.near.loading * step.dt
+            self.signs.judge_contacts(self.contacts, self.solver, self.impacts, loaded, step.last_kick)
 
     def limits_reached(self) -> list[tuple[str, str]]:
         """Return the limits of the method first reached in this step: level, `WARN` or `INFO`, and text."""

@@ -25,16 +25,17 @@ from carom.event import Event
 from carom.physics.bodies import Bodies
 from carom.physics.contact.constraints import ContactRecord, ContactStateRecord, ends_of
 from carom.physics.contact.graph import comes_before
-from carom.physics.contact.impact_log import MAX_IN_COLLAPSE, ImpactRecord, Impacts
+from carom.physics.contact.impact_log import MANY_IMPACTS, MAX_IN_COLLAPSE, ImpactRecord, Impacts
 from carom.physics.contact.islands import join_islands, root_of
 from carom.physics.contact.law import Materials, exerts_torque, material_index, restitution_of_impact, slides
 from carom.physics.contact.loads import LoadRecord, pressing
 from carom.physics.diagnostics.extremes import Extreme
 from carom.physics.diagnostics.ledger import clear_terms
 from carom.physics.jit.decorators import entry_of, inline, kernel, long_kernel
-from carom.physics.vector import Vector
+from carom.physics.vector import Vector, between
 from carom.scene.rest_speed import PER_STEP
 from carom.scene.schema import Coefficients
+from carom.scene.start import HalfSpaces
 from carom.scene.units.dimension import ENERGY, TIME
 from carom.scene.units.system import UnitSystem
 from carom.scene.wording import Names
@@ -58,6 +59,7 @@ ROUNDED = 1e-9
 # of the order of the angle by which normals and loads turn in a step, at most 0.2; a work of first order in the step
 # does not cancel at all.
 CANCELLED = 0.25
+LARGEST_TURN = 0.2  # of a normal in a step; islands that turn further are not judged
 ALIKE = 0.1  # of the length of a kick; with drag, both kicks of a step differ, and the works cancel nevertheless
 SLOWEST = 1e-100  # m/s, for the coefficient of a contact of a held group that does not close
 SIGNIFICANT = 1e-6  # of the energy scale; what sweeps leave that end early is less in every extreme
@@ -111,6 +113,7 @@ class JudgedEnds(NamedTuple):
     inverse_mass: FloatArray  # (n + p,) 1/kg
     bodies: int  # n
     walls_move: bool  # a wall that accelerates presses bodies, too, so impacts at walls may stop
+    walls_curve: bool  # at the end of a step, a body that follows a curved wall closes, too
 
 
 class SignsOfDissipation:
@@ -121,13 +124,14 @@ class SignsOfDissipation:
     holds
         Whether the friction of contacts that stick is judged: no wall and no image moves, since the slip changes with
         their velocity.
-    walls_move
-        Whether a wall moves.
+    planes
+        The planes and walls of the run.
     """
 
-    def __init__(self, bodies: Bodies, materials: Materials, holds: bool, walls_move: bool) -> None:
+    def __init__(self, bodies: Bodies, materials: Materials, holds: bool, planes: HalfSpaces) -> None:
         self._bodies, self._holds = bodies, holds
-        self._ends = JudgedEnds(materials.rows, materials.places, bodies.ends.inverse_mass, len(bodies), walls_move)
+        walls = planes.moves, planes.curves
+        self._ends = JudgedEnds(materials.rows, materials.places, bodies.ends.inverse_mass, len(bodies), *walls)
         # the kernels, compiled for the records of the run
         self._note_held: Callable[..., None] | None = None
         self._judge_impacts: Callable[..., bool] | None = None
@@ -184,7 +188,10 @@ class SignsOfDissipation:
         note(*asked)
 
     def judge_impacts(self, impacts: Impacts, dt: float, loads: RecordArray[LoadRecord]) -> None:
-        """Judge the impacts during a drift of dt (s), given the loads of the bodies in the first kick."""
+        """Judge the impacts during a drift of dt (s), given the loads of the bodies in the first kick.
+
+        Where walls load contacts more than accelerations do, dt is as much longer (`NearPairs.loading`).
+        """
         pressed = dt, self._bodies.ends.acceleration, loads
         asked = impacts.log, self._ends, pressed, _ROUNDED, self._step, self._time, self.rows
         judge = self._judge_impacts = self._judge_impacts or entry_of(judge_impacts, *asked)
@@ -197,7 +204,8 @@ class SignsOfDissipation:
         alike = abs(kick - self._kick) <= ALIKE * self._kick
         resolved = contacts.pairs, contacts.order.place, solver.contacts, solver.states, impacts.pairs
         held = self._held_pairs, self._held, alike, alike and self._holds
-        pressed = dt, self._bodies.ends.acceleration, solver.loads
+        ends = self._bodies.ends
+        pressed = dt, ends.acceleration, solver.loads, ends.velocity
         asked = resolved, self._ends, held, pressed, (self._step, self._time), self.rows
         judge = self._judge_contacts = self._judge_contacts or entry_of(judge_contacts, *asked)
         self.any |= judge(*asked)
@@ -312,7 +320,7 @@ def judge_impacts(
     ``tolerance`` has the error of each that is not wrong, or of all, relative to ½ μ v_n².
     The impulses of a group that is held act at one time, and their energies have a meaning only together.
     """
-    rows, places, inverse_mass, bodies, walls_move = ends
+    rows, places, inverse_mass, bodies, walls_move, _ = ends
     dt, acceleration, loads = pressed
     impacts, found = places[:0, 0], False  # counted if necessary
     together, largest, a, b = 0.0, 0.0, 0, 0
@@ -335,15 +343,16 @@ def judge_impacts(
             excess = min(0.0, entry.restitution_loss)
         if abs(excess) <= tolerated:
             continue
+        if e < 1.0 and len(impacts) == 0:
+            impacts = _count_impacts(log, bodies)
+        most = 0 if e >= 1.0 else max(impacts[i], impacts[j] if j < bodies else 0)
         if v > entry.rest_speed or v == 0.0:  # only a held group has contacts that do not close
-            if e < 1.0 and len(impacts) == 0:
-                impacts = _count_impacts(log, bodies)
-            if e >= 1.0 or max(impacts[i], impacts[j] if j < bodies else 0) < MAX_IN_COLLAPSE:
+            if most < MAX_IN_COLLAPSE:
                 together += excess
                 if abs(excess) > largest:
                     largest, a, b = abs(excess), i, j
             continue
-        if walls_move and j >= bodies:
+        if (walls_move and j >= bodies) or most >= MANY_IMPACTS:
             continue
         if v > PER_STEP * dt * pressing(i, j, (entry.nx, entry.ny, entry.nz), acceleration, loads):
             found = _add(wrong[STOPPED], e * e * struck, i, j, step, time)
@@ -368,7 +377,7 @@ def judge_contacts(
     resolved: tuple[IntArray, IntArray, RecordArray[ContactRecord], RecordArray[ContactStateRecord], IntArray],
     ends: JudgedEnds,
     before: tuple[IntArray, RecordArray[HeldContacts], bool, bool],
-    pressed: tuple[float, FloatArray, RecordArray[LoadRecord]],
+    pressed: tuple[float, FloatArray, RecordArray[LoadRecord], FloatArray],
     now: tuple[int, float],
     wrong: RecordArray[WrongWorkRecord],
 ) -> bool:
@@ -379,9 +388,9 @@ def judge_contacts(
     """
     pairs, place, contacts, states, struck_pairs = resolved
     step, time = now
-    rows, places, inverse_mass, bodies, walls_move = ends
+    rows, places, inverse_mass, bodies, walls_move, walls_curve = ends
     held_pairs, held, alike, holds = before
-    dt, acceleration, loads = pressed
+    dt, acceleration, loads, velocity = pressed
     count = len(inverse_mass)
     island = np.arange(count)
     join_islands(pairs, inverse_mass, island)
@@ -408,6 +417,8 @@ def judge_contacts(
             b += 1
         if not (did == _IDLE or (known and did == _STUCK)) or state.approach_speed > state.rest_speed:
             sticks_only[root] = False
+        if j < bodies and _turn(contact, between(velocity, i, j), dt) > LARGEST_TURN:
+            is_judged[root] = False
         friction[root] += lost
         magnitude[root] += size
         if worst[root] < 0 or abs(lost) > largest[root]:
@@ -424,7 +435,7 @@ def judge_contacts(
                 found = _add(wrong[RESTITUTION], excess, i, j, step, time)
             continue
         normal = contact.nx, contact.ny, contact.nz
-        stopped = e > 0.0 and contact.normal_impulse > 0.0 and not (walls_move and j >= bodies)
+        stopped = e > 0.0 and contact.normal_impulse > 0.0 and not ((walls_move or walls_curve) and j >= bodies)
         if stopped and v > PER_STEP * dt * pressing(i, j, normal, acceleration, loads):
             found = _add(wrong[STOPPED], e * e * struck, i, j, step, time)
     while b < len(held_pairs):
@@ -441,6 +452,15 @@ def judge_contacts(
         elif work < 0.0:
             found = _add(wrong[GAIN], -work, i, j, step, time)
     return found
+
+
+@inline
+def _turn(contact: ContactRecord, velocity: Vector, dt: float) -> float:
+    """Return the angle by which the normal of two bodies turns in a step, given their relative velocity in m/s."""
+    (vx, vy, vz), (nx, ny, nz) = velocity, (contact.nx, contact.ny, contact.nz)
+    vn = vx * nx + vy * ny + vz * nz
+    tx, ty, tz = vx - vn * nx, vy - vn * ny, vz - vn * nz
+    return float(np.sqrt(tx * tx + ty * ty + tz * tz) * dt / (contact.arm_i + contact.arm_j))
 
 
 @inline

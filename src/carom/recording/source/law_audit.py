@@ -420,7 +420,7 @@ class LawAudit:
         materials = np.zeros(1 + len(setup.planes), MATERIAL)
         materials["restitution"] = np.nan if setup.restitution is None else setup.restitution
         inverse_mass = np.append(np.where(setup.fixed, 0.0, 1.0 / setup.mass), np.zeros(len(setup.planes)))
-        ends = JudgedEnds(materials, np.empty((0, 2), np.int64), inverse_mass, n, False)
+        ends = JudgedEnds(materials, np.empty((0, 2), np.int64), inverse_mass, n, False, False)
         unloaded = dt, np.zeros((len(inverse_mass), 3)), np.zeros(len(inverse_mass), LOAD)
         wrong = np.zeros(len(WRONG), WRONG_WORK)
         judge_impacts(log, ends, unloaded, tolerance, *place, wrong)

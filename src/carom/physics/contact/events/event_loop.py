@@ -46,7 +46,7 @@ from carom.physics.contact.events.trajectories import (
 from carom.physics.contact.events.wall_impacts import predict_with_walls
 from carom.physics.contact.geometry import normal_and_distance
 from carom.physics.contact.guided_walls import impacts_of_wall, push_guided
-from carom.physics.contact.impact_log import MAX_IN_COLLAPSE, ROUNDING, ImpactRecord
+from carom.physics.contact.impact_log import MANY_IMPACTS, MAX_IN_COLLAPSE, ROUNDING, ImpactRecord
 from carom.physics.contact.law import (
     dissipates,
     exerts_torque,
@@ -83,10 +83,6 @@ SLOW_IN_SPACE = 1.0
 # wall (Galperin 2003): 10⁵ for a ratio of the masses of 10⁹. Their records take 20 MB.
 MAX_IMPACTS = 1000
 MAX_ELASTIC = 100_000
-# Number of impacts of a body in a drift after which it rattles among others that press it, though no contact has yet
-# carried a load: with e < 1, its slow impacts then end at the load speed. Without this, bodies in the densest steps of
-# `hopper` have 1300 impacts instead of 160 and are exhausted.
-MANY_IMPACTS = 30
 
 
 @borrowing
