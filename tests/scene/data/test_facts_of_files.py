@@ -647,3 +647,18 @@ def test_names_that_all_repeat_equally_often_without_a_time_are_a_question(tmp_p
     said = refusal(tmp_path, "a.csv")
     assert "each of 2 values of name occurs 2 times, as if the rows were steps" in said and "count = 4" in said
     assert scene_of(tmp_path, "a.csv", "count = 4", "contact.allow_overlap = true").count == 4
+
+
+def test_an_axis_may_stand_before_the_name_of_a_vector(tmp_path: Path) -> None:
+    axes = [f"{axis} {name}" for name in ("Position (km)", "Velocity (km/s)") for axis in "XYZ"]
+    (tmp_path / "a.csv").write_text(f"{','.join(axes)},Mass (kg),Radius (km)\n1,2,3,4,5,6,7,8\n")
+    body = scene_of(tmp_path, "a.csv").data[0]
+    assert body.position.tolist() == [[1e3, 2e3, 3e3]] and body.velocity.tolist() == [[4e3, 5e3, 6e3]]
+
+
+def test_files_of_a_scene_from_different_times_are_noted(tmp_path: Path) -> None:
+    for name, time in (("a", 1.5), ("b", 2.5)):
+        (tmp_path / f"{name}.xyz").write_text(f"1\nProperties=pos:R:3 Time={time}\n{time} 0 0\n")
+    more = 'mass = 1\nradius = 0.1\n[[bodies]]\nfile = "b.xyz"\nmass = 1\nradius = 0.1'
+    notes = scene_of(tmp_path, "a.xyz", more).notes
+    assert "b.xyz: its time is 2.5 s, and that of a.xyz is 1.5 s" in notes[1]

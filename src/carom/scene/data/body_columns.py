@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from carom.arrays import BoolArray, FloatArray
 from carom.errors import SceneError
 from carom.scene.data import Arrays, DataTable, Raw, flags_of, numbers_of, step_at, texts_of
-from carom.scene.data.facts import Facts, column_factor, refuse_other_units
+from carom.scene.data.facts import Facts, FileColumn, column_factor, refuse_other_units
 from carom.scene.data.mapping import (
     DIMENSIONS,
     VECTORS,
@@ -31,6 +31,7 @@ from carom.scene.data.steps import Steps, axis_of_steps, rows_of_step, steps_in
 from carom.scene.schema.body import BodyData, Missing
 from carom.scene.schema.contact import Material
 from carom.scene.schema.quantity import LARGEST, SMALLEST
+from carom.scene.units.dimension import TIME
 from carom.scene.units.system import UnitSystem
 from carom.scene.wording import counted
 
@@ -117,7 +118,7 @@ _SAME_DISTANCE = 0.02  # relative; distances from the Sun nearly equal distances
 
 
 class ReadBodies(NamedTuple):
-    """The bodies of a table, and what its file states; the box is in units of the simulation."""
+    """The bodies of a table, and what its file states; the box and the time are in units of the simulation."""
 
     columns: BodyColumns
     notes: tuple[str, ...]
@@ -193,6 +194,9 @@ def read_columns(
     if unused:
         notes.append(f"{table.called}: columns that are not used: {unused}")
     facts = table.facts if orbits is None else orbits.stated()
+    if facts.time is not None:
+        factor = column_factor(table.called, FileColumn("time", "time"), facts, "time", (TIME,), units)
+        facts = replace(facts, time=factor * facts.time)
     if facts.box is not None and "position" in mapping:
         facts = replace(facts, box=facts.box.scaled(reader.factor("position")))
     return ReadBodies(columns, (*table.notes, *notes, *reader.notes, *(orbits.advice if orbits else ())), facts)

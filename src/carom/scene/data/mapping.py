@@ -48,9 +48,9 @@ USUAL: dict[str, tuple[str, ...]] = {
     "name": ("name", "names", "label", "fullname"),
 }
 USUAL_AXES: dict[str, tuple[str, ...]] = {  # with x, y and z instead of the star
-    "position": ("*", "p*", *(f"{name}*" for name in USUAL["position"]), "*u"),
-    "velocity": tuple(f"{name}*" for name in USUAL["velocity"]),
-    "angular_velocity": ("w*", *(f"{name}*" for name in USUAL["angular_velocity"])),
+    "position": ("*", "p*", *(f"{name}*" for name in USUAL["position"]), "*u", "*position", "*pos"),
+    "velocity": (*(f"{name}*" for name in USUAL["velocity"]), "*velocity", "*vel"),
+    "angular_velocity": ("w*", *(f"{name}*" for name in USUAL["angular_velocity"]), "*angularvelocity"),
 }
 _LOST = {  # beginnings of the names of vectors that may hold a quantity under an unknown name
     "velocity": ("v", "lin", "momenta", "momentum"),

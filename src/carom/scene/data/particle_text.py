@@ -56,6 +56,7 @@ _LONGEST = 1_000_000  # characters in a line
 _PROPERTIES = re.compile(r'\bProperties="?([^\s"]+)"?', re.IGNORECASE)
 _PERIODIC = re.compile(r'\bpbc="?([TF01][TFrueals01 ]*)', re.IGNORECASE)
 _LATTICE = re.compile(r'\bLattice="([^"]*)"', re.IGNORECASE)
+_TIME = re.compile(r'\bTime="?([^\s"]+)', re.IGNORECASE)
 _ORIGIN = re.compile(r'\bOrigin="([^"]*)"', re.IGNORECASE)
 _OWN = {"velo": "velocity"}  # names of quantities in OVITO and in carom
 _NAMED = {3: ("x", "y", "z"), 4: ("x", "y", "z", "w")}
@@ -296,7 +297,8 @@ def open_xyz(path: Path, called: str, snapshot: int) -> DataTable:
         rows = [file.readline(_LONGEST) for _ in range(count)]
     names = _names(called, comment, rows)
     table = TextRows(called, names, rows, line + 2)
-    table.facts = Facts(box=_lattice(comment))
+    stated = _TIME.search(comment)
+    table.facts = Facts(time=number_in(stated[1]) if stated else None, box=_lattice(comment))
     return table
 
 

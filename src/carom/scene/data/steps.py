@@ -27,18 +27,8 @@ _TIMES = (
     *("jd", "jdtdb", "epochjd", "epoch", "date", "datetime"),
 )
 _BODIES = (
-    "id",
-    "body",
-    "particle",
-    "particleid",
-    "name",
-    "names",
-    "label",
-    "fullname",
-    "object",
-    "planet",
-    "target",
-    "hash",
+    *("id", "bodyid", "particleid", "objectid", "planetid", "starid", "noradid"),
+    *("name", "names", "label", "fullname", "body", "particle", "object", "planet", "target", "hash"),
 )
 _BRACKETS = re.compile(r"\s*[\[(]")  # before a remark, as in "date (JD)"
 _ROUNDED = 1e-8  # relative error of a time that was printed and typed again
