@@ -70,10 +70,9 @@ from carom.physics.vector import Vector, add, along, between, is_periodic, neare
 
 # Fraction of the rest speed above which a contact is resolved where it touches; it rebounds above the rest speed
 # itself. With 1, dropped stacks of 500 balls overlap by 0.18 r instead of 0.06 r, and marbles-in-a-box by 5 mm instead
-# of 1 mm. Rejected: to judge bodies that are held by their velocity in the drift, which is what moves them. With 0.05 of
-# the rest speed, stack-dropped gains 5 % of its energy in place of 8 % and overlaps are a third as deep, but
-# marbles-in-a-box and drum take 1.5 times as long and hopper twice; with 0.01, the gain is 1 %, and marbles-in-a-box
-# takes six times as long.
+# of 1 mm. Rejected: to judge bodies that are held by their velocity in the drift, which is what moves them. With 0.05,
+# stack-dropped gains 5 % of its energy in place of 8 % and overlaps are a third as deep, but marbles-in-a-box and drum
+# take 1.5 times as long and hopper twice; with 0.01, the gain is 1 %, and marbles-in-a-box takes six times as long.
 SLOW = 0.25
 # The same where nothing is fixed. With 0.25, rubble-collision has 2.7 times as many impacts and takes 1.3 times as
 # long; the deepest overlap is 5 × 10⁻⁴ r instead of 1.4 × 10⁻³ r.
