@@ -97,7 +97,6 @@ def explain(
     scene: SceneArgument,
     overrides: SetOption = None,
     parts: Annotated[list[str] | None, typer.Option("--model", metavar="PART", help=_PART)] = None,
-    forced: Annotated[list[str] | None, typer.Option("--force", hidden=True)] = None,  # its former name
     as_json: JsonOption = False,
 ) -> None:
     """Show what parts of the model a scene needs and why, and estimate the cost of the run and the size of its file."""
@@ -113,7 +112,7 @@ def explain(
     from carom.terminal.console import LiveLine, Patience, Terminal
     from carom.terminal.progress import notes_on, preparing, watch_look_ahead
 
-    changes, further = list(overrides or []), [*(parts or []), *(forced or [])]
+    changes, further = list(overrides or []), parts or []
     for part in further:
         if part not in PARTS:
             raise SceneError(f"--model {part}: {unknown(part)}")

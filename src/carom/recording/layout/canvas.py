@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 from itertools import product
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 import rerun as rr
@@ -22,9 +22,6 @@ from carom.recording.schema.header import Header
 from carom.recording.schema.paths import MOVING, PERIODIC_BOX, PLANES, SHAPES, WALLS
 
 if TYPE_CHECKING:
-    from carom.display.close_up import CloseUp
-    from carom.display.legend import Legend
-    from carom.display.supplement import BodyPlots
     from carom.recording.layout.plot_views import Curves
 
 
@@ -175,15 +172,48 @@ class Canvas:
         return Area(width, height, self.rendered, self.theme)
 
 
+class CloseView(Protocol):
+    """A view of the bodies of one contact; see `display/close_up.py`."""
+
+    def view(self, header: Header, recoloured: bool = False) -> rrb.View:
+        """Return the view."""
+        ...
+
+
+class LegendView(Protocol):
+    """A view of the meaning of colours; see `display/legend.py`."""
+
+    def view(self, area: Area) -> rrb.View:
+        """Return the view."""
+        ...
+
+
+class PlotsOfBodies(Protocol):
+    """Plots of quantities of single bodies, one for each unit; see `display/supplement.py`."""
+
+    @property
+    def units(self) -> Sequence[str]:
+        """The units."""
+        ...
+
+    def view(self, unit: str, area: Area) -> rrb.View:
+        """Return the plot of a unit."""
+        ...
+
+    def views(self, area: Area) -> Sequence[rrb.View]:
+        """Return all plots."""
+        ...
+
+
 @dataclass(frozen=True, slots=True)
 class Additions:
     """Parts of a layout that are not in the file, but in a `Supplement` for the viewer. By default there are none."""
 
-    close: CloseUp | None = None
+    close: CloseView | None = None
     trails: bool = False
     recoloured: bool = False
-    plots: BodyPlots | None = None  # of single bodies
-    legend: Legend | None = None
+    plots: PlotsOfBodies | None = None  # of single bodies
+    legend: LegendView | None = None
     named: tuple[str, ...] = ()  # (n,) names beside the bodies, empty for bodies without; () for none at all
     field: bool = False  # whether an arrow and axes show a uniform field
     struck: bool = False  # whether a strip shows the impacts
