@@ -18,6 +18,7 @@ from carom.recording.read.entities import SCALARS, flat
 from carom.recording.schema import paths
 from carom.recording.schema.header import COLOUR_BY, Header, ShownMaterials, motions_of, scene_digest
 from carom.recording.schema.paths import ENERGY, SIM_TIME, STEP, STEPS
+from carom.recording.schema.properties import fields_read
 from carom.recording.schema.series import all_series
 from carom.scene.data.body_sources import SourcedBodies, Wanted
 from carom.scene.forces import FORCES
@@ -128,47 +129,30 @@ def header_of_recording(recording: Recording) -> Header:
     planes = None
     if paths.PLANES in static:  # as drawn, without sides, unless a piston moves along its normal
         planes = planes_of(scene) if scene and "piston" in info else recording.drawn_planes()
-    colour_by = str(info["colour_by"])
+    colour_by = str(info["colour_by"]) if info["colour_by"] in COLOUR_BY else "auto"
+    stated = fields_read(info) | {"title": recording.title, "colour_by": colour_by}
     return Header(
-        title=recording.title,
         description="",
         scene_toml=recording.scene_toml,
-        seed=int(info["seed"]),
         run_id=recording.store.store_id,
         names=bodies.name,
         group=bodies.group,
         mass=bodies.mass,
         radius=bodies.radius[recording.shown],  # a clip may show only some bodies
         inertia=bodies.inertia,
-        spins=bool(info["spins"]),
-        has_orientation=bool(info["has_orientation"]),
-        has_torque=bool(info["has_torque"]),
-        has_friction=bool(info["has_friction"]),
         forces=frozenset((*(kind.name for kind in FORCES if info.get(kind.present)), *names_of("forces", extensions))),
         extensions=extensions,
-        collides=bool(info["collides"]),
-        stabilises=bool(info["stabilises"]),
-        body_colouring=bool(info["body_colouring"]),
-        colour_by=colour_by if colour_by in COLOUR_BY else "auto",
         materials=None if scene is None else ShownMaterials.of(scene),
-        duration=float(info["duration"]),
         shortest_dt_hint=0.0,
         units=recording.units,
-        check_interval=recording.check_interval,
-        promises=bool(info.get("promises", False)),
         drives=drives,
         motions=motions_of(scene) if scene and drives else {},
-        piston=int(info["piston"]) if "piston" in info else None,
-        has_driving_field=bool(info.get("has_driving_field", False)),
         shear=recording.shear,
         record_impacts="auto" if recording.records_contacts else "none",
-        box=np.asarray(info["box"]) if "box" in info else None,
         walls=recording.drawn_box(paths.WALLS) if paths.WALLS in static else None,
         shapes=(scene.wall if scene and drives else ()) if paths.SHAPES in static else None,
         planes=planes,
-        engine=recording.engine,
-        uniform_field=recording.uniform_field,
-        drawn_as=str(info.get("drawn_as", "")),
+        **stated,
     )
 
 

@@ -5,9 +5,8 @@ from __future__ import annotations
 import hashlib
 import math
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from fnmatch import fnmatchcase
 from typing import Any, Literal
 
 import numpy as np
@@ -15,7 +14,7 @@ import rerun as rr
 from numpy.typing import NDArray
 
 from carom.arrays import BoolArray, ColourArray, FloatArray, IntArray
-from carom.errors import DamageError, RecorderError
+from carom.errors import RecorderError
 from carom.recording.schema import palette
 from carom.recording.schema.paths import IMPACT, MOVING, SCHEMA_VERSION, SIM_TIME, STEP
 from carom.scene.data.body_columns import BodyColumns
@@ -257,73 +256,9 @@ def schema_version(identity: str) -> int | None:
     return None if match is None else int(match.group(1))
 
 
-MOST_BODIES = 10_000_000
 LARGEST = 1e150  # largest coordinate or speed, so that squares do not overflow
 
 NOTES = re.compile(r"data_notes\.[0-9]{1,9}")  # keys of notes on data files, one for each [[bodies]] table
-_TEXT, _FLAG, _WHOLE, _NUMBER, _POSITIVE = "a text", "true or false", "a whole number", "a number", "a positive number"
-_COUNT, _VECTOR = f"a number from 1 to {MOST_BODIES}", "three finite numbers"
-_BODIES, _NUMBERS = "numbers of bodies", "numbers of bodies with commas between them"
-_VALID: dict[str, Callable[[Any], bool]] = {
-    _TEXT: lambda value: isinstance(value, str),
-    _FLAG: lambda value: isinstance(value, bool),
-    _WHOLE: lambda value: isinstance(value, int) and not isinstance(value, bool),
-    _NUMBER: lambda value: isinstance(value, int | float) and not isinstance(value, bool),
-    _POSITIVE: lambda value: _VALID[_NUMBER](value) and 0.0 < value < math.inf,
-    _COUNT: lambda value: _VALID[_WHOLE](value) and 1 <= value <= MOST_BODIES,
-    _VECTOR: lambda value: (
-        isinstance(value, list) and len(value) == 3 and all(_VALID[_NUMBER](x) and math.isfinite(x) for x in value)
-    ),
-    _BODIES: lambda value: all(
-        _VALID[_WHOLE](body) and 0 <= body < MOST_BODIES for body in (value if isinstance(value, list) else [value])
-    ),
-    _NUMBERS: lambda value: isinstance(value, str) and re.fullmatch(r"([0-9]{1,9}(,[0-9]{1,9})*)?", value) is not None,
-}
-_KEYS: dict[str, dict[str, tuple[str, ...]]] = {  # by property: the keys whose values are of a kind
-    "carom": {
-        _TEXT: ("title", "units", "units.*", "colour_by", "drawn_as", "engine", "plane_names", "data_notes.*"),
-        _COUNT: ("bodies",),
-        _POSITIVE: ("time_scale", "check_interval"),
-        _VECTOR: ("origin", "box", "uniform_field"),
-        _WHOLE: ("schema_version", "seed", "piston"),
-        _NUMBER: ("duration", "arrow_length.*"),
-        _FLAG: (
-            *("spins", "has_*", "gravitates", "collides", "stabilises", "promises", "drives"),
-            *("body_colouring", "records_contacts"),
-        ),
-    },
-    "run": {_TEXT: ("version.*", "command", "git", "platform", "cpu")},
-    "arrows": {_NUMBER: ("*",)},
-    "clip": {_TEXT: ("source", "recording_id"), _NUMBER: ("from", "to"), _BODIES: ("bodies",)},
-    "outcome": {
-        _TEXT: ("outcome", "moments.*.between", "expect.*.bound", "laws.*.text"),
-        _WHOLE: (
-            *("frames", "steps", "contacts.total", "contacts.impacts", "moments.*.step", "impacts.*", "audit.judged"),
-            *("laws.*.step", "laws.*.frames"),
-        ),
-        _NUMBER: (
-            *("sim_time", "wall_time", "energy.*", "momentum.*", "angular_momentum.*", "accuracy.*", "profile.*"),
-            *("contacts.max_overlap", "moments.*.value", "moments.*.time", "laws.*.time"),
-            *("expect.*.limit", "expect.*.measured"),
-        ),
-        _NUMBERS: ("moments.*.bodies", "moments.*.planes"),
-        _FLAG: ("expect.*.met", "expect.*.judged"),
-    },
-}
-_REQUIRED = {"carom": ("bodies", "time_scale"), "clip": ("source", "from", "to"), "outcome": ("outcome",)}
-
-
-def checked(name: str, values: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a property, which is empty if it was never written; DamageError names a key with an invalid value."""
-    for key in _REQUIRED.get(name, ()) if values else ():
-        if key not in values:
-            raise DamageError(f"its property {name} has no {key}")
-    for key, value in values.items():
-        for kind, patterns in _KEYS.get(name, {}).items():
-            if any(fnmatchcase(key, pattern) for pattern in patterns) and not _VALID[kind](value):
-                raise DamageError(f"its property {name} has {key} = {str(value)[:40]!r} instead of {kind}")
-    return dict(values)
-
 
 _LONGEST = 9.0e9  # s; 2⁶³ ns are 9.22e9 s, or 292 years
 _COARSEST = 1.0e-6  # s; with shorter steps, times of impact would have fewer than three digits
@@ -345,10 +280,10 @@ class TimeScale:
 
         If a scene is long and has very short steps, the duration fits, and short steps are rounded.
         """
-        least = math.ceil(math.log10(duration / _LONGEST)) if _VALID[_POSITIVE](duration) else -300
+        least = math.ceil(math.log10(duration / _LONGEST)) if 0.0 < duration < math.inf else -300
         if least > 0:
             return cls(10.0**least)
-        if _VALID[_POSITIVE](shortest_dt) and shortest_dt < _COARSEST:
+        if 0.0 < shortest_dt < _COARSEST:
             wanted = math.floor(math.log10(shortest_dt / _FINE))
             return cls(10.0 ** min(0, max(wanted, least)))
         return cls()

@@ -15,11 +15,10 @@ from carom.recording.layout.drawing import arrow_length, line_radii, shape, sing
 from carom.recording.layout.plot_views import curve_style
 from carom.recording.read.statics import encode_bodies, encode_names
 from carom.recording.schema import palette, paths
-from carom.recording.schema.header import STATIC_COLOURS, Header, Scalar, TimeScale, scene_digest
+from carom.recording.schema.header import STATIC_COLOURS, Header, Scalar, TimeScale
 from carom.recording.schema.paths import ANGULAR_ACCELERATION, FORCE_NORMAL, TORQUE
+from carom.recording.schema.properties import stated
 from carom.recording.schema.series import recorded
-from carom.scene.forces import FORCES, GRAVITY, UNIFORM_FIELD
-from carom.scene.parts import PROPERTY
 from carom.scene.portable_math import ENDLESS
 from carom.scene.units.dimension import LENGTH, MASS, RATE, TIME
 from carom.scene.wall_shapes import SIDES, Mesh, shape_called
@@ -57,52 +56,15 @@ def statics(header: Header, clock: TimeScale, origin: FloatArray, reach: float) 
 
 
 # values of the property `carom`
-_STATED = (  # values of the header
-    *("title", "bodies", "seed", "spins", "has_orientation", "has_torque", "has_friction"),
-    *("collides", "stabilises", "body_colouring", "records_contacts"),
-)
-_STATED_IF_TRUE = ("promises", "drives", "has_piston", "has_driving_field")
-
-
 def identity(header: Header, clock: TimeScale, origin: FloatArray) -> dict[str, Scalar | FloatArray]:
     """Return the property `carom`: the scene, the parts of its model, and the style of its drawing."""
-    properties: dict[str, Scalar | FloatArray] = {
-        "schema_version": paths.SCHEMA_VERSION,
-        **{name: getattr(header, name) for name in _STATED},
-        GRAVITY.present: GRAVITY.name in header.forces,
-        UNIFORM_FIELD.present: UNIFORM_FIELD.name in header.forces,
-        "colour_by": header.coloured_by,
-        "duration": float(header.duration),
-        "time_scale": clock.scale,
-        "origin": origin,
-    }
-    if header.scene_toml:
-        properties["scene_sha256"] = scene_digest(header.scene_toml)
-    if header.engine:
-        properties["engine"] = header.engine
-        if header.uniform_field is not None:
-            properties["uniform_field"] = header.uniform_field
-        if header.planes is not None:
-            properties["plane_names"] = "\n".join(header.planes.name)
-    properties |= header.units.properties()
-    properties |= {f"data_notes.{k}": "\n".join(notes) for k, notes in enumerate(header.data_notes) if notes}
-    if header.check_interval is not None:
-        properties["check_interval"] = header.check_interval
-    properties |= {name: True for name in _STATED_IF_TRUE if getattr(header, name)}
-    if header.piston is not None:
-        properties["piston"] = header.piston
-    if header.shear:
-        properties |= {f"shear.{key}": value for key, value in header.shear.model_dump().items()}
-    properties |= {kind.present: True for kind in FORCES if kind.name in header.forces}
-    properties |= {f"{PROPERTY}{part}": package for part, package in header.extensions.items()}
+    properties: dict[str, Scalar | FloatArray] = {**stated(header), "time_scale": clock.scale, "origin": origin}
     if header.has_torque:
         for path in (paths.TORQUE, paths.ANGULAR_ACCELERATION):
             properties[f"arrow_length.{path}"] = arrow_length(header, path)
     if header.records_contacts:
         for path in (paths.FORCE_NORMAL, *((paths.FORCE_FRICTION,) if header.has_friction else ())):
             properties[f"arrow_length.{path}"] = arrow_length(header, path)
-    if header.box is not None:
-        properties["box"] = header.box
     return properties
 
 
