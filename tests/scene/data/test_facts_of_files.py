@@ -289,6 +289,13 @@ def test_units_in_the_header_of_a_snapshot_count(tmp_path: Path, group: str, h: 
     assert body.mass[0] == pytest.approx(0.0047 * 2e40 / h)
 
 
+def test_an_ending_that_is_a_word_is_no_unit(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text("x,y,z,vx_ms,vy_ms,vz_ms,mass_g,radius_in\n0,0,0,1,2,3,4,5\n")
+    assert "no column for radius" in refusal(tmp_path, "a.csv")
+    body = scene_of(tmp_path, "a.csv", "radius = 1").data[0]
+    assert body.velocity.tolist() == [[1.0, 2.0, 3.0]] and body.mass.tolist() == [4e-3]
+
+
 def test_a_ratio_in_the_name_of_a_column_is_not_its_last_part(tmp_path: Path) -> None:
     (tmp_path / "a.csv").write_text("x,y,z,mass,h/r\n0,0,0,1,0.05\n")
     assert "no column for radius" in refusal(tmp_path, "a.csv")

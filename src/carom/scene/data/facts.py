@@ -29,10 +29,14 @@ _OVER = re.compile(r"([^/]+?)\s*/\s*\(?([^()]+?)\)?")  # "x/m" and "v/(m/s)", as
 _INDEX = re.compile(r"[\s_:.\[(-]+([012])[\])]?\Z")  # of a component: "Points:0", "v_2", "velocity[1]"
 _SEPARATORS = re.compile(r"[\s_.:-]+")
 _NO_UNIT = ("", "1", "-", "none", "dimensionless", "unitless")  # texts in the place of a unit
-_SUFFIXES = {  # spellings of units at the end of a name
+# Units at the end of a name, and their spellings. Others are words, too: "radius_in" is an inner radius.
+_SUFFIXES = {
+    **{name: name for name in ("m", "cm", "mm", "um", "nm", "km", "au", "AU", "pc", "kpc", "Mpc", "kg", "g")},
+    **{name: name for name in ("s", "sec", "ms", "us", "ns", "day", "days", "yr", "kyr", "Myr", "Gyr")},
+    **{name: name for name in ("deg", "degrees", "rad", "arcsec", "Msun", "Mearth", "Mjup", "Rsun", "Rearth", "Rjup")},
     **dict.fromkeys(("kms", "kmps", "km_s"), "km/s"),
     **dict.fromkeys(("cms", "cm_s"), "cm/s"),
-    **dict.fromkeys(("ms", "mps", "m_s"), "m/s"),
+    **dict.fromkeys(("mps", "m_s"), "m/s"),
     **dict.fromkeys(("aud", "auday", "au_d", "au_day"), "au/day"),
     **dict.fromkeys(("auyr", "au_yr"), "au/yr"),
     **dict.fromkeys(("kgm3", "kg_m3"), "kg/m^3"),
@@ -106,8 +110,10 @@ class FileColumn:
             return None
         for place in (k for k, char in enumerate(self.proper) if char == "_"):
             base, end = self.proper[:place], self.proper[place + 1 :]
-            text = _SUFFIXES.get(end.lower(), end)
-            if base and end and (brief or len(base) > 1 or len(end) > 1) and _has_dimension(text, dimension):
+            named = _SUFFIXES.get(end) or _SUFFIXES.get(end.lower(), "")
+            spellings = (named, "m/s") if end == "ms" else (named,)  # milliseconds, or metres per second
+            text = next((each for each in spellings if each and _has_dimension(each, dimension)), "")
+            if base and text and (brief or len(base) > 1 or len(end) > 1):
                 return replace(self, proper=base, unit=text)
         return None
 
