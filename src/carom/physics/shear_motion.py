@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from carom.physics.bodies import Bodies
-from carom.physics.contact.hooks import Contacts, LedgerAccount, OptionalPart, PresentStep
+from carom.physics.contact.hooks import LedgerAccount, OptionalPart, PresentStep
 from carom.physics.sheared_box import ENTRY, ShearedBox
 from carom.scene.rest_speed import PER_STEP
+
+if TYPE_CHECKING:
+    from carom.physics.contact.pipeline import ContactPipeline
 
 
 class ShearMotion(OptionalPart):
@@ -47,7 +52,7 @@ class ShearMotion(OptionalPart):
 class ShearedContacts(OptionalPart):
     """Lets contacts in a sheared box rest in the flow, and books the work of the shear by their impulses."""
 
-    def __init__(self, contacts: Contacts) -> None:
+    def __init__(self, contacts: ContactPipeline) -> None:
         assert contacts.world.shear is not None, "see `carom.plan.step_parts`"
         self._contacts, self._shear = contacts, contacts.world.shear
         self._flow = contacts.world.flow(float(contacts.bodies.radius.max()))  # m/s²

@@ -12,7 +12,7 @@ Rows are made on demand, since few steps are frames. Only impacts are stored at 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import NamedTuple, Protocol
+from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import numpy as np
 
@@ -21,7 +21,7 @@ from carom.contact_table import CONTACT_ROW, IMPACT_MODE, NO_ROWS, OPEN, RESTING
 from carom.physics.aligned import Buffer, columns, joined, picked, raw
 from carom.physics.contact.constraints import CONTACT, ContactRecord, ContactStateRecord, ImpulseRecord
 from carom.physics.contact.graph import comes_before, empty_graph
-from carom.physics.contact.hooks import Contacts, OptionalPart, PresentStep
+from carom.physics.contact.hooks import OptionalPart, PresentStep
 from carom.physics.contact.impact_log import NO_IMPACTS, ImpactRecord
 from carom.physics.contact.law import IMPULSES, Materials, material_index, slides
 from carom.physics.contact.rolling import ContactGeometry, angular_impulses_of
@@ -29,6 +29,9 @@ from carom.physics.diagnostics.ledger import FRICTION, RESTITUTION, STABILISATIO
 from carom.physics.jit.decorators import inline, kernel, long_kernel
 from carom.physics.sheared_box import nearest_in_drift
 from carom.scene.schema import Coefficients
+
+if TYPE_CHECKING:
+    from carom.physics.contact.pipeline import ContactPipeline
 
 MOST_IMPACTS = 100_000  # stored between two frames, 15 MB; of more, the largest are stored and the others counted
 NO_ANGULAR_IMPULSES: FloatArray = np.empty((0, 0))
@@ -95,7 +98,7 @@ class ContactTap(OptionalPart):
 
     needs_every_step = False
 
-    def __init__(self, contacts: Contacts) -> None:
+    def __init__(self, contacts: ContactPipeline) -> None:
         assert contacts.totals is not None, "contacts are recorded"
         self._contacts, self._totals = contacts, contacts.totals
         friction, world = contacts.needs.friction.modelled, contacts.world
@@ -241,7 +244,7 @@ def _geometry(records: RecordArray[object]) -> tuple[FloatArray, FloatArray]:
     return columns(records, ("nx", "ny", "nz")), columns(records, ("arm_i", "arm_j"))
 
 
-def _resolved(contacts: Contacts) -> Resolved:
+def _resolved(contacts: ContactPipeline) -> Resolved:
     solver = contacts.solver
     return Resolved(contacts.contacts.pairs, solver.order.place, solver.contacts, solver.states, solver.recorded)
 

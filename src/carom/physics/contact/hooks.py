@@ -10,35 +10,22 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol, TypeVar
+from typing import TYPE_CHECKING, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 
-from carom.arrays import BoolArray, FloatArray, IntArray, Records
-from carom.physics.bodies import Bodies
+from carom.arrays import FloatArray, IntArray, Records
 from carom.physics.contact.contact_checkpoint import ContactCheckpoint
-from carom.physics.contact.graph import CollisionGraph, OrderedContacts
+from carom.physics.contact.graph import CollisionGraph
 from carom.physics.contact.impact_log import NO_IMPACTS, Impacts
-from carom.physics.contact.impact_totals import ImpactTotals
-from carom.physics.contact.near_pairs import ContactWorld, NearPairs
-from carom.physics.contact.solver.contact_solver import ContactSolver
-from carom.physics.contact.solver.prepare import ImpulseCache
-from carom.physics.contact.statistics import ContactStatistics
 from carom.physics.diagnostics.run_monitor import Profile
 from carom.physics.integrators.kick_drift import DampedPath
-from carom.physics.jit.team import Team
-from carom.plan.features import Requirements
-from carom.scene.schema import ContactSettings
+
+if TYPE_CHECKING:
+    from carom.physics.diagnostics.impulse_audit import ImpulseAudit
 
 STRAIGHT = DampedPath(0.0, 0.0, 1.0)
 NO_ENTRIES: FloatArray = np.zeros((0, 3))
-
-
-class Audit(Protocol):
-    """The audit of impulses, as parts use it."""
-
-    def add_force(self, change: FloatArray) -> None:
-        """Add changes of velocities that no impulse explains, (n, 3) m/s."""
 
 
 @dataclass(slots=True)
@@ -56,7 +43,7 @@ class PresentStep:
     path: DampedPath = STRAIGHT
     against: FloatArray | None = None  # (n + p, 3) m/s²: contacts hold against these, not the bodies' accelerations
     impacts: Impacts = NO_IMPACTS  # of the drift
-    audit: Audit | None = None  # of impulses
+    audit: ImpulseAudit | None = None
     pushed: float = 0.0  # m, by which the correction of overlaps moved a solid along its normal
 
     def set_kicks(self, before: float, drift: float, after: float) -> None:
@@ -77,46 +64,6 @@ class IdleContacts(Protocol):
     def records(self, dt: float) -> tuple[IntArray, IntArray, Records, Records, Records]:
         """Return pairs, places, `CONTACT` with the impulses of dt s, `CONTACT_STATE` and `RECORDED`."""
         ...
-
-
-class Contacts(Protocol):
-    """The contact pipeline, as parts use it."""
-
-    settings: ContactSettings
-    bodies: Bodies
-    world: ContactWorld
-    needs: Requirements
-    team: Team
-    totals: ImpactTotals | None
-    near: NearPairs
-    solver: ContactSolver
-    contacts: OrderedContacts  # of the step
-    impulses: ImpulseCache  # with which the next kick starts
-    impacts: Impacts  # of the drift
-    idle: IdleContacts | None  # of the step
-    unmoved: BoolArray | None  # (n,) bodies that no kick moves in the step
-    lasts: bool  # whether contacts can be at rest
-    presses: bool  # whether something presses contacts together
-    ledger_apart: FloatArray  # (k, 3) J, entries of the step that belong to no contact
-    statistics: ContactStatistics  # of the step
-    counts_impacts: bool  # whether statistics include impacts
-
-    @property
-    def is_at_rest(self) -> bool:
-        """Whether contacts may be at rest."""
-
-    @property
-    def memory(self) -> ContactCheckpoint | None:
-        """A copy of the state that the next step needs."""
-
-    def lay_out(self, memory: ContactCheckpoint) -> None:
-        """Make the contacts of a memory those of the last step."""
-
-    def restart(self, impulses: ImpulseCache) -> None:
-        """Start the next kick from other impulses."""
-
-    def add_impacts(self, step: PresentStep, impacts: Impacts) -> None:
-        """Set the impacts of a drift."""
 
 
 class LedgerAccount(Protocol):

@@ -47,7 +47,6 @@ class ContactPipeline:
     """Detects the contacts of each step and resolves them.
 
     ``others`` are parts of a step that do not depend on contacts. With ``totals`` of impacts, contacts are recorded.
-    `Contacts` describes most of the attributes.
     """
 
     def __init__(
@@ -64,7 +63,7 @@ class ContactPipeline:
         contact = scene.contact
         self.settings, self.bodies, self.world = contact, bodies, world
         self.team, self.needs, self.totals = team, requirements, totals
-        self.lasts = contact.solver == "lasting" and requirements.resting.modelled
+        self.lasts = contact.solver == "lasting" and requirements.resting.modelled  # whether contacts can be at rest
         self.near = NearPairs(contact, bodies, world, self.lasts, team)
         self.most_sweeps = contact.sweeps if isinstance(contact.sweeps, int) else MOST_SWEEPS[contact.sweeps]
         self._pushes = contact.stabilisation == "split"
@@ -78,7 +77,7 @@ class ContactPipeline:
             self.solver.assume_loads()
         self.near.pressing = self.solver.pressing[: len(bodies)]
         self.torques = Torques(bodies, team)
-        self.contacts = OrderedContacts.of(empty_graph().pairs, bodies, contact.colouring)
+        self.contacts = OrderedContacts.of(empty_graph().pairs, bodies, contact.colouring)  # the contacts of the step
         self.snapshots = SnapshotSource(self.solver, bodies.ends.inverse_mass)
         self.signs = SignsOfDissipation(bodies, world.materials, world.is_still, world.planes)
         names = required(scene, requirements, totals is not None)
@@ -97,18 +96,19 @@ class ContactPipeline:
 
     def forget(self) -> None:
         """Return to the state before the first step."""
-        self.impulses = ImpulseCache.empty()
-        self.idle: IdleContacts | None = None
-        self.unmoved: BoolArray | None = None
+        self.impulses = ImpulseCache.empty()  # with which the next kick starts
+        self.idle: IdleContacts | None = None  # of the step
+        self.unmoved: BoolArray | None = None  # (n,) bodies that no kick moves in the step
+        self.presses = False  # whether something presses contacts together
         if self.lasts:
             self.solver.find_loads(0.0)
         self._order_contacts(empty_graph().pairs, 0.0)
         if self.needs.torque.modelled:
             self.torques.remember()
-        self.ledger_apart = NO_ENTRIES
-        self.impacts: Impacts = NO_IMPACTS
-        self.statistics = NO_CONTACTS
-        self.counts_impacts = True  # a look-ahead needs no statistics
+        self.ledger_apart = NO_ENTRIES  # (k, 3) J, entries of the step that belong to no contact
+        self.impacts: Impacts = NO_IMPACTS  # of the drift
+        self.statistics = NO_CONTACTS  # of the step
+        self.counts_impacts = True  # whether statistics include those of the drift; a look-ahead needs none
         self.snapshots.forget()
         self.signs.forget()
         for part in self.parts:

@@ -13,15 +13,19 @@ The potential of the body changes by -m a·Δx, which is booked as stabilisation
 from __future__ import annotations
 
 from collections.abc import Iterable
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from carom.arrays import BoolArray, FloatArray
 from carom.physics.contact.geometry import height_above
-from carom.physics.contact.hooks import NO_ENTRIES, Contacts, OptionalPart, PresentStep
+from carom.physics.contact.hooks import NO_ENTRIES, OptionalPart, PresentStep
 from carom.physics.jit.decorators import long_kernel
 from carom.physics.vector import vector
+
+if TYPE_CHECKING:
+    from carom.physics.contact.pipeline import ContactPipeline
 
 MIN_BODIES_PER_TASK = 5000
 DEPTH = 1e-6  # of the radius: overlap of a body put back on a plane; enough to be detected, too small to be visible
@@ -34,7 +38,7 @@ class PlaneGuard(OptionalPart):
 
     needs_every_step = False
 
-    def __init__(self, contacts: Contacts) -> None:
+    def __init__(self, contacts: ContactPipeline) -> None:
         self._contacts, self._bodies, self._planes = contacts, contacts.bodies, contacts.world.planes
         self._start = self._bodies.position.copy()  # m, at the beginning of the step
         self._stopped: list[tuple[NDArray[np.intp], FloatArray]] = []  # bodies, and their displacements in m

@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
 from carom.arrays import FloatArray, RecordArray
 from carom.physics.contact.contact_checkpoint import ContactCheckpoint
-from carom.physics.contact.hooks import Contacts, LedgerAccount, OptionalPart, PresentStep
+from carom.physics.contact.hooks import LedgerAccount, OptionalPart, PresentStep
 from carom.physics.contact.moving_walls import ENTRY, work_of_contacts, work_of_impacts
 from carom.physics.contact.solids import SolidsWithWalls
 from carom.physics.contact.translating_walls import WallTranslation, work_at_velocities, work_in_drift
+
+if TYPE_CHECKING:
+    from carom.physics.contact.pipeline import ContactPipeline
 
 NO_VELOCITIES: FloatArray = np.zeros((0, 3))
 # rad, of the normal of a contact in a step where walls alone press. On a chord, a body with the tangential velocity v
@@ -23,7 +26,7 @@ LARGEST_TURN = 0.02
 class MovingWalls(OptionalPart):
     """Moves walls through the phases of a step, and sums their work on the bodies."""
 
-    def __init__(self, contacts: Contacts) -> None:
+    def __init__(self, contacts: ContactPipeline) -> None:
         bodies, solids = contacts.bodies, contacts.world.planes
         assert isinstance(solids, SolidsWithWalls), "see `carom.plan.step_parts`"
         self._contacts, self._solids, self._count = contacts, solids, len(bodies)

@@ -9,6 +9,7 @@ Rejected: search radii that no impact can exceed. One fast body would make all b
 from __future__ import annotations
 
 from collections.abc import Iterable
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -40,7 +41,7 @@ from carom.physics.contact.events.trajectories import (
     straighten,
     write_search_radii,
 )
-from carom.physics.contact.hooks import Contacts, Mover, PresentStep
+from carom.physics.contact.hooks import Mover, PresentStep
 from carom.physics.contact.impact_log import (
     IMPACT,
     MAX_IN_COLLAPSE,
@@ -57,6 +58,9 @@ from carom.physics.integrators.kick_drift import MIN_BODIES_PER_TASK, drift
 from carom.physics.jit.decorators import entry_of, inline, kernel, long_kernel
 from carom.physics.vector import between, vector
 
+if TYPE_CHECKING:
+    from carom.physics.contact.pipeline import ContactPipeline
+
 LOG_ROWS = 4096  # largest number of impacts in one call
 MOST_TOUCHING = 16  # contacts per body at one moment, on average
 SINGLE_ROWS = 4  # of the log of bodies that touch, one in so many is for single impacts; groups have the others
@@ -71,7 +75,7 @@ class EventDrivenDrift(Mover):
 
     needs_every_step = False
 
-    def __init__(self, contacts: Contacts) -> None:
+    def __init__(self, contacts: ContactPipeline) -> None:
         world, bodies, near, solver = contacts.world, contacts.bodies, contacts.near, contacts.solver
         planes, materials, shear = world.planes, world.materials, world.shear
         n, ends = len(bodies), bodies.ends

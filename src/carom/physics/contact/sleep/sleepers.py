@@ -20,6 +20,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -27,7 +28,7 @@ from carom.arrays import BoolArray, FloatArray, IntArray, Records
 from carom.physics.contact.constraints import CONTACT, CONTACT_STATE, RECORDED, ends_of
 from carom.physics.contact.contact_checkpoint import ContactCheckpoint, SleepCheckpoint
 from carom.physics.contact.graph import CollisionGraph, empty_graph
-from carom.physics.contact.hooks import NO_ENTRIES, Contacts, OptionalPart, PresentStep
+from carom.physics.contact.hooks import NO_ENTRIES, OptionalPart, PresentStep
 from carom.physics.contact.islands import join_islands, root_of
 from carom.physics.contact.law import IMPULSES, NORMAL
 from carom.physics.contact.reactions import supported_acceleration
@@ -38,6 +39,9 @@ from carom.physics.diagnostics.ledger import FRICTION, RESTITUTION, TERMS
 from carom.physics.jit.decorators import kernel
 from carom.physics.jit.team import SOLO
 from carom.physics.vector import square, write
+
+if TYPE_CHECKING:
+    from carom.physics.contact.pipeline import ContactPipeline
 
 SPIN = 10.0  # allowed surface speed over the speed: nothing brakes a spin about a normal, and it moves no neighbour
 ASLEEP = -1.0  # stored instead of the time for which a body has been slow
@@ -84,7 +88,7 @@ class Sleepers(OptionalPart):
 
     needs_every_step = False
 
-    def __init__(self, contacts: Contacts) -> None:
+    def __init__(self, contacts: ContactPipeline) -> None:
         sleep, bodies, planes = contacts.settings.sleep, contacts.bodies, contacts.world.planes
         assert sleep is not None, "see `carom.plan.step_parts`"
         self._sleep, self._bodies, self._all_contacts = sleep, bodies, contacts
@@ -433,6 +437,6 @@ def _put_to_sleep(
     return energy
 
 
-def make(contacts: Contacts) -> Sleepers | None:
+def make(contacts: ContactPipeline) -> Sleepers | None:
     """Return the sleepers of a scene with `contact.sleep`; None if its contacts do not last."""
     return Sleepers(contacts) if contacts.lasts else None
