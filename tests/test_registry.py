@@ -11,7 +11,7 @@ from carom import registry
 from carom.errors import SceneError
 from carom.recording.schema.series import Series
 from carom.scene.load import Scene
-from carom.scene.parts import extensions_of, missing
+from carom.scene.parts import extensions_of, missing, of_extensions
 from carom.scene.schema.contact import section_of
 
 PAIR = {"body": [{"radius": 1.0, "position": [3.0 * k, 0, 0]} for k in range(2)]}
@@ -134,3 +134,8 @@ def test_no_command_contains_what_is_no_name_of_a_package_and_its_version(packag
 
 def test_the_name_of_a_part_cannot_look_like_another_line() -> None:
     assert "\n" not in missing({"forces.x\ncarom: run this": "carom-example 0.1.0"})
+
+
+def test_versions_of_packages_with_extensions_are_compared_as_caroms_own_are() -> None:
+    used = {"forces.trap": "carom-example 0.1.0", "series.fastest": "carom-example 0.1.0", "walls.cup": "cups 2.0"}
+    assert of_extensions(used) == {"carom-example": "0.1.0", "cups": "2.0"}

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import csv
 import json
 from collections.abc import Iterator
 from io import StringIO
 from pathlib import Path
 
+import pyarrow as pa
 import pytest
 from markdown_it import MarkdownIt
 from rich.table import Table
 from rich.text import Text
 
 from carom import run as carom_run
+from carom.recording.export.csv_parquet import harmless
 from carom.recording.rrd.framing import CHUNK
 from carom.recording.rrd.messages import decode
 from carom.scene.load import Scene
@@ -128,3 +131,24 @@ def markdown_of(path: Path) -> Iterator[str]:
             for kind_of, text in zip(kinds, chunk.batch["TextDocument:text"].to_pylist(), strict=True):
                 if kind_of == ["text/markdown"]:
                     yield text[0]
+
+
+FORMULA = "=cmd|' /C calc'!A0"
+
+
+def test_no_name_of_a_column_or_a_body_is_a_formula_for_a_spreadsheet(tmp_path: Path) -> None:
+    texts = [FORMULA, "+1", "-1", "@x", "\t=1", "plain", "1=2", None]
+    table = harmless(pa.table({FORMULA: texts, "-x": [-1.0] * len(texts), "x": [1] * len(texts)}))
+    assert table.column_names == [f"'{FORMULA}", "'-x", "x"]
+    assert table.column(0).to_pylist() == [*(f"'{text}" for text in texts[:5]), "plain", "1=2", None]
+    assert table.column(1).to_pylist() == [-1.0] * len(texts), "numbers stay"
+    bodies = [{"position": [x, 0.0, 0.0], "radius": 1.0, "mass": 1.0, "name": FORMULA} for x in (-1.0, 1.0)]
+    bodies[0]["velocity"] = [1.0, 0.0, 0.0]
+    scene = Scene.from_dict({"time": {"duration": 0.2}, "gravity": {"constant": 0.0}, "body": bodies})
+    run = carom_run(scene, tmp_path / "run.rrd").path
+    printed = carom("contacts", run.name, "--impacts", "--csv", cwd=tmp_path).stdout
+    written = carom("contacts", run.name, "--impacts", "-o", "table.csv", cwd=tmp_path)
+    assert written.returncode == 0 and FORMULA in printed
+    for text in (printed, (tmp_path / "table.csv").read_text(encoding="utf-8")):
+        for row in csv.reader(text.splitlines()):
+            assert not any(cell.startswith("=") for cell in row), row

@@ -16,8 +16,9 @@ import pytest
 
 import carom
 from carom.errors import RecordingError
+from carom.physics import schedule as schedules
 from carom.physics.space import Space
-from carom.plan.auto import integrator
+from carom.plan.auto import frame_interval, integrator
 from carom.recording.edit.clip import clip
 from carom.recording.edit.repair import repair
 from carom.recording.read.recording import Recording
@@ -100,6 +101,25 @@ def test_a_run_that_was_stopped_goes_on_to_what_an_uninterrupted_run_gives(name:
     assert outcome.status == carom_outcome(whole) and outcome.path == tmp_path / "part.rrd"
     assert_same_recording(whole, Recording.open(outcome.path))
     assert sorted(path.name for path in tmp_path.iterdir()) == ["part.rrd", "whole.rrd"]
+
+
+@pytest.mark.parametrize("every", ["auto", 0.2])
+def test_a_run_stopped_between_two_frames_goes_on_without_the_frame_of_its_stop(every: Any, tmp_path: Path) -> None:
+    scene = cloud(time={"duration": 1.5, "fixed_dt": 0.001}, record={"every": every})
+    whole = carom.run(scene, tmp_path / "whole.rrd")
+    space = recording_space(scene)
+    frames, wanted = space.run, schedules.every(frame_interval(scene))
+
+    def stop_at(step: int, before: float, time: float) -> bool:
+        if step == 777:
+            space.stop()
+        return wanted(step, before, time)
+
+    space.run = lambda **options: frames(schedule=stop_at, **options)  # type: ignore[method-assign]
+    assert simulate(space, tmp_path / "part.rrd").steps in (777, 778)
+    run = resumable_run(Recording.open(tmp_path / "part.rrd"))
+    outcome = continue_run(run, run.space())
+    assert_same_recording(whole, Recording.open(outcome.path))
 
 
 @pytest.mark.slow

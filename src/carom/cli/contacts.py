@@ -202,12 +202,13 @@ def _write_table(table: pa.Table, path: Path) -> None:
     import pyarrow.parquet as pq
 
     from carom.errors import RecordingError
+    from carom.recording.export.csv_parquet import harmless
     from carom.recording.write.whole_file import whole_file
 
     try:
         with whole_file(path) as part:
             if path.suffix == ".csv":
-                pc.write_csv(_with_units(table), part)
+                pc.write_csv(harmless(_with_units(table)), part)
             else:
                 pq.write_table(table, part)
     except OSError as error:
@@ -219,8 +220,10 @@ def _csv_text(table: pa.Table) -> str:
 
     import pyarrow.csv as pc
 
+    from carom.recording.export.csv_parquet import harmless
+
     out = io.BytesIO()
-    pc.write_csv(_with_units(table), out)
+    pc.write_csv(harmless(_with_units(table)), out)
     return str(out.getvalue().decode()).rstrip("\n")
 
 

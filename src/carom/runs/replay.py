@@ -32,6 +32,7 @@ from carom.runs.outcome import judge
 from carom.runs.run import Watcher, closing_summary, ending_of, header_of, outcome_text
 from carom.runs.window import checkpoint_before, space_of
 from carom.scene.data.body_sources import changed_files
+from carom.scene.parts import extensions_of, of_extensions, stamped
 
 TRIAL_SECONDS = 1.0  # after stepping so long, a replay estimates its remaining time
 REPAIRED = "; repaired, "  # in the outcome of a repaired recording, which may lack pieces
@@ -150,7 +151,8 @@ def replay(
         difference=difference or window.difference(space, ended),
         ended=ended,
         seconds=seconds,
-        recorded_with=recording.versions,
+        recorded_with=recording.versions | of_extensions(stamped(recording.info)),
+        replayed_with=versions() | of_extensions(extensions_of(scene)),
         dense=dense,
         not_compared=not_compared,
         changed_files=changed_files(scene.bodies, [Path(), recording.path.parent]),
@@ -237,7 +239,7 @@ class _Again:
         recording = window.recording
         self._window, self._path, self._recording = window, path, recording
         is_whole = "resumed.step" not in recording.properties and REPAIRED not in recording.outcome
-        same = recording.versions == versions()
+        same = recording.versions == versions() and stamped(recording.info) == extensions_of(space.scene)
         # whether the run begins at its start, and its recorder had all frames from there on
         self._is_whole = window.begin == 0 and is_whole and not recording.clip
         self._same_choice, self._same_version = self._is_whole and same, same

@@ -10,11 +10,13 @@ from pathlib import Path
 
 from carom.errors import RecordingError
 from carom.physics.checkpoint import Checkpoint
+from carom.physics.schedule import every
 from carom.physics.space import Space
 from carom.plan.auto import frame_interval, integrator, largest_step
 from carom.recording.read.frame_rows import Continuation
 from carom.recording.read.recorded_scene import recorded_scene
 from carom.recording.read.recording import Recording
+from carom.recording.schema.paths import STEP
 from carom.recording.write.whole_file import Claim, claimed_output, refuse_name, refuse_output
 from carom.runs.environment import environment
 from carom.runs.run import Outcome, Watcher, recording_of, simulate, watched
@@ -67,12 +69,23 @@ def resumable_run(recording: Recording, until: float | None = None) -> Resumable
         if cut < scene.time.duration:  # the run ended where its accuracy did
             changes.append("time.after_horizon=")
         scene = continued_scene(recording, scene, changes)
-    # a completed run shortened its last step, which a longer run would not have done
-    steps = [step for step, time in recording.checkpoint_times.items() if time < cut]
+    # a completed run shortened its last step, which a longer run would not have done; a stopped one has a frame where
+    # it stopped, which an uninterrupted run would not have
+    added = _stopped_at(recording, scene)
+    steps = [step for step, time in recording.checkpoint_times.items() if time < cut and step != added]
     if not steps:
         raise RecordingError(f"{path} has no checkpoint to resume from")
     checkpoint = recording.checkpoint(steps[-1])
     return ResumableRun(recording, scene, checkpoint.step, checkpoint.time, [checkpoint])
+
+
+def _stopped_at(recording: Recording, scene: Scene) -> int | None:
+    """Return the step of a last frame that the interval of the frames does not explain; None if it does."""
+    frames = recording.fingerprints()
+    if frames.num_rows < 2:
+        return None
+    (_, before), (step, time) = ((frames[STEP][k].as_py(), frames["time"][k].as_py()) for k in (-2, -1))
+    return None if every(frame_interval(scene))(step, before, time) else int(step)
 
 
 def resume(
@@ -185,7 +198,7 @@ def continue_run(
             continued=Continuation(run.recording, run.step),
             properties=first | now | {"resumed.step": run.step, "resumed.time": run.time},
         )
-        if outcome.frames <= run.recording.frames:
+        if outcome.sim_time <= run.recording.fingerprints()["time"][-1].as_py():
             part.unlink(missing_ok=True)
             raise RecordingError(f"{source} is unchanged: {outcome.status}: {outcome.reason}")
         if outcome.status in ("disk", "error"):

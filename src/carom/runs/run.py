@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
-from carom.errors import PhysicsError, RecorderError, RecordingError
+from carom.errors import DamageError, PhysicsError, RecorderError, RecordingError
 from carom.event import Event
 from carom.physics.diagnostics.extremes import Extremes
 from carom.physics.look_ahead.trial_run import Watcher as LookAheadWatcher
@@ -235,7 +235,7 @@ def simulate(
         try:
             recorder.finish(outcome_text(status, reason), summary, space.highlights())
         except RecordingError as error:
-            status, reason = "error" if isinstance(error, RecorderError) else "disk", str(error)
+            status, reason = status_of(error), str(error)
         return Outcome(
             path=path,
             status=status,
@@ -260,6 +260,12 @@ def ending_of(verdicts: list[Verdict], units: UnitSystem) -> tuple[str, str]:
     """Return the status and the reason of a completed run, by its promises."""
     missed = [verdict.text(units) for verdict in verdicts if not verdict.met]
     return ("expectation missed", "; ".join(missed)) if missed else ("completed", "")
+
+
+def status_of(error: RecordingError) -> str:
+    """Return the status of a run whose recording failed: "error" for a program or a damaged file, else "disk"."""
+    damaged = isinstance(error, DamageError) or isinstance(error.__cause__, DamageError)
+    return "error" if damaged or isinstance(error, RecorderError) else "disk"
 
 
 def outcome_text(status: str, reason: str) -> str:
@@ -293,10 +299,8 @@ class _Physics:
                 return "interrupted", f"stopped by {interrupts.sender} {at}"
             case None:
                 return "completed", ""
-            case RecorderError():
-                return "error", f"{self._error} {at}"
             case RecordingError():
-                return "disk", f"{self._error} {at}"
+                return status_of(self._error), f"{self._error} {at}"
             case PhysicsError():
                 return "failed", str(self._error)
             case MemoryError():

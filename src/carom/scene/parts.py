@@ -85,6 +85,11 @@ def stamped(properties: Mapping[str, Any]) -> dict[str, str]:
     return dict(sorted(known.items()))
 
 
+def of_extensions(extensions: Mapping[str, str]) -> dict[str, str]:
+    """Return the version of each package, given packages with versions as in `extensions_of`."""
+    return {name: number for name, _, number in (package.rpartition(" ") for package in extensions.values())}
+
+
 def names_of(kind: str, extensions: Mapping[str, str]) -> list[str]:
     """Return the names of the parts of a kind."""
     return [key.removeprefix(f"{kind}.") for key in extensions if key.startswith(f"{kind}.")]

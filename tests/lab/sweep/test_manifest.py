@@ -146,10 +146,26 @@ def test_a_manifest_that_names_files_elsewhere_deletes_none(tmp_path: Path) -> N
     others = [tmp_path / "notes.txt", tmp_path / "mine" / "notes.txt"]
     for path in others:
         path.touch()
-    manifest.files |= {"../notes.txt", str(others[0]), "data/notes.txt", "runs/../../notes.txt"}
+    manifest.files |= {"data/notes.txt"}
     manifest.save()
     clear(manifest.folder)
     assert all(path.exists() for path in others) and not manifest.folder.manifest.exists()
+
+
+@pytest.mark.parametrize("name", ["..", ".", "../notes.txt", "/notes.txt", "data/../../notes.txt", "a\0b"])
+@pytest.mark.parametrize("key", ["files", "file", "name"])
+def test_a_manifest_with_a_path_that_leads_elsewhere_is_refused(name: str, key: str, tmp_path: Path) -> None:
+    manifest = begin(tmp_path)
+    document = json.loads(manifest.folder.manifest.read_text(encoding="utf-8"))
+    if key == "files":
+        document["files"].append(name)
+    else:
+        document["runs"][0][key] = name
+    manifest.folder.manifest.write_text(json.dumps(document), encoding="utf-8")
+    for use in (read, clear):
+        with pytest.raises(ExperimentError, match=r"is no (file below the folder of the sweep|name of a run)"):
+            use(manifest.folder)
+    assert manifest.folder.manifest.exists()
 
 
 def test_nothing_that_another_user_planted_is_followed(tmp_path: Path) -> None:

@@ -16,7 +16,7 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any, Self
 
-from pydantic import BaseModel, Field, ValidationError
+from pydantic import AfterValidator, BaseModel, Field, ValidationError
 
 from carom.errors import ExperimentError
 from carom.lab.sweep.plan import Plan, SweepPoint
@@ -148,6 +148,24 @@ def move(path: Path, to: Path) -> None:
         os.close(folder)
 
 
+def _inside(name: str) -> str:
+    """Return the path of a file below the sweep's folder. ValueError if it leads elsewhere."""
+    path = Path(name)
+    if name and (path.is_absolute() or ".." in path.parts or path == Path() or "\0" in name):
+        raise ValueError(f"{name[:80]!r} is no file below the folder of the sweep")
+    return name
+
+
+def _plain(name: str) -> str:
+    """Return the name of a run. ValueError if it is no name of a file."""
+    if Path(name).name != name or name in ("", ".", "..") or "\0" in name:
+        raise ValueError(f"{name[:80]!r} is no name of a run")
+    return name
+
+
+Inside = Annotated[str, AfterValidator(_inside)]
+Plain = Annotated[str, AfterValidator(_plain)]
+
 SCHEMA = 1
 PENDING, DONE, FAILED = "pending", "done", "failed"
 COMPLETED = "completed"
@@ -158,7 +176,7 @@ _ENTRY = 4000  # bytes reserved for each run's entry
 class SweepRun:
     """One run and its outcome."""
 
-    name: str
+    name: Plain
     parameters: dict[str, Any]
     seed: int
     status: str = PENDING  # "done": run and recording are complete; "failed": one of them is not
@@ -166,7 +184,7 @@ class SweepRun:
     reason: str = ""  # a sentence; empty when completed
     wall_time: float | None = None  # s
     fingerprint: str = ""  # of the last frame, 16 hexadecimal digits
-    file: str = ""  # in the sweep's folder
+    file: Inside = ""  # in the sweep's folder
     size: int = 0  # bytes
     worker: str = ""  # the host that ran it
     results: dict[str, Any] = field(default_factory=dict)  # the numbers of `carom inspect` under dotted keys
@@ -186,7 +204,7 @@ class StoredSweep(BaseModel):
     versions: dict[str, str]
     counts: dict[str, int]  # of runs, by status
     units: str
-    files: list[str]
+    files: list[Inside]
     runs: Annotated[list[SweepRun], Field(min_length=1)]
 
 

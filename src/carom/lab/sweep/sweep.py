@@ -22,7 +22,7 @@ from carom.recording.read.recording import Recording
 from carom.recording.schema.header import SweepMember
 from carom.recording.write.whole_file import output_folder
 from carom.runs.environment import Interrupts, versions
-from carom.runs.run import recording_space, simulate
+from carom.runs.run import recording_space, simulate, status_of
 from carom.runs.workers import Ended, LocalWorkers, TaskDroppedError, WorkerDiedError, Workers
 from carom.scene.data.body_sources import DataFiles
 from carom.scene.load import scene_from_text
@@ -59,7 +59,9 @@ def execute(task: SweepTask) -> Report:
         report = _failure("refused", str(error))
     except PhysicsError as error:
         report = _failure("failed", str(error))
-    except (OSError, RecordingError) as error:
+    except RecordingError as error:
+        report = _failure(status_of(error), str(error))
+    except OSError as error:
         report = _failure("disk", str(error))
     except Exception as error:  # of one run: the others continue
         report = _failure("error", f"{type(error).__name__}: {error}")

@@ -19,6 +19,7 @@ import pyarrow.parquet
 from carom.errors import ExperimentError
 from carom.lab.sweep.manifest import Folder, SweepRun, put
 from carom.lab.sweep.plan import SEED
+from carom.recording.export.csv_parquet import harmless
 from carom.recording.write.whole_file import whole_file
 from carom.scene.units.dimension import Physical, nearest_float, physical
 from carom.scene.wording import suggestion
@@ -46,7 +47,7 @@ def write(folder: Folder, runs: Sequence[SweepRun]) -> None:
     table = pa.table({key: _column([row[key] for row in rows]) for key in rows[0]})
     parquet, text = io.BytesIO(), io.BytesIO()
     pa.parquet.write_table(table, parquet)
-    pa.csv.write_csv(table, text)
+    pa.csv.write_csv(harmless(table), text)
     for path, content in zip(folder.tables, (parquet, text), strict=True):
         put(path, content.getvalue())
 
