@@ -136,15 +136,15 @@ def ended_bounces(scene: Scene) -> str:
     bounces = interactions.restitution(scene, contact).modelled and not integrator(scene).ends_steps_at_impacts
     if not (bounces and interactions.resting(scene, contact).modelled):
         return ""
-    field, meaning = math.hypot(*scene.gravity.uniform), "dt: the step"
+    field, limit = math.hypot(*scene.gravity.uniform), ""
     if field > 0.0:
         limits = step_limits(scene)
         reach = max(limits.target_dx or 0.0, limits.held_dx or 0.0)
         longest = scene.time.fixed_dt or min(limits.max_dt, math.sqrt(2.0 * reach / field) if reach else math.inf)
-        meaning += f"; in this field up to {scene.unit_system.text(PER_STEP * field * longest, VELOCITY, '.2g')}"
+        limit = f", here at most {scene.unit_system.text(PER_STEP * field * longest, VELOCITY, '.2g')}"
     return (
-        "bounces that would last no longer than about a step end at rest: two bodies that gravity or others press "
-        f"together with an acceleration a rebound only from {PER_STEP:g} a dt on ({meaning})"
+        "bounces shorter than about one step end at rest: bodies that are pressed together rebound only if they "
+        f"approach faster than {PER_STEP:g} × the pressing acceleration × the step{limit}"
     )
 
 
