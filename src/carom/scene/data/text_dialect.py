@@ -32,7 +32,6 @@ _ECSV_NAME = re.compile(r"\bname:\s*('[^']*'|\"[^\"]*\"|[^,}\n]+)")
 _ECSV_UNIT = re.compile(r"\bunit:\s*('[^']*'|\"[^\"]*\"|[^,}\n]+)")
 _ECSV_EPOCH = re.compile(r"\bepoch:\s*['\"]?J2000(?:\.0)?\b")
 _J2000 = 2_451_545.0  # Julian date
-_LONGEST_COMMENT = 10_000  # characters
 
 
 @dataclass
@@ -204,10 +203,8 @@ def rewritten(lines: TextLines, dialect: TextDialect, comma: bool, named: int, c
 def facts_in_comments(path: Path) -> Facts:
     """Return the units in the comments of the NASA Exoplanet Archive, and of astropy's Enhanced CSV, which are YAML."""
     with path.open(encoding="utf-8", errors="replace") as file:
-        lines = itertools.takewhile(
-            lambda line: line.startswith("#"), iter(lambda: file.readline(_LONGEST_COMMENT), "")
-        )
-        header = "\n".join(line[1:].strip() for line in itertools.islice(lines, MOST_COLUMNS))
+        lines = itertools.takewhile(lambda line: line.startswith("#"), file.read(HEAD).split("\n"))
+        header = "\n".join(line[1:].strip() for line in lines)
     if not header.startswith("%ECSV"):
         return Facts(of_columns={name: text.lower() if " " in text else text for name, text in _NASA.findall(header)})
     columns, _, meta = header.partition("\nmeta:")
