@@ -108,7 +108,7 @@ HOUSE: Mapping[str, Mapping[str, str]] = {  # carom's own parts: kind â†’ name â
         "csv": "carom.recording.export.csv_parquet:write_csv",
         "npz": "carom.recording.export.npz:write_npz",
         "extxyz": "carom.recording.export.extended_xyz:write_extended_xyz",
-        "vtk": "carom.recording.export.vtk:write_vtk",
+        "vtk": "carom.recording.export.vtk:VTK",
     },
     "engines": {
         "rebound": "carom.lab.engines.rebound:Rebound",

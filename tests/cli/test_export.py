@@ -10,6 +10,7 @@ import pyarrow.csv as pc
 import pyarrow.parquet as pq
 import pytest
 
+from carom import registry
 from carom.physics.placement import place
 from carom.recording.export import Snapshot
 from carom.recording.read.recording import Recording
@@ -33,7 +34,7 @@ def cradle(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_every_format_has_the_bits_of_the_state(cradle: Path, tmp_path: Path) -> None:
-    for name in ("one.parquet", "one.csv", "one.npz", "one.vtk", "one.extxyz"):
+    for name in (f"one.{suffix}" for suffix in registry.HOUSE["export_formats"]):
         done = carom("export", str(cradle), "--at", "0.1", "-o", name, cwd=tmp_path)
         assert done.returncode == 0, done.stderr
         assert done.stdout == f"{name} written: 1 step of 7 bodies, t = 0.1 s.\n"
@@ -99,7 +100,7 @@ def test_extended_xyz_has_the_periodic_box(tmp_path: Path) -> None:
 
 def test_the_bodies_of_a_clip_are_exported_and_no_others(cradle: Path, tmp_path: Path) -> None:
     assert carom("clip", str(cradle), "--bodies", "0,3", "-o", "clip.rrd", cwd=tmp_path).returncode == 0
-    for name in ("one.csv", "one.parquet", "one.npz", "one.vtk", "one.extxyz"):
+    for name in (f"one.{suffix}" for suffix in registry.HOUSE["export_formats"]):
         done = carom("export", "clip.rrd", "--at", "0.1", "-o", name, cwd=tmp_path)
         assert done.stdout == f"{name} written: 1 step of 2 bodies, t = 0.1 s.\n", done.stderr
     whole = rerun(cradle, 0.1).bodies(0.1).take([0, 3])

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from carom import registry
 from carom.scene.units.dimension import TIME
 from carom.scene.wording import counted
 from carom.terminal.options import (
@@ -25,6 +26,7 @@ from carom.terminal.printing import bytes_text, mention_killed_run, say, say_jso
 if TYPE_CHECKING:
     from carom.scene.units.system import UnitSystem
 
+_SUFFIXES = ", ".join(f".{name}" for name in registry.HOUSE["export_formats"])
 _BODIES = "Keep only these bodies, by number or name, and the contacts among them."
 
 
@@ -148,7 +150,7 @@ def repair(
 
 def export(
     file: RecordingArgument,
-    output: Annotated[Path, output_option("FILE", "File to write: .parquet, .csv, .npz, .vtk or .extxyz.")],
+    output: Annotated[Path, output_option("FILE", f"File to write: {_SUFFIXES}.")],
     at: StepTimeOption = None,
     everything: Annotated[bool, typer.Option("--all", help="Export all recorded frames instead of one step.")] = False,
     force: ForceOption = False,
@@ -159,20 +161,14 @@ def export(
     """
     from carom.errors import RecordingError
     from carom.recording.edit.bundle import opened
-    from carom.recording.export import VTK, refuse_format, refuse_series, series_of, write
+    from carom.recording.export import refuse_export, write
     from carom.recording.read.recording import Recording
-    from carom.recording.write.whole_file import refuse_output
     from carom.runs.recomputed import snapshots
     from carom.terminal.console import replaying
 
-    refuse_format(output)
     if everything and at is not None:
         raise RecordingError("give --at or --all, not both")
-    if everything and output.suffix == VTK:
-        refuse_output(series_of(output)[0], force)
-        refuse_series(output, force)
-    else:
-        refuse_output(output, force)
+    refuse_export(output, everything, force)
     with opened(file) as path:
         recording = Recording.open(path)
         recording.refuse_overlay()

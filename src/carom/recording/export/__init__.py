@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import tempfile
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,6 +15,7 @@ from carom import registry
 from carom.arrays import FloatArray, IntArray
 from carom.errors import ExistsError, RecordingError
 from carom.recording.read.tables import AXES
+from carom.recording.write.whole_file import refuse_output
 
 if TYPE_CHECKING:
     from carom.physics.checkpoint import Checkpoint
@@ -50,8 +51,13 @@ class Snapshot:
         return len(self.mass)
 
 
-VTK = ".vtk"  # the only format that holds a single step
-SERIES = ".series"  # appended to the name of a .vtk of many steps
+@dataclass(frozen=True, slots=True)
+class StepFiles:
+    """A format with a file for each step; other formats are functions of a path, the first step and the later ones."""
+
+    write: Callable[[Path, Snapshot], None]
+    write_list: Callable[[Path, Sequence[tuple[str, float]]], None]  # writes the names of files and their times in s
+    list_suffix: str  # of the list, after the name that is asked for
 
 
 def refuse_format(path: Path, formats: Sequence[str] | None = None) -> None:
@@ -63,9 +69,14 @@ def refuse_format(path: Path, formats: Sequence[str] | None = None) -> None:
         raise RecordingError(f'{path}: the format "{path.suffix}" is unknown; known suffixes: {known}')
 
 
-def refuse_series(path: Path, force: bool) -> None:
-    """Raise RecordingError if the folder of a .vtk of many steps exists, unless its files may be replaced."""
-    folder = series_of(path)[1]
+def refuse_export(path: Path, everything: bool, force: bool) -> None:
+    """Raise RecordingError if the suffix names no format, or a file or a folder of the export is in the way."""
+    refuse_format(path)
+    made = registry.load("export_formats", path.suffix[1:])
+    if not (everything and isinstance(made, StepFiles)):
+        return refuse_output(path, force)
+    refuse_output(path.with_name(path.name + made.list_suffix), force)
+    folder = _folder_of(path)
     if folder.exists() and not (force and folder.is_dir()):
         raise ExistsError(folder)
 
@@ -73,39 +84,40 @@ def refuse_series(path: Path, force: bool) -> None:
 def write(path: Path, snapshots: Iterator[Snapshot], series: bool) -> tuple[Path, int]:
     """Write snapshots to a file that appears when it is complete; return its path and the number of steps.
 
-    A .vtk holds one step. Several steps go into a folder ``NAME-vtk`` beside ``NAME.vtk.series``, which lists their
-    times. Raises RecordingError if it cannot be written.
+    Several steps of `StepFiles`, such as a .vtk, go into a folder ``NAME-vtk`` beside the list of their times. Raises
+    RecordingError if it cannot be written.
     """
     numbers = itertools.count()  # the next one is the number of steps that have been written
     counted = (snapshot for snapshot, _ in zip(snapshots, numbers, strict=False))
+    made = registry.load("export_formats", path.suffix[1:])
     try:
         with tempfile.TemporaryDirectory(dir=path.parent, prefix=f".{path.name}.") as folder:
             part = Path(folder) / path.name
-            if path.suffix == VTK and series:
-                return _write_series(path, counted, Path(folder)), next(numbers)
+            if isinstance(made, StepFiles) and series:
+                return _write_series(path, made, counted, Path(folder)), next(numbers)
             first = next(counted)
-            write_steps = registry.load("export_formats", path.suffix[1:])
-            write_steps(part, first) if path.suffix == VTK else write_steps(part, first, counted)
+            made.write(part, first) if isinstance(made, StepFiles) else made(part, first, counted)
             part.replace(path)
     except OSError as error:
         raise RecordingError(f"cannot write {path}: {error.strerror or error}") from error
     return path, next(numbers)
 
 
-def series_of(path: Path) -> tuple[Path, Path]:
-    """Return the list and the folder of a .vtk of many steps."""
-    return path.with_name(path.name + SERIES), path.with_name(f"{path.stem}-vtk")
+def _folder_of(path: Path) -> Path:
+    return path.with_name(f"{path.stem}-{path.suffix[1:]}")
 
 
-def _write_series(path: Path, snapshots: Iterator[Snapshot], scratch: Path) -> Path:
-    from carom.recording.export.vtk import write_vtk_series  # noqa: PLC0415 - a format that may have been removed
-
-    listed, folder = series_of(path)
-    filling = scratch / folder.name
+def _write_series(path: Path, made: StepFiles, snapshots: Iterator[Snapshot], scratch: Path) -> Path:
+    listed, folder = path.with_name(path.name + made.list_suffix), _folder_of(path)
+    filling, files = scratch / folder.name, list[tuple[str, float]]()
     filling.mkdir()
-    write_vtk_series(scratch / listed.name, snapshots, filling, path.stem)
+    for snapshot in snapshots:
+        name = f"{path.stem}-{len(files):06d}{path.suffix}"
+        made.write(filling / name, snapshot)
+        files.append((f"{folder.name}/{name}", snapshot.time))
+    made.write_list(scratch / listed.name, files)
     folder.mkdir(exist_ok=True)
-    for old in folder.glob(f"{path.stem}-*{VTK}"):
+    for old in folder.glob(f"{path.stem}-*{path.suffix}"):
         old.unlink()
     for file in filling.iterdir():
         file.replace(folder / file.name)

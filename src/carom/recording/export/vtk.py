@@ -3,19 +3,16 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from carom.arrays import FloatArray, Int32Array
-
-if TYPE_CHECKING:
-    from carom.recording.export import Snapshot
+from carom.recording.export import Snapshot, StepFiles
 
 
-def write_vtk(path: Path, snapshot: Snapshot) -> None:
+def _write(path: Path, snapshot: Snapshot) -> None:
     """Write one step; in ParaView, draw it as Point Gaussians or with the filter Glyph, scaled by ``radius``."""
     n = len(snapshot)
     vertices = np.stack((np.ones(n, np.int32), np.arange(n, dtype=np.int32)), axis=1)
@@ -35,16 +32,15 @@ def write_vtk(path: Path, snapshot: Snapshot) -> None:
             file.write(f"{name} {1 if values.ndim == 1 else values.shape[1]} {n} double\n".encode() + _bytes(values))
 
 
-def write_vtk_series(path: Path, snapshots: Iterator[Snapshot], folder: Path, stem: str) -> None:
-    """Write a file for each step into a folder, and the list of files and times that ParaView opens."""
-    files = list[dict[str, str | float]]()
-    for snapshot in snapshots:
-        name = f"{stem}-{len(files):06d}.vtk"
-        write_vtk(folder / name, snapshot)
-        files.append({"name": f"{folder.name}/{name}", "time": snapshot.time})
-    path.write_text(json.dumps({"file-series-version": "1.0", "files": files}, indent=1), encoding="utf-8")
+def _write_list(path: Path, files: Sequence[tuple[str, float]]) -> None:
+    """Write the list of files and times that ParaView opens."""
+    listed = [{"name": name, "time": time} for name, time in files]
+    path.write_text(json.dumps({"file-series-version": "1.0", "files": listed}, indent=1), encoding="utf-8")
 
 
 def _bytes(values: FloatArray | Int32Array) -> bytes:
     """Return values in VTK's byte order, most significant byte first."""
     return values.astype(values.dtype.newbyteorder(">")).tobytes() + b"\n"
+
+
+VTK = StepFiles(_write, _write_list, ".series")
