@@ -15,7 +15,6 @@ import dask
 from distributed import Client, Future, KilledWorker
 
 from carom.errors import ExperimentError
-from carom.lab.sweep.sweep import unfit
 from carom.runs.workers import Ended, TaskDroppedError, WorkerDiedError
 
 _CONNECT = 20.0  # s
@@ -90,8 +89,8 @@ class DaskWorkers:
         """Drop all tasks."""
         self._forget(list(self._futures))
 
-    def refuse_unfit(self, root: str, scene: str, version: str) -> None:
-        """Refuse a cluster if some workers have another folder or another version of carom.
+    def refuse_unfit(self, unfit: Callable[[], str]) -> None:
+        """Refuse a cluster if a worker answers with a reason why it cannot run the sweep.
 
         Raises
         ------
@@ -99,7 +98,7 @@ class DaskWorkers:
             With the name of the worker.
         """
         try:
-            answers = self._client.run(unfit, root, scene, version, on_error="return")
+            answers = self._client.run(unfit, on_error="return")
         except Exception as error:
             raise ExperimentError(f"the workers do not answer: {type(error).__name__}: {error}") from None
         for worker, answer in answers.items():

@@ -10,6 +10,7 @@ import socket
 import time
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -325,6 +326,6 @@ def _make(manifest: Manifest, todo: list[SweepPoint], watch: Watcher, address: s
             from carom.lab.sweep.cluster import DaskWorkers  # noqa: PLC0415 - an extra
 
             made = cluster = stack.enter_context(DaskWorkers(address))
-            cluster.refuse_unfit(str(manifest.folder.root), manifest.plan.digest, versions()["carom"])
+            cluster.refuse_unfit(partial(unfit, str(manifest.folder.root), manifest.plan.digest, versions()["carom"]))
         interrupts = stack.enter_context(Interrupts(patience=2))
         return Conductor(made, manifest, watch).conduct(todo, interrupts)
