@@ -256,6 +256,17 @@ def test_a_scene_of_other_bodies_than_the_recorded_ones_is_not_run(
         replay(recording)
 
 
+def test_a_temporary_file_that_cannot_be_written_is_named_with_the_remedy(
+    cloud_run: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "missing"))
+    with pytest.raises(RecordingError, match=r"again in a temporary file, which failed: .*; set TMPDIR to a folder"):
+        replay(cloud_run)
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    assert replay(cloud_run, 0.0, 0.2).same
+    assert list(tmp_path.iterdir()) == [], "the temporary file is gone"
+
+
 def test_a_state_that_is_not_finite_is_not_gone_on_from(tmp_path: Path) -> None:
     recording = carom.run(cloud(12, time={"duration": 0.5}), tmp_path / "cloud.rrd")
     nowhere = mapped("position", lambda row: [np.nan] * len(row))

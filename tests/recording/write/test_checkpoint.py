@@ -1,17 +1,19 @@
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import pytest
 
+from carom.arrays import FloatArray
 from carom.errors import RecordingError
 from carom.physics.checkpoint import Checkpoint
 from carom.physics.frame import Frame
+from carom.physics.saved import BODY, Saved, all_saved
 from carom.recording.read.recording import Recording
 from carom.recording.rrd import container, messages
 from carom.recording.schema import paths
-from carom.recording.schema.checkpoint_columns import encode, size
+from carom.recording.schema.checkpoint_columns import _components_of, _Row, encode, size
 from carom.recording.write.recorder import CheckpointPlan, FrameRecorder
 from scripted_run import ScriptedRun
 
@@ -131,3 +133,26 @@ def test_states_in_order_of_their_steps_decode_each_chunk_once(tmp_path: Path, m
     assert [state.step for state in recording.checkpoints(some)] == some
     with pytest.raises(RecordingError, match="has no checkpoint at step 1000"):
         list(recording.checkpoints([steps[0], 1000]))
+
+
+@dataclass(frozen=True)
+class Part:
+    charge: Annotated[FloatArray, Saved("charge", "C", BODY)]
+    field: Annotated[FloatArray | None, Saved("field", "V/m", BODY, 3)] = None
+
+
+def test_a_saved_array_is_one_row_by_which_it_is_stored_read_and_checked() -> None:
+    part = Part(np.arange(4.0), np.arange(12.0).reshape(4, 3))
+    stored = _components_of(part)
+    again = _Row(stored, 4).part(Part)
+    assert again.charge.tobytes() == part.charge.tobytes() and np.array_equal(again.field, part.field)
+    assert _Row({"charge": stored["charge"]}, 4).part(Part).field is None
+    with pytest.raises(ValueError, match="field has 12 values instead of 15"):
+        _Row({"charge": np.zeros(5), "field": stored["field"]}, 5).part(Part)
+
+
+def test_no_two_saved_fields_have_one_name_and_all_but_numbers_have_a_unit() -> None:
+    table = list(all_saved(Checkpoint))
+    assert len({each.name for each in table}) == len(table) > 30
+    without = {each.name for each in table if not each.unit and not each.is_pairs}
+    assert without == {"orientation", "orbit_series", "orbit_order", "piston"}
