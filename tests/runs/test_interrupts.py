@@ -148,3 +148,25 @@ def test_a_signal_while_the_command_is_imported_is_one_line(place: int, number: 
     script = [sys.executable, "-c", AT_AN_IMPORT, str(place), str(number), "--version"]
     done = subprocess.run(script, capture_output=True, text=True, timeout=60, check=False)
     assert (done.stdout, done.stderr, done.returncode) == ("", "carom: interrupted\n", 128 + number)
+
+
+IMPORTED = """
+import signal, sys, time
+from carom.runs.environment import raise_signals
+
+raise_signals()
+sys.path.insert(0, sys.argv[1])
+try:
+    import interrupted_module
+    time.sleep(30)
+except KeyboardInterrupt:
+    print(sys.modules["interrupted_module"].whole)
+"""
+
+
+def test_an_interrupt_within_an_import_waits_until_the_module_is_whole(tmp_path: Path) -> None:
+    text = "import signal\nsignal.raise_signal(signal.SIGINT)\nimport json\nwhole = True\n"
+    (tmp_path / "interrupted_module.py").write_text(text, encoding="utf-8")
+    script = [sys.executable, "-c", IMPORTED, str(tmp_path)]
+    done = subprocess.run(script, capture_output=True, text=True, timeout=60, check=False)
+    assert (done.stdout, done.stderr, done.returncode) == ("True\n", "", 0)

@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
-# Two minutes of a hunt, and of tests that draw what they try: damaged, altered and hostile files and scenes, with a new
-# seed. It exits with 1 if anything is found, printed with its seed. GitHub runs it every night, and `.ci/run` does not.
+# Two minutes of a hunt, and of tests that draw what they try: damaged, altered and hostile files and scenes, signals, and
+# files that unpack to far more than they have, with a new seed. It exits with 1 if anything is found, printed with its seed. GitHub runs it every night, and `.ci/run` does not.
 set -uo pipefail
 cd "$(dirname "$0")/../.."
 seed=${CAROM_SEED:-$RANDOM$RANDOM}
@@ -19,6 +19,14 @@ CAROM_SEED=$seed ${limit:+$limit -s INT -k 10 70} pytest -n 0 -q --tb=short -m "
 scenes=$(${limit:+$limit -k 10 40} python tests/support/hostile_scenes.py "$seed" 0 1000)
 echo "$(grep -c '"faults"' <<<"$scenes") hostile scenes; repeat one with: python tests/support/hostile_scenes.py $seed INDEX 1"
 if grep '"faults": \[[^]]' <<<"$scenes"; then found=1; fi
+
+for each in "signals_everywhere.py $seed 20" "inflated_recordings.py $scratch state-"; do
+    answers=$(${limit:+$limit -k 10 180} python tests/support/$each)
+    code=$?
+    ((code == 0 || code == 124)) || found=1
+    echo "$(wc -l <<<"$answers") attempts of: python tests/support/$each"
+    if ((code == 1)); then grep -v '"faults": \[\]\|"wrong": ""' <<<"$answers"; fi
+done
 
 wait $hunt || found=1
 cat "$scratch/hunt.log"

@@ -180,6 +180,7 @@ def _changes(repository: _Repository, commit: str) -> str:
 
 ENDING = (signal.SIGTERM, signal.SIGHUP)  # sent by Slurm, Kubernetes and `kill`; by a closed terminal
 AFTER_CALLBACK = 0.05  # s; llvmlite's callbacks for each kernel take microseconds
+LONGEST_IMPORT = 10.0  # s, for which a signal waits for an import; the longest takes a second
 SAME_PRESS = 0.3  # s within which interrupts count once: wrappers such as `uv run` forward that of the terminal
 
 _ARENA_MAX, _TRIM_THRESHOLD, _MMAP_THRESHOLD = -8, -1, -3  # glibc's <malloc.h>
@@ -189,6 +190,7 @@ _NEW_OBJECTS = 100_000  # the first batches create 60 000 objects, mostly module
 
 _received: list[int] = []  # the signal that was raised as KeyboardInterrupt
 _heard: list[float] = []  # s, when this command was asked to end, in order
+_waiting: list[float] = []  # s, when it was asked within an import
 
 
 def raise_signals(before: Sequence[Any] = ()) -> None:
@@ -226,6 +228,11 @@ def _raise(number: int, frame: FrameType | None) -> None:
     signal has ended, would print a traceback and another exit code.
     """
     now = time.monotonic()
+    if not _heard and _is_importing(frame):
+        _waiting.append(now)
+        if now - _waiting[0] < LONGEST_IMPORT:
+            _send_later(number)
+            return
     again = now - _heard[-1] if _heard else None
     _heard.append(now)
     if again is None:
@@ -233,6 +240,20 @@ def _raise(number: int, frame: FrameType | None) -> None:
         raise KeyboardInterrupt
     if again >= SAME_PRESS and (number == signal.SIGINT or received()):
         leave(number)
+
+
+def _is_importing(frame: FrameType | None) -> bool:
+    """Return whether a frame is within an import, which an exception would leave half done, or which would print it."""
+    while frame is not None and not frame.f_code.co_filename.startswith("<frozen importlib"):
+        frame = frame.f_back
+    return frame is not None
+
+
+def _send_later(number: int) -> None:
+    """Send a signal to the main thread again, soon."""
+    later = threading.Timer(AFTER_CALLBACK, signal.pthread_kill, (threading.main_thread().ident, number))
+    later.daemon = True
+    later.start()
 
 
 def leave(number: int = 0) -> NoReturn:
@@ -251,9 +272,7 @@ def _raise_later(lost: sys.UnraisableHookArgs) -> None:
         sys.__unraisablehook__(lost)
         return
     _heard.clear()  # it is the same request
-    later = threading.Timer(AFTER_CALLBACK, signal.pthread_kill, (threading.main_thread().ident, received()))
-    later.daemon = True
-    later.start()
+    _send_later(received())
 
 
 class Interrupts:
