@@ -37,8 +37,8 @@ from carom.scene.parts import extensions_of, of_extensions, stamped
 TRIAL_SECONDS = 1.0  # after stepping so long, a replay estimates its remaining time
 REPAIRED = "; repaired, "  # in the outcome of a repaired recording, which may lack pieces
 
-CHOICE = "the outcome, and which impacts, arrows and checkpoints were kept"
-OUTCOME = "the outcome, which the recording lacks"
+CHOICE = "which impacts, arrows and checkpoints were kept"
+OUTCOME = "the outcome"
 DENSE = "all but the exact states, since every step has a frame"
 INTERVAL = "the interval of the checks, which is not the scene's"
 
@@ -277,7 +277,7 @@ class _Again:
         reached_end = not ended and self._last == window.last_recorded and window.differs is None
         closed = reached_end and self._is_whole and "steps" in recording.closing
         not_compared = [] if self._same_choice else [CHOICE]
-        if self._same_choice and reached_end and not closed:
+        if reached_end and not closed:
             not_compared.append(OUTCOME)
         usual = auto_interval(space.scene, space.scene.time.duration)
         if recording.check_interval not in (None, usual) and "resumed.step" not in recording.properties:

@@ -17,7 +17,7 @@ from carom.recording.edit.clip import clip
 from carom.recording.read.recording import Recording
 from carom.recording.rrd.framing import CHUNK
 from carom.recording.schema import series
-from carom.runs.replay import CHOICE, replay
+from carom.runs.replay import CHOICE, OUTCOME, replay
 from carom.runs.resume import resumable_run
 from edited_recordings import assembled, changed, is_of, mapped, messages_of, without_column
 from small_scenes import cloud
@@ -150,7 +150,7 @@ def test_a_whole_run_leaves_nothing_out_and_a_window_or_a_clip_says_what(whole: 
     steps = Recording.open(whole).checkpoint_times
     later = sorted(steps.values())[len(steps) // 2]
     window = replay(Recording.open(whole), later)
-    assert window.same and window.not_compared == [CHOICE]
+    assert window.same and window.not_compared == [CHOICE, OUTCOME]
     for bodies in (None, [1, 5, 7]):
         clip(whole, tmp_path / "clip.rrd", later + 0.05, 0.6, bodies)
         part = replay(Recording.open(tmp_path / "clip.rrd"))
