@@ -118,7 +118,7 @@ LAWS = [
         "signs",
         "contacts dissipate what their laws say",
         "warning dissipation",
-        lambda scene, needs: needs.contact.modelled,
+        lambda scene, needs: needs.impact_time.modelled and scene.time.fixed_dt is None,
     ),
     HuntedLaw("overlap", "no overlap above 5 % of a radius persists", "overlap at rest", _corrects_overlaps),
     HuntedLaw(
