@@ -371,12 +371,14 @@ class _Comparison:
 
         Chaos within it may change who has the energy, but hardly how much of it is left. An entry counts if the twin
         agrees with the run, or with the shorter steps: then the run alone is wrong. It must also differ two steps
-        later, since an impact may be just before or after the instant.
+        later, since an impact may be just before or after the instant. Where positions differ, forces have done other
+        work, and contacts take out what corrections of positions put in.
         """
         certain, self._certain = self._certain, self._certain_share(frame)
         allowed = SUDDEN * max(self._kinetic_of(before).sum(), self._kinetic_of(frame).sum())
         allowed = max(allowed, (CHAOTIC if self.shared else LEDGER) * self._kinetic)
-        allowed += self._moved_energy(before, frame, fine_before, fine)
+        taken, refined = _booked(before, frame), _booked(fine_before, fine)
+        allowed += self._moved_energy(frame, fine) + abs(taken[CORRECTED]) + abs(refined[CORRECTED])
         differ = self._differences[-1]
         doubt = 10.0 * np.minimum(np.abs(of_twin), np.abs(differ - of_twin))
         differ = np.where(np.abs(differ) > allowed + doubt, differ, 0.0)
@@ -390,19 +392,14 @@ class _Comparison:
             later.append(_reached(space, after))
         lasting = _booked(fine_before, later[1]) - _booked(before, later[0])
         for k in np.flatnonzero(np.minimum(np.abs(differ), np.abs(lasting)) > allowed).tolist():
-            run, refined = float(_booked(before, frame)[k]), float(_booked(fine_before, fine)[k])
-            values = run, refined, abs(refined - run), float(allowed)
+            values = float(taken[k]), float(refined[k]), abs(float(refined[k]) - float(taken[k])), float(allowed)
             self._add(Moved(self._entries[k], before.time, frame.time, (), "", *values, "J"))
 
-    def _moved_energy(self, before: Frame, frame: Frame, fine_before: Frame, fine: Frame) -> float:
-        """Return the energy (J) by which positions differ, and that corrections of positions put in or took out.
-
-        Contacts take out again what a correction put in, and what bodies that it displaced gain in a fall.
-        """
+    def _moved_energy(self, frame: Frame, fine: Frame) -> float:
+        """Return the work (J) of the forces over the differences of the positions."""
         force = self._mass[:, np.newaxis] * frame.acceleration
         work = np.abs((force * self._between(fine.position, frame.position)).sum(axis=1))
-        corrected = abs(_booked(before, frame)[CORRECTED]) + abs(_booked(fine_before, fine)[CORRECTED])
-        return float(work[self._free].sum() + corrected)
+        return float(work[self._free].sum())
 
     def _kinetic_of(self, frame: Frame) -> FloatArray:
         """Return the kinetic energies of the bodies, (n,) J."""

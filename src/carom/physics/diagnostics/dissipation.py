@@ -343,18 +343,20 @@ def judge_impacts(
             excess = min(0.0, entry.restitution_loss)
         if abs(excess) <= tolerated:
             continue
-        if e < 1.0 and len(impacts) == 0:
+        is_impact = v > entry.rest_speed or v == 0.0  # only a held group has contacts that do not close
+        if not is_impact:
+            may_stop = walls_move and j >= bodies
+            normal = entry.nx, entry.ny, entry.nz
+            if may_stop or not v > PER_STEP * dt * pressing(i, j, normal, acceleration, loads):
+                continue
+        if not e >= 1.0 and len(impacts) == 0:  # also if e is unknown
             impacts = _count_impacts(log, bodies)
         most = 0 if e >= 1.0 else max(impacts[i], impacts[j] if j < bodies else 0)
-        if v > entry.rest_speed or v == 0.0:  # only a held group has contacts that do not close
-            if most < MAX_IN_COLLAPSE:
-                together += excess
-                if abs(excess) > largest:
-                    largest, a, b = abs(excess), i, j
-            continue
-        if (walls_move and j >= bodies) or most >= MANY_IMPACTS:
-            continue
-        if v > PER_STEP * dt * pressing(i, j, (entry.nx, entry.ny, entry.nz), acceleration, loads):
+        if is_impact and most < MAX_IN_COLLAPSE:
+            together += excess
+            if abs(excess) > largest:
+                largest, a, b = abs(excess), i, j
+        if not is_impact and most < MANY_IMPACTS:
             found = _add(wrong[STOPPED], e * e * struck, i, j, step, time)
     if together != 0.0:
         found = _add(wrong[RESTITUTION], abs(together), a, b, step, time)
