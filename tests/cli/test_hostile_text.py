@@ -15,7 +15,7 @@ from rich.table import Table
 from rich.text import Text
 
 from carom import run as carom_run
-from carom.recording.export.csv_parquet import harmless
+from carom.recording.export.spreadsheet import harmless
 from carom.recording.rrd.framing import CHUNK
 from carom.recording.rrd.messages import decode
 from carom.scene.load import Scene

@@ -202,7 +202,7 @@ def _write_table(table: pa.Table, path: Path) -> None:
     import pyarrow.parquet as pq
 
     from carom.errors import RecordingError
-    from carom.recording.export.csv_parquet import harmless
+    from carom.recording.export.spreadsheet import harmless
     from carom.recording.write.whole_file import whole_file
 
     try:
@@ -220,7 +220,7 @@ def _csv_text(table: pa.Table) -> str:
 
     import pyarrow.csv as pc
 
-    from carom.recording.export.csv_parquet import harmless
+    from carom.recording.export.spreadsheet import harmless
 
     out = io.BytesIO()
     pc.write_csv(harmless(_with_units(table)), out)

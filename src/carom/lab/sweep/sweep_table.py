@@ -19,7 +19,7 @@ import pyarrow.parquet
 from carom.errors import ExperimentError
 from carom.lab.sweep.manifest import Folder, SweepRun, put
 from carom.lab.sweep.plan import SEED
-from carom.recording.export.csv_parquet import harmless
+from carom.recording.export.spreadsheet import harmless
 from carom.recording.write.whole_file import whole_file
 from carom.scene.units.dimension import Physical, nearest_float, physical
 from carom.scene.wording import suggestion

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -10,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 import pyarrow as pa
 import pyarrow.csv as pc
 import pyarrow.parquet as pq
-from pyarrow import compute
 
+from carom.recording.export.spreadsheet import harmless
 from carom.recording.read.tables import state_table
 
 if TYPE_CHECKING:
@@ -26,18 +25,6 @@ def write_parquet(path: Path, first: Snapshot, others: Iterator[Snapshot]) -> No
 def write_csv(path: Path, first: Snapshot, others: Iterator[Snapshot]) -> None:
     """Write a CSV file with a header; numbers keep all their digits."""
     _write(pc.CSVWriter, path, first, others, harmless)
-
-
-_FORMULAS = r"^([=+\-@\t\r])"  # first characters of what a spreadsheet computes
-
-
-def harmless(table: pa.Table) -> pa.Table:
-    """Return a table for CSV whose names and texts are no formulas: a spreadsheet shows a text after an apostrophe."""
-    columns = [
-        compute.replace_substring_regex(column, _FORMULAS, r"'\1") if pa.types.is_string(column.type) else column
-        for column in table.columns
-    ]
-    return pa.table(columns, names=[re.sub(_FORMULAS, r"'\1", name) for name in table.column_names])
 
 
 def _write(
