@@ -231,3 +231,27 @@ def test_balls_that_bounce_slide_and_roll_are_silent(e: float, timing: str) -> N
         pass
     error = space.extremes.dissipation_error
     assert space.extremes.impacts > 0 and (error is None or error.value < 1e-12)  # rounding
+
+
+def test_a_slip_that_few_sweeps_leave_is_not_taken_for_a_fault() -> None:
+    """Three balls that attract each other and touch, found by a hunt: four sweeps do not stop the slip of all."""
+    balls = [  # radius (m), position (m), velocity (m/s), factor of inertia
+        (0.0178, [0.0, 0.0, 0.0], [0.0, 0.0, 0.0], 0.4),
+        (0.0178, [0.00633, 0.006, 0.0522], [0.0, -0.07, -0.05], 0.4),
+        (0.0178, [0.0129, -0.0199, 0.0266], [-0.09, 0.06, 0.12], 0.05),
+        (0.01778, [-0.01115, -0.00462, 0.08132], [0.0, 0.0, 0.0], 0.4),
+    ]
+    bodies = [
+        {"radius": radius, "mass": 30.0, "position": place, "velocity": velocity, "inertia_factor": factor}
+        for radius, place, velocity, factor in balls
+    ]
+    document = {
+        "body": bodies,
+        "gravity": {"constant": 0.0003},
+        "contact": {"restitution": 0.0, "sweeps": "quick"},
+        "time": {"duration": 0.01, "max_dt": 0.006, "target_dx": 0.002},
+    }
+    space = Space(Scene.from_dict(document))
+    for _ in space.run():
+        pass
+    assert space.extremes.impacts > 0 and space.extremes.dissipation_error is None

@@ -79,7 +79,9 @@ class ContactPipeline:
         self.torques = Torques(bodies, team)
         self.contacts = OrderedContacts.of(empty_graph().pairs, bodies, contact.colouring)  # the contacts of the step
         self.snapshots = SnapshotSource(self.solver, bodies.ends.inverse_mass)
-        self.signs = SignsOfDissipation(bodies, world.materials, world.is_still, world.planes)
+        # with fewer sweeps than the default, sticking contacts may slip, and their works do not cancel
+        sticks = world.is_still and self.most_sweeps >= MOST_SWEEPS["auto"]
+        self.signs = SignsOfDissipation(bodies, world.materials, sticks, world.planes)
         names = required(scene, requirements, totals is not None)
         made: list[OptionalPart | None] = [imported(STEP_PARTS[name].target)(self) for name in names]
         self.parts = [*others, *(part for part in made if part)]

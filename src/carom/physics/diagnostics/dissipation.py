@@ -123,7 +123,7 @@ class SignsOfDissipation:
     ----------
     holds
         Whether the friction of contacts that stick is judged: no wall and no image moves, since the slip changes with
-        their velocity.
+        their velocity, and the solver makes enough sweeps to stop the slip.
     planes
         The planes and walls of the run.
     """
