@@ -1,8 +1,9 @@
 """The data by which runs are compared: states at common times, first contacts and extremes.
 
-Common times fall within steps, and steps cut there would change the run. The state is therefore interpolated between
-the ends of a step, by a polynomial of degree five, or of degree three if the integrator computes no forces at the ends.
-After an impact, a body flies freely until its next one.
+Common times fall within steps, and steps cut there would change the run. Within a step, a body therefore flies freely,
+with a correction by which it arrives at its state at the end of the step: a polynomial of degree five, or of degree
+three if the integrator computes no forces at the ends. A body in contact is corrected by a constant acceleration, since
+contacts are held at the mean velocity of a step. After an impact, a body flies freely until its next one.
 """
 
 from __future__ import annotations
@@ -33,6 +34,7 @@ STEPS = (4.0, 2.0, 1.0, 0.5)  # step factors of each integrator, if only the int
 SAMPLES = 200  # times at which trajectories are compared
 EARLIER = (3.0 - 5.0**0.5) / 2.0  # of the time between two samples; the golden section avoids simple ratios
 LATE = 0.9  # of the samples; after it, bodies are assumed to have come to rest
+ROUNDINGS = 8  # of a coordinate, by which a drift may differ from the mean velocity of a held body
 MORE_SAMPLES_UP_TO, MORE_SAMPLES = 20, 600  # more samples of few bodies cost nothing, and their paths can be drawn
 
 
@@ -261,7 +263,7 @@ class _Watch:
 
     def sample(self, frame: Frame) -> None:
         """Store the samples within the step of a frame."""
-        n, graph = len(frame.position), frame.contacts
+        graph = frame.contacts
         if len(self.position) >= LATE * len(self._times):
             self._overlaps.append(graph.overlaps / self._space.state.ends.radius[graph.pairs].min(axis=1))
         if self._space.has_solution:
@@ -274,23 +276,34 @@ class _Watch:
             return
         begin, x, v, a = self._before
         dt = frame.time - begin
-        struck = np.zeros((self._ends, 1), dtype=np.bool_)
-        struck[graph.pairs] = True
         impacts = self._space.impacts
+        touching, struck = np.zeros((2, self._ends, 1), dtype=np.bool_)
+        touching[graph.pairs] = True
+        struck[impacts.pairs] = True
         flight = _Flight(v, a, (frame.acceleration - a) / dt, self._space.scene)
-        flown = 0  # impacts so far
         way = frame.position - x
         if self._space.box is not None:
             way = minimum_images(way, self._space.box)
+        way_end, v_end = flight.at(dt)  # of bodies without impacts
+        missing, ahead = way - way_end, frame.velocity - v_end
+        # an impact at the end of the step gives another velocity there; without one, differences are rounding
+        gained = 2.0 / dt * missing
+        gained = np.where(np.abs(gained - ahead) <= ROUNDINGS * np.spacing(np.abs(x)) / dt, ahead, gained)
+        none = np.zeros_like(v)
+        forces = (none, flight.behind(dt, ahead)) if self._space.ends_with_forces else None
+        flown = 0  # impacts so far
         while len(self.position) < len(self._times) and self._times[len(self.position)] <= frame.time:
             h = self._times[len(self.position)] - begin
-            ends = (a, frame.acceleration) if self._space.ends_with_forces else None
-            smooth = between(h / dt, dt, way, v, frame.velocity, ends)
             while flown < len(impacts) and impacts.time[flown] < h:
                 flight.bend(impacts.pairs[flown], float(impacts.time[flown]), impacts.after[flown])
                 flown += 1
-            pairs = zip(flight.at(h), smooth, strict=True)
-            moved, velocity = (np.where(struck[:n], bent, even) for bent, even in pairs)
+            s = h / dt
+            held = s * s * missing, s * gained
+            smooth = between(s, dt, missing, none, ahead, forces)
+            moved, velocity = (
+                free + np.where(struck[: len(v)], 0.0, np.where(touching[: len(v)], by_contacts, by_forces))
+                for free, by_contacts, by_forces in zip(flight.at(h), held, smooth, strict=True)
+            )
             if h == dt:
                 moved, velocity = way, frame.velocity
             self.position.append(x + moved)
@@ -319,6 +332,12 @@ class _Flight:
         lost = -np.expm1(-s / tau)  # fraction of the velocity relative to the final one
         moved = s * final + tau * lost * (v - final) + s**3 / 6 * jerk
         return self._way[bodies] + moved, v + lost * (final - v) + s * s / 2 * jerk
+
+    def behind(self, h: float, ahead: FloatArray) -> FloatArray:
+        """Return what the acceleration lacks a time h (s) after the start: the drag of the velocities that it lacks."""
+        if self._drag is None:
+            return np.zeros_like(ahead)
+        return np.asarray(-(ahead + h * h / 2 * self._jerk) / self._drag.relaxation_time)
 
     def bend(self, pair: IntArray, moment: float, after: FloatArray) -> None:
         """Add an impact at a time in s, with the velocities of the pair right after it."""
