@@ -39,6 +39,42 @@ def test_paragraphs_of_help_are_broken_where_the_terminal_ends_only(name: str) -
     assert all("\n" not in paragraph for paragraph in (COMMANDS[name].help or "").split("\n\n"))
 
 
+def test_help_with_the_name_of_a_command_is_the_help_of_that_command(tmp_path: Path) -> None:
+    assert carom("help", "contacts", cwd=tmp_path).stdout == carom("contacts", "--help", cwd=tmp_path).stdout
+    assert carom("help", cwd=tmp_path).stdout == carom("--help", cwd=tmp_path).stdout
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["contacts", "--foo"], "no such option: --foo"),
+        (["pictur"], "no such command 'pictur'. Did you mean 'picture'?"),
+        (["view"], "missing argument 'FILE'"),
+        (["view", "a.rrd", "--at", "soon"], "invalid value for '--at': soon: expected a time"),
+        (["view", "a.rrd", "b.rrd"], "got unexpected extra argument"),
+    ],
+)
+def test_a_mistake_in_the_arguments_is_one_line_that_names_the_help(
+    arguments: list[str], said: str, tmp_path: Path
+) -> None:
+    done = carom(*arguments, cwd=tmp_path)
+    assert done.returncode == 2 and done.stderr.count("\n") == 1
+    assert done.stderr.startswith(f"carom: {said}") and "see `carom help" in done.stderr.lower()
+
+
+def test_a_quiet_command_prints_its_result_and_no_progress(tmp_path: Path) -> None:
+    (tmp_path / "two.toml").write_text("[time]\nduration = 0.1\n[[body]]\n", encoding="utf-8")
+    loud, quiet = (carom("run", "two.toml", "-f", *more, cwd=tmp_path) for more in ([], ["-q"]))
+    assert "1 body" in loud.stderr and not quiet.stderr
+    assert "completed" in loud.stdout and "completed" in quiet.stdout
+    assert carom("run", "none.toml", "-q", cwd=tmp_path).stderr.startswith("carom: none.toml: no such file")
+
+
+def test_a_verbose_command_prints_the_traceback_of_its_error(tmp_path: Path) -> None:
+    brief, verbose = (carom("inspect", "none.rrd", *more, cwd=tmp_path).stderr for more in ([], ["-v"]))
+    assert "Traceback" not in brief and "Traceback" in verbose and verbose.endswith(brief)
+
+
 def test_the_help_of_a_sweep_names_the_section_of_the_scene(tmp_path: Path) -> None:
     shown = re.sub(r"[\s│]+", " ", carom("sweep", "--help", cwd=tmp_path).stdout)
     assert "[sweep] of the scene" in shown
@@ -48,7 +84,7 @@ def test_the_help_of_a_sweep_names_the_section_of_the_scene(tmp_path: Path) -> N
 def test_a_flag_does_not_look_as_if_it_took_a_value(name: str, tmp_path: Path) -> None:
     shown = carom(name, "--help", cwd=tmp_path).stdout
     (line,) = (line for line in shown.splitlines() if "--force" in line)
-    assert "bool" not in shown and re.search(r"--force +(Replace|Remove)", line)
+    assert "bool" not in shown and re.search(r"--force +-f +(Replace|Remove)", line)
 
 
 def test_the_help_groups_the_commands_in_the_order_of_the_readme(tmp_path: Path) -> None:

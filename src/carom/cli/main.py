@@ -12,6 +12,7 @@ import inspect
 import io
 import os
 import sys
+import traceback
 import warnings
 from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Annotated, Any, NoReturn, TextIO, cast
@@ -28,6 +29,7 @@ from carom.runs.environment import (
     leave_pandas_out,
     received,
 )
+from carom.terminal.printing import VERBOSITY
 
 if TYPE_CHECKING:
     from _typeshed import ReadableBuffer
@@ -68,6 +70,33 @@ COMMANDS: dict[str, dict[str, str]] = {  # panel → name → module:function, i
         "export": "carom.cli.recordings:export",
     },
 }
+
+
+_HELP = "help"  # `carom help COMMAND` is `carom COMMAND --help`
+
+
+def _be_quiet(wanted: bool) -> None:
+    VERBOSITY.is_quiet = wanted
+
+
+def _be_verbose(wanted: bool) -> None:
+    VERBOSITY.is_verbose = wanted
+
+
+_QUIET = typer.Option(
+    "-q",
+    "--quiet",
+    callback=_be_quiet,
+    expose_value=False,
+    help="Print no progress, only the result, warnings and errors.",
+)
+_VERBOSE = typer.Option(
+    "-v", "--verbose", callback=_be_verbose, expose_value=False, help="Print an error with its traceback."
+)
+
+
+def _of_all_commands(quiet: Annotated[bool, _QUIET] = False, verbose: Annotated[bool, _VERBOSE] = False) -> None:
+    """Declare the options of every command."""
 
 
 class Command(TyperCommand):
@@ -120,6 +149,12 @@ class CommandGroup(TyperGroup):
         """Return the parameters, ``--help`` among them."""
         return _plain(super().get_params(ctx))
 
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Parse the arguments; ``help COMMAND`` stands for ``COMMAND --help``."""
+        if args[:1] == [_HELP]:
+            args = [*args[1:2], "--help"]
+        return super().parse_args(ctx, args)
+
     def list_commands(self, ctx: Any) -> list[str]:
         """Return the names of all commands: carom's own first."""
         own = list(self.commands)
@@ -166,15 +201,22 @@ def _made(name: str, function: Any, panel: str) -> Any:
     """Return a command that calls a function."""
     app = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode="rich")
     app.command(name, cls=Command, rich_help_panel=panel)(function)
-    return typer.main.get_command(app)
+    common = typer.Typer(add_completion=False)
+    common.command()(_of_all_commands)
+    made = typer.main.get_command(app)
+    made.params += typer.main.get_command(common).params
+    return made
 
 
+# Typer has its own copy of Click, or in older versions depends on it
+_UsageError: type[Exception] = next(each for each in typer.BadParameter.__mro__ if each.__name__ == "UsageError")
 _INTERRUPTED = 130  # Typer's exit code for a KeyboardInterrupt that no command handled
 
 app = typer.Typer(
     name="carom",
     cls=CommandGroup,
     help="A flight recorder for colliding spheres: simulate a scene, record it, and inspect every collision.",
+    epilog="`carom help COMMAND` describes a command.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     rich_markup_mode="rich",
@@ -221,7 +263,7 @@ def _print_version(wanted: bool) -> None:
 def _root(
     version: Annotated[
         bool,
-        typer.Option("--version", callback=_print_version, is_eager=True, help="Print versions and exit."),
+        typer.Option("-V", "--version", callback=_print_version, is_eager=True, help="Print versions and exit."),
     ] = False,
 ) -> None:
     """Simulate a scene, record it, and look at every collision."""
@@ -255,7 +297,9 @@ def run_command() -> None:
     collect_garbage_rarely()
     _say_warnings_once()
     try:
-        app()
+        code = app(standalone_mode=False)
+    except typer.Abort:
+        sys.exit(1)
     except OSError as error:
         where = f"{error.filename}: " if error.filename else ""
         typer.echo(f"carom: {where}{error.strerror or error}", err=True)
@@ -266,6 +310,10 @@ def run_command() -> None:
         say(f"carom: {error.name} is missing from this installation, and the command needs it", err=True)
         sys.exit(2)
     except Exception as error:
+        if VERBOSITY.is_verbose:
+            traceback.print_exc()
+        if isinstance(error, _UsageError):
+            sys.exit(_refuse_usage(error))
         if isinstance(error, MemoryError) or "can't start new thread" in str(error):
             typer.echo("carom: out of memory; use fewer bodies or raise the memory limit (`ulimit -v`)", err=True)
             sys.exit(1)
@@ -279,6 +327,21 @@ def run_command() -> None:
             text = f"{error.path}: exists; give --force to replace it, or another name with -o"
         say(f"carom: {text}", err=True)
         sys.exit(2)
+    sys.exit(code if isinstance(code, int) else 0)
+
+
+def _refuse_usage(error: Any) -> int:
+    """Print a mistake in the arguments in one line, or the help of a command without any; return the exit code."""
+    from carom.terminal.printing import say
+
+    if error.ctx is None or type(error).__name__ == "NoArgsIsHelpError":
+        error.show()
+        return int(error.exit_code)
+    text = error.format_message().strip().rstrip(".")
+    _, _, name = error.ctx.command_path.partition(" ")
+    see = f"`carom {_HELP}{f' {name}' if name else ''}`"
+    say(f"carom: {text[:1].lower()}{text[1:]}{' See' if text.endswith('?') else '; see'} {see}", err=True)
+    return int(error.exit_code)
 
 
 class Lossy(io.FileIO):

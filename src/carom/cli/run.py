@@ -30,7 +30,7 @@ from carom.terminal.options import (
     simulated_or_none,
     time_option,
 )
-from carom.terminal.printing import duration_text, mention_killed_run, say, say_json
+from carom.terminal.printing import duration_text, mention_killed_run, note, say, say_json
 
 if TYPE_CHECKING:
     from carom.runs.refinement import Refinement
@@ -307,7 +307,7 @@ def warmup(scenes: ScenesArgument = None, as_json: JsonOption = False) -> None:
 
     loaded = [Scene.load(scene) for scene in scenes or []]
     if not as_json:
-        typer.echo("Compiling the kernels that are not in the cache …", err=True)
+        note("Compiling the kernels that are not in the cache …")
     warmth = warm_up(loaded)
     if as_json:
         say_json(asdict(warmth))

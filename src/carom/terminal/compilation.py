@@ -11,14 +11,12 @@ import subprocess
 import sys
 import threading
 from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import typer
-
 from carom.physics import jit
 from carom.physics.jit import cores
+from carom.terminal.printing import note
 
 if TYPE_CHECKING:
     from carom.scene.load import Scene
@@ -68,7 +66,7 @@ def announce_compilation(
         text = f"Compiling kernels ({takes}), at every start: {NO_CACHE} …"
 
     def announce() -> None:
-        (say or partial(typer.echo, err=True))(text)
+        (say or note)(text)
         if not helped and cache_folder():
             start_compiling()
 

@@ -18,7 +18,7 @@ from rich.text import Text
 from carom.scene.units.dimension import TIME
 from carom.scene.units.system import UnitSystem
 from carom.scene.wording import escaped
-from carom.terminal.printing import duration_text
+from carom.terminal.printing import VERBOSITY, duration_text
 
 if TYPE_CHECKING:
     from carom.arrays import FloatArray
@@ -35,6 +35,8 @@ class Terminal(Console):
     """A console without markup by default, with control characters as escapes; ``piped`` is its width in a pipe."""
 
     def __init__(self, *, piped: int | None = None, **options: Any) -> None:
+        if options.get("stderr") and VERBOSITY.is_quiet:
+            options["quiet"] = True
         super().__init__(**{"markup": False, "highlight": False, **options})
         if piped is not None and not self.is_terminal:
             self.width = piped

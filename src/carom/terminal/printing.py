@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 import shlex
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -24,6 +25,23 @@ if TYPE_CHECKING:
 MINUTE, HOUR, DAY, YEAR = 60.0, 3600.0, 86400.0, 365.25 * 86400.0  # s
 SHOWN = 3  # warnings of a kind; the recording has all of them
 COLOUR = "colour by material"  # used where `colour_by` is "material"; bodies usually have the colour of their group
+
+
+@dataclass
+class Verbosity:
+    """What a command prints beside its result, as ``-q`` and ``-v`` say."""
+
+    is_quiet: bool = False  # no progress and no notes; warnings and errors remain
+    is_verbose: bool = False  # errors with their traceback
+
+
+VERBOSITY = Verbosity()
+
+
+def note(text: str) -> None:
+    """Print a line about the progress of a command on stderr, without control characters, unless it is quiet."""
+    if not VERBOSITY.is_quiet:
+        say(text, err=True)
 
 
 def say(text: str, *, err: bool = False) -> None:

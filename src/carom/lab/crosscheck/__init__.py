@@ -43,7 +43,7 @@ def crosscheck_command(
     overrides: SetOption = None,
     threads: ThreadsOption = None,
     workers: Annotated[int | None, typer.Option("--workers", metavar="N", help=_WORKERS, min=1)] = None,
-    force: Annotated[bool, typer.Option("--force", help="Start over and replace earlier results.")] = False,
+    force: Annotated[bool, typer.Option("-f", "--force", help="Start over and replace earlier results.")] = False,
     as_json: JsonOption = False,
 ) -> None:
     """Run a scene in other engines: errors, cost, criteria, where each diverges from the reference, and the broken law.

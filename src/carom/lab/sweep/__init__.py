@@ -118,7 +118,9 @@ def sweep_command(
         str | None,
         typer.Option("--cluster", metavar="ADDRESS", help="Run on this Dask scheduler, such as tcp://host:8786."),
     ] = None,
-    force: Annotated[bool, typer.Option("--force", help="Remove the sweep in the folder and start over.")] = False,
+    force: Annotated[
+        bool, typer.Option("-f", "--force", help="Remove the sweep in the folder and start over.")
+    ] = False,
     table: Annotated[
         Path | None,
         typer.Option("--table", metavar="DIR", help="Print the table of a sweep; run nothing.", rich_help_panel="Look"),

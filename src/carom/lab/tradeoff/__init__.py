@@ -77,7 +77,7 @@ def tradeoff_command(
     ] = None,
     overrides: SetOption = None,
     threads: ThreadsOption = None,
-    force: Annotated[bool, typer.Option("--force", help="Start over and replace the existing study.")] = False,
+    force: Annotated[bool, typer.Option("-f", "--force", help="Start over and replace the existing study.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
 ) -> None:
     """Measure cost and errors of a scene's settings, and show which settings no other beats.
@@ -289,7 +289,7 @@ def tune_command(
     ] = None,
     overrides: SetOption = None,
     threads: ThreadsOption = None,
-    force: Annotated[bool, typer.Option("--force", help="Replace an existing FILE; keep the study.")] = False,
+    force: Annotated[bool, typer.Option("-f", "--force", help="Replace an existing FILE; keep the study.")] = False,
     new_study: Annotated[
         bool, typer.Option("--new-study", help="Measure everything again and replace the existing study.")
     ] = False,
