@@ -106,14 +106,14 @@ def test_statistics_are_printed_as_json_and_as_rows(folder: Path) -> None:
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (("-o", "c.txt"), 'c.txt: the format ".txt" is unknown; known suffixes: .parquet, .csv'),
+        (("-o", "c.txt"), 'c.txt: the format ".txt" is unknown; there are .parquet, .csv'),
         (("--at", "7"), "covers 0 to 2 s; 7 s is outside"),
         (("--body", "9"), 'has no body "9"; its bodies are 0 to 1'),
         (("--body", "0", "--body", "1", "--at", "0.5"), "body 0 and body 1 do not touch at t = 0.5 s"),
         (("--body", "1", "--body", "1"), "a body has no contact with itself"),
         (("--json", "--csv"), "give only one of --json, --csv and -o"),
         (("--from", "1"), "add --impacts"),
-        (("--impacts", "-o", "s.png"), 'the format ".png" is unknown; known suffixes: .parquet, .csv'),
+        (("--impacts", "-o", "s.png"), 'the format ".png" is unknown; there are .parquet, .csv'),
         (("--statistics", "--at", "1"), "with --statistics, use --from and --to"),
         (("--statistics", "--impacts"), "give only one of --impacts and --statistics"),
         (("--statistics", "--body", "1"), "--statistics are those of all bodies; leave --body out"),

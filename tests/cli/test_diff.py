@@ -33,6 +33,16 @@ def test_the_same_bits_exit_0(run_file: Path, tmp_path: Path) -> None:
     assert "Same bits in all 100 common frames." in done.stdout
 
 
+def test_a_moment_names_the_bodies_that_are_furthest_apart_then(run_file: Path, other: Path, tmp_path: Path) -> None:
+    said = carom("diff", "run.rrd", "other.rrd", "--step", "50", "--json", cwd=tmp_path)
+    found = json.loads(said.stdout)["moment"]
+    assert (found["step"], found["time"]) == (50, 2.5) and len(found["bodies"]) == 3
+    assert found["apart"] == pytest.approx([3**0.5 * 1e-3] * 3, rel=1e-3), "recorded in float32"
+    shown = carom("diff", "run.rrd", "other.rrd", "--at", "1", cwd=tmp_path).stdout
+    (line,) = (line for line in shown.splitlines() if line.startswith("moment"))
+    assert "step 20, t = 1 s: 0.00e+00 m apart (rms)" in line
+
+
 def test_a_difference_exits_1_and_says_where_and_what_it_looks_like(
     run_file: Path, other: Path, tmp_path: Path
 ) -> None:

@@ -144,7 +144,7 @@ def test_all_frames_are_exported_in_their_order(cradle: Path, tmp_path: Path) ->
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (["-o", "bodies.xlsx"], 'the format ".xlsx" is unknown; known suffixes: .parquet, .csv, .npz, .extxyz, .vtk'),
+        (["-o", "bodies.q"], 'the format ".q" is unknown; there are .parquet, .csv, .npz, .extxyz, .vtk'),
         (["-o", "bodies.csv", "--all", "--at", "0.1"], "give --at or --all, not both"),
         (["-o", "bodies.csv", "--at", "99"], "covers 0 to 0.2 s; 99 s is outside"),
         (["-o", "taken.csv"], "taken.csv: exists; give --force"),

@@ -3,11 +3,20 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import pytest
+from typer.main import get_command
 
+import carom as library
+from carom.cli.main import app
+from carom.errors import RecordingError
 from carom.recording.read.recording import Recording
+from carom.scene.units.dimension import TIME
+from carom.terminal.given_moment import GivenMoment
+from carom.terminal.options import seconds
 from carom_command import carom
+from small_scenes import pair
 
 
 @pytest.mark.parametrize("command", ["picture", "view", "report"])
@@ -34,6 +43,79 @@ def test_an_argument_that_is_not_a_time_is_refused(run_file: Path, tmp_path: Pat
     done = carom(command, "run.rrd", *options, cwd=tmp_path)
     assert done.returncode == 2 and "expected a time" in " ".join(done.stderr.split())
     assert list(tmp_path.iterdir()) == [run_file]
+
+
+MOMENTS = ("contacts", "export", "picture", "view", "why", "report", "fork", "diff")
+
+
+@pytest.mark.parametrize("command", MOMENTS)
+def test_every_command_that_takes_a_moment_takes_a_time_a_step_or_an_event(command: str) -> None:
+    group: Any = get_command(app)
+    names = {parameter.name for parameter in group.commands[command].params}
+    assert {"at", "step", "event"} <= names
+
+
+@pytest.mark.parametrize("command", MOMENTS)
+def test_two_moments_are_refused(run_file: Path, tmp_path: Path, command: str) -> None:
+    files = ["run.rrd", "run.rrd"] if command == "diff" else ["run.rrd"]
+    output = ["-o", "out.csv"] if command == "export" else []
+    done = carom(command, *files, *output, "--step", "3", "--event", "impact", cwd=tmp_path)
+    assert done.returncode == 2 and done.stderr == "carom: give --step or --event, not both\n"
+    assert list(tmp_path.iterdir()) == [run_file]
+
+
+@pytest.fixture(scope="module")
+def uneven(tmp_path_factory: pytest.TempPathFactory) -> Recording:
+    """Two spheres that collide, in steps whose ends have many digits."""
+    scene = pair(time={"duration": 1.5, "fixed_dt": 3.1234567891e-4}, record={"every": "step"})
+    path = tmp_path_factory.mktemp("uneven") / "run.rrd"
+    library.run(scene, path)
+    return Recording.open(path)
+
+
+def moment(at: str | None = None, step: int | None = None, event: str | None = None) -> GivenMoment:
+    """Read the options of a command."""
+    return GivenMoment(None if at is None else seconds(at), step, event)
+
+
+@pytest.mark.parametrize("form", [".6g", ".9g", ".17g"])  # the forms in which carom prints times
+def test_a_printed_time_finds_the_step_that_it_names(uneven: Recording, form: str) -> None:
+    for time in uneven.fingerprints()["time"].to_pylist()[::97]:
+        assert moment(uneven.units.text(time, TIME, form)).time(uneven) == time
+        assert moment(f"{time:{form}}").time(uneven) == time
+
+
+def test_a_time_within_a_step_stays_that_time(uneven: Recording) -> None:
+    first, second = uneven.fingerprints()["time"].to_pylist()[1000:1002]
+    within = f"{(first + second) / 2:.9g}"
+    assert moment(within).time(uneven) == float(within)
+
+
+def test_a_step_and_an_event_name_the_end_of_a_step(uneven: Recording) -> None:
+    times = uneven.fingerprints()["time"].to_pylist()
+    assert moment(step=1234).end(uneven) == times[1234]
+    (impact,) = uneven.impacts().to_pylist()
+    assert moment(event="impact:1").end(uneven) == times[impact["step"]] == moment(event="impact").end(uneven)
+
+
+def test_a_step_without_a_frame_is_found_by_a_rerun(uneven: Recording, tmp_path: Path) -> None:
+    scene = pair(time={"duration": 1.5, "fixed_dt": 3.1234567891e-4}, record={"every": 0.4})
+    library.run(scene, tmp_path / "sparse.rrd")
+    sparse = Recording.open(tmp_path / "sparse.rrd")
+    assert 1234 not in sparse.fingerprints()["step"].to_pylist()
+    assert moment(step=1234).time(sparse) == uneven.fingerprints()["time"][1234].as_py()
+
+
+def test_a_step_or_an_event_that_a_recording_lacks_is_refused_with_what_it_has(uneven: Recording) -> None:
+    with pytest.raises(RecordingError, match=r"covers steps 0 to 4803; step 9999 is outside"):
+        moment(step=9999).time(uneven)
+    with pytest.raises(RecordingError, match=r'no event "imapct"; did you mean "impact"\? There are .*contacts'):
+        moment(event="imapct").end(uneven)
+
+
+def test_an_unknown_ending_of_a_file_is_answered_with_the_nearest_one(run_file: Path, tmp_path: Path) -> None:
+    done = carom("export", "run.rrd", "-o", "bodies.parqet", cwd=tmp_path)
+    assert done.returncode == 2 and 'did you mean ".parquet"? There are .parquet, .csv' in done.stderr
 
 
 ROLLING = """

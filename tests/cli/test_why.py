@@ -59,7 +59,7 @@ def test_a_body_at_rest_has_no_shares_and_one_that_fell_no_chain(tmp_path: Path)
         (("--body", "0", "--at", "7"), "covers 0 to 2 s; 7 s is outside"),
         (("--body", "0", "--at", "0"), "earlier causes are unknown"),
         (("--body", "0", "--at", "1", "--from", "1.5"), "is later than 1 s, the time of the question"),
-        (("--event", "bang"), 'has no event "bang"; it has'),
+        (("--event", "bang"), 'has no event "bang"; there are'),
         (("--event", "contacts"), "ask about one with --body"),
         (("--event", "impact:1", "--at", "1"), "give --at or --event, not both"),
     ],

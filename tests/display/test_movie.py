@@ -113,7 +113,7 @@ def test_without_the_extra_one_sentence_names_it(
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (["-o", "movie.avi"], "movie.avi: a movie is a .mp4 or a .gif"),
+        (["-o", "movie.avi"], 'movie.avi: the format ".avi" is unknown; there are .mp4, .gif'),
         (["--size", "641x400"], "even numbers"),
         (["--size", "big"], "expected WIDTHxHEIGHT"),
         (["--seconds", "0"], "--seconds 0: expected more than 0"),

@@ -11,13 +11,14 @@ import carom
 from carom.contact_table import CONTACT_ROW
 from carom.display import close_up, request
 from carom.display.presentation import _steps, asked, presentation
-from carom.display.request import NamedEvent, Pair, Request, named_event, named_pair, pair_of_extreme, pair_of_step
+from carom.display.request import Request, pair_of_step
 from carom.display.supplement import Trails
 from carom.errors import RecordingError
 from carom.recording.edit.clip import clip
 from carom.recording.layout import TRAILS
 from carom.recording.layout.camera import CameraFit
 from carom.recording.layout.canvas import LEGEND, Area, CameraMotion, Canvas, LensView, View, views_of
+from carom.recording.read.named_events import NamedEvent, Pair, named_event, named_pair, pair_of_extreme
 from carom.recording.read.recorded_scene import header_of_recording
 from carom.recording.read.recording import Recording
 from carom.recording.schema import paths
@@ -387,7 +388,7 @@ def test_the_pair_of_a_step_is_that_of_the_largest_impulse(bounce: Recording) ->
     ("at", "name", "bodies", "said"),
     [
         (99.0, None, None, "covers 0 to 4 s; 99 s is outside"),
-        (None, "bang", None, 'has no event "bang"; it has'),
+        (None, "bang", None, 'has no event "bang"; there are'),
         (None, None, "0,7", 'has no body "7"'),
         (None, None, "left", "expected two bodies separated by a comma, such as 0,1"),
         (None, None, "0,left", "is one body; name two"),

@@ -9,12 +9,12 @@ import typer
 
 from carom.scene.units.dimension import ANGULAR_IMPULSE, ENERGY, FORCE, IMPULSE, TIME, VELOCITY, Dimension
 from carom.scene.wording import counted
+from carom.terminal.given_moment import AtOption, EventOption, GivenMoment, StepOption
 from carom.terminal.options import (
     ForceOption,
     JsonOption,
     OptionalTime,
     RecordingArgument,
-    StepTimeOption,
     output_option,
     simulated_or_none,
     time_option,
@@ -50,7 +50,9 @@ _OUTPUT = "File to write: .parquet or .csv; statistics also as a figure: .png or
 
 def contacts(
     file: RecordingArgument,
-    at: StepTimeOption = None,
+    at: AtOption = None,
+    step: StepOption = None,
+    event: EventOption = None,
     bodies: Annotated[list[str] | None, typer.Option("--body", metavar="N|NAME", help=_BODY)] = None,
     impacts: Annotated[bool, typer.Option("--impacts", help=_IMPACTS)] = False,
     statistics: Annotated[bool, typer.Option("--statistics", help=_STATISTICS)] = False,
@@ -71,6 +73,7 @@ def contacts(
     from carom.recording.export import refuse_format
     from carom.recording.read.recording import Recording
     from carom.recording.write.whole_file import refuse_output
+    from carom.terminal.console import replaying
 
     bodies = bodies or []
     if as_json + as_csv + (output is not None) > 1:
@@ -83,9 +86,10 @@ def contacts(
         raise RecordingError("give only one of --impacts and --statistics")
     if statistics and bodies:
         raise RecordingError("--statistics are those of all bodies; leave --body out")
-    if (impacts or statistics) and at is not None:
+    given = GivenMoment(at, step, event)
+    if (impacts or statistics) and given.option:
         option = "--impacts" if impacts else "--statistics"
-        raise RecordingError(f"--at selects the contacts of one step; with {option}, use --from and --to")
+        raise RecordingError(f"{given.option} selects the contacts of one step; with {option}, use --from and --to")
     if not (impacts or statistics) and (start is not None or end is not None):
         raise RecordingError(
             "--from and --to select an interval; add --impacts or --statistics, or select one step with --at"
@@ -101,10 +105,12 @@ def contacts(
                 f"{recording.path} was recorded from {recording.engine}: its frames have the forces of contacts, but "
                 "it has no impacts; leave --impacts out, and select a frame with --at"
             )
-        at, start, end = (simulated_or_none(time, recording.units) for time in (at, start, end))
+        start, end = (simulated_or_none(time, recording.units) for time in (start, end))
         if statistics:
             _measure(recording, start, end, again, as_json, as_csv, output)
             return
+        with replaying(recording) as watch:
+            at = given.end(recording, watch)
         table = _table(recording, at, bodies, impacts, start, end, again)
         if output is not None:
             _write_table(_named(recording, table), output)

@@ -10,13 +10,13 @@ import typer
 from carom import registry
 from carom.scene.units.dimension import TIME
 from carom.scene.wording import counted
+from carom.terminal.given_moment import AtOption, EventOption, GivenMoment, StepOption, at_option
 from carom.terminal.options import (
     ForceOption,
     JsonOption,
     OptionalTime,
     OutputOption,
     RecordingArgument,
-    StepTimeOption,
     output_option,
     simulated_or_none,
     time_option,
@@ -151,7 +151,9 @@ def repair(
 def export(
     file: RecordingArgument,
     output: Annotated[Path, output_option("FILE", f"File to write: {_SUFFIXES}.")],
-    at: StepTimeOption = None,
+    at: AtOption = None,
+    step: StepOption = None,
+    event: EventOption = None,
     everything: Annotated[bool, typer.Option("--all", help="Export all recorded frames instead of one step.")] = False,
     force: ForceOption = False,
 ) -> None:
@@ -166,15 +168,15 @@ def export(
     from carom.runs.recomputed import snapshots
     from carom.terminal.console import replaying
 
-    if everything and at is not None:
-        raise RecordingError("give --at or --all, not both")
+    given = GivenMoment(at, step, event)
+    if everything and given.option:
+        raise RecordingError(f"give {given.option} or --all, not both")
     refuse_export(output, everything, force)
     with opened(file) as path:
         recording = Recording.open(path)
         recording.refuse_overlay()
         with replaying(recording) as watch:
-            at = simulated_or_none(at, recording.units)
-            steps, when = snapshots(recording, at, everything=everything, watch=watch), ""
+            steps, when = snapshots(recording, given.end(recording, watch), everything=everything, watch=watch), ""
             if not everything:  # a moment selects the end of its step
                 one = next(steps)
                 steps, when = iter([one]), f", t = {recording.units.text(one.state.time, TIME, '.9g')}"
@@ -185,9 +187,9 @@ def export(
 
 def report(
     file: RecordingArgument,
-    at: Annotated[
-        OptionalTime, time_option("--at", "Simulated time to report. Default: the worst moment of the run.")
-    ] = None,
+    at: Annotated[OptionalTime, at_option("the worst moment of the run")] = None,
+    step: StepOption = None,
+    event: EventOption = None,
     output: Annotated[Path | None, output_option("ZIP", "Zip to write. Default: FILE-report.zip.")] = None,
     force: ForceOption = False,
     as_json: JsonOption = False,
@@ -199,12 +201,15 @@ def report(
     from carom.recording.write.whole_file import refuse_output
     from carom.sharing.report import report as make
     from carom.terminal.compilation import announce_compilation
+    from carom.terminal.console import replaying
 
-    recording = Recording.open(file)
+    given, recording = GivenMoment(at, step, event), Recording.open(file)
     path = output or file.with_name(f"{file.stem}-report.zip")
     refuse_output(path, force)
     announce_compilation()
-    made = make(recording, path, simulated_or_none(at, recording.units))
+    with replaying(recording) as watch:
+        moment = given.end(recording, watch)
+    made = make(recording, path, moment)
     if as_json:
         say_json({"units": recording.units.recorded, **asdict(made), "path": str(path)})
         return

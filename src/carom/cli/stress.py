@@ -174,7 +174,7 @@ def _worst(trial: Trial) -> Table:
     table, units = Table.grid(padding=(0, 2)), trial.scene.unit_system
     for what, moment in trial.worst.items():
         time = units.shown(moment.time, TIME)
-        look = command("view", trial.outcome.path, "--at", f"{time:.6g}") if trial.outcome else ""
+        look = command("view", trial.outcome.path, "--at", f"{time:.9g}") if trial.outcome else ""
         when = f"t = {units.text(moment.time, TIME)}"
         table.add_row(f"  {what}", f"step {moment.step}", when, escape(moment.between), escape(look))
     return table

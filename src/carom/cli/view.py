@@ -12,6 +12,7 @@ import typer
 
 from carom.scene.units.dimension import TIME
 from carom.scene.wording import counted
+from carom.terminal.given_moment import AtOption, EventOption, GivenMoment, StepOption
 from carom.terminal.options import (
     ForceOption,
     JsonOption,
@@ -23,13 +24,11 @@ from carom.terminal.options import (
     simulated_or_none,
     time_option,
 )
-from carom.terminal.printing import bytes_text, duration_text, say, say_json
+from carom.terminal.printing import bytes_text, duration_text, note, say, say_json
 
 if TYPE_CHECKING:
     from carom.display.request import Request
 
-_AT = "Simulated time to show. Default: the hardest impact or, without any, the most contacts or the end."
-_EVENT = "Event to show: a moment that `carom inspect` lists, a kind of event, or impact:N for the Nth impact."
 _BODIES = "Bodies to show close up, by number or name: two, or one on a plane or wall."
 _PLOT = "Plot bodies over time, such as top.z,3.speed: x y z, vx vy vz speed, wx wy wz omega."
 _COLOUR = "Quantity shown by the colours of the bodies. Default: record.colour_by of the scene."
@@ -54,8 +53,6 @@ PictureView = StrEnum(
     {"BODIES": "bodies", "GRAPH": "graph", "CLOSE_UP": "close-up", "ENERGY": "energy", "PLOT": "plot", "ALL": "all"},
 )
 
-AtOption = Annotated[OptionalTime, time_option("--at", _AT)]
-EventOption = Annotated[str | None, typer.Option("--event", metavar="NAME", help=_EVENT)]
 BodiesOption = Annotated[str | None, typer.Option("--bodies", metavar="A,B", help=_BODIES)]
 PlotOption = Annotated[str | None, typer.Option("--plot", metavar="BODY.QUANTITY,…", help=_PLOT)]
 ColourOption = Annotated[ColourBy | None, typer.Option("--colour-by", "--color-by", help=_COLOUR)]
@@ -66,6 +63,7 @@ SizeOption = Annotated[str, typer.Option("--size", metavar="WxH", help="Width an
 def view(
     file: RecordingArgument,
     at: AtOption = None,
+    step: StepOption = None,
     event: EventOption = None,
     bodies: BodiesOption = None,
     plot: PlotOption = None,
@@ -79,15 +77,18 @@ def view(
     """
     if port and not web:
         raise typer.BadParameter("--port needs --web")
+    given = GivenMoment(at, step, event)
     from carom.display.request import Request
     from carom.display.viewer import open_window
     from carom.recording.edit.bundle import opened
     from carom.recording.read.recording import Recording
     from carom.terminal.compilation import announce_compilation
+    from carom.terminal.console import replaying
 
     with opened(file) as path:
-        time = simulated_or_none(at, Recording.open(path).units)
-        request = Request(time, event, bodies, plot, colour_by)
+        recording = Recording.open(path)
+        with replaying(recording) as watch:
+            request = Request(given.time(recording, watch), event, bodies, plot, colour_by)
         announce_compilation()
         _announce_replay(path, plot)
         if web:
@@ -133,6 +134,7 @@ def picture(
     file: RecordingArgument,
     output: Annotated[Path | None, output_option("PNG", _PICTURE)] = None,
     at: AtOption = None,
+    step: StepOption = None,
     event: EventOption = None,
     bodies: BodiesOption = None,
     plot: PlotOption = None,
@@ -140,7 +142,9 @@ def picture(
     view: Annotated[PictureView, typer.Option("--view", help="View to render.")] = PictureView.ALL,
     theme: ThemeOption = Theme.DARK,
     size: SizeOption = "1600x1000",
-    force: Annotated[bool, typer.Option("--force", help="Replace a file that `carom picture` did not write.")] = False,
+    force: Annotated[
+        bool, typer.Option("-f", "--force", help="Replace a file that `carom picture` did not write.")
+    ] = False,
 ) -> None:
     """Render a moment of a recording to a PNG; needs no screen.
 
@@ -152,18 +156,21 @@ def picture(
     from carom.recording.read.recording import Recording
     from carom.recording.write.whole_file import refuse_output
     from carom.terminal.compilation import announce_compilation
+    from carom.terminal.console import replaying
 
+    given = GivenMoment(at, step, event)
     pixels, out = pixels_of(size), output or file.with_suffix(".png")
     if output is None and out.exists() and not is_picture_of_carom(out):
         out = out.with_name(f"{file.stem}-picture.png")
     refuse_output(out, force or is_picture_of_carom(out))
     with opened(file) as path:
-        units = Recording.open(path).units
-        request = Request(simulated_or_none(at, units), event, bodies, plot, colour_by)
+        recording = Recording.open(path)
+        with replaying(recording) as watch:
+            request = Request(given.time(recording, watch), event, bodies, plot, colour_by)
         announce_compilation()
         _announce_replay(path, plot, alone=view is PictureView.PLOT)
         made = render(path, request, out, pixels, view=view.value, theme=theme.value)
-        when = units.text(made.time, TIME, ".9g")
+        when = recording.units.text(made.time, TIME, ".9g")
     typer.echo(f"{out} written, t = {when}.")
     _say_missing(made.missing)
 
@@ -180,7 +187,7 @@ def _announce_replay(file: Path, plot: str | None, *, alone: bool = False) -> No
     if needs_replay(asked_quantities(recording, plot, one_unit=alone)):
         took = recording.closing.get("wall_time")
         known = f", which took {duration_text(float(took))}" if took else ""
-        typer.echo(f"Velocities and spins are not recorded at every frame: rerunning the scene{known} …", err=True)
+        note(f"Velocities and spins are not recorded at every frame: rerunning the scene{known} …")
 
 
 def _say_missing(reason: str) -> None:
@@ -207,7 +214,7 @@ def pixels_of(size: str) -> tuple[int, int]:
 def publish(
     files: RecordingsArgument,
     output: Annotated[Path | None, output_option("DIR", _PAGE)] = None,
-    force: Annotated[bool, typer.Option("--force", help="Replace a folder that carom published before.")] = False,
+    force: Annotated[bool, typer.Option("-f", "--force", help="Replace a folder that carom published before.")] = False,
     as_json: JsonOption = False,
 ) -> None:
     """Write a web page with pictures, the viewer and the recording to a folder that any static host can serve.
@@ -232,7 +239,7 @@ def publish(
             recording.refuse_overlay()
         refuse_folder(folder, force)
         announce_compilation()
-        made = make(recordings, folder, lambda what: say(f"Writing {what} …", err=True))
+        made = make(recordings, folder, lambda what: note(f"Writing {what} …"))
     if as_json:
         say_json({**asdict(made), "path": str(folder)})
         return
@@ -277,6 +284,7 @@ def movie(
     """Make a movie of a recording; needs no screen."""
     from carom.display.movie import FORMATS, frame_times, pictures
     from carom.errors import RecordingError, needing
+    from carom.recording.export import refuse_format
     from carom.recording.layout.canvas import CameraMotion
     from carom.recording.read.recording import Recording
     from carom.recording.write.whole_file import claimed_output
@@ -284,8 +292,7 @@ def movie(
 
     path = output or file.with_suffix(".mp4")
     pixels, rate = pixels_of(size), fps if fps is not None else GIF_FPS if path.suffix == ".gif" else MP4_FPS
-    if path.suffix not in FORMATS:
-        raise RecordingError(f"{path}: a movie is a {' or a '.join(FORMATS)}")
+    refuse_format(path, FORMATS)
     if path.suffix == ".mp4" and (pixels[0] % 2 or pixels[1] % 2):
         raise RecordingError(f"--size {pixels[0]}x{pixels[1]}: width and height of an .mp4 must be even numbers")
     if not 0.0 < length <= LONGEST:

@@ -18,7 +18,7 @@ from carom.arrays import FloatArray, SingleArray
 from carom.contact_table import IMPACT_MODE
 from carom.display.body_colours import BodyColours
 from carom.display.legend import Legend, LegendLine
-from carom.display.request import Pair, ShownStep
+from carom.display.request import ShownStep
 from carom.display.supplement import Static
 from carom.physics.frame import Frame
 from carom.physics.vector import minimum_images
@@ -28,6 +28,7 @@ from carom.recording.layout.canvas import CORNERS, LEGEND, Area, View, free_corn
 from carom.recording.layout.drawing import line_radii, single
 from carom.recording.read.frame_rows import DrawnPaths, drawn_paths, times_of
 from carom.recording.read.lookup import names_of
+from carom.recording.read.named_events import Pair
 from carom.recording.read.recording import Recording
 from carom.recording.schema import palette, paths
 from carom.recording.schema.header import Header

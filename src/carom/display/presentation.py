@@ -12,15 +12,10 @@ from carom.display.body_colours import body_colours, change_with_time, recorded_
 from carom.display.close_up import close_up
 from carom.display.legend import GRAPH, LegendContents, drawn_at, drawn_during, impact_marks, legend
 from carom.display.request import (
-    NamedEvent,
-    Pair,
     Request,
     ShownStep,
     Watcher,
     at_impact,
-    named_event,
-    named_pair,
-    pair_of_extreme,
     pair_of_step,
     shown_step,
 )
@@ -46,6 +41,7 @@ from carom.recording.layout.camera import FEW
 from carom.recording.layout.canvas import CORNERS, Additions, CameraMotion, Canvas, free_corner
 from carom.recording.read.frame_rows import arrow_floors
 from carom.recording.read.lookup import tolerance
+from carom.recording.read.named_events import NamedEvent, Pair, named_event, named_pair, pair_of_extreme
 from carom.recording.read.recorded_scene import header_of_recording, recorded_curves, recorded_scene
 from carom.recording.read.recording import Recording
 from carom.recording.schema import paths

@@ -1,4 +1,4 @@
-"""The request for a view of a recording: a moment, an event by its name, the two ends of a contact.
+"""The request for a view of a recording: a moment or an event, bodies, plots and colours.
 
 `ShownStep` is the step that contains the moment. It is repeated if it has no frame, or for data that frames lack.
 """
@@ -17,12 +17,12 @@ from carom.physics.contact.graph import CollisionGraph
 from carom.physics.frame import Frame
 from carom.physics.simulation import StepStatus
 from carom.recording.read.frame_rows import RecordedPositions
-from carom.recording.read.lookup import frame_of, names_of, shown_body, split_at_commas, tolerance
+from carom.recording.read.lookup import frame_of, tolerance
+from carom.recording.read.named_events import Pair
 from carom.recording.read.recorded_contacts import rows_of_engine
-from carom.recording.read.recorded_impacts import numbered_impact
 from carom.recording.read.recording import Recording
 from carom.recording.schema.header import Header, TimeScale
-from carom.recording.schema.paths import SIM_TIME, STEP
+from carom.recording.schema.paths import STEP
 from carom.recording.write.impact_frames import Instant, instants
 from carom.runs.window import Window
 
@@ -47,49 +47,6 @@ class Request:
             raise RecordingError("give a time (at) or an event, not both")
 
 
-@dataclass(frozen=True, slots=True)
-class Pair:
-    """Two ends of a contact."""
-
-    i: int
-    j: int | None  # None if i touches a plane or a wall
-    plane: int | None = None  # number of that plane or wall
-
-    @property
-    def bodies(self) -> tuple[int, ...]:
-        """The numbers of the bodies: of one if it touches a plane."""
-        return (self.i,) if self.j is None else (self.i, self.j)
-
-
-def named_pair(recording: Recording, text: str) -> Pair:
-    """Read two bodies from numbers or names separated by a comma, or the one that touches a plane or a wall.
-
-    Raises RecordingError if these are not two bodies, and there is neither a plane nor a wall.
-    """
-    given = split_at_commas(text, recording.bodies.name)
-    if len(given) == 1 and given[0] and names_of(recording).planes:
-        return Pair(shown_body(recording, given[0]), None)
-    if len(given) != 2 or not all(given):
-        raise RecordingError(f"bodies {text}: expected two bodies separated by a comma, such as 0,1")
-    first, second = (shown_body(recording, part) for part in given)
-    if first == second:
-        raise RecordingError(f"bodies {text}: this is one body; name two")
-    return Pair(min(first, second), max(first, second))
-
-
-def pair_of_extreme(recording: Recording, name: str) -> Pair | None:
-    """Return the pair of an extreme, such as ``impact`` for the hardest; None if it is not recorded, or not shown."""
-    closing = dict(recording.closing)
-    texts = (str(closing.get(f"moments.{name}.{what}", "")).split(",") for what in ("bodies", "planes"))
-    found, planes = ([int(part) for part in parts if part.strip().isdigit()] for parts in texts)
-    shown = set(recording.shown)
-    if not found or not all(body in shown for body in found):
-        return None
-    if len(found) > 1:
-        return Pair(found[0], found[1])
-    return Pair(found[0], None, planes[0] if planes else None)
-
-
 def pair_of_step(frame: Frame, bodies: int) -> Pair | None:
     """Return the ends of the contact with the largest impulse (if unknown, of the first); None without contacts."""
     graph = frame.contacts
@@ -99,77 +56,6 @@ def pair_of_step(frame: Frame, bodies: int) -> Pair | None:
     row = graph.first if rows is None or len(rows) != len(graph) else int(np.argmax(rows["normal_impulse"]))
     i, j = (int(end) for end in graph.pairs[row])
     return Pair(i, j) if j < bodies else Pair(i, None, j - bodies)
-
-
-_IMPACT = "impact:"  # before the number of an impact
-_FIRST_CONTACT = "first-contact"  # a kind of event
-_DIGITS = 18  # this many fit into 64 bits
-
-
-@dataclass(frozen=True, slots=True)
-class NamedEvent:
-    """An event of a run."""
-
-    time: float  # s
-    pair: Pair | None = None  # None if it is not a meeting of two
-    step: int | None = None  # step of an impact: at the end of one step, it may belong to the next
-    is_impact: bool = False
-
-
-def named_event(recording: Recording, name: str) -> NamedEvent:
-    """Find an event.
-
-    Parameters
-    ----------
-    name
-        An extreme of `carom inspect`, a kind of event (its first occurrence), or ``impact:N``, the Nth impact.
-
-    Raises
-    ------
-    RecordingError
-        If there is no such event.
-    """
-    if name.startswith(_IMPACT):
-        return _impact(recording, name.removeprefix(_IMPACT))
-    closing = dict(recording.closing)
-    if f"moments.{name}.time" in closing:
-        time = float(closing[f"moments.{name}.time"])
-        return NamedEvent(time, pair_of_extreme(recording, name), is_impact=name == "impact")
-    table = recording.events()
-    kinds = table["kind"].to_pylist()
-    if name in kinds:
-        row = kinds.index(name)
-        frames = recording.fingerprints()
-        steps = frames[STEP].to_numpy()
-        step = table[STEP][row].as_py()
-        own = np.flatnonzero(steps == step)
-        pair = _first_to_meet(recording, step) if name == _FIRST_CONTACT else None
-        if len(own):
-            return NamedEvent(float(frames["time"][int(own[0])].as_py()), pair, is_impact=pair is not None)
-        scale = float(recording.info["time_scale"])
-        return NamedEvent(float(table[SIM_TIME][row].value) * 1e-9 * scale, pair, is_impact=pair is not None)
-    moments = sorted({key.split(".")[1] for key in closing if key.startswith("moments.") and key.endswith(".time")})
-    known = dict.fromkeys([*moments, *(kind for kind in kinds if kind not in ("", "extreme", "end"))])
-    has = f"it has {', '.join(known)}" if known else "it has none"
-    raise RecordingError(f'{recording.path} has no event "{name}"; {has}')
-
-
-def _first_to_meet(recording: Recording, step: int) -> Pair | None:
-    """Return the pair of the run's first impact, if it is recorded and happened in a step."""
-    try:
-        first = _impact(recording, "1")
-    except RecordingError:
-        return None
-    return first.pair if first.step == step else None
-
-
-def _impact(recording: Recording, text: str) -> NamedEvent:
-    """Find an impact by its number on the timeline ``impact``."""
-    if not text.isdigit() or len(text) > _DIGITS:
-        raise RecordingError(f"event {_IMPACT}{text}: expected the number of an impact, such as {_IMPACT}3")
-    time, step, i, j = numbered_impact(recording, int(text))
-    bodies = int(recording.info["bodies"])
-    return NamedEvent(time, Pair(i, j) if j < bodies else Pair(i, None, j - bodies), step, is_impact=True)
 
 
 Watcher = Callable[[StepStatus], None]

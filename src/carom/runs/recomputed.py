@@ -58,6 +58,29 @@ def impacts_of(
     return computed() if replay else _recorded_or(computed, lambda: recording.impacts(start, end))
 
 
+def time_of_step(recording: Recording, step: int, watch: Watcher | None = None) -> float:
+    """Return the time (s) at the end of a step; a step without a frame is rerun, and ``watch`` receives the progress.
+
+    Raises RecordingError if the recording does not contain the step, or cannot be rerun.
+    """
+    recording.require_frames()
+    table = recording.fingerprints()
+    times, steps = table["time"].to_numpy(), table[STEP].to_numpy()
+    row = int(np.searchsorted(steps, step))
+    if row < len(steps) and steps[row] == step:
+        return float(times[row])
+    if row in (0, len(steps)):
+        raise RecordingError(f"{recording.path} covers steps {steps[0]} to {steps[-1]}; step {step} is outside")
+    if recording.engine or recording.is_overlay:
+        known = f"the nearest are steps {steps[row - 1]} and {steps[row]}"
+        raise RecordingError(f"{recording.path} has no frame of step {step}, and cannot be rerun; {known}")
+    begin = float(times[row - 1])
+    for frame in Window(recording, begin, watch=watch).frames(begin):
+        if frame.step >= step:
+            return frame.time
+    raise RecordingError(f"{recording.path} ends before step {step} when it is rerun; its bits differ")
+
+
 def _recorded_or(computed: Callable[[], pa.Table], recorded: Callable[[], pa.Table]) -> pa.Table:
     """Return the recorded table if there is one, and its numbers are in the range of float32 (3.4e38)."""
     try:
@@ -81,7 +104,7 @@ def snapshots(
     times, steps = table["time"].to_numpy(), table[STEP].to_numpy()
     recording.require_frames()
     moment = float(times[0]) if everything else recording.moment(at)
-    goal = min(moment - tolerance(moment), float(times[-1]))
+    goal = goal_of(recording, moment)
     if recording.engine:
         yield from _kept(recording, steps if everything else steps[[int(np.searchsorted(times, goal))]])
         return

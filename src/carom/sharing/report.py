@@ -11,12 +11,13 @@ from typing import Any
 import numpy as np
 
 from carom.display.picture import Shot, try_to_render
-from carom.display.request import Request, pair_of_extreme
+from carom.display.request import Request
 from carom.errors import PhysicsError, RecordingError, SceneError
 from carom.physics.contact.statistics import OVERLAPS
 from carom.private_folder import temporary_folder
 from carom.recording.edit import bundle
 from carom.recording.edit.clip import Clip, clip
+from carom.recording.read.named_events import pair_of_extreme
 from carom.recording.read.recording import Recording
 from carom.recording.schema.paths import STEP
 from carom.recording.schema.series import all_series

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from contextlib import suppress
+from decimal import Decimal
 from math import isnan
 from pathlib import Path
 from typing import Annotated, Any
@@ -16,33 +17,54 @@ from carom.scene.units.system import UnitSystem
 _NO_TIME = f'expected a time, such as 12.5 or "{TIME.example}"'
 _SECONDS = {"": 1.0, "s": 1.0, "min": 60.0, "h": 3600.0}
 _WORK_TIME = re.compile(r"\s*([0-9.]+(?:e[-+]?[0-9]+)?)\s*(s|min|h|)\s*")
+_NUMBER = re.compile(r"\s*([-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]{1,3})?)")
+PRINTED_DIGITS = 6  # of a time, at least: the default of `UnitSystem.text`
 OptionalTime = float | None  # a result of `seconds`, or None
 
 
-class Seconds(float):
-    """A time that was given with a unit, in s."""
+class TypedTime(float):
+    """A time as a person typed it: in s if it has a unit, otherwise in the unit of the scene."""
+
+    has_unit = False
+    rounding = 0.0  # half a unit of its last digit, or of the last one that carom prints, relative to the time
 
 
-def seconds(text: str) -> float:
-    """Parse a time: a plain number, or one with a unit, which becomes `Seconds`. NaN is refused."""
+def seconds(text: str | float) -> TypedTime:
+    """Parse a time, or take a default: a plain number, or one with a unit. NaN is refused."""
+    text = str(text)
     from carom.scene.units.dimension import UnitError, nearest_float, quantity
 
     try:
-        value = float(text)
+        value = TypedTime(text)
     except ValueError:
         try:
-            return Seconds(nearest_float(quantity(text, TIME)))
+            value = TypedTime(nearest_float(quantity(text, TIME)))
         except UnitError as error:
             starts_as_number = text.lstrip("+-. ")[:1].isdigit()
             raise typer.BadParameter(f"{text}: {error if starts_as_number else _NO_TIME}") from None
+        value.has_unit = True
     if isnan(value):
         raise typer.BadParameter(f"{text}: {_NO_TIME}")
+    value.rounding = _rounding(text)
     return value
+
+
+def _rounding(text: str) -> float:
+    """Return half a unit of the last digit of a number, relative to it; trailing zeros are not printed."""
+    matched = _NUMBER.match(text)
+    number = Decimal(matched[1]) if matched else Decimal(0)
+    if not number:
+        return 0.0
+    exponent = number.as_tuple().exponent
+    assert isinstance(exponent, int), "the pattern has no NaN and no infinity"
+    last = min(exponent, number.adjusted() + 1 - PRINTED_DIGITS)
+    return float(Decimal(5).scaleb(last - 1) / abs(number))
 
 
 def simulated(given: float, units: UnitSystem) -> float:
     """Convert a parsed time to simulated time; a plain number is in the units of the scene."""
-    return units.of_si(float(given), TIME) if isinstance(given, Seconds) else units.converted(given, TIME)
+    has_unit = isinstance(given, TypedTime) and given.has_unit
+    return units.of_si(float(given), TIME) if has_unit else units.converted(float(given), TIME)
 
 
 def simulated_or_none(given: float | None, units: UnitSystem) -> float | None:
@@ -116,8 +138,6 @@ ThreadsOption = Annotated[int | None, typer.Option("--threads", metavar="N", hel
 _SET = "Override one key of the scene. Repeatable."
 SetOption = Annotated[list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help=_SET)]
 OutputOption = Annotated[Path | None, recording_option("File to write. Default: beside FILE, named after it.")]
-ForceOption = Annotated[bool, typer.Option("--force", help="Replace an existing file.")]
+ForceOption = Annotated[bool, typer.Option("-f", "--force", help="Replace an existing file.")]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON.")]
-_STEP = "Simulated time within the step. Default: the hardest impact; without any, the most contacts or the end."
-StepTimeOption = Annotated[OptionalTime, time_option("--at", _STEP)]
 LiveOption = Annotated[bool, typer.Option("--live", help="Show the run in a viewer window while it is recorded.")]

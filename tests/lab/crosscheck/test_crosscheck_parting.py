@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from carom.display.request import named_event
 from carom.lab.crosscheck.parting import NumberedImpacts, parting_of
 from carom.lab.tradeoff.reference import Reference, make_reference
+from carom.recording.read.named_events import named_event
 from carom.recording.read.recording import Recording
 from carom.runs.run import recording_space, simulate
 from carom.scene.wording import Names

@@ -11,11 +11,12 @@ import pytest
 
 import carom
 from carom.display.close_up import close_up
-from carom.display.request import Pair, shown_step
+from carom.display.request import shown_step
 from carom.lab.why.history import question_of
 from carom.lab.why.why import why
 from carom.recording.layout.canvas import Area
 from carom.recording.read.lookup import frame_of
+from carom.recording.read.named_events import Pair
 from carom.recording.read.recorded_contacts import rows_of_engine
 from carom.recording.read.recorded_scene import header_of_recording
 from carom.recording.read.recording import Recording

@@ -10,13 +10,14 @@ import typer
 
 from carom.scene.units.dimension import ENERGY, FORCE, IMPULSE, LENGTH, TIME, VELOCITY
 from carom.scene.wording import bodies_called, command, counted
-from carom.terminal.options import ForceOption, JsonOption, not_a_folder, recording_option
+from carom.terminal.given_moment import EventOption, GivenMoment, StepOption, at_option
+from carom.terminal.options import ForceOption, JsonOption, OptionalTime, not_a_folder, recording_option
 from carom.terminal.printing import say_json
 
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from carom.lab.diff.diff import Diff, ImpactDivergence, ImpactPair
+    from carom.lab.diff.diff import Diff, ImpactDivergence, ImpactPair, MomentApart
     from carom.lab.diff.divergence import FirstBits
     from carom.recording.read.recording import Recording
     from carom.scene.units.system import UnitSystem
@@ -31,13 +32,17 @@ _FIRST = "A recording (.rrd), or the zip of `carom report`."
 def diff_command(
     a: Annotated[Path, typer.Argument(metavar="A", help=_FIRST, callback=not_a_folder)],
     b: Annotated[Path, typer.Argument(metavar="B", help="Another one.", callback=not_a_folder)],
+    at: Annotated[OptionalTime, at_option("none; all common frames are compared")] = None,
+    step: StepOption = None,
+    event: EventOption = None,
     output: Annotated[Path | None, recording_option("Write both recordings into one .rrd for the viewer.")] = None,
     force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Compare two recordings: where they differ first, and whether chaos explains it. Exit with 1 if they differ.
 
-    Impacts of the same bodies are compared in their order.
+    Impacts of the same bodies are compared in their order. A moment, which is one of A, adds the bodies that are
+    furthest apart then.
     """
     from dataclasses import replace
 
@@ -47,14 +52,18 @@ def diff_command(
     from carom.recording.read.lookup import names_of
     from carom.recording.read.recording import Recording
     from carom.recording.write.whole_file import refuse_itself, refuse_output
+    from carom.terminal.console import replaying
 
+    given = GivenMoment(at, step, event)
     if output is not None:
         for path in (a, b):
             refuse_itself(output, path)
         refuse_output(output, force)
     with opened(a) as one, opened(b) as other:
         recordings = Recording.open(one), Recording.open(other)
-        found = replace(compare(*recordings), paths=(a, b))
+        with replaying(recordings[0]) as watch:
+            moment = given.end(recordings[0], watch)
+        found = replace(compare(*recordings, moment), paths=(a, b))
         if output is not None:
             overlay(*recordings, found, output)
         names = names_of(max(recordings, key=lambda recording: len(recording.bodies.name)))
@@ -94,6 +103,7 @@ def _document(found: Diff, names: Names, units: UnitSystem) -> dict[str, Any]:
         "engines": list(found.engines),
         "first_difference": None if first is None else {"step": int(curve.step[first]), "time": curve.time[first]},
         "first_bits": bits,
+        **({} if found.moment is None else {"moment": asdict(found.moment)}),
         "impacts": None if found.impacts is None else _impacts_document(found.impacts, names),
         **({"lives": [asdict(life) for life in found.lives]} if found.lives else {}),
         "growth": None if found.divergence is None else asdict(found.divergence),
@@ -154,10 +164,11 @@ def _overview(found: Diff, names: Names, units: UnitSystem) -> Table:
             table.add_row("", f"… and {len(differing) - KEYS} more keys")
     table.add_row("in common", f"{counted(len(found.curve.step), 'frame')}, matched by {found.matched_by}")
     bits = () if found.first_bits is None else _bits_lines(found.first_bits, names, units)
+    moment = () if found.moment is None else _moment_lines(found.moment, names, units)
     lives = [life.text(units) for life in found.lives[:KEYS]]
     lives += [f"… and {len(found.lives) - KEYS} more"] if len(found.lives) > KEYS else []
     impacts = _impact_lines(found.impacts, names, units)
-    for name, lines in (("first bits", bits), ("impacts", impacts), ("bodies", lives)):
+    for name, lines in (("moment", moment), ("first bits", bits), ("impacts", impacts), ("bodies", lives)):
         for k, line in enumerate(lines):
             table.add_row("" if k else name, line)
     return table
@@ -171,6 +182,14 @@ def _bits_lines(found: FirstBits, names: Names, units: UnitSystem) -> Iterator[s
         one, other = ("none" if force is None else units.text(force, FORCE, ".9g") for force in found.contact.forces)
         yield f"contact of {names.pair(found.contact.ends)}: normal force {one} in A, {other} in B"
     yield from found.laws
+
+
+def _moment_lines(found: MomentApart, names: Names, units: UnitSystem) -> Iterator[str]:
+    """Describe the difference at a moment."""
+    rms, energy = units.text(found.rms, LENGTH, ".2e"), units.text(found.energy, ENERGY, "+.2e")
+    yield f"step {found.step}, t = {units.text(found.time, TIME, '.9g')}: {rms} apart (rms), energy {energy} (B - A)"
+    for body, apart in zip(found.bodies, found.apart, strict=True):
+        yield f"{names.of(body)}: {units.text(apart, LENGTH, '.2e')} apart"
 
 
 def _impact_lines(found: ImpactDivergence | None, names: Names, units: UnitSystem) -> Iterator[str]:
@@ -223,7 +242,7 @@ def _curve(found: Diff, units: UnitSystem) -> Table:
         limit = max(curve.floor[k], curve.rms[k])
         rms = f"{units.shown(curve.rms[k], LENGTH):.2e}" if seen else f"below {units.shown(limit, LENGTH):.0e}"
         time, energy = units.shown(curve.time[k], TIME), units.shown(curve.energy[k], ENERGY)
-        table.add_row(str(curve.step[k]), f"{time:.6g}", rms, f"{energy:+.2e}")
+        table.add_row(str(curve.step[k]), f"{time:.9g}", rms, f"{energy:+.2e}")
     return table
 
 

@@ -245,6 +245,32 @@ def _impact(table: pa.Table, numbers: IntArray, row: int) -> Impact:
     return Impact(int(numbers[row]), (values["i"], values["j"]), *measured)
 
 
+MOST_APART = 3  # bodies that are named
+
+
+@dataclass(frozen=True, slots=True)
+class MomentApart:
+    """The difference in one common frame, and the bodies that are furthest apart in it."""
+
+    step: int  # of the first recording
+    time: float  # s
+    rms: float  # m, of the distances between counterparts
+    energy: float  # J, second minus first
+    bodies: tuple[int, ...]  # those furthest apart, the furthest first; none where all positions are the same
+    apart: tuple[float, ...]  # m
+
+
+def moment_apart(matched: FrameAlignment, curve: DistanceCurve, time: float, shown: Sequence[int]) -> MomentApart:
+    """Return the difference of the bodies with the numbers ``shown`` in the common frame nearest to a time (s)."""
+    k = int(np.argmin(np.abs(curve.time - time)))
+    one, other, _ = matched.everywhere(k)
+    apart = np.nan_to_num(np.linalg.norm(other - one, axis=1))
+    most = [row for row in np.argsort(-apart, kind="stable")[:MOST_APART].tolist() if apart[row] > 0.0]
+    bodies, furthest = tuple(shown[row] for row in most), tuple(float(apart[row]) for row in most)
+    values = float(curve.time[k]), float(curve.rms[k]), float(curve.energy[k])
+    return MomentApart(int(curve.step[k]), *values, bodies, furthest)
+
+
 @dataclass(frozen=True, slots=True)
 class Diff:
     """Two recordings compared."""
@@ -262,6 +288,7 @@ class Diff:
     first_bits: FirstBits | None = None  # None unless both have the exact states of the first frame that differs
     engines: tuple[str, str] = ("", "")  # engines of the runs; empty for carom
     lives: Sequence[OtherLife] = ()  # bodies that exist at other times in one run than in the other
+    moment: MomentApart | None = None  # None unless one was asked for
 
     @property
     def same(self) -> bool:
@@ -269,8 +296,8 @@ class Diff:
         return self.verdict.kind == "same" and (self.impacts is None or self.impacts.same)
 
 
-def diff(a: Recording, b: Recording) -> Diff:
-    """Compare two recordings, with their frames matched as in `FrameAlignment`.
+def diff(a: Recording, b: Recording, moment: float | None = None) -> Diff:
+    """Compare two recordings, with their frames matched as in `FrameAlignment`, and the frame nearest to a time (s).
 
     Raises
     ------
@@ -310,6 +337,7 @@ def diff(a: Recording, b: Recording) -> Diff:
         first_bits=None if step is None else first_bits(a, b, step),
         engines=engines,
         lives=other_lives(a, b),
+        moment=None if moment is None else moment_apart(matched, curve, moment, a.shown),
     )
 
 

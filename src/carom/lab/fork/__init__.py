@@ -9,15 +9,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from carom.scene.wording import command
-from carom.terminal.console import LiveLine, bar
+from carom.terminal.console import LiveLine, bar, replaying
+from carom.terminal.given_moment import EventOption, GivenMoment, StepOption, at_option
 from carom.terminal.options import (
     ForceOption,
     JsonOption,
+    OptionalTime,
     RecordingArgument,
     SetOption,
     recording_option,
-    simulated,
-    time_option,
 )
 from carom.terminal.printing import say, say_json
 
@@ -43,7 +43,9 @@ _WHEN = "Find the moment from which the --outcome was inevitable."
 
 def fork_command(
     file: RecordingArgument,
-    at: Annotated[float, time_option("--at", "Simulated time of the fork.")],
+    at: Annotated[OptionalTime, at_option("none; a fork needs a moment")] = None,
+    step: StepOption = None,
+    event: EventOption = None,
     overrides: SetOption = None,
     perturb: Annotated[str | None, typer.Option("--perturb", metavar="ULPS", help=_PERTURB)] = None,
     seeds: Annotated[
@@ -67,7 +69,9 @@ def fork_command(
     from carom.recording.read.recording import Recording
     from carom.recording.write.whole_file import refuse_itself, refuse_output
 
-    ulps = 0
+    asked, ulps = GivenMoment(at, step, event), 0
+    if asked.option is None:
+        raise ExperimentError("a fork needs a moment: give --at T, --step N or --event NAME")
     if perturb is not None:
         match = re.fullmatch(r"\s*(\d{1,9})\s*(ulps?)?\s*", perturb)
         ulps = int(match[1]) if match else 0
@@ -86,7 +90,11 @@ def fork_command(
     refuse_output(target, force)
     with opened(file) as path:
         refuse_itself(target, path)
-        branch = Branch(path, simulated(at, Recording.open(path).units), tuple(overrides or ()))
+        recording = Recording.open(path)
+        with replaying(recording) as watch:
+            moment = asked.end(recording, watch)
+        assert moment is not None, "one option was given"
+        branch = Branch(path, moment, tuple(overrides or ()))
         start = start_of(branch)
         if seeds == 1:
             document, lines, early = _one(start, target, None if perturb is None else 1, ulps)

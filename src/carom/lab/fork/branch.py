@@ -20,7 +20,7 @@ from carom.physics.space import Space
 from carom.physics.vector import minimum_images
 from carom.plan import auto
 from carom.plan.features import require
-from carom.recording.read.lookup import tolerance
+from carom.recording.read.lookup import goal_of
 from carom.recording.read.recorded_scene import recorded_scene
 from carom.recording.read.recording import Recording
 from carom.runs.resume import continued_scene
@@ -125,7 +125,7 @@ def start_of(branch: Branch) -> ForkStart:
 def _checkpoint_at(recording: Recording, scene: Scene, time: float) -> Checkpoint:
     """Rerun from the last checkpoint before a time (s), up to the step that contains it."""
     checkpoint = checkpoint_before(recording, time)
-    goal = time - tolerance(time)
+    goal = goal_of(recording, time)
     if checkpoint.time >= goal:
         return checkpoint
     space = space_of(recording, scene, checkpoint, record_contacts=recording.records_contacts)

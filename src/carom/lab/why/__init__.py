@@ -11,6 +11,7 @@ import typer
 
 from carom.scene.units.dimension import ENERGY, IMPULSE, TIME, VELOCITY
 from carom.scene.wording import command, counted, literal
+from carom.terminal.given_moment import EventOption, GivenMoment, StepOption, at_option
 from carom.terminal.options import (
     ForceOption,
     JsonOption,
@@ -41,21 +42,21 @@ _OF_ENGINE = (
     "Impulses are the engine's contact forces times the time between frames; what they leave of a velocity's change"
 )
 _BODY = "The body whose velocity is in question."
-_EVENT = "Explain why two bodies touch: an event that `carom inspect` lists, or impact:N for the Nth impact."
 _FROM = "Trace causes back to this time. Default: as far as a few seconds of computing allow."
 
 
 def why_command(
     file: RecordingArgument,
     body: Annotated[str | None, typer.Option("--body", metavar="N|NAME", help=_BODY)] = None,
-    at: Annotated[OptionalTime, time_option("--at", "Time of the question. Default: the end.")] = None,
-    event: Annotated[str | None, typer.Option("--event", metavar="EVENT", help=_EVENT)] = None,
+    at: Annotated[OptionalTime, at_option("the end")] = None,
+    step: StepOption = None,
+    event: EventOption = None,
     start: Annotated[OptionalTime, time_option("--from", _FROM)] = None,
     output: Annotated[Path | None, recording_option("Write a recording of the causes for the viewer.")] = None,
     force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Explain why a body moves as it does, or why two bodies touch: the chain of causes, backwards.
+    """Explain why a body moves as it does (--body), or why two bodies touch (--event): the chain of causes, backwards.
 
     The steps before the moment are run again, so any recording will do; one of another engine needs the forces of its
     contacts. FILE may be the zip of `carom report`.
@@ -68,6 +69,7 @@ def why_command(
     from carom.recording.write.whole_file import refuse_itself, refuse_output
     from carom.terminal.console import replaying
 
+    given = GivenMoment(at, step, event)
     if output is not None:
         refuse_itself(output, file)
         refuse_output(output, force)
@@ -75,8 +77,8 @@ def why_command(
         recording = Recording.open(path)
         recording.refuse_overlay()
         units = recording.units
-        question = question_of(recording, body, simulated_or_none(at, units), event)
         with replaying(recording) as watch:
+            question = question_of(recording, body, given.time(recording, watch), event)
             answer = answer_to(recording, question, simulated_or_none(start, units), watch)
         names = names_of(recording)
         if output is not None:

@@ -13,13 +13,13 @@ import numpy as np
 
 from carom.arrays import BoolArray, FloatArray, Records
 from carom.contact_table import CONTACT_ROW, IMPACT_MODE, OPEN
-from carom.display.request import named_event
 from carom.errors import ExperimentError, RecordingError
 from carom.physics.checkpoint import Checkpoint
 from carom.physics.schedule import every
 from carom.physics.simulation import StepStatus
 from carom.physics.space import Space
 from carom.recording.read.lookup import body_number, names_of, tolerance
+from carom.recording.read.named_events import named_event
 from carom.recording.read.recorded_contacts import closing_speeds, rows_by_frame
 from carom.recording.read.recorded_scene import recorded_scene
 from carom.recording.read.recording import Recording

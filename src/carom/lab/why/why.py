@@ -16,7 +16,7 @@ from carom.errors import ExperimentError, RecordingError
 from carom.lab.why.account import Account, impacts_by_step, impulses_on
 from carom.lab.why.cone import Cone, Edge, Link, chain_of
 from carom.lab.why.history import History, Question, Step, Watcher, recorded_history
-from carom.recording.read.lookup import tolerance
+from carom.recording.read.lookup import goal_of, tolerance
 from carom.recording.read.recording import Recording
 from carom.recording.schema.paths import STEP
 from carom.scene.units.dimension import TIME
@@ -138,7 +138,7 @@ def _histories(recording: Recording, question: Question, start: float | None, wa
         if start is not None and times[chosen[-1]] <= start:
             break
         chosen.append(earlier.pop())
-    end = time - tolerance(time)
+    end = goal_of(recording, time)
     for step in chosen:
         checkpoint = recording.checkpoint(step)
         yield History.replay(recording, checkpoint, end, question.bodies, watch)

@@ -16,6 +16,7 @@ from carom.arrays import FloatArray, IntArray
 from carom.errors import ExistsError, RecordingError
 from carom.recording.read.tables import AXES
 from carom.recording.write.whole_file import refuse_output
+from carom.scene.wording import suggestion
 
 if TYPE_CHECKING:
     from carom.physics.checkpoint import Checkpoint
@@ -65,8 +66,7 @@ def refuse_format(path: Path, formats: Sequence[str] | None = None) -> None:
     if formats is None:
         formats = [f".{name}" for name in registry.names("export_formats")]
     if path.suffix not in formats:
-        known = ", ".join(formats)
-        raise RecordingError(f'{path}: the format "{path.suffix}" is unknown; known suffixes: {known}')
+        raise RecordingError(f'{path}: the format "{path.suffix}" is unknown; {suggestion(path.suffix, formats)}')
 
 
 def refuse_export(path: Path, everything: bool, force: bool) -> None:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import difflib
 import math
+import re
 from collections.abc import Iterable
 from numbers import Real
 from typing import TYPE_CHECKING
@@ -157,6 +158,18 @@ def _refuse_outside(recording: Recording, times: FloatArray, first: float, last:
         raise RecordingError(f"{recording.path} covers {whole}; {asked} is outside")
 
 
+def printed_time(recording: Recording, time: float, rounding: float) -> float:
+    """Return the recorded time (s) nearest to one that was rounded when it was printed; without one, the given time.
+
+    Recorded times are those of frames, and of the moments of `carom inspect`, whose steps may have no frame.
+    """
+    moments = [float(value) for key, value in recording.closing.items() if re.fullmatch(r"moments\.\w+\.time", key)]
+    known = np.append(_column(recording.fingerprints(), "time"), np.array(moments))
+    off = np.abs(known - time)
+    near = int(np.argmin(off)) if len(off) else -1
+    return float(known[near]) if near >= 0 and off[near] <= rounding else time
+
+
 def tolerance(time: float) -> float:
     """Return the rounding error (s) of a time that was printed and typed again."""
     return 0.0 if np.isinf(time) else _RELATIVE_TOLERANCE * abs(time)
@@ -164,7 +177,11 @@ def tolerance(time: float) -> float:
 
 def goal_of(recording: Recording, at: float) -> float:
     """Return the time (s) that a step must reach to contain a time; later times belong to the last recorded step."""
-    return min(at - tolerance(at), float(recording.fingerprints()["time"][-1].as_py()))
+    times = _column(recording.fingerprints(), "time")
+    row = int(np.searchsorted(times, at))
+    if row < len(times) and times[row] == at:  # the tolerance may be longer than a step
+        return at
+    return min(at - tolerance(at), float(times[-1]))
 
 
 def frame_of(recording: Recording, at: float) -> int | None:

@@ -1,0 +1,133 @@
+"""The events of a recording by their names, and the two ends of a contact."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from carom.errors import RecordingError
+from carom.recording.read.lookup import names_of, shown_body, split_at_commas
+from carom.recording.read.recorded_impacts import numbered_impact
+from carom.recording.read.recording import Recording
+from carom.recording.schema.paths import SIM_TIME, STEP
+from carom.scene.wording import suggestion
+
+
+@dataclass(frozen=True, slots=True)
+class Pair:
+    """Two ends of a contact."""
+
+    i: int
+    j: int | None  # None if i touches a plane or a wall
+    plane: int | None = None  # number of that plane or wall
+
+    @property
+    def bodies(self) -> tuple[int, ...]:
+        """The numbers of the bodies: of one if it touches a plane."""
+        return (self.i,) if self.j is None else (self.i, self.j)
+
+
+def named_pair(recording: Recording, text: str) -> Pair:
+    """Read two bodies from numbers or names separated by a comma, or the one that touches a plane or a wall.
+
+    Raises RecordingError if these are not two bodies, and there is neither a plane nor a wall.
+    """
+    given = split_at_commas(text, recording.bodies.name)
+    if len(given) == 1 and given[0] and names_of(recording).planes:
+        return Pair(shown_body(recording, given[0]), None)
+    if len(given) != 2 or not all(given):
+        raise RecordingError(f"bodies {text}: expected two bodies separated by a comma, such as 0,1")
+    first, second = (shown_body(recording, part) for part in given)
+    if first == second:
+        raise RecordingError(f"bodies {text}: this is one body; name two")
+    return Pair(min(first, second), max(first, second))
+
+
+def pair_of_extreme(recording: Recording, name: str) -> Pair | None:
+    """Return the pair of an extreme, such as ``impact`` for the hardest; None if it is not recorded, or not shown."""
+    closing = dict(recording.closing)
+    texts = (str(closing.get(f"moments.{name}.{what}", "")).split(",") for what in ("bodies", "planes"))
+    found, planes = ([int(part) for part in parts if part.strip().isdigit()] for parts in texts)
+    shown = set(recording.shown)
+    if not found or not all(body in shown for body in found):
+        return None
+    if len(found) > 1:
+        return Pair(found[0], found[1])
+    return Pair(found[0], None, planes[0] if planes else None)
+
+
+_IMPACT = "impact:"  # before the number of an impact
+_FIRST_CONTACT = "first-contact"  # a kind of event
+_DIGITS = 18  # this many fit into 64 bits
+
+
+@dataclass(frozen=True, slots=True)
+class NamedEvent:
+    """An event of a run."""
+
+    time: float  # s
+    pair: Pair | None = None  # None if it is not a meeting of two
+    step: int | None = None  # step of an impact: at the end of one step, it may belong to the next
+    is_impact: bool = False
+
+    def end(self, recording: Recording) -> float:
+        """Return the end (s) of the step of an impact if it has a frame; otherwise the time of the event."""
+        frames = recording.fingerprints()
+        own = np.flatnonzero(frames[STEP].to_numpy() == (-1 if self.step is None else self.step))
+        return float(frames["time"][int(own[0])].as_py()) if len(own) else self.time
+
+
+def named_event(recording: Recording, name: str) -> NamedEvent:
+    """Find an event.
+
+    Parameters
+    ----------
+    name
+        An extreme of `carom inspect`, a kind of event (its first occurrence), or ``impact:N``, the Nth impact.
+
+    Raises
+    ------
+    RecordingError
+        If there is no such event.
+    """
+    if name.startswith(_IMPACT):
+        return _impact(recording, name.removeprefix(_IMPACT))
+    closing = dict(recording.closing)
+    if f"moments.{name}.time" in closing:
+        time = float(closing[f"moments.{name}.time"])
+        return NamedEvent(time, pair_of_extreme(recording, name), is_impact=name == "impact")
+    table = recording.events()
+    kinds = table["kind"].to_pylist()
+    if name in kinds:
+        row = kinds.index(name)
+        frames = recording.fingerprints()
+        steps = frames[STEP].to_numpy()
+        step = table[STEP][row].as_py()
+        own = np.flatnonzero(steps == step)
+        pair = _first_to_meet(recording, step) if name == _FIRST_CONTACT else None
+        if len(own):
+            return NamedEvent(float(frames["time"][int(own[0])].as_py()), pair, is_impact=pair is not None)
+        scale = float(recording.info["time_scale"])
+        return NamedEvent(float(table[SIM_TIME][row].value) * 1e-9 * scale, pair, is_impact=pair is not None)
+    moments = sorted({key.split(".")[1] for key in closing if key.startswith("moments.") and key.endswith(".time")})
+    known = dict.fromkeys([*moments, *(kind for kind in kinds if kind not in ("", "extreme", "end"))])
+    raise RecordingError(f'{recording.path} has no event "{name}"; {suggestion(name, known)}')
+
+
+def _first_to_meet(recording: Recording, step: int) -> Pair | None:
+    """Return the pair of the run's first impact, if it is recorded and happened in a step."""
+    try:
+        first = _impact(recording, "1")
+    except RecordingError:
+        return None
+    return first.pair if first.step == step else None
+
+
+def _impact(recording: Recording, text: str) -> NamedEvent:
+    """Find an impact by its number on the timeline ``impact``."""
+    if not text.isdigit() or len(text) > _DIGITS:
+        raise RecordingError(f"event {_IMPACT}{text}: expected the number of an impact, such as {_IMPACT}3")
+    time, step, i, j = numbered_impact(recording, int(text))
+    bodies = int(recording.info["bodies"])
+    return NamedEvent(time, Pair(i, j) if j < bodies else Pair(i, None, j - bodies), step, is_impact=True)

@@ -1,0 +1,81 @@
+"""The moment that a command is asked for, with one of ``--at``, ``--step`` and ``--event``."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from carom.terminal.options import OptionalTime, TypedTime, simulated, time_option
+
+if TYPE_CHECKING:
+    from carom.physics.simulation import StepStatus
+    from carom.recording.read.recording import Recording
+
+_STEP = "The moment is the end of this step."
+_EVENT = "The moment is an event: a moment that `carom inspect` lists, a kind of event, or impact:N for the Nth impact."
+StepOption = Annotated[int | None, typer.Option("--step", metavar="N", min=0, help=_STEP, show_default=False)]
+EventOption = Annotated[str | None, typer.Option("--event", metavar="NAME", help=_EVENT)]
+
+
+def at_option(default: str) -> Any:
+    """Return the option ``--at`` of a command that takes a moment."""
+    return time_option("--at", f"Simulated time; as carom prints it, it finds its step. Default: {default}.")
+
+
+AtOption = Annotated[
+    OptionalTime, at_option("the hardest impact or, without any, the most contacts or the end")
+]  # the moment of `Recording.moment`
+
+
+@dataclass(frozen=True, slots=True)
+class GivenMoment:
+    """The options of a command that select a moment. Raises RecordingError if there are several."""
+
+    at: OptionalTime
+    step: int | None
+    event: str | None
+
+    def __post_init__(self) -> None:
+        """Refuse several moments."""
+        from carom.errors import RecordingError
+
+        options = {"--at": self.at, "--step": self.step, "--event": self.event}
+        given = [name for name, value in options.items() if value is not None]
+        if len(given) > 1:
+            raise RecordingError(f"give {' or '.join(given)}, not {'both' if len(given) == 2 else 'all three'}")
+
+    @property
+    def option(self) -> str | None:
+        """The option that was given; None without one."""
+        options = {"--at": self.at, "--step": self.step, "--event": self.event}
+        return next((name for name, value in options.items() if value is not None), None)
+
+    def time(self, recording: Recording, watch: Callable[[StepStatus], None] | None = None) -> float | None:
+        """Return the time (s) of ``--at`` or ``--step``; None without either. ``watch`` is called in a rerun.
+
+        A time finds the nearest end of a recorded step, or the nearest moment of `carom inspect`, that is printed with
+        the same digits.
+        """
+        if self.step is not None:
+            from carom.runs.recomputed import time_of_step
+
+            return time_of_step(recording, self.step, watch)
+        if self.at is None:
+            return None
+        time = simulated(self.at, recording.units)
+        if isinstance(self.at, TypedTime):
+            from carom.recording.read.lookup import printed_time
+
+            return printed_time(recording, time, self.at.rounding * abs(time))
+        return time
+
+    def end(self, recording: Recording, watch: Callable[[StepStatus], None] | None = None) -> float | None:
+        """Return the same, or the time (s) of an event; if the frame of its step is recorded, the end of that step."""
+        if self.event is None:
+            return self.time(recording, watch)
+        from carom.recording.read.named_events import named_event
+
+        return named_event(recording, self.event).end(recording)
