@@ -44,7 +44,7 @@ def lines_of(shown: Presentation) -> dict[str, int]:
 
 def test_the_legend_has_every_body_in_its_colour(bounce: Recording) -> None:
     lines = lines_of(asked(bounce, Request()))
-    assert lines["■ left"] == palette.SKY and lines["■ right"] == palette.ORANGE
+    assert lines["■ left"] == palette.SKY and lines["■ right"] == palette.CLAY
 
 
 def test_the_legend_has_every_material_in_its_colour(slope: Recording) -> None:
@@ -195,8 +195,8 @@ def test_the_light_theme_is_light_everywhere(view: str, slope: Recording) -> Non
 @pytest.mark.parametrize("theme", ["dark", "light"])
 def test_the_legend_explains_what_an_edges_width_and_colour_mean(theme: str, slope: Recording) -> None:
     lines = lines_of(asked(slope, Request(), Canvas(theme=theme)))
-    edges = {text: colour for text, colour in lines.items() if " edge:" in text or "— edge" in text}
-    assert {"— thin edge: small impulse", "— wide edge: large impulse"} < set(edges)
+    edges = {text: colour for text, colour in lines.items() if text.startswith("— contact")}
+    assert {"— contact: small impulse", "— contact: large impulse"} < set(edges)
     assert any("N s" in text for text in edges), "the middle of the scale"
     assert len(set(edges.values())) == (3 if theme == "dark" else 1), "on paper only the width has a meaning"
 

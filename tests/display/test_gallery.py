@@ -55,7 +55,7 @@ def test_pictures_of_the_gallery_have_all_bodies_inside_no_empty_half_and_equal_
             inner = coloured[2:-2, 2:-2]
             assert inner.sum() == coloured.sum(), f"{name}: a body leaves the picture"
     radii = []
-    for colour in (palette.SKY, palette.ORANGE, palette.GREEN, palette.YELLOW, palette.PURPLE):
+    for colour in palette.BODIES[:5]:
         widths = largest_piece(hue_mask(made["cradle"], colour)).sum(axis=1)
         rows = np.arange(12)  # from the top of a ball, where no path crosses it
         chords = widths[np.flatnonzero(widths > 10)[0] + rows]

@@ -80,7 +80,7 @@ def test_a_picture_of_another_command_is_not_replaced(tmp_path: Path) -> None:
 @pytest.mark.needs(PICTURES)
 def test_spheres_of_every_group_fill_the_first_view(picture: Pixels) -> None:
     shown = bodies_view(picture)
-    for colour in (palette.SKY, palette.ORANGE, palette.GREEN):
+    for colour in palette.BODIES[:3]:
         assert of_hue(shown, colour) > 0.005 * shown.shape[0] * shown.shape[1]
     drawn = np.argwhere(shown.sum(axis=2) > 150)
     spread = np.ptp(drawn, axis=0) / shown.shape[:2]

@@ -62,7 +62,9 @@ def test_the_hardest_impact_of_a_scene_is_framed_with_its_edge_and_arrow(name: s
         assert filled(shown) > 0.5, what
     if name != "elastic-gas":  # a thousand molecules hide the one edge of the instant
         assert sum(of_colour(graph, int(colour)) for colour in drawing.COLOURS) > 15, "edges of the graph"
-    assert of_colour(close, palette.VERMILION, 60) > 15, "the edge, seen through the two bodies"
+    assert sum(of_colour(close, int(colour), 60) for colour in drawing.COLOURS) > 15, (
+        "the edge, seen through the two bodies"
+    )
     assert of_colour(close, palette.YELLOW, 60) > 100, "the arrow of the impulse"
     hues = max(of_hue(close, hue) for hue in palette.BODIES)
     assert hues > 0.01 * close.shape[0] * close.shape[1], "one of the two bodies"
@@ -75,7 +77,7 @@ def test_orbits_are_seen_as_trails_in_the_light_theme_as_well(tmp_path: Path) ->
     shown = view(pixels, 0, (3.0, 1.7))
     assert np.median(shown) == 255, "white paper"
     assert filled(shown) > 0.5
-    for colour in (palette.ORANGE, palette.GREEN, palette.YELLOW, palette.PURPLE):
+    for colour in palette.BODIES[1:5]:
         assert of_hue(shown, colour) > 200, "the trail of each planet"
 
 

@@ -85,8 +85,8 @@ def test_inspect_lists_the_contacts_of_each_material(hops: Recording, tmp_path: 
 @pytest.mark.parametrize(
     ("colours", "shown"),
     [
-        ([None, None], [palette.SKY, palette.ORANGE]),
-        (["sky-blue", None], [palette.SKY, palette.ORANGE]),
+        ([None, None], [*palette.BODIES[:2]]),
+        (["sky-blue", None], [*palette.BODIES[:2]]),
         (["#12AbeF", "white"], [0x12ABEFFF, palette.WHITE]),
     ],
 )

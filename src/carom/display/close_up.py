@@ -61,7 +61,7 @@ class Contact:
     """The contact of the two bodies in the step that is shown."""
 
     point: FloatArray  # (3,) m from the recording's origin
-    normal: FloatArray  # (3,) from i to j
+    normal: FloatArray  # (3,) from i to j, or out of a plane or wall, as the impulse on the body
     approach_speed: float  # m/s
     impulse: FloatArray  # (3,) N s, on j
     force: float | None  # N, the impulse over the step; None for an impact
@@ -341,7 +341,7 @@ def close_up(
         reach = _impulse_radii(header.radius[places])
         arrows = reach[reach > 0.0, None] * contact.impulse / np.linalg.norm(contact.impulse)
         ends = np.concatenate([seen[reach > 0.0] - arrows, seen[reach > 0.0] + arrows])
-    if contact is not None:  # at a plane, the normal points away from the body
+    if contact is not None:
         tip = contact.point + _NORMAL * header.radius[places].min() * contact.normal
         ends = tip[None] if ends is None else np.concatenate([ends, tip[None]])
     entries = list[LegendLine]()
@@ -447,4 +447,5 @@ def _contact(header: Header, frame: Frame, pair: Pair, position: FloatArray, ori
     impulse = row["normal_impulse"] * normal + [row["friction_x"], row["friction_y"], row["friction_z"]]
     rests = row["mode"] != IMPACT_MODE and frame.dt > 0.0
     force = float(np.linalg.norm(impulse)) / frame.dt if rests else None
-    return Contact(point, normal, float(row["approach_speed"]), impulse, force, np.stack([position[0], end]))
+    outward = -normal if pair.j is None else normal
+    return Contact(point, outward, float(row["approach_speed"]), impulse, force, np.stack([position[0], end]))

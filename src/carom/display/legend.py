@@ -147,6 +147,7 @@ def legend(
     viewer_time: str = "",
     spins: FloatArray | None = None,
     field: FloatArray | None = None,
+    by_stage: bool = False,
     theme: str = "dark",
 ) -> Legend:
     """Explain the views of a recording.
@@ -169,8 +170,10 @@ def legend(
         (b, 3) rad/s of the bodies of the close-up, if there is one.
     field
         (3,) m/s², a uniform field.
+    by_stage
+        Whether the edges beside the bodies have the colours of the solver's stages.
     """
-    lines = [*_bodies(header, by, colours, references, named), *_edges(header, frame, drawn, theme)]
+    lines = [*_bodies(header, by, colours, references, named), *_edges(header, frame, drawn, theme, by_stage)]
     if drawn.trails:
         lines.append(LegendLine("— path so far", palette.GREY, (BODIES,)))
     if drawn.torques:
@@ -240,13 +243,16 @@ def _groups(header: Header, colours: ColourArray) -> Iterator[LegendLine]:
         yield LegendLine(f"and {len(single) - MOST_NAMED} more, in other shades", palette.GREY, _SPACE)
 
 
-def _edges(header: Header, frame: Frame | None, drawn: LegendContents, theme: str) -> Iterator[LegendLine]:
+def _edges(
+    header: Header, frame: Frame | None, drawn: LegendContents, theme: str, by_stage: bool
+) -> Iterator[LegendLine]:
     """Explain lines between touching bodies, points at impacts, and arrows of impulses."""
-    if drawn.contacts:
-        if header.engine or theme == "light":
-            yield LegendLine("— bodies that touch", palette.VERMILION, (BODIES, *(() if drawn.impulses else (GRAPH,))))
-        else:
+    by_impulse = theme == "dark" and drawn.impulses and not by_stage  # beside the bodies
+    if drawn.contacts and not by_impulse:
+        if theme == "dark" and not header.engine:
             yield LegendLine("— contact, coloured by the solver's stage", palette.STAGES[0], (BODIES,))
+        else:
+            yield LegendLine("— bodies that touch", palette.VERMILION, (BODIES, *(() if drawn.impulses else (GRAPH,))))
     if drawn.impacts:
         yield LegendLine("■ impact: size = impulse, glow = lost energy", int(drawing.COLOURS[-2]), (BODIES,))
     if not drawn.impulses:
@@ -254,9 +260,10 @@ def _edges(header: Header, frame: Frame | None, drawn: LegendContents, theme: st
     middle = _middle(header, frame)
     levels = drawing.COLOURS.tolist() if theme == "dark" else [palette.VERMILION] * drawing.LEVELS
     normal, friction = palette.ARROWS[paths.FORCE_NORMAL], palette.ARROWS[paths.FORCE_FRICTION]
-    yield LegendLine("— thin edge: small impulse", levels[1], (GRAPH,))
-    yield LegendLine(f"— edge: {middle or 'the median impulse'}", levels[len(levels) // 2], (GRAPH,))
-    yield LegendLine("— wide edge: large impulse", levels[-1], (GRAPH,))
+    views = (BODIES, GRAPH) if by_impulse else (GRAPH,)
+    yield LegendLine("— contact: small impulse", levels[1], views)
+    yield LegendLine(f"— contact: {middle or 'the median impulse'}", levels[len(levels) // 2], views)
+    yield LegendLine("— contact: large impulse", levels[-1], views)
     yield LegendLine(f"→ normal impulse: 1 radius = {middle or 'the median'}", normal, (GRAPH,))
     if drawn.friction:
         yield LegendLine("→ impulse of friction, same scale", friction, (GRAPH,))

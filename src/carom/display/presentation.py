@@ -97,6 +97,7 @@ def asked(
         pair=pair,
         plots=plots,
         colour_by=request.colour_by,
+        by_stage=request.edges == "stage",
         dense=dense,
         watch=watch,
     )
@@ -113,6 +114,7 @@ def presentation(
     pair: Pair | None = None,
     plots: BodyPlots | None = None,
     colour_by: str | None = None,
+    by_stage: bool = False,
     dense: bool = False,
     watch: Watcher = lambda _: None,
 ) -> Presentation:
@@ -131,6 +133,8 @@ def presentation(
         The bodies of the close-up view; by default those of the hardest impact of the step or, without one, of the run.
     colour_by
         The property that sets the colours, one of `COLOUR_BY` in recording/schema/header.py; by default as recorded.
+    by_stage
+        Whether the edges beside the bodies have the colours of the solver's stages, not of impulses.
     dense
         Whether to add all steps up to the next recorded frame.
     watch
@@ -208,10 +212,11 @@ def presentation(
         viewer_time=viewer_time(header.units, clock),
         spins=spins,
         field=field,
+        by_stage=by_stage,
         theme=canvas.theme,
     )
     added = Additions(
-        *(close, has_trails, recoloured, plots, words),
+        *(close, has_trails, recoloured, by_stage, plots, words),
         moment=canvas.rendered,
         tips=_arrow_tips(header, recording.origin, paused.frame, references),
         marks=marks,

@@ -40,6 +40,7 @@ class Request:
     bodies: str | None = None  # of the close-up view: two numbers or names with a comma, or one on a plane or wall
     plot: str | None = None  # quantities of bodies to plot, such as ``top.z,top.omega``
     colour_by: str | None = None  # property that sets the colours; by default as the scene states
+    edges: str = "impulse"  # what the edges beside the bodies show: "impulse" or "stage", that of the solver
 
     def __post_init__(self) -> None:
         """Refuse two moments."""

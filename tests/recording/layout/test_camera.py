@@ -235,7 +235,8 @@ def rolled(along: FloatArray, bodies: int) -> FloatArray:
 
 
 def test_a_slope_is_seen_edge_on_with_gravity_down_and_the_motion_across_the_picture(scripted: ScriptedRun) -> None:
-    for header in (on_a_slope(scripted, OUT), on_a_slope(scripted, OUT, np.array([0.0, 0.0, 1.0]))):
+    slopes = on_a_slope(scripted, OUT), on_a_slope(scripted, OUT, np.array([0.0, 0.0, 1.0]))
+    for header in (replace(each, has_torque=False) for each in slopes):
         moments = rolled(4.0 * DOWNHILL, header.bodies)
         camera = CameraFit.of_scene(header, np.zeros(3), moments[0])
         camera.look(moments)
@@ -243,6 +244,19 @@ def test_a_slope_is_seen_edge_on_with_gravity_down_and_the_motion_across_the_pic
         assert abs(view.to_eye @ OUT) < 1e-12, "the slope is a line"
         assert view.axes()[1] == pytest.approx([0.0, 0.0, 1.0]), "gravity is down"
         assert np.ptp(view.on_screen(moments[:, 0])[:, 0]) > 1.0, "the path crosses more than half of the height"
+
+
+def test_torques_of_balls_that_roll_down_a_slope_are_seen_from_aside(scripted: ScriptedRun) -> None:
+    header = on_a_slope(scripted, OUT)
+    assert header.has_torque
+    moments = rolled(4.0 * DOWNHILL, header.bodies)
+    camera = CameraFit.of_scene(header, np.zeros(3), moments[0])
+    camera.look(moments)
+    view = camera.view(narrow=True)
+    torque = np.cross(OUT, DOWNHILL)
+    assert 0.4 < np.linalg.norm(view.axes() @ torque) < 0.8, "an arrow keeps about half of its length"
+    assert 0.1 < view.to_eye @ OUT < 0.7, "the slope is seen from above, not from below"
+    assert view.on_screen(moments[-1])[:, 1].max() < view.on_screen(moments[0])[:, 1].min(), "bodies roll down"
 
 
 @pytest.mark.parametrize(

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from carom.recording.layout import drawing
 from carom.recording.schema import palette
 
 # How severe dichromats see linear RGB: Machado, Oliveira & Fernandes 2009, table 1, severity 1.0.
@@ -49,7 +50,7 @@ def difference(a: int, b: int, vision: str) -> float:
 
 
 def test_a_body_that_touches_nobody_is_grey() -> None:
-    assert palette.node_colours(np.array([-1, 0, 1])).tolist() == [palette.GREY, palette.SKY, palette.ORANGE]
+    assert palette.node_colours(np.array([-1, 0, 1])).tolist() == [palette.GREY, *palette.BODIES[:2]]
 
 
 def test_single_bodies_take_turns_in_the_hues_and_a_group_has_one() -> None:
@@ -75,6 +76,19 @@ def test_a_few_bodies_have_a_hue_each_and_many_share_that_of_their_group() -> No
     blue, red = (many >> np.uint32(8)) & 0xFF, many >> np.uint32(24)
     assert np.all(blue[:50] > red[:50])
     assert np.all(blue[50:] < red[50:])
+
+
+@pytest.mark.parametrize("vision", VISION)
+def test_no_body_has_the_colour_of_a_quantity(vision: str) -> None:
+    quantities = [*palette.ARROWS.values(), palette.VERMILION, *map(int, drawing.COLOURS)]
+    apart = 30.0 if vision == "normal" else 6.0  # 2.3 is just noticeable; edges have eight levels of one scale
+    for body in palette.BODIES:
+        assert min(difference(body, each, vision) for each in quantities) >= apart, f"{body:08x}"
+
+
+@pytest.mark.parametrize("vision", VISION)
+def test_bodies_differ_for_colour_blind_readers(vision: str) -> None:
+    assert min(difference(a, b, vision) for a, b in combinations(palette.BODIES, 2)) >= 22.0
 
 
 @pytest.mark.parametrize("theme", palette.PLOT_GROUNDS)

@@ -41,24 +41,21 @@ def force_arrows(header: Header) -> list[str]:
     return [paths.FORCE_NORMAL, *([paths.FORCE_FRICTION] if header.has_friction else [])]
 
 
-def _edges_by_impulse(header: Header, theme: str) -> Overrides:
-    """Draw the edges of the collision graph with widths and colours by impulse, as force chains.
+def _edges(header: Header, theme: str, *, wide: bool, by_stage: bool = False) -> Overrides:
+    """Draw the edges of the collision graph in colours by impulse, and as wide by impulse, as force chains.
 
-    On white paper the bright end of the colours would be invisible, so only the width shows the impulse.
+    The recorded colours are those of the solver's stages. On white paper the bright colours of either would be
+    invisible, so edges have one colour, and only the width shows the impulse.
     """
-    if not header.records_contacts:
-        return _plain_edges(header, theme)
-    sources, colour = {"LineStrips3D:radii": "impulse_width"}, palette.VERMILION if theme == "light" else None
-    if colour is None:
-        sources["LineStrips3D:colors"] = "impulse_colour"
-    return {paths.CONTACTS: rr.LineStrips3D.from_fields(colors=colour).visualizer(mappings=taken_from(sources))}
-
-
-def _plain_edges(header: Header, theme: str) -> Overrides:
-    """Draw edges in one colour on white paper, where the yellow and white edges of some stages would be invisible."""
-    if theme == "dark" or not header.collides:
+    if not header.collides or (theme == "dark" and (by_stage or not header.records_contacts)):
         return {}
-    return {paths.CONTACTS: rr.LineStrips3D.from_fields(colors=palette.VERMILION)}
+    sources, colour = dict[str, str](), palette.VERMILION if theme == "light" else None
+    if header.records_contacts:
+        if wide:
+            sources["LineStrips3D:radii"] = "impulse_width"
+        if colour is None:
+            sources["LineStrips3D:colors"] = "impulse_colour"
+    return {paths.CONTACTS: rr.LineStrips3D.from_fields(colors=colour).visualizer(mappings=taken_from(sources))}
 
 
 TRAILS = "trails"
@@ -116,7 +113,8 @@ def bodies_view(header: Header, camera: CameraFit, area: Area, added: Additions 
     """Show bodies, contacts, planes, walls and the box."""
     view = bodies_eye(camera, area, added)
     name = "Bodies and contacts" if header.collides else "Bodies"
-    overrides = _drawn_bodies(header, view, area, added.recoloured, added.named) | _plain_edges(header, area.theme)
+    overrides = _drawn_bodies(header, view, area, added.recoloured, added.named)
+    overrides |= _edges(header, area.theme, wide=False, by_stage=added.by_stage)
     cursor = rr.TimeRangeBoundary.cursor_relative()
     if added.trails:  # all pieces up to the cursor
         start = rr.TimeRangeBoundary.infinite()
@@ -176,7 +174,7 @@ def graph_view(header: Header, camera: CameraFit, area: Area, added: Additions =
             *([paths.TORQUE, paths.ANGULAR_ACCELERATION] if header.has_torque else []),
             *([LEGEND] if area.inset[0] else []),
         ],
-        faint_bodies(header, added.recoloured) | _edges_by_impulse(header, area.theme),
+        faint_bodies(header, added.recoloured) | _edges(header, area.theme, wide=True),
         theme=area.theme,
     )
 

@@ -8,7 +8,8 @@ target's coordinate along e. A sphere with centre o and radius r lies inside the
 Each border therefore gives a bound by the largest o·e + s o·d + r √(1 + s²) of the bodies. Two opposite borders
 together determine the smallest D and the corresponding t. The eye looks along the smallest principal axis of the
 motion, tilted so that the horizon is level and the ground is seen from above. Slopes are seen edge-on, as in a
-textbook, unless bodies move along the line of sight.
+textbook, unless bodies move along the line of sight. With torques the eye stands a little aside and above: the torques
+of bodies that roll down a slope are parallel to it, and would be points.
 """
 
 from __future__ import annotations
@@ -63,6 +64,7 @@ _USUAL = np.array([0.75, -1.0, 0.55]) / np.linalg.norm([0.75, -1.0, 0.55])  # to
 _PREFERENCE = 0.15  # weight of the usual direction if principal axes are similar, as a fraction of the variance
 _LOWEST, _HIGHEST = np.radians(15.0), np.radians(60.0)  # elevations of the eye
 _SLOPE = float(np.sin(np.radians(3.0)))  # sine of the smallest angle of a slope to a floor and to a wall
+_ASIDE, _ABOVE = np.radians(35.0), np.radians(12.0)  # of the eye from a slope's edge, so that torques are seen
 _ALONG = 0.1  # largest fraction of the motion along the line of sight, if a slope is seen edge-on
 _OUTWARD = np.array([v for v in product((-1.0, 0.0, 1.0), repeat=3) if any(v)])  # in which extreme bodies are kept
 _OUTWARD /= np.linalg.norm(_OUTWARD, axis=1)[:, None]
@@ -104,6 +106,7 @@ class CameraFit:
         up: FloatArray = UP,  # (3,) unit vector against gravity
         motion: CameraMotion | None = None,
         edge_on: FloatArray | None = None,  # (3,) horizontal unit vector along which slopes are seen edge-on
+        has_torque: bool = False,  # whether arrows of torques are drawn, which may be parallel to it
     ) -> None:
         self._bodies = len(radius)
         self._shown: slice | IntArray = slice(None)
@@ -114,7 +117,7 @@ class CameraFit:
             self._shown = np.flatnonzero(chosen)
         first, radius = first[self._shown], radius[self._shown]
         near = _near(first[None])[0]
-        self._begin, self._edge_on = first, edge_on
+        self._begin, self._edge_on, self._has_torque = first, edge_on, has_torque
         self._radius = radius
         self._first, self._first_radius = first[near], radius[near]
         self._corners = np.zeros((0, 3)) if corners is None else corners
@@ -149,7 +152,7 @@ class CameraFit:
             size = float(np.linalg.norm(acceleration))
             up = -acceleration / size if 0.0 < size < np.inf else UP
         corners, edge_on = corners_of(header, origin), _edge_on(header, up)
-        return cls(header.radius, first, corners, up=up, motion=motion, edge_on=edge_on)
+        return cls(header.radius, first, corners, up=up, motion=motion, edge_on=edge_on, has_torque=header.has_torque)
 
     @property
     def is_few(self) -> bool:
@@ -235,7 +238,7 @@ class CameraFit:
         if to_eye is None and self._edge_on is not None:
             moved = self._moments[2, :3, :3]
             if not self._edge_on @ moved @ self._edge_on > _ALONG * np.trace(moved):
-                to_eye = self._edge_on
+                to_eye = self._edge_on if not self._has_torque else _beside(self._edge_on, self.up)
         if to_eye is None:
             to_eye = _direction(self._moments[int(motion is CameraMotion.FOLLOW)], self.up)
         view = self._fitted(frame, to_eye, _NARROW_SLOPE if frame.narrow else SLOPE, motion)
@@ -356,6 +359,14 @@ def _edge_on(header: Header, up: FloatArray) -> FloatArray | None:
     lines = level[slopes] / np.linalg.norm(level[slopes], axis=1)[:, None]
     chosen = lines[0] if lines[0] @ (_USUAL @ upright(up)) >= 0.0 else -lines[0]
     return chosen if np.linalg.norm(np.cross(lines, chosen), axis=1).max() <= _SLOPE else None
+
+
+def _beside(edge_on: FloatArray, up: FloatArray) -> FloatArray:
+    """Return a direction (3,) beside and above the one in which slopes are seen edge-on, on the usual side."""
+    left, right = (turned(edge_on, up, angle) for angle in (-_ASIDE, _ASIDE))
+    usual = _USUAL @ upright(up)
+    level = left if left @ usual > right @ usual else right
+    return np.asarray(np.cos(_ABOVE) * level + np.sin(_ABOVE) * up)
 
 
 def _weights(radius: FloatArray) -> FloatArray:

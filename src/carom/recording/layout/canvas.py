@@ -212,6 +212,7 @@ class Additions:
     close: CloseView | None = None
     trails: bool = False
     recoloured: bool = False
+    by_stage: bool = False  # whether the edges beside the bodies have the colours of the solver's stages
     plots: PlotsOfBodies | None = None  # of single bodies
     legend: LegendView | None = None
     named: tuple[str, ...] = ()  # (n,) names beside the bodies, empty for bodies without; () for none at all

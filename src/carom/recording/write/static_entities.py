@@ -288,8 +288,9 @@ def _legend(header: Header) -> str:
     elif header.collides:
         stages = ", ".join(f"{k} {name}" for k, name in enumerate(palette.STAGE_NAMES))
         lines.append(
-            f"- Lines join the centres of touching bodies. Their colour is the stage in which the contact is resolved: "
-            f"{stages}, then again from the start; white is the last, serial stage (past {palette.SERIAL_STAGE})."
+            f"- Lines join the centres of touching bodies. Their recorded colour, which `--edges stage` shows, is the "
+            f"stage in which the contact is resolved: {stages}, then again from the start; white is the last, serial "
+            f"stage (past {palette.SERIAL_STAGE})."
         )
     if header.records_contacts:
         lines += _impulse_legend(header)
@@ -316,7 +317,7 @@ def _impulse_legend(header: Header) -> list[str]:
     longest, joules = header.units.text(arrow_length(header, FORCE_NORMAL), LENGTH, ".4g"), _drawn(header, "J")
     friction = ", and the friction on it (purple)" if header.has_friction else ""
     lines = [
-        "- In the view of impulses the same lines are wide and bright by the normal impulse J of the step: "
+        "- Both views colour these lines by the normal impulse J of the step; that of impulses draws wider lines, too: "
         "u = s / (1 + s), s = (J / m_ref)^⅓, from dark purple (u = 0) over red (⅓) and orange (⅔) to pale yellow (1). "
         "Chains of wide lines carry the load. m_ref is the median of the frame.",
         "- The contacts of the largest impulses have arrows at the contact point: the normal impulse on the second "
