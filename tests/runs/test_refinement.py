@@ -99,6 +99,26 @@ def test_a_ball_that_slides_and_then_rolls_loses_the_same_energy_with_shorter_st
     assert result.same and result.compared == 1.0
 
 
+def test_a_heavy_ball_that_a_correction_lifts_by_a_hundred_millionth_is_no_fault() -> None:
+    """A stack between two walls, found by a hunt; the heavy ball rests on the light one, 3e-6 radii deep."""
+    radius = 0.1778279
+    result = refine(
+        scene_of(
+            [
+                {"position": [0.0, 0.0, -0.177828], "radius": radius},
+                {"position": [0.0, 0.0, 0.177828], "radius": radius, "mass": 20000.0},
+            ],
+            time={"duration": 0.007},
+            gravity={"constant": 0.0, "uniform": [0.0, 0.0, -2.0]},
+            contact={"restitution": 0.0, "static_friction": 0.0},
+            domain={"boundary": "walls", "size": [0.4, 0.4, 0.7113118]},
+        ),
+        threads=1,
+        instants=FEW,
+    )
+    assert result.same
+
+
 def test_a_part_of_a_recording_is_compared_from_the_checkpoint_before(tmp_path: Path) -> None:
     recording = carom.run(late(fixed_dt=0.25), tmp_path / "late.rrd", threads=1)
     assert not refine(recording, 4.0, 0.0, 2.0, threads=1).same
