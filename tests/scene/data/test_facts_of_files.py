@@ -175,6 +175,49 @@ def test_a_sphere_in_cgs_units_is_the_same_in_every_format(tmp_path: Path, file:
     np.testing.assert_allclose(body.mass[0] * mass, 2500.0 * np.pi * 4.0 / 3.0 * 0.002**3, rtol=1e-14)
 
 
+def npz(path: Path) -> None:
+    np.savez(path, position=[VALUES[:3]], velocity=[VALUES[3:6]], mass=[VALUES[6]], radius=[0.1 * VALUES[7]])
+
+
+def gsd(path: Path) -> None:
+    """Write a file of HOOMD, whose units are those of its user ("Units", documentation of HOOMD-blue)."""
+    import gsd.hoomd
+
+    with gsd.hoomd.open(str(path), "w") as file:
+        frame = gsd.hoomd.Frame()
+        frame.particles.N = 1
+        frame.particles.position, frame.particles.velocity = [VALUES[:3]], [VALUES[3:6]]
+        frame.particles.mass, frame.particles.diameter = [VALUES[6]], [0.2 * VALUES[7]]
+        frame.configuration.box = [10, 10, 10, 0, 0, 0]
+        file.append(frame)
+
+
+def mercury(path: Path) -> None:
+    """Write a file of MercuryDPM, whose units are those of its user; it has no masses."""
+    x, y, z, *velocity, _, radius = VALUES
+    numbers = (x, y, z, *velocity, 0.1 * radius, *[0.0] * 6, 0)
+    path.write_text(f"1 0 0 0 0 8 4 8\n{' '.join(map(repr, numbers))}\n", encoding="utf-8")
+
+
+@pytest.mark.parametrize(("units", "length", "mass"), [("g, cm, s", "cm", "g"), ("kg, m, s", "m", "kg")])
+@pytest.mark.parametrize(
+    ("file", "write"), [("a.npz", npz), pytest.param("a.gsd", gsd, marks=pytest.mark.needs("gsd")), ("a.data", mercury)]
+)
+def test_a_file_that_states_no_units_is_in_those_of_the_scene_and_a_note_says_so(
+    tmp_path: Path, file: str, write: Callable[[Path], None], units: str, length: str, mass: str
+) -> None:
+    write(tmp_path / file)
+    more = f'density = "2.5 {mass}/{length}^3"' if write is mercury else ""
+    scene = scene_of(tmp_path, file, more, f'units = "{units}"')
+    body, notes = scene.data[0], " ".join(scene.notes[0])
+    single = 1e-6  # GSD has numbers of 32 bits
+    np.testing.assert_allclose(body.position[0], VALUES[:3], rtol=single)
+    np.testing.assert_allclose(body.velocity[0], VALUES[3:6], rtol=single)
+    np.testing.assert_allclose(body.radius[0], 0.1 * VALUES[7], rtol=single)
+    np.testing.assert_allclose(body.mass[0], VALUES[6], rtol=single)
+    assert f"(2 to 4.416 {length})" in notes and (write is mercury or f"(0.0837758 {mass})" in notes)
+
+
 @pytest.mark.parametrize("units", ["real", "metal"])
 def test_densities_of_lammps_in_atomic_units_are_in_grams_per_cubic_centimetre(tmp_path: Path, units: str) -> None:
     # the page of LAMMPS's command `units`: for real and metal, "density = gram/cm^dim"
@@ -264,6 +307,7 @@ def test_an_h5md_is_read_at_a_step_in_its_units(tmp_path: Path) -> None:
     ("group", "h", "header"),
     [
         ("Header", 0.5, {"UnitLength_in_cm": 3e21, "UnitMass_in_g": 2e43, "UnitVelocity_in_cm_per_s": 1e5}),
+        ("Header", 0.7, {"UnitLength_In_CGS": 3e21, "UnitMass_In_CGS": 2e43, "UnitVelocity_In_CGS": 1e5}),
         ("Parameters", 1.0, {"UnitLength_in_cm": 3e21, "UnitMass_in_g": 2e43, "UnitVelocity_in_cm_per_s": 1e5}),
         (
             "Units",
@@ -271,10 +315,13 @@ def test_an_h5md_is_read_at_a_step_in_its_units(tmp_path: Path) -> None:
             {"Unit length in cgs (U_L)": [3e21], "Unit mass in cgs (U_M)": 2e43, "Unit time in cgs (U_t)": 3e16},
         ),
     ],
-    ids=["Gadget-2, AREPO", "Gadget-4", "SWIFT"],
+    ids=["Gadget-2, AREPO", "GIZMO", "Gadget-4", "SWIFT"],
 )
 def test_units_in_the_header_of_a_snapshot_count(tmp_path: Path, group: str, h: float, header: dict[str, Any]) -> None:
-    """User guide for GADGET-2, section 5.2: UnitLength_in_cm is the unit "in cm/h", UnitMass_in_g "in g/h"."""
+    """User guide for GADGET-2, section 5.2: UnitLength_in_cm is the unit "in cm/h", UnitMass_in_g "in g/h".
+
+    GIZMO's own reader, load_from_snapshot.py, divides coordinates and masses by HubbleParam, and velocities not.
+    """
     import h5py
 
     with h5py.File(tmp_path / "a.hdf5", "w") as file:

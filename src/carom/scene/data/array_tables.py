@@ -226,8 +226,9 @@ class _Snapshot(_Datasets):
 def _units_of_gadget(header: Mapping[str, Any]) -> dict[str, str]:
     """Return the units that a header states, by the keys of [units].
 
-    Gadget and AREPO count lengths and masses in 1/h of UnitLength_in_cm and UnitMass_in_g (Springel, User guide for
-    GADGET-2, section 5.2: "the internal length unit in cm/h"), with h in HubbleParam.
+    Gadget, AREPO and GIZMO count lengths and masses in 1/h of UnitLength_in_cm and UnitMass_in_g, with h in HubbleParam
+    (Springel, User guide for GADGET-2, section 5.2: "the internal length unit in cm/h"; Hopkins, load_from_snapshot.py
+    of GIZMO, multiplies Coordinates and Masses by 1/h and Velocities not).
     """
     h = float(np.max(header.get("HubbleParam", 1.0))) or 1.0
     found = dict[str, str]()
