@@ -119,7 +119,7 @@ OPTIONAL = {  # module → its names in scenes and commands
     "scene/data/particle_text.py": ("dump", "xyz"),
     "scene/data/rebound_archive.py": ("bin",),
     "scene/data/vtk_tables.py": ("vtk", "vtp"),
-    "recording/export/csv_parquet.py": ("csv",),
+    "recording/export/table_files.py": ("csv",),
     "recording/export/npz.py": ("npz",),
     "recording/export/extended_xyz.py": ("extxyz",),
     "recording/export/vtk.py": ("vtk",),

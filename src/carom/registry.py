@@ -104,8 +104,9 @@ HOUSE: Mapping[str, Mapping[str, str]] = {  # carom's own parts: kind â†’ name â
         "rebound": "carom.scene.data.rebound_archive:REBOUND",
     },
     "export_formats": {
-        "parquet": "carom.recording.export.csv_parquet:write_parquet",
-        "csv": "carom.recording.export.csv_parquet:write_csv",
+        "parquet": "carom.recording.export.table_files:write_parquet",
+        "csv": "carom.recording.export.table_files:write_csv",
+        "arrow": "carom.recording.export.table_files:write_arrow",
         "npz": "carom.recording.export.npz:write_npz",
         "extxyz": "carom.recording.export.extended_xyz:write_extended_xyz",
         "vtk": "carom.recording.export.vtk:VTK",

@@ -157,7 +157,7 @@ def test_exports_have_the_bodies_that_exist(recording: Recording, tmp_path: Path
         assert command("export", str(recording.path), "--all", "-o", name, cwd=tmp_path).returncode == 0
     rows = pc.read_csv(tmp_path / "all.csv")
     at = rows.filter(np.array(rows["step"]) == MERGER)
-    assert (at["body"].to_pylist(), at["mass"].to_pylist()) == ([2, 3], [4.0, 3.0])
+    assert (at["body"].to_pylist(), at["mass [kg]"].to_pylist()) == ([2, 3], [4.0, 3.0])
     assert rows.num_rows == 3 * MERGER + 2 * (POUR - MERGER) + 3 * (STEPS + 1 - POUR)
     with np.load(tmp_path / "all.npz", allow_pickle=False) as arrays:
         there = np.array([recording.present(step) for step in range(STEPS + 1)])

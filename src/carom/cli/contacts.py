@@ -71,6 +71,7 @@ def contacts(
     from carom.errors import RecordingError
     from carom.recording.edit.bundle import opened
     from carom.recording.export import refuse_format
+    from carom.recording.read.recorded_contacts import named_contacts
     from carom.recording.read.recording import Recording
     from carom.recording.write.whole_file import refuse_output
     from carom.terminal.console import replaying
@@ -113,10 +114,10 @@ def contacts(
             at = given.end(recording, watch)
         table = _table(recording, at, bodies, impacts, start, end, again)
         if output is not None:
-            _write_table(_named(recording, table), output)
+            _write_table(named_contacts(recording, table), output)
             say(f"{output} written: {counted(table.num_rows, 'row')}, {_source(table)}.")
         elif as_csv:
-            say(_csv_text(_named(recording, table)))
+            say(_csv_text(named_contacts(recording, table)))
         elif as_json:
             say_json(_json(recording, table))
         else:
@@ -209,12 +210,13 @@ def _write_table(table: pa.Table, path: Path) -> None:
 
     from carom.errors import RecordingError
     from carom.recording.export.spreadsheet import harmless
+    from carom.recording.read.state_columns import units_in_names
     from carom.recording.write.whole_file import whole_file
 
     try:
         with whole_file(path) as part:
             if path.suffix == ".csv":
-                pc.write_csv(harmless(_with_units(table)), part)
+                pc.write_csv(harmless(units_in_names(table)), part)
             else:
                 pq.write_table(table, part)
     except OSError as error:
@@ -227,35 +229,11 @@ def _csv_text(table: pa.Table) -> str:
     import pyarrow.csv as pc
 
     from carom.recording.export.spreadsheet import harmless
+    from carom.recording.read.state_columns import units_in_names
 
     out = io.BytesIO()
-    pc.write_csv(harmless(_with_units(table)), out)
+    pc.write_csv(harmless(units_in_names(table)), out)
     return str(out.getvalue().decode()).rstrip("\n")
-
-
-def _named(recording: Recording, table: pa.Table) -> pa.Table:
-    """Add the names of both bodies or planes, and to each field its unit."""
-    import pyarrow as pa
-
-    from carom.recording.read.lookup import names_of
-    from carom.recording.read.recorded_contacts import UNITS
-
-    names, fields = names_of(recording), []
-    for field in table.schema:
-        unit = {"unit": UNITS[field.name]} if field.name in UNITS else None
-        fields.append(field.with_metadata(unit))
-    named = table.cast(pa.schema(fields, table.schema.metadata))
-    for place, number in ((4, "i"), (5, "j")):  # after step, time, i and j
-        texts = [names.of(each) for each in table[number].to_pylist()]
-        named = named.add_column(place, f"name_{number}", pa.array(texts, pa.string()))
-    return named
-
-
-def _with_units(table: pa.Table) -> pa.Table:
-    """Write the units into the names of the columns, for formats without units."""
-    units = [(field.metadata or {}).get(b"unit", b"").decode() for field in table.schema]
-    names = zip(table.column_names, units, strict=True)
-    return table.rename_columns([f"{name} [{unit}]" if unit else name for name, unit in names])
 
 
 def _json(recording: Recording, table: pa.Table) -> dict[str, Any]:

@@ -157,13 +157,14 @@ def export(
     everything: Annotated[bool, typer.Option("--all", help="Export all recorded frames instead of one step.")] = False,
     force: ForceOption = False,
 ) -> None:
-    """Write the bodies, in double precision, for ParaView, OVITO, pandas or NumPy; of a clip, the bodies that it shows.
+    """Write bodies, contacts and energies, in double precision, for ParaView, OVITO, pandas or NumPy.
 
-    States between checkpoints are computed again. With --all, a .vtk becomes a folder of files and a .vtk.series.
+    States between checkpoints are computed again. Tables (.parquet, .csv, .arrow) have contacts and energies in files
+    of their own beside that of the bodies. With --all, a .vtk becomes a folder of files and a .vtk.series.
     """
     from carom.errors import RecordingError
     from carom.recording.edit.bundle import opened
-    from carom.recording.export import refuse_export, write
+    from carom.recording.export import others_of, refuse_export, write
     from carom.recording.read.recording import Recording
     from carom.runs.recomputed import snapshots
     from carom.terminal.console import replaying
@@ -179,10 +180,12 @@ def export(
             steps, when = snapshots(recording, given.end(recording, watch), everything=everything, watch=watch), ""
             if not everything:  # a moment selects the end of its step
                 one = next(steps)
-                steps, when = iter([one]), f", t = {recording.units.text(one.state.time, TIME, '.9g')}"
+                steps, when = iter([one]), f", t = {recording.units.text(one.time, TIME, '.9g')}"
             written, count = write(output, steps, everything)
         bodies = len(recording.shown)
     say(f"{written} written: {counted(count, 'step')} of {counted(bodies, 'body')}{when}.")
+    if beside := [str(file) for file in others_of(output) if file.exists()]:
+        say(f"Beside it: {', '.join(beside)}.")
 
 
 def report(

@@ -13,10 +13,13 @@ from numpy.typing import NDArray
 
 from carom.arrays import BoolArray, FloatArray, IntArray
 from carom.errors import NotRecordedError, RecordingError, SceneError
+from carom.physics.checkpoint import Checkpoint
+from carom.physics.frame import Frame
 from carom.recording.export import Snapshot
 from carom.recording.read.lookup import goal_of, interval, tolerance
-from carom.recording.read.recorded_contacts import MEASURED
+from carom.recording.read.recorded_contacts import MEASURED, named_contacts
 from carom.recording.read.recording import Recording
+from carom.recording.read.state_columns import state_vectors
 from carom.recording.schema.paths import STEP
 from carom.runs.window import Watcher, Window
 
@@ -108,7 +111,7 @@ def snapshots(
     if recording.engine:
         yield from _kept(recording, steps if everything else steps[[int(np.searchsorted(times, goal))]])
         return
-    window = Window(recording, goal, watch=watch)
+    window = Window(recording, goal, contacts=True, watch=watch)
     own = _own(recording, window.fixed)
     wanted, left = (set(steps.tolist()), len(steps)) if everything else (set[int](), 1)
     frames = window.frames(np.inf if everything else goal)
@@ -117,7 +120,9 @@ def snapshots(
         if window.differs is not None:
             raise RecordingError(f"{recording.path}: the rerun has different bits from step {window.differs} on")
         left -= 1
-        yield Snapshot(frame.checkpoint, *own, window.cell(frame.time))
+        contacts = window.contacts_of(frame)
+        named = None if contacts is None else named_contacts(recording, contacts)
+        yield _snapshot(recording, frame, *own, named, window.cell(frame.time))
     if left:
         raise RecordingError(f"{recording.path} ends earlier when it is rerun; its bits differ")
 
@@ -133,7 +138,28 @@ def _kept(recording: Recording, steps: IntArray) -> Iterator[Snapshot]:
     for state in recording.checkpoints(steps.tolist()):
         there = recording.present(state.step)[body]
         own = {name: values[there] for name, values in others.items()}
-        yield Snapshot(state, body[there], mass[there], radius[there], own)
+        contacts = None
+        if recording.records_contacts:
+            contacts = named_contacts(recording, recording.contacts(state.time))
+        yield _snapshot(recording, state, body[there], mass[there], radius[there], own, contacts)
+
+
+def _snapshot(
+    recording: Recording,
+    state: Checkpoint | Frame,
+    body: IntArray,
+    mass: FloatArray,
+    radius: FloatArray,
+    others: dict[str, NDArray[Any]],
+    contacts: pa.Table | None,
+    cell: FloatArray | None = None,
+) -> Snapshot:
+    vectors = state_vectors(state, body, recording.bodies.mass, recording.bodies.inertia)
+    energies = dict[str, float]()
+    for name in recording.energy().column_names:
+        with suppress(AttributeError):  # a series of an installed package, or no energy
+            energies[name] = state.energy.named(name)
+    return Snapshot(state.step, state.time, body, mass, radius, others, vectors, energies, contacts, cell)
 
 
 def _own(recording: Recording, fixed: BoolArray) -> tuple[IntArray, FloatArray, FloatArray, dict[str, NDArray[Any]]]:

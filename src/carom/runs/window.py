@@ -19,7 +19,8 @@ from carom.recording.read.lookup import goal_of, tolerance
 from carom.recording.read.recorded_contacts import of_shown, table_of_rows, with_angular_impulses
 from carom.recording.read.recorded_scene import fixed_of, recorded_scene, start_of
 from carom.recording.read.recording import Recording
-from carom.recording.read.tables import frames_with, state_table, table_of_bodies
+from carom.recording.read.state_columns import BodyTrajectories, state_table, state_vectors
+from carom.recording.read.tables import frames_with, frames_within, shown_bodies, table_of_bodies
 from carom.scene.load import Scene
 from carom.scene.units.dimension import TIME
 
@@ -117,20 +118,23 @@ class Window:
                 self._watch(self._space.status)
             yield frame
 
-    def state_at(self, at: float) -> Checkpoint:
-        """Return the state at the end of the step that contains a time (s)."""
+    def state_at(self, at: float) -> Frame:
+        """Return the frame at the end of the step that contains a time (s)."""
         goal = goal_of(self._recording, at)
         for frame in self.frames(goal):
             if frame.time >= goal:
-                return frame.checkpoint
+                return frame
         raise self._ends_before(at)
 
-    def states(self, steps: Sequence[int]) -> list[Checkpoint]:
-        """Return the states of recorded frames, given by their ascending steps."""
-        wanted, states = set(steps), list[Checkpoint]()
+    def states(self, steps: Sequence[int], bodies: Sequence[int]) -> list[dict[str, FloatArray]]:
+        """Return the states of some bodies in recorded frames, given by their ascending steps."""
+        wanted, states = set(steps), list[dict[str, FloatArray]]()
+        if steps[0] < self.begin:
+            raise RecordingError(f"the rerun begins at step {self.begin}, after step {steps[0]}: rerun an earlier time")
+        own, all_bodies = np.array(bodies, dtype=np.int64), self._recording.bodies
         for frame in self.frames(np.inf):
             if frame.step in wanted:
-                states.append(frame.checkpoint)
+                states.append(state_vectors(frame, own, all_bodies.mass, all_bodies.inertia))
             if frame.step >= steps[-1]:
                 break
         if len(states) < len(steps):
@@ -143,19 +147,28 @@ class Window:
 
     def trajectory(self, body: int | str, start: float = -np.inf, end: float = np.inf) -> pa.Table:
         """Return the path of one body, with one row per frame from one time (s) on to another; see `Recording`."""
-        number, steps, _ = frames_with(self._recording, body, start, end)
-        if steps[0] < self.begin:
-            raise RecordingError(f"the rerun begins at step {self.begin}, after step {steps[0]}: rerun an earlier time")
-        table = state_table(self.states(steps.tolist()), number)
+        number, steps, times = frames_with(self._recording, body, start, end)
+        table = state_table(steps.tolist(), times.tolist(), self.states(steps.tolist(), [number]))
         exact = pa.array(np.ones(table.num_rows, dtype=bool))
         return table.append_column("exact", exact).replace_schema_metadata({"source": self.source})
+
+    def trajectories(
+        self, bodies: Sequence[int | str] | None = None, start: float = -np.inf, end: float = np.inf
+    ) -> BodyTrajectories:
+        """Return the paths of several bodies, with all quantities, from one time (s) on to another; see `Recording`."""
+        numbers, (steps, times) = shown_bodies(self._recording, bodies), frames_within(self._recording, start, end)
+        states = self.states(steps.tolist(), numbers)
+        common = [name for name in states[0] if all(name in state for state in states)]
+        vectors = {name: np.stack([state[name] for state in states]) for name in common}
+        exact = np.ones(len(steps), dtype=np.bool_)
+        return BodyTrajectories(np.array(numbers, dtype=np.int64), steps, times, exact, vectors, self.source)
 
     def contacts(self, at: float) -> pa.Table:
         """Return the contact table of the step that contains a time (s)."""
         goal = goal_of(self._recording, at)
         for frame in self.frames(goal):
-            if frame.time >= goal and frame.contact_rows is not None:
-                return self._of_recording(table_of_rows(frame.contact_rows, self.source, frame.dt))
+            if frame.time >= goal and (table := self.contacts_of(frame)) is not None:
+                return table
         raise self._ends_before(at)
 
     def impacts(self, first: float, last: float) -> pa.Table:
@@ -175,6 +188,12 @@ class Window:
         inside = (rows["step"] >= begin) & (rows["time"] >= first) & (rows["time"] <= last)
         table = self._of_recording(table_of_rows(rows[inside], self.source))
         return table.replace_schema_metadata({"source": self.source, "left_out": str(left_out)})
+
+    def contacts_of(self, frame: Frame) -> pa.Table | None:
+        """Return the contact table of a frame; None if it has none."""
+        if frame.contact_rows is None:
+            return None
+        return self._of_recording(table_of_rows(frame.contact_rows, self.source, frame.dt))
 
     def _of_recording(self, table: pa.Table) -> pa.Table:
         return with_angular_impulses(of_shown(table, self._recording), self._recording)

@@ -63,6 +63,33 @@ def test_a_trajectory_has_each_frames_position_within_the_rounding_of_float32(
     assert np.abs(vectors(path, "x y z") - exact).max() <= 2.0 * FLOAT32 * 10.0  # coordinates up to 10 m
 
 
+def test_the_trajectories_of_all_bodies_are_those_of_each(recording: Recording) -> None:
+    paths = recording.trajectories()
+    assert paths.position.shape == (recording.frames, 4, 3) and paths.body.tolist() == [0, 1, 2, 3]
+    for body in range(4):
+        path = recording.trajectory(body)
+        assert np.array_equal(vectors(path, "x y z"), paths.position[:, body])
+        assert np.array_equal(vectors(path, "vx vy vz"), paths.vectors["velocity"][:, body], equal_nan=True)
+    assert np.array_equal(path["exact"].to_numpy(), paths.exact) and np.array_equal(path["time"], paths.time)
+    some = recording.trajectories(["right", 0], 1.0, 2.0)
+    inside = (paths.time >= 1.0 - 1e-9) & (paths.time <= 2.0 + 1e-9)
+    assert np.array_equal(some.position, paths.position[inside][:, [1, 0]]) and some.body.tolist() == [1, 0]
+
+
+def test_the_trajectories_of_a_rerun_have_all_quantities_at_every_frame(
+    recording: Recording, steps: list[Frame]
+) -> None:
+    paths = carom.rerun(recording, 0.0).trajectories()
+    assert paths.exact.all() and len(paths.step) == recording.frames
+    frames = [steps[step] for step in paths.step.tolist()]
+    for name in ("position", "velocity", "angular_velocity", "torque", "angular_acceleration"):
+        assert np.array_equal(paths.vectors[name], [getattr(frame, name) for frame in frames]), name
+    kinetic = [frame.energy.translational for frame in frames]
+    assert np.allclose(paths.vectors["kinetic_energy"].sum(axis=(1, 2)), kinetic, rtol=1e-14), "order of the sum"
+    rotational = [frame.energy.rotational for frame in frames]
+    assert np.allclose(paths.vectors["rotational_energy"].sum(axis=(1, 2)), rotational, rtol=1e-14)
+
+
 def test_a_trajectory_has_the_exact_state_at_checkpoints_and_nulls_elsewhere(
     recording: Recording, steps: list[Frame]
 ) -> None:

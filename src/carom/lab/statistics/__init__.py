@@ -400,8 +400,8 @@ class Interval:
         most = max(1, min(MOST_STATES, MOST_VELOCITIES // self.bodies))
         if self.replay:
             window = rerun(self.recording, float(self.time[0]), watch=self.watch)
-            states = window.states(self.step[self.chosen(most)].tolist())
-            return np.stack([self._relative_to_flow(state.velocity, state.position) for state in states])
+            found = window.states(self.step[self.chosen(most)].tolist(), range(self.bodies))
+            return np.stack([self._relative_to_flow(state["velocity"], state["position"]) for state in found])
         known = [step for step in self.recording.checkpoint_times if self.step[0] <= step <= self.step[-1]]
         known = [step for step in known if step > 0] or known
         if not known:

@@ -53,6 +53,14 @@ class Energy:
         others = dict(self.others)
         return others[name] if name in others else float(getattr(self, name))
 
+    def named(self, name: str) -> float:
+        """Return a term, the total, an entry of the ledger or the integration error by its name in the recording (J).
+
+        Raises AttributeError if it has another name.
+        """
+        own = ("translational", "rotational", "gravitational", "field", "total", "integration_error")
+        return self.term(name) if name in own or name in dict(self.others) else self.ledger.entry(name)
+
     @property
     def total(self) -> float:
         """Sum of the terms."""

@@ -7,46 +7,33 @@ import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+import pyarrow as pa
 from numpy.typing import NDArray
 
 from carom import registry
 from carom.arrays import FloatArray, IntArray
 from carom.errors import ExistsError, RecordingError
-from carom.recording.read.tables import AXES
+from carom.recording.read.state_columns import VectorsByName
 from carom.recording.write.whole_file import refuse_output
 from carom.scene.wording import suggestion
-
-if TYPE_CHECKING:
-    from carom.physics.checkpoint import Checkpoint
 
 
 @dataclass(frozen=True, slots=True)
 class Snapshot:
     """The bodies that exist and that a recording shows, at the end of a step, in float64 and SI units."""
 
-    state: Checkpoint  # the state of all bodies
+    step: int
+    time: float  # s, at the end of the step
     body: IntArray  # (n,) numbers of the shown bodies
     mass: FloatArray  # (n,) kg
     radius: FloatArray  # (n,) m
     others: Mapping[str, NDArray[Any]]  # (n,) further columns that a [[bodies]] section needs
+    vectors: VectorsByName  # the state by quantity, (n, k) each, without what is not modelled; see `STATE_QUANTITIES`
+    energies: Mapping[str, float]  # J, of all bodies, by the names of `Recording.energy`
+    contacts: pa.Table | None = None  # of the step, with names and units, see `Recording.contacts`; None: not known
     cell: FloatArray | None = None  # (3,) m, size of a periodic domain about the origin; or (3, 3) m, see `Shear.cell`
-
-    @property
-    def step(self) -> int:
-        """The number of the step."""
-        return self.state.step
-
-    @property
-    def time(self) -> float:
-        """The time at its end in s."""
-        return self.state.time
-
-    @property
-    def vectors(self) -> dict[str, FloatArray]:
-        """The state by quantity, (n, k) each; without orientation and spin where they are not modelled."""
-        return {name: getattr(self.state, name)[self.body] for name in AXES if getattr(self.state, name) is not None}
 
     def __len__(self) -> int:
         return len(self.mass)
@@ -59,6 +46,20 @@ class StepFiles:
     write: Callable[[Path, Snapshot], None]
     write_list: Callable[[Path, Sequence[tuple[str, float]]], None]  # writes the names of files and their times in s
     list_suffix: str  # of the list, after the name that is asked for
+
+
+CONTACTS, ENERGIES = "contacts", "energies"  # tables beside that of the bodies
+TABLES = (".parquet", ".csv", ".arrow")  # formats with several tables, each a file
+
+
+def others_of(path: Path) -> list[Path]:
+    """Return the files of the other tables beside that of the bodies."""
+    return [beside(path, part) for part in (CONTACTS, ENERGIES)] if path.suffix in TABLES else []
+
+
+def beside(path: Path, part: str) -> Path:
+    """Return the file of another table beside that of the bodies."""
+    return path.with_name(f"{path.stem}-{part}{path.suffix}")
 
 
 def refuse_format(path: Path, formats: Sequence[str] | None = None) -> None:
@@ -74,7 +75,9 @@ def refuse_export(path: Path, everything: bool, force: bool) -> None:
     refuse_format(path)
     made = registry.load("export_formats", path.suffix[1:])
     if not (everything and isinstance(made, StepFiles)):
-        return refuse_output(path, force)
+        for file in (path, *others_of(path)):
+            refuse_output(file, force)
+        return None
     refuse_output(path.with_name(path.name + made.list_suffix), force)
     folder = _folder_of(path)
     if folder.exists() and not (force and folder.is_dir()):
@@ -97,7 +100,11 @@ def write(path: Path, snapshots: Iterator[Snapshot], series: bool) -> tuple[Path
                 return _write_series(path, made, counted, Path(folder)), next(numbers)
             first = next(counted)
             made.write(part, first) if isinstance(made, StepFiles) else made(part, first, counted)
-            part.replace(path)
+            for file, final in zip((*others_of(part), part), (*others_of(path), path), strict=True):
+                if file.exists():  # a run without contacts has no table of them
+                    file.replace(final)
+                else:
+                    final.unlink(missing_ok=True)
     except OSError as error:
         raise RecordingError(f"cannot write {path}: {error.strerror or error}") from error
     return path, next(numbers)

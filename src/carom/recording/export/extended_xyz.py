@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from itertools import repeat
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -24,14 +25,20 @@ def write_extended_xyz(path: Path, first: Snapshot, others: Iterator[Snapshot]) 
         for snapshot in (first, *others):
             columns = [("pos", snapshot.vectors["position"]), ("radius", snapshot.radius[:, None])]
             columns += [("mass", snapshot.mass[:, None])]
-            columns += [(_COLUMNS[name], values) for name, values in snapshot.vectors.items() if name != "position"]
+            columns += [
+                (_COLUMNS.get(name, name), values) for name, values in snapshot.vectors.items() if name != "position"
+            ]
             kinds = "".join(f":{name}:R:{values.shape[1]}" for name, values in columns)
-            head = f"Properties=species:S:1:id:I:1{kinds} Time={snapshot.time!r} Step={snapshot.step} {_cell(snapshot)}"
+            names = [f" {'_'.join(str(name).split())}" for name in snapshot.others.get("name", ())]
+            kinds += ":name:S:1" if names else ""
+            energies = " ".join(f"energy_{name}={value!r}" for name, value in snapshot.energies.items())
+            head = f"Properties=species:S:1:id:I:1{kinds} Time={snapshot.time!r} Step={snapshot.step} {energies}"
             rows = np.concatenate([values for _, values in columns], axis=1).tolist()
             lines = [
-                f"X {body} {' '.join(map(repr, row))}" for body, row in zip(snapshot.body.tolist(), rows, strict=True)
+                f"X {body} {' '.join(map(repr, row))}{name}"
+                for body, row, name in zip(snapshot.body.tolist(), rows, names or repeat(""), strict=False)
             ]
-            file.write("\n".join([str(len(rows)), head, *lines, ""]))
+            file.write("\n".join([str(len(rows)), f"{head} {_cell(snapshot)}", *lines, ""]))
 
 
 def _cell(snapshot: Snapshot) -> str:

@@ -14,7 +14,8 @@ from carom.arrays import BoolArray, FloatArray, IntArray, Records
 from carom.contact_table import CONTACT_ROW, IMPACT_MODE, MODES
 from carom.errors import DamageError, NotRecordedError, RecordingError
 from carom.recording.read.entities import plain, reading
-from carom.recording.read.lookup import frame_of
+from carom.recording.read.lookup import frame_of, names_of
+from carom.recording.read.state_columns import with_units
 from carom.recording.rrd.messages import Chunk
 from carom.recording.schema import paths
 from carom.recording.schema.paths import STEP
@@ -83,6 +84,15 @@ def modes(numbers: NDArray[np.uint8], path: str) -> pa.Array:
     if len(numbers) and int(numbers.max()) >= len(MODES):
         raise DamageError(f"/{path} has a contact with an unknown mode")
     return pa.array(MODES).take(pa.array(numbers))
+
+
+def named_contacts(recording: Recording, table: pa.Table) -> pa.Table:
+    """Add the names of both bodies or planes, and to each field its unit."""
+    names, named = names_of(recording), with_units(table, UNITS)
+    for place, number in ((4, "i"), (5, "j")):  # after step, time, i and j
+        texts = [names.of(each) for each in table[number].to_pylist()]
+        named = named.add_column(place, f"name_{number}", pa.array(texts, pa.string()))
+    return named
 
 
 def of_body(table: pa.Table, body: int | None) -> pa.Table:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 from functools import cached_property
 from importlib.metadata import version as installed_version
@@ -19,9 +19,10 @@ from carom.recording.read.entities import CHECKPOINT_TIMES, Values, reading
 from carom.recording.read.lookup import check_times, moment
 from carom.recording.read.recorded_contacts import contacts
 from carom.recording.read.recorded_impacts import impacts
+from carom.recording.read.state_columns import BodyTrajectories
 from carom.recording.read.statics import BodyTable, decode_bodies, decode_names, named
 from carom.recording.read.summary import html_of, summary
-from carom.recording.read.tables import FrameTables, bodies_at, checkpoints_at, trajectory
+from carom.recording.read.tables import FrameTables, bodies_at, checkpoints_at, trajectories, trajectory
 from carom.recording.rrd.container import Container
 from carom.recording.rrd.messages import RECORDING, Chunk, Store
 from carom.recording.schema import paths
@@ -173,12 +174,39 @@ class Recording(FrameTables):
         -------
         path
             Columns step, time (s), x, y, z (m), vx, vy, vz (m/s), with orientations qx, qy, qz, qw, with spins wx, wy,
-            wz (rad/s), and ``exact``: whether the row is in float64. Only rows of checkpoints are; the others have
-            float32 positions and nulls elsewhere. `carom.rerun` computes all in float64. The metadata of the schema
-            state the ``source``.
+            wz (rad/s), with the accelerations ax, ay, az (m/s², without contacts and drag), kinetic_energy and
+            rotational_energy (J), and ``exact``: whether the row is in float64. Only rows of checkpoints are; the
+            others have float32 positions and nulls elsewhere. `carom.rerun` computes all in float64. Fields have their
+            unit as metadata; the metadata of the schema state the ``source``.
         """
         check_times(start=start, end=end)
         return trajectory(self, body, start, end)
+
+    def trajectories(
+        self, bodies: Sequence[int | str] | None = None, start: float = -np.inf, end: float = np.inf
+    ) -> BodyTrajectories:
+        """Return the paths of several bodies as arrays, such as ``position`` (frames, bodies, 3).
+
+        Raises RecordingError if there is no such body or no frame in the interval.
+
+        Parameters
+        ----------
+        bodies
+            Their numbers or names; by default all bodies that the recording shows.
+        start, end
+            s, both included.
+
+        Returns
+        -------
+        paths
+            ``step``, ``time`` (s), ``body`` and ``exact`` as in `trajectory`, ``position`` (m), and ``vectors``, the
+            arrays of all quantities by name: position, velocity (m/s) and, where they are modelled, orientation
+            (xyzw), angular_velocity (rad/s) and energies (J). Between checkpoints, the recording has only positions,
+            in float32; the other values are NaN. `carom.rerun` computes all of them in float64, with torques and
+            angular accelerations. Bodies that do not exist in a frame are NaN.
+        """
+        check_times(start=start, end=end)
+        return trajectories(self, bodies, start, end)
 
     def impacts(self, start: float | None = None, end: float | None = None, body: int | str | None = None) -> pa.Table:
         """Return the recorded impacts of an interval in order of time; numbers above 3.4e38 are infinite.

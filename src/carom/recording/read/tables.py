@@ -26,6 +26,14 @@ from carom.recording.read.entities import (
     values_of,
 )
 from carom.recording.read.lookup import body_number, frame_of, shown_body, tolerance
+from carom.recording.read.state_columns import (
+    STATE_QUANTITIES,
+    BodyTrajectories,
+    in_columns,
+    state_table,
+    state_vectors,
+    with_units,
+)
 from carom.recording.read.statics import Statics, named
 from carom.recording.rrd.messages import release_memory
 from carom.recording.schema import paths
@@ -37,6 +45,7 @@ from carom.scene.wording import body_called
 
 if TYPE_CHECKING:
     from carom.physics.checkpoint import Checkpoint
+    from carom.physics.frame import Frame
     from carom.recording.read.recording import Recording
     from carom.recording.rrd.messages import Chunk
 
@@ -195,14 +204,6 @@ def rising(fingerprints: pa.Table) -> pa.Table:
     return fingerprints
 
 
-AXES = {
-    "position": ("x", "y", "z"),  # m
-    "velocity": ("vx", "vy", "vz"),  # m/s
-    "orientation": ("qx", "qy", "qz", "qw"),
-    "angular_velocity": ("wx", "wy", "wz"),  # rad/s
-}
-
-
 def bodies_at(recording: Recording, at: float | None) -> pa.Table:
     """Return the state of all bodies at the end of the step that contains a time (s); see `BodyTable`."""
     at = recording.moment(at)
@@ -218,60 +219,78 @@ def bodies_at(recording: Recording, at: float | None) -> pa.Table:
     return table_of_bodies(recording, checkpoint, "checkpoint")
 
 
-def table_of_bodies(recording: Recording, checkpoint: Checkpoint, source: str) -> pa.Table:
+def table_of_bodies(recording: Recording, state: Checkpoint | Frame, source: str) -> pa.Table:
     """Return a state as a table of all bodies; see `BodyTable`."""
-    numbers = np.flatnonzero(recording.present(checkpoint.step))
-    states = state_table([checkpoint], numbers)
+    numbers = np.flatnonzero(recording.present(state.step))
+    vectors = state_vectors(state, numbers, recording.bodies.mass, recording.bodies.inertia)
+    states = state_table([state.step], [state.time], [vectors])
     names = recording.bodies.name
     columns = {"body": pa.array(numbers), "name": pa.array([names[number] for number in numbers.tolist()])}
     columns |= {name: states[name] for name in states.column_names if name not in (STEP, "time")}
-    told = {"step": str(checkpoint.step), "time": repr(checkpoint.time), "source": source}
-    return pa.table(columns).replace_schema_metadata(told)
-
-
-def state_table(states: Sequence[Checkpoint], which: slice | int | IntArray) -> pa.Table:
-    """Tabulate the states of all or some bodies, step by step."""
-    each = 1 if isinstance(which, int) else len(states[0].position[which])
-    columns: dict[str, Any] = {
-        STEP: np.repeat([state.step for state in states], each),
-        "time": np.repeat([state.time for state in states], each),
-    }
-    for quantity, names in AXES.items():
-        if getattr(states[0], quantity) is not None:
-            values = np.concatenate([getattr(state, quantity)[which].reshape(-1, len(names)) for state in states])
-            columns |= dict(zip(names, np.ascontiguousarray(values.T), strict=True))
-    return pa.table(columns)
+    told = {"step": str(state.step), "time": repr(state.time), "source": source}
+    return with_units(pa.table(columns)).replace_schema_metadata(told)
 
 
 def trajectory(recording: Recording, body: int | str, start: float, end: float) -> pa.Table:
     """Return the path of one body; see `Recording.trajectory`."""
-    return _recorded_path(recording, *frames_with(recording, body, start, end))
+    number, steps, times = frames_with(recording, body, start, end)
+    found = _recorded_paths(recording, [shown_body(recording, number)], steps, times)
+    columns: dict[str, Any] = {STEP: steps, "time": times}
+    for quantity in STATE_QUANTITIES:
+        if quantity.name in found.vectors:
+            unknown = ~found.exact if quantity.name != "position" else None
+            for name, values in in_columns(quantity, found.vectors[quantity.name][:, 0]).items():
+                columns[name] = pa.array(values, mask=unknown)
+    return with_units(pa.table(columns | {"exact": found.exact})).replace_schema_metadata({"source": found.source})
 
 
-def frames_with(recording: Recording, body: int | str, start: float, end: float) -> tuple[int, IntArray, FloatArray]:
-    """Return the number of a body, and steps and times (s) of the frames of an interval (s) that have it."""
-    number = body_number(recording, body)
+def trajectories(
+    recording: Recording, bodies: Sequence[int | str] | None, start: float, end: float
+) -> BodyTrajectories:
+    """Return the paths of several bodies; see `Recording.trajectories`."""
+    return _recorded_paths(recording, shown_bodies(recording, bodies), *frames_within(recording, start, end))
+
+
+def shown_bodies(recording: Recording, bodies: Sequence[int | str] | None) -> list[int]:
+    """Return the numbers of bodies, by default of all that the recording shows."""
+    return list(recording.shown) if bodies is None else [shown_body(recording, body) for body in bodies]
+
+
+def frames_within(recording: Recording, start: float, end: float) -> tuple[IntArray, FloatArray]:
+    """Return steps and times (s) of the frames of an interval (s); RecordingError without any."""
     frames = recording.fingerprints()
     times = frames["time"].to_numpy()
     inside = np.flatnonzero((times >= start - tolerance(start)) & (times <= end + tolerance(end)))
     if len(inside) == 0:
         raise RecordingError(f"{recording.path} has no frame from {recording.units.span(start, end, TIME, 'g')}")
-    steps = frames[STEP].to_numpy()[inside]
-    if recording.lives is not None:
-        first, last = recording.lives[number]
-        inside = inside[(steps >= first) & (steps <= last)]
-        if len(inside) == 0:
-            name = body_called(number, recording.bodies.name[number])
-            span = recording.units.span(max(start, float(times[0])), min(end, float(times[-1])), TIME, "g")
-            raise RecordingError(f"{recording.path}: {name} does not exist from {span}")
-        steps = frames[STEP].to_numpy()[inside]
-    return number, steps, times[inside]
+    return frames[STEP].to_numpy()[inside], times[inside]
 
 
-def _recorded_path(recording: Recording, number: int, steps: IntArray, times: FloatArray) -> pa.Table:
-    """Return drawn positions (float32), with the exact states (float64) at checkpoints."""
-    shown = recording.shown
-    place, position = shown.index(shown_body(recording, number)), np.full((len(steps), 3), np.nan)
+def frames_with(recording: Recording, body: int | str, start: float, end: float) -> tuple[int, IntArray, FloatArray]:
+    """Return the number of a body, and steps and times (s) of the frames of an interval (s) that have it."""
+    number = body_number(recording, body)
+    steps, times = frames_within(recording, start, end)
+    if recording.lives is None:
+        return number, steps, times
+    first, last = recording.lives[number]
+    inside = (steps >= first) & (steps <= last)
+    if not inside.any():
+        name, known = body_called(number, recording.bodies.name[number]), recording.fingerprints()["time"]
+        span = recording.units.span(max(start, known[0].as_py()), min(end, known[-1].as_py()), TIME, "g")
+        raise RecordingError(f"{recording.path}: {name} does not exist from {span}")
+    return number, steps[inside], times[inside]
+
+
+_OF_STATES = ("velocity", "orientation", "angular_velocity")  # unknown without an exact state
+
+
+def _recorded_paths(
+    recording: Recording, numbers: Sequence[int], steps: IntArray, times: FloatArray
+) -> BodyTrajectories:
+    """Return drawn positions (float32) of bodies in frames, with the exact states (float64) at checkpoints."""
+    shown, own_places = recording.shown, np.array(numbers, dtype=np.int64)
+    places = np.searchsorted(np.array(shown), own_places)
+    position = np.full((len(steps), len(numbers), 3), np.nan)
     with reading(recording.path):
         for chunk in recording.chunks(recording.store.frames_of(paths.BODIES, steps[0], steps[-1])):
             own, centres = chunk.batch[STEP].to_numpy(), centres_of(chunk)
@@ -280,26 +299,28 @@ def _recorded_path(recording: Recording, number: int, steps: IntArray, times: Fl
             drawn = plain(centres).to_numpy().reshape(len(own), len(shown), 3)
             at = np.searchsorted(steps, own)
             known = steps[np.minimum(at, len(steps) - 1)] == own
-            position[at[known]] = drawn[known, place] + recording.origin
+            position[at[known]] = drawn[known][:, places] + recording.origin
     exact = np.isin(steps, recording.checkpoint_steps)
-    states: dict[int, Checkpoint] = {}
-    rows = np.flatnonzero(exact)
-    for row, state in zip(rows.tolist(), recording.checkpoints(steps[rows].tolist()), strict=True):
-        states[row], position[row] = state, state.position[number]
-    lost = np.flatnonzero(np.isnan(position).any(axis=1))
-    if len(lost):
-        step = int(steps[lost[0]])
+    rows, states = np.flatnonzero(exact), list[dict[str, FloatArray]]()
+    for checkpoint in recording.checkpoints(steps[rows].tolist()):
+        states.append(state_vectors(checkpoint, own_places, recording.bodies.mass, recording.bodies.inertia))
+    vectors = {"position": position}
+    for quantity in STATE_QUANTITIES:
+        if all(quantity.name in state for state in states) and (states or quantity.name in _OF_STATES):
+            values = vectors.setdefault(
+                quantity.name, np.full((len(steps), len(numbers), len(quantity.columns)), np.nan)
+            )
+            for row, state in zip(rows, states, strict=True):
+                values[row] = state[quantity.name]
+    lost = np.isnan(position).any(axis=2)
+    if recording.lives is not None:
+        first, last = recording.lives[own_places].T
+        lost &= (first >= 0) & (first <= steps[:, None]) & (steps[:, None] <= last)
+    if lost.any():
+        step = int(steps[np.flatnonzero(lost.any(axis=1))[0]])
         raise RecordingError(f"{recording.path} has no positions at step {step}: part of the file is missing")
-    columns: dict[str, Any] = {STEP: steps, "time": times}
-    columns |= dict(zip(AXES["position"], np.ascontiguousarray(position.T), strict=True))
-    for quantity in ("velocity", "orientation", "angular_velocity"):
-        if all(getattr(state, quantity) is not None for state in states.values()):
-            values = np.zeros((len(steps), len(AXES[quantity])))
-            for row, state in states.items():
-                values[row] = getattr(state, quantity)[number]
-            columns |= {n: pa.array(v, mask=~exact) for n, v in zip(AXES[quantity], values.T, strict=True)}
-    told = {"source": "recorded: float64 at checkpoints, float32 elsewhere"}
-    return pa.table(columns | {"exact": exact}).replace_schema_metadata(told)
+    told = "recorded: float64 at checkpoints, float32 elsewhere"
+    return BodyTrajectories(own_places, steps, times, exact, vectors, told)
 
 
 def checkpoints_at(recording: Recording, start: dict[str, Values], steps: Iterable[int]) -> Iterator[Checkpoint]:

@@ -117,6 +117,10 @@ def _arrays(reader: _Reader) -> dict[str, Raw]:
 
     def add(name: str, kind: str, width: int, rows: int) -> None:
         refuse_many_rows(reader.called, rows)
+        if kind.lower() == "string":  # names of points, a line each
+            for _ in range(rows * width):
+                reader.line()
+            return
         values = reader.array(kind, rows * width)
         if of_points or name == "points":
             if rows != points:
