@@ -12,7 +12,7 @@ from carom.display import close_up, movie
 from carom.display.legend import impact_marks
 from carom.display.presentation import Presentation, asked
 from carom.display.request import Request, shown_step
-from carom.display.staging import field_arrows, names_that_fit
+from carom.display.staging import axes_and_field, names_that_fit
 from carom.recording.layout import FIELD
 from carom.recording.layout.camera import CameraFit
 from carom.recording.layout.canvas import LEGEND, Area, CameraMotion, Canvas, View, free_corner, views_of
@@ -21,6 +21,8 @@ from carom.recording.read.recorded_scene import header_of_recording
 from carom.recording.read.recording import Recording
 from carom.recording.schema import palette, paths
 from carom.scene.load import Scene
+from carom.scene.units import dimension
+from carom.scene.units.system import UnitSystem
 
 
 @pytest.fixture(scope="module")
@@ -98,8 +100,24 @@ def test_an_arrow_shows_where_the_field_pulls_and_its_size(slope: Recording, bou
     np.testing.assert_allclose(vectors[0] / np.linalg.norm(vectors[0]), [0, 0, -1], atol=1e-6)  # float32
     np.testing.assert_allclose(vectors[1:] / np.linalg.norm(vectors[1]), np.eye(3), atol=1e-6)
     labels: Any = statics[f"{FIELD}/labels"]
-    assert labels.labels.as_arrow_array().to_pylist() == ["gravity, 9.81 m/s²", "x", "y", "z"]
-    assert FIELD not in dict(asked(bounce, Request()).supplement.statics)
+    assert labels.labels.as_arrow_array().to_pylist()[:4] == ["gravity, 9.81 m/s²", "x", "y", "z"]
+    floating: Any = dict(asked(bounce, Request(), Canvas(rendered=True)).supplement.statics)[f"{FIELD}/labels"]
+    assert floating.labels.as_arrow_array().to_pylist()[:3] == ["x", "y", "z"], "no field"
+
+
+@pytest.mark.parametrize("length", ["m", "mm", "au"])
+def test_the_axes_have_a_round_length_that_is_written_beside_them(slope: Recording, length: str) -> None:
+    units = UnitSystem({"length": length})
+    header, area = replace(header_of_recording(slope), units=units), Area(800.0, 500.0)
+    for distance in (0.3, 7.7, 10.0, 4e9):
+        eye = View(np.zeros(3), distance, CameraMotion.STILL, np.array([0.0, -1.0, 0.0]))
+        drawn: dict[str, Any] = dict(axes_and_field(header, eye, area, None, np.zeros((0, 3)), np.zeros(0)))
+        arrows, labels = drawn[FIELD], drawn[f"{FIELD}/labels"]
+        vectors = np.array(arrows.vectors.as_arrow_array().to_pylist())
+        number, unit = labels.labels.as_arrow_array().to_pylist()[3].removeprefix("axes: ").split(" ")
+        assert float(number) == float(f"{float(number):.1g}") and f"{float(number):e}"[0] in "125" and unit == length
+        np.testing.assert_allclose(vectors, units.factor(dimension.LENGTH) * float(number) * np.eye(3), rtol=1e-6)
+        assert 0.06 < vectors[0, 0] / eye.height() < 0.13, "a tenth of the view, rounded down"
 
 
 def test_the_arrow_and_the_axes_of_a_field_are_on_the_side_where_they_cover_less(slope: Recording) -> None:
@@ -110,7 +128,7 @@ def test_the_arrow_and_the_axes_of_a_field_are_on_the_side_where_they_cover_less
     for upper, lower in ((-1.0, -1.0), (1.0, -1.0), (-1.0, 1.0), (1.0, 1.0)):
         rows = [(-upper, 0.34), (-lower, -0.36)]  # at a path and a ball: the opposite of an empty place
         drawn = np.array([[side * left, 0.0, up * eye.height()] for side, up in rows])
-        arrows: Any = dict(field_arrows(header, eye, area, down, drawn, np.array([0.0, 0.3])))[FIELD]
+        arrows: Any = dict(axes_and_field(header, eye, area, down, drawn, np.array([0.0, 0.3])))[FIELD]
         origins = np.array(arrows.origins.as_arrow_array().to_pylist())
         assert np.sign(origins[[0, 1], 0]).tolist() == [upper, lower]
 

@@ -19,7 +19,7 @@ from carom.display.legend import GRAPH, LegendContents, drawn_during, impact_mar
 from carom.display.picture import headless, stable_picture, window_of
 from carom.display.presentation import asked, uniform_field
 from carom.display.request import Request
-from carom.display.staging import Staging, decades, field_arrows, impact_strip, whole_span
+from carom.display.staging import Staging, axes_and_field, decades, impact_strip, whole_span
 from carom.display.supplement import Supplement
 from carom.display.viewer import Viewer
 from carom.errors import RecordingError
@@ -239,9 +239,8 @@ def _layout(
         radius = np.resize(header.radius, len(some))
         corner = free_corner(seen, area.aspect, area.inset_share, some, radius) or CORNERS[0]
         statics += words.of(view).inside(seen, area, corner)
-        if field is not None:
-            statics += field_arrows(header, seen, area, field, some, radius, corner if added.inset[0] else None)
-            added = replace(added, field=True)
+        statics += axes_and_field(header, seen, area, field, some, radius, corner if added.inset[0] else None)
+        added = replace(added, axes=True)
     layout = blueprint(header, staging.camera, curves, canvas, view, added)
     drawn = [*strip, *drawn_logarithms, *staging.rows(), *staging.camera_rows(layout, steps, moments, positions)]
     if recoloured and bodies is not None:

@@ -19,14 +19,13 @@ from carom.display.request import (
     pair_of_step,
     shown_step,
 )
-from carom.display.staging import Staging, decades, field_arrows, impact_strip, names_that_fit, whole_span
+from carom.display.staging import Staging, axes_and_field, decades, impact_strip, names_that_fit, whole_span
 from carom.display.supplement import BodyPlots, Supplement, asked_quantities, body_series
 from carom.errors import RecordingError, SceneError
 from carom.physics.frame import Frame
 from carom.recording.layout import (
     ALL,
     CLOSE_UP,
-    FIELD,
     PLOT,
     WINDOW,
     as_happened,
@@ -232,8 +231,8 @@ def presentation(
         statics += words.of(only).inside(seen, area, corner)
     elif only == ALL:
         statics += words.wrapped(legend_area(laid_out, canvas, close is not None).width).statics()
-    if field is not None and seen.motion is CameraMotion.STILL:
-        statics += field_arrows(header, seen, area, field, visible, radius, corner)
+    if seen.motion is CameraMotion.STILL:
+        statics += axes_and_field(header, seen, area, field, visible, radius, corner)
     statics += arrow_styles(header, canvas.theme)
     impulses, strip, bands = impact_strip(recording)
     curves |= impulses
@@ -244,7 +243,7 @@ def presentation(
         added,
         named=names_that_fit(header, step.position, seen, area),
         viewer_time=viewer_time(header.units, clock),
-        field=any(path == FIELD for path, _ in statics),
+        axes=seen.motion is CameraMotion.STILL,
         struck=bool(strip),
         decades=logarithms,
         span=clock.nanoseconds(whole_span(recording)) if canvas.rendered else None,

@@ -1,4 +1,4 @@
-"""Parts that pictures and movies share: the camera, grids, trails, plots, the arrow of a field, and body names.
+"""Parts that pictures and movies share: the camera, grids, trails, plots, axes, the arrow of a field, and body names.
 
 Plots have content that is not in the file: a strip of the impacts, and logarithms of growing energies.
 """
@@ -37,7 +37,8 @@ MOST_POINTS = 1000  # of impacts; with a few more, a picture takes the software 
 _BANDS = (palette.ORANGE, palette.YELLOW)  # of alternate impacts
 MOST_NAMES = 12
 _ROW, _LETTER = 24.0, 7.5  # points, height of a label and width of a letter
-_LENGTH = 0.16  # of the field's arrow, in heights of the view; axes are 0.6 times as long
+_LENGTH = 0.16  # of the field's arrow, in heights of the view
+_AXIS = 0.8  # of the axes at most, in lengths of the field's arrow; at least 0.4, since they are rounded down
 _AXES = np.array([0xD42A1EFF, 0x0FA35AFF, 0x4A66F0FF], dtype=np.uint32)  # x, y, z
 
 
@@ -170,53 +171,64 @@ def whole_span(recording: Recording) -> Sequence[float]:
     return [float(times[0]), float(times[-1])]
 
 
-def field_arrows(
+def axes_and_field(
     header: Header,
     view: View,
     area: Area,
-    field: FloatArray,
+    field: FloatArray | None,
     drawn: FloatArray,
     radius: FloatArray,
     legend: tuple[int, int] | None = None,
 ) -> Iterator[Static]:
-    """Draw a uniform field (3,) m/s² as an arrow at the upper border of a view, and the axes of space at the lower.
+    """Draw the axes of space at the lower border of a view, with their length, and a uniform field at the upper.
 
-    Each is on the side where it covers less of what is ``drawn``, points (k, 3) m with radii (k,) m, and on the left if
-    both are equal. In a corner with a legend, it is beside the legend.
+    The axes are the scale of the picture: their length is a round number. Each arrow is on the side where it covers
+    less of what is ``drawn``, points (k, 3) m with radii (k,) m, and on the left if both are equal. In a corner with a
+    legend, it is beside the legend. The ``field`` is (3,) m/s², or None.
     """
-    height, size = view.height(), float(np.linalg.norm(field))
+    height, size = view.height(), 0.0 if field is None else float(np.linalg.norm(field))
     right, up = view.axes()
     length = _LENGTH * height
-    text = f"gravity, {header.units.text(size, dimension.ACCELERATION, '.4g')}"
+    axis = _round_length(_AXIS * length, header)
+    pull = f"gravity, {header.units.text(size, dimension.ACCELERATION, '.4g')}"
+    scale = f"axes: {header.units.text(axis, dimension.LENGTH, '.3g')}"
     places, sizes = view.on_screen(drawn), view.radius_on_screen(drawn, radius)[:, None]
-    reach = np.array([_LETTER * (len(text) + 1) / area.height, _LENGTH])  # half of the label and of the arrow
-    origins = []
-    for middle, extent, start in ((0.84 - _LENGTH, reach, 0.84), (-0.72, np.full(2, 1.5 * _LENGTH), -0.72)):
+    reach = np.array([_LETTER * (len(pull) + 1) / area.height, _LENGTH])  # half of the label and of the arrow
+
+    def placed(middle: float, extent: FloatArray, start: float) -> FloatArray:
         aside = np.zeros(2)  # by how far the legend displaces it on each side
         if legend is not None and legend[1] * start > 0.0:
             aside[int(legend[0] > 0)] = -2.0 * legend[1] * area.inset_share[1]
         sides = [np.array([x * 0.72 * area.aspect, middle + down]) for x, down in zip((-1.0, 1.0), aside, strict=True)]
         covered = [np.all(np.abs(places - side) < extent + sizes, axis=1).sum() for side in sides]
         chosen = int(covered[1] < covered[0]) if covered[0] != covered[1] else int(aside[0] != 0.0)
-        x, y = sides[chosen][0], start + aside[chosen]
-        origins.append(view.target + 0.5 * height * (x * right + y * up))
-    top, corner = origins
-    vectors = np.vstack([length * field / size, 0.6 * length * np.eye(3)])
+        place = sides[chosen][0] * right + (start + aside[chosen]) * up
+        return np.asarray(view.target + 0.5 * height * place)
+
+    corner = placed(-0.72, np.full(2, 1.5 * _LENGTH), -0.72)
+    origins, vectors = np.tile(corner, (3, 1)), axis * np.eye(3)
+    texts, ends = ["x", "y", "z", scale], np.vstack([corner + 1.15 * vectors, corner - 0.45 * _AXIS * length * up])
     theme = area.theme
-    ink, arrow = palette.INKS[theme], palette.legible([palette.FIELD], theme)
-    yield (
-        FIELD,
-        rr.Arrows3D(
-            origins=single(np.stack([top, corner, corner, corner])),
-            vectors=single(vectors),
-            colors=np.concatenate([arrow, palette.legible(_AXES, theme)]),
-            radii=line_radii(0.05 * length, 1.0),
-        ),
+    colours = palette.legible(_AXES, theme)
+    if field is not None:
+        top = placed(0.84 - _LENGTH, reach, 0.84)
+        origins, vectors = np.vstack([top, origins]), np.vstack([length * field / size, vectors])
+        texts, ends = [pull, *texts], np.vstack([top + 0.5 * vectors[0], ends])
+        colours = np.concatenate([palette.legible([palette.FIELD], theme), colours])
+    arrows = rr.Arrows3D(
+        origins=single(origins), vectors=single(vectors), colors=colours, radii=line_radii(0.05 * length, 1.0)
     )
-    texts = [text, "x", "y", "z"]
-    ends = np.vstack([top + 0.5 * vectors[0], corner + 1.15 * vectors[1:]])
+    yield FIELD, arrows
+    ink = palette.INKS[theme]
     labels = rr.Points3D(single(ends), radii=1e-6 * length, labels=texts, colors=ink, show_labels=True)
     yield f"{FIELD}/labels", labels
+
+
+def _round_length(most: float, header: Header) -> float:
+    """Return the longest length (m) of at most ``most`` that is 1, 2 or 5 times a power of ten of the scene's unit."""
+    shown = header.units.shown(most, dimension.LENGTH)
+    power = 10.0 ** np.floor(np.log10(shown))
+    return float(most * max(step for step in (1.0, 2.0, 5.0) if step * power <= shown) * power / shown)
 
 
 def names_that_fit(header: Header, position: FloatArray, view: View, area: Area) -> tuple[str, ...]:

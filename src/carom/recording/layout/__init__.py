@@ -132,7 +132,7 @@ def bodies_view(header: Header, camera: CameraFit, area: Area, added: Additions 
             *surroundings(header),
             *([paths.CONTACTS] if header.collides else []),
             *([TRAILS] if added.trails else []),
-            *([f"{FIELD}/**"] if added.field else []),
+            *([f"{FIELD}/**"] if added.axes else []),
             *([LEGEND] if area.inset[0] else []),
             *([paths.IMPACTS] if header.records_contacts else []),
             *([paths.IMPACT_SPINS] if header.records_contacts and header.spins else []),

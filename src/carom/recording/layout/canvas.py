@@ -216,7 +216,7 @@ class Additions:
     plots: PlotsOfBodies | None = None  # of single bodies
     legend: LegendView | None = None
     named: tuple[str, ...] = ()  # (n,) names beside the bodies, empty for bodies without; () for none at all
-    field: bool = False  # whether an arrow and axes show a uniform field
+    axes: bool = False  # whether axes show the scale, and an arrow a uniform field
     struck: bool = False  # whether a strip shows the impacts
     decades: Curves | None = None  # logarithms of energies that grow by decades, by the paths of the energies
     moment: bool = False  # whether a picture shows one moment, so that other moments need not be inside it
