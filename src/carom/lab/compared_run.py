@@ -125,6 +125,11 @@ class Trajectory:
         values = {each.name: getattr(self, each.name) for each in fields(self)}
         return Trajectory(**(values | {name: values[name][:count] for name in ("time", "position", "velocity")}))
 
+    def is_same(self, other: Trajectory) -> bool:
+        """Return whether another run made the same steps to the same states, bit for bit."""
+        states = (self.position, other.position), (self.velocity, other.velocity)
+        return self.steps == other.steps and all(np.array_equal(mine, theirs) for mine, theirs in states)
+
     def save(self, path: Path) -> None:
         """Write a ``.npz`` atomically."""
         with whole_file(path) as part:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from pathlib import Path
 
 import pytest
@@ -126,8 +127,8 @@ def point_of(result: SettingResult, scene: Scene) -> GridPoint:
     """Find the coordinates of a result, which keeps its overrides alone."""
     values = dict(text.split("=", 1) for text in result.setting.overrides)
     keys = {key: value for key, value in values.items() if value in knobs(scene).get(key, ())}
-    step = result.setting.name.rpartition("step × ")[2] if "step × " in result.setting.name else "1"
-    return GridPoint(float(step), tuple(sorted(keys.items())))
+    factors = re.findall(r"(?:step|max_dt) × ([\d.]+)", result.setting.name)
+    return GridPoint(float(factors[0]) if factors else 1.0, tuple(sorted(keys.items())))
 
 
 @pytest.mark.slow

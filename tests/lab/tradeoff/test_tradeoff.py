@@ -11,7 +11,7 @@ import pytest
 
 from carom.errors import ExperimentError, PhysicsError, RecordingError, SceneError
 from carom.lab import compared_run as trajectory
-from carom.lab.tradeoff import _legend, tradeoff
+from carom.lab.tradeoff import _legend, table_of, tradeoff
 from carom.lab.tradeoff.settings_grid import default_settings, vary
 from carom.lab.tradeoff.tradeoff import Study
 from carom.lab.tradeoff.tradeoff_figure import draw, record
@@ -266,6 +266,34 @@ def test_a_step_is_a_multiple_of_what_it_is_with_the_other_choices() -> None:
     assert (double.cfl, double.target_dx, double.pull_fraction) == ("auto", "auto", 0.02)
     (longest,) = vary(scene, ["time.max_dt=3", "step=2"])
     assert longest.apply(scene).time.max_dt == 6.0
+
+
+def test_a_factor_on_the_step_names_the_limits_where_it_is_not_one_on_every_step() -> None:
+    held = {"position": [0.0, 0.0, 1.0]}
+    scene = Scene.from_dict(
+        {"body": [held], "plane": [{}], "gravity": {"uniform": [0, 0, -9.81]}, "time": {"duration": 1.0}}
+    )
+    assert [setting.name for setting in vary(scene, ["step=1,2"])] == [
+        "as written",
+        "max_dt × 2, cfl × 2, target_dx × 4",
+    ]
+    (fixed,) = vary(scene.changed(["time.fixed_dt=0.01"]), ["step=2"])
+    assert fixed.name == "step × 2"
+    (adaptive,) = vary(Scene.load("figure-eight", ["time.fixed_dt=", "time.integrator=gauss-radau15"]), ["step=2"])
+    assert adaptive.name == "max_dt × 2"
+
+
+def test_settings_with_the_same_run_are_timed_once_and_share_a_row(tmp_path: Path) -> None:
+    # a fixed step is not averaged
+    study, said = measured(eight(), tmp_path, "time.smoothing=0.5,1", "step=1,2", repeats=2)
+    assert [result.same_as for result in study.results] == ["", "", "smoothing = 0.5", "smoothing = 0.5, step × 2"]
+    assert sum("cost" in text for text in said) == 2 * 2
+    assert [len(result.costs) for result in study.results] == [2] * 4
+    assert list(study.marks("energy")) == ["smoothing = 0.5", "smoothing = 0.5, step × 2"]
+    assert table_of(study).row_count == 2
+    again, _ = measured(eight(), tmp_path, "time.smoothing=0.5,1", "step=1,2", repeats=3)
+    assert [len(result.costs) for result in again.results] == [3] * 4
+    assert again.results[3].costs is again.results[1].costs
 
 
 @pytest.mark.parametrize("choice", ["body.0.radius=1,2", "time.duration=1,2", "contact.restitution=0,1", "title='a'"])

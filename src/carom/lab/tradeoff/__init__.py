@@ -215,21 +215,27 @@ def table_of(study: Study, errors: Collection[str] = tuple(COLUMNS)) -> Table:
     from rich.markup import escape
     from rich.table import Table
 
+    from carom.lab.compared_run import AS_WRITTEN
     from carom.lab.tradeoff.reference import NAMES
 
-    done = sorted((r for r in study.results if r.errors is not None), key=lambda r: (math.isnan(r.cost), r.cost))
+    measured = [r for r in study.results if r.errors is not None]
+    done = sorted((r for r in measured if not r.same_as), key=lambda r: (math.isnan(r.cost), r.cost))
+    written = next((r.steps for r in measured if r.setting == AS_WRITTEN), 0)
     shown = [
         e for e in NAMES if e in COLUMNS and e in errors and any(not math.isnan(getattr(r.errors, e)) for r in done)
     ]
     marks = {error: study.marks(error) for error in shown}
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
-    for heading in ("setting", "cost / s", "±", "steps", *(_heading(study, error) for error in shown)):
+    for heading in ("setting", "cost / s", "±", "steps", "mean step", *(_heading(study, error) for error in shown)):
         table.add_column(heading, no_wrap=True, justify="left" if heading == "setting" else "right")
     for result in done:
         name = result.setting.name
         cells = [_cell(result, error, marks[error].get(name, ""), study.scene.unit_system) for error in shown]
         cost = (f"{result.cost:.3g}", f"{result.spread:.0%}") if result.costs else ("", "")
-        table.add_row(escape(name), *cost, str(result.steps), *cells)
+        same = [r.setting.name for r in measured if r.same_as == name]
+        called = f"{name} (the same run: {'; '.join(same)})" if same else name
+        step = f"× {written / result.steps:.3g}" if written and result.steps else ""
+        table.add_row(escape(called), *cost, str(result.steps), step, *cells)
     for result in study.results:
         if result.errors is None:
             steps = str(result.steps) if result.status == "stopped" else ""

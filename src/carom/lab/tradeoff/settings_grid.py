@@ -31,7 +31,7 @@ from carom.scene.integrators import INTEGRATORS, integrator_called
 from carom.scene.load import Scene
 from carom.terminal.printing import finite
 
-STEP = "step"  # a pseudo-key: a factor on the step, whichever limit applies
+STEP = "step"  # a pseudo-key: a factor on the limits of the step, whichever applies
 THREADS = "threads"  # threads of the kernels, which change the cost but no bits
 TIMING = "contact.timing"
 DIRECT_UP_TO = 20  # bodies; a tree is tried only for more
@@ -145,6 +145,8 @@ def default_points(scene: Scene) -> list[GridPoint]:
         exact = [point for point in orders if point != own and _controls_error(scene, point)]
         return [own, *euler, *(p.times(k) for p in stepped for k in STEPS if p.times(k) != own), *exact]
     steps = [1.0, 4.0, 2.0, 0.5] if forces else [1.0, 4.0, 2.0, 0.5, 8.0, 0.25]
+    if _controls_error(scene, GridPoint()):
+        steps = [step for step in steps if step <= 1.0]
     points = [GridPoint(step) for step in steps]
     points += [GridPoint().having(key, value) for key, values in other.items() if key != TIMING for value in values]
     otherwise = [2.0] if forces else [1.0, 0.25] if located else [8.0, 1.0]
@@ -198,10 +200,14 @@ class _Choice:
 def _setting(scene: Scene, picked: tuple[_Choice, ...]) -> Setting:
     """Combine choices; the factor applies to the step under all other choices."""
     overrides = [choice.override for choice in picked if choice.override]
+    words = [choice.word for choice in picked if choice.word]
     step = math.prod(choice.step for choice in picked)
     if step != 1.0:
-        overrides += refined(Setting("", tuple(overrides)).apply(scene), 1.0 / step)
-    name = ", ".join(choice.word for choice in picked if choice.word) or AS_WRITTEN.name
+        chosen = Setting("", tuple(overrides)).apply(scene)
+        finer = refined(chosen, 1.0 / step)
+        overrides += finer
+        words += [f"{STEP} × {step:g}"] if scales_steps(chosen) else [_factor(override, step) for override in finer]
+    name = ", ".join(words) or AS_WRITTEN.name
     threads = next((choice.threads for choice in picked if choice.threads), None)
     setting = Setting(name, tuple(overrides), threads)
     setting.apply(scene)
@@ -238,7 +244,24 @@ def _value(key: str, value: str) -> _Choice:
 
 
 def _times(step: float) -> _Choice:
-    return _Choice("" if step == 1.0 else f"step × {step:g}", step=step)
+    return _Choice(step=step)
+
+
+def scales_steps(scene: Scene) -> bool:
+    """Return whether a factor on the limits of the step is one on every step.
+
+    It is not if the integrator chooses its steps by its own error, or if bodies held by contacts have an automatic
+    limit of their own, for which there is no key.
+    """
+    if scene.time.fixed_dt is not None:
+        return True
+    return not auto.integrator(scene).controls_error and auto.held_dx(scene) is None
+
+
+def _factor(override: str, step: float) -> str:
+    """Name the factor of one limit; ``target_dx`` is a distance of ½ a dt²."""
+    key = override.partition("=")[0].removeprefix("time.")
+    return f"{key} × {step * step if key == 'target_dx' else step:g}"
 
 
 @dataclass
@@ -253,6 +276,7 @@ class SettingResult:
     frames: int = 0  # in a recording of the run
     errors: Errors | None = None
     spent: float = 0.0  # s of CPU time at which the run was stopped
+    same_as: str = ""  # the name of an earlier setting with the same run, bit for bit, whose costs are these
 
     @property
     def cost(self) -> float:
@@ -279,6 +303,7 @@ def result_entry(result: SettingResult) -> dict[str, Any]:
         "engine": result.setting.engine,
         "status": result.status,
         "reason": result.reason,
+        "same_as": result.same_as,
         "steps": result.steps,
         "frames": result.frames,
         "costs": result.costs,
@@ -293,7 +318,7 @@ def result_of(entry: dict[str, Any]) -> SettingResult:
     """Read the results of one setting, without its errors."""
     setting = Setting(entry["name"], tuple(entry["overrides"]), entry.get("threads"), entry.get("engine", ""))
     kept = {key: entry[key] for key in ("status", "reason", "costs", "steps", "frames")}
-    return SettingResult(setting, **kept, spent=entry.get("spent", 0.0))
+    return SettingResult(setting, **kept, spent=entry.get("spent", 0.0), same_as=entry["same_as"])
 
 
 def reference_entry(reference: Reference) -> dict[str, Any]:

@@ -54,7 +54,7 @@ DOCUMENT = "tradeoff.json"
 REFERENCE = "reference.npz"
 FIGURE = "tradeoff.png"
 OVERLAY = "tradeoff.rrd"
-VERSION = 4  # of the document; 1 had no sinking, 2 no frames; in 3, references ended at plastic impacts
+VERSION = 5  # of the document; before, equal runs were timed apart and held bodies fell between steps
 ADVICE = "start over with --force, or choose another folder with -o"
 ROUND_OFF = 1e-13  # of a whole run, over its scale
 WORK = 3e7  # limit of steps × (bodies + `BODIES_PER_STEP`) of a bounded setting, some 20 s
@@ -186,7 +186,7 @@ class Study:
 
     def marks(self, error: str) -> dict[str, str]:
         """Return "front", "near" (undecided) or "" (beaten) for each setting by name, for one kind of error."""
-        done = [result for result in self.results if result.complete]
+        done = [result for result in self.results if result.complete and not result.same_as]
         cost = np.array([result.cost for result in done])
         wrong = np.array([max(getattr(result.errors, error), ROUND_OFF) for result in done])
         noise = np.array([max(result.spread, self.noise) for result in done])
@@ -269,6 +269,16 @@ class Study:
         run.save(self._path(result))
         result.status, result.errors = "measured", self.reference.errors(run)
         result.steps, result.frames = run.steps, run.frames
+        for other in self.results:
+            alike = other is not result and other.errors is not None and not other.same_as
+            alike = alike and other.steps == run.steps and _threads(other) == _threads(result)
+            if alike and self.trajectory(other).is_same(run):
+                self._join(result, other)
+                return
+
+    def _join(self, result: SettingResult, other: SettingResult) -> None:
+        """Let a setting share the costs of another one with the same run."""
+        result.same_as, result.costs = other.setting.name, other.costs
 
     def _cost(self, result: SettingResult) -> float:
         """Run a setting once without recording; return its time in s, including that of a look-ahead.
@@ -312,6 +322,10 @@ class Study:
                     elif result.status in ("refused", "measured"):  # another version may run it
                         result.status = "pending"
                     self.results.append(result)
+                by_name = {result.setting.name: result for result in self.results}
+                for result in self.results:
+                    if result.same_as:
+                        self._join(result, by_name[result.same_as])
                 self._busy = kept.get("load", 0.0)
                 return
             if kept["version"] != VERSION and theirs == self.scene.toml:
@@ -326,6 +340,11 @@ class Study:
 def _key(setting: Setting) -> tuple[tuple[str, ...], int | None, str]:
     """Return the key that identifies a setting; its name may differ."""
     return setting.overrides, setting.threads, setting.engine
+
+
+def _threads(result: SettingResult) -> tuple[int | None, str]:
+    """Return what changes the cost of a run, but not its bits."""
+    return result.setting.threads, result.setting.engine
 
 
 def _count(number: int, results: list[SettingResult]) -> str:

@@ -72,7 +72,8 @@ def draw(document: dict[str, Any], path: Path, units: UnitSystem = SI) -> None:
 
     Raises ExperimentError if matplotlib is not there, or nothing is measured.
     """
-    done = [entry for entry in document["settings"] if entry["status"] == "measured" and entry["cost"]]
+    measured = [entry for entry in document["settings"] if entry["status"] == "measured" and entry["cost"]]
+    done = [entry for entry in measured if not entry.get("same_as")]
     panels = [error for error in PANELS if any((entry["errors"][error] or 0.0) > LEAST for entry in done)][:MOST_PANELS]
     if not panels:
         raise ExperimentError("there are no measurements to draw yet")
@@ -124,7 +125,7 @@ def _families(done: list[dict[str, Any]]) -> dict[str, list[dict[str, Any]]]:
     """Group settings that differ only in the step by their common name; a single setting keeps its whole name."""
     found: dict[str, list[dict[str, Any]]] = {}
     for entry in done:
-        parts = [part for part in _short(entry).split(", ") if not part.startswith(("step ×", "dt ="))]
+        parts = [part for part in _short(entry).split(", ") if " × " not in part and not part.startswith("dt =")]
         found.setdefault(", ".join(parts) or AS_WRITTEN.name, []).append(entry)
     return {name if len(group) > 1 else _short(group[0]): group for name, group in found.items()}
 
@@ -199,7 +200,7 @@ def record(study: Study, path: Path) -> None:
     ]
     longest = reference.trajectory
     for result in study.results:
-        if result.status == "measured":
+        if result.status == "measured" and not result.same_as:
             run = study.trajectory(result)
             distance, _ = reference.scale.apart(run, reference.trajectory)
             compared = overlays.ComparedTrajectory(result.setting.name, run.position, distance, result.setting.engine)
