@@ -17,7 +17,7 @@ from carom.arrays import FloatArray, IntArray
 from carom.errors import ExistsError, RecordingError
 from carom.recording.read.state_columns import VectorsByName
 from carom.recording.write.whole_file import refuse_output
-from carom.scene.wording import suggestion
+from carom.scene.wording import nearest
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,7 +67,9 @@ def refuse_format(path: Path, formats: Sequence[str] | None = None) -> None:
     if formats is None:
         formats = [f".{name}" for name in registry.names("export_formats")]
     if path.suffix not in formats:
-        raise RecordingError(f'{path}: the format "{path.suffix}" is unknown; {suggestion(path.suffix, formats)}')
+        near = nearest(path.suffix.lstrip("."), [name.lstrip(".") for name in formats])
+        there = f'did you mean ".{near}"? There' if near else "there"
+        raise RecordingError(f'{path}: the format "{path.suffix}" is unknown; {there} are {", ".join(formats)}')
 
 
 def refuse_export(path: Path, everything: bool, force: bool) -> None:
