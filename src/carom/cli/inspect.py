@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-from itertools import zip_longest
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -22,7 +21,7 @@ if TYPE_CHECKING:
 NOT_RECORDED = "not recorded, or lost"
 AROUND = 20  # frames in a clip around a moment
 
-Row = tuple[str, str]  # name and text
+Row = tuple[str, str | Iterable[str]]  # a name, and the text or the texts beside it
 
 
 def inspect(file: RecordingArgument, as_json: JsonOption = False) -> None:
@@ -83,8 +82,9 @@ def _grid() -> Table:
 def _overview(summary: dict[str, Any], units: UnitSystem) -> Table:
     table = _grid()
     for rows in (_run(summary, units), _conservation(summary, units), _contacts(summary), _judgements(summary, units)):
-        for row in rows:
-            table.add_row(*row)
+        for name, texts in rows:
+            for k, text in enumerate([texts] if isinstance(texts, str) else texts):
+                table.add_row("" if k else name, text)
     table.add_row("versions", ", ".join(f"{name} {version}" for name, version in summary["versions"].items()))
     return table
 
@@ -110,7 +110,7 @@ def _run(summary: dict[str, Any], units: UnitSystem) -> Iterator[Row]:
         of_all = "energies, momenta and numbers of contacts include all bodies"
         few = "" if len(clip["bodies"]) == summary["bodies"] else f", {in_series(clip['names'])}; {of_all}"
         yield "clip of", f"{clip['source']}, {units.span(clip['from'], clip['to'], TIME)}{few}"
-    yield from zip_longest(("data",) if summary.get("data_notes") else (), summary.get("data_notes", ()), fillvalue="")
+    yield "data", summary.get("data_notes", ())
     yield "outcome", in_words(summary["outcome"]) + (" (the whole run)" if clip else "")
     first, last = summary["first_step"], summary["steps"]
     steps = counted(last, "step") if first == 0 and not clip else f"steps {first} to {last}"
@@ -127,7 +127,7 @@ def _conservation(summary: dict[str, Any], units: UnitSystem) -> Iterator[Row]:
         yield "energy", NOT_RECORDED
         return
     linear, angular = summary["momentum"]["max_error"], summary["angular_momentum"]["max_error"]
-    yield from zip_longest(("energy",), energy_texts(summary, units), fillvalue="")
+    yield "energy", energy_texts(summary, units)
     if linear is not None and math.isnan(linear):
         yield "momentum", NOT_RECORDED
         return
@@ -152,7 +152,7 @@ def _contacts(summary: dict[str, Any]) -> Iterator[Row]:
         texts.append("deepest overlap: lost, since part of the file is missing")
     elif deepest := overlap_text(contacts["max_overlap"]):
         texts.append(deepest + (" in these frames" if contacts["summed_over"] == "frames" else ""))
-    yield from zip_longest(("contacts",) if texts else (), texts, fillvalue="")
+    yield "contacts", texts
 
 
 def _judgements(summary: dict[str, Any], units: UnitSystem) -> Iterator[Row]:
