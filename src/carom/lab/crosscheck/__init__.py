@@ -113,7 +113,6 @@ def _show_several(
 ) -> None:
     """Print one table of all scenes with their subjects, and the scenes that no engine can represent."""
     from rich import box
-    from rich.markup import escape
     from rich.table import Table
 
     console = _console()
@@ -126,13 +125,13 @@ def _show_several(
             laws = ", ".join(run.get("laws", {})) or "none"
             parting = _parting(run, document["reference"], scenes[name].unit_system)
             cells = ("" if number else name, run["name"], cost, _criteria(run), parting, laws)
-            table.add_row(*(escape(cell) for cell in cells), end_section=run is document["runs"][-1])
+            table.add_row(*cells, end_section=run is document["runs"][-1])
     console.print(table)
     for name in documents:
         if link := re.match(r"# From (https://\S+)", scenes[name].toml):  # the bug report that the scene was made from
-            console.print(escape(f"{name}: {scenes[name].title} ({link[1]})"), soft_wrap=True)
+            console.print(f"{name}: {scenes[name].title} ({link[1]})", soft_wrap=True)
     for name, reason in refused.items():
-        console.print(escape(f"{name}: {reason}"), soft_wrap=True)
+        console.print(f"{name}: {reason}", soft_wrap=True)
     versions = dict.fromkeys(each for document in documents.values() for each in document["versions"].values())
     console.print(f"Versions: {', '.join(versions)}.", soft_wrap=True)
     count = sum(1 for document in documents.values() if document["runs"])
@@ -144,12 +143,10 @@ def _console() -> Terminal:
     from carom.lab.tradeoff import PIPE_WIDTH
     from carom.terminal.console import Terminal
 
-    return Terminal(markup=True, piped=PIPE_WIDTH)
+    return Terminal(piped=PIPE_WIDTH)
 
 
 def _show(document: dict[str, Any], units: UnitSystem, folder: Path) -> None:
-    from rich.markup import escape
-
     from carom.lab.crosscheck.crosscheck import OWN
 
     console = _console()
@@ -157,33 +154,30 @@ def _show(document: dict[str, Any], units: UnitSystem, folder: Path) -> None:
     reference = document["reference"]
     if reference is not None:
         console.print(
-            f"Reference, {escape(reference['text'])}; positions are compared {escape(_extent(reference, units))}. "
+            f"Reference, {reference['text']}; positions are compared {_extent(reference, units)}. "
             "A run diverges when its distance from the reference exceeds a hundredth of the size.",
             soft_wrap=True,
         )
     partings = [run["parting"] for run in document["runs"] if run.get("parting")]
     if number := next((each["impact"] for each in partings if each["impact"]), None):
         where = command("view", folder / f"{OWN.name}.rrd", "--event", f"impact:{number}")
-        console.print(
-            f"The impacts listed are the first with different outcomes, numbered as in carom's run: {escape(where)}"
-        )
+        console.print(f"The impacts listed are the first with different outcomes, numbered as in carom's run: {where}")
     console.print(f"Versions: {', '.join(document['versions'].values())}.", soft_wrap=True)
     for engine, notes in document["notes"].items():
         if notes:
-            console.print(f"{engine}: {escape('; '.join(notes))}.", soft_wrap=True)
+            console.print(f"{engine}: {'; '.join(notes)}.", soft_wrap=True)
     for run in document["runs"]:
         if run["reason"]:
-            console.print(f"{escape(run['name'])}: {run['status']}: {escape(run['reason'])}", soft_wrap=True)
+            console.print(f"{run['name']}: {run['status']}: {run['reason']}", soft_wrap=True)
         for broken in run.get("laws", {}).values():
             times = "" if broken["frames"] == 1 else f" In {broken['frames']} frames."
             at = units.text(broken["time"], TIME)
             text = f"{run['name']}, step {broken['step']}, t = {at}: {broken['text']}{times}"
-            console.print(escape(text), soft_wrap=True)
+            console.print(text, soft_wrap=True)
 
 
 def _table(document: dict[str, Any], units: UnitSystem) -> Table:
     from rich import box
-    from rich.markup import escape
     from rich.table import Table
 
     table, reference = Table(box=box.SIMPLE_HEAD, pad_edge=False), document["reference"]
@@ -202,7 +196,7 @@ def _table(document: dict[str, Any], units: UnitSystem) -> Table:
         parting = run.get("parting")
         laws = "" if parting is None else ", ".join(parting["laws"]) or "none"
         cells = (run["name"], *cost, str(run["steps"]), *numbers, _criteria(run), _parting(run, reference, units), laws)
-        table.add_row(*(escape(cell) for cell in cells))
+        table.add_row(*cells)
     return table
 
 
