@@ -297,3 +297,10 @@ def test_a_picture_of_one_moment_is_filled_by_it_though_bodies_came_from_far_awa
     view = camera.view(narrow=True, trails=False, moment=True)
     places = view.on_screen(position)
     assert np.ptp(places, axis=0).max() > 1.5 and np.abs(places.mean(axis=0)).max() < 0.3
+
+
+def test_a_legend_larger_than_the_picture_leaves_the_camera_in_front_of_the_bodies() -> None:
+    """Its rows would otherwise leave a space of a negative height."""
+    first = np.zeros((3, 3)) + np.arange(3.0)[:, None]
+    view = CameraFit(np.ones(3), first).view(1.6, inset=(1.2, 1.3))
+    assert 0.0 < view.distance < np.inf and view.height() > 0.0

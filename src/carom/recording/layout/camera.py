@@ -70,6 +70,7 @@ _OUTWARD = np.array([v for v in product((-1.0, 0.0, 1.0), repeat=3) if any(v)]) 
 _OUTWARD /= np.linalg.norm(_OUTWARD, axis=1)[:, None]
 _ALL_ROUND = np.array([v for v in product(np.linspace(-1.0, 1.0, 9), repeat=3) if max(map(abs, v)) == 1.0])
 _ALL_ROUND /= np.linalg.norm(_ALL_ROUND, axis=1)[:, None]
+_MOST_INSET = 0.6  # of the width or height of a picture; a legend in a tiny picture covers more, and then bodies
 _BESIDE = 0.25  # of the width of the motion; walls that are farther away may lie outside the picture
 _TURNS = 12  # directions from which an orbiting camera is fitted
 
@@ -258,6 +259,7 @@ class CameraFit:
         sizes = np.concatenate([self._first_radius, radii, np.zeros(len(frame.tips))])
         if free_corner(view, frame.aspect, frame.inset, places, sizes) is not None:
             return view
+        wide, tall = min(wide, _MOST_INSET), min(tall, _MOST_INSET)
         right, up = view.axes()
         left, below = (
             self._fitted(replace(frame, aspect=aspect), view.to_eye, view.slope, view.motion)
