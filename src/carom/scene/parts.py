@@ -96,8 +96,14 @@ def names_of(kind: str, extensions: Mapping[str, str]) -> list[str]:
 
 
 MOST_QUOTED = 80  # characters of a text that is no name
-# a distribution and its version, as pip names them; what else a file holds is no name and is not repeated in a command
-_DISTRIBUTION = re.compile(r"([A-Za-z0-9](?:[A-Za-z0-9._-]{0,98}[A-Za-z0-9])?) ([0-9][A-Za-z0-9.!+]{0,49})")
+# A public version in its normal form (https://packaging.python.org/en/latest/specifications/version-specifiers/). The
+# text is a stranger's and becomes a command, so nothing else is repeated there. No index
+# accepts a local version ("1.0+mine").
+_NUMBER = "(?:0|[1-9][0-9]{0,8})"  # a date as a version (20240906) has 8 digits
+RELEASE = re.compile(
+    rf"{_NUMBER}(?:\.{_NUMBER}){{0,4}}(?:(?:a|b|rc){_NUMBER})?(?:\.post{_NUMBER})?(?:\.dev{_NUMBER})?", re.ASCII
+)
+_DISTRIBUTION = re.compile(rf"([A-Za-z0-9](?:[A-Za-z0-9._-]{{0,98}}[A-Za-z0-9])?) ({RELEASE.pattern})", re.ASCII)
 
 
 def missing(extensions: Mapping[str, str]) -> str:
@@ -118,7 +124,7 @@ def _from(package: str) -> str:
     """Say from which package parts come, and how to install it."""
     if (named := _DISTRIBUTION.fullmatch(package)) is None:
         given = in_one_line(package[:MOST_QUOTED])
-        return f"of a package that is not installed; the file gives no name of a package, but {given!r}"
+        return f"of a package that is not installed; the file gives no package with its release, but {given!r}"
     return (
         f"of the package {package}, which is not installed. If you trust the sender of the file, who chose this name: "
         f"pip install {shlex.quote(f'{named[1]}=={named[2]}')}"

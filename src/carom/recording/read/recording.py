@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 from functools import cached_property
@@ -29,18 +28,12 @@ from carom.recording.schema import paths
 from carom.recording.schema.header import schema_version
 from carom.recording.schema.paths import STEP
 from carom.scene.data.body_columns import BodyColumns
+from carom.scene.parts import RELEASE
 from carom.scene.schema.shear import Shear
 from carom.scene.wording import counted
 
 if TYPE_CHECKING:
     from carom.physics.checkpoint import Checkpoint
-
-# A public version in its normal form (https://packaging.python.org/en/latest/specifications/version-specifiers/). The
-# text is a stranger's and becomes a command, so nothing else is quoted.
-_NUMBER = "(0|[1-9][0-9]{0,5})"
-_RELEASE = re.compile(
-    rf"{_NUMBER}(\.{_NUMBER}){{0,4}}((a|b|rc){_NUMBER})?(\.post{_NUMBER})?(\.dev{_NUMBER})?", re.ASCII
-)
 
 
 class Recording(FrameTables):
@@ -77,7 +70,7 @@ class Recording(FrameTables):
         with suppress(RecordingError):  # the properties of another schema may differ
             writer = self.versions.get("carom", "")
         reader = "the version of carom that recorded it reads it"
-        if _RELEASE.fullmatch(writer) and writer != installed_version("carom"):
+        if RELEASE.fullmatch(writer) and writer != installed_version("carom"):
             reader = f"carom {writer}, which recorded it, reads it: `pip install carom=={writer}`"
         own = f"this carom reads version {paths.SCHEMA_VERSION} only"
         raise RecordingError(f"{self.path} has schema version {version}, and {own}; {reader}")
