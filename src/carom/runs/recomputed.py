@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from typing import Any
 
@@ -108,8 +108,9 @@ def snapshots(
     recording.require_frames()
     moment = float(times[0]) if everything else recording.moment(at)
     goal = goal_of(recording, moment)
+    energies = recording.energy().column_names
     if recording.engine:
-        yield from _kept(recording, steps if everything else steps[[int(np.searchsorted(times, goal))]])
+        yield from _kept(recording, steps if everything else steps[[int(np.searchsorted(times, goal))]], energies)
         return
     window = Window(recording, goal, contacts=True, watch=watch)
     own = _own(recording, window.fixed)
@@ -120,14 +121,12 @@ def snapshots(
         if window.differs is not None:
             raise RecordingError(f"{recording.path}: the rerun has different bits from step {window.differs} on")
         left -= 1
-        contacts = window.contacts_of(frame)
-        named = None if contacts is None else named_contacts(recording, contacts)
-        yield _snapshot(recording, frame, *own, named, window.cell(frame.time))
+        yield _snapshot(recording, energies, frame, *own, window.contacts_of(frame), window.cell(frame.time))
     if left:
         raise RecordingError(f"{recording.path} ends earlier when it is rerun; its bits differ")
 
 
-def _kept(recording: Recording, steps: IntArray) -> Iterator[Snapshot]:
+def _kept(recording: Recording, steps: IntArray, energies: Sequence[str]) -> Iterator[Snapshot]:
     """Yield the exact states of some frames of a run that cannot be repeated."""
     body, mass, radius, others = _own(recording, np.zeros(len(recording.bodies.mass), np.bool_))
     kept = recording.checkpoint_times
@@ -138,14 +137,13 @@ def _kept(recording: Recording, steps: IntArray) -> Iterator[Snapshot]:
     for state in recording.checkpoints(steps.tolist()):
         there = recording.present(state.step)[body]
         own = {name: values[there] for name, values in others.items()}
-        contacts = None
-        if recording.records_contacts:
-            contacts = named_contacts(recording, recording.contacts(state.time))
-        yield _snapshot(recording, state, body[there], mass[there], radius[there], own, contacts)
+        contacts = recording.contacts(state.time) if recording.records_contacts else None
+        yield _snapshot(recording, energies, state, body[there], mass[there], radius[there], own, contacts)
 
 
 def _snapshot(
     recording: Recording,
+    energies: Sequence[str],  # names of series
     state: Checkpoint | Frame,
     body: IntArray,
     mass: FloatArray,
@@ -155,11 +153,13 @@ def _snapshot(
     cell: FloatArray | None = None,
 ) -> Snapshot:
     vectors = state_vectors(state, body, recording.bodies.mass, recording.bodies.inertia)
-    energies = dict[str, float]()
-    for name in recording.energy().column_names:
+    known = dict[str, float]()
+    for name in energies:
         with suppress(AttributeError):  # a series of an installed package, or no energy
-            energies[name] = state.energy.named(name)
-    return Snapshot(state.step, state.time, body, mass, radius, others, vectors, energies, contacts, cell)
+            known[name] = state.energy.named(name)
+    if contacts is not None:
+        contacts = named_contacts(recording, contacts).replace_schema_metadata()  # that of one step
+    return Snapshot(state.step, state.time, body, mass, radius, others, vectors, known, contacts, cell)
 
 
 def _own(recording: Recording, fixed: BoolArray) -> tuple[IntArray, FloatArray, FloatArray, dict[str, NDArray[Any]]]:

@@ -34,7 +34,7 @@ def write_npz(path: Path, first: Snapshot, others: Iterator[Snapshot]) -> None:
     values = {"mass": [each.mass for each in every], "radius": [each.radius for each in every]}
     values |= {name: [each.others[name] for each in every] for name in first.others}
     contacts = [each.contacts for each in every if each.contacts is not None]
-    table = pa.concat_tables([each.replace_schema_metadata() for each in contacts]) if contacts else pa.table({})
+    table = pa.concat_tables(contacts) if contacts else pa.table({})
     touching = {f"contact_{name}": _plain(table[name]) for name in table.column_names}
     energies = {f"energy_{name}": np.array([each.energies[name] for each in every]) for name in first.energies}
     units = {"time": "s", **UNITS_OF_BODIES, **{quantity.name: quantity.unit for quantity in STATE_QUANTITIES}}

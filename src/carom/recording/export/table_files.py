@@ -46,7 +46,7 @@ def _write(
         for snapshot in (first, *others):
             tables = {path: table_of(snapshot), beside(path, ENERGIES): energies_of(snapshot)}
             if snapshot.contacts is not None:
-                tables[beside(path, CONTACTS)] = snapshot.contacts.replace_schema_metadata()
+                tables[beside(path, CONTACTS)] = snapshot.contacts
             for file, table in tables.items():
                 shown = shaped(table)
                 if file not in writers:
