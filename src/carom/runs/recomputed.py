@@ -16,7 +16,7 @@ from carom.errors import NotRecordedError, RecordingError, SceneError
 from carom.physics.checkpoint import Checkpoint
 from carom.physics.frame import Frame
 from carom.recording.export import Snapshot
-from carom.recording.read.lookup import goal_of, interval, tolerance
+from carom.recording.read.lookup import end_of_step, goal_of, interval, tolerance
 from carom.recording.read.recorded_contacts import MEASURED, named_contacts
 from carom.recording.read.recording import Recording
 from carom.recording.read.state_columns import state_vectors
@@ -67,11 +67,11 @@ def time_of_step(recording: Recording, step: int, watch: Watcher | None = None) 
     Raises RecordingError if the recording does not contain the step, or cannot be rerun.
     """
     recording.require_frames()
+    if (time := end_of_step(recording, step)) is not None:
+        return time
     table = recording.fingerprints()
     times, steps = table["time"].to_numpy(), table[STEP].to_numpy()
     row = int(np.searchsorted(steps, step))
-    if row < len(steps) and steps[row] == step:
-        return float(times[row])
     if row in (0, len(steps)):
         raise RecordingError(f"{recording.path} covers steps {steps[0]} to {steps[-1]}; step {step} is outside")
     if recording.engine or recording.is_overlay:

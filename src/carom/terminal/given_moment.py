@@ -42,16 +42,18 @@ class GivenMoment:
         """Refuse several moments."""
         from carom.errors import RecordingError
 
-        options = {"--at": self.at, "--step": self.step, "--event": self.event}
-        given = [name for name, value in options.items() if value is not None]
-        if len(given) > 1:
+        if len(given := self._given) > 1:
             raise RecordingError(f"give {' or '.join(given)}, not {'both' if len(given) == 2 else 'all three'}")
+
+    @property
+    def _given(self) -> list[str]:
+        options = {"--at": self.at, "--step": self.step, "--event": self.event}
+        return [name for name, value in options.items() if value is not None]
 
     @property
     def option(self) -> str | None:
         """The option that was given; None without one."""
-        options = {"--at": self.at, "--step": self.step, "--event": self.event}
-        return next((name for name, value in options.items() if value is not None), None)
+        return next(iter(self._given), None)
 
     def time(self, recording: Recording, watch: Callable[[StepStatus], None] | None = None) -> float | None:
         """Return the time (s) of ``--at`` or ``--step``; None without either. ``watch`` is called in a rerun.

@@ -20,6 +20,7 @@ import pyarrow as pa
 from carom.arrays import FloatArray
 from carom.errors import RecordingError, SceneError
 from carom.recording.read.recorded_scene import recorded_scene
+from carom.recording.schema.paths import STEP
 from carom.scene.start import names_of_solids
 from carom.scene.units.dimension import TIME
 from carom.scene.wording import Names, bodies_called, body_called
@@ -158,13 +159,25 @@ def _refuse_outside(recording: Recording, times: FloatArray, first: float, last:
         raise RecordingError(f"{recording.path} covers {whole}; {asked} is outside")
 
 
+def recorded_moments(recording: Recording) -> dict[str, float]:
+    """Return the times (s) of the moments of `carom inspect`, such as that of the hardest impact, by their names."""
+    matches = ((re.fullmatch(r"moments\.([^.]+)\.time", key), value) for key, value in recording.closing.items())
+    return {match[1]: float(value) for match, value in matches if match}
+
+
+def end_of_step(recording: Recording, step: int) -> float | None:
+    """Return the time (s) at the end of a step; None if it has no frame."""
+    frames = recording.fingerprints()
+    rows = np.flatnonzero(frames[STEP].to_numpy() == step)
+    return float(frames["time"][int(rows[0])].as_py()) if len(rows) else None
+
+
 def printed_time(recording: Recording, time: float, rounding: float) -> float:
     """Return the recorded time (s) nearest to one that was rounded when it was printed; without one, the given time.
 
     Recorded times are those of frames, and of the moments of `carom inspect`, whose steps may have no frame.
     """
-    moments = [float(value) for key, value in recording.closing.items() if re.fullmatch(r"moments\.\w+\.time", key)]
-    known = np.append(_column(recording.fingerprints(), "time"), np.array(moments))
+    known = np.append(_column(recording.fingerprints(), "time"), list(recorded_moments(recording).values()))
     off = np.abs(known - time)
     near = int(np.argmin(off)) if len(off) else -1
     return float(known[near]) if near >= 0 and off[near] <= rounding else time
@@ -178,10 +191,7 @@ def tolerance(time: float) -> float:
 def goal_of(recording: Recording, at: float) -> float:
     """Return the time (s) that a step must reach to contain a time; later times belong to the last recorded step."""
     times = _column(recording.fingerprints(), "time")
-    row = int(np.searchsorted(times, at))
-    if row < len(times) and times[row] == at:  # the tolerance may be longer than a step
-        return at
-    return min(at - tolerance(at), float(times[-1]))
+    return at if _row_at(times, at) is not None else min(at - tolerance(at), float(times[-1]))
 
 
 def frame_of(recording: Recording, at: float) -> int | None:
@@ -191,12 +201,17 @@ def frame_of(recording: Recording, at: float) -> int | None:
     """
     steps = recording.steps("dt")
     times, goal = _column(steps, "time"), at - tolerance(at)
-    exact = int(np.searchsorted(times, at))
-    if exact < len(times) and times[exact] == at:  # after 10⁸ steps, the tolerance is longer than a step
+    if (exact := _row_at(times, at)) is not None:
         return exact
     row = min(int(np.searchsorted(times, goal)), len(times) - 1)
     began = times[row] - _column(steps, "dt")[row]
     return row if row == 0 or goal > times[-1] or goal > began else None
+
+
+def _row_at(times: FloatArray, at: float) -> int | None:
+    """Return the row of exactly this time; None without one. After 10⁸ steps, the tolerance is longer than a step."""
+    row = int(np.searchsorted(times, at))
+    return row if row < len(times) and times[row] == at else None
 
 
 def _column(table: pa.Table, name: str) -> FloatArray:

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-
 from carom.errors import RecordingError
-from carom.recording.read.lookup import names_of, shown_body, split_at_commas
+from carom.recording.read.lookup import end_of_step, names_of, recorded_moments, shown_body, split_at_commas
 from carom.recording.read.recorded_impacts import numbered_impact
 from carom.recording.read.recording import Recording
 from carom.recording.schema.paths import SIM_TIME, STEP
@@ -73,9 +71,8 @@ class NamedEvent:
 
     def end(self, recording: Recording) -> float:
         """Return the end (s) of the step of an impact if it has a frame; otherwise the time of the event."""
-        frames = recording.fingerprints()
-        own = np.flatnonzero(frames[STEP].to_numpy() == (-1 if self.step is None else self.step))
-        return float(frames["time"][int(own[0])].as_py()) if len(own) else self.time
+        end = None if self.step is None else end_of_step(recording, self.step)
+        return self.time if end is None else end
 
 
 def named_event(recording: Recording, name: str) -> NamedEvent:
@@ -93,25 +90,20 @@ def named_event(recording: Recording, name: str) -> NamedEvent:
     """
     if name.startswith(_IMPACT):
         return _impact(recording, name.removeprefix(_IMPACT))
-    closing = dict(recording.closing)
-    if f"moments.{name}.time" in closing:
-        time = float(closing[f"moments.{name}.time"])
-        return NamedEvent(time, pair_of_extreme(recording, name), is_impact=name == "impact")
+    moments = recorded_moments(recording)
+    if name in moments:
+        return NamedEvent(moments[name], pair_of_extreme(recording, name), is_impact=name == "impact")
     table = recording.events()
     kinds = table["kind"].to_pylist()
     if name in kinds:
         row = kinds.index(name)
-        frames = recording.fingerprints()
-        steps = frames[STEP].to_numpy()
         step = table[STEP][row].as_py()
-        own = np.flatnonzero(steps == step)
         pair = _first_to_meet(recording, step) if name == _FIRST_CONTACT else None
-        if len(own):
-            return NamedEvent(float(frames["time"][int(own[0])].as_py()), pair, is_impact=pair is not None)
-        scale = float(recording.info["time_scale"])
-        return NamedEvent(float(table[SIM_TIME][row].value) * 1e-9 * scale, pair, is_impact=pair is not None)
-    moments = sorted({key.split(".")[1] for key in closing if key.startswith("moments.") and key.endswith(".time")})
-    known = dict.fromkeys([*moments, *(kind for kind in kinds if kind not in ("", "extreme", "end"))])
+        time = end_of_step(recording, step)
+        if time is None:
+            time = float(table[SIM_TIME][row].value) * 1e-9 * float(recording.info["time_scale"])
+        return NamedEvent(time, pair, is_impact=pair is not None)
+    known = dict.fromkeys([*sorted(moments), *(kind for kind in kinds if kind not in ("", "extreme", "end"))])
     raise RecordingError(f'{recording.path} has no event "{name}"; {suggestion(name, known)}')
 
 
