@@ -209,14 +209,13 @@ def _write_table(table: pa.Table, path: Path) -> None:
     import pyarrow.parquet as pq
 
     from carom.errors import RecordingError
-    from carom.recording.export.spreadsheet import harmless
-    from carom.recording.read.state_columns import units_in_names
+    from carom.recording.export.spreadsheet import in_csv
     from carom.recording.write.whole_file import whole_file
 
     try:
         with whole_file(path) as part:
             if path.suffix == ".csv":
-                pc.write_csv(harmless(units_in_names(table)), part)
+                pc.write_csv(in_csv(table), part)
             else:
                 pq.write_table(table, part)
     except OSError as error:
@@ -228,11 +227,10 @@ def _csv_text(table: pa.Table) -> str:
 
     import pyarrow.csv as pc
 
-    from carom.recording.export.spreadsheet import harmless
-    from carom.recording.read.state_columns import units_in_names
+    from carom.recording.export.spreadsheet import in_csv
 
     out = io.BytesIO()
-    pc.write_csv(harmless(units_in_names(table)), out)
+    pc.write_csv(in_csv(table), out)
     return str(out.getvalue().decode()).rstrip("\n")
 
 

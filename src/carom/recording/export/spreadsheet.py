@@ -7,7 +7,16 @@ import re
 import pyarrow as pa
 from pyarrow import compute
 
+from carom.recording.read.state_columns import units_of
+
 _FORMULAS = r"^([=+\-@\t\r])"  # first characters of what a spreadsheet computes
+
+
+def in_csv(table: pa.Table) -> pa.Table:
+    """Return a table for CSV: harmless, with the unit of each field in its name, such as "x [m]"."""
+    units = units_of(table)
+    named = [f"{name} [{units[name]}]" if name in units else name for name in table.column_names]
+    return harmless(table.rename_columns(named))
 
 
 def harmless(table: pa.Table) -> pa.Table:

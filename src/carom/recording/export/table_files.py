@@ -15,8 +15,8 @@ import pyarrow.csv as pc
 import pyarrow.parquet as pq
 
 from carom.recording.export import CONTACTS, ENERGIES, Snapshot, beside
-from carom.recording.export.spreadsheet import harmless
-from carom.recording.read.state_columns import state_table, units_in_names, with_units
+from carom.recording.export.spreadsheet import in_csv
+from carom.recording.read.state_columns import state_table, with_units
 
 
 def write_parquet(path: Path, first: Snapshot, others: Iterator[Snapshot]) -> None:
@@ -31,7 +31,7 @@ def write_arrow(path: Path, first: Snapshot, others: Iterator[Snapshot]) -> None
 
 def write_csv(path: Path, first: Snapshot, others: Iterator[Snapshot]) -> None:
     """Write CSV files with a header; numbers keep all their digits."""
-    _write(pc.CSVWriter, path, first, others, lambda table: harmless(units_in_names(table)))
+    _write(pc.CSVWriter, path, first, others, in_csv)
 
 
 def _write(

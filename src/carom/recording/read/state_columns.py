@@ -102,12 +102,6 @@ def with_units(table: pa.Table, units: Mapping[str, str] = UNITS) -> pa.Table:
     return table.cast(pa.schema(fields, table.schema.metadata))
 
 
-def units_in_names(table: pa.Table) -> pa.Table:
-    """Return a table with the unit of each field in its name, such as "x [m]", for formats without metadata."""
-    units = units_of(table)
-    return table.rename_columns([f"{name} [{units[name]}]" if name in units else name for name in table.column_names])
-
-
 def units_of(table: pa.Table) -> dict[str, str]:
     """Return the units of the fields that have one."""
     units = {field.name: (field.metadata or {}).get(UNIT.encode(), b"").decode() for field in table.schema}
