@@ -7,6 +7,7 @@ only when it runs: `carom --help` then does not load a compiler and a viewer.
 from __future__ import annotations
 
 import errno
+import functools
 import importlib
 import inspect
 import io
@@ -201,11 +202,16 @@ def _made(name: str, function: Any, panel: str) -> Any:
     """Return a command that calls a function."""
     app = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode="rich")
     app.command(name, cls=Command, rich_help_panel=panel)(function)
-    common = typer.Typer(add_completion=False)
-    common.command()(_of_all_commands)
     made = typer.main.get_command(app)
-    made.params += typer.main.get_command(common).params
+    made.params += _common_options()
     return made
+
+
+@functools.cache
+def _common_options() -> list[Any]:
+    app = typer.Typer(add_completion=False)
+    app.command()(_of_all_commands)
+    return typer.main.get_command(app).params
 
 
 # Typer has its own copy of Click, or in older versions depends on it

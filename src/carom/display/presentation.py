@@ -231,7 +231,8 @@ def presentation(
         statics += words.of(only).inside(seen, area, corner)
     elif only == ALL:
         statics += words.wrapped(legend_area(laid_out, canvas, close is not None).width).statics()
-    if seen.motion is CameraMotion.STILL:
+    is_still = seen.motion is CameraMotion.STILL
+    if is_still:
         statics += axes_and_field(header, seen, area, field, visible, radius, corner)
     statics += arrow_styles(header, canvas.theme)
     impulses, strip, bands = impact_strip(recording)
@@ -243,7 +244,7 @@ def presentation(
         added,
         named=names_that_fit(header, step.position, seen, area),
         viewer_time=viewer_time(header.units, clock),
-        axes=seen.motion is CameraMotion.STILL,
+        axes=is_still,
         struck=bool(strip),
         decades=logarithms,
         span=clock.nanoseconds(whole_span(recording)) if canvas.rendered else None,
