@@ -97,8 +97,8 @@ def names_of(kind: str, extensions: Mapping[str, str]) -> list[str]:
 
 MOST_QUOTED = 80  # characters of a text that is no name
 # A public version in its normal form (https://packaging.python.org/en/latest/specifications/version-specifiers/). The
-# text is a stranger's and becomes a command, so nothing else is repeated there. No index
-# accepts a local version ("1.0+mine").
+# text is a stranger's and becomes a command, so nothing else is repeated there. No index accepts a local version, such
+# as "1.0+mine".
 _NUMBER = "(?:0|[1-9][0-9]{0,8})"  # a date as a version (20240906) has 8 digits
 RELEASE = re.compile(
     rf"{_NUMBER}(?:\.{_NUMBER}){{0,4}}(?:(?:a|b|rc){_NUMBER})?(?:\.post{_NUMBER})?(?:\.dev{_NUMBER})?", re.ASCII
