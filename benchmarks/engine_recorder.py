@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 
 import carom
-from carom.recording.source import BulkSource
+from carom.engines.source import BulkSource
 
 BODIES = 1000
 RADIUS = 0.1  # m

@@ -27,7 +27,7 @@ pytestmark = pytest.mark.slow
 HOUSE = Path(carom.__file__).parent
 ROWS = ("cli/main.py", "registry.py")  # where an optional part may have its rows
 ENGINES = ("rebound", "mujoco", "box3d", "pybullet", "newton")
-TOOLS = ("crosscheck", "diff", "fork", "hunt", "shrink", "sweep", "tradeoff", "why")
+TOOLS = ("diff", "fork", "hunt", "shrink", "sweep", "tradeoff", "why")
 
 
 class Carom:
@@ -177,7 +177,7 @@ def test_formats_and_placements_can_be_removed(bare: Carom, bare_folder: Path) -
 def test_nothing_imports_a_format_or_a_placement_but_the_registry() -> None:
     """With the test above, in which all are missing, it follows that each can be removed alone."""
     modules = [part.removesuffix(".py").replace("/", ".") for part in OPTIONAL]
-    modules += [f"lab.engines.{engine}" for engine in registry.HOUSE["engines"]]
+    modules += [f"engines.adapters.{engine}" for engine in registry.HOUSE["engines"]]
     for path in HOUSE.rglob("*.py"):
         if path == HOUSE / "extend.py":  # it imports names at their first use
             continue
@@ -219,19 +219,34 @@ def test_tools_statistics_movies_the_web_viewer_laws_and_walls_can_be_removed(wi
 
 
 def test_nothing_is_built_on_a_tool_but_what_is_named_here() -> None:
-    built_on = {"crosscheck": {"engines", "tradeoff"}, "fork": {"diff"}, "hunt": {"shrink"}, "tradeoff": {"engines"}}
+    built_on = {"fork": {"diff"}, "hunt": {"shrink"}}
     for tool in (path for path in (HOUSE / "lab").iterdir() if path.is_dir() and path.name != "__pycache__"):
         text = "".join(path.read_text(encoding="utf-8") for path in tool.glob("*.py"))
-        others = {other for other in (*TOOLS, "engines") if re.search(rf"carom\.lab\.{other}\b", text)} - {tool.name}
+        others = {other for other in TOOLS if re.search(rf"carom\.lab\.{other}\b", text)} - {tool.name}
         assert others == built_on.get(tool.name, set()), tool.name
 
 
 def test_engines_can_be_removed(without: Callable[..., Carom]) -> None:
-    run = without(*(f"lab/engines/{engine}.py" for engine in ENGINES))
+    run = without(*(f"engines/adapters/{engine}.py" for engine in ENGINES))
     help_text, *asked = run.together("--help", *(f"crosscheck two-spheres --engine {engine}" for engine in ENGINES))
     assert help_text.returncode == 0
     for engine, ended in zip(ENGINES, asked, strict=True):
         assert f"--engine {engine}: unknown" in refusal(ended)
+
+
+def test_the_engines_are_one_folder_that_can_be_removed(without: Callable[..., Carom]) -> None:
+    run = without("engines")
+    works = "run two-spheres -o run.rrd", "inspect run.rrd", "replay run.rrd", "repair run.rrd -o again.rrd"
+    help_text, crosscheck, tradeoff, *worked = run.together(
+        *("--help", "crosscheck two-spheres --engine rebound", "tradeoff two-spheres --engine rebound", *works)
+    )
+    assert help_text.returncode == 0 and " crosscheck " not in help_text.stdout
+    assert "no such command 'crosscheck'" in refusal(crosscheck)
+    assert "needs carom.engines, which was removed" in refusal(tradeoff)
+    assert [ended.returncode for ended in worked] == [0] * len(works), worked
+    for name, missing in (("Recorder", "needs carom.engines, which was removed"), ("rebound", "no engine that is rec")):
+        said = run(name, missing, script="import sys, carom; getattr(carom.record, sys.argv[1])").stderr
+        assert f"AttributeError: carom.record.{name}: " in said and missing in said
 
 
 SHORT = ("--set", "time.duration=0.05", "--set", "gravity.constant=1e-9")

@@ -12,16 +12,18 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from carom.engines.engine import Engine as Engine
+    from carom.engines.engine import EngineSimulation as EngineSimulation
+    from carom.engines.engine import Problem as Problem
+    from carom.engines.engine import SteppedEngine as SteppedEngine
+    from carom.engines.engine import dt_of as dt_of
+    from carom.engines.engine import problem_of as problem_of
+    from carom.engines.engine import refuse as refuse
+    from carom.engines.source import engine_package as engine_package
+    from carom.engines.source import named_version as named_version
     from carom.errors import needing as needing
     from carom.lab.compared_run import Setting as Setting
     from carom.lab.compared_run import Trajectory as Trajectory
-    from carom.lab.engines import Engine as Engine
-    from carom.lab.engines import EngineSimulation as EngineSimulation
-    from carom.lab.engines import Problem as Problem
-    from carom.lab.engines import SteppedEngine as SteppedEngine
-    from carom.lab.engines import dt_of as dt_of
-    from carom.lab.engines import problem_of as problem_of
-    from carom.lab.engines import refuse as refuse
     from carom.physics.exponential import exponential as exponential
     from carom.physics.exponential import logarithm as logarithm
     from carom.physics.exponential import power as power
@@ -35,8 +37,6 @@ if TYPE_CHECKING:
     from carom.recording.schema.series import Plot as Plot
     from carom.recording.schema.series import Sample as Sample
     from carom.recording.schema.series import Series as Series
-    from carom.recording.source import engine_package as engine_package
-    from carom.recording.source import named_version as named_version
     from carom.scene.contact_laws import ContactLaw as ContactLaw
     from carom.scene.data import Arrays as Arrays
     from carom.scene.data import DataFormat as DataFormat
@@ -98,7 +98,7 @@ if TYPE_CHECKING:
 _NAMES = {  # of each module
     "carom.errors": "needing",
     "carom.lab.compared_run": "Setting Trajectory",
-    "carom.lab.engines": "Engine EngineSimulation Problem SteppedEngine dt_of problem_of refuse",
+    "carom.engines.engine": "Engine EngineSimulation Problem SteppedEngine dt_of problem_of refuse",
     "carom.physics.exponential": "exponential logarithm power",
     "carom.physics.jit.decorators": "kernel",
     "carom.recording.edit.bundle": "opened",
@@ -106,7 +106,7 @@ _NAMES = {  # of each module
     "carom.recording.read.lookup": "body_number names_of",
     "carom.recording.schema.palette": "LINES",
     "carom.recording.schema.series": "Plot Sample Series",
-    "carom.recording.source": "engine_package named_version",
+    "carom.engines.source": "engine_package named_version",
     "carom.scene.contact_laws": "ContactLaw",
     "carom.scene.data": "Arrays DataFormat DataTable",
     "carom.scene.forces": "BodyForce PairForce",

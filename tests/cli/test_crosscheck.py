@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from carom.lab.crosscheck.crosscheck import Crosscheck, CrosscheckTask, Followed, Runs
-from carom.lab.engines import engines_called
+from carom.engines.crosscheck.crosscheck import Crosscheck, CrosscheckTask, Followed, Runs
+from carom.engines.engine import engines_called
 from carom.recording.read.recording import Recording
 from carom.scene.load import Scene
 from carom.scene.scene_file import crosscheck_scenes

@@ -61,7 +61,7 @@ COMMANDS: dict[str, dict[str, str]] = {  # panel → name → module:function, i
         "tune": "carom.lab.tradeoff:tune_command",
         "stress": "carom.cli.stress:stress",
         "hunt": "carom.lab.hunt:hunt_command",
-        "crosscheck": "carom.lab.crosscheck:crosscheck_command",
+        "crosscheck": "carom.engines.crosscheck:crosscheck_command",
     },
     "Keep and share": {
         "clip": "carom.cli.recordings:clip",

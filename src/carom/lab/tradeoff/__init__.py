@@ -84,10 +84,10 @@ def tradeoff_command(
 
     Measurements are kept; the same command continues where it stopped.
     """
-    from carom.lab.engines import engines_called
+    from carom import registry
     from carom.lab.tradeoff.settings_grid import default_settings
 
-    others = engines_called(engines or ())
+    others = registry.imported("carom.engines.engine:engines_called")(engines) if engines else ()  # optional
     study, settings = opened(scene, vary, folder, overrides, threads, force, limit)
     wanted = default_settings(study.scene) if settings is None else settings
     wanted += [setting for engine in others for setting in engine.settings(study.scene)]

@@ -19,6 +19,7 @@ from typing import Any
 
 import numpy as np
 
+from carom import registry
 from carom.arrays import FloatArray
 from carom.errors import ExperimentError, PhysicsError, SceneError
 from carom.lab.compared_run import (
@@ -31,7 +32,6 @@ from carom.lab.compared_run import (
     sample_times,
     write_document,
 )
-from carom.lab.engines import engine_called
 from carom.lab.tradeoff.reference import BUDGET, COMPARED, NAMES, Reference, Teller, fineness, make_reference
 from carom.lab.tradeoff.settings_grid import (
     SettingResult,
@@ -64,6 +64,11 @@ MARGIN = 2.0  # smallest allowed ratio of the shortest compared steps to the ste
 
 EngineFollower = Callable[[Setting, FloatArray], Trajectory]  # runs a setting of another engine, sampled at times in s
 Examiner = Callable[[SettingResult, Teller], None]  # examines a followed run
+
+
+def _engine_called(name: str) -> Any:
+    """Return an engine, a `carom.engines.engine.Engine`; that folder may be missing."""
+    return registry.imported("carom.engines.engine:engine_called")(name)
 
 
 class Study:
@@ -112,7 +117,7 @@ class Study:
         self.results: list[SettingResult] = []
         self.reference: Reference | None = None
         self.budget = min(BUDGET, limit)  # s, for the reference
-        self.follow_engine: EngineFollower = lambda setting, times: engine_called(setting.engine).follow(
+        self.follow_engine: EngineFollower = lambda setting, times: _engine_called(setting.engine).follow(
             scene, setting, times, limit
         )
         self.examine: Examiner = lambda result, tell: None
@@ -287,7 +292,7 @@ class Study:
         """
         setting = result.setting
         if setting.engine:
-            return engine_called(setting.engine).run(self.scene, setting)
+            return float(_engine_called(setting.engine).run(self.scene, setting))
         threads = setting.threads or self.threads or cores()
         clock = time.thread_time if threads == 1 else time.perf_counter
         scene = setting.apply(self.scene)

@@ -26,9 +26,9 @@ from carom.recording.read.recorded_scene import recorded_curves
 from carom.recording.read.recording import Recording
 from carom.recording.schema.checkpoint_columns import size
 from carom.recording.schema.header import Header, Scalar, TimeScale, viewer_time
-from carom.recording.source.population import Lives
 from carom.recording.write.durable_sink import AddressReserve
 from carom.recording.write.encoder import BatchEncoder, event_rows
+from carom.recording.write.partial_frames import Lives
 from carom.recording.write.stream import BATCH_BYTES, Stream, frames_in_batch
 from carom.recording.write.whole_file import name_until_whole
 

@@ -18,8 +18,8 @@ from carom.recording.read.frame_rows import Continuation
 from carom.recording.rrd.messages import release_memory
 from carom.recording.schema import checkpoint_columns, paths
 from carom.recording.schema.header import Header, Scalar, TimeScale, application_id
-from carom.recording.source.population import Lives
 from carom.recording.write.durable_sink import FLUSH, DurableSink
+from carom.recording.write.partial_frames import Lives
 from carom.recording.write.rerun_compat import end_earlier_streams, rerun_chunks, send_layout
 from carom.recording.write.rows import Index, Rows, any_values, joined, kind_of
 from carom.recording.write.static_entities import identity, statics

@@ -19,11 +19,10 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from carom.arrays import FloatArray, IntArray, Records, SingleArray
+from carom.engines.engine import EngineSimulation, SteppedEngine, dt_of, problem_of, refuse
+from carom.engines.source import CONTACT, Model, Plane, State, StateMemory, engine_package, named_version
 from carom.errors import RecordingError
 from carom.lab.compared_run import Setting
-from carom.lab.engines import EngineSimulation, SteppedEngine, dt_of, problem_of, refuse
-from carom.record import CONTACT, Model, Plane, State, StateMemory
-from carom.recording.source import engine_package, named_version
 from carom.scene.load import Scene
 
 PACKAGE = "robox3d"

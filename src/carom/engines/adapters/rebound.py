@@ -16,16 +16,15 @@ from typing import Any
 import numpy as np
 
 from carom.arrays import FloatArray, IntArray, Records
+from carom.engines.engine import FINER, EngineSimulation, InOrder, own_step, refuse, watch
+from carom.engines.source import Model, Source, State, StateMemory, engine_package, named_version
 from carom.errors import ExperimentError, RecordingError
 from carom.lab.compared_run import STEPS, RunStoppedError, Setting, Trajectory
-from carom.lab.engines import FINER, EngineSimulation, InOrder, own_step, refuse, watch
 from carom.physics.placement import place
 from carom.physics.space import Space
 from carom.plan.features import require
 from carom.plan.hierarchy import DOMINANT
 from carom.plan.interactions import further
-from carom.record import Model, Source, State, StateMemory
-from carom.recording.source import engine_package, named_version
 from carom.scene.load import Scene
 from carom.scene.matter import pair_coefficients
 from carom.scene.start import half_spaces

@@ -9,13 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from carom.engines.adapters.rebound import shortest_period
+from carom.engines.engine import EngineSimulation, engine_called, problem_of, watch
+from carom.engines.source import Model, Plane, State
 from carom.errors import ExperimentError
 from carom.lab.compared_run import sample_times
-from carom.lab.engines import EngineSimulation, engine_called, problem_of, watch
-from carom.lab.engines.rebound import shortest_period
 from carom.lab.tradeoff.tradeoff import Study
 from carom.recording.read.recording import Recording
-from carom.recording.source import Model, Plane, State
 from carom.scene.load import Scene
 
 STAR = {"mass": 1.0, "radius": 0.01, "position": [0.0, 0.0, 0.0]}

@@ -14,11 +14,10 @@ from typing import Any
 import numpy as np
 
 from carom.arrays import FloatArray, IntArray, Records
+from carom.engines.engine import EngineSimulation, InOrder, SteppedEngine, dt_of, problem_of
+from carom.engines.source import CONTACT, Model, Plane, Source, State, engine_package, named_version
 from carom.errors import RecordingError
 from carom.lab.compared_run import Setting
-from carom.lab.engines import EngineSimulation, InOrder, SteppedEngine, dt_of, problem_of
-from carom.record import CONTACT, Model, Plane, Source, State
-from carom.recording.source import engine_package, named_version
 from carom.scene.load import Scene
 from carom.scene.schema import Coefficients
 

@@ -18,6 +18,10 @@ import numpy as np
 
 from carom import registry
 from carom.arrays import FloatArray, IntArray
+from carom.engines.law_audit import Fault, Tolerances
+from carom.engines.observer import Observer, not_finite
+from carom.engines.snapshot_writer import observed_recording, observed_totals
+from carom.engines.source import SPHERE, Model, Source, State, engine_package, setup_of
 from carom.errors import ExperimentError, RecordingError
 from carom.lab.compared_run import RunStoppedError, Setting, Trajectory, between
 from carom.physics.diagnostics.extremes import Extremes
@@ -26,10 +30,6 @@ from carom.physics.placement import place
 from carom.physics.space import Space
 from carom.plan.features import require
 from carom.plan.interactions import further
-from carom.record import Fault, Model, Source, State, Tolerances
-from carom.recording.source import SPHERE, engine_package, setup_of
-from carom.recording.source.observer import Observer, not_finite
-from carom.runs.snapshot_writer import observed_recording, observed_totals
 from carom.scene.load import Scene
 from carom.scene.matter import pair_coefficients
 from carom.scene.schema import Coefficients

@@ -15,13 +15,22 @@ from numpy.typing import NDArray
 from carom.arrays import BoolArray, FloatArray
 from carom.errors import RecordingError
 from carom.recording.schema.header import LARGEST
-from carom.recording.source.engine_contacts import has_forces
 from carom.scene.start import HalfSpaces
 
 MASSLESS = 1e-30  # of the largest mass; it replaces the mass 0 of a test particle
 DRAWN_RADIUS = 0.01  # of the bodies' extent; it replaces the radius 0 of a point mass
-ROUGHLY = 0.01  # largest relative error of the length of a quaternion
+ROUGHLY = 0.01  # largest relative error of the length of a quaternion or of a normal
 SPHERE = 0.4  # moment of inertia / (m r²)
+CONTACT = np.dtype(
+    [
+        ("i", np.int64),  # a body, or n + k for plane k
+        ("j", np.int64),
+        ("point", np.float64, 3),  # m
+        ("normal", np.float64, 3),  # of length 1, from i to j
+        ("force", np.float64),  # N, along the normal on j; the opposite acts on i
+        ("friction", np.float64, 3),  # N, the tangential force on j
+    ]
+)
 
 
 class Plane(NamedTuple):
@@ -123,6 +132,11 @@ class Setup:
 
     def __len__(self) -> int:
         return len(self.mass)
+
+
+def has_forces(contacts: Any) -> bool:
+    """Return whether contacts are records with forces, and not only pairs."""
+    return getattr(getattr(contacts, "dtype", None), "names", None) is not None
 
 
 def setup_of(model: Model, first: State) -> Setup:

@@ -17,15 +17,15 @@ from pathlib import Path
 
 import numpy as np
 
+from carom.engines.law_audit import Fault
+from carom.engines.observer import Observer, header_of_source
+from carom.engines.population import Population, Present, spread, without_bodies
+from carom.engines.source import State, StateMemory
 from carom.errors import RecordingError
 from carom.event import Event
 from carom.physics.frame import Frame
 from carom.recording.edit.repair import widen
 from carom.recording.schema.header import Header, Scalar
-from carom.recording.source import State, StateMemory
-from carom.recording.source.law_audit import Fault
-from carom.recording.source.observer import Observer, header_of_source
-from carom.recording.source.population import Population, Present, spread, without_bodies
 from carom.recording.write.recorder import FrameRecorder
 from carom.recording.write.whole_file import claimed_output
 from carom.runs.environment import environment

@@ -17,11 +17,10 @@ from typing import Any
 import numpy as np
 
 from carom.arrays import FloatArray, Records, SingleArray
+from carom.engines.engine import EngineSimulation, SteppedEngine, dt_of, problem_of
+from carom.engines.source import CONTACT, Model, Plane, State, engine_package, named_version
 from carom.errors import RecordingError
 from carom.lab.compared_run import Setting
-from carom.lab.engines import EngineSimulation, SteppedEngine, dt_of, problem_of
-from carom.record import CONTACT, Model, Plane, State
-from carom.recording.source import engine_package, named_version
 from carom.scene.load import Scene
 from carom.scene.schema import Coefficients
 

@@ -18,6 +18,8 @@ from dataclasses import dataclass, field, fields
 import numpy as np
 
 from carom.arrays import BoolArray, FloatArray, IntArray
+from carom.engines.engine_contacts import EngineMoment, Near, lengths
+from carom.engines.source import Setup
 from carom.errors import RecordingError
 from carom.event import Event
 from carom.physics.contact.impact_log import IMPACT
@@ -26,8 +28,6 @@ from carom.physics.contact.law import MATERIAL
 from carom.physics.contact.loads import LOAD
 from carom.physics.diagnostics.dissipation import WRONG, WRONG_WORK, JudgedEnds, judge_impacts
 from carom.physics.diagnostics.energy import Energy
-from carom.recording.source import Setup
-from carom.recording.source.engine_contacts import EngineMoment, Near, lengths
 from carom.scene.units.dimension import ENERGY, VELOCITY
 from carom.scene.units.system import SI, UnitSystem
 from carom.scene.wording import Names, bodies_called

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from carom.lab.crosscheck.parting import NumberedImpacts, parting_of
+from carom.engines.crosscheck.parting import NumberedImpacts, parting_of
 from carom.lab.tradeoff.reference import Reference, make_reference
 from carom.recording.read.named_events import named_event
 from carom.recording.read.recording import Recording

@@ -15,16 +15,16 @@ from pathlib import Path
 from typing import Any
 
 from carom.arrays import FloatArray
+from carom.engines.crosscheck.parting import NumberedImpacts, parting_of
+from carom.engines.engine import COMPLETED, Engine, Watched, engine_called, watch
+from carom.engines.source import named_version
 from carom.errors import ExperimentError, PhysicsError, RecordingError
 from carom.lab.compared_run import Setting, Trajectory, sample_times, write_document
-from carom.lab.crosscheck.parting import NumberedImpacts, parting_of
-from carom.lab.engines import COMPLETED, Engine, Watched, engine_called, watch
 from carom.lab.tradeoff.settings_grid import SettingResult, result_entry
 from carom.lab.tradeoff.tradeoff import REFERENCE, Study
 from carom.physics.jit import cores
 from carom.physics.placement import place
 from carom.recording.read.recording import Recording
-from carom.recording.source import named_version
 from carom.runs.outcome import Verdict, judge
 from carom.runs.run import recording_space, simulate
 from carom.runs.workers import Ended, LocalWorkers, WorkerDiedError

@@ -19,11 +19,10 @@ from typing import Any
 import numpy as np
 
 from carom.arrays import FloatArray, Records
+from carom.engines.engine import EngineSimulation, SteppedEngine, dt_of, problem_of, refuse
+from carom.engines.source import CONTACT, SPHERE, Model, Plane, State, engine_package, named_version
 from carom.errors import RecordingError
 from carom.lab.compared_run import Setting
-from carom.lab.engines import EngineSimulation, SteppedEngine, dt_of, problem_of, refuse
-from carom.record import CONTACT, Model, Plane, State
-from carom.recording.source import SPHERE, engine_package, named_version
 from carom.scene.load import Scene
 
 BASE = -1  # the number of a body's first link

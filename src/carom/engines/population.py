@@ -6,19 +6,17 @@ the position NaN, which is not drawn. Frames are computed for the present bodies
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
 
 from carom.arrays import BoolArray, FloatArray, IntArray, Records
+from carom.engines.source import MASSLESS, SPHERE, Model, Setup, State, array_of, flags_of
 from carom.errors import RecordingError
-from carom.physics.checkpoint import fingerprint_of
 from carom.physics.contact.graph import empty_graph
 from carom.physics.frame import Frame
-from carom.recording.schema.checkpoint_columns import PartialCheckpoint
-from carom.recording.source import MASSLESS, SPHERE, Model, Setup, State, array_of, flags_of
+from carom.recording.write.partial_frames import PartialFrame
 from carom.scene.wording import Names, SomeNames
 
 FIRST_PLANE = 1 << 40  # number of the first plane while the number of bodies is not known yet
@@ -42,24 +40,6 @@ class Present:
     def lasting_ends(self) -> IntArray:
         """The same, but the numbers of planes do not change when bodies come."""
         return np.concatenate((self.numbers, FIRST_PLANE + np.arange(len(self.setup.planes))))
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PartialFrame(Frame):
-    """A frame with a place for each body of the run, of which only some exist."""
-
-    present: IntArray  # (k,) numbers of the bodies that exist
-
-    @property
-    def fingerprint(self) -> int:
-        """A fingerprint of the exact state of the bodies that exist."""
-        arrays = (self.position, self.velocity, self.orientation, self.angular_velocity)
-        return fingerprint_of(self.time, [None if each is None else each[self.present] for each in arrays])
-
-    @property
-    def checkpoint(self) -> PartialCheckpoint:
-        """The exact state, with NaN for bodies that do not exist."""
-        return PartialCheckpoint.of(super(PartialFrame, self).checkpoint, self.present)
 
 
 class Population:
@@ -212,38 +192,3 @@ def _renumbered(rows: Records, ends: IntArray) -> Records:
     for name in ("nx", "ny", "nz", "friction_x", "friction_y", "friction_z"):
         found[name][turned] *= -1.0
     return found[np.lexsort((found["j"], found["i"]))]
-
-
-class Lives:
-    """Records which bodies exist in the frames of a run."""
-
-    def __init__(self, bodies: int) -> None:
-        self.change = False  # whether a body has come or gone so far
-        self._first, self._last = np.full((2, bodies), -1, dtype=np.int64)
-        self._present: IntArray | None = None  # of the last frame
-
-    def add(self, batch: Sequence[Frame]) -> bool:
-        """Add frames; return whether bodies came or went in them."""
-        changed = False
-        for frame in batch:
-            if not isinstance(frame, PartialFrame):
-                continue
-            if (new := len(frame.position) - len(self._first)) > 0:
-                self._first, self._last = (np.append(each, np.full(new, -1)) for each in (self._first, self._last))
-            if frame.present is not self._present:
-                changed = changed or self._present is not None
-                came = frame.present[self._first[frame.present] < 0]
-                self._first[came] = frame.step
-                self._present = frame.present
-            self._last[frame.present] = frame.step
-        self.change = self.change or changed
-        return changed
-
-    def columns(self) -> dict[str, IntArray]:
-        """Return the components that are recorded: the first and the last step of each body.
-
-        For a body that exists in the last frame, the last step is -1; for a body without a frame, the first step is -1.
-        """
-        last = self._last.copy()
-        last[self._present] = -1
-        return {"first_step": self._first, "last_step": last}

@@ -17,10 +17,11 @@ from typing import Self
 import numpy as np
 
 from carom.arrays import IntArray
-from carom.errors import RecordingError
-from carom.recording.read.recording import Recording
-from carom.recording.schema.header import LARGEST
-from carom.recording.source import (
+from carom.engines.law_audit import Fault, Tolerances
+from carom.engines.observer import Observer, header_of_source, not_finite
+from carom.engines.population import Population, ids_of
+from carom.engines.snapshot_writer import SnapshotWriter, Unrecorded, sentence_of, text_of
+from carom.engines.source import (
     BulkSource,
     Model,
     Setup,
@@ -33,12 +34,11 @@ from carom.recording.source import (
     setup_of,
     time_of,
 )
-from carom.recording.source.law_audit import Fault, Tolerances
-from carom.recording.source.observer import Observer, header_of_source, not_finite
-from carom.recording.source.population import Population, ids_of
+from carom.errors import RecordingError
+from carom.recording.read.recording import Recording
+from carom.recording.schema.header import LARGEST
 from carom.recording.write.whole_file import claimed_output, refuse_name
 from carom.runs.environment import environment
-from carom.runs.snapshot_writer import SnapshotWriter, Unrecorded, sentence_of, text_of
 from carom.scene.units.dimension import TIME, UnitError
 from carom.scene.units.system import SI, UnitSystem
 

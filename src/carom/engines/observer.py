@@ -8,6 +8,17 @@ from typing import Any
 import numpy as np
 
 from carom.arrays import Records
+from carom.engines.engine_contacts import (
+    EngineMoment,
+    Proximity,
+    checked_contacts,
+    rows_of_contacts,
+    rows_of_graph,
+    whole_numbers,
+)
+from carom.engines.law_audit import AuditFinding, Fault, LawAudit, Tolerances
+from carom.engines.population import Present
+from carom.engines.source import Setup, State, has_forces
 from carom.errors import RecordingError
 from carom.event import Event
 from carom.physics.bodies import Bodies
@@ -23,18 +34,6 @@ from carom.physics.diagnostics.run_monitor import Activity, PaceTally
 from carom.physics.forces.gravity.direct import DirectGravity
 from carom.physics.frame import Frame, FrameStore, copies
 from carom.recording.schema.header import LARGEST, Header, Scalar
-from carom.recording.source import Setup, State
-from carom.recording.source.engine_contacts import (
-    EngineMoment,
-    Proximity,
-    checked_contacts,
-    has_forces,
-    rows_of_contacts,
-    rows_of_graph,
-    whole_numbers,
-)
-from carom.recording.source.law_audit import AuditFinding, Fault, LawAudit, Tolerances
-from carom.recording.source.population import Present
 from carom.scene.forces import GRAVITY, UNIFORM_FIELD
 from carom.scene.schema.settings import called
 from carom.scene.start import InitialBodies

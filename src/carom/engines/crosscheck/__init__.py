@@ -17,7 +17,7 @@ from carom.terminal.printing import say, say_json
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from carom.lab.crosscheck.crosscheck import Crosscheck, Teller
+    from carom.engines.crosscheck.crosscheck import Crosscheck, Teller
     from carom.scene.load import Scene
     from carom.scene.units.system import UnitSystem
     from carom.terminal.console import Terminal
@@ -50,9 +50,9 @@ def crosscheck_command(
 
     Results are kept; the same command continues where it stopped.
     """
+    from carom.engines.crosscheck.crosscheck import Crosscheck, Runs
+    from carom.engines.engine import engines_called
     from carom.errors import ExperimentError
-    from carom.lab.crosscheck.crosscheck import Crosscheck, Runs
-    from carom.lab.engines import engines_called
     from carom.lab.tradeoff import STOPPED, ran
     from carom.scene.load import Scene
     from carom.scene.scene_file import bundled_folders
@@ -147,7 +147,7 @@ def _console() -> Terminal:
 
 
 def _show(document: dict[str, Any], units: UnitSystem, folder: Path) -> None:
-    from carom.lab.crosscheck.crosscheck import OWN
+    from carom.engines.crosscheck.crosscheck import OWN
 
     console = _console()
     console.print(_table(document, units))
@@ -247,9 +247,9 @@ def _energy(energy: dict[str, float | None]) -> str:
 
 def _draw(check: Crosscheck, quiet: bool) -> None:
     """Write the figure and the recording of all runs beside the document, and print their paths."""
+    from carom.engines.crosscheck.crosscheck import DOCUMENT, FIGURE, OVERLAY
+    from carom.engines.crosscheck.crosscheck_figure import draw
     from carom.errors import ExperimentError
-    from carom.lab.crosscheck.crosscheck import DOCUMENT, FIGURE, OVERLAY
-    from carom.lab.crosscheck.parting import draw
     from carom.lab.tradeoff.tradeoff_figure import record
 
     if not any(result.complete for result in check.results):

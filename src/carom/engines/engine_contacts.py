@@ -3,36 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from carom.arrays import BoolArray, FloatArray, IntArray, Records
 from carom.contact_table import CONTACT_ROW, NO_ROWS, OPEN, RESTING
+from carom.engines.source import CONTACT, ROUGHLY, Setup
 from carom.errors import RecordingError
 from carom.physics.contact.broad_phase.grid import HierarchicalGrid
 from carom.physics.contact.graph import CollisionGraph, empty_graph
 from carom.physics.vector import minimum_images
-
-if TYPE_CHECKING:
-    from carom.recording.source import Setup
-
-CONTACT = np.dtype(
-    [
-        ("i", np.int64),  # a body, or n + k for plane k
-        ("j", np.int64),
-        ("point", np.float64, 3),  # m
-        ("normal", np.float64, 3),  # of length 1, from i to j
-        ("force", np.float64),  # N, along the normal on j; the opposite acts on i
-        ("friction", np.float64, 3),  # N, the tangential force on j
-    ]
-)
-_ROUGHLY = 0.01  # largest relative error of the length of a normal
-
-
-def has_forces(contacts: Any) -> bool:
-    """Return whether contacts are records with forces, and not only pairs."""
-    return getattr(getattr(contacts, "dtype", None), "names", None) is not None
 
 
 def whole_numbers(engine: str, name: str, values: Any) -> IntArray:
@@ -66,7 +47,7 @@ def checked_contacts(engine: str, contacts: Any, bodies: int, ends: int) -> Reco
             f"{engine}: contacts names {row['i']} and {row['j']}; bodies are 0 to {bodies - 1}, planes up to {ends - 1}"
         )
     length = np.linalg.norm(found["normal"], axis=1)
-    wrong = np.abs(length - 1.0) > _ROUGHLY
+    wrong = np.abs(length - 1.0) > ROUGHLY
     if wrong.any():
         row = int(np.argmax(wrong))
         raise RecordingError(f"{engine}: the normal of contacts[{row}] has the length {length[row]:g}; it must be 1")

@@ -17,14 +17,14 @@ import numpy as np
 import pytest
 
 import carom
+from carom.engines.adapters.pybullet import calls_per_frame
+from carom.engines.snapshot_writer import Unrecorded
+from carom.engines.source import StateMemory, engine_package
 from carom.errors import RecordingError
-from carom.lab.engines.pybullet import calls_per_frame
 from carom.recording.read.recorded_scene import header_of_recording
 from carom.recording.read.recording import Recording
 from carom.recording.schema.series import recorded as series_of
-from carom.recording.source import StateMemory, engine_package
 from carom.runs.outcome import overview
-from carom.runs.snapshot_writer import Unrecorded
 from carom_command import carom as command
 
 FAULT = 100  # the step from which each fault is planted

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from carom.lab.crosscheck.parting import OWN_COLOUR, colours_of
+from carom.engines.crosscheck.crosscheck_figure import OWN_COLOUR, colours_of
 
 
 def test_engines_measured_by_an_earlier_command_keep_colours_of_their_own() -> None:
