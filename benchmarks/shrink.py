@@ -14,8 +14,8 @@ from typing import Any
 
 from carom.errors import ExperimentError
 from carom.lab.shrink.condition import condition_from
-from carom.lab.shrink.literal import commented
 from carom.lab.shrink.reducer import Reducer
+from carom.lab.shrink.shrunk_file import commented
 from carom.scene.load import Scene
 from patched_faults import FAULTS, Fault
 

@@ -20,7 +20,8 @@ from carom.errors import RecordingError
 from carom.recording.layout import TRAILS
 from carom.recording.layout.camera import FEW, CameraFit
 from carom.recording.layout.canvas import Area
-from carom.recording.layout.plot_views import CurveOutline, curve_style, time_series_view
+from carom.recording.layout.curve_outline import CurveOutline
+from carom.recording.layout.plot_views import curve_style, time_series_view
 from carom.recording.read.frame_rows import drawn_paths, times_of
 from carom.recording.read.lookup import body_number, split_at_commas
 from carom.recording.read.recording import Recording

@@ -17,8 +17,9 @@ from carom.lab.run_summary import Expression, Observation, Touches, UnknownNameE
 from carom.lab.shrink import _print
 from carom.lab.shrink.condition import condition_from
 from carom.lab.shrink.leave_out import cones, digits_of, fewest, rounded
-from carom.lab.shrink.literal import Document, commented
+from carom.lab.shrink.literal import Document
 from carom.lab.shrink.reducer import Reducer, Reduction
+from carom.lab.shrink.shrunk_file import commented
 from carom.lab.shrink.trials import Judges, OutOfTime, Task, Trials
 from carom.lab.shrink.whole_run import IMAGES, INVARIANCES, CommandShows, Image, Varies
 from carom.physics.diagnostics.bookkeeper import BalanceAudit

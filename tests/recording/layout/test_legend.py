@@ -8,7 +8,8 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from carom.recording.layout.canvas import Area
-from carom.recording.layout.plot_views import CurveOutline, place_legend, time_beside_legend
+from carom.recording.layout.curve_outline import CurveOutline
+from carom.recording.layout.plot_views import place_legend, time_beside_legend
 
 FloatArray = NDArray[np.float64]
 

@@ -16,8 +16,8 @@ from carom.lab.hunt.documents import Document
 from carom.lab.hunt.random_scenes import IMPACTS, SMOOTH, drawn
 from carom.lab.run_summary import Observation, said_by
 from carom.lab.shrink.condition import condition_from
-from carom.lab.shrink.literal import key_of, text_of, write
 from carom.lab.shrink.reducer import Reducer
+from carom.lab.shrink.shrunk_file import key_of, text_of, write
 from carom.lab.shrink.trials import Budget, Condition, OutOfTime, observe
 from carom.lab.shrink.whole_run import applies, moved_by_shorter_steps
 from carom.physics.space import Space

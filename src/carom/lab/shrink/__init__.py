@@ -80,8 +80,9 @@ def shrink_command(
     from math import inf
 
     from carom.lab.shrink.condition import condition_from
-    from carom.lab.shrink.literal import earlier, key_of, source_of
+    from carom.lab.shrink.literal import source_of
     from carom.lab.shrink.reducer import Reducer
+    from carom.lab.shrink.shrunk_file import earlier, key_of
     from carom.lab.shrink.whole_run import CommandShows
     from carom.recording.write.whole_file import refuse_output, refuse_scene_output
 
@@ -122,7 +123,7 @@ def _reduced(
     reducer: Reducer, scene: Scene, start: InitialBodies, path: Path, key: str, command: str, *, quiet: bool
 ) -> Reduction:
     """Reduce, print the progress, and keep the smallest scene so far in the file."""
-    from carom.lab.shrink.literal import text_of, unfinished_text, write
+    from carom.lab.shrink.shrunk_file import text_of, unfinished_text, write
 
     asked = reducer.condition.text
 

@@ -1,18 +1,10 @@
-"""The scene to shrink, as a document with all bodies: read from a scene or a recording, and written to a file.
-
-The file is TOML with comments. One of them records whether the reduction is finished.
-"""
+"""The scene to shrink, as a document with all bodies, read from a scene or a recording."""
 
 from __future__ import annotations
 
-import hashlib
-import re
-import textwrap
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
-
-import tomlkit
+from typing import Any, cast
 
 from carom.arrays import FloatArray
 from carom.errors import RecordingError
@@ -21,18 +13,12 @@ from carom.physics.placement import place
 from carom.recording.edit.bundle import is_bundle, opened
 from carom.recording.read.recorded_scene import recorded_scene, start_of
 from carom.recording.read.recording import Recording
-from carom.recording.write.whole_file import write_whole
-from carom.runs.environment import versions
 from carom.runs.window import checkpoint_before
 from carom.scene.load import Scene
 from carom.scene.matter import body_materials
 from carom.scene.scene_file import RECORDED
 from carom.scene.schema.contact import DEFAULT
 from carom.scene.start import InitialBodies, half_spaces
-from carom.scene.wording import counted
-
-if TYPE_CHECKING:
-    from carom.lab.shrink.reducer import Reduction, Stage
 
 Document = dict[str, Any]  # a scene, as for `Scene.from_dict`
 KeyPath = tuple[str | int, ...]  # keys of tables and indices of lists
@@ -41,10 +27,6 @@ BODIES = "body"
 ORIGIN = [0.0, 0.0, 0.0]  # the default of every vector of a body, which is left out
 _NOT_COPIED = {"body", "bodies", "group", "sweep", "promise", "description", "units"}  # keys of a scene
 _FACTOR = 0.4  # moment of inertia of a solid sphere over m r²
-_MARK = re.compile(
-    r"^# shrink ([0-9a-f]{12}) of (\d{1,9}) bodies and (\d{1,9}) steps, (unfinished|minimal)$", re.MULTILINE
-)
-_HEAD = 10_000  # characters at the beginning of a file that are searched for the mark
 
 
 @dataclass(frozen=True, slots=True)
@@ -184,106 +166,3 @@ def source_of(given: str, overrides: list[str]) -> tuple[Scene, InitialBodies]:
         raise RecordingError(f"{path}: it contains only its last state, so there is nothing to rerun")
     later = scene.time.model_copy(update={"duration": left}) if checkpoint.time > 0.0 else scene.time
     return scene.model_copy(update={"time": later}), start
-
-
-def key_of(scene_toml: str, condition: str) -> str:
-    """Return a digest (48 bits) of a scene and a condition."""
-    return hashlib.sha256(f"{scene_toml}\0{condition}".encode()).hexdigest()[:12]
-
-
-@dataclass(frozen=True, slots=True)
-class Earlier:
-    """The result of an earlier reduction."""
-
-    finished: bool
-    before: tuple[int, int]  # of the scene before the reduction: bodies, and steps up to the failure
-
-
-def earlier(path: Path, key: str) -> Earlier | None:
-    """Return the earlier result in a file; None if it is the result of another reduction."""
-    try:
-        with path.open(encoding="utf-8") as file:
-            found = _MARK.search(file.read(_HEAD))
-    except (OSError, UnicodeDecodeError):
-        return None
-    if found is None or found[1] != key:
-        return None
-    return Earlier(found[4] == "minimal", (int(found[2]), int(found[3])))
-
-
-def unfinished_text(
-    document: Document, asked: str, said: str, before: tuple[int, int], key: str, command: str, why: str = ""
-) -> str:
-    """Return the text of the smallest scene so far, from which the same command continues."""
-    comments = [command, f"Asked for: {asked}", f"Shown here: {said}"]
-    comments.append(f"Not finished ({why or 'still at work'}): the same command continues from here.")
-    return commented(document, [*comments, _mark(key, before, "unfinished")])
-
-
-def text_of(reduction: Reduction, asked: str, key: str, command: str) -> str:
-    """Return the text of a reduced scene with its comments."""
-    made, before = reduction.document, reduction.before
-    if not reduction.minimal:
-        return unfinished_text(made, asked, reduction.said, before, key, command, reduction.stopped)
-    bodies, steps = before
-    taken = f"{counted(reduction.steps, 'step')} of {steps}"
-    if reduction.steps > steps:  # steps may change with fewer bodies
-        taken = f"{counted(reduction.steps, 'step')}, instead of {steps} in the original scene"
-    left = f"Left: {counted(reduction.bodies, 'body')} of {bodies}, {taken}."
-    told: list[Stage] = []  # the first stage of each name, and all that changed the number of bodies or steps
-    for stage in reduction.stages:
-        known = any(stage.name == other.name for other in told)
-        if not known or (stage.bodies, stage.steps) != (told[-1].bodies, told[-1].steps):
-            told.append(stage)
-    found = "; ".join(f"{one.name}, {counted(one.bodies, 'body')}, {counted(one.steps, 'step')}" for one in told)
-    how = f"Found by carom {versions()['carom']} with {reduction.candidates} candidates in {reduction.seconds:.3g} s"
-    comments = [
-        command,
-        f"Asked for: {asked}",
-        f"Failure: {reduction.said}",
-        f"{left} Without any one body, key or digit, the failure disappears.",
-        f"{how}: {found}.",
-        _mark(key, before, "minimal"),
-    ]
-    return commented(made, comments)
-
-
-def _mark(key: str, before: tuple[int, int], state: str) -> str:
-    return f"shrink {key} of {before[0]} bodies and {before[1]} steps, {state}"
-
-
-def write(path: Path, text: str) -> None:
-    """Replace a file atomically, so that an interrupt leaves a whole one. Raises RecordingError if that fails."""
-    try:
-        write_whole(path, text)
-    except OSError as error:
-        raise RecordingError(f"cannot write {path}: {error.strerror}") from None
-
-
-WIDTH = 110  # characters of a comment
-
-
-def commented(document: Document, comments: list[str]) -> str:
-    """Return the text of a scene with comments above it, each a paragraph, and one line for each body."""
-    written = tomlkit.document()
-    for paragraph in comments:
-        for line in textwrap.wrap(paragraph, WIDTH, break_long_words=False, break_on_hyphens=False):
-            written.add(tomlkit.comment(line))
-    written.add(tomlkit.nl())
-    for key in [key for key, value in document.items() if not isinstance(value, dict | list)]:
-        written.add(key, document[key])
-    for key in [BODIES, *(key for key, value in document.items() if isinstance(value, list) and key != BODIES)]:
-        # a line for each table
-        rows = tomlkit.array()
-        for values in document[key]:
-            row = tomlkit.inline_table()
-            row.update(values)
-            rows.append(row)
-        written.add(key, rows.multiline(True))
-    for key, value in document.items():
-        if isinstance(value, dict):
-            table = tomlkit.table()
-            for name, inner in value.items():
-                table.add(name, inner)
-            written.add(key, table)
-    return tomlkit.dumps(written)

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 from itertools import product
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol
 
 import numpy as np
 import rerun as rr
@@ -17,13 +17,10 @@ from rerun.blueprint.encodings import ComponentSourceKind, VisualizerComponentMa
 from rerun.encodings import EntityPathLike
 
 from carom.arrays import BoolArray, FloatArray, IntArray
+from carom.recording.layout.curve_outline import Curves
 from carom.recording.schema import palette, paths
 from carom.recording.schema.header import Header
 from carom.recording.schema.paths import MOVING, PERIODIC_BOX, PLANES, SHAPES, WALLS
-
-if TYPE_CHECKING:
-    from carom.recording.layout.plot_views import Curves
-
 
 SLOPE = float(np.tan(np.radians(55.0 / 2)))  # of the picture's upper border: Rerun's field of view is 55° high
 UP = np.array([0.0, 0.0, 1.0])

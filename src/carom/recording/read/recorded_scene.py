@@ -13,7 +13,7 @@ import pyarrow as pa
 
 from carom.arrays import BoolArray
 from carom.errors import RecordingError, SceneError
-from carom.recording.layout.plot_views import CurveOutline
+from carom.recording.layout.curve_outline import CurveOutline
 from carom.recording.read.entities import SCALARS, flat
 from carom.recording.schema import paths
 from carom.recording.schema.header import COLOUR_BY, Header, ShownMaterials, motions_of, scene_digest

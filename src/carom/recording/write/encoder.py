@@ -19,8 +19,8 @@ from carom.physics.contact.graph import colour_bodies
 from carom.physics.frame import Frame, FrameStore
 from carom.physics.vector import minimum_images
 from carom.recording.layout import drawing
+from carom.recording.layout.curve_outline import CurveOutline
 from carom.recording.layout.drawing import arrow_length, shape, single
-from carom.recording.layout.plot_views import CurveOutline
 from carom.recording.read.recorded_impacts import RecordedImpacts
 from carom.recording.schema import checkpoint_columns, palette, paths
 from carom.recording.schema.header import Header
