@@ -21,7 +21,7 @@ import numpy as np
 from carom.arrays import FloatArray, IntArray
 from carom.errors import ExperimentError, PhysicsError
 from carom.physics.frame import Frame
-from carom.physics.schedule import every
+from carom.physics.schedule import Watch, every, quiet
 from carom.physics.space import Space
 from carom.physics.vector import minimum_images
 from carom.plan import auto
@@ -81,6 +81,11 @@ class RunGuard:
     def __init__(self, bound: RunBound, tell: Callable[[int, float], None]) -> None:
         self._bound, self._tell = bound, tell
         self._began, self._told = time.process_time(), time.perf_counter()
+
+    @property
+    def most(self) -> float:
+        """The largest number of steps."""
+        return self._bound.steps
 
     @property
     def seconds(self) -> float:
@@ -206,7 +211,7 @@ def follow(
     )
 
 
-class _Watch:
+class _Watch(Watch):
     """A schedule that requests a frame after each step that passes a time, and keeps the state before that step."""
 
     def __init__(self, space: Space, times: FloatArray, guard: RunGuard) -> None:
@@ -215,13 +220,22 @@ class _Watch:
         self.velocity: list[FloatArray] = []
         self.met: dict[int, float] = {}  # s, by i (n + p) + j
         self._space, self._times, self._guard = space, times, guard
-        self._recorded = every(auto.frame_interval(space.scene))
+        interval = auto.frame_interval(space.scene)
+        self._recorded = every(interval) if interval else None  # None: every step
         self._frames, self._last_recorded = 1, True  # the initial frame
         self._ends = len(space.state) + len(space.planes)
         self._overlaps: list[FloatArray] = []  # over the smaller radius, late in the run
         self._touching = np.empty(0, dtype=np.int64)  # the contacts of the previous step
         self._began = 0.0  # s, start of that step
         self._before: tuple[float, FloatArray, FloatArray, FloatArray]
+
+    def quiet(self, step: int, time: float) -> tuple[float, float]:
+        """Return the number of steps and the time (s) before the next sample or frame; see the last step's contacts."""
+        if not self._space.has_solution:
+            self.see_contacts(time)
+        steps, until = quiet(self._recorded, step, time) if self._recorded else (math.inf, math.inf)
+        due = float(self._times[len(self.position)]) if len(self.position) < len(self._times) else math.inf
+        return min(steps, max(1.0, self._guard.most - step)), min(until, due)
 
     def __call__(self, step: int, before: float, time: float) -> bool:
         """Copy the state before a step; integrators with a solution within steps call this after the step."""
@@ -231,8 +245,11 @@ class _Watch:
         else:
             self.see_contacts(before)
             self._began = before
-        self._last_recorded = self._recorded(step, before, time)
-        self._frames += self._last_recorded
+        if self._recorded:
+            self._last_recorded = self._recorded(step, before, time)
+            self._frames += self._last_recorded
+        else:
+            self._frames = step + 1
         done = len(self.position)
         passes = done < len(self._times) and time >= self._times[done]
         if time < self._times[-1] and self._guard.is_over(step, time):

@@ -90,6 +90,7 @@ class FlightClock(NamedTuple):
     most: int  # steps
     average: float  # s, the moving average of the step
     impact_energy: float  # J, the energy of recent impacts
+    stops_before: bool  # whether the step that reaches `until` is left out, for a schedule that reads the state before
 
 
 class MovedState(NamedTuple):
@@ -159,17 +160,26 @@ class FreeFlight:
             ),
             FlightBuffers(timestep.buffer(bodies), np.empty(len(bodies)), np.empty((3, len(bodies), 3))),
         )
-        clock = FlightClock(0.0, 0.0, 0.0, 0, 0.0, 0.0)
+        clock = FlightClock(0.0, 0.0, 0.0, 0, 0.0, 0.0, False)
         self._fly: Callable[..., tuple[Any, ...]] = entry_of(_fly, clock, *self.arguments)
 
-    def take(self, time: float, end: float, until: float, most: int, impact_energy: float = 0.0) -> Flight:
+    def take(
+        self,
+        time: float,
+        end: float,
+        until: float,
+        most: int,
+        impact_energy: float = 0.0,
+        *,
+        stops_before: bool = False,
+    ) -> Flight:
         """Take steps until a time or a number of steps is reached, the run ends, or something may touch.
 
-        Times are in s. The last step is cut to end at ``end``, but not at ``until``. ``impact_energy`` (J) is that of
-        recent impacts.
+        Times are in s. The last step is cut to end at ``end``, but not at ``until``. With ``stops_before``, the step
+        that reaches ``until`` or ``end`` is not taken. ``impact_energy`` (J) is that of recent impacts.
         """
         timestep = self._timestep
-        clock = FlightClock(time, end, until, min(most, MOST_STEPS), timestep.previous, impact_energy)
+        clock = FlightClock(time, end, until, min(most, MOST_STEPS), timestep.previous, impact_energy, stops_before)
         steps, before, time, dt, limit, timestep.previous, impact_energy = self._fly(clock, *self.arguments)
         return Flight(steps, before, time, dt, LIMIT_NAMES[limit], impact_energy)
 
@@ -190,7 +200,7 @@ def _fly(
     clock: FlightClock, laws: FlightLaws, moved: MovedState, kept: KeptState, buffers: FlightBuffers
 ) -> tuple[int, float, float, float, int, float, float]:
     """Take steps; return their number, the times before and after the last, its length and limit, and the averages."""
-    time, end, until, most, average, impact_energy = clock
+    time, end, until, most, average, impact_energy, stops_before = clock
     substeps, box, saved = laws.substeps, kept.box, buffers.saved
     position, velocity, acceleration, orientation, angular_velocity = moved
     P, n, last = laws.plan[0], len(position), len(substeps) - 1
@@ -200,7 +210,7 @@ def _fly(
     while steps < most and limit != END and (time < until or steps == 0):
         length, why, following = choose_step(laws, moved, kept, buffers, average, end - time)
         after = end if why == END else time + length
-        if not after > time:
+        if not after > time or (stops_before and (why == END or after >= until)):
             break
         if P.touches:
             copy_state(position, velocity, acceleration, saved[0], saved[1], saved[2])

@@ -6,6 +6,7 @@ No step depends on a schedule. The last step of a run always has a frame and a c
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
@@ -17,6 +18,18 @@ if TYPE_CHECKING:
 Schedule = Callable[[int, float, float], bool]  # step, the times before and after it → whether it is scheduled
 
 MULTIPLE_TOLERANCE = 1e-9  # of a time: a smaller difference from a multiple of the frame interval is ignored
+
+
+class Watch(ABC):
+    """A schedule that reads the state before each step for which it is called, and says which steps it need not see."""
+
+    @abstractmethod
+    def __call__(self, step: int, before: float, time: float) -> bool:
+        """Return whether a step is scheduled."""
+
+    @abstractmethod
+    def quiet(self, step: int, time: float) -> tuple[float, float]:
+        """Return the number of steps and the time (s) before which nothing is due, at the end of a step."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,15 +112,15 @@ def at(steps: Iterable[int]) -> Schedule:
 def quiet(schedule: Schedule, step: int, time: float) -> tuple[float, float]:
     """Return the step and the time (s) at which a schedule must be evaluated next.
 
-    Schedules of other types are evaluated after every step.
+    Schedules of other types are evaluated for every step.
     """
-    return schedule.quiet(step, time) if isinstance(schedule, Every | At | Pause | Checks) else (1, time)
+    return schedule.quiet(step, time) if isinstance(schedule, Every | At | Pause | Checks | Watch) else (1, time)
 
 
 def looks_before(schedule: Schedule) -> bool:
     """Return whether a schedule may read the state before each step.
 
-    Schedules of this module do not read it. All others may, so no steps are taken between their evaluations.
+    Schedules of this module do not read it. All others may, so many steps in one call end before the one that is due.
     """
     return not isinstance(schedule, Every | At | Pause)
 

@@ -134,18 +134,19 @@ class KickDriftStepper:
     def _advance(self, goal: Goal) -> bool:
         """Take a step, or many if nothing touches, up to the goal; return whether a frame is due."""
         contact, clock, flight = self._world.contact, self._world.clock, self._flight
-        if flight is None or looks_before(goal.schedule):
+        if flight is None:
             return self._advance_once(goal)
         if contact and not contact.is_quiet:
             is_done = self._advance_steadily is not None and self._advance_steadily(goal)
             return False if is_done else self._advance_once(goal)
-        most, until = goal.most, np.inf
-        if most > 1:
+        most, until, stops_before = goal.most, np.inf, looks_before(goal.schedule)
+        if most > 1 or stops_before:
             steps, until = goal.quiet(clock)
             most, until = int(min(most, steps)), min(until, self._books.kept_until)
         for lend in self._hooks.lend:
             lend(self._books.audit)
-        taken = flight.take(clock.time, goal.end, until, most, self._books.activity.impact_energy)
+        energy = self._books.activity.impact_energy
+        taken = flight.take(clock.time, goal.end, until, most, energy, stops_before=stops_before)
         return self._land(taken, goal) if taken.steps else self._advance_once(goal)
 
     def _land(self, taken: Flight, goal: Goal) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,7 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from carom.lab.compared_run import Trajectory, follow, sample_times
+from carom.lab.compared_run import Trajectory, _Watch, follow, sample_times
 from carom.lab.tradeoff.reference import ErrorScale, compare, make_reference, refined
 from carom.lab.tradeoff.settings_grid import vary
 from carom.physics.space import Space
@@ -26,6 +27,27 @@ def test_following_a_run_changes_no_bit() -> None:
         pass
     follow(followed, sample_times(scene))
     assert plain.fingerprint() == followed.fingerprint() and plain.step == followed.step
+
+
+@pytest.mark.parametrize("name", ["bouncing", "figure-eight"])
+def test_a_run_followed_over_many_steps_a_call_is_the_one_followed_step_by_step(
+    name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bouncing = scene_of(
+        [{"radius": 0.1, "density": 1000.0, "position": [0.0, 0.0, 0.12], "velocity": [0.1, 0.0, 0.0]}],
+        plane=[{}],
+        gravity={"constant": 0.0, "uniform": [0.0, 0.0, -9.81]},
+        contact={"restitution": 0.5, "static_friction": 0.3, "kinetic_friction": 0.3},
+        time={"duration": 0.25},
+    )  # it comes to rest and rolls
+    scene = bouncing if name == "bouncing" else Scene.load(name, ["time.duration=0.3"])
+    times = sample_times(scene)[::20]
+    together = follow(Space(scene, 1), times)
+    monkeypatch.setattr(_Watch, "quiet", lambda self, step, time: (1, time))
+    single = follow(Space(scene, 1), times)
+    for field in fields(Trajectory):
+        ones, others = getattr(together, field.name), getattr(single, field.name)
+        assert np.array_equal(ones, others, equal_nan=True), field.name
 
 
 @settings(deadline=None)

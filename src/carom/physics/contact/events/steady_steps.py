@@ -134,7 +134,7 @@ class SteadySteps:
         until, timestep = min(until, books.kept_until), self._timestep
         for lend in world.hooks.lend:
             lend(books.audit)
-        asked = FlightClock(clock.time, goal.end, until, most, timestep.previous, 0.0), clock.step
+        asked = FlightClock(clock.time, goal.end, until, most, timestep.previous, 0.0, True), clock.step
         if self._go_on is None:
             share = self._waited / (clock.step - self._first + 1) * most / (most + 1)
             coming = (goal.end - clock.time) / clock.dt * share
@@ -188,7 +188,7 @@ def _go_on(
 ) -> tuple[int, float, float, float, int, float]:
     """Make steps; return their number, the times before and after the last one, its length, limit, and the average."""
     contacts = by_address(contacts)
-    time, end, until, most, average, _ = clock
+    time, end, until, most, average, _, _ = clock
     position, velocity, acceleration, orientation, spin = moved
     T, saved, n = totals[0], buffers.saved, len(position)
     first, whole, last = laws.substeps[0, 0], laws.substeps[0, 1], laws.substeps[0, 2]
