@@ -1,6 +1,6 @@
 """The annotations of the view: the legend with its scales, names, the arrow of a field; and the light theme."""
 
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -9,11 +9,11 @@ import pytest
 
 import carom
 from carom.display import close_up, movie
-from carom.display.legend import impact_marks
+from carom.display.legend import LegendContents, impact_marks, legend
 from carom.display.presentation import Presentation, asked
 from carom.display.request import Request, shown_step
 from carom.display.staging import axes_and_field, names_that_fit
-from carom.recording.layout import FIELD
+from carom.recording.layout import FIELD, drawing, legend_area
 from carom.recording.layout.camera import CameraFit
 from carom.recording.layout.canvas import LEGEND, Area, CameraMotion, Canvas, View, free_corner, views_of
 from carom.recording.layout.drawing import REACH, magnitude_at, part_of_longest
@@ -41,19 +41,19 @@ def lines_of(shown: Presentation) -> dict[str, int]:
     """Return the lines of the legend, with their colours."""
     label: Any = dict(shown.supplement.statics)[LEGEND]
     texts, colours = label.labels.as_arrow_array().to_pylist(), label.colors.as_arrow_array().to_pylist()
-    return dict(zip(texts, colours, strict=True))
+    return dict(zip((text.strip("\xa0\xad") for text in texts), colours, strict=True))
 
 
 def test_the_legend_has_every_body_in_its_colour(bounce: Recording) -> None:
     lines = lines_of(asked(bounce, Request()))
-    assert lines["■ left"] == palette.SKY and lines["■ right"] == palette.CLAY
+    assert [lines["■ left"], lines["■ right"]] == palette.readable([palette.SKY, palette.CLAY], "dark").tolist()
 
 
 def test_the_legend_has_every_material_in_its_colour(slope: Recording) -> None:
     lines, materials = lines_of(asked(slope, Request())), header_of_recording(slope).materials
     assert materials is not None
     for name, colour in zip(materials.names, materials.colours, strict=True):
-        assert lines[f"■ {name}"] == colour
+        assert [lines[f"■ {name}"]] == palette.readable([colour], "dark").tolist()
 
 
 @pytest.mark.parametrize("by", ["graph", "island", "speed"])
@@ -63,17 +63,27 @@ def test_the_legend_explains_colours_that_are_asked_for(by: str, bounce: Recordi
 
 
 def test_the_legend_names_the_scale_of_every_kind_of_arrow(bounce: Recording) -> None:
-    header, lines = header_of_recording(bounce), " ".join(lines_of(asked(bounce, Request())))
+    header, lines = header_of_recording(bounce), " ".join(" ".join(lines_of(asked(bounce, Request()))).split())
     (impact,) = bounce.impacts().to_pylist()
     step = shown_step(bounce, bounce.moment(), int(bounce.closing["moments.impact.step"])).frame
     assert step is not None and step.torque is not None
+    assert "lengths compressed: ½, 1, 1½ radii from the surface =" in lines
     # the only step with torques, which are alike, so they are the middle of the scale: 1 of 2 radii
     torque = float(np.linalg.norm(step.torque[0]))
-    assert f"1 radius = {float(f'{torque:.2g}'):g}, 1.5 radii = " in lines
-    alpha = magnitude_at(1.0, REACH[paths.ANGULAR_ACCELERATION], torque / header.inertia[0])
-    assert f"1 radius = {float(f'{alpha:.2g}'):g}, 1.5 radii = " in lines
-    assert f"normal impulse: 1 radius = {impact['normal_impulse']:.3g} N s" in lines, "the only one is the median"
+    for path, name, middle, unit in (
+        (paths.TORQUE, "torque", torque, "N m"),
+        (paths.ANGULAR_ACCELERATION, "angular acceleration", torque / header.inertia[0], "rad/s²"),
+        (paths.FORCE_NORMAL, "normal impulse", impact["normal_impulse"], "N s"),  # the only one is the median
+    ):
+        values = [two_digits(magnitude_at(radii, REACH[path], middle)) for radii in (0.5, 1.0, 1.5)]
+        assert f"{name}: {', '.join(values)} {unit}" in lines
+    for word, share in (("small", 1 / 27), ("median", 1.0), ("large", 27.0)):  # u = 1/4, 1/2, 3/4
+        assert f"{word} impulse, {two_digits(share * impact['normal_impulse'])} N s" in lines
     assert "spin, close up: 1.3 radii = 0.857 rad/s" in lines
+
+
+def two_digits(value: float) -> str:
+    return f"{float(f'{value:.2g}'):g}"
 
 
 @pytest.mark.parametrize("radii", [0.01, 1.0, 1.9])
@@ -197,6 +207,51 @@ def luminance(colour: int) -> float:
     return sum(weight * ((colour >> shift) & 0xFF) for weight, shift in ((0.2126, 24), (0.7152, 16), (0.0722, 8))) / 255
 
 
+def relative_luminance(colour: int) -> float:
+    """Return the relative luminance of WCAG 2."""
+    shares = [((colour >> shift) & 0xFF) / 255 for shift in (24, 16, 8)]
+    linear = [share / 12.92 if share <= 0.04045 else ((share + 0.055) / 1.055) ** 2.4 for share in shares]
+    return float(np.dot([0.2126, 0.7152, 0.0722], linear))
+
+
+@pytest.mark.parametrize(("theme", "label"), [("dark", 0x1B1D20FF), ("light", 0xEFEFEFFF)])
+def test_every_word_of_a_legend_has_a_contrast_of_four_and_a_half_to_one(theme: str, label: int) -> None:
+    """The colours of labels are those that pictures of the viewer show."""
+    known = (*palette.BODIES, *palette.STAGES, *palette.ARROWS.values(), palette.SPIN, palette.FIELD, palette.GREY)
+    shades = palette.body_colours(np.zeros(200, dtype=np.int64))  # of one group, down to dark ones
+    for colour in palette.readable([*known, *drawing.COLOURS, *drawing.SPEEDS, *shades], theme).tolist():
+        darker, lighter = sorted([relative_luminance(colour), relative_luminance(label)])
+        assert (lighter + 0.05) / (darker + 0.05) >= 4.45, f"{colour:08x}"  # 1 % for the rounding to 8 bits
+
+
+@pytest.mark.parametrize("bodies", [2, 16, 300])
+def test_a_legend_is_whole_in_a_window_of_1280_by_720(bodies: int, bounce: Recording) -> None:
+    """Sixteen bodies, and all arrows, edges and units that there are; of many groups, some lines are folded."""
+    contents = LegendContents(*[True] * len(fields(LegendContents)))
+    many = -np.ones(bodies, dtype=np.int64) if bodies < 100 else np.arange(bodies)
+    header = replace(
+        header_of_recording(bounce),
+        group=many,
+        radius=np.ones(bodies),
+        names=[f"a long name {k}" for k in range(bodies)],
+    )
+    references = {paths.TORQUE: 1234.5, paths.ANGULAR_ACCELERATION: 1.2345e-7}
+    lines = (header, "group", palette.body_colours(many), references, None, contents)
+    spins, field = np.array([[0.0, 0.0, 1e3]]), np.array([0.0, 0.0, -9.81])
+    words = legend(*lines, spins=spins, field=field, viewer_time="1 s of the viewer is 1000 year")
+    area = legend_area(Canvas())
+    ((_, shown),) = words.statics(area)
+    labels: Any = shown
+    heights = np.array(labels.positions.as_arrow_array().to_pylist())[:, 1]
+    chip = 23.0  # points, height of a label
+    assert heights[-1] + chip <= area.height <= 720 - 70 - 24
+    assert (np.diff(heights) >= chip).all(), "no label covers another"
+    assert max(line.width for line in words.fitted(area).entries) <= area.width <= 0.2 * 1280
+    texts = " ".join(line.text for line in words.fitted(area).entries)
+    assert "a long name" in texts and "angular acceleration" in texts and "of the viewer" in texts
+    assert bodies == 2 or f"and {bodies - texts.count('a long name')} more, in other shades" in texts
+
+
 @pytest.mark.parametrize("view", ["all", "bodies", "graph", "close-up"])
 def test_the_light_theme_is_light_everywhere(view: str, slope: Recording) -> None:
     shown = asked(slope, Request(), Canvas(theme="light"), view)
@@ -214,8 +269,8 @@ def test_the_light_theme_is_light_everywhere(view: str, slope: Recording) -> Non
 def test_the_legend_explains_what_an_edges_width_and_colour_mean(theme: str, slope: Recording) -> None:
     lines = lines_of(asked(slope, Request(), Canvas(theme=theme)))
     edges = {text: colour for text, colour in lines.items() if text.startswith("— contact")}
-    assert {"— contact: small impulse", "— contact: large impulse"} < set(edges)
-    assert any("N s" in text for text in edges), "the middle of the scale"
+    for text, word in zip(edges, ("small", "median", "large"), strict=True):
+        assert text.startswith(f"— contact: {word} impulse, "), "the scale"
     assert len(set(edges.values())) == (3 if theme == "dark" else 1), "on paper only the width has a meaning"
 
 

@@ -12,7 +12,7 @@ from carom.display.request import Request
 from carom.display.viewer import broken_off, reason_of
 from carom.errors import RecordingError
 from carom.physics.placement.initial_state import place
-from carom.recording.layout import drawing
+from carom.recording.layout import LEGEND_SHARE, drawing
 from carom.recording.schema import palette
 from carom.recording.write.recorder import FrameRecorder
 from carom.scene.scene_file import bundled_scenes
@@ -45,7 +45,7 @@ def graph_view(pixels: Pixels) -> Pixels:
 
 
 def plots(pixels: Pixels) -> Pixels:
-    return region(pixels, 0.0, 0.58, 1.0, 0.78)
+    return region(pixels, 0.0, 0.58, 1.0 - LEGEND_SHARE, 0.78)
 
 
 def test_a_picture_does_not_replace_what_is_no_picture(tmp_path: Path) -> None:
@@ -132,7 +132,7 @@ def test_the_picture_of_the_bundled_collapse_shows_spheres_arrows_edges_and_plot
     subprocess.run([*carom, "run", "cloud-collapse", "-o", recording], check=True)
     subprocess.run([*carom, "picture", recording, "--at", "7600", "-o", str(png)], check=True)
     pixels = np.asarray(Image.open(png).convert("RGB"), dtype=np.int64)
-    shares = (3, 2.2, 2, 1.7)  # with the close-up and the legend
+    shares = (3, 2.2, 2)  # with the close-up
     bodies, graph = view(pixels, 0, shares), view(pixels, 1, shares)
     assert of_hue(bodies, palette.SKY) > 0.05 * bodies.shape[0] * bodies.shape[1], "spheres"
     assert of_hue(graph, palette.SKY) > 300, "wires, in the colours of their bodies"

@@ -16,7 +16,7 @@ from needs import PICTURES
 from picture_pixels import Pixels, of_colour, of_hue, view
 
 SIZE = (1600, 1000)
-SHARES = (3.0, 2.2, 2.0, 1.7)  # widths of the views of bodies, graph, close-up, and of the legend
+SHARES = (3.0, 2.2, 2.0)  # widths of the views of bodies, graph and close-up
 IMPACTS = {  # scenes with impacts, cut off after a hard one
     "two-spheres": 1.7,
     "rack-break": 0.06,
@@ -74,7 +74,7 @@ def test_the_hardest_impact_of_a_scene_is_framed_with_its_edge_and_arrow(name: s
 @pytest.mark.needs(PICTURES)
 def test_orbits_are_seen_as_trails_in_the_light_theme_as_well(tmp_path: Path) -> None:
     pixels = picture(Scene.load("kepler-orbits"), tmp_path, theme="light")
-    shown = view(pixels, 0, (3.0, 1.7))
+    shown = view(pixels, 0, (3.0,))
     assert np.median(shown) == 255, "white paper"
     assert filled(shown) > 0.5
     for colour in palette.BODIES[1:5]:

@@ -20,6 +20,7 @@ from urllib.parse import urlsplit
 import numpy as np
 import psutil
 import pytest
+from numpy.typing import NDArray
 
 import carom
 from browser import LOADED, chromium, pixels_of, settled, wait_until_loaded
@@ -29,6 +30,7 @@ from carom.display.presentation import presentation
 from carom.display.viewer import binary
 from carom.display.web import Hosted, hosted
 from carom.errors import RecordingError
+from carom.recording.layout import LEGEND_SHARE
 from carom.recording.read.recording import Recording
 from carom.scene.load import Scene
 from needs import BROWSER
@@ -200,7 +202,8 @@ def test_a_port_in_use_is_named(recorded: Path, link: str) -> None:
 @pytest.mark.slow
 @pytest.mark.needs(BROWSER)
 def test_a_browser_shows_the_recording_paused_at_the_moment_of_the_link(link: str) -> None:
-    with chromium() as (page, errors):
+    with chromium(1280, 720) as (page, errors):
+        page.emulate_media(color_scheme="light")  # the usual default; the test of a published page has a dark one
         page.goto(link)
         wait_until_loaded(page, errors)
         first, second = settled(page), pixels_of(page)
@@ -212,9 +215,25 @@ def test_a_browser_shows_the_recording_paused_at_the_moment_of_the_link(link: st
     height, width, _ = first.shape
     bodies = (slice(int(0.15 * height), int(0.5 * height)), slice(0, int(0.55 * width)))
     assert np.median(first[bodies].sum(axis=2)) < 100, "the ground is dark"
+    legend_is_whole(first)
     assert np.mean(np.ptp(first[bodies], axis=2) > 60) > 0.05, "bodies in the colours of their groups"
     assert np.array_equal(first[bodies], second[bodies]), "paused"
     assert np.mean(np.any(first[bodies] != later[bodies], axis=2)) > 0.05, "another moment"
+
+
+def legend_is_whole(pixels: NDArray[np.int64]) -> None:
+    """Check that the words of a legend stand out, and that none is cut; ``pixels`` are those of the page."""
+    height, width, _ = pixels.shape
+    legend = pixels[70 : height - 40, int((1.0 - LEGEND_SHARE) * width) + 3 : width - 2]
+    label = np.abs(legend - [0x1B, 0x1D, 0x20]).max(axis=2) < 8
+    rows = np.flatnonzero(label.mean(axis=1) > 0.3)
+    lines = np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1)
+    assert len(lines) >= 5, "each line has its label"
+    linear = (legend / 255) ** 2.2 @ [0.2126, 0.7152, 0.0722]
+    for line in lines:
+        brightest = linear[line[0] : line[-1] + 1].max()
+        assert (brightest + 0.05) / (0.0123 + 0.05) > 4.5, "the contrast to the label, of luminance 0.0123"
+    assert linear[:, :3].max() < 0.1 and linear[:, -3:].max() < 0.1, "no word reaches an edge"
 
 
 @pytest.mark.slow

@@ -333,6 +333,7 @@ def test_a_browser_opens_the_page_and_a_moment_in_the_viewer(published: str) -> 
         assert page.evaluate("document.documentElement.scrollWidth") <= PHONE, "no need to scroll sideways"
         assert page.eval_on_selector_all("img", "images => images.every((image) => image.clientWidth > 300)")
         page.set_viewport_size({"width": 800, "height": 500})
+        page.emulate_media(color_scheme="dark")
         page.click("figure:nth-of-type(2) a")
         wait_until_loaded(page, errors)
         shown = settled(page)

@@ -4,6 +4,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from carom.recording.layout import LEGEND_SHARE
+
 Pixels = NDArray[np.int64]
 
 
@@ -13,9 +15,9 @@ def region(pixels: Pixels, left: float, top: float, right: float, bottom: float)
     return pixels[int(top * height) : int(bottom * height), int(left * width) : int(right * width)]
 
 
-def view(pixels: Pixels, number: int, shares: tuple[float, ...] = (3, 2.2, 1.7)) -> Pixels:
-    """Cut out one of the 3D views, given the widths of all and of the legend."""
-    edges = np.concatenate([[0.0], np.cumsum(shares)]) / sum(shares)
+def view(pixels: Pixels, number: int, shares: tuple[float, ...] = (3, 2.2)) -> Pixels:
+    """Cut out one of the 3D views, given their widths, left of a legend."""
+    edges = np.concatenate([[0.0], np.cumsum(shares)]) / sum(shares) * (1.0 - LEGEND_SHARE)
     return region(pixels, edges[number] + 0.003, 0.065, edges[number + 1] - 0.003, 0.54)
 
 

@@ -27,17 +27,31 @@ from carom.recording.schema import palette, paths
 from carom.recording.schema.header import STATIC_COLOURS, Header
 from carom.recording.write.encoder import SPEED
 from carom.scene.units import dimension
+from carom.scene.units.dimension import Dimension
+from carom.scene.wording import counted
 
 BODIES, GRAPH = "bodies", "graph"  # views
 _SPACE = (BODIES, GRAPH)
 MOST_NAMED = 6  # bodies that have an entry each, so that the scales of arrows remain visible
+_LEAST_NAMED = 2  # lines about bodies that a legend has in any case
 
 _ROW = 25.0  # points, from one line to the next
-_MARGIN = 10.0  # points, around the lines
-_LETTER, _WIDE, _NARROW = 7.1, 10.4, 3.9  # points, widths of letters
-_WIDE_LETTERS, _NARROW_LETTERS = "mwMWNOQ→—■=+", "iljtfrI .,:'()-/|1"
-_LARGE = 1.5  # radii, the longer of the two arrows that show the scale
-_DIMENSIONS = {paths.TORQUE: dimension.TORQUE, paths.ANGULAR_ACCELERATION: dimension.ANGULAR_ACCELERATION}
+_MARGIN = 5.0  # points, around the lines
+_CHIP = 12.0  # points, by which a label is wider than its text
+# points, widths of letters, measured in a picture; of others `_LETTER`
+_WIDTHS = {3.1: "ijlI.,:;'·", 3.4: " ", 4.5: "frt()/|", 5.6: "1-_²³°τ", 6.9: "acksvxyzJL", 8.2: "ABKPRSTVXYZ34=+<>×α"}
+_WIDTHS |= {9.3: "CDGHNOQUωw%", 11.6: "mMW—→■½"}
+_LETTER = 7.5
+_WIDTH_OF = {letter: width for width, letters in _WIDTHS.items() for letter in letters}
+_PAD, _PAD_WIDTH = "\u00a0", 3.4  # a space that is kept, and its width in points, measured in a picture
+_END = "\u00ad"  # nothing to be seen; the viewer cuts spaces at the end of a label
+_LENGTHS = {"½": 0.5, "1": 1.0, "1½": 1.5}  # radii, of the arrows whose magnitudes show the scale
+_EDGES = {2: "small", 4: "median", 6: "large"}  # levels of edges whose impulses show the scale
+_DIMENSIONS = {
+    paths.FORCE_NORMAL: dimension.IMPULSE,
+    paths.TORQUE: dimension.TORQUE,
+    paths.ANGULAR_ACCELERATION: dimension.ANGULAR_ACCELERATION,
+}
 _NAMES = {paths.TORQUE: "torque", paths.ANGULAR_ACCELERATION: "angular acceleration"}
 
 
@@ -48,13 +62,12 @@ class LegendLine:
     text: str
     colour: int  # 0xRRGGBBAA
     views: Sequence[str] = ()  # views whose legend has this line in a picture of a single view
+    bodies: int = 0  # that it names, in a list that may be folded
 
     @property
     def width(self) -> float:
         """Its width in points."""
-        wide = sum(letter in _WIDE_LETTERS for letter in self.text)
-        narrow = sum(letter in _NARROW_LETTERS for letter in self.text)
-        return _WIDE * wide + _NARROW * narrow + _LETTER * (len(self.text) - wide - narrow)
+        return _CHIP + sum(_WIDTH_OF.get(letter, _LETTER) for letter in self.text)
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,17 +93,15 @@ class Legend:
     entries: Sequence[LegendLine]
     theme: str = "dark"
 
-    def wrapped(self, width: float) -> Legend:
-        """Return the lines, broken between words where they are wider than a view of this width (points)."""
-        found = list[LegendLine]()
-        for entry in self.entries:
-            line, *words = entry.text.split(" ")
-            for word in words:
-                if replace(entry, text=f"{line} {word}").width + 2.0 * _MARGIN > width and line.strip("→—■ "):
-                    found.append(replace(entry, text=line))
-                    line = "    "
-                line = f"{line} {word}"
-            found.append(replace(entry, text=line))
+    def fitted(self, area: Area) -> Legend:
+        """Return the lines for a view of this area: broken between words, and of many bodies only the first ones."""
+        entries, rows = list(self.entries), int((area.height - 2.0 * _MARGIN) / _ROW)
+        while len(found := list(_wrapped(entries, area.width))) > rows:
+            named = [k for k, entry in enumerate(entries) if entry.bodies]
+            if len(named) <= _LEAST_NAMED:
+                break
+            last, more = (entries.pop(k) for k in (named[-1], named[-2]))
+            entries.insert(named[-2], _more_bodies(last.bodies + more.bodies))
         return replace(self, entries=found)
 
     def of(self, view: str) -> Legend:
@@ -105,7 +116,7 @@ class Legend:
         return max(entry.width for entry in self.entries) + 2.0 * _MARGIN, _ROW * len(self.entries) + 2.0 * _MARGIN
 
     def view(self, area: Area) -> rrb.Spatial2DView:
-        """Lay out the lines in a view of this size; lines that do not fit are below its lower edge."""
+        """Lay out the lines in a view of this size, or in a larger one."""
         return rrb.Spatial2DView(
             name="Legend",
             origin=LEGEND,
@@ -113,9 +124,19 @@ class Legend:
             visual_bounds=rrb.VisualBounds2D(x_range=[0.0, area.width], y_range=[0.0, area.height]),
         )
 
-    def statics(self) -> Iterator[tuple[str, rr.AsComponents]]:
-        """Yield the lines as labels of invisibly small points. A label is centred below its point."""
-        yield LEGEND, rr.Points2D(self._places(), radii=1e-3, **self._labels())
+    def statics(self, area: Area) -> Iterator[tuple[str, rr.AsComponents]]:
+        """Yield the lines for a view of this area as labels of invisibly small points.
+
+        A label is centred below its point, and its size does not change with that of the view. Spaces make all labels
+        equally wide, so that their left ends are below one another in larger views, too.
+        """
+        fitted = self.fitted(area)
+        wide = area.width - 2.0 * _MARGIN
+        padding = [int((wide - each.width) / _PAD_WIDTH) * _PAD + _END for each in fitted.entries]
+        points = [(0.5 * area.width, _MARGIN + _ROW * k) for k in range(len(padding))]
+        labels = fitted._labels()
+        labels["labels"] = [text + pad for text, pad in zip(labels["labels"], padding, strict=True)]
+        yield LEGEND, rr.Points2D(points, radii=1e-3, **labels)
 
     def inside(self, view: View, area: Area, corner: tuple[int, int]) -> Iterator[tuple[str, rr.AsComponents]]:
         """Yield the same for a corner of a 3D view of this area."""
@@ -133,6 +154,22 @@ class Legend:
     def _labels(self) -> dict[str, Any]:
         colours = palette.readable([entry.colour for entry in self.entries], self.theme)
         return {"labels": [entry.text for entry in self.entries], "colors": colours, "show_labels": True}
+
+
+def _wrapped(entries: Sequence[LegendLine], width: float) -> Iterator[LegendLine]:
+    """Yield the lines, broken between words where they are wider than a view of this width (points)."""
+    for entry in entries:
+        line, *words = entry.text.split(" ")
+        for word in words:
+            if replace(entry, text=f"{line} {word}").width + 2.0 * _MARGIN > width and line.strip("→—■ "):
+                yield replace(entry, text=line)
+                line = "    "
+            line = f"{line} {word}"
+        yield replace(entry, text=line)
+
+
+def _more_bodies(count: int) -> LegendLine:
+    return LegendLine(f"and {count} more, in other shades", palette.GREY, _SPACE, count)
 
 
 def legend(
@@ -178,6 +215,10 @@ def legend(
         lines.append(LegendLine("— path so far", palette.GREY, (BODIES,)))
     if drawn.torques:
         lines += _arrows(header, references)
+    arrows = next((k for k, line in enumerate(lines) if line.text.startswith("→")), None)
+    if arrows is not None:
+        lengths = f"{', '.join(_LENGTHS)} radii from the surface"
+        lines.insert(arrows, LegendLine(f"arrows, lengths compressed: {lengths} =", palette.GREY, (GRAPH,)))
     if spins is not None:
         fastest = float(np.linalg.norm(spins, axis=1).max(initial=0.0))
         if fastest > 0.0:
@@ -225,22 +266,30 @@ def _groups(header: Header, colours: ColourArray) -> Iterator[LegendLine]:
     """Explain colours by group: a line for each body if there are few, otherwise for each group."""
     names, known = list(header.names), colours.tolist()
     if len(known) <= MOST_NAMED and len(known) == len(names):
-        yield from (LegendLine(f"■ {name or f'body {k}'}", known[k], _SPACE) for k, name in enumerate(names))
+        yield from (LegendLine(f"■ {name or f'body {k}'}", known[k], _SPACE, 1) for k, name in enumerate(names))
         return
     if len(known) != len(names):  # a clip of some bodies
         return
     groups = np.unique(header.group)
-    for group in groups[groups >= 0][:MOST_NAMED].tolist():
+    left = 0
+    for place, group in enumerate(groups[groups >= 0].tolist()):
         members = np.flatnonzero(header.group == group)
+        if place >= MOST_NAMED:
+            left += len(members)
+            continue
         name = names[int(members[0])].rstrip(" 0123456789-_#") or f"group {group}"
-        yield LegendLine(f"■ {name}, {len(members)} bodies, in shades", known[int(members[0])], _SPACE)
+        text = f"■ {name}, {counted(len(members), 'body')}, in shades"
+        yield LegendLine(text, known[int(members[0])], _SPACE, len(members))
     for table in groups[groups < -1].tolist():
         members = np.flatnonzero(header.group == table)
-        yield LegendLine(f"■ {len(members)} bodies of a file, in shades", known[int(members[0])], _SPACE)
+        text = f"■ {counted(len(members), 'body')} of a file, in shades"
+        yield LegendLine(text, known[int(members[0])], _SPACE, len(members))
     single = np.flatnonzero(header.group == -1)
-    yield from (LegendLine(f"■ {names[k] or f'body {k}'}", known[k], _SPACE) for k in single[:MOST_NAMED].tolist())
-    if len(single) > MOST_NAMED:
-        yield LegendLine(f"and {len(single) - MOST_NAMED} more, in other shades", palette.GREY, _SPACE)
+    for k in single[:MOST_NAMED].tolist():
+        yield LegendLine(f"■ {names[k] or f'body {k}'}", known[k], _SPACE, 1)
+    left += max(0, len(single) - MOST_NAMED)
+    if left:
+        yield _more_bodies(left)
 
 
 def _edges(
@@ -254,43 +303,51 @@ def _edges(
         else:
             yield LegendLine("— bodies that touch", palette.VERMILION, (BODIES, *(() if drawn.impulses else (GRAPH,))))
     if drawn.impacts:
-        yield LegendLine("■ impact: size = impulse, glow = lost energy", int(drawing.COLOURS[-2]), (BODIES,))
+        text = "■ impact: size = impulse, brightness = energy lost"
+        yield LegendLine(text, int(drawing.COLOURS[-2]), (BODIES,))
     if not drawn.impulses:
         return
-    middle = _middle(header, frame)
+    middle = _middle(frame)
     levels = drawing.COLOURS.tolist() if theme == "dark" else [palette.VERMILION] * drawing.LEVELS
     normal, friction = palette.ARROWS[paths.FORCE_NORMAL], palette.ARROWS[paths.FORCE_FRICTION]
     views = (BODIES, GRAPH) if by_impulse else (GRAPH,)
-    yield LegendLine("— contact: small impulse", levels[1], views)
-    yield LegendLine(f"— contact: {middle or 'the median impulse'}", levels[len(levels) // 2], views)
-    yield LegendLine("— contact: large impulse", levels[-1], views)
-    yield LegendLine(f"→ normal impulse: 1 radius = {middle or 'the median'}", normal, (GRAPH,))
+    for level, word in _EDGES.items():
+        impulse = magnitude_at(level, drawing.LEVELS, middle)
+        value = f", {_round(header, impulse, dimension.IMPULSE)}" if middle else ""
+        yield LegendLine(f"— contact: {word} impulse{value}", levels[level], views)
+    yield LegendLine(f"→ normal impulse: {_scale(header, paths.FORCE_NORMAL, middle)}", normal, (GRAPH,))
     if drawn.friction:
         yield LegendLine("→ impulse of friction, same scale", friction, (GRAPH,))
 
 
-def _middle(header: Header, frame: Frame | None) -> str:
-    """Write the median impulse of a step, the middle of the scale; empty without impulses."""
+def _middle(frame: Frame | None) -> float:
+    """Return the median impulse (N s) of a step, the middle of the scale; 0 without impulses."""
     rows = None if frame is None else frame.contact_rows
-    if rows is None:
-        return ""
-    positive = rows["normal_impulse"][rows["normal_impulse"] > 0.0]
-    return header.units.text(float(np.median(positive)), dimension.IMPULSE, ".3g") if len(positive) else ""
+    positive = np.zeros(0) if rows is None else rows["normal_impulse"][rows["normal_impulse"] > 0.0]
+    return float(np.median(positive)) if len(positive) else 0.0
+
+
+def _scale(header: Header, path: str, reference: float) -> str:
+    """Write the magnitudes of the arrows that are as long as `_LENGTHS`; nothing is known without a reference."""
+    if not reference:
+        return "1 radius = the median"
+    kind = _DIMENSIONS[path]
+    texts = [_round(header, magnitude_at(radii, REACH[path], reference), kind) for radii in _LENGTHS.values()]
+    unit = texts[-1].partition(" ")[2]
+    return ", ".join([*(text.removesuffix(f" {unit}") for text in texts[:-1]), texts[-1]])
+
+
+def _round(header: Header, value: float, kind: Dimension) -> str:
+    """Write two digits of a magnitude, and a number below a million without an exponent."""
+    number, _, unit = header.units.text(value, kind, ".2g").partition(" ")
+    return f"{float(number):.6g} {unit}"
 
 
 def _arrows(header: Header, references: Mapping[str, float]) -> Iterator[LegendLine]:
     """State the scales of torques and angular accelerations: arrows are not proportional to them."""
-    for path, kind in _DIMENSIONS.items():
-        name, colour = _NAMES[path], palette.ARROWS[path]
-        if path not in references:
-            yield LegendLine(f"→ {name}", colour, (GRAPH,))
-            continue
-        values = (magnitude_at(radii, REACH[path], float(references[path])) for radii in (1.0, _LARGE))
-        (one, _, first), (more, _, unit) = (header.units.text(value, kind, ".2g").partition(" ") for value in values)
-        one, more = (f"{float(text):.6g}" for text in (one, more))  # 190 in place of 1.9e+02
-        one, more = one if first == unit else f"{one} {first}", f"{more} {unit}"  # the line is short
-        yield LegendLine(f"→ {name}, beyond the surface:", colour, (GRAPH,))
-        yield LegendLine(f"→ 1 radius = {one}, {_LARGE:g} radii = {more}", colour, (GRAPH,))
+    for path, name in _NAMES.items():
+        scale = f": {_scale(header, path, references[path])}" if path in references else ""
+        yield LegendLine(f"→ {name}{scale}", palette.ARROWS[path], (GRAPH,))
 
 
 # What is drawn, at a moment or during the whole run: the legend names nothing else.

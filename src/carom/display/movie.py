@@ -228,7 +228,7 @@ def _layout(
     statics = [*bands, *styles, *staging.statics(), *arrow_styles(header, theme)]
     seen = bodies_eye(staging.camera, area, added)
     if view == ALL:
-        statics += words.wrapped(legend_area(laid_out, canvas, close=False).width).statics()
+        statics += words.statics(legend_area(canvas))
     if seen.motion is CameraMotion.STILL:  # with a moving camera, nothing stays in a corner
         added = replace(added, inset=words.of(view).size)
         area = replace(area, inset=added.inset)

@@ -230,7 +230,7 @@ def presentation(
         corner = free_corner(seen, area.aspect, area.inset_share, visible, radius) or CORNERS[0]
         statics += words.of(only).inside(seen, area, corner)
     elif only == ALL:
-        statics += words.wrapped(legend_area(laid_out, canvas, close is not None).width).statics()
+        statics += words.statics(legend_area(canvas))
     is_still = seen.motion is CameraMotion.STILL
     if is_still:
         statics += axes_and_field(header, seen, area, field, visible, radius, corner)

@@ -201,6 +201,8 @@ PLOT = "plot"
 CLOSE_UP = "close-up"
 
 _ROWS = (5.0, 2.4, 1.7)  # heights of the 3D views, the plots and the texts
+LEGEND_SHARE = 0.19  # of the width, beside all rows
+_SMALL_WINDOW = Canvas(1280, 720)  # the legend is whole in any window that is not smaller
 
 
 def blueprint(
@@ -245,43 +247,43 @@ def as_happened(header: Header, curves: Curves | None) -> Header:
 
 
 def close_up_area(header: Header, canvas: Canvas, only: str) -> Area:
-    """Return the area of the close-up view in a layout."""
-    return _areas(canvas, _shares(header, True, True))[-2] if only == ALL else canvas.area()
+    """Return the area of the close-up view in a layout with a legend."""
+    return _areas(canvas, _shares(header, True), legend=True)[-1] if only == ALL else canvas.area()
 
 
 def bodies_area(header: Header, canvas: Canvas, only: str, close: bool) -> Area:
     """Return the area of the view of the bodies in a layout with a legend."""
-    return _areas(canvas, _shares(header, close, True))[0] if only == ALL else canvas.area()
+    return _areas(canvas, _shares(header, close), legend=True)[0] if only == ALL else canvas.area()
 
 
-def legend_area(header: Header, canvas: Canvas, close: bool) -> Area:
-    """Return the area of the legend in a layout of all views."""
-    return _areas(canvas, _shares(header, close, True))[-1]
+def legend_area(canvas: Canvas) -> Area:
+    """Return the area of the legend in a layout of all views; in a window, the one that it has in a small window."""
+    return (canvas if canvas.rendered else _SMALL_WINDOW).area(LEGEND_SHARE)
 
 
-def _shares(header: Header, close: bool, legend: bool) -> list[float]:
-    """Return the widths of the 3D views and of the legend."""
-    return [3.0, *([2.2] if has_graph(header) else []), *([2.0] if close else []), *([1.7] if legend else [])]
+def _shares(header: Header, close: bool) -> list[float]:
+    """Return the relative widths of the 3D views."""
+    return [3.0, *([2.2] if has_graph(header) else []), *([2.0] if close else [])]
 
 
-def _areas(canvas: Canvas, shares: list[float]) -> list[Area]:
-    return [canvas.area(share / sum(shares), _ROWS[0] / sum(_ROWS)) for share in shares]
+def _areas(canvas: Canvas, shares: list[float], *, legend: bool) -> list[Area]:
+    across = (1.0 - LEGEND_SHARE if legend else 1.0) / sum(shares)
+    return [canvas.area(across * share, _ROWS[0] / sum(_ROWS)) for share in shares]
 
 
 def _all(header: Header, camera: CameraFit, curves: Curves | None, canvas: Canvas, added: Additions) -> rrb.Container:
-    shares = _shares(header, added.close is not None, added.legend is not None)
-    areas = _areas(canvas, shares)
+    shares, beside = _shares(header, added.close is not None), added.legend is not None
+    areas = _areas(canvas, shares, legend=beside)
     views: list[rrb.View] = [bodies_view(header, camera, areas[0], added)]
     if has_graph(header):
         views.append(graph_view(header, camera, areas[1], added))
     if added.close:
         views.append(added.close.view(header, added.recoloured))
-    if added.legend:
-        views.append(added.legend.view(areas[-1]))
     heights = list(_ROWS)
     if added.plots is not None:
         heights.insert(1, _ROWS[1])
-    plots = canvas.area(1.0, _ROWS[1] / sum(heights))
+    left = 1.0 - LEGEND_SHARE if beside else 1.0
+    plots = canvas.area(left, _ROWS[1] / sum(heights))
     events = rrb.TextLogView(
         name=f"Events ({added.viewer_time})" if added.viewer_time else "Events",
         origin=paths.EVENTS,
@@ -289,13 +291,16 @@ def _all(header: Header, camera: CameraFit, curves: Curves | None, canvas: Canva
     )
     scene = rrb.TextDocumentView(name="Scene", origin=paths.SCENE, contents=[paths.SCENE])
     texts = rrb.Tabs(events, scene, rrb.TextDocumentView(name="Scene file", origin=paths.SCENE_TOML))
-    return rrb.Vertical(
+    rows = rrb.Vertical(
         rrb.Horizontal(*views, column_shares=shares),
         *([] if added.plots is None else [rrb.Horizontal(*added.plots.views(plots))]),
         rrb.Horizontal(*plot_views(header, curves, plots, added)),
-        rrb.Horizontal(texts, _states(canvas, added), column_shares=[3, 2]),
+        rrb.Horizontal(texts, _states(canvas.area(2.0 / 5.0 * left), added), column_shares=[3, 2]),
         row_shares=heights,
     )
+    if added.legend is None:
+        return rows
+    return rrb.Horizontal(rows, added.legend.view(legend_area(canvas)), column_shares=[left, LEGEND_SHARE])
 
 
 def _single(
@@ -322,11 +327,11 @@ def _single(
             return energy_view(header, curves, canvas.area(), added.span)
 
 
-def _states(canvas: Canvas, added: Additions) -> rrb.View:
+def _states(area: Area, added: Additions) -> rrb.View:
     """Lay out the strips of events: impacts, if they are few enough, phases and limits."""
     return rrb.StateTimelineView(
         name="Impacts, phase, and what limits dt" if added.struck else "Phase, and what limits dt",
         origin="/",
         contents=[*([paths.IMPACTS] if added.struck else []), paths.PHASE, paths.DT_LIMIT],
-        time_view=time_axis(canvas.area(2.0 / 5.0), added.span),
+        time_view=time_axis(area, added.span),
     )

@@ -117,7 +117,10 @@ def arrow_length(header: Header, path: str) -> float:
 
 
 def magnitude_at(radii: float, reach: float, reference: float) -> float:
-    """Return the magnitude whose arrow extends by some median radii, where L_max is ``reach`` of them."""
+    """Return the magnitude whose arrow extends by some median radii, where L_max is ``reach`` of them.
+
+    With levels in place of radii, it is the smallest magnitude of a level.
+    """
     share = radii / reach
     return reference * (share / (1.0 - share)) ** 3
 

@@ -100,6 +100,7 @@ MOST_SINGLE = 70  # most single bodies with hues in rotation; with more, a hue w
 
 _GOLDEN = 0.6180339887498949  # the fractional parts of its first k multiples fill (0, 1) evenly for every k
 _SHADE = 0.45  # fraction by which the darkest body of a group is darker than its hue
+_BRIGHTEST_TEXT, _DARKEST_TEXT = 0.15, 0.24  # with a contrast of 4.5 to 1 on labels, #efefef and #1b1d20 in pictures
 _BRIGHTEST, _DARKEST = 0.3, 0.12  # luminance with a contrast of 3 to 1 on white, and on a dark plot
 
 
@@ -111,25 +112,26 @@ def legible(colours: Iterable[int], theme: str = "") -> NDArray[np.uint32]:
     theme.
     """
     given = np.array([*colours], dtype=np.uint32)
-    if theme == "dark":
-        return given
-    channels = _channels(given)
+    return given if theme == "dark" else _within(given, 0.0 if theme else _DARKEST, _BRIGHTEST)
+
+
+def _within(colours: ArrayLike, darkest: float, brightest: float) -> NDArray[np.uint32]:
+    """Return colours of the same hues whose luminance is at least ``darkest`` and at most ``brightest``."""
+    channels = _channels(colours)
     shares = channels[:, :3] / 255.0
     linear = np.where(shares <= 0.04045, shares / 12.92, ((shares + 0.055) / 1.055) ** 2.4)  # sRGB
     luminance = (linear @ np.array([0.2126, 0.7152, 0.0722]))[:, None]
-    linear = linear * np.minimum(1.0, _BRIGHTEST / np.maximum(luminance, _BRIGHTEST))
-    if not theme:
-        linear += (1.0 - linear) * np.maximum(0.0, (_DARKEST - luminance) / (1.0 - luminance).clip(_DARKEST))
+    linear = linear * np.minimum(1.0, brightest / np.maximum(luminance, brightest))
+    if darkest > 0.0:
+        linear += (1.0 - linear) * np.maximum(0.0, (darkest - luminance) / (1.0 - luminance).clip(darkest))
     shares = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1.0 / 2.4) - 0.055)
     channels[:, :3] = np.round(255.0 * shares)
     return _colours(channels)
 
 
 def readable(colours: Sequence[int], theme: str) -> NDArray[np.uint32]:
-    """Return colours of text with a contrast of at least 3 to 1 on the ground of a theme."""
-    if theme == "light":
-        return legible(colours, theme)
-    return _colours(np.maximum(_channels(colours), _channels(legible(colours))))
+    """Return colours of text with a contrast of at least 4.5 to 1 on the labels of a theme, as WCAG 2 asks."""
+    return _within(colours, 0.0, _BRIGHTEST_TEXT) if theme == "light" else _within(colours, _DARKEST_TEXT, 1.0)
 
 
 def _channels(colours: ArrayLike) -> NDArray[np.uint8]:
