@@ -20,7 +20,7 @@ from carom.cli.main import app
 from carom.cli.stress import extremes
 from carom.scene.load import Scene
 from carom.scene.scene_file import bundled_scenes
-from carom.scene.schema.scene import know_installed_parts
+from carom.scene.scene_model import know_installed_parts
 
 know_installed_parts()  # otherwise known once a scene is read
 ROOT = Path(__file__).parents[1]

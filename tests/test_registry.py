@@ -10,8 +10,8 @@ from pydantic import ValidationError
 from carom import registry
 from carom.errors import SceneError
 from carom.recording.schema.series import Series
+from carom.scene.extensions import extensions_of, missing, of_extensions
 from carom.scene.load import Scene
-from carom.scene.parts import extensions_of, missing, of_extensions
 from carom.scene.schema.contact import section_of
 
 PAIR = {"body": [{"radius": 1.0, "position": [3.0 * k, 0, 0]} for k in range(2)]}

@@ -41,8 +41,8 @@ if TYPE_CHECKING:
     from carom.scene.data import Arrays as Arrays
     from carom.scene.data import DataFormat as DataFormat
     from carom.scene.data import DataTable as DataTable
-    from carom.scene.forces import BodyForce as BodyForce
-    from carom.scene.forces import PairForce as PairForce
+    from carom.scene.installed_forces import BodyForce as BodyForce
+    from carom.scene.installed_forces import PairForce as PairForce
     from carom.scene.integrators import Integrator as Integrator
     from carom.scene.integrators import Substep as Substep
     from carom.scene.schema import Coefficients as Coefficients
@@ -109,7 +109,7 @@ _NAMES = {  # of each module
     "carom.engines.source": "engine_package named_version",
     "carom.scene.contact_laws": "ContactLaw",
     "carom.scene.data": "Arrays DataFormat DataTable",
-    "carom.scene.forces": "BodyForce PairForce",
+    "carom.scene.installed_forces": "BodyForce PairForce",
     "carom.scene.integrators": "Integrator Substep",
     "carom.scene.schema": "Coefficients",
     "carom.scene.schema.quantity": "Count Friction NonNegative Positive Real Section",

@@ -132,7 +132,7 @@ HOUSE: Mapping[str, Mapping[str, str]] = {  # carom's own parts: kind → name �
 }
 
 MADE_OF: Mapping[str, tuple[str, ...]] = {  # kind → the classes of its parts; those of other kinds are called
-    "forces": ("carom.scene.forces:BodyForce", "carom.scene.forces:PairForce"),
+    "forces": ("carom.scene.installed_forces:BodyForce", "carom.scene.installed_forces:PairForce"),
     "contact_laws": ("carom.scene.contact_laws:ContactLaw",),
     "walls": ("carom.scene.wall_shapes:WallShape",),
     "integrators": ("carom.scene.integrators:Integrator",),

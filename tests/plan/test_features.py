@@ -29,7 +29,7 @@ from carom.plan.checks import refuse_impossible
 from carom.plan.features import require
 from carom.scene.forces import FORCES, ForceKind
 from carom.scene.load import Scene
-from carom.scene.parts import PARTS
+from carom.scene.parts import OWN_FORCES, PARTS
 from carom.scene.schema import Promise
 from carom.scene.wording import suggestion
 from small_scenes import cloud, pair, scene_of
@@ -424,3 +424,7 @@ def test_bounces_that_end_at_rest_are_said_where_forces_press() -> None:
     stepped = heap.changed(["time.fixed_dt=0.01", "gravity.uniform=[0, 0, -9.81]"])
     assert ", here at most 0.2 m/s" in ended_bounces(stepped), "2 × 9.81 m/s² × 0.01 s"
     assert "2 × the pressing" in ended_bounces(heap.changed(["contact.timing=end-of-step"]))
+
+
+def test_the_parts_name_the_forces_in_the_order_of_their_sum() -> None:
+    assert tuple(kind.name for kind in FORCES) == OWN_FORCES

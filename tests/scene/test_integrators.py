@@ -11,9 +11,9 @@ import pytest
 from carom import registry
 from carom.errors import SceneError
 from carom.plan.auto import integrator
+from carom.scene.extensions import extensions_of
 from carom.scene.integrators import INTEGRATORS, Integrator, Substep
 from carom.scene.load import Scene
-from carom.scene.parts import extensions_of
 
 DOCS = Path(__file__).parents[2] / "docs"
 

@@ -9,7 +9,7 @@ import pytest
 from carom import Scene
 from carom.errors import SceneError
 from carom.plan.auto import timing
-from carom.scene.schema.piston import force_of
+from carom.scene.scene_model import piston_force
 
 BALL = {"radius": 0.1, "position": [0.0, 0.0, 0.3]}
 DOWN = {"point": [0.0, 0.0, 0.5], "normal": [0.0, 0.0, -1.0]}
@@ -47,10 +47,11 @@ def test_impacts_with_a_piston_are_resolved_at_their_own_times_unless_the_scene_
 
 def test_a_pressure_acts_on_the_face_of_the_box() -> None:
     assert (
-        force_of(scene({"mass": 1.0, "pressure": 10.0}, domain={"size": [2.0, 3.0, 4.0], "boundary": "walls"})) == 60.0
+        piston_force(scene({"mass": 1.0, "pressure": 10.0}, domain={"size": [2.0, 3.0, 4.0], "boundary": "walls"}))
+        == 60.0
     )
-    assert force_of(scene({"mass": 1.0, "force": 7.0})) == 7.0
-    assert force_of(scene({"mass": 1.0})) == 0.0
+    assert piston_force(scene({"mass": 1.0, "force": 7.0})) == 7.0
+    assert piston_force(scene({"mass": 1.0})) == 0.0
     with pytest.raises(SceneError, match=r"needs domain.size, for the area on which it acts; give the force instead"):
         scene({"mass": 1.0, "pressure": 10.0})
     with pytest.raises(SceneError, match="leave one out"):

@@ -32,7 +32,7 @@ from carom.runs.outcome import judge
 from carom.runs.run import Watcher, closing_summary, ending_of, header_of, outcome_text
 from carom.runs.window import checkpoint_before, space_of
 from carom.scene.data.body_sources import changed_files
-from carom.scene.parts import extensions_of, of_extensions, stamped
+from carom.scene.extensions import extensions_of, of_extensions, stamped
 
 TRIAL_SECONDS = 1.0  # after stepping so long, a replay estimates its remaining time
 REPAIRED = "; repaired, "  # in the outcome of a repaired recording, which may lack pieces

@@ -28,9 +28,9 @@ from carom.recording.write.recorder import FrameRecorder
 from carom.recording.write.whole_file import Claim, claimed_output, default_output, refuse_name
 from carom.runs.environment import Interrupts, collecting_garbage_rarely, environment
 from carom.runs.outcome import EACH, ONCE_A_STEP, Verdict, closing_of, description, judge
+from carom.scene.extensions import extensions_of
 from carom.scene.load import Scene
-from carom.scene.parts import extensions_of
-from carom.scene.schema.piston import piston_of
+from carom.scene.scene_model import piston_of
 from carom.scene.schema.settings import LARGEST_ACCURACY
 from carom.scene.start import InitialBodies, planes_of
 from carom.scene.units.dimension import TIME

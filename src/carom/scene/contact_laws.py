@@ -13,7 +13,7 @@ from dataclasses import dataclass, fields
 from typing import Any
 
 from carom import registry
-from carom.scene.forces import numbers_of
+from carom.scene.installed_forces import numbers_of
 
 Numbers = Mapping[str, float]  # coefficients of a law, in SI units, by name
 

@@ -13,7 +13,8 @@ from typing import Any, Literal
 from pydantic import BaseModel
 
 from carom.scene.scene_file import KeyPath
-from carom.scene.schema import Gravity, SceneModel
+from carom.scene.scene_model import SceneModel
+from carom.scene.schema import Gravity
 from carom.scene.units.dimension import GRAVITATIONAL_CONSTANT, NAMED, Dimension, UnitError, unit_of
 from carom.scene.units.system import SI, UnitSystem
 from carom.scene.wording import suggestion

@@ -16,7 +16,8 @@ from pydantic.fields import FieldInfo
 from carom import registry
 from carom.scene.conversion import Wrong, members_of_list, parts_of, place_of
 from carom.scene.scene_file import KeyPath, KeyPlaces
-from carom.scene.schema import Coefficients, SceneModel
+from carom.scene.scene_model import SceneModel
+from carom.scene.schema import Coefficients
 from carom.scene.schema.quantity import SectionError
 from carom.scene.units.system import UnitSystem
 

@@ -7,16 +7,13 @@ recording, and the reports are derived from its `ForceKind`.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
-from typing import TYPE_CHECKING, Any
 
-from carom import registry
+from carom.scene.installed_forces import BodyForce, force_called
+from carom.scene.scene_model import SceneModel
 from carom.scene.units.dimension import ACCELERATION, GRAVITATIONAL_CONSTANT, TIME, VELOCITY
-
-if TYPE_CHECKING:
-    from carom.scene.schema import SceneModel
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,54 +115,6 @@ DRAG = ForceKind(
 )
 MOST_RELAXATIONS = 8.0  # of drag in a step with exact impacts; e⁻⁸ of a velocity then remains, with 12 digits
 FORCES = (GRAVITY, UNIFORM_FIELD, DRAG)  # in the order in which their accelerations are summed
-
-
-def numbers_of(section: Any) -> Mapping[str, float]:
-    """Return the numbers in a section: by default the parameters of a force, or the coefficients of a contact law."""
-    values = dict(section)
-    return {name: float(value) for name, value in values.items() if type(value) in (int, float)}
-
-
-@dataclass(frozen=True, slots=True)
-class BodyForce:
-    """A force on each body that depends on its position.
-
-    Its energy is that of its potential. Without a potential, the ledger has an entry for its work.
-
-    carom compiles both functions with Numba: they may use only sums, products, quotients and `math.sqrt` of numbers,
-    and call only functions decorated by `carom.extend.kernel`. ``p`` is a record of the parameters.
-    """
-
-    section: type[Any]  # in the scene: a `carom.extend.Section` whose docstring says "[forces.NAME]: what it is"
-    acceleration: Callable[..., tuple[float, float, float]]  # (x, y, z, p) → m/s²
-    potential: Callable[..., float] | None = None  # (x, y, z, p) → J/kg, of a body of 1 kg; without it, work is booked
-    parameters: Callable[[Any], Mapping[str, float]] = numbers_of  # the fields of p, from its section, in SI units
-    legend: str = ""  # legend of its energy; by default its name
-    meaning: str = ""  # meaning of its energy, for `carom inspect`
-    colour: str = "orange"  # colour of its energy: one of `carom.recording.schema.palette.LINES`
-    periodic: bool = False  # whether it may act in a periodic box: it is the same on opposite faces
-
-
-@dataclass(frozen=True, slots=True)
-class PairForce:
-    """A central force between every two bodies that depends on their distance.
-
-    The functions are compiled like the functions of a `BodyForce`. In a periodic box, it acts between nearest images.
-    """
-
-    section: type[Any]  # in the scene, as for `BodyForce`
-    attraction: Callable[..., float]  # (d2, m_i, m_j, p) → N/m, F/d, negative if it repels; d2 is the squared distance
-    potential: Callable[..., float]  # (d2, m_i, m_j, p) → J, of the pair
-    parameters: Callable[[Any], Mapping[str, float]] = numbers_of
-    legend: str = ""
-    meaning: str = ""
-    colour: str = "orange"
-
-
-def force_called(name: str) -> BodyForce | PairForce:
-    """Return a force of an installed package by its name; raises `ExtensionError` if it cannot be loaded."""
-    force: BodyForce | PairForce = registry.load("forces", name)
-    return force
 
 
 @cache

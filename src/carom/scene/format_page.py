@@ -20,7 +20,7 @@ from carom.scene.contact_laws import law_called
 from carom.scene.conversion import members_of_list, parts_of
 from carom.scene.load import Scene
 from carom.scene.scene_file import value_text
-from carom.scene.schema.scene import know_installed_parts
+from carom.scene.scene_model import know_installed_parts
 from carom.scene.units.dimension import Dimension
 from carom.scene.wall_shapes import shape_called
 

@@ -24,17 +24,15 @@ from carom.errors import SceneError
 from carom.scene.conversion import converted, members_of_list, unit_system
 from carom.scene.data.body_columns import columns_of_arrays
 from carom.scene.data.body_sources import (
-    LAW,
     BodySource,
     DataFiles,
     HeldBodies,
     SourcedBodies,
     Wanted,
-    compare_facts,
-    take_over_laws,
 )
 from carom.scene.data.orbital_elements import Centre
 from carom.scene.explanation import explain, hint, is_known, not_a_quantity, with_words, written_path
+from carom.scene.file_statements import LAW, compare_facts, take_over_laws
 from carom.scene.matter import body_mass, made_of, material_called
 from carom.scene.scene_file import (
     DEEPEST,
@@ -48,11 +46,11 @@ from carom.scene.scene_file import (
     scene_path,
     toml_text,
 )
-from carom.scene.schema import SceneModel, Time
+from carom.scene.scene_model import SceneModel, know_installed_parts
+from carom.scene.schema import Time
 from carom.scene.schema.body import BodyData
 from carom.scene.schema.contact import Material
 from carom.scene.schema.promise import ABOUT_THE_END
-from carom.scene.schema.scene import know_installed_parts
 from carom.scene.units.system import UnitSystem
 from carom.scene.wording import suggestion
 

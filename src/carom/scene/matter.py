@@ -16,7 +16,8 @@ import numpy as np
 from carom.arrays import FloatArray, IntArray
 from carom.scene.contact_laws import Numbers, law_called
 from carom.scene.portable_math import power
-from carom.scene.schema import Body, BodyGroup, Coefficients, Material, SceneModel
+from carom.scene.scene_model import SceneModel
+from carom.scene.schema import Body, BodyGroup, Coefficients, Material
 from carom.scene.schema.body import Matter
 from carom.scene.schema.contact import DEFAULT, Surface, combined
 

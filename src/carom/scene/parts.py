@@ -1,24 +1,13 @@
-"""The parts of the model by name, and the parts of installed packages that a scene uses.
-
-`carom explain` prints the names of parts and `model.force` accepts them. The properties of a recording name the parts
-of installed packages.
-"""
+"""The parts of the model by name: `carom explain` prints the names, and ``model.force`` accepts them."""
 
 from __future__ import annotations
 
-import re
-import shlex
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
 
-from carom import registry
-from carom.scene.forces import FORCES, GRAVITY
-from carom.scene.wording import in_one_line, suggestion
+from carom.scene.wording import suggestion
 
-if TYPE_CHECKING:
-    from carom.scene.schema import SceneModel
-
+OWN_FORCES = ("gravity", "uniform-field", "drag")  # in the order in which their accelerations are summed
 PARTS = (  # in the order in which a step uses them
     "warm-up",
     "adaptive-step",
@@ -32,17 +21,16 @@ PARTS = (  # in the order in which a step uses them
     "time-of-impact",
     "colouring",
     "stabilisation",
-    GRAVITY.name,
+    OWN_FORCES[0],
     "tree",
     "potential",
-    *(kind.name for kind in FORCES if kind is not GRAVITY),
+    *OWN_FORCES[1:],
     "resting-contacts",
     "restitution",
     "friction",
     "torque",
     "energy",
 )
-PROPERTY = "extension."  # prefix of kind.name in the properties of a recording, for its package and version
 
 
 @dataclass(frozen=True)
@@ -57,75 +45,10 @@ class Part:
 def in_order(names: Iterable[str]) -> tuple[str, ...]:
     """Return names of parts in the order of `PARTS`; names of other forces follow carom's own."""
     others = [name for name in names if name not in PARTS]
-    last = PARTS.index(FORCES[-1].name) + 1
+    last = PARTS.index(OWN_FORCES[-1]) + 1
     return (*PARTS[:last], *others, *PARTS[last:])
 
 
 def unknown(name: str) -> str:
     """Return the message about an unknown part, with the nearest known name."""
     return f'no part "{name}"; {suggestion(name, PARTS)}'
-
-
-def extensions_of(scene: SceneModel) -> dict[str, str]:
-    """Return the package and version of each part that a scene uses from installed packages, by kind.name."""
-    used: dict[str, Iterable[str]] = {
-        "forces": scene.forces.given,
-        "contact_laws": scene.contact.laws,
-        "walls": (wall.shape for wall in scene.wall),
-        "series": scene.record.series,
-        "integrators": (scene.time.integrator,),
-    }
-    found = {f"{kind}.{name}": registry.origin(kind, name) for kind, names in used.items() for name in names}
-    return {key: f"{origin.package} {origin.version}" for key, origin in found.items() if origin}
-
-
-def stamped(properties: Mapping[str, Any]) -> dict[str, str]:
-    """Return `extensions_of` the scene of a recording, from its properties."""
-    known = {key.removeprefix(PROPERTY): str(value) for key, value in properties.items() if key.startswith(PROPERTY)}
-    return dict(sorted(known.items()))
-
-
-def of_extensions(extensions: Mapping[str, str]) -> dict[str, str]:
-    """Return the version of each package, given packages with versions as in `extensions_of`."""
-    return {name: number for name, _, number in (package.rpartition(" ") for package in extensions.values())}
-
-
-def names_of(kind: str, extensions: Mapping[str, str]) -> list[str]:
-    """Return the names of the parts of a kind."""
-    return [key.removeprefix(f"{kind}.") for key in extensions if key.startswith(f"{kind}.")]
-
-
-MOST_QUOTED = 80  # characters of a text that is no name
-# A public version in its normal form (https://packaging.python.org/en/latest/specifications/version-specifiers/). The
-# text is a stranger's and becomes a command, so nothing else is repeated there. No index accepts a local version, such
-# as "1.0+mine".
-_NUMBER = "(?:0|[1-9][0-9]{0,8})"  # a date as a version (20240906) has 8 digits
-RELEASE = re.compile(
-    rf"{_NUMBER}(?:\.{_NUMBER}){{0,4}}(?:(?:a|b|rc){_NUMBER})?(?:\.post{_NUMBER})?(?:\.dev{_NUMBER})?", re.ASCII
-)
-_DISTRIBUTION = re.compile(rf"([A-Za-z0-9](?:[A-Za-z0-9._-]{{0,98}}[A-Za-z0-9])?) ({RELEASE.pattern})", re.ASCII)
-
-
-def missing(extensions: Mapping[str, str]) -> str:
-    """Return a sentence about the packages of missing parts of a recording; empty if none is missing.
-
-    The names come from the file. Anybody can register a name with an index of packages, so the sentence says whose they
-    are, and a command contains them only if they are names of a package and a version.
-    """
-    lost: dict[str, list[str]] = {}
-    for key, package in extensions.items():
-        kind, _, name = key.partition(".")
-        if kind in registry.KINDS and name not in registry.installed(kind):
-            lost.setdefault(package, []).append(f'the {registry.KINDS[kind]} "{in_one_line(name)}"')
-    return "; ".join(f"it uses {' and '.join(parts)} {_from(package)}" for package, parts in lost.items())
-
-
-def _from(package: str) -> str:
-    """Say from which package parts come, and how to install it."""
-    if (named := _DISTRIBUTION.fullmatch(package)) is None:
-        given = in_one_line(package[:MOST_QUOTED])
-        return f"of a package that is not installed; the file gives no package with its release, but {given!r}"
-    return (
-        f"of the package {package}, which is not installed. If you trust the sender of the file, who chose this name: "
-        f"pip install {shlex.quote(f'{named[1]}=={named[2]}')}"
-    )

@@ -15,21 +15,17 @@ import stat
 import time
 import tomllib
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import tomlkit
 import tomlkit.exceptions
 
 from carom.errors import SceneError
 from carom.scene.wording import command
-
-if TYPE_CHECKING:
-    from carom.scene.schema import SceneModel
 
 PACKAGE = Path(__file__).parents[1]
 CROSSCHECK = "crosscheck"  # the folder of scenes from bug reports of other engines
@@ -210,18 +206,6 @@ def parse_value(text: str) -> Any:
         return float(text) if _NUMBER.fullmatch(text) else text
 
 
-def toml_for(scene: SceneModel, folder: Path) -> str:
-    """Return the text of a scene with names of data files relative to a folder."""
-    files = None if scene.held is None else scene.held.files
-    if files is None or files.folder.resolve() == folder.resolve():
-        return scene.toml
-    document = tomlkit.parse(scene.toml)
-    for section, table in zip(scene.bodies, document["bodies"], strict=True):
-        if section.file is not None and not Path(section.file).is_absolute():
-            table["file"] = Path(os.path.relpath(files.folder / section.file, folder)).as_posix()
-    return tomlkit.dumps(document)
-
-
 KeyPath = tuple[str | int, ...]
 
 _HEADER = re.compile(r"^\s*(\[\[?)\s*([^\[\]]+?)\s*\]\]?\s*(#.*)?$")
@@ -295,17 +279,6 @@ class KeyPlaces:
         if not self.file:
             return ""
         return f"{self.file}:{line}: " if line else f"{self.file}: "
-
-
-@contextmanager
-def naming_places(scene: SceneModel) -> Iterator[None]:
-    """Prefix the message of a `SceneError` with the place of its key, if the scene was read from a text."""
-    try:
-        yield
-    except SceneError as error:
-        if scene.places is None or not error.key:
-            raise
-        raise SceneError(f"{scene.places.of(error.key)}{error}") from None
 
 
 # Limit on the nesting: parsing, validation and messages are recursive, or take time quadratic in the depth.

@@ -14,7 +14,7 @@ import numpy as np
 
 from carom import registry
 from carom.arrays import FloatArray, IntArray
-from carom.scene.forces import numbers_of
+from carom.scene.installed_forces import numbers_of
 
 SIDES = 96  # of the drawn surface of revolution
 

@@ -34,7 +34,7 @@ from carom.runs.outcome import (
     value_shown,
 )
 from carom.runs.replay import replay
-from carom.scene.parts import stamped
+from carom.scene.extensions import stamped
 from carom.scene.units.dimension import ENERGY, TIME
 from carom.scene.units.system import UnitSystem
 from carom.scene.wording import command, counted, in_one_line, literal

@@ -11,10 +11,13 @@ only a search of all combinations would prove that none is cheaper.
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
+
+import tomlkit
 
 from carom.errors import ExperimentError, SceneError
 from carom.lab.compared_run import AS_WRITTEN, Setting
@@ -24,7 +27,7 @@ from carom.lab.tradeoff.tradeoff import Study
 from carom.plan import auto
 from carom.plan.features import require
 from carom.recording.write.whole_file import write_whole
-from carom.scene.scene_file import toml_for
+from carom.scene.load import Scene
 from carom.scene.units.dimension import TIME
 from carom.scene.wording import suggestion
 from carom.terminal.printing import finite
@@ -330,8 +333,20 @@ def write(tuning: Tuning, path: Path) -> None:
         f"the cheapest of {len(tuning.tried)} settings tried, {tuning.speed:.3g} times as fast as the original scene",
         f"against a reference that is {study.reference.text}; compared up to {horizon}",
     ]
-    text = "".join(f"# {line}\n" for line in comment) + "\n" + toml_for(result.setting.apply(study.scene), path.parent)
+    text = "".join(f"# {line}\n" for line in comment) + "\n" + _toml_for(result.setting.apply(study.scene), path.parent)
     try:
         write_whole(path, text)
     except OSError as error:
         raise ExperimentError(f"{path}: cannot be written: {error.strerror}") from None
+
+
+def _toml_for(scene: Scene, folder: Path) -> str:
+    """Return the text of a scene with names of data files relative to a folder."""
+    files = None if scene.held is None else scene.held.files
+    if files is None or files.folder.resolve() == folder.resolve():
+        return scene.toml
+    document = tomlkit.parse(scene.toml)
+    for section, table in zip(scene.bodies, document["bodies"], strict=True):
+        if section.file is not None and not Path(section.file).is_absolute():
+            table["file"] = Path(os.path.relpath(files.folder / section.file, folder)).as_posix()
+    return tomlkit.dumps(document)

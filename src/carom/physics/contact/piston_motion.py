@@ -21,8 +21,8 @@ from carom.physics.contact.guided_walls import GUIDE
 from carom.physics.contact.translating_walls import WallTranslation
 from carom.plan.auto import timing
 from carom.scene.load import Scene
+from carom.scene.scene_model import piston_force, piston_of
 from carom.scene.schema.motion import WallMotion
-from carom.scene.schema.piston import force_of, piston_of
 
 if TYPE_CHECKING:
     from carom.physics.bodies import Ends
@@ -50,7 +50,7 @@ class PistonPlane(NamedTuple):
         row, section = found
         normal = normals[row]
         gravity = sum(float(g) * float(along) for g, along in zip(scene.gravity.uniform, normal, strict=True))
-        late, acceleration = timing(scene) == "end-of-step", force_of(scene) / section.mass + gravity
+        late, acceleration = timing(scene) == "end-of-step", piston_force(scene) / section.mass + gravity
         return cls(row, normal, section.mass, acceleration, section.velocity, late)
 
     def motion(

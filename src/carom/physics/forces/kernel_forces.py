@@ -20,7 +20,8 @@ from carom.physics.bodies import Bodies
 from carom.physics.jit.decorators import chosen_by_type, identity_of, kernel, leaf, long_kernel
 from carom.physics.jit.team import SOLO, Team
 from carom.physics.vector import nearest_image
-from carom.scene.forces import ForceKind, PairForce, force_called, kind_called
+from carom.scene.forces import ForceKind, kind_called
+from carom.scene.installed_forces import PairForce, force_called
 from carom.scene.load import Scene
 
 Parameters = tuple[Records, ...]  # (1,) records, one for each force

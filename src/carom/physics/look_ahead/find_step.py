@@ -55,7 +55,7 @@ from carom.plan.features import require
 from carom.plan.hierarchy import orbits_often
 from carom.scene.integrators import AUTO, INTEGRATORS
 from carom.scene.load import Scene
-from carom.scene.scene_file import naming_places
+from carom.scene.scene_model import naming_places
 from carom.scene.schema import Promise
 from carom.scene.schema.settings import LARGEST_ACCURACY
 from carom.scene.start import InitialBodies

@@ -21,9 +21,9 @@ from carom.recording.schema.paths import ENERGY, SIM_TIME, STEP, STEPS
 from carom.recording.schema.properties import fields_read
 from carom.recording.schema.series import all_series
 from carom.scene.data.body_sources import SourcedBodies, Wanted
+from carom.scene.extensions import missing, names_of, stamped
 from carom.scene.forces import FORCES
 from carom.scene.load import Scene, longest_text, scene_from_text
-from carom.scene.parts import missing, names_of, stamped
 from carom.scene.start import InitialBodies, planes_of
 
 if TYPE_CHECKING:

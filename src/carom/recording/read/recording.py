@@ -28,7 +28,7 @@ from carom.recording.schema import paths
 from carom.recording.schema.header import schema_version
 from carom.recording.schema.paths import STEP
 from carom.scene.data.body_columns import BodyColumns
-from carom.scene.parts import RELEASE
+from carom.scene.extensions import RELEASE
 from carom.scene.schema.shear import Shear
 from carom.scene.wording import counted
 

@@ -18,10 +18,10 @@ from carom.errors import RecorderError
 from carom.recording.schema import palette
 from carom.recording.schema.paths import IMPACT, MOVING, SCHEMA_VERSION, SIM_TIME, STEP
 from carom.scene.data.body_columns import BodyColumns
+from carom.scene.extensions import PROPERTY
 from carom.scene.forces import FORCES
 from carom.scene.load import Scene
 from carom.scene.matter import KindOfContact, body_materials, kinds_of_contacts, material_called
-from carom.scene.parts import PROPERTY
 from carom.scene.portable_math import ENDLESS
 from carom.scene.schema.motion import WallMotion
 from carom.scene.schema.shear import Shear

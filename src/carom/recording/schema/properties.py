@@ -19,8 +19,8 @@ import numpy as np
 from carom.errors import DamageError
 from carom.recording.schema.header import Header, scene_digest
 from carom.recording.schema.paths import SCHEMA_VERSION
+from carom.scene.extensions import PROPERTY
 from carom.scene.forces import FORCES, GRAVITY, UNIFORM_FIELD
-from carom.scene.parts import PROPERTY
 
 MOST_BODIES = 10_000_000
 

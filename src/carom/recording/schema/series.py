@@ -19,8 +19,8 @@ from carom.recording.schema import paths
 from carom.recording.schema.header import RECORDED_PARTS, Header, flag_of
 from carom.recording.schema.palette import LINES
 from carom.recording.schema.paths import ENERGY, STEPS
+from carom.scene.extensions import names_of
 from carom.scene.forces import FORCES, ForceKind, kind_called
-from carom.scene.parts import names_of
 
 if TYPE_CHECKING:
     from carom.physics.checkpoint import Checkpoint

@@ -15,5 +15,4 @@ from carom.scene.schema.contact import Material as Material
 from carom.scene.schema.promise import Expect as Expect
 from carom.scene.schema.promise import Promise as Promise
 from carom.scene.schema.quantity import LARGEST as LARGEST
-from carom.scene.schema.scene import SceneModel as SceneModel
 from carom.scene.schema.settings import Time as Time

@@ -3,18 +3,14 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Annotated, Literal, Self
+from typing import Annotated, Literal, Self
 
 import numpy as np
 from pydantic import Field, model_validator
 
 from carom.arrays import FloatArray
-from carom.scene.integrators import AUTO
 from carom.scene.schema.quantity import Real, Section
 from carom.scene.units.dimension import RATE
-
-if TYPE_CHECKING:
-    from carom.scene.schema.scene import SceneModel
 
 Axis = Literal["x", "y", "z"]
 
@@ -57,40 +53,3 @@ class Shear(Section):
         cell = np.diag(size)
         cell[gradient, flow] = self.shift(size, time)
         return cell
-
-
-def refuse_what_is_not_sheared(scene: SceneModel) -> None:
-    """Refuse a sheared box with parts of the model that need forces, or the velocity of something at rest.
-
-    Nothing can be fixed in a sheared box, since its images would move. A body that overlaps another one may be pushed
-    away only where contacts last.
-    """
-    if scene.domain.shear is None:
-        return
-    time, contact = scene.time, scene.contact
-    refused = {
-        "gravity.uniform": (
-            "bodies would fall through the box without end",
-            "set it to [0, 0, 0]",
-            any(scene.gravity.uniform),
-        ),
-        "a [drag]": ("its medium would move past the images of the box", "remove it", scene.drag is not None),
-        "a [forces]": ("forces do not know that images move", "remove it", bool(scene.forces.given)),
-        "a fixed body": ("its images would move", "set fixed = false", scene.has_fixed_bodies),
-        "time.accuracy": ("errors are not compared where images move", "remove it", time.accuracy is not None),
-        f'time.integrator = "{time.integrator}"': (
-            "bodies are wrapped once a step",
-            'set "leapfrog"',
-            time.integrator not in (AUTO, "leapfrog"),
-        ),
-        "contact.sleep": ("nothing is at rest in a flow", "remove it", contact.sleep is not None),
-        "contact.allow_overlap": (
-            "impacts at their own times push nothing apart",
-            'set it to false, or timing to "end-of-step"',
-            contact.allow_overlap and contact.timing != "end-of-step",
-        ),
-        "model.force": ("the shear determines which parts are needed", "remove it", bool(scene.model.force)),
-    }
-    for what, (why, remedy, given) in refused.items():
-        if given:
-            raise ValueError(f"domain.shear with {what}, which it does not support: {why}; {remedy}")

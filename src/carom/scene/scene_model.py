@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import cache
-from typing import TYPE_CHECKING, Any, Self, cast
+from typing import Any, Self, cast
 
 from pydantic import Field, PrivateAttr, model_validator
 from pydantic.fields import FieldInfo
 
 from carom import registry
+from carom.errors import SceneError
+from carom.scene.data.body_columns import BodyColumns
+from carom.scene.data.body_sources import HeldBodies
+from carom.scene.integrators import AUTO
+from carom.scene.scene_file import KeyPath, KeyPlaces
 from carom.scene.schema.body import Body, BodyData, BodyGroup, SolidPlane
 from carom.scene.schema.contact import (
     DEFAULT,
@@ -21,20 +28,14 @@ from carom.scene.schema.contact import (
     law_sections,
     section_of,
 )
-from carom.scene.schema.piston import piston_of, refuse_what_has_no_piston
+from carom.scene.schema.piston import Piston
 from carom.scene.schema.promise import Expect, Promise, Sweep
 from carom.scene.schema.quantity import Section, SectionError
 from carom.scene.schema.settings import Domain, ForcedParts, Heading, Record
-from carom.scene.schema.shear import refuse_what_is_not_sheared
 from carom.scene.schema.wall import KNOWN_SHAPES, Wall
 from carom.scene.units.system import SI, UnitSystem
 from carom.scene.wall_shapes import shape_called
 from carom.scene.wording import suggestion
-
-if TYPE_CHECKING:
-    from carom.scene.data.body_columns import BodyColumns
-    from carom.scene.data.body_sources import HeldBodies
-    from carom.scene.scene_file import KeyPath, KeyPlaces
 
 
 class SceneModel(Forces, Heading):
@@ -322,6 +323,101 @@ def check_materials(scene: SceneModel) -> None:
                     )
     if scene.domain.material is not None:
         check_name(("domain", "material"), scene.domain.material)
+
+
+def refuse_what_is_not_sheared(scene: SceneModel) -> None:
+    """Refuse a sheared box with parts of the model that need forces, or the velocity of something at rest.
+
+    Nothing can be fixed in a sheared box, since its images would move. A body that overlaps another one may be pushed
+    away only where contacts last.
+    """
+    if scene.domain.shear is None:
+        return
+    time, contact = scene.time, scene.contact
+    refused = {
+        "gravity.uniform": (
+            "bodies would fall through the box without end",
+            "set it to [0, 0, 0]",
+            any(scene.gravity.uniform),
+        ),
+        "a [drag]": ("its medium would move past the images of the box", "remove it", scene.drag is not None),
+        "a [forces]": ("forces do not know that images move", "remove it", bool(scene.forces.given)),
+        "a fixed body": ("its images would move", "set fixed = false", scene.has_fixed_bodies),
+        "time.accuracy": ("errors are not compared where images move", "remove it", time.accuracy is not None),
+        f'time.integrator = "{time.integrator}"': (
+            "bodies are wrapped once a step",
+            'set "leapfrog"',
+            time.integrator not in (AUTO, "leapfrog"),
+        ),
+        "contact.sleep": ("nothing is at rest in a flow", "remove it", contact.sleep is not None),
+        "contact.allow_overlap": (
+            "impacts at their own times push nothing apart",
+            'set it to false, or timing to "end-of-step"',
+            contact.allow_overlap and contact.timing != "end-of-step",
+        ),
+        "model.force": ("the shear determines which parts are needed", "remove it", bool(scene.model.force)),
+    }
+    for what, (why, remedy, given) in refused.items():
+        if given:
+            raise ValueError(f"domain.shear with {what}, which it does not support: {why}; {remedy}")
+
+
+def piston_of(scene: SceneModel) -> tuple[int, Piston] | None:
+    """Return the number of the plane that is a piston, and its section; None if there is none."""
+    return next(((k, plane.piston) for k, plane in enumerate(scene.plane) if plane.piston is not None), None)
+
+
+def piston_force(scene: SceneModel) -> float:
+    """Return the given force on the piston, along the normal of its plane, in N."""
+    numbered = piston_of(scene)
+    if numbered is None:
+        return 0.0
+    number, piston = numbered
+    if piston.pressure is None:
+        return piston.force or 0.0
+    axis = next(axis for axis, along in enumerate(scene.plane[number].normal) if along)
+    first, second = (length for k, length in enumerate(scene.domain.size or (0.0, 0.0, 0.0)) if k != axis)
+    return piston.pressure * first * second
+
+
+def refuse_what_has_no_piston(scene: SceneModel) -> None:
+    """Refuse a piston with parts of the model that know only planes at rest, or with a prescribed motion."""
+    numbered = piston_of(scene)
+    if numbered is None:
+        return
+    number, piston = numbered
+    key, time, contact = ("plane", number, "piston"), scene.time, scene.contact
+    remedies = {
+        "a second piston": ("remove one of them", sum(plane.piston is not None for plane in scene.plane) > 1),
+        "contact.enabled = false": ("remove one of them", not contact.enabled),
+        f'contact.solver = "{contact.solver}"': ('set "lasting"', contact.solver != "lasting"),
+        "contact.sleep": ("remove one of them", contact.sleep is not None),
+        "a [drag]": ("remove one of them", scene.drag is not None),
+        "time.accuracy": ("remove one of them", time.accuracy is not None),
+        f'time.integrator = "{time.integrator}"': ('set "leapfrog"', time.integrator not in (AUTO, "leapfrog")),
+        'a group with arrangement = "compressed"': (
+            'use another arrangement, such as "random"',
+            any(group.arrangement == "compressed" for group in scene.group),
+        ),
+    }
+    for what, (remedy, given) in remedies.items():
+        if given:
+            raise SectionError(key, f"with {what}, which does not support a piston; {remedy}")
+    axes = [axis for axis, along in enumerate(scene.plane[number].normal) if along]
+    if piston.pressure is not None and (scene.domain.size is None or len(axes) > 1):
+        lacks = "domain.size" if scene.domain.size is None else "a normal along x, y or z"
+        raise SectionError((*key, "pressure"), f"needs {lacks}, for the area on which it acts; give the force instead")
+
+
+@contextmanager
+def naming_places(scene: SceneModel) -> Iterator[None]:
+    """Prefix the message of a `SceneError` with the place of its key, if the scene was read from a text."""
+    try:
+        yield
+    except SceneError as error:
+        if scene.places is None or not error.key:
+            raise
+        raise SceneError(f"{scene.places.of(error.key)}{error}") from None
 
 
 @cache
