@@ -13,7 +13,10 @@ carom.view(recording, at=12.0)           # Rerun's viewer, in a window
 from __future__ import annotations
 
 import importlib
+import sys
 from typing import TYPE_CHECKING, Any
+
+from carom.held_signals import signals_held
 
 if TYPE_CHECKING:
     from carom import errors as errors
@@ -50,13 +53,17 @@ _HOMES = {
 
 def __getattr__(name: str) -> Any:
     """Import a public name on its first use, so that help does not wait for compilers and viewers."""
-    if name == "__version__":
-        return importlib.import_module("importlib.metadata").version("carom")
-    if name in ("errors", "record"):
-        return importlib.import_module(f"carom.{name}")
-    if name not in _HOMES:
+    if name not in __all__:
         raise AttributeError(f"module 'carom' has no attribute {name!r}")
-    return getattr(importlib.import_module(_HOMES[name]), name)
+    with signals_held():  # an interrupted program may go on, as a notebook does
+        if name == "__version__":
+            return importlib.import_module("importlib.metadata").version("carom")
+        if name in ("errors", "record"):
+            return importlib.import_module(f"carom.{name}")
+        home = importlib.import_module(_HOMES[name])
+        if arrow := sys.modules.get("pyarrow"):
+            arrow.array([0])  # imports pandas, if it is installed, as the first conversion would
+        return getattr(home, name)
 
 
 def __dir__() -> list[str]:

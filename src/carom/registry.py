@@ -19,6 +19,7 @@ from functools import cache
 from typing import Any, NamedTuple
 
 from carom.errors import SceneError
+from carom.held_signals import signals_held
 from carom.scene.wording import suggestion
 
 PREFIX = "carom."  # of the groups of entry points
@@ -225,7 +226,8 @@ def imported(target: str) -> Any:
     """Return the attribute of a module, given as module:attribute."""
     module, _, attribute = target.partition(":")
     try:
-        part: Any = importlib.import_module(module)
+        with signals_held():
+            part: Any = importlib.import_module(module)
     except ModuleNotFoundError as error:
         if not (error.name or "").startswith(PREFIX):
             raise

@@ -9,9 +9,11 @@ from pathlib import Path
 
 import pytest
 
+from carom.held_signals import signals_held
 from carom.recording.read.recording import Recording
 from carom.runs import environment
 from carom.runs.environment import Interrupts
+from interrupted_programs import fault_of
 
 
 def test_an_interrupt_that_an_imported_library_caught_ends_the_run_before_it_begins(
@@ -170,3 +172,27 @@ def test_an_interrupt_within_an_import_waits_until_the_module_is_whole(tmp_path:
     script = [sys.executable, "-c", IMPORTED, str(tmp_path)]
     done = subprocess.run(script, capture_output=True, text=True, timeout=60, check=False)
     assert (done.stdout, done.stderr, done.returncode) == ("True\n", "", 0)
+
+
+@pytest.mark.slow
+def test_a_program_that_goes_on_after_interrupts_at_any_moment_runs_its_scene_again_with_the_same_bits(
+    tmp_path: Path,
+) -> None:
+    whole, ended = 1.0, 0.3  # s, before which the first attempt imports, and later ones load kernels or run
+    waits = [0.4 * whole, 0.8 * whole, *(0.2 * ended * k for k in range(5))]
+    stopped, fault = fault_of("two-spheres", [], waits, tmp_path)
+    assert "interrupted" in stopped and fault == ""
+
+
+def test_signals_that_are_held_are_delivered_afterwards_once_and_in_their_order() -> None:
+    seen = list[int]()
+    before = signal.signal(signal.SIGTERM, lambda number, _: seen.append(number))
+    try:
+        with pytest.raises(KeyboardInterrupt), signals_held(), signals_held():
+            for number in (signal.SIGTERM, signal.SIGINT, signal.SIGTERM, signal.SIGINT):
+                signal.raise_signal(number)
+            seen.append(0)
+        assert seen == [0, signal.SIGTERM]
+        assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    finally:
+        signal.signal(signal.SIGTERM, before)

@@ -20,7 +20,7 @@ scenes=$(${limit:+$limit -k 10 40} python tests/support/hostile_scenes.py "$seed
 echo "$(grep -c '"faults"' <<<"$scenes") hostile scenes; repeat one with: python tests/support/hostile_scenes.py $seed INDEX 1"
 if grep '"faults": \[[^]]' <<<"$scenes"; then found=1; fi
 
-for each in "signals_everywhere.py $seed 20" "inflated_recordings.py $scratch state-"; do
+for each in "signals_everywhere.py $seed 20" "interrupted_programs.py $seed 8" "inflated_recordings.py $scratch state-"; do
     answers=$(${limit:+$limit -k 10 180} python tests/support/$each)
     code=$?
     ((code == 0 || code == 124)) || found=1

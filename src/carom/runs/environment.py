@@ -30,6 +30,7 @@ from pathlib import Path
 from types import FrameType
 from typing import Any, NoReturn, Self
 
+from carom.held_signals import ENDING
 from carom.private_folder import remove_private_folder, temporary_folder
 
 PACKAGES = ("carom", "rerun-sdk", "numpy", "scipy", "numba")
@@ -178,7 +179,6 @@ def _changes(repository: _Repository, commit: str) -> str:
     return {0: "", 1: "-dirty"}.get(asked.returncode, "-unchecked")
 
 
-ENDING = (signal.SIGTERM, signal.SIGHUP)  # sent by Slurm, Kubernetes and `kill`; by a closed terminal
 AFTER_CALLBACK = 0.05  # s; llvmlite's callbacks for each kernel take microseconds
 LONGEST_IMPORT = 10.0  # s, for which a signal waits for an import; the longest takes a second
 SAME_PRESS = 0.3  # s within which interrupts count once: wrappers such as `uv run` forward that of the terminal

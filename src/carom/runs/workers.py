@@ -22,8 +22,9 @@ from pathlib import Path
 from typing import Any, Protocol, Self
 
 from carom.errors import ExperimentError
+from carom.held_signals import ENDING
 from carom.private_folder import move_into, private_folder
-from carom.runs.environment import ENDING, collect_garbage_rarely, keep_freed_memory, leave_pandas_out
+from carom.runs.environment import collect_garbage_rarely, keep_freed_memory, leave_pandas_out
 
 MOST_DEATHS = 4  # workers that may die on the same task before the task is abandoned
 _START = "from carom.runs.workers import work; work()"
@@ -174,7 +175,7 @@ class LocalWorkers:
 
     def _start(self) -> Connection:
         ours, theirs = Pipe()
-        with theirs, _signals_held():  # an interrupt during a worker's start concerns only this process
+        with theirs, _signals_blocked():  # an interrupt during a worker's start concerns only this process
             process = subprocess.Popen(
                 [sys.executable, "-P", "-c", _START, str(theirs.fileno()), str(private_folder())],
                 pass_fds=(theirs.fileno(),),
@@ -213,7 +214,7 @@ class LocalWorkers:
 
 
 @contextlib.contextmanager
-def _signals_held() -> Iterator[None]:
+def _signals_blocked() -> Iterator[None]:
     """Block termination signals in this thread and its new processes until the context ends."""
     before = signal.pthread_sigmask(signal.SIG_BLOCK, _SIGNALS)
     try:

@@ -17,13 +17,11 @@ import fcntl
 import os
 import pickle
 import re
-import signal
 import sys
 import tempfile
-import threading
 import time
 import uuid
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -33,6 +31,7 @@ import numba
 import numpy as np
 import xxhash
 
+from carom.held_signals import signals_held
 from carom.physics.jit.inside import MISSING, PLAIN, compiler, config, serialize
 from carom.private_folder import is_own
 
@@ -122,7 +121,8 @@ class KernelCache:
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """Return the code for a signature, or None if there is no valid file."""
-        target_context.refresh()
+        with signals_held():
+            target_context.refresh()  # imports parts of Numba at the first call
         types = _types(sig, target_context.codegen())
         data = self._read(types)
         if data is None and _claim(self._path(types)):  # another process may have compiled it meanwhile
@@ -131,11 +131,11 @@ class KernelCache:
                 _release(self._path(types))
         if data is None:
             return None
-        try:
-            content = pickle.loads(data)
-        except (ImportError, AttributeError):  # a class named in it was moved, as by an upgrade of a library
-            return None
-        with _signals_held():
+        with signals_held():
+            try:
+                content = pickle.loads(data)
+            except (ImportError, AttributeError):  # a class named in it was moved, as by an upgrade of a library
+                return None
             return compiler.CompileResult._rebuild(target_context, *content)
 
     def has(self, sig: Any, target_context: Any) -> bool:
@@ -192,29 +192,6 @@ class KernelCache:
             whole.update(len(part).to_bytes(8, "little"))
             whole.update(part)
         return whole.digest()
-
-
-@contextlib.contextmanager
-def _signals_held() -> Iterator[None]:
-    """Let the handlers of signals run afterwards, in the main thread, while LLVM calls back for a kernel's code.
-
-    The callback drops an exception that a handler raises, and LLVM then links the kernel to address zero.
-    """
-    if threading.current_thread() is not threading.main_thread():  # handlers run in the main thread only
-        yield
-        return
-    held = list[int]()
-    handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
-    handlers = {number: handler for number, handler in handlers.items() if callable(handler)}
-    for number in handlers:
-        signal.signal(number, lambda sent, _frame: held.append(sent))
-    try:
-        yield
-    finally:
-        for number, handler in handlers.items():
-            signal.signal(number, handler)
-        for sent in held:
-            signal.raise_signal(sent)
 
 
 @cache

@@ -233,6 +233,7 @@ class Stream:
         """Write the waiting rows and the footer, and close the file; raises if it cannot be written."""
         self._send_waiting()
         self._stream.disconnect()
+        del self._stream  # here, and not in the main thread: its destructor would drop an interrupt
         self._sink.close()
         if self._live is not None:
             self._live.close()

@@ -1,0 +1,46 @@
+"""Signals that wait until something is whole: an import, or a kernel that is loaded."""
+
+from __future__ import annotations
+
+import contextlib
+import signal
+import threading
+from collections.abc import Iterator
+from types import FrameType
+from typing import Any
+
+ENDING = (signal.SIGTERM, signal.SIGHUP)  # sent by Slurm, Kubernetes and `kill`; by a closed terminal
+
+
+@contextlib.contextmanager
+def signals_held() -> Iterator[None]:
+    """Let the handlers of signals run afterwards, each once, in the order in which the signals came.
+
+    A handler may raise, as that of Ctrl-C does. An import that an exception ends leaves modules half made, which a
+    later import takes for whole: Numba and NumPy then fail until the process ends. LLVM's callbacks drop the exception,
+    and link a kernel to address zero. Outside the main thread, where no handler runs, nothing is held.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    found = {number: signal.getsignal(number) for number in (signal.SIGINT, *ENDING)}
+    handlers: dict[int, Any] = {number: handler for number, handler in found.items() if callable(handler)}
+    held, holds = list[int](), True
+
+    def hold(number: int, frame: FrameType | None) -> None:
+        if holds:
+            held.append(number)
+        else:  # while the handlers are put back
+            handlers[number](number, frame)
+
+    for number in handlers:
+        signal.signal(number, hold)
+    try:
+        yield
+    finally:
+        with contextlib.ExitStack() as afterwards:  # the last of it first; all of it, though handlers raise
+            for number in reversed(dict.fromkeys(held)):
+                afterwards.callback(signal.raise_signal, number)
+            for number, handler in handlers.items():
+                afterwards.callback(signal.signal, number, handler)
+            holds = False
