@@ -1,7 +1,7 @@
 """The contact table: impulses, mode and energies of the contacts of a step, one row per contact; sums over impacts.
 
-Impulses have the sign for body j, which receives ``normal_impulse`` along the normal and ``friction``; body i receives
-the opposite. docs/physics.md, section 9, defines impulses, modes and energies.
+Impulses have the sign for body j, which receives ``normal_impulse`` along the normal, ``friction`` and ``angular``;
+body i receives the opposite. docs/physics.md, section 9, defines impulses, modes and energies.
 """
 
 from __future__ import annotations
@@ -32,11 +32,16 @@ class ContactRow(Protocol):
     nx: float  # the normal, from i to j
     ny: float
     nz: float
+    arm_i: float  # m, from each centre to the contact point; 0 for planes and walls
+    arm_j: float
     approach_speed: float  # m/s, closing speed before the impulses; 0 if separating
     normal_impulse: float  # N s
     friction_x: float  # N s, the tangential impulse
     friction_y: float
     friction_z: float
+    angular_x: float  # N m s, the angular impulse of a law that resists rolling or twisting
+    angular_y: float
+    angular_z: float
     mode: Annotated[int, np.uint8]
     restitution_loss: float  # J, dissipated by the normal impulse
     friction_loss: float  # J, dissipated by the tangential impulse
@@ -45,6 +50,22 @@ class ContactRow(Protocol):
 
 CONTACT_ROW = dtype_of(ContactRow)
 NO_ROWS = np.empty(0, CONTACT_ROW)
+NO_ANGULAR_IMPULSES: FloatArray = np.empty((0, 0))
+
+
+def turning_impulses(
+    normal: FloatArray, arms: FloatArray, friction: FloatArray, angular: FloatArray = NO_ANGULAR_IMPULSES
+) -> FloatArray:
+    """Return the angular impulses of contacts on both bodies about their centres, (k, 2, 3) N m s: ρ λ_t × n ± Λ.
+
+    Given are the normals, (k, 3), the arms ρ, (k, 2) m, the friction λ_t, (k, 3) N s, and Λ, (k, 3) N m s, or no
+    columns where no law resists rolling.
+    """
+    turns = arms[:, :, None] * np.cross(friction, normal)[:, None, :]
+    if angular.shape[1]:
+        turns += angular[:, None, :] * np.array([-1.0, 1.0])[:, None]
+    return np.asarray(turns)
+
 
 ROUNDED_OVERLAP = 1e-13  # of a radius; largest overlap by rounding of bodies that just touch
 

@@ -66,19 +66,20 @@ def test_the_legend_names_the_scale_of_every_kind_of_arrow(bounce: Recording) ->
     header, lines = header_of_recording(bounce), " ".join(" ".join(lines_of(asked(bounce, Request()))).split())
     (impact,) = bounce.impacts().to_pylist()
     step = shown_step(bounce, bounce.moment(), int(bounce.closing["moments.impact.step"])).frame
-    assert step is not None and step.torque is not None
+    assert step is not None and step.angular_impulse is not None
     assert "lengths compressed: ½, 1, 1½ radii from the surface =" in lines
-    # the only step with torques, which are alike, so they are the middle of the scale: 1 of 2 radii
-    torque = float(np.linalg.norm(step.torque[0]))
+    # of the only impact, alike on both bodies, so they are the middle of the scale: 1 of 2 radii
+    turn = float(np.linalg.norm(step.angular_impulse[0]))
     for path, name, middle, unit in (
-        (paths.TORQUE, "torque", torque, "N m"),
-        (paths.ANGULAR_ACCELERATION, "angular acceleration", torque / header.inertia[0], "rad/s²"),
+        (paths.ANGULAR_IMPULSE, "impact's angular impulse", turn, "N m s"),
+        (paths.SPIN_CHANGE, "impact's change of spin", turn / header.inertia[0], "rad/s"),
         (paths.FORCE_NORMAL, "normal impulse", impact["normal_impulse"], "N s"),  # the only one is the median
     ):
         values = [two_digits(magnitude_at(radii, REACH[path], middle)) for radii in (0.5, 1.0, 1.5)]
         assert f"{name}: {', '.join(values)} {unit}" in lines
     for word, share in (("small", 1 / 27), ("median", 1.0), ("large", 27.0)):  # u = 1/4, 1/2, 3/4
         assert f"{word} impulse, {two_digits(share * impact['normal_impulse'])} N s" in lines
+    assert "torque" not in lines, "no contact lasts"
     assert "spin, close up: 1.3 radii = 0.857 rad/s" in lines
 
 
@@ -95,7 +96,7 @@ def test_an_arrow_of_the_magnitude_that_the_legend_names_has_that_length(radii: 
 def test_an_arrow_has_the_same_colour_in_the_graph_and_in_the_legend(bounce: Recording) -> None:
     shown = asked(bounce, Request())
     lines, statics = lines_of(shown), dict(shown.supplement.statics)
-    for path, word in ((paths.TORQUE, "torque"), (paths.FORCE_NORMAL, "normal impulse")):
+    for path, word in ((paths.ANGULAR_IMPULSE, "angular impulse"), (paths.FORCE_NORMAL, "normal impulse")):
         arrow: Any = statics[path]
         (colour,) = {colour for text, colour in lines.items() if word in text}
         assert arrow.colors.as_arrow_array().to_pylist() == [colour]
@@ -159,7 +160,8 @@ def test_without_friction_the_legend_names_none(tmp_path: Path) -> None:
     head_on = carom.run(Scene.load("two-spheres", straight), tmp_path / "head-on.rrd")
     assert header_of_recording(head_on).has_friction
     texts = " ".join(lines_of(asked(head_on, Request())))
-    assert "normal impulse" in texts and "friction" not in texts and "torque" not in texts
+    assert "normal impulse" in texts and "friction" not in texts
+    assert "torque" not in texts and "angular impulse" not in texts
 
 
 @pytest.mark.parametrize("view", ["bodies", "graph", "close-up"])
@@ -170,7 +172,7 @@ def test_a_picture_of_one_view_has_a_legend_of_what_this_view_shows(view: str, b
         "path so far": ["bodies"],
         "impact: size": ["bodies"],
         "impulse of friction": ["graph"],
-        "torque": ["graph"],
+        "angular impulse": ["graph"],
         "impulse on each body": ["close-up"],
     }.items():
         assert (text in lines) == (view in views), text

@@ -289,11 +289,11 @@ def test_both_balls_of_a_close_up_look_equal_and_the_arrows_of_impulses_end_insi
     assert np.all(np.abs(lens.view.on_screen(origins + vectors)) <= [1.6, 1.0])
 
 
-def test_arrows_of_torques_and_impulses_end_inside_the_view_of_the_graph(bounce: Recording) -> None:
+def test_arrows_of_impulses_end_inside_the_view_of_the_graph(bounce: Recording) -> None:
     for canvas in (Canvas(rendered=True), Canvas(800, 500, framed=False, rendered=True)):
         shown = asked(bounce, Request(), canvas, "graph")
         (lens,) = (each.lens for each in views_of(shown.supplement.layout.root_container) if isinstance(each, LensView))
-        for path in (paths.TORQUE, paths.ANGULAR_ACCELERATION, paths.FORCE_NORMAL, paths.FORCE_FRICTION):
+        for path in (*paths.OF_IMPACTS, paths.FORCE_NORMAL, paths.FORCE_FRICTION):
             drawn = within_a_step(path, list(shown.supplement.rows))
             vectors, origins = (np.array(values_of(path, name, drawn)[0]) for name in ("vectors", "origins"))
             assert len(vectors) > 0

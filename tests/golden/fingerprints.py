@@ -156,7 +156,7 @@ def measured(name: str, overrides: str, steps: int, threads: int, make: SpaceMak
     hashes = {part: xxhash.xxh64() for part in ("energy", "ledger", "time", "contacts", "turning", "state")}
     case: Case = {"steps": 0, "touching": 0, "in_flight": 0, "held": 0, "sweeps": 0}
     for frame in itertools.islice(space.run(schedule=every(0.0)), steps + 1):
-        for part, values in _parts(frame).items():
+        for part, values in _parts(frame, space).items():
             for value in values:
                 hashes[part].update(np.ascontiguousarray(value).tobytes())
         case["steps"] = frame.step
@@ -172,7 +172,7 @@ def measured(name: str, overrides: str, steps: int, threads: int, make: SpaceMak
     return case | {part: digest.hexdigest() for part, digest in hashes.items()}
 
 
-def _parts(frame: Frame) -> dict[str, list[Any]]:
+def _parts(frame: Frame, space: Space) -> dict[str, list[Any]]:
     """Return the numbers of a frame by the part that they belong to."""
     energy, contacts, memory = frame.energy, frame.contacts, frame.memory
     terms = (energy.translational, energy.rotational, energy.gravitational, energy.field, energy.integration_error)
@@ -180,13 +180,13 @@ def _parts(frame: Frame) -> dict[str, list[Any]]:
     ledger = (*by_contacts, *(loss for _, loss in energy.ledger.forces))
     seen = [contacts.pairs, contacts.normals, contacts.overlaps, contacts.colours]
     held = [memory.pairs, memory.rest_speed, memory.held_pairs, memory.impulse, _floats(memory.kick)] if memory else []
-    turning = (frame.torque, frame.angular_acceleration)
+    turning = (space.state.torque, space.state.angular_acceleration)  # of a frame: without those of impacts
     return {
         "energy": [_floats(*terms), frame.momentum, frame.angular_momentum],
         "ledger": [_floats(*ledger)],
         "time": [_floats(frame.step, frame.time, frame.dt, frame.previous_dt), frame.dt_limit.encode()],
         "contacts": [*seen, *([] if contacts.into_step is None else [contacts.into_step]), *held],
-        "turning": [array for array in turning if array is not None],
+        "turning": [*turning],
         "state": [np.uint64(frame.fingerprint), frame.acceleration],
     }
 

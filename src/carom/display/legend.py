@@ -51,8 +51,15 @@ _DIMENSIONS = {
     paths.FORCE_NORMAL: dimension.IMPULSE,
     paths.TORQUE: dimension.TORQUE,
     paths.ANGULAR_ACCELERATION: dimension.ANGULAR_ACCELERATION,
+    paths.ANGULAR_IMPULSE: dimension.ANGULAR_IMPULSE,
+    paths.SPIN_CHANGE: dimension.ANGULAR_VELOCITY,
 }
-_NAMES = {paths.TORQUE: "torque", paths.ANGULAR_ACCELERATION: "angular acceleration"}
+_NAMES = {
+    paths.TORQUE: "torque",
+    paths.ANGULAR_ACCELERATION: "angular acceleration",
+    paths.ANGULAR_IMPULSE: "impact's angular impulse",
+    paths.SPIN_CHANGE: "impact's change of spin",
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,7 +85,8 @@ class LegendContents:
     impulses: bool = False  # arrows, and widths of edges
     friction: bool = False
     impacts: bool = False
-    torques: bool = False
+    torques: bool = False  # of contacts that last
+    turns: bool = False  # angular impulses of impacts
     trails: bool = False
 
     def __or__(self, other: LegendContents) -> LegendContents:
@@ -213,8 +221,8 @@ def legend(
     lines = [*_bodies(header, by, colours, references, named), *_edges(header, frame, drawn, theme, by_stage)]
     if drawn.trails:
         lines.append(LegendLine("— path so far", palette.GREY, (BODIES,)))
-    if drawn.torques:
-        lines += _arrows(header, references)
+    for turning in (paths.OF_LASTING if drawn.torques else (), paths.OF_IMPACTS if drawn.turns else ()):
+        lines += _arrows(header, references, turning)
     arrows = next((k for k, line in enumerate(lines) if line.text.startswith("→")), None)
     if arrows is not None:
         lengths = f"{', '.join(_LENGTHS)} radii from the surface"
@@ -343,11 +351,11 @@ def _round(header: Header, value: float, kind: Dimension) -> str:
     return f"{float(number):.6g} {unit}"
 
 
-def _arrows(header: Header, references: Mapping[str, float]) -> Iterator[LegendLine]:
-    """State the scales of torques and angular accelerations: arrows are not proportional to them."""
-    for path, name in _NAMES.items():
+def _arrows(header: Header, references: Mapping[str, float], entities: Sequence[str]) -> Iterator[LegendLine]:
+    """State the scales of arrows that show what turns bodies: the arrows are not proportional to it."""
+    for path in entities:
         scale = f": {_scale(header, path, references[path])}" if path in references else ""
-        yield LegendLine(f"→ {name}{scale}", palette.ARROWS[path], (GRAPH,))
+        yield LegendLine(f"→ {_NAMES[path]}{scale}", palette.ARROWS[path], (GRAPH,))
 
 
 # What is drawn, at a moment or during the whole run: the legend names nothing else.
@@ -363,7 +371,8 @@ def drawn_during(recording: Recording, header: Header) -> LegendContents:
     impacts = records and any(entry.rows for entry in recording.store.frames_of(paths.IMPACTS))
     rubs = records and header.has_friction and _has_arrows(recording, paths.FORCE_FRICTION)
     torques = header.has_torque and _has_arrows(recording, paths.TORQUE)
-    return LegendContents(header.collides, records, rubs, impacts, torques)
+    turns = records and header.has_torque and _has_arrows(recording, paths.ANGULAR_IMPULSE)
+    return LegendContents(header.collides, records, rubs, impacts, torques, turns)
 
 
 def _has_arrows(recording: Recording, path: str) -> bool:
@@ -384,8 +393,11 @@ def drawn_at(frame: Frame, header: Header) -> LegendContents:
     if rows is not None and largest > 0.0 and header.has_friction:
         friction = np.stack([rows["friction_x"], rows["friction_y"], rows["friction_z"]])
         rubs = bool(np.abs(friction).max() > _ROUNDING * largest)
-    torques = header.has_torque and frame.torque is not None and bool(np.any(frame.torque))
-    return LegendContents(len(frame.contacts.pairs) > 0, largest > 0.0, rubs, torques=torques)
+    torques, turns = (
+        header.has_torque and values is not None and bool(np.any(values))
+        for values in (frame.torque, frame.angular_impulse)
+    )
+    return LegendContents(len(frame.contacts.pairs) > 0, largest > 0.0, rubs, torques=torques, turns=turns)
 
 
 def impact_marks(recording: Recording, header: Header, moment: float | None = None) -> FloatArray:

@@ -22,7 +22,6 @@ from carom.display.request import (
 from carom.display.staging import Staging, axes_and_field, decades, impact_strip, names_that_fit, whole_span
 from carom.display.supplement import BodyPlots, Supplement, asked_quantities, body_series
 from carom.errors import RecordingError, SceneError
-from carom.physics.frame import Frame
 from carom.recording.layout import (
     ALL,
     CLOSE_UP,
@@ -38,6 +37,7 @@ from carom.recording.layout import (
 )
 from carom.recording.layout.camera import FEW
 from carom.recording.layout.canvas import CORNERS, Additions, CameraMotion, Canvas, free_corner
+from carom.recording.layout.drawing import REACH
 from carom.recording.read.frame_rows import arrow_floors
 from carom.recording.read.lookup import tolerance
 from carom.recording.read.named_events import NamedEvent, Pair, named_event, named_pair, pair_of_extreme
@@ -53,8 +53,7 @@ from carom.scene.forces import UNIFORM_FIELD
 
 _ONCE = (paths.EVENTS, paths.FINGERPRINT, paths.MOMENTUM, paths.IMPACTS)  # not sent for repeated steps
 
-_ARROWS = (paths.TORQUE, paths.ANGULAR_ACCELERATION, paths.FORCE_NORMAL, paths.FORCE_FRICTION)
-_OF_STEP = (paths.TORQUE, paths.ANGULAR_ACCELERATION)  # sent for an instant within a step, as at its end
+_ARROWS = tuple(REACH)
 
 
 @dataclass(frozen=True, slots=True)
@@ -217,7 +216,7 @@ def presentation(
     added = Additions(
         *(close, has_trails, recoloured, by_stage, plots, words),
         moment=canvas.rendered,
-        tips=_arrow_tips(header, recording.origin, paused.frame, references),
+        tips=_arrow_tips(header, recording.origin, paused, references),
         marks=marks,
         inset=words.of(only).size if canvas.rendered else (0.0, 0.0),
     )
@@ -294,7 +293,7 @@ def _steps(
 def _instant(
     recording: Recording, header: Header, instant: ShownStep, references: _References
 ) -> tuple[list[Rows], _References]:
-    """Return the bodies, contacts and energies of an instant within a step, on the timeline of times only.
+    """Return the bodies, contacts, arrows and energies of an instant within a step, on the timeline of times only.
 
     Return also the magnitudes of arrows, which the instant may determine.
     """
@@ -305,22 +304,19 @@ def _instant(
         for rows in encoder.at_impacts([instant.state])
         if rows.path != paths.IMPACT_SPINS
     ]
-    found += [
-        Rows(rows.path, Index.within_step(instant.time), rows.columns)
-        for rows in encoder.rows([instant.frame])
-        if rows.path in _OF_STEP
-    ]
     return found, dict(encoder.arrow_references)
 
 
 def _arrow_tips(
-    header: Header, origin: FloatArray, frame: Frame | None, references: Mapping[str, float]
+    header: Header, origin: FloatArray, shown: ShownStep, references: Mapping[str, float]
 ) -> FloatArray | None:
-    """Return the ends (k, 3) m of the arrows of a step of few bodies; None if it is not known."""
+    """Return the ends (k, 3) m of the arrows of a step, or an instant, of few bodies; None if it is not known."""
+    frame, state = shown.frame, shown.state
     if frame is None or header.bodies > FEW:
         return None
     found = [np.zeros((0, 3))]
-    for rows in BatchEncoder(header, origin, references, everything=True).rows([frame]):
+    encoder = BatchEncoder(header, origin, references, everything=True)
+    for rows in encoder.rows([frame]) if state is None else encoder.at_impacts([state]):
         if rows.path in _ARROWS:
             drawn = [column.as_arrow_array().flatten().flatten() for column in list(rows.columns)[:2]]
             found.append(np.add(*drawn, dtype=np.float64).reshape(-1, 3))

@@ -34,8 +34,8 @@ class Bodies:
     acceleration: FloatArray  # (n, 3) m/s², of all forces but drag
     orientation: FloatArray  # (n, 4) unit quaternions, xyzw; like the next three, no rows if not required
     angular_velocity: FloatArray  # (n, 3) rad/s
-    angular_acceleration: FloatArray  # (n, 3) rad/s², of the last step; no rows without torques
-    torque: FloatArray  # (n, 3) N m, Σ r × J / dt of the last step
+    angular_acceleration: FloatArray  # (n, 3) rad/s², mean of the last step; no rows without torques
+    torque: FloatArray  # (n, 3) N m, Σ r × J / dt of all contacts and impacts of the last step
     mass: FloatArray  # (n,) kg
     radius: FloatArray  # (n,) m
     inertia: FloatArray  # (n,) kg m²

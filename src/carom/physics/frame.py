@@ -88,8 +88,8 @@ class Frame:
     acceleration: FloatArray  # (n, 3) m/s², of all forces but drag
     orientation: FloatArray | None  # (n, 4) xyzw
     angular_velocity: FloatArray | None  # (n, 3) rad/s
-    torque: FloatArray | None  # (n, 3) N m
-    angular_acceleration: FloatArray | None  # (n, 3) rad/s²
+    torque: FloatArray | None  # (n, 3) N m, of contacts that last, in this step
+    angular_acceleration: FloatArray | None  # (n, 3) rad/s², by these torques
     contacts: CollisionGraph  # of this step; empty where no contact is possible
     energy: Energy  # J
     momentum: FloatArray  # (3,) kg m/s
@@ -110,6 +110,7 @@ class Frame:
     impacts_left_out: int = 0  # number of further impacts; `impacts` then holds those with the largest impulses
     impact_sums: FloatArray | None = None  # `ImpactSums.flat`, of all impacts since the previous frame; None: not known
     contact_rows: Records | None = None  # (m,) `CONTACT_ROW`, by pair: the contacts of this step; None if not requested
+    angular_impulse: FloatArray | None = None  # (n, 3) N m s, Σ r × J of the impacts of this step
     expected_error: float = 0.0  # of positions, relative to the size of the system; 0 without a requested accuracy
 
     @property

@@ -6,6 +6,8 @@ from collections.abc import Iterator
 from dataclasses import replace
 from typing import NamedTuple
 
+import numpy as np
+
 from carom.arrays import FloatArray, Records
 from carom.contact_table import NO_ROWS
 from carom.physics.batch_step import BatchStepper
@@ -94,6 +96,7 @@ class Simulation:
         self._books = Bookkeeper(self._world)
         self._stepper = _stepper_of(self._world, self._books, stride)
         self._stopping = False
+        self._no_turns = np.zeros_like(self.state.torque)  # N m s, of a step without impacts
         potentials = warm_up(self._world, self._stepper)
         if scene.time.fixed_dt is None and not integrator(scene).controls_error:
             own = scene.unit_system, remedies_of(scene)
@@ -264,6 +267,7 @@ class Simulation:
             contact_rows = self._tap.rows(buffer)
         arrays = copies(state) if store is None or slot is None else store.kept(slot)
         position, velocity, acceleration, orientation, angular_velocity, torque, angular_acceleration = arrays
+        angular_impulse = self.without_impacts(torque, angular_acceleration)
         return Frame(
             step=self.step,
             time=self.time,
@@ -294,8 +298,21 @@ class Simulation:
             impacts_left_out=left_out,
             impact_sums=sums,
             contact_rows=contact_rows,
+            angular_impulse=angular_impulse if needs.torque.modelled else None,
             expected_error=0.0 if self.scene.promise is None else self.scene.promise.error_at(self.time),
         )
+
+    def without_impacts(self, torque: FloatArray, angular_acceleration: FloatArray) -> FloatArray:
+        """Leave the torques of contacts that last in copies of the last step's, (n, 3) N m and rad/s².
+
+        Return the angular impulses of the impacts of the step, (n, 3) N m s, which may not be written to.
+        """
+        turns = self._contact.turns_of_impacts if self._contact and len(torque) else None
+        if turns is None:
+            return self._no_turns
+        state = self.state
+        turns.take_from(torque, angular_acceleration, self.dt, state.angular_velocity, state.inertia)
+        return turns.sum
 
     def _publish(self) -> None:
         """Replace the status that other threads read; they get either the previous or the new one."""

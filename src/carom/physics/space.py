@@ -142,13 +142,15 @@ class Space(Simulation):
     def get_body_data_for_display(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         """Return positions (n, 3), quaternions (n, 4) xyzw, torques (n, 3) and angular accelerations (n, 3) as copies.
 
-        Where the scene requires no orientations or torques, they are the identity and zeros.
+        Torques (N m) and angular accelerations (rad/s²) are those of contacts that last, as in a `Frame`. Where the
+        scene requires no orientations or torques, they are the identity and zeros.
         """
         state, n, needs = self.state, len(self.state), self.requirements
         orientation = state.orientation if needs.orientation.modelled else np.tile([0.0, 0.0, 0.0, 1.0], (n, 1))
         torque, alpha = np.zeros((n, 3)), np.zeros((n, 3))
         if needs.torque.modelled:
             torque, alpha = state.torque.copy(), state.angular_acceleration.copy()
+            self.without_impacts(torque, alpha)
         return state.position.copy(), orientation.copy(), torque, alpha
 
     def energy(self) -> Energy:

@@ -58,9 +58,10 @@ RECORDED = [
     ("step/relative_overlap", "Scalars:scalars"),
     ("world/bodies", "Ellipsoids3D:centers"),
     ("world/bodies", "Ellipsoids3D:quaternions"),
-    ("world/torque", "Arrows3D:vectors"),
-    ("world/angular_acceleration", "Arrows3D:origins"),
-    ("world/torque", "body"),
+    ("world/angular_impulse", "Arrows3D:vectors"),
+    ("world/spin_change", "Arrows3D:origins"),
+    ("world/spin_change", "spin_change"),
+    ("world/angular_impulse", "body"),
     ("world/contacts", "LineStrips3D:strips"),
     ("world/contacts", "LineStrips3D:colors"),
     *(

@@ -19,7 +19,7 @@ from carom.runs.resume import resume
 from carom.scene.load import Scene
 from small_scenes import scene_of
 
-NOISE = 1e-12  # m, by which the second pair meets off centre: its torques are 1e-12 of those of the first
+NOISE = 1e-12  # m, by which the second pair meets off centre: its angular impulses are 1e-12 of those of the first
 OF_LARGEST = 1e-9
 FIRST, SECOND = 0.5, 1.5  # s, of the impacts
 
@@ -56,9 +56,10 @@ def lengths(recording: Recording, path: str) -> dict[int, FloatArray]:
     return found
 
 
-def test_torques_of_rounding_have_no_arrows_once_a_larger_one_was_recorded(recording: Recording) -> None:
-    for path in (paths.TORQUE, paths.ANGULAR_ACCELERATION):
+def test_angular_impulses_of_rounding_have_no_arrows_once_a_larger_one_was_recorded(recording: Recording) -> None:
+    for path in (paths.ANGULAR_IMPULSE, paths.SPIN_CHANGE):
         assert [len(each) for each in lengths(recording, path).values()] == [2], "of the first pair only"
+    assert not lengths(recording, paths.TORQUE), "no contact lasts"
     friction = lengths(recording, paths.FORCE_FRICTION)
     assert len(friction) == 2, "both impacts have friction"
     first, second = friction.values()
@@ -78,10 +79,10 @@ def test_each_frame_holds_the_floor_of_its_arrows(recording: Recording) -> None:
 def test_a_replay_from_any_time_and_a_resumed_run_have_the_same_arrows(recording: Recording, tmp_path: Path) -> None:
     whole = replay(recording)
     assert whole.same and whole.not_compared == []
-    assert replay(recording, 1.0).same, "the largest torque is before the window"
+    assert replay(recording, 1.0).same, "the largest angular impulse is before the window"
     short = carom.run(two_pairs(1.0), tmp_path / "short.rrd")
     longer = resume(short, 2.0)
-    for path in (paths.TORQUE, paths.FORCE_FRICTION):
+    for path in (paths.ANGULAR_IMPULSE, paths.FORCE_FRICTION):
         one, other = lengths(recording, path), lengths(longer, path)
         assert one.keys() == other.keys() and all(one[step].tolist() == other[step].tolist() for step in one)
     assert replay(longer).same

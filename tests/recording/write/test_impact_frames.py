@@ -13,6 +13,7 @@ import carom
 from carom.arrays import FloatArray
 from carom.physics.vector import minimum_images
 from carom.recording.edit.clip import clip
+from carom.recording.read.frame_rows import RecordedRows
 from carom.recording.read.recorded_impacts import impacts_by_number, states_by_number
 from carom.recording.read.recording import Recording
 from carom.runs.replay import replay
@@ -85,6 +86,49 @@ def test_spins_before_and_after_an_impact_obey_coulomb(bounces: Recording) -> No
     change = 2.5 * FRICTION * (1.0 + RESTITUTION) * SPEED / RADIUS  # mu J r / I: it slides throughout
     assert before[0] == pytest.approx([0.0, SPIN, 0.0], rel=SINGLE, abs=1e-12)
     assert after[0] == pytest.approx([0.0, SPIN - change, 0.0], rel=1e-6, abs=1e-9)
+
+
+def test_at_an_impact_nothing_has_a_torque_but_the_ball_an_angular_impulse(bounces: Recording) -> None:
+    change = 2.5 * FRICTION * (1.0 + RESTITUTION) * SPEED / RADIUS
+    for path, value in (("angular_impulse", 0.4 * MASS * RADIUS**2 * change), ("spin_change", change)):
+        numbers, _, found = column(bounces, f"world/{path}", path)
+        assert numbers.tolist() == [1, 2] and found[0] == pytest.approx([value], rel=1e-6)
+        *_, vectors = column(bounces, f"world/{path}", "Arrows3D:vectors")
+        assert vectors[0, 1] < -RADIUS, "against the spin, beyond the surface"
+    for path in ("world/torque", "world/angular_acceleration"):
+        numbers, table = states_by_number(bounces)[path]
+        assert numbers.tolist() == [1, 2] and table["body"].to_pylist() == [[], []], "an empty row clears the view"
+
+
+def test_a_frame_of_an_impact_shows_that_impact_only(tmp_path: Path) -> None:
+    scene = Scene.load("rack-break", ["time.duration=0.0435", "time.max_dt=2e-3"])  # s; several impacts in each step
+    recording = carom.run(scene, tmp_path / "rack.rrd")
+    impacts, states = recording.impacts(), states_by_number(recording)
+    numbers, _ = states["world/bodies"]
+    assert len(numbers) > 5 and np.unique(impacts["step"].to_numpy()[numbers - 1]).size < len(numbers)
+    every = [{key: impacts[key][int(k) - 1].as_py() for key in ("time", "i", "j")} for k in numbers]
+    at_once = [{e for o in impacts.to_pylist() if o["time"] == one["time"] for e in (o["i"], o["j"])} for one in every]
+    for path, own in (("torque", "body"), ("angular_impulse", "body"), ("contacts", "bodies")):
+        rows, table = states[f"world/{path}"]
+        assert rows.tolist() == numbers.tolist(), "each row replaces that of another impact"
+        for ends, shown in zip(at_once, table[own].to_pylist(), strict=True):
+            assert set(shown) <= ends and (path != "torque" or not shown)
+    assert any(row for row in states["world/angular_impulse"][1]["body"].to_pylist())
+
+
+def test_an_impact_has_the_same_numbers_whatever_the_step(tmp_path: Path) -> None:
+    found = []
+    for step in (5e-3, 2.5e-3, 1.25e-3):  # s
+        scene = Scene.load("two-spheres", [f"time.max_dt={step}", "time.duration=1.7"])
+        recording = carom.run(scene, tmp_path / f"{step}.rrd")
+        paths = "angular_impulse", "spin_change"
+        at_impact = [column(recording, f"world/{path}", path)[2].ravel() for path in paths]
+        rows, (step_of_impact,) = RecordedRows(recording), recording.impacts()["step"].to_pylist()
+        at_end = [rows.at(f"world/{path}", step_of_impact)[0].batch[path][0].as_py() for path in paths]
+        found.append(np.array([at_impact, at_end]))
+    assert found[0].shape == (2, 2, 2) and found[0].min() > 0.1
+    for other in found[1:]:
+        assert other == pytest.approx(found[0], rel=SINGLE)
 
 
 def test_in_a_crowded_scene_the_largest_impacts_between_two_frames_have_frames(tmp_path: Path) -> None:

@@ -17,14 +17,24 @@ from typing import TYPE_CHECKING, NamedTuple, Protocol
 import numpy as np
 
 from carom.arrays import BoolArray, FloatArray, IntArray, RecordArray, Records
-from carom.contact_table import CONTACT_ROW, IMPACT_MODE, NO_ROWS, OPEN, RESTING, SLIDING, STICKING, ContactRow
+from carom.contact_table import (
+    CONTACT_ROW,
+    IMPACT_MODE,
+    NO_ANGULAR_IMPULSES,
+    NO_ROWS,
+    OPEN,
+    RESTING,
+    SLIDING,
+    STICKING,
+    ContactRow,
+)
 from carom.physics.aligned import Buffer, columns, joined, picked, raw
 from carom.physics.contact.constraints import CONTACT, ContactRecord, ContactStateRecord, ImpulseRecord
 from carom.physics.contact.graph import comes_before, empty_graph
 from carom.physics.contact.hooks import OptionalPart, PresentStep
 from carom.physics.contact.impact_log import NO_IMPACTS, ImpactRecord
 from carom.physics.contact.law import IMPULSES, Materials, material_index, slides
-from carom.physics.contact.rolling import ContactGeometry, angular_impulses_of
+from carom.physics.contact.rolling import ContactGeometry, angular_impulse, angular_impulses_of
 from carom.physics.diagnostics.ledger import FRICTION, RESTITUTION, STABILISATION
 from carom.physics.jit.decorators import inline, kernel, long_kernel
 from carom.physics.sheared_box import nearest_in_drift
@@ -34,7 +44,6 @@ if TYPE_CHECKING:
     from carom.physics.contact.pipeline import ContactPipeline
 
 MOST_IMPACTS = 100_000  # stored between two frames, 15 MB; of more, the largest are stored and the others counted
-NO_ANGULAR_IMPULSES: FloatArray = np.empty((0, 0))
 
 
 class HasImpulse(Protocol):
@@ -349,6 +358,7 @@ def _merge(
             hardest = impacts[b]
             row.time, row.mode, row.approach_speed = hardest.time, hardest.mode, hardest.approach_speed
             row.nx, row.ny, row.nz = hardest.nx, hardest.ny, hardest.nz
+            row.arm_i, row.arm_j = hardest.arm_i, hardest.arm_j
             row.x, row.y, row.z = hardest.x, hardest.y, hardest.z
             while b < len(impacts) and impacts[b].i == i and impacts[b].j == j:
                 _add(row, impacts[b])
@@ -387,6 +397,7 @@ def _write_log(
         entry, row = log[k], rows[k]
         _begin(row, step, min(began + entry.time, ended), entry.i, entry.j)
         row.nx, row.ny, row.nz = entry.nx, entry.ny, entry.nz
+        row.arm_i, row.arm_j = entry.arm_i, entry.arm_j
         row.x, row.y, row.z = nearest_in_drift(entry.x, entry.y, entry.z, box, 0.0)
         _add(row, entry)
         _add_losses(row, entry.restitution_loss, entry.friction_loss, entry.stabilisation_gain)
@@ -400,6 +411,7 @@ def _begin(row: ContactRow, step: int, time: float, i: int, j: int) -> None:
     """Begin the row of a contact, without an impulse."""
     row.step, row.time, row.i, row.j, row.mode = step, time, i, j, OPEN
     row.approach_speed = row.normal_impulse = row.friction_x = row.friction_y = row.friction_z = 0.0
+    row.angular_x = row.angular_y = row.angular_z = 0.0
     row.restitution_loss = row.friction_loss = row.stabilisation_gain = 0.0
 
 
@@ -416,8 +428,9 @@ def _mode(impulse: HasImpulse, material: Coefficients, friction: bool) -> int:
 
 @inline
 def _place(row: ContactRow, contact: ContactGeometry, position: FloatArray, box: FloatArray) -> None:
-    """Write the normal and the contact point."""
+    """Write the normal, the arms and the contact point."""
     i, arm = row.i, contact.arm_i
+    row.arm_i, row.arm_j = arm, contact.arm_j
     nx, ny, nz = contact.nx, contact.ny, contact.nz
     row.nx, row.ny, row.nz = nx, ny, nz
     x, y, z = position[i, 0] + arm * nx, position[i, 1] + arm * ny, position[i, 2] + arm * nz
@@ -431,6 +444,10 @@ def _add(row: ContactRow, impulse: HasImpulse) -> None:
     row.friction_x += impulse.friction_x
     row.friction_y += impulse.friction_y
     row.friction_z += impulse.friction_z
+    x, y, z = angular_impulse(impulse)
+    row.angular_x += x
+    row.angular_y += y
+    row.angular_z += z
 
 
 @inline

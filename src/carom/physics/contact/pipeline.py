@@ -28,7 +28,7 @@ from carom.physics.contact.hooks import NO_ENTRIES, Hooks, IdleContacts, Mover, 
 from carom.physics.contact.impact_log import NO_IMPACTS, Impacts
 from carom.physics.contact.impact_totals import ImpactTotals
 from carom.physics.contact.near_pairs import ContactWorld, NearPairs
-from carom.physics.contact.reactions import Torques, supported_acceleration
+from carom.physics.contact.reactions import ImpactTurns, Torques, supported_acceleration
 from carom.physics.contact.snapshot import SnapshotSource
 from carom.physics.contact.solver.contact_solver import MOST_SWEEPS, ContactSolver
 from carom.physics.contact.solver.positions import BAUMGARTE
@@ -72,7 +72,9 @@ class ContactPipeline:
         # islands are of interest only where contacts last
         sweeps = contact.sweeps if self.lasts or contact.sweeps != "auto" else "converged"
         shapes = bodies, world.planes, world.materials, world.solver_box
-        self.solver = ContactSolver(*shapes, friction, team, totals is not None, sweeps)
+        # torques are those of contacts that last, so the impulses of impacts are known
+        keeps = totals is not None or requirements.torque.modelled
+        self.solver = ContactSolver(*shapes, friction, team, keeps, sweeps)
         if not self.lasts:
             self.solver.assume_loads()
         self.near.pressing = self.solver.pressing[: len(bodies)]
@@ -127,6 +129,11 @@ class ContactPipeline:
         for part in self.parts:
             memory = part.remember(memory)
         return memory
+
+    @property
+    def turns_of_impacts(self) -> ImpactTurns | None:
+        """The angular impulses of the impacts of the last step; None if it had none."""
+        return ImpactTurns.of(self.impacts, self.solver, self.bodies)
 
     @property
     def supported_acceleration(self) -> FloatArray:

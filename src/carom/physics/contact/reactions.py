@@ -1,18 +1,31 @@
-"""The reactions of the contacts of a step: torques on bodies, and accelerations that contacts support."""
+"""The reactions of the contacts of a step: torques on bodies, and accelerations that contacts support.
+
+A body's spin changes by impacts and by contacts that last. An impact has an angular impulse, whatever the length of the
+step. Divided by the step, it would be a torque that doubles when the step is halved, so only contacts that last have
+torques.
+"""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
-from carom.arrays import FloatArray, IntArray, RecordArray
+from carom.arrays import BoolArray, FloatArray, IntArray, RecordArray
+from carom.contact_table import turning_impulses
+from carom.physics.aligned import columns
 from carom.physics.bodies import Bodies
 from carom.physics.contact.constraints import ContactRecord
+from carom.physics.contact.impact_log import Impacts
+from carom.physics.contact.rolling import angular_impulses_of
+from carom.physics.contact.solver.contact_solver import ContactSolver
 from carom.physics.contact.solver.prepare import ImpulseCache
 from carom.physics.jit.decorators import kernel, long_kernel
 from carom.physics.jit.team import Team
 
 MIN_BODIES_PER_TASK, MIN_BODIES_PER_COPY = 1000, 10_000  # about 10 µs of work
 NO_SUPPORT = np.empty(0)  # m/s², without lasting contacts
+_ROUNDING = 8.0 * np.finfo(np.float64).eps  # of an angular impulse or a spin: a cross product, three factors and a sum
 
 
 class Torques:
@@ -28,10 +41,65 @@ class Torques:
         self._team.divide(len(self._spin), MIN_BODIES_PER_COPY, _remember, spins, self._spin)
 
     def write(self, dt: float) -> None:
-        """Write the torques of a step of dt s, Σ r × J / dt = I Δω / dt, and the angular accelerations τ / I."""
+        """Write the mean torques of a step of dt s, Σ r × J / dt = I Δω / dt, and the angular accelerations τ / I."""
         bodies = self._bodies
         arrays = (bodies.angular_velocity, bodies.inertia, dt, bodies.torque, bodies.angular_acceleration)
         self._team.divide(len(self._spin), MIN_BODIES_PER_TASK, write_torques, self._spin, *arrays)
+
+
+@dataclass(frozen=True, slots=True)
+class ImpactTurns:
+    """The angular impulses of the impacts of a step on each body."""
+
+    sum: FloatArray  # (n, 3) N m s
+    size: FloatArray  # (n,) N m s, Σ of their magnitudes
+    count: IntArray  # (n,) of impacts
+
+    @classmethod
+    def of(cls, impacts: Impacts, solver: ContactSolver, bodies: Bodies) -> ImpactTurns | None:
+        """Add up the impacts of the drift, and those that the solver resolved at its end; None without any."""
+        late = solver.approach > solver.rest_speed
+        late &= columns(solver.recorded, ("normal_impulse",))[:, 0] > 0.0
+        early = impacts.approach > impacts.rest_speed
+        if not (early.any() or late.any()):
+            return None
+        of_drift, at_end = (impacts.log, impacts.log, early), (solver.contacts, solver.recorded, late)
+        body = np.concatenate((impacts.pairs[early].ravel(), solver.order.pairs[late].ravel()))
+        turns = np.concatenate((_turns(*of_drift), _turns(*at_end))).reshape(-1, 3)
+        turns[bodies.ends.inverse_inertia[body] == 0.0] = 0.0
+        n = len(bodies.ends.inverse_inertia)
+        found = cls(np.zeros((n, 3)), np.zeros(n), np.bincount(body, minlength=n))
+        np.add.at(found.sum, body, turns)
+        np.add.at(found.size, body, np.sqrt((turns * turns).sum(axis=1)))
+        n = len(bodies)
+        return cls(found.sum[:n], found.size[:n], found.count[:n])
+
+    def take_from(
+        self, torque: FloatArray, angular_acceleration: FloatArray, dt: float, spin: FloatArray, inertia: FloatArray
+    ) -> None:
+        """Leave only the torques of contacts that last in those of a step of dt s, which has the impacts, in place.
+
+        What is left of the change of a body's spin is 0 within the rounding of its impacts. ``spin``, (n, 3) rad/s, is
+        that after the step.
+        """
+        struck = np.flatnonzero(self.count)
+        whole = dt * torque[struck]
+        left = whole - self.sum[struck]
+        most = self.size[struck] + _lengths(whole) + inertia[struck] * _lengths(spin[struck])  # of I ω in the step
+        left[_lengths(left) <= _ROUNDING * self.count[struck] * most] = 0.0
+        torque[struck] = left / dt
+        angular_acceleration[struck] = torque[struck] / inertia[struck, None]
+
+
+def _turns(geometry: RecordArray[object], given: RecordArray[object], which: BoolArray) -> FloatArray:
+    """Return the angular impulses of some contacts on both bodies, (k, 2, 3) N m s."""
+    normal, arms = (columns(geometry, names)[which] for names in (("nx", "ny", "nz"), ("arm_i", "arm_j")))
+    friction = columns(given, ("friction_x", "friction_y", "friction_z"))[which]
+    return turning_impulses(normal, arms, friction, angular_impulses_of(given)[which])
+
+
+def _lengths(vectors: FloatArray) -> FloatArray:
+    return np.asarray(np.sqrt((vectors * vectors).sum(axis=1)))
 
 
 @long_kernel

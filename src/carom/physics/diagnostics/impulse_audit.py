@@ -16,6 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from carom.arrays import FloatArray
+from carom.contact_table import turning_impulses
 from carom.physics.bodies import Bodies
 from carom.physics.contact.contact_tap import ContactTap, Impulses
 from carom.physics.contact.pipeline import ContactPipeline
@@ -106,17 +107,14 @@ class _Given:
             normal, friction = some.normal, some.values[:, 1:]
             J = some.values[:, :1] * normal + friction
             length = np.sqrt((J * J).sum(axis=1))
-            moment = np.cross(friction, normal)
+            turns = turning_impulses(normal, some.arms if some.turns else 0.0 * some.arms, friction, some.angular)
             for end, sign in ((0, -1.0), (1, 1.0)):
                 body = some.pairs[:, end]
                 inverse_mass = ends.inverse_mass[body]
                 np.add.at(velocity, body, sign * inverse_mass[:, np.newaxis] * J)
                 np.add.at(speed, body, inverse_mass * length)
-                if some.turns and len(spin):
-                    turn = some.arms[:, end] * ends.inverse_inertia[body]
-                    np.add.at(spin, body, turn[:, np.newaxis] * moment)
-                if some.angular.shape[1]:
-                    np.add.at(spin, body, sign * ends.inverse_inertia[body][:, np.newaxis] * some.angular)
+                if len(spin):
+                    np.add.at(spin, body, ends.inverse_inertia[body][:, np.newaxis] * turns[:, end])
         return cls(velocity[:n], spin[: len(bodies.angular_velocity)], speed[:n])
 
 

@@ -61,7 +61,7 @@ class Selection:
                 if (centres := centres_of(chunk)) is not None and STEP in chunk.batch.schema.names:
                     self._centres |= dict(zip(chunk.batch[STEP].to_pylist(), _vectors(centres), strict=True))
                 return self._bodies(chunk)
-            case paths.TORQUE | paths.ANGULAR_ACCELERATION if not chunk.is_static:
+            case path if path in (*paths.OF_LASTING, *paths.OF_IMPACTS) and not chunk.is_static:
                 return _masked(chunk, [np.isin(row, self._numbers) for row in _rows(chunk, "body")])
             case paths.CONTACTS | paths.FORCE_NORMAL | paths.FORCE_FRICTION if "bodies" in chunk.components:
                 return _masked(chunk, [self._joins(row) for row in _rows(chunk, "bodies")])

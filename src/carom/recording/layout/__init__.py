@@ -35,6 +35,12 @@ from carom.recording.schema.paths import SIM_TIME, STEP
 OF_LATE = 1 / 300  # fraction of the duration for which an impact stays visible
 
 
+def turning_arrows(header: Header) -> list[str]:
+    """Return the entities of the arrows that show what turns bodies."""
+    of_impacts = paths.OF_IMPACTS if header.records_contacts else ()
+    return [*paths.OF_LASTING, *of_impacts] if header.has_torque else []
+
+
 def force_arrows(header: Header) -> list[str]:
     """Return the entities of the impulse arrows in a recording."""
     if not header.records_contacts:
@@ -172,7 +178,7 @@ def graph_view(header: Header, camera: CameraFit, area: Area, added: Additions =
             *surroundings(header),
             *([paths.CONTACTS] if header.collides else []),
             *force_arrows(header),
-            *([paths.TORQUE, paths.ANGULAR_ACCELERATION] if header.has_torque else []),
+            *turning_arrows(header),
             *([LEGEND] if area.inset[0] else []),
         ],
         faint_bodies(header, added.recoloured) | _edges(header, area.theme, wide=True),

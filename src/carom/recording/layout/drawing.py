@@ -10,8 +10,8 @@ m = m_ref · (u / (1 - u))³ with u = L / L_max. Thanks to the cube root, six de
 m_ref therefore comes from the first frame with arrows and applies to the whole recording; arrows are visible even if it
 is wrong by a factor of 1000.
 
-A sphere's torque and angular acceleration are parallel (τ = I α). Torques are drawn short and thick, angular
-accelerations long and thin.
+A sphere's torque and angular acceleration are parallel (τ = I α), as are the angular impulse of an impact and the
+change of spin (L = I Δω). Torques and angular impulses are drawn short and thick, the others long and thin.
 
 **Impulses** of contacts and impacts have eight widths and colours. A magnitude is drawn by u = s / (1 + s), like the
 length of an arrow, and the eight levels of u have equal widths. They save 6 of 8 bytes per contact in the file, because
@@ -33,7 +33,14 @@ from numpy.typing import ArrayLike
 from carom.arrays import ColourArray, FloatArray, IntArray, SingleArray
 from carom.recording.schema import palette
 from carom.recording.schema.header import Header
-from carom.recording.schema.paths import ANGULAR_ACCELERATION, FORCE_FRICTION, FORCE_NORMAL, TORQUE
+from carom.recording.schema.paths import (
+    ANGULAR_ACCELERATION,
+    ANGULAR_IMPULSE,
+    FORCE_FRICTION,
+    FORCE_NORMAL,
+    SPIN_CHANGE,
+    TORQUE,
+)
 
 # Matplotlib's plasma from 0.15 to 1, perceptually uniform; its dark end would be invisible on the dark background.
 SPEEDS = np.array(
@@ -108,7 +115,14 @@ class References(dict[str, float]):
 
 
 # L_max in median body radii
-REACH = {TORQUE: 2.0, ANGULAR_ACCELERATION: 4.0, FORCE_NORMAL: 2.0, FORCE_FRICTION: 2.0}
+REACH = {
+    TORQUE: 2.0,
+    ANGULAR_ACCELERATION: 4.0,
+    ANGULAR_IMPULSE: 2.0,
+    SPIN_CHANGE: 4.0,
+    FORCE_NORMAL: 2.0,
+    FORCE_FRICTION: 2.0,
+}
 
 
 def arrow_length(header: Header, path: str) -> float:

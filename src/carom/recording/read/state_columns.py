@@ -48,7 +48,13 @@ def _along(name: str) -> tuple[str, ...]:
     return tuple(f"{name}{axis}" for axis in "xyz")
 
 
-# A checkpoint has no torques; a frame has all that its scene models.
+def _spin_change(state: State, mass: FloatArray, inertia: FloatArray) -> FloatArray | None:
+    turned = getattr(state, "angular_impulse", None)
+    return None if turned is None else turned / inertia[:, None]
+
+
+# A checkpoint has no torques; a frame has all that its scene models. Torques and angular accelerations are those of
+# contacts that last, angular impulses and changes of spin those of impacts, in the step that ends there.
 STATE_QUANTITIES = (
     StateQuantity("position", _along(""), "m", _kept("position")),
     StateQuantity("velocity", _along("v"), "m/s", _kept("velocity")),
@@ -57,6 +63,8 @@ STATE_QUANTITIES = (
     StateQuantity("acceleration", _along("a"), "m/s²", _kept("acceleration")),  # of forces but drag; without contacts
     StateQuantity("torque", _along("torque_"), "N m", _kept("torque")),
     StateQuantity("angular_acceleration", _along("angular_acceleration_"), "rad/s²", _kept("angular_acceleration")),
+    StateQuantity("angular_impulse", _along("angular_impulse_"), "N m s", _kept("angular_impulse")),
+    StateQuantity("spin_change", _along("spin_change_"), "rad/s", _spin_change),
     StateQuantity("kinetic_energy", ("kinetic_energy",), "J", _kinetic),
     StateQuantity("rotational_energy", ("rotational_energy",), "J", _rotational),
 )

@@ -69,9 +69,15 @@ OLIVE = 0x9FA041FF
 MINT = 0x63F897FF
 BODIES = (SKY, CLAY, INDIGO, MINT, OLIVE, SAGE, ROSE)
 
+# The colours that differ most from those of bodies, other arrows and edges (ΔE ≥ 53, and ≥ 24 from edges).
+MAGENTA = 0xF018F0FF
+CRIMSON = 0xF01848FF
+
 ARROWS = {  # by entity: an arrow has one colour in every view
     paths.TORQUE: ORANGE,
     paths.ANGULAR_ACCELERATION: GREEN,
+    paths.ANGULAR_IMPULSE: MAGENTA,
+    paths.SPIN_CHANGE: CRIMSON,
     paths.FORCE_NORMAL: YELLOW,
     paths.FORCE_FRICTION: PURPLE,
 }

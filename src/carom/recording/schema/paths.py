@@ -8,7 +8,7 @@ from __future__ import annotations
 STEP = "step"  # a count
 SIM_TIME = "sim_time"  # a duration in ns, scaled: see `TimeScale`
 IMPACT = "impact"  # a count, from 1 on: rows of impacts, and the states at some of them
-SCHEMA_VERSION = 4  # of recordings; a version of carom reads the schema that it writes
+SCHEMA_VERSION = 5  # of recordings; a version of carom reads the schema that it writes
 
 SCENE = "scene"
 SCENE_TOML = "scene/toml"
@@ -21,8 +21,10 @@ WALLS = "world/walls"  # of the domain
 SHAPES = "world/shapes"  # walls of other shapes
 MOVING = "world/moving"  # planes and walls, each an entity, where one of them moves
 PERIODIC_BOX = "world/box"
-TORQUE = "world/torque"
+TORQUE = "world/torque"  # of contacts that last
 ANGULAR_ACCELERATION = "world/angular_acceleration"
+ANGULAR_IMPULSE = "world/angular_impulse"  # of impacts
+SPIN_CHANGE = "world/spin_change"
 CONTACTS = "world/contacts"
 FORCE_NORMAL = "world/forces/normal"
 FORCE_FRICTION = "world/forces/friction"
@@ -44,7 +46,17 @@ GIVEN_STATE = "scene/bodies"  # the initial bodies of [[bodies]] tables
 
 IMPACT_SUMS = "impact_sums"  # component of the contacts: the sums over all impacts since the previous frame
 FLOOR = "floor"  # component of arrows: the magnitude below which none is drawn
-WITH_FLOOR = (TORQUE, ANGULAR_ACCELERATION, FORCE_NORMAL)
+OF_LASTING = (TORQUE, ANGULAR_ACCELERATION)
+OF_IMPACTS = (ANGULAR_IMPULSE, SPIN_CHANGE)
+WITH_FLOOR = (*OF_LASTING, *OF_IMPACTS, FORCE_NORMAL)
+MAGNITUDES = {  # component of the arrows of an entity: their magnitudes in SI, which lengths show by their cube roots
+    TORQUE: "torque",
+    ANGULAR_ACCELERATION: "angular_acceleration",
+    ANGULAR_IMPULSE: "angular_impulse",
+    SPIN_CHANGE: "spin_change",
+    FORCE_NORMAL: "normal_impulse",
+    FORCE_FRICTION: "tangential_impulse",
+}
 
 CENTRES = ("Ellipsoids3D:centers", "Points3D:positions", "InstancePoses3D:translations")  # of drawn bodies
 CLOSING = frozenset({"extreme", "end"})  # written when a run ends; a resumed run writes its own

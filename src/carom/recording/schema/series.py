@@ -292,7 +292,10 @@ def _contact_data(header: Header) -> Iterator[Content]:
     for path, why in (*table, (paths.IMPACTS, kept), (paths.FORCE_NORMAL, "the largest impulses")):
         yield Content(path, records, why if records else without)
     spins, rubs = records and header.spins, records and header.has_friction
+    turns = records and header.has_torque
     without_spins, without_friction = without if header.spins else "no spin", "no friction" if records else without
+    for path in paths.OF_IMPACTS:
+        yield Content(path, turns, "of the bodies that meet" if turns else "no torque" if records else without)
     yield Content(paths.IMPACT_SPINS, spins, "of the bodies that meet" if spins else without_spins)
     yield Content(paths.FORCE_FRICTION, rubs, "the same contacts" if rubs else without_friction)
 

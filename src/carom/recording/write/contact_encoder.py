@@ -20,10 +20,19 @@ from carom.recording.layout import drawing
 from carom.recording.layout.drawing import part_of_longest, single
 from carom.recording.read.recorded_impacts import RecordedImpacts
 from carom.recording.schema.header import Header
-from carom.recording.schema.paths import FLOOR, FORCE_FRICTION, FORCE_NORMAL, IMPACT_ENERGY, IMPACT_SUMS, IMPACTS
+from carom.recording.schema.paths import (
+    FLOOR,
+    FORCE_FRICTION,
+    FORCE_NORMAL,
+    IMPACT_ENERGY,
+    IMPACT_SUMS,
+    IMPACTS,
+    MAGNITUDES,
+    OF_IMPACTS,
+)
 from carom.recording.write import encoding_kernels as encoding
 from carom.recording.write.encoding_kernels import EdgeColumns, FrameContacts
-from carom.recording.write.impact_frames import Instant, instants
+from carom.recording.write.impact_frames import Instant, instants, turns_of
 from carom.recording.write.impact_plan import ImpactPlan, impact_rows, largest
 from carom.recording.write.rows import Index, Rows, any_column, vector_column
 
@@ -171,19 +180,22 @@ def force_rows(
     for path, impulse in ((FORCE_NORMAL, normal), (FORCE_FRICTION, tangential)):
         if path == FORCE_FRICTION and not friction:
             continue
-        arrows = _drawn(impulse, middle, longest, floors)
+        size = np.sqrt(np.einsum("ki,ki->k", impulse, impulse))
+        arrows = _drawn(impulse, size, middle, longest, floors)
         found = [
             vector_column(rr.Arrows3D.descriptor_vectors(), arrows, drawn),
             vector_column(rr.Arrows3D.descriptor_origins(), at, drawn),
             any_column("bodies", ends.ravel(), 2 * drawn),
+            any_column(MAGNITUDES[path], single(size), drawn),
             *(columns if path == FORCE_NORMAL else ()),
         ]
         yield Rows(path, index, found)
 
 
-def _drawn(impulse: FloatArray, middle: FloatArray, longest: float, floors: FloatArray) -> SingleArray:
-    """Return arrows (k, 3) m of impulses (k, 3) N s, by the law of `carom.recording.layout.drawing`."""
-    size = np.sqrt(np.einsum("ki,ki->k", impulse, impulse))
+def _drawn(
+    impulse: FloatArray, size: FloatArray, middle: FloatArray, longest: float, floors: FloatArray
+) -> SingleArray:
+    """Return arrows (k, 3) m of impulses (k, 3) N s and their sizes, by the law of `carom.recording.layout.drawing`."""
     length = longest * part_of_longest(size, middle)
     scale = np.divide(length, size, out=np.zeros_like(size), where=(size > 0.0) & (size >= floors))
     return single(impulse * scale[:, None])
@@ -210,6 +222,7 @@ class ContactEncoder:
         self._references = references
         self._floors = floors
         self._plan = ImpactPlan.of(header, everything=everything)
+        self._turning = OF_IMPACTS if header.has_torque else ()
         self._count, self._recorded = before.count, before.recorded
         self._shows_bodies = not everything
 
@@ -220,8 +233,6 @@ class ContactEncoder:
 
     def columns(self, batch: Sequence[Frame], contacts: BatchContacts, position: FloatArray) -> list[ComponentColumn]:
         """Return the columns for the edges of a batch's frames, with bodies at (frames, n, 3) m."""
-        for frame in batch:
-            self._look(frame)
         self._contacts, self._middle = contacts, contacts.middles()
         counts = contacts.edges, contacts.contacts, contacts.impacts
         self._kept = self._plan.choose(position, *counts, contacts.hardest())
@@ -270,14 +281,22 @@ class ContactEncoder:
             found += instants(self.header, last, frame, frame.impacts, chosen, count + 1 + chosen)
         return found
 
-    def _look(self, frame: Frame) -> None:
-        """Choose references from the first frame with something to draw."""
-        chosen, rows = self._references.chosen, frame.impacts
-        if rows is None or len(rows) == 0 or (IMPACTS in chosen and IMPACT_ENERGY in chosen):
+    def look(self, impacts: Records | None) -> None:
+        """Choose references from the first impacts with something to draw."""
+        chosen, wanted = self._references.chosen, (IMPACTS, IMPACT_ENERGY, *self._turning)
+        if impacts is None or len(impacts) == 0 or all(name in chosen for name in wanted):
             return
-        lost = rows["restitution_loss"] + rows["friction_loss"]
-        lost = lost[lost > _ROUND_OFF * rows["normal_impulse"] * rows["approach_speed"]]
-        for name, values in ((IMPACTS, rows["normal_impulse"]), (IMPACT_ENERGY, lost)):
+        lost = impacts["restitution_loss"] + impacts["friction_loss"]
+        lost = lost[lost > _ROUND_OFF * impacts["normal_impulse"] * impacts["approach_speed"]]
+        scales = {IMPACTS: impacts["normal_impulse"], IMPACT_ENERGY: lost}
+        if self._turning:
+            turns, most = turns_of(impacts), impacts["arm_i"] * impacts["normal_impulse"]  # N m s, by friction of 1
+            size = drawing.magnitudes(turns.reshape(-1, 3)).reshape(-1, 2)
+            size[size <= _ROUND_OFF * most[:, None]] = 0.0
+            inertia = np.append(self.header.inertia, np.inf)  # of planes
+            ends = np.minimum(np.stack([impacts["i"], impacts["j"]], axis=1), self.header.bodies)
+            scales |= dict(zip(self._turning, (size, size / inertia[ends]), strict=True))
+        for name, values in scales.items():
             positive = values[values > 0.0]
             if name not in chosen and len(positive):
                 self._references.choose(name, max(float(np.median(positive)), np.finfo(np.float64).tiny))

@@ -11,7 +11,7 @@ import rerun as rr
 from numpy.typing import NDArray
 from rerun import ComponentColumn
 
-from carom.arrays import ColourArray, FloatArray, IntArray, SingleArray
+from carom.arrays import ColourArray, FloatArray, IntArray, Records, SingleArray
 from carom.errors import RecorderError
 from carom.event import Event
 from carom.physics.checkpoint import Checkpoint
@@ -111,8 +111,8 @@ class BatchEncoder:
         yield Rows(paths.BODIES, index, self._drawn(points.reshape(-1, 3), turned, self._node_colours(batch)))
         yield from wall_rows(self._walls, index, self.origin)
         yield from piston_rows(self.header, index, batch)
-        if self.header.has_torque:
-            yield from self._arrows(index, batch, store, points)
+        self._look(frame.impacts for frame in batch)
+        yield from self._turning(index, batch, points, store)
         extremes = np.zeros((len(batch), 3))
         if self.header.collides:
             contacts = BatchContacts(batch)
@@ -166,6 +166,8 @@ class BatchEncoder:
         yield from wall_rows(self._walls, index, self.origin)
         contacts = BatchContacts(frames)
         edges = self._edges(contacts, points, np.zeros((len(found), 3)), index.times.tolist())
+        self._look(frame.contact_rows for frame in frames)
+        yield from self._turning(index, frames, points)
         middle = contacts.middles()
         yield Rows(paths.CONTACTS, index, [*edges, *contact_columns(contacts, middle, self.header.radius)])
         longest = arrow_length(self.header, paths.FORCE_NORMAL)
@@ -178,6 +180,12 @@ class BatchEncoder:
                 values = np.ascontiguousarray(energies[:, STEPPING.index(series.path)])
                 yield Rows(series.path, twice, self._scalars(series, values))
         yield from spin_rows(self.header, found, points)
+
+    def _look(self, impacts: Iterable[Records | None]) -> None:
+        """Choose the references of impacts from the first ones."""
+        if self._contacts:
+            for each in impacts:
+                self._contacts.look(each)
 
     def _drawn(
         self, centres: SingleArray, turned: SingleArray | None, colours: NDArray[np.uint32] | None
@@ -224,28 +232,41 @@ class BatchEncoder:
         nodes = [f.contacts.body_colours if f.contacts.body_colours is not None else nobody for f in batch]
         return palette.node_colours(np.concatenate(nodes))
 
-    def _arrows(
-        self, index: Index, batch: Sequence[Frame], store: FrameStore | None, points: SingleArray
+    def _turning(
+        self, index: Index, frames: Sequence[Frame], points: SingleArray, store: FrameStore | None = None
     ) -> Iterable[Rows]:
-        """Return the arrows of torques and of angular accelerations τ/I, for bodies with a torque."""
-        torque = _stacked("torque", batch, store)
-        most = self.header.bodies * len(batch)
-        each, body, magnitude = np.zeros(len(batch), dtype=np.int64), np.empty(most, dtype=np.uint32), np.empty(most)
-        total = encoding.list_torques(TorqueList(torque, each, body, magnitude))
-        torques = TorqueList(torque, each, body[:total], magnitude[:total])
-        for path in (paths.TORQUE, paths.ANGULAR_ACCELERATION):
-            yield self._arrow_rows(path, index, batch, torques, points)
+        """Return the arrows of what turns bodies: torques of contacts that last, and angular impulses of impacts.
+
+        Arrows of τ/I and of the changes of spin are beside them. Frames of the run raise the floors of later ones,
+        unlike those at impacts, in which nothing has a torque.
+        """
+        raises = len(index.steps) > 0
+        if self.header.has_torque:
+            torques = _listed("torque", frames, store)
+            for path in paths.OF_LASTING:
+                yield self._arrow_rows(path, index, frames, torques, points, raises=raises)
+        if self.header.has_torque and self.header.records_contacts:
+            turns = _listed("angular_impulse", frames)
+            for path in paths.OF_IMPACTS:
+                yield self._arrow_rows(path, index, frames, turns, points, raises=raises)
 
     def _arrow_rows(
-        self, path: str, index: Index, batch: Sequence[Frame], torques: TorqueList, points: SingleArray
+        self,
+        path: str,
+        index: Index,
+        frames: Sequence[Frame],
+        turning: TorqueList,
+        points: SingleArray,
+        *,
+        raises: bool,  # whether the frames raise the floors of later ones
     ) -> Rows:
         """Return arrows of one kind, without those of rounding noise."""
-        inertia = np.ones(self.header.bodies) if path == paths.TORQUE else self.header.inertia
-        torques, floors = self._above_floor(path, torques, inertia)
-        each, body, magnitude = torques.each, torques.body, torques.magnitude
-        if len(body) and path not in self.arrow_references.chosen:
+        inertia = np.ones(self.header.bodies) if path in (paths.TORQUE, paths.ANGULAR_IMPULSE) else self.header.inertia
+        turning, floors = self._above_floor(path, turning, inertia, raises)
+        each, body, magnitude = turning.each, turning.body, turning.magnitude
+        if len(body) and path in paths.OF_LASTING and path not in self.arrow_references.chosen:
             k = int(np.flatnonzero(each)[0])
-            first, frame, natural = magnitude[: each[k]] / inertia[body[: each[k]]], batch[k], 0.0
+            first, frame, natural = magnitude[: each[k]] / inertia[body[: each[k]]], frames[k], 0.0
             if frame.dt > 0:  # the torque that stops a body in one step, or its angular acceleration
                 drift = frame.velocity - np.average(frame.velocity, axis=0, weights=self.header.mass)
                 natural = float(
@@ -254,28 +275,31 @@ class BatchEncoder:
             self.arrow_references.choose(path, drawing.reference(first, natural))
         unit, longest = self.arrow_references.get(path, 1.0) * inertia, arrow_length(self.header, path)
         arrows = Arrows(*np.empty((2, len(body), 3), dtype=np.float32))
-        encoding.draw_arrows(torques, points, self.header.radius, unit, longest, arrows)
+        encoding.draw_arrows(turning, points, self.header.radius, unit, longest, arrows)
         columns = [
             vector_column(rr.Arrows3D.descriptor_vectors(), arrows.vector, each),
             vector_column(rr.Arrows3D.descriptor_origins(), arrows.origin, each),
             any_column("body", body, each),
+            any_column(paths.MAGNITUDES[path], single(magnitude / inertia[body]), each),
             any_column(FLOOR, floors),
         ]
         return Rows(path, index, columns)
 
-    def _above_floor(self, path: str, torques: TorqueList, inertia: FloatArray) -> tuple[TorqueList, FloatArray]:
+    def _above_floor(
+        self, path: str, turning: TorqueList, inertia: FloatArray, raises: bool
+    ) -> tuple[TorqueList, FloatArray]:
         """Keep the torques τ with τ/I not below the floors of the arrows; return them and the floors, (frames,)."""
-        frame = np.repeat(np.arange(len(torques.each)), torques.each)
+        frame = np.repeat(np.arange(len(turning.each)), turning.each)
         with np.errstate(over="ignore"):
-            size = torques.magnitude / inertia[torques.body]
-        largest = np.zeros(len(torques.each))
+            size = turning.magnitude / inertia[turning.body]
+        largest = np.zeros(len(turning.each))
         np.maximum.at(largest, frame, np.where(np.isfinite(size), size, 0.0))
-        floors = self._floors.raised(path, largest)
+        floors = self._floors.raised(path, largest) if raises else self._floors.alone(largest)
         kept = size >= floors[frame]
         if kept.all():
-            return torques, floors
+            return turning, floors
         each = np.bincount(frame[kept], minlength=len(largest))
-        return TorqueList(torques.torque, each, torques.body[kept], torques.magnitude[kept]), floors
+        return TorqueList(turning.torque, each, turning.body[kept], turning.magnitude[kept]), floors
 
     def _edges(
         self, contacts: BatchContacts, points: SingleArray, extremes: FloatArray, times: Sequence[float]
@@ -337,6 +361,19 @@ class BatchEncoder:
 def graph_colours(pairs: IntArray, bodies: int) -> ColourArray:
     """Return the colours of the reference engine: touching bodies differ, and bodies without contacts are grey."""
     return palette.node_colours(colour_bodies(np.ascontiguousarray(pairs, dtype=np.int64), bodies)[1])
+
+
+def _listed(name: str, frames: Sequence[Frame], store: FrameStore | None = None) -> TorqueList:
+    """List the bodies that are turned, frame by frame; of angular impulses, most frames have none."""
+    there = [each for frame in frames if (each := getattr(frame, name)) is not None]
+    if len(there) < len(frames) or not (store is not None or any(each.any() for each in there)):
+        none = np.zeros((0, 0, 3)), np.zeros(len(frames), dtype=np.int64), np.empty(0, dtype=np.uint32), np.empty(0)
+        return TorqueList(*none)
+    vectors = _stacked(name, frames, store)
+    most = vectors.shape[0] * vectors.shape[1]
+    each, body, magnitude = np.zeros(len(vectors), dtype=np.int64), np.empty(most, dtype=np.uint32), np.empty(most)
+    total = encoding.list_torques(TorqueList(vectors, each, body, magnitude))
+    return TorqueList(vectors, each, body[:total], magnitude[:total])
 
 
 def _stacked(name: str, batch: Sequence[Frame], store: FrameStore | None) -> FloatArray:

@@ -14,8 +14,11 @@ import numpy as np
 import rerun as rr
 
 from carom.arrays import BoolArray, FloatArray, IntArray, Records, SingleArray
+from carom.contact_table import turning_impulses
+from carom.physics.aligned import columns
 from carom.physics.checkpoint import Checkpoint
 from carom.physics.contact.graph import CollisionGraph
+from carom.physics.contact.rolling import ANGULAR_IMPULSE
 from carom.physics.diagnostics.energy import Energy
 from carom.physics.diagnostics.ledger import terms_of
 from carom.physics.frame import Frame
@@ -42,7 +45,7 @@ class Instant(NamedTuple):
 
     number: int  # of the impact, from 1 on
     end: float  # s, time of the next frame
-    frame: Frame  # positions, contacts and impulses at the instant
+    frame: Frame  # positions, contacts and impulses at the instant; nothing has a torque there
     energies: FloatArray  # (2, 5) J, `STEPPING` before and after all impacts of the instant
     bodies: IntArray  # (b,) bodies that meet: one if it meets a plane
     spins: FloatArray | None  # (2, b, 3) rad/s, before and after; None if they are not modelled
@@ -68,14 +71,17 @@ def instants(
     struck = _Jumps(header, before, frame, impacts)
     found = []
     for place, (k, number) in enumerate(zip(chosen.tolist(), numbers.tolist(), strict=True)):
-        rows, graph = _together(impacts, k)
+        together = _together(impacts, k)
         instant = replace(
             frame,
             time=float(impacts["time"][k]),
             position=positions[place],
             orientation=None if orientations is None else orientations[place],
-            contacts=graph,
-            contact_rows=rows,
+            torque=None,
+            angular_acceleration=None,
+            angular_impulse=struck.angular_impulse(together),
+            contacts=_graph(impacts[together]),
+            contact_rows=impacts[together],
             impacts=None,
             events=(),
             slot=None,
@@ -85,15 +91,22 @@ def instants(
     return found
 
 
-def _together(impacts: Records, k: int) -> tuple[Records, CollisionGraph]:
-    """Return the impacts at the time of one impact, and their graph; for a pair that meets twice, the larger impact."""
-    rows = impacts[impacts["time"] == impacts["time"][k]]
-    rows = rows[np.argsort(-rows["normal_impulse"], kind="stable")]
-    pairs, first = np.unique(np.stack([rows["i"], rows["j"]], axis=1), axis=0, return_index=True)
-    rows = rows[first]
-    rows[(rows["i"] == impacts["i"][k]) & (rows["j"] == impacts["j"][k])] = impacts[k]
-    normals = np.stack([rows["nx"], rows["ny"], rows["nz"]], axis=1)
-    return rows, CollisionGraph(pairs, normals, np.zeros(len(rows)), np.zeros(len(rows), dtype=np.int64))
+def _together(impacts: Records, k: int) -> IntArray:
+    """Return the indices of the impacts at the time of one impact, by pair; of a pair that meets twice, the larger."""
+    same = np.flatnonzero(impacts["time"] == impacts["time"][k])
+    same = same[np.argsort(-impacts["normal_impulse"][same], kind="stable")]
+    same = np.append(k, same)  # the first of a pair is chosen
+    _, first = np.unique(_pairs(impacts[same]), axis=0, return_index=True)
+    return np.asarray(same[first])
+
+
+def _graph(rows: Records) -> CollisionGraph:
+    normals, none = np.stack([rows["nx"], rows["ny"], rows["nz"]], axis=1), np.zeros(len(rows), dtype=np.int64)
+    return CollisionGraph(_pairs(rows), normals, np.zeros(len(rows)), none)
+
+
+def _pairs(rows: Records) -> IntArray:
+    return np.stack([rows["i"], rows["j"]], axis=1)
 
 
 class _Jumps:
@@ -101,15 +114,24 @@ class _Jumps:
 
     def __init__(self, header: Header, before: Frame | Checkpoint, frame: Frame, impacts: Records) -> None:
         self._time, self._ends = impacts["time"], (before.time, frame.time)
-        self._pairs = np.stack([impacts["i"], impacts["j"]], axis=1)
+        self._pairs = _pairs(impacts)
         self._before, self._after = before, frame
         spins = before.angular_velocity is not None and frame.angular_velocity is not None
-        self._kicks = _kicks(header, before, frame, impacts) if spins else None
+        self._turns = _turns(header, before, frame, impacts)
+        self._kicks = None  # (k, 2, 3) rad/s, changes of both spins
+        if spins:
+            self._kicks = self._turns / np.append(header.inertia, 1.0)[_ends(header, self._pairs)][:, :, None]
         terms = terms_of(impacts)
         rotational = np.zeros(len(impacts)) if self._kicks is None else self._gains(header)
         lost = terms[:, 0] + terms[:, 1] - terms[:, 2]
         # change by each impact, in the order of `STEPPING`
         self._jump = np.stack([-lost - rotational, rotational, -lost, terms[:, 0], terms[:, 1]], axis=1)
+
+    def angular_impulse(self, which: IntArray) -> FloatArray:
+        """Return the sum of the angular impulses of some impacts on each body, (n, 3) N m s."""
+        found = np.zeros((len(self._after.position) + 1, 3))  # the last is that of planes
+        np.add.at(found, np.minimum(self._pairs[which], len(found) - 1), self._turns[which])
+        return found[:-1]
 
     def energies(self, k: int) -> FloatArray:
         """Return the energies before and after an impact and all others at its time, (2, 5) J."""
@@ -166,15 +188,23 @@ class _Jumps:
         return min(max((time - start) / (end - start), 0.0), 1.0)
 
 
-def _kicks(header: Header, before: Frame | Checkpoint, frame: Frame, impacts: Records) -> FloatArray:
-    """Return the changes of both spins in each impact, (k, 2, 3) rad/s; zero for planes and fixed bodies."""
-    normal = np.stack([impacts["nx"], impacts["ny"], impacts["nz"]], axis=1)
-    friction = np.stack([impacts["friction_x"], impacts["friction_y"], impacts["friction_z"]], axis=1)
-    torque = np.cross(normal, -friction)  # N s, torque impulse on each body over its radius
+def turns_of(impacts: Records) -> FloatArray:
+    """Return the angular impulses of impacts, `CONTACT_ROW`, on both bodies, (k, 2, 3) N m s."""
+    names = ("nx", "ny", "nz"), ("arm_i", "arm_j"), ("friction_x", "friction_y", "friction_z"), ANGULAR_IMPULSE
+    return turning_impulses(*(columns(impacts, each) for each in names))
+
+
+def _turns(header: Header, before: Frame | Checkpoint, frame: Frame, impacts: Records) -> FloatArray:
+    """Return the angular impulses of each impact, (k, 2, 3) N m s; zero for planes and fixed bodies."""
+    turns = turns_of(impacts)
     still = np.all((before.position == frame.position) & (before.velocity == 0.0) & (frame.velocity == 0.0), axis=1)
-    per_torque = np.append(np.where(still, 0.0, header.radius / header.inertia), 0.0)  # the last is that of planes
-    ends = np.minimum(np.stack([impacts["i"], impacts["j"]], axis=1), header.bodies)
-    return np.asarray(torque[:, None] * per_torque[ends][:, :, None])
+    turns[np.append(still, True)[_ends(header, _pairs(impacts))]] = 0.0
+    return turns
+
+
+def _ends(header: Header, pairs: IntArray) -> IntArray:
+    """Return the ends (k, 2) of pairs, with one number for all planes."""
+    return np.minimum(pairs, header.bodies)
 
 
 def _between(part: float | FloatArray, first: FloatArray, last: FloatArray) -> FloatArray:

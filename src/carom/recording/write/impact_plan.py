@@ -141,8 +141,8 @@ SHARE = 0.22  # of all other data of the file that are counted here; a fifth of 
 _ARROWS, _SCENES = 0.02, 0.04  # of everything else: arrows, and frames at impacts
 _FEW_SCENES = 0.1 * FILE_BYTES  # bytes of frames at impacts that each recording may have
 _HARDER = 1.25  # times the hardest impact with a frame; a harder one gets a frame beyond the budget
-_SCENE = 600  # bytes of a frame at an impact, in addition to its bodies: edge, arrows, energies, spins
-_CONTACT, _IMPACT, _ARROW = 12.5, 85, 32  # measured bytes in the file, compressed
+_SCENE = 850  # bytes of a frame at an impact, in addition to its bodies: edge, arrows, energies, spins
+_CONTACT, _IMPACT, _ARROW = 12.5, 85, 36  # measured bytes in the file, compressed
 _SCALARS = 500  # bytes of a frame's scalars
 
 
@@ -284,7 +284,7 @@ def _size(bodies: int, moved: float, edges: int, columns: _BodyColumns) -> float
     Unchanged values compress to little; ``moved`` is the fraction of bodies that move.
     """
     drawn = bodies * (2 + moved * (26 if columns.orientation else 10))
-    arrows = 22 * (1 + moved) * min(bodies, 2 * edges) if columns.torque else 0.0
+    arrows = 25 * (1 + moved) * min(bodies, 2 * edges) if columns.torque else 0.0
     return 1.08 * (drawn + arrows + (5 + 12 * moved) * edges + _SCALARS)
 
 

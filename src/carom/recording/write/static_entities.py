@@ -10,7 +10,7 @@ import rerun as rr
 from rerun.components import FillMode
 
 from carom.arrays import FloatArray, SingleArray
-from carom.recording.layout import force_arrows
+from carom.recording.layout import force_arrows, turning_arrows
 from carom.recording.layout.drawing import arrow_length, line_radii, shape, single
 from carom.recording.layout.plot_views import curve_style
 from carom.recording.read.statics import encode_bodies, encode_names
@@ -26,7 +26,15 @@ from carom.scene.wording import in_series, literal
 
 Static = tuple[str, rr.AsComponents]
 
-_THICK, _THIN, _FORCE = 0.16, 0.07, 0.05  # of an arrow, in median body radii
+_FORCE, _THICKNESS = (
+    0.05,
+    {  # of arrows, in median body radii; of two parallel ones, the shorter is thicker
+        paths.TORQUE: 0.16,
+        paths.ANGULAR_ACCELERATION: 0.07,
+        paths.ANGULAR_IMPULSE: 0.16,
+        paths.SPIN_CHANGE: 0.07,
+    },
+)
 _EDGE_POINTS = 2.5  # width of a contact's line in points of the screen
 _TRANSLUCENT = 0x8A93A638  # walls in front of bodies
 _SECTORS, _SHADE = 16, 0x505050FF  # of walls that rotate
@@ -59,13 +67,8 @@ def statics(header: Header, clock: TimeScale, origin: FloatArray, reach: float) 
 def identity(header: Header, clock: TimeScale, origin: FloatArray) -> dict[str, Scalar | FloatArray]:
     """Return the property `carom`: the scene, the parts of its model, and the style of its drawing."""
     properties: dict[str, Scalar | FloatArray] = {**stated(header), "time_scale": clock.scale, "origin": origin}
-    if header.has_torque:
-        for path in (paths.TORQUE, paths.ANGULAR_ACCELERATION):
-            properties[f"arrow_length.{path}"] = arrow_length(header, path)
-    if header.records_contacts:
-        for path in (paths.FORCE_NORMAL, *((paths.FORCE_FRICTION,) if header.has_friction else ())):
-            properties[f"arrow_length.{path}"] = arrow_length(header, path)
-    return properties
+    arrows = *turning_arrows(header), *force_arrows(header)
+    return properties | {f"arrow_length.{path}": arrow_length(header, path) for path in arrows}
 
 
 def _bodies(header: Header) -> Iterable[Static]:
@@ -179,9 +182,8 @@ def _two_tone_sphere() -> rr.Mesh3D:
 
 def arrow_styles(header: Header, theme: str = "dark") -> Iterable[Static]:
     """Yield the widths and colours of the arrows that a recording has."""
-    kinds = {paths.TORQUE: _THICK, paths.ANGULAR_ACCELERATION: _THIN} if header.has_torque else {}
-    kinds |= dict.fromkeys(force_arrows(header), _FORCE)
-    for path, thickness in kinds.items():
+    for path in (*turning_arrows(header), *force_arrows(header)):
+        thickness = _THICKNESS.get(path, _FORCE)
         (colour,) = palette.legible([palette.ARROWS[path]], theme).tolist()
         width = line_radii(thickness, float(np.median(header.radius)))
         yield path, rr.Arrows3D.from_fields(radii=width, colors=colour)
@@ -231,7 +233,6 @@ def _data(header: Header) -> str:
 def _scales(header: Header, clock: TimeScale, origin: FloatArray) -> str:
     units = header.units
     x, y, z = (units.shown(each, LENGTH) for each in origin.tolist())
-    torque, turning = (_drawn(header, unit) for unit in ("N m", "rad/s²"))
     lines = ["## Scales"]
     if units.own:
         lines.append("- The numbers have no units." if units.dimensionless else f"- Numbers are in {units.named}.")
@@ -249,9 +250,9 @@ def _scales(header: Header, clock: TimeScale, origin: FloatArray) -> str:
         lines.append(
             "- Arrows start at a body's centre. What sticks out of the sphere is L = L_max · s / (1 + s) long, with "
             f"s = (m / m_ref)^⅓. L_max is {units.text(arrow_length(header, TORQUE), LENGTH, '.4g')} for torques and "
-            f"{units.text(arrow_length(header, ANGULAR_ACCELERATION), LENGTH, '.4g')} for angular accelerations; m_ref "
-            f"({', '.join(unit.strip() for unit in (torque, turning) if unit)}) stands "
-            "in the recording's property `arrows`."
+            f"angular impulses, {units.text(arrow_length(header, ANGULAR_ACCELERATION), LENGTH, '.4g')} for angular "
+            "accelerations and changes of spin; m_ref stands in the recording's property `arrows`, and the magnitude m "
+            "beside each arrow."
         )
     if header.planes is not None:
         names = literal(in_series(header.planes.name))
@@ -295,7 +296,15 @@ def _legend(header: Header) -> str:
     if header.records_contacts:
         lines += _impulse_legend(header)
     if header.has_torque:
-        lines.append("- Arrows: torque orange and thick, angular acceleration green and thin.")
+        lines.append(
+            "- Contacts that last turn bodies by a torque: an orange, thick arrow, with the angular acceleration, "
+            "green and thin."
+        )
+    if header.has_torque and header.records_contacts:
+        lines.append(
+            "- Impacts turn them by an angular impulse, which does not depend on the length of the step as a torque "
+            "would: a magenta, thick arrow, with the change of spin, crimson and thin."
+        )
     if shape(header) == "mesh":
         lines.append("- Dark and light halves of a sphere show how it turns.")
     return "\n".join(lines)
