@@ -53,7 +53,7 @@ def explained(seed: int, answer: dict[str, Any]) -> str:
 
 @pytest.mark.slow
 def test_hostile_scenes_run_or_are_refused_with_a_reason(seed: int) -> None:
-    answers = judged(seed, 60)
+    answers = judged(seed, 30)  # `make hunt` judges more
     wrong = [answer for answer in answers if answer["faults"]]
     assert not wrong, f"seed {seed}:\n" + "\n".join(explained(seed, answer) for answer in wrong)
     assert {"ran", "SceneError"} <= {answer["ended"] for answer in answers}, f"seed {seed}"

@@ -5,7 +5,10 @@ A command may need an extra or a screen; then it says so in one sentence, with t
 
 from __future__ import annotations
 
+import contextlib
+import importlib
 import os
+import pkgutil
 import subprocess
 import sys
 import tempfile
@@ -57,6 +60,49 @@ PATHS: dict[str, list[tuple[int, str, str]]] = {  # by command: exit code, what 
 }
 FIRST = "run"  # the others read its recording
 
+PLAIN = {f"taylor.{name}_one_by_one" for name in ("_attract", "_attract_bodies", "_evaluate")}  # of CAROM_PLAIN=1 only
+OF_WALLS = {  # compiled for scenes with a [[wall]], as the kernels of a contact law are for scenes with that law
+    *("solids._write_heights", "solids.add_arc_speeds", "wall_impacts._time_to_wall", "wall_impacts._until_path"),
+    *("moving_walls.work_of_contacts", "moving_walls.work_of_impacts", "solids.add_load_of_walls"),
+    *(f"translating_walls.{name}" for name in ("mean_velocities", "place", "work_at_velocities", "work_in_drift")),
+}
+OF_SHEAR = {  # compiled for sheared boxes
+    *(f"sheared_box.{name}" for name in ("_image", "_wrap", "along_gradient", "in_axes")),
+    *("sheared_box._work_of_contacts", "sheared_box._work_of_corrections", "near_pairs._find_near"),
+}
+OF_PACKAGES = {  # compiled for the forces and laws of each package that calls them
+    *("kernel_forces._add", "kernel_forces._energy"),
+    *("exponential.exponential", "exponential.logarithm", "exponential.power"),
+}
+
+
+def kernels() -> set[str]:
+    """Return the functions that Numba compiles separately, each by the last part of its module and its name."""
+    from numba.core.dispatcher import Dispatcher
+
+    import carom
+
+    found = set()
+    for module in pkgutil.walk_packages(carom.__path__, "carom."):
+        with contextlib.suppress(ImportError):  # it needs an extra, and no kernel does
+            for value in vars(importlib.import_module(module.name)).values():
+                if isinstance(value, Dispatcher) and value.targetoptions.get("inline") != "always":
+                    found.add(f"{value.py_func.__module__.rpartition('.')[2]}.{value.py_func.__name__}")
+    return found
+
+
+def fault_of_warmup(folder: Path, environment: dict[str, str]) -> str:
+    """Return what `carom warmup` has left to compile, or nothing; few other scenes have run in this environment."""
+    import carom
+
+    cached = {path.name.split("-")[0] for path in Path(carom.__file__).parent.rglob("*.nbc")}
+    needed = kernels() - OF_PACKAGES - OF_WALLS - OF_SHEAR - PLAIN
+    if left := needed - cached:
+        return f"carom warmup has not compiled {sorted(left)}"
+    if len(needed) <= 50:
+        return f"only {sorted(needed)} are kernels"
+    return fault_of("warmup", (0, "0 kernels compiled in ", ""), folder, environment)
+
 
 def without_screen_and_driver() -> dict[str, str]:
     """Return an environment in which no window opens, and in which the Vulkan loader and Mesa find no driver."""
@@ -89,14 +135,15 @@ def fault_of(command: str, path: tuple[int, str, str], folder: Path, environment
 
 def main() -> None:
     """Run all paths: the first command alone, then two commands at a time."""
-    with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor(2) as threads:
+    environment = without_screen_and_driver()
+    with tempfile.TemporaryDirectory() as name, ThreadPoolExecutor(2) as threads:
+        folder = Path(name)
 
         def fault_in(command: str) -> str:
-            faults = (fault_of(command, path, Path(folder), without_screen_and_driver()) for path in PATHS[command])
-            return next(filter(None, faults), "")
+            return next(filter(None, (fault_of(command, path, folder, environment) for path in PATHS[command])), "")
 
-        others = (name for name in PATHS if name != FIRST)
-        if fault := fault_in(FIRST) or next(filter(None, threads.map(fault_in, others)), ""):
+        faults = [fault_in(FIRST), *threads.map(fault_in, (name for name in PATHS if name != FIRST))]
+        if fault := next(filter(None, faults), "") or fault_of_warmup(folder, environment):
             sys.exit(fault)
     print(f"{sum(map(len, PATHS.values()))} paths of {len(PATHS)} commands")  # noqa: T201
 

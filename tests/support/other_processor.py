@@ -1,4 +1,4 @@
-"""Kernels for a processor without AVX, in a folder of their own: compiled once for all tests that need such kernels."""
+"""Kernels for a processor without AVX, in a folder of their own, which all tests that need such kernels share."""
 
 from __future__ import annotations
 
@@ -9,19 +9,17 @@ import subprocess
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import pytest
 
 
 @dataclass(frozen=True)
 class OtherProcessor:
-    """How a process computes with these kernels, and how they were compiled."""
+    """How a process computes with these kernels, and which of them `carom.runs.warmup` has compiled."""
 
     kernels: Path
     environment: dict[str, str]
-    ahead: dict[str, int]  # the files that `carom.runs.warmup` wrote, and when (ns)
-    warmth: dict[str, Any]  # the output of `carom warmup --json` afterwards
+    ahead: dict[str, int]  # file → when it was written (ns)
 
 
 def environment_of(kernels: Path) -> dict[str, str]:
@@ -37,7 +35,7 @@ def written(kernels: Path) -> dict[str, int]:
 
 @pytest.fixture(scope="session")
 def other_processor(tmp_path_factory: pytest.TempPathFactory) -> OtherProcessor:
-    """Compile ahead, and then what is left; processes of a test run share the result, and the first one makes it."""
+    """Compile ahead; processes of a test run share the result, and the first one makes it."""
     folder = tmp_path_factory.getbasetemp()
     folder = folder.parent if "PYTEST_XDIST_WORKER" in os.environ else folder
     kernels, answers = folder / "other-processor", folder / "other-processor.json"
@@ -49,8 +47,5 @@ def other_processor(tmp_path_factory: pytest.TempPathFactory) -> OtherProcessor:
             ahead = [sys.executable, "-m", "carom.runs.warmup"]
             with subprocess.Popen(ahead, stdin=subprocess.PIPE, env=environment) as second:
                 assert second.wait() == 0
-            files = written(kernels)
-            warmup = [sys.executable, "-m", "carom", "warmup", "--json"]
-            done = subprocess.run(warmup, env=environment, stdout=subprocess.PIPE, text=True, check=True)
-            answers.write_text(json.dumps([files, json.loads(done.stdout)]), encoding="utf-8")
-    return OtherProcessor(kernels, environment, *json.loads(answers.read_text(encoding="utf-8")))
+            answers.write_text(json.dumps(written(kernels)), encoding="utf-8")
+    return OtherProcessor(kernels, environment, json.loads(answers.read_text(encoding="utf-8")))
