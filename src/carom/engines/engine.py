@@ -316,7 +316,7 @@ class _Walk:
             if spent > limit:
                 reached = units.text(self.frame.time, TIME)
                 if self.recorder is None:
-                    raise RunStoppedError(self._step, spent, reached, by_limit=True)
+                    raise RunStoppedError(self._step, spent, reached, option="--limit")
                 return f"failed: stopped at t = {reached}: it took more than {limit:g} s of CPU time (--limit)"
             if wrong := self._advance():
                 return f"failed: {wrong}"

@@ -8,6 +8,7 @@ contacts are held at the mean velocity of a step. After an impact, a body flies 
 
 from __future__ import annotations
 
+import hashlib
 import json
 import math
 import time
@@ -56,12 +57,27 @@ AS_WRITTEN = Setting("as written", ())
 
 
 class RunStoppedError(ExperimentError):
-    """A run was stopped at its limit of CPU time, ``--limit``, or of steps; ``reached`` is a time with its unit."""
+    """A run was stopped at its limit of CPU time or of steps; ``reached`` is a time with its unit.
 
-    def __init__(self, steps: int, seconds: float, reached: str, *, by_limit: bool) -> None:
+    ``option`` is the option that set the limit of CPU time; empty for the limit of steps.
+    """
+
+    def __init__(self, steps: int, seconds: float, reached: str, *, option: str) -> None:
         self.steps, self.seconds = steps, seconds
-        after = f"{seconds:.3g} s of CPU time (--limit)" if by_limit else f"{steps} steps"
+        after = f"{seconds:.3g} s of CPU time ({option})" if option else f"{steps} steps"
         super().__init__(f"stopped after {after}, at t = {reached}")
+
+
+class Stopwatch:
+    """Seconds of computing since its start: wall time, or the CPU time of the process while others hold it up."""
+
+    def __init__(self) -> None:
+        self._wall, self._computing = time.perf_counter(), time.process_time()
+
+    @property
+    def seconds(self) -> float:
+        """Seconds since the start."""
+        return min(time.perf_counter() - self._wall, time.process_time() - self._computing)
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,6 +86,7 @@ class RunBound:
 
     steps: float = math.inf  # the same on every machine
     seconds: float = math.inf  # of CPU time
+    option: str = "--limit"  # that set the seconds
 
 
 class RunGuard:
@@ -130,10 +147,13 @@ class Trajectory:
         values = {each.name: getattr(self, each.name) for each in fields(self)}
         return Trajectory(**(values | {name: values[name][:count] for name in ("time", "position", "velocity")}))
 
-    def is_same(self, other: Trajectory) -> bool:
-        """Return whether another run made the same steps to the same states, bit for bit."""
-        states = (self.position, other.position), (self.velocity, other.velocity)
-        return self.steps == other.steps and all(np.array_equal(mine, theirs) for mine, theirs in states)
+    @property
+    def digest(self) -> str:
+        """A digest of the steps and states: two runs with the same one are equal, bit for bit."""
+        found = hashlib.sha256(str(self.steps).encode())
+        for states in (self.position, self.velocity):
+            found.update(np.ascontiguousarray(states + 0.0).tobytes())  # + 0 turns -0 into 0
+        return found.hexdigest()
 
     def save(self, path: Path) -> None:
         """Write a ``.npz`` atomically."""
@@ -185,7 +205,8 @@ def follow(
     for frame in frames:
         if watch.is_over:
             reached = space.scene.unit_system.text(space.time, TIME)
-            raise RunStoppedError(space.step, guard.seconds, reached, by_limit=guard.seconds > bound.seconds)
+            option = bound.option if guard.seconds > bound.seconds else ""
+            raise RunStoppedError(space.step, guard.seconds, reached, option=option)
         watch.sample(frame)
     watch.see_contacts(space.time)
     if len(watch.position) < len(times):

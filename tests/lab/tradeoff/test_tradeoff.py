@@ -11,8 +11,9 @@ import pytest
 
 from carom.errors import ExperimentError, PhysicsError, RecordingError, SceneError
 from carom.lab import compared_run as trajectory
+from carom.lab.compared_run import Setting
 from carom.lab.tradeoff import _legend, table_of, tradeoff
-from carom.lab.tradeoff.settings_grid import default_settings, vary
+from carom.lab.tradeoff.settings_grid import SettingResult, default_settings, vary
 from carom.lab.tradeoff.tradeoff import Study
 from carom.lab.tradeoff.tradeoff_figure import draw, record
 from carom.recording.read.recording import Recording
@@ -157,6 +158,82 @@ def test_a_run_that_takes_longer_than_the_limit_says_so(tmp_path: Path) -> None:
     study.limit = 0.0
     study.measure(vary(eight(), ["step=1"]), 1, lambda text: None)
     assert study.results[0].status == "stopped" and "s of CPU time (--limit), at t = 0.01 s" in study.results[0].reason
+
+
+def test_what_the_budget_cannot_pay_is_left_out_and_measured_by_the_next_command(tmp_path: Path) -> None:
+    settings, said = vary(eight(), ["step=1,2,4"]), list[str]()
+    study = Study(eight(), tmp_path, threads=1, budget=0.0)
+    study.measure(settings, None, said.append)
+    assert [result.complete for result in study.results] == [True, False, False], "the first is always measured"
+    assert study.left_out == dict.fromkeys(["step × 2", "step × 4"], "the budget of 0 s was spent")
+    document = json.loads((tmp_path / "tradeoff.json").read_text(encoding="utf-8"))
+    assert document["left_out"] == study.left_out and document["budget"] == 0.0
+    assert table_of(study).row_count == 1
+    later = Study(eight(), tmp_path, threads=1)
+    later.measure(settings, None, said.append)
+    assert all(result.complete for result in later.results) and not later.left_out
+
+
+@pytest.mark.slow
+def test_the_default_budget_is_thirty_times_the_run_and_at_least_five_seconds(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for cost, seconds in ((0.01, 5.0), (2.0, 60.0)):
+        monkeypatch.setattr(Study, "_cost", lambda study, result, cost=cost: cost)
+        said: list[str] = []
+        study = Study(eight(), tmp_path / f"{cost}", threads=1, budget=None)
+        study.measure(vary(eight(), ["step=1,2"]), None, said.append)
+        assert study.budget.seconds == seconds
+        assert any(f" s of {seconds:g} s left" in text for text in said), "what is left is told for each setting"
+
+
+@pytest.mark.slow
+def test_shorter_steps_than_those_of_an_exact_setting_are_not_measured(tmp_path: Path) -> None:
+    scene = pair(time={"duration": 3.0, "fixed_dt": 0.02})  # no force: flights and the impact are exact
+    settings = vary(scene, ["step=1,2,0.5"])
+    study = Study(scene, tmp_path, threads=1)
+    study.measure(settings, None, lambda text: None, chooses=True)
+    (reason,) = study.left_out.values()
+    assert list(study.left_out) == ["step × 0.5"]
+    assert reason.endswith("errs by rounding alone, and shorter steps cost more")
+    study.measure(settings, None, lambda text: None)
+    assert not study.left_out, "a setting that was chosen by hand is measured"
+
+
+@pytest.mark.slow
+def test_a_setting_that_another_one_beats_clearly_is_not_timed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    price = {"integrator = yoshida4, step × 2": 0.01}
+    monkeypatch.setattr(Study, "_cost", lambda study, result: price.get(result.setting.name, 1.0))
+    scene = eight()
+    settings = [*vary(scene, ["step=1"]), *vary(scene, ["time.integrator=yoshida4", "step=2"])]
+    settings += vary(scene, ["time.integrator=leapfrog", "step=4,1"])
+    assert settings[0].apply(scene).time.integrator != "leapfrog"
+    study = Study(scene, tmp_path, threads=1)
+    study.measure(settings, None, lambda text: None, chooses=True)
+    # leapfrog has more error of every kind than yoshida4 with twice the step, and by its steps takes 25 times its time
+    assert study.left_out["integrator = leapfrog"].endswith("is as accurate and clearly cheaper")
+
+
+def test_short_runs_are_timed_until_their_time_is_known_and_long_ones_three_times(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    noise = np.random.default_rng(1)
+    price = {"as written": 0.02, "step × 2": 0.06}
+    monkeypatch.setattr(Study, "_cost", lambda study, result: price[result.setting.name] * noise.uniform(0.8, 1.25))
+    study = Study(eight(), tmp_path, threads=1)
+    short, long = study.measure(vary(eight(), ["step=1,2"]), None, lambda text: None)
+    assert len(short.costs) > 3 and short.spread <= 0.05 and len(long.costs) <= 3
+
+
+def test_the_spread_is_the_interval_of_the_median_and_shrinks_with_the_number_of_runs() -> None:
+    noise = np.random.default_rng(2)
+    missed = 0
+    for _ in range(200):
+        result = SettingResult(Setting("", ()), costs=noise.exponential(1.0, 40).tolist())
+        missed += abs(result.cost - np.log(2.0)) > 2.0 * result.spread * result.cost
+        assert 2.0 * result.spread * result.cost < max(result.costs) - min(result.costs)
+    assert missed <= 20, "the median of the distribution is in its 95 % interval, or near"
+    assert SettingResult(Setting("", ()), costs=[1.0, 1.2, 1.1]).spread == pytest.approx(0.1 / 1.1)
 
 
 def test_a_refined_reference_is_finer_than_the_finest_setting(tmp_path: Path) -> None:

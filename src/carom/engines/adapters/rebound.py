@@ -264,7 +264,7 @@ class Rebound:
             spent = time.process_time() - began
             if spent > limit:
                 reached = scene.unit_system.text(simulation.t, TIME)
-                raise RunStoppedError(simulation.steps_done, spent, reached, by_limit=True)
+                raise RunStoppedError(simulation.steps_done, spent, reached, option="--limit")
             if simulation.t < moment:  # otherwise it would step back
                 simulation.integrate(moment, exact_finish_time=0)
             sample = simulation.copy()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -33,7 +33,26 @@ VaryOption = Annotated[
         "`threads`. Repeat it for combinations. Default: about a dozen settings that matter for the scene.",
     ),
 ]
-RepeatsOption = Annotated[int, typer.Option("--repeats", metavar="N", help="Time each setting N times.", min=1)]
+RepeatsOption = Annotated[
+    int | None,
+    typer.Option(
+        "--repeats",
+        metavar="N",
+        help="Time each setting N times. Default: three times where the front is uncertain, and runs below 50 ms until "
+        "their time is known to 5 %.",
+        min=1,
+    ),
+]
+BudgetOption = Annotated[
+    float | None,
+    typer.Option(
+        "--budget",
+        metavar="SECONDS",
+        help="Time that the measurements may take, in seconds; settings that are left out are named. Default: 30 times "
+        "that of the scene as written, at least 5 s.",
+        min=0.0,
+    ),
+]
 EngineOption = Annotated[
     list[str] | None,
     typer.Option(
@@ -60,6 +79,7 @@ COLUMNS = {  # headings of the errors in the table
 }
 TO_THE_HORIZON = ("position", "velocity", "impact", "missed")  # errors that are compared only up to the horizon
 STATISTICS = ("size", "dispersion")  # errors that are compared to the end of the reference
+SPENT = "the budget"  # the first words of the reason for which settings are left out at the end of a budget
 STOPPED = "carom: stopped; the measurements are kept, and the same command continues"
 PIPE_WIDTH = 320  # characters of the table where the output is not a terminal
 ADVICE = "start over with --new-study, or choose another folder with --study"
@@ -69,7 +89,8 @@ def tradeoff_command(
     scene: SceneArgument,
     vary: VaryOption = None,
     engines: EngineOption = None,
-    repeats: RepeatsOption = 3,
+    repeats: RepeatsOption = None,
+    budget: BudgetOption = None,
     limit: LimitOption = None,
     folder: Annotated[
         Path | None,
@@ -88,10 +109,11 @@ def tradeoff_command(
     from carom.lab.tradeoff.settings_grid import default_settings
 
     others = registry.imported("carom.engines.engine:engines_called")(engines) if engines else ()  # optional
-    study, settings = opened(scene, vary, folder, overrides, threads, force, limit)
+    study, settings = opened(scene, vary, folder, overrides, threads, force, limit, budget)
     wanted = default_settings(study.scene) if settings is None else settings
     wanted += [setting for engine in others for setting in engine.settings(study.scene)]
-    finished = ran(lambda tell: study.measure(wanted, repeats, tell), quiet=as_json)
+    chooses = settings is None
+    finished = ran(lambda tell: study.measure(wanted, repeats, tell, chooses=chooses), quiet=as_json)
     if as_json:
         say_json(study.document())
     else:
@@ -110,6 +132,7 @@ def opened(
     threads: int | None,
     anew: bool,
     limit: float | None,
+    budget: float | None,
     advice: str | None = None,
 ) -> tuple[Study, list[Setting] | None]:
     """Open or begin the study of a scene; return it with the settings of ``--vary`` (None without)."""
@@ -127,6 +150,7 @@ def opened(
         advice=advice or ADVICE,
         limit=math.inf if limit is None else limit,
         bounded=settings is None,
+        budget=budget,
     )
     return study, settings
 
@@ -190,10 +214,22 @@ def _show(study: Study) -> None:
         soft_wrap=True,
     )
     console.print(_legend(study.noise), soft_wrap=True)
+    left_out = study.left_out
     for result in study.results:
-        if result.reason:
+        if result.reason and result.setting.name not in left_out:
             status = "" if result.status == "stopped" else f"{result.status}: "
             console.print(f"{escape(result.setting.name)}: {status}{escape(result.reason)}", soft_wrap=True)
+    say_left_out(left_out)
+
+
+def say_left_out(left_out: Mapping[str, str]) -> None:
+    """Name the settings that were left out or not timed, by reason."""
+    by_reason: dict[str, list[str]] = {}
+    for name, reason in left_out.items():
+        by_reason.setdefault(reason, []).append(name)
+    for reason, names in by_reason.items():
+        more = "; the same command continues" if reason.startswith(SPENT) else ""
+        say(f"Left out, since {reason}: {'; '.join(names)}{more}.")
 
 
 def _legend(noise: float) -> str:
@@ -231,13 +267,13 @@ def table_of(study: Study, errors: Collection[str] = tuple(COLUMNS)) -> Table:
     for result in done:
         name = result.setting.name
         cells = [_cell(result, error, marks[error].get(name, ""), study.scene.unit_system) for error in shown]
-        cost = (f"{result.cost:.3g}", f"{result.spread:.0%}") if result.costs else ("", "")
+        cost = (f"{result.cost:.3g}" if result.costs else "", f"{result.spread:.0%}" if len(result.costs) > 1 else "")
         same = [r.setting.name for r in measured if r.same_as == name]
         called = f"{name} (the same run: {'; '.join(same)})" if same else name
         step = f"× {written / result.steps:.3g}" if written and result.steps else ""
         table.add_row(escape(called), *cost, str(result.steps), step, *cells)
     for result in study.results:
-        if result.errors is None:
+        if result.errors is None and result.status != "left out":
             steps = str(result.steps) if result.status == "stopped" else ""
             table.add_row(escape(result.setting.name), result.status, "", steps)
     return table
@@ -287,7 +323,8 @@ def tune_command(
             "cheapest setting, the step and one key after the other.",
         ),
     ] = None,
-    repeats: RepeatsOption = 3,
+    repeats: RepeatsOption = None,
+    budget: BudgetOption = None,
     limit: LimitOption = None,
     folder: Annotated[
         Path | None,
@@ -313,7 +350,7 @@ def tune_command(
     asked = limits(error or [])
     path = output or Path(f"{Path(scene).stem}-tuned.toml")
     refuse_scene_output(path, scene, force)
-    study, settings = opened(scene, vary, folder, overrides, threads, new_study, limit, ADVICE)
+    study, settings = opened(scene, vary, folder, overrides, threads, new_study, limit, budget, ADVICE)
     found: list[Tuning] = []
     finished = ran(lambda tell: found.append(tuned(study, asked, repeats, tell, settings)), quiet=as_json)
     if not as_json:
@@ -331,7 +368,9 @@ def tune_command(
         write(tuning, path)
     if as_json:
         say_json(tuning.document() | {"file": str(path) if tuning.best else None})
-    elif tuning.best is not None:
+    else:
+        say_left_out(study.left_out)
+    if tuning.best is not None and not as_json:
         say("\n".join([*_tuning_lines(tuning), f"Written to {path}. The measurements stay in {study.folder}."]))
     if tuning.best is None:
         said = f"none of the {len(tuning.tried)} settings tried keeps {', '.join(error or [])}: {tuning.why_none()}"
@@ -356,7 +395,7 @@ def _tuning_lines(tuning: Tuning) -> list[str]:
     if written.costs and best is not written:
         missed = tuning.misses(written)
         but = f", which misses {', '.join(missed)}" if missed else ""
-        lines.append(f"It is {tuning.speed:.2g} times as fast as the original scene ({written.cost:.3g} s{but}).")
+        lines.append(f"It is {tuning.claim}; {written.cost:.3g} s{but}.")
     kept = [f"{name} {getattr(best.errors, name):.2g} (limit {limit:.2g})" for name, limit in tuning.limits.items()]
     lines.append(f"It keeps {', '.join(kept)}{_extent(tuning, tuning.limits)}.")
     changes = tuning.worse()

@@ -13,14 +13,13 @@ system. Up to there its uncertainty is the largest error of a check. Beyond it o
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Callable
 from dataclasses import astuple, dataclass, replace
 
 import numpy as np
 
 from carom.arrays import FloatArray
-from carom.lab.compared_run import Trajectory, follow, sample_times
+from carom.lab.compared_run import Stopwatch, Trajectory, follow, sample_times
 from carom.lab.tradeoff.event_driven_reference import EPS, TIGHTEST, solve, why_not
 from carom.physics.space import Space
 from carom.physics.vector import minimum_images
@@ -139,7 +138,7 @@ def _total(values: FloatArray) -> float:
 AGREEMENT = 1e-3  # of the size of the system; refinements that differ by more do not agree
 LOOSER = 10.0  # ratio of the tolerances of the second and first exact solution
 GAIN = 1.1  # refinement ends when the horizon grows by less than this factor
-BUDGET = 120.0  # s of computing for all exact solutions; after it, only the second refinement may begin
+BUDGET = 120.0  # s of computing for a reference
 DIRECT_UP_TO = 20_000  # bodies; the reference of a tree is a direct sum up to here, and uses `FINE_ANGLE` beyond
 FINE_ANGLE = 0.2  # rad; the error of a tree is a twentieth of that at the default angle
 
@@ -180,8 +179,9 @@ def make_reference(
     """Make the reference of a scene. Raises SceneError or PhysicsError if a run fails.
 
     A refined reference begins with half of the smallest compared steps, which are ``finest`` times smaller than those
-    of the scene. An exact solution ends after a third of the ``budget`` (s of computing); after all of it, only the
-    second refinement may begin. ``tell`` receives a sentence before each solution.
+    of the scene. If the next solution, with half the step, would exceed the ``budget`` (s of computing), the check has
+    twice the step instead. An exact solution ends after a third of the budget. ``tell`` receives a sentence before each
+    solution.
     """
     tell = tell or (lambda text: None)
     reason = why_not(scene)
@@ -256,21 +256,27 @@ def _exact(scene: Scene, threads: int | None, budget: float, tell: Teller) -> tu
 
 
 def _refined(scene: Scene, finest: float, threads: int | None, budget: float, tell: Teller, reason: str) -> Reference:
-    times, factor, began = sample_times(scene), 2.0 * finest, time.perf_counter()
+    times, factor, watch = sample_times(scene), 2.0 * finest, Stopwatch()
     tell(f"reference: steps {factor:g} times smaller")
     coarse = follow(_space(scene, factor, threads), times)
     reference: Reference | None = None
     _, of_gravity = _finer_gravity(scene)
+    check_is_coarser = 2.0 * watch.seconds > budget  # too long for half the step
     while True:
-        factor, started = 2.0 * factor, time.perf_counter()
-        tell(f"reference: steps {factor:g} times smaller")
-        fine = follow(_space(scene, factor, threads), times)
+        factor, started = 2.0 * factor, watch.seconds
+        if check_is_coarser:
+            factor /= 2.0
+            tell("reference: its check, with twice the step")
+            fine, coarse = coarse, follow(_space(scene, factor / 2.0, threads), times)
+        else:
+            tell(f"reference: steps {factor:g} times smaller")
+            fine = follow(_space(scene, factor, threads), times)
         text = f"refined: the scene with steps {factor:g} and {factor / 2:g} times smaller{of_gravity} ({reason})"
         found = _reference(scene, fine, [coarse], kind="refined", fineness=factor, whole=True, text=text)
         gained = reference is None or found.samples > GAIN * reference.samples
         reference, coarse = found, fine
-        now = time.perf_counter()
-        if found.samples == len(times) or not gained or now - began + 2.0 * (now - started) > budget:
+        now = watch.seconds
+        if check_is_coarser or found.samples == len(times) or not gained or now + 2.0 * (now - started) > budget:
             return reference
 
 

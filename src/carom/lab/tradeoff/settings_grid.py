@@ -43,6 +43,7 @@ METHOD = (  # keys and sections that change how a scene is computed
     *(f"contact.{key}" for key in ("solver", "sweeps", "stabilisation", "colouring", "search", "timing", "sleep")),
     "model",
 )
+MEDIAN_INTERVAL = 0.98  # × √n, the ranks on each side of the median of n in its 95 % interval: 1.96 binomial deviations
 STEP_KEYS = ("fixed_dt", "target_dx", "cfl", "pull_fraction", "smoothing", "velocity_limit", "integrator")
 
 
@@ -269,13 +270,15 @@ class SettingResult:
     """A setting and its measurements so far."""
 
     setting: Setting
-    status: str = "pending"  # "measured", "refused", "stopped" or "failed"
-    reason: str = ""  # why it was refused, stopped or failed
+    status: str = "pending"  # "measured", "refused", "stopped", "failed" or "left out"
+    reason: str = ""  # why it was refused, stopped, left out or not timed, or failed
     costs: list[float] = field(default_factory=list)  # s, of each run
     steps: int = 0
     frames: int = 0  # in a recording of the run
     errors: Errors | None = None
     spent: float = 0.0  # s of CPU time at which the run was stopped
+    followed: float = 0.0  # s, the time of the run that measured the errors; 0 if it is not known
+    digest: str = ""  # of its trajectory
     same_as: str = ""  # the name of an earlier setting with the same run, bit for bit, whose costs are these
 
     @property
@@ -285,8 +288,16 @@ class SettingResult:
 
     @property
     def spread(self) -> float:
-        """Half the range of the costs over their median; 0 for a single one."""
-        return (max(self.costs) - min(self.costs)) / 2 / self.cost if self.costs else 0.0
+        """Half the 95 % interval of the median cost over the median; 0 for a single one.
+
+        The interval lies between two of the sorted costs, equally far from both ends. It is the whole range of up to
+        eight costs; of fewer than six, this range is less certain.
+        """
+        if not self.costs:
+            return 0.0
+        n, ordered = len(self.costs), sorted(self.costs)
+        outside = max(0, math.floor((n - 1) / 2 - MEDIAN_INTERVAL * math.sqrt(n)))
+        return (ordered[n - 1 - outside] - ordered[outside]) / 2 / self.cost
 
     @property
     def complete(self) -> bool:
@@ -310,6 +321,7 @@ def result_entry(result: SettingResult) -> dict[str, Any]:
         "spent": result.spent,
         "cost": finite(result.cost),
         "spread": result.spread,
+        "digest": result.digest,
         "errors": result.errors and finite(asdict(result.errors)),
     }
 
@@ -318,7 +330,8 @@ def result_of(entry: dict[str, Any]) -> SettingResult:
     """Read the results of one setting, without its errors."""
     setting = Setting(entry["name"], tuple(entry["overrides"]), entry.get("threads"), entry.get("engine", ""))
     kept = {key: entry[key] for key in ("status", "reason", "costs", "steps", "frames")}
-    return SettingResult(setting, **kept, spent=entry.get("spent", 0.0), same_as=entry["same_as"])
+    known = {"spent": entry.get("spent", 0.0), "digest": entry.get("digest", "")}
+    return SettingResult(setting, **kept, **known, same_as=entry["same_as"])
 
 
 def reference_entry(reference: Reference) -> dict[str, Any]:

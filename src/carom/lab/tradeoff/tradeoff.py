@@ -27,12 +27,28 @@ from carom.lab.compared_run import (
     RunBound,
     RunStoppedError,
     Setting,
+    Stopwatch,
     Trajectory,
     follow,
     sample_times,
     write_document,
 )
-from carom.lab.tradeoff.reference import BUDGET, COMPARED, NAMES, Reference, Teller, fineness, make_reference
+from carom.lab.tradeoff.budget import (
+    ALONE,
+    CHEAPER,
+    FASTEST,
+    FOR_THE_REFERENCE,
+    FOR_TIMES,
+    MOST_TIMINGS,
+    PRECISION,
+    SHORT,
+    TIMINGS,
+    Budget,
+    errs_by_rounding,
+    estimated_cost,
+    is_beaten,
+)
+from carom.lab.tradeoff.reference import BUDGET, COMPARED, NAMES, Errors, Reference, Teller, fineness, make_reference
 from carom.lab.tradeoff.settings_grid import (
     SettingResult,
     pareto_front,
@@ -49,6 +65,7 @@ from carom.recording.write.whole_file import output_folder
 from carom.runs.environment import environment
 from carom.scene.load import Scene
 from carom.scene.units.dimension import TIME
+from carom.terminal.printing import finite
 
 DOCUMENT = "tradeoff.json"
 REFERENCE = "reference.npz"
@@ -60,6 +77,8 @@ ROUND_OFF = 1e-13  # of a whole run, over its scale
 WORK = 3e7  # limit of steps × (bodies + `BODIES_PER_STEP`) of a bounded setting, some 20 s
 BODIES_PER_STEP = 30  # the fixed time of a step is about that of this many bodies
 DEARER = 30.0  # a bounded setting may always make this many times the steps of the scene as written
+CERTAIN = 6  # costs, from which on the range contains the median with 95 %
+WRITING = 1.0  # s between two writings of the document while short runs are timed
 MARGIN = 2.0  # smallest allowed ratio of the shortest compared steps to the steps of a refined reference
 
 EngineFollower = Callable[[Setting, FloatArray], Trajectory]  # runs a setting of another engine, sampled at times in s
@@ -87,6 +106,8 @@ class Study:
         study.
     bounded
         Whether each setting is also stopped after a number of steps, see `WORK`, as for default settings.
+    budget
+        s that all measurements may take; None for `RUNS` times the time of the scene as written.
 
     Raises
     ------
@@ -107,6 +128,7 @@ class Study:
         advice: str = ADVICE,
         limit: float = math.inf,
         bounded: bool = False,
+        budget: float | None = math.inf,
         files: Iterable[str] = (REFERENCE, FIGURE, OVERLAY),
     ) -> None:
         if scene.domain.shear:
@@ -116,12 +138,13 @@ class Study:
         self._advice = advice
         self.results: list[SettingResult] = []
         self.reference: Reference | None = None
-        self.budget = min(BUDGET, limit)  # s, for the reference
+        self.budget = Budget(budget)
         self.follow_engine: EngineFollower = lambda setting, times: _engine_called(setting.engine).follow(
             scene, setting, times, limit
         )
         self.examine: Examiner = lambda result, tell: None
-        self._busy = 0.0
+        self._busy, self._written_at, self._is_unwritten = 0.0, 0.0, False
+        self._environment: dict[str, str | int] = {}
         output_folder(folder)
         if force:
             return
@@ -135,53 +158,195 @@ class Study:
 
     @property
     def noise(self) -> float:
-        """The relative uncertainty of every cost: the median of the ranges of the settings' costs.
+        """The relative uncertainty of every cost: the median of the settings' intervals, or of the ranges of few costs.
 
         A single run deviates by half the range, but two of three runs, and with them the median, may deviate in the
         same direction by chance. A setting with a larger range has the larger uncertainty. 0 if nothing was run twice.
         """
-        ranges = [2.0 * result.spread for result in self.results if len(result.costs) > 1]
+        ranges = [
+            result.spread if len(result.costs) >= CERTAIN else 2.0 * result.spread
+            for result in self.results
+            if len(result.costs) > 1
+        ]
         return median(ranges) if ranges else 0.0
 
-    def measure(self, settings: list[Setting], repeats: int, tell: Teller) -> list[SettingResult]:
+    def doubt(self, result: SettingResult) -> float:
+        """Return the relative uncertainty of a cost: its own if that is certain, or at least the noise of all."""
+        return result.spread if len(result.costs) >= CERTAIN else max(result.spread, self.noise)
+
+    def measure(
+        self, settings: list[Setting], repeats: int | None, tell: Teller, *, chooses: bool = False
+    ) -> list[SettingResult]:
         """Measure the unmeasured settings, and return the results of all given settings.
 
         The first run of a setting measures its errors and is not timed, because it also compiles kernels. Then all
         settings are timed in rotation, so that a temporary slowdown of the machine affects all of them.
+
+        Parameters
+        ----------
+        repeats
+            Timings of each setting; None for as many as the front needs, within the budget.
+        chooses
+            Whether to leave out settings that cannot be on the front.
         """
-        self.prepare(settings, tell)
         results = [self._result(setting) for setting in settings]
-        for number, result in enumerate(results, start=1):
-            bound = self._bound(result)
-            is_longer = result.steps < bound.steps and result.spent < bound.seconds
-            if result.status == "pending" or (result.status == "stopped" and is_longer):
-                heading = f"{_count(number, results)}{result.setting.name}: errors"
-                tell(heading)
-                self._follow(result, lambda text: tell(heading + text))  # noqa: B023
-                write_document(self.folder / DOCUMENT, self.document())
-                self.examine(result, tell)
-        for turn in range(repeats):
-            for number, result in enumerate(results, start=1):
-                if result.status == "measured" and len(result.costs) <= turn:
-                    left = _left(results, repeats)
-                    which = _count(number, results)
-                    tell(f"{which}{result.setting.name}: cost, {turn + 1} of {repeats}{left}")
-                    result.costs.append(self._cost(result))
-                    self._busy = max(self._busy, os.getloadavg()[0] if hasattr(os, "getloadavg") else 0.0)
-                    write_document(self.folder / DOCUMENT, self.document())
+        scenes = [self._applied(result) for result in results]  # loads their kernels, before the clock runs
+        if self.budget.seconds is None:
+            self.budget.choose(self._run_time(tell))
+        self.budget.begin()
+        self._prepare(scenes, tell)
+        self.budget.reserve += FOR_TIMES
+        for number, (result, scene) in enumerate(zip(results, scenes, strict=True), start=1):
+            self._examine_setting(result, scene, f"{_count(number, results)}{result.setting.name}", tell, chooses)
+            if repeats is None and result.status == "measured" and not result.costs and not self._is_left_out(result):
+                if chooses and (rival := self._dominating(result)):
+                    result.reason = f'"{rival}" is as accurate and clearly cheaper'
+                    continue
+                tell(f"{_count(number, results)}{result.setting.name}: cost{self.budget.text}")
+                self._time(result)
+        self.budget.reserve -= FOR_TIMES
+        try:
+            while due := [result for result in results if self._needs_a_run(result, repeats)]:
+                for result in due:
+                    if self.budget.is_over and any(each.complete for each in self.results):
+                        for untimed in due:
+                            self._is_left_out(untimed)
+                        return results
+                    count, run = _count(results.index(result) + 1, results), len(result.costs) + 1
+                    of = "" if repeats is None else f" of {repeats}"
+                    left = self.budget.text or _left(results, repeats)
+                    tell(f"{count}{result.setting.name}: cost, {run}{of}{left}")
+                    self._time(result)
+        finally:
+            if self._is_unwritten:
+                self._write()
         return results
+
+    def _examine_setting(
+        self, result: SettingResult, scene: Scene | None, heading: str, tell: Teller, chooses: bool
+    ) -> None:
+        """Measure the errors of a setting, unless they are known, or it is left out."""
+        bound = self._bound(result)
+        is_longer = result.steps < bound.steps and result.spent < bound.seconds
+        if result.status not in ("pending", "left out") and not (result.status == "stopped" and is_longer):
+            return
+        if chooses and scene is not None and (rival := self._exact_and_cheaper(scene)):
+            result.status, result.reason = "left out", f'"{rival}" errs by rounding alone, and shorter steps cost more'
+            return
+        if self._is_left_out(result):
+            return
+        heading = f"{heading}: errors"
+        tell(heading + self.budget.text)
+        self._follow(result, lambda text: tell(heading + text + self.budget.text))
+        self._write()
+        self.examine(result, tell)
+
+    def _is_left_out(self, result: SettingResult) -> bool:
+        """Return whether the budget is too small for a run, and note it; the first setting is always measured."""
+        written = self._written
+        least = 0.0 if written is None or result.status == "measured" else FASTEST * written.followed
+        if self.budget.left > least or not any(other is not result and other.errors for other in self.results):
+            return False
+        if result.status in ("pending", "left out"):
+            result.status = "left out"
+        if result.status == "left out" or not result.costs:
+            result.reason = f"the budget of {self.budget.seconds:.3g} s was spent"
+            self._is_unwritten = True
+        return True
+
+    def _run_time(self, tell: Teller) -> float:
+        """Return the time of the scene as written (s), for a budget; its kernels are loaded before."""
+        written = self._written or SettingResult(AS_WRITTEN)
+        if not written.costs:
+            tell("as written: the time of a run")
+            if written.status != "measured":
+                self._follow(written, lambda text: tell(f"as written{text}"))
+            if written.status != "measured":  # such as stopped at its limit
+                return written.spent
+            written.costs.append(self._cost(written))
+        return written.cost
+
+    @property
+    def _written(self) -> SettingResult | None:
+        return next((result for result in self.results if result.setting == AS_WRITTEN), None)
+
+    @property
+    def _floors(self) -> Errors:
+        """The uncertainties of the errors."""
+        return Errors(**{name: self.floor(name) for name in NAMES})
+
+    def _exact_and_cheaper(self, scene: Scene) -> str:
+        """Name a timed setting that errs by rounding alone and is cheaper than a scene with shorter steps, if any."""
+        written = self._written
+        finer = fineness(self.scene, scene)
+        if written is None or not written.complete or finer <= 1.0:
+            return ""
+        return next(
+            (
+                rival.setting.name
+                for rival in self.results
+                if rival.errors is not None and rival.costs and errs_by_rounding(rival.errors, self._floors)
+                if rival.cost < finer * written.cost
+            ),
+            "",
+        )
+
+    def _dominating(self, result: SettingResult) -> str:
+        """Name a timed setting that is as accurate as an untimed one and clearly cheaper than its estimate, if any."""
+        written = self._written
+        if written is None or result.errors is None or result.setting.engine or result.setting.threads:
+            return ""
+        least = estimated_cost(result, written)
+        return next(
+            (
+                rival.setting.name
+                for rival in self.results
+                if rival.errors is not None and rival.costs and CHEAPER * rival.cost < least
+                if is_beaten(result.errors, rival.errors, self._floors)
+            ),
+            "",
+        )
+
+    def _needs_a_run(self, result: SettingResult, repeats: int | None) -> bool:
+        """Return whether to time a setting once more: without a number of repeats, where the front is uncertain."""
+        timed = len(result.costs)
+        if result.status != "measured" or result.same_as:
+            return False
+        if repeats is not None:
+            return timed < repeats
+        is_vague = timed < TIMINGS or (result.cost < SHORT and result.spread > PRECISION and timed < MOST_TIMINGS)
+        if not timed or not is_vague:
+            return False
+        noise = ALONE if timed < TIMINGS else 0.0
+        return result.setting == AS_WRITTEN or any(self.marks(name, noise)[result.setting.name] for name in NAMES)
+
+    def _time(self, result: SettingResult) -> None:
+        """Run a setting once and keep its cost."""
+        result.costs.append(self._cost(result))
+        result.reason, self._is_unwritten = "", True
+        self._busy = max(self._busy, os.getloadavg()[0] if hasattr(os, "getloadavg") else 0.0)
+        if time.perf_counter() - self._written_at > WRITING:
+            self._write()
+
+    def _write(self) -> None:
+        """Write the document."""
+        write_document(self.folder / DOCUMENT, self.document())
+        self._written_at, self._is_unwritten = time.perf_counter(), False
 
     def prepare(self, settings: list[Setting], tell: Teller) -> Reference:
         """Return the reference of the scene; compute a finer one if some settings need it."""
-        scenes = [self._applied(self._result(setting)) for setting in settings]
+        return self._prepare([self._applied(self._result(setting)) for setting in settings], tell)
+
+    def _prepare(self, scenes: list[Scene | None], tell: Teller) -> Reference:
         finest = max([1.0, *(fineness(self.scene, scene) for scene in scenes if scene is not None)])
         if self.reference is None or self.reference.fineness < MARGIN * finest:
-            self.reference = make_reference(self.scene, finest, threads=self.threads, budget=self.budget, tell=tell)
+            budget = min(BUDGET, self.limit, FOR_THE_REFERENCE * self.budget.left)
+            self.reference = make_reference(self.scene, finest, threads=self.threads, budget=budget, tell=tell)
             self.reference.trajectory.save(self.folder / REFERENCE)
-            for result in self.results:  # results of an earlier study, which had a coarser reference
+            for result in self.results:  # followed before, or in an earlier study, which had a coarser reference
                 if result.status == "measured":
                     result.errors = self.reference.errors(self.trajectory(result))
-            write_document(self.folder / DOCUMENT, self.document())
+            self._write()
         return self.reference
 
     def floor(self, error: str) -> float:
@@ -189,12 +354,15 @@ class Study:
         value = getattr(self.reference.uncertainty, error) if self.reference and error in COMPARED else 0.0
         return float(np.fmax(value, ROUND_OFF))
 
-    def marks(self, error: str) -> dict[str, str]:
-        """Return "front", "near" (undecided) or "" (beaten) for each setting by name, for one kind of error."""
+    def marks(self, error: str, least_noise: float = 0.0) -> dict[str, str]:
+        """Return "front", "near" (undecided) or "" (beaten) for each setting by name, for one kind of error.
+
+        ``least_noise`` is the least relative noise of every cost.
+        """
         done = [result for result in self.results if result.complete and not result.same_as]
         cost = np.array([result.cost for result in done])
         wrong = np.array([max(getattr(result.errors, error), ROUND_OFF) for result in done])
-        noise = np.array([max(result.spread, self.noise) for result in done])
+        noise = np.array([max(self.doubt(result), least_noise) for result in done])
         on, near = pareto_front(cost, wrong, noise, self.floor(error) if error in COMPARED else 0.0)
         words = ["front" if a else "near" if b else "" for a, b in zip(on, near, strict=True)]
         return dict(zip((result.setting.name for result in done), words, strict=True))
@@ -203,16 +371,29 @@ class Study:
         """Read the trajectory of a setting that is measured."""
         return Trajectory.load(self._path(result))
 
+    @property
+    def left_out(self) -> dict[str, str]:
+        """The settings that were left out or not timed, by name, with the reason."""
+        return {
+            result.setting.name: result.reason
+            for result in self.results
+            if result.reason and (result.status == "left out" or (result.status == "measured" and not result.costs))
+        }
+
     def document(self) -> dict[str, Any]:
         """Return all results as one JSON document."""
         marks = {error: self.marks(error) for error in NAMES}
+        self._environment = self._environment or environment(self.threads or 0)
         return {
             "version": VERSION,
             "units": self.scene.unit_system.recorded,
             "scene": {"title": self.scene.title, "bodies": self.scene.count, "toml": self.scene.toml},
-            "environment": environment(self.threads or 0),
+            "environment": self._environment,
             "noise": self.noise,
             "load": self._busy,  # largest one-minute load of the machine while costs were measured
+            "budget": finite(math.inf if self.budget.seconds is None else self.budget.seconds),  # s
+            "spent": self.budget.spent,  # s, by the last command
+            "left_out": self.left_out,
             "reference": None if self.reference is None else reference_entry(self.reference),
             "settings": [
                 {
@@ -245,13 +426,15 @@ class Study:
 
     def _bound(self, result: SettingResult) -> RunBound:
         """Return the bound of a setting; the scene as written has only the time limit."""
+        own = self._written
+        seconds = self.budget.left if own is not None and own.complete else math.inf
+        limit = (seconds, "--budget") if seconds < self.limit else (self.limit, "--limit")
         if not self.bounded or not result.setting.overrides:
-            return RunBound(seconds=self.limit)
-        own = max((each.steps for each in self.results if each.setting == AS_WRITTEN), default=0)
-        return RunBound(max(WORK / (self.scene.count + BODIES_PER_STEP), DEARER * own), self.limit)
+            return RunBound(math.inf, *limit)
+        most = max(WORK / (self.scene.count + BODIES_PER_STEP), DEARER * (own.steps if own is not None else 0))
+        return RunBound(most, *limit)
 
     def _follow(self, result: SettingResult, tell: Teller) -> None:
-        assert self.reference is not None, "the reference comes first"
         times, setting = sample_times(self.scene), result.setting
         result.reason, units = "", self.scene.unit_system
 
@@ -263,6 +446,7 @@ class Study:
                 run = self.follow_engine(setting, times)
             else:
                 space = Space(result.setting.apply(self.scene), result.setting.threads or self.threads)
+                watch = Stopwatch()
                 run = follow(space, times, self._bound(result), reached)
         except RunStoppedError as stopped:
             result.status, result.reason = "stopped", str(stopped)
@@ -271,13 +455,13 @@ class Study:
         except (PhysicsError, ExperimentError) as error:
             result.status, result.reason = "failed", str(error)
             return
+        result.followed = watch.seconds
         run.save(self._path(result))
-        result.status, result.errors = "measured", self.reference.errors(run)
-        result.steps, result.frames = run.steps, run.frames
+        result.status, result.errors = "measured", self.reference.errors(run) if self.reference else None
+        result.steps, result.frames, result.digest = run.steps, run.frames, run.digest
         for other in self.results:
             alike = other is not result and other.errors is not None and not other.same_as
-            alike = alike and other.steps == run.steps and _threads(other) == _threads(result)
-            if alike and self.trajectory(other).is_same(run):
+            if alike and other.digest == result.digest and _threads(other) == _threads(result):
                 self._join(result, other)
                 return
 
@@ -324,7 +508,7 @@ class Study:
                     result = result_of(entry)
                     if result.status == "measured" and self.reference is not None:
                         result.errors = self.reference.errors(self.trajectory(result))
-                    elif result.status in ("refused", "measured"):  # another version may run it
+                    elif result.status in ("refused", "measured", "left out"):  # another version may run it
                         result.status = "pending"
                     self.results.append(result)
                 by_name = {result.setting.name: result for result in self.results}
@@ -357,10 +541,10 @@ def _count(number: int, results: list[SettingResult]) -> str:
     return f"{number}/{len(results)}  " if len(results) > 1 else ""
 
 
-def _left(results: list[SettingResult], repeats: int) -> str:
-    """Estimate the remaining time from earlier timings; empty before the first."""
+def _left(results: list[SettingResult], repeats: int | None) -> str:
+    """Estimate the remaining time from earlier timings; empty before the first, or without a number of repeats."""
     known = [result.cost for result in results if result.costs]
-    if not known:
+    if not known or repeats is None:
         return ""
     typical = median(known)
     runs = [result for result in results if result.status == "measured"]

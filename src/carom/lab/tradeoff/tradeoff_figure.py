@@ -180,7 +180,8 @@ def _panel(
         ax.axhline(floor, color=FAINT, linewidth=0.8, linestyle=":")
         words, where = "the reference's own uncertainty", ("axes fraction", "data")
         ax.annotate(words, (1.0, floor), xycoords=where, ha="right", va="bottom", fontsize=6, color=FAINT)
-    ax.margins(x=0.06)
+    wider = max(1.2, (cost.max() / cost.min()) ** 0.06)  # matplotlib's own limits warn if all costs are equal
+    ax.set_xlim(cost.min() / wider, cost.max() * wider)
     drawn = [*wrong, floor] if seen else wrong
     least, most = min(drawn), max(drawn)
     room = max(1.2, (most / least) ** 0.08)  # matplotlib's own limits warn if all errors are equal

@@ -21,6 +21,7 @@ import tomlkit
 
 from carom.errors import ExperimentError, SceneError
 from carom.lab.compared_run import AS_WRITTEN, Setting
+from carom.lab.tradeoff.budget import ALONE
 from carom.lab.tradeoff.reference import COMPARED, NAMES, Teller
 from carom.lab.tradeoff.settings_grid import GridPoint, SettingResult, default_points, knobs, result_entry
 from carom.lab.tradeoff.tradeoff import Study
@@ -38,6 +39,7 @@ DEAREST = 16.0  # times the cost of the scene; at a higher cost no step is halve
 HOPELESS = 2.0  # times the cost of a rival, above which a setting cannot win; costs are uncertain
 SHORTEST = 2.0**-6  # of the scene's step
 BETWEEN = 1.5  # factor on the step that is tried where twice the step is too long
+FOR_CANDIDATES = 0.25  # of the budget, kept for the last timings
 CLOSE = 1.3  # times the lowest cost; settings up to this cost are timed again before one is chosen
 
 
@@ -48,12 +50,13 @@ class SettingSearch:
         self._study, self._limits, self._tell = study, limits, tell
         self._found: dict[GridPoint, SettingResult] = {}
 
-    def run(self, repeats: int) -> list[SettingResult]:
+    def run(self, repeats: int | None) -> list[SettingResult]:
         """Search, and then time the scene and the settings near the lowest cost as often as requested.
 
         Returns the settings that were tried; the first is the scene as written.
         """
-        points = default_points(self._study.scene)
+        points, budget = default_points(self._study.scene), self._study.budget
+        budget.reserve += FOR_CANDIDATES
         results = self._study.measure([point.setting(self._study.scene) for point in points], 1, self._tell)
         self._found.update(zip(points, results, strict=True))
         if not unsure(self._study, self._limits) and math.isfinite(min(map(self._excess, points))):
@@ -66,11 +69,12 @@ class SettingSearch:
                         if value != best.value(key):
                             best = self._better(best, self._along_step(best.having(key, value), best))
                 best = self._better(best, best.times(BETWEEN))
+        budget.reserve -= FOR_CANDIDATES
         kept = [result for point, result in self._found.items() if not self._excess(point)]
         least = min((result.cost for result in kept), default=0.0)
         again = {result.setting: None for result in (results[0], *(r for r in kept if r.cost <= CLOSE * least))}
         self._study.measure(list(again), repeats, self._tell)
-        return list(self._found.values())
+        return [result for result in self._found.values() if result.status != "left out"]
 
     def _along_step(self, here: GridPoint, best: GridPoint | None = None) -> GridPoint:
         """Return the point with the best step; stop when shorter steps only cost more."""
@@ -174,18 +178,47 @@ class Tuning:
     def best(self) -> SettingResult | None:
         """The cheapest setting measured to keep every limit and the scene's frames; None if there is none.
 
-        An unmeasured error, such as a position beyond the horizon, keeps no limit. A limit below the uncertainty of the
-        reference is not kept either, because it cannot be checked.
+        It is the scene as written if that keeps them, too, and no other is certainly faster. An unmeasured error, such
+        as a position beyond the horizon, keeps no limit. A limit below the uncertainty of the reference is not kept
+        either, because it cannot be checked.
         """
         if unsure(self.study, self.limits):
             return None
         kept = [result for result in self.tried if not self._excess(result)]
-        return min(kept, key=lambda result: result.cost, default=None)
+        best = min(kept, key=lambda result: result.cost, default=None)
+        if best is None or self.written not in kept or self._gain(best)[0] > 1.0:
+            return best
+        return self.written
 
     @property
     def speed(self) -> float:
         """Speed of the best setting over that of the scene as written; NaN if one of them has no cost."""
         return math.nan if self.best is None else self.written.cost / self.best.cost
+
+    @property
+    def speed_range(self) -> tuple[float, float]:
+        """The range of `speed`, from the uncertainties of both costs; NaN without them."""
+        return (math.nan, math.nan) if self.best is None else self._gain(self.best)
+
+    @property
+    def claim(self) -> str:
+        """What is certain of the speed of the best setting, beside the scene as written; empty for the scene itself."""
+        low, high = self.speed_range
+        if self.best is self.written or math.isnan(low):
+            return ""
+        if low > 1.0:
+            return f"{self.speed:.2g} times as fast as the original scene ({low:.2g} to {high:.2g})"
+        if high < 1.0:
+            return f"slower than the original scene: {1.0 / self.speed:.2g} times its time"
+        return "as fast as the original scene, within the noise"
+
+    def _gain(self, result: SettingResult) -> tuple[float, float]:
+        """Return the least and the largest speed of a setting over that of the scene as written."""
+        doubt = 1.0
+        for each in (result, self.written):
+            doubt *= 1.0 + (self.study.doubt(each) if len(each.costs) > 1 else ALONE)
+        speed = self.written.cost / result.cost
+        return speed / doubt, speed * doubt
 
     def misses(self, result: SettingResult) -> list[str]:
         """Name the limits that a setting misses."""
@@ -242,6 +275,9 @@ class Tuning:
             "best": best and result_entry(best),
             "as_written": result_entry(self.written),
             "speed": finite(self.speed),
+            "speed_range": finite(list(self.speed_range)),
+            "budget": self.study.document()["budget"],
+            "left_out": self.study.left_out,
             "worse": {name: list(values) for name, values in self.worse().items()},
             "why_none": None if best else self.why_none(),
         }
@@ -266,7 +302,7 @@ def _asked(study: Study, limits: Mapping[str, float]) -> dict[str, Any]:
 
 
 def tuned(
-    study: Study, limits: dict[str, float], repeats: int, tell: Teller, settings: list[Setting] | None = None
+    study: Study, limits: dict[str, float], repeats: int | None, tell: Teller, settings: list[Setting] | None = None
 ) -> Tuning:
     """Search a study for the cheapest setting that keeps limits, or choose it from given settings.
 
@@ -330,7 +366,7 @@ def write(tuning: Tuning, path: Path) -> None:
     comment = [
         f"carom tune: {result.setting.name}",
         f"measured: {', '.join(measured)}; {cost}",
-        f"the cheapest of {len(tuning.tried)} settings tried, {tuning.speed:.3g} times as fast as the original scene",
+        f"the cheapest of {len(tuning.tried)} settings tried" + (f", {tuning.claim}" if tuning.claim else ""),
         f"against a reference that is {study.reference.text}; compared up to {horizon}",
     ]
     text = "".join(f"# {line}\n" for line in comment) + "\n" + _toml_for(result.setting.apply(study.scene), path.parent)
