@@ -27,7 +27,7 @@ CHEAPER = 3.0  # the estimated cost of an untimed setting over that of a rival; 
 ROUNDING = 1e-11  # an error below this one is the rounding of a long run, which shorter steps do not reduce
 
 
-class Budget:
+class StudyBudget:
     """The seconds that a study may take, from its first run on; None until the time of a run is known."""
 
     def __init__(self, seconds: float | None = math.inf) -> None:

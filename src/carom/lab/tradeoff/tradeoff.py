@@ -43,7 +43,7 @@ from carom.lab.tradeoff.budget import (
     PRECISION,
     SHORT,
     TIMINGS,
-    Budget,
+    StudyBudget,
     errs_by_rounding,
     estimated_cost,
     is_beaten,
@@ -138,7 +138,7 @@ class Study:
         self._advice = advice
         self.results: list[SettingResult] = []
         self.reference: Reference | None = None
-        self.budget = Budget(budget)
+        self.budget = StudyBudget(budget)
         self.follow_engine: EngineFollower = lambda setting, times: _engine_called(setting.engine).follow(
             scene, setting, times, limit
         )
