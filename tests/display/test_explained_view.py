@@ -242,7 +242,7 @@ def test_a_legend_is_whole_in_a_window_of_1280_by_720(bodies: int, bounce: Recor
     spins, field = np.array([[0.0, 0.0, 1e3]]), np.array([0.0, 0.0, -9.81])
     words = legend(*lines, spins=spins, field=field, viewer_time="1 s of the viewer is 1000 year")
     area = legend_area(Canvas())
-    ((_, shown),) = words.statics(area)
+    ((_, shown),) = words.beside(area).statics
     labels: Any = shown
     heights = np.array(labels.positions.as_arrow_array().to_pylist())[:, 1]
     chip = 23.0  # points, height of a label
@@ -272,7 +272,7 @@ def test_the_legend_explains_what_an_edges_width_and_colour_mean(theme: str, slo
     lines = lines_of(asked(slope, Request(), Canvas(theme=theme)))
     edges = {text: colour for text, colour in lines.items() if text.startswith("— contact")}
     for text, word in zip(edges, ("small", "median", "large"), strict=True):
-        assert text.startswith(f"— contact: {word} impulse, "), "the scale"
+        assert text.startswith(f"— contact: {word} impulse,"), "the scale"
     assert len(set(edges.values())) == (3 if theme == "dark" else 1), "on paper only the width has a meaning"
 
 

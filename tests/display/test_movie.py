@@ -18,11 +18,13 @@ import pytest
 from numpy.typing import NDArray
 from PIL import Image
 
-from carom.display.movie import frame_times
+import carom as carom_package
+from carom.display.movie import clock_of, frame_times
 from carom.errors import RecordingError
 from carom.recording.read.recording import Recording
 from carom.recording.schema import palette
 from carom.recording.write.recorder import FrameRecorder
+from carom.scene.load import Scene
 from carom_command import carom
 from needs import PICTURES
 from picture_pixels import hue_mask, largest_piece
@@ -140,6 +142,32 @@ def test_a_picture_shows_the_last_recorded_frame_before_its_time(recorded: Path)
     assert np.allclose(frame_times(recording, 1.0, 1.2, 9), [1.0, 1.0, 1.05, 1.05, 1.1, 1.1, 1.15, 1.15, 1.2])
 
 
+def test_a_movie_slows_down_around_impacts_and_its_clock_says_so(tmp_path: Path) -> None:
+    """The wave of a rack takes a millisecond of a quarter of a second: one of 300 pictures, if they were even."""
+    rack = carom_package.run(Scene.load("rack-break", ["time.duration=0.25"]), tmp_path / "rack.rrd")
+    even, slowed = (frame_times(rack, None, None, 300, slowed=slowed) for slowed in (False, True))
+    instants = np.unique(rack.impacts()["time"].to_numpy())
+    wave = instants[:20]
+    assert wave[-1] - wave[0] < 0.25 / 100, "twenty impacts within three pictures"
+    assert np.sum((even >= wave[0]) & (even <= wave[-1])) <= 4
+    assert set(wave.tolist()) <= set(slowed.tolist()), "each instant is shown"
+    assert np.all(np.diff(slowed) >= 0.0) and (slowed[0], slowed[-1]) == (even[0], even[-1])
+    assert len(np.unique(slowed)) >= 100, "the rest of the run is shown, too"
+    clock = clock_of(rack, slowed)
+    assert clock.texts[0].startswith("t = 0.0") and not any("slow" in text for text in clock_of(rack, even).texts)
+    assert "slow motion 1 : " in clock.texts[int(np.searchsorted(clock.times, wave[10]))]
+    assert len({text.partition(",")[0] for text in clock.texts}) == len(clock.texts), "no two moments read alike"
+
+
+def test_a_movie_of_a_few_bounces_shows_the_whole_flight_as_well(tmp_path: Path) -> None:
+    ball = carom_package.run(Scene.load("bouncing-ball", ["time.duration=1.3"]), tmp_path / "ball.rrd")  # two bounces
+    times = frame_times(ball, None, None, 100, slowed=True)
+    bounces = ball.impacts()["time"].to_numpy()
+    assert set(bounces.tolist()) <= set(times.tolist())
+    around = np.abs(times[:, None] - bounces).min(axis=1) < 0.02 * 1.3
+    assert 0.1 <= around.mean() < 0.25, "a twentieth of the movie for each, and their even share"
+
+
 @pytest.mark.slow
 @pytest.mark.needs(PICTURES)
 def test_the_command_makes_a_movie_in_which_the_bodies_move(tmp_path: Path) -> None:
@@ -175,7 +203,7 @@ def test_a_close_up_movie_keeps_its_two_bodies_in_the_middle(tmp_path: Path) -> 
         for body in bodies:
             assert body.mean() > 0.03, "each fills more than a thirtieth of the picture"
         middle = np.mean([np.mean(np.nonzero(body), axis=1) for body in bodies], axis=0)
-        assert np.all(np.abs(middle / (360, 480) - 0.5) < 0.3), "whole spheres of 0.2 heights, below the legend"
+        assert np.all(np.abs(middle / (360, 480) - 0.5) < 0.25), "the camera follows both"
 
 
 @pytest.mark.slow

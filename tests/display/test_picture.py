@@ -7,7 +7,8 @@ import pytest
 from PIL import Image
 
 from carom import Scene, run
-from carom.display.picture import _marked, drawable, is_picture_of_carom, render
+from carom.display.letters import drawable
+from carom.display.picture import _marked, is_picture_of_carom, render
 from carom.display.request import Request
 from carom.display.viewer import broken_off, reason_of
 from carom.errors import RecordingError

@@ -40,6 +40,7 @@ _CAMERA = (
     "Keep the camera still, follow the centre of the bodies, or orbit it once. Default: still with a plane, a wall or "
     "a field; otherwise follow bodies that move away."
 )
+_SLOW = "Slow down around the hardest impacts, or show equal times in equal times."
 _PICTURE = "Picture to write. Default: FILE.png, or FILE-picture.png if another command wrote FILE.png."
 _PAGE = "Folder to write. Default: FILE-page, beside FILE; of several recordings, recordings-page."
 SMALLEST, LARGEST = 100, 8192  # pixels; textures of software renderers end at 8192
@@ -279,6 +280,7 @@ def movie(
     ] = None,
     bodies: BodiesOption = None,
     camera: Annotated[Camera | None, typer.Option("--camera", help=_CAMERA)] = None,
+    slow: Annotated[bool, typer.Option("--slow/--even", help=_SLOW)] = True,
     theme: ThemeOption = Theme.DARK,
     size: SizeOption = "1280x720",
     output: Annotated[
@@ -314,13 +316,13 @@ def movie(
 
     recording = Recording.open(file)
     first, last = (simulated_or_none(time, recording.units) for time in (start, end))
-    times = frame_times(recording, first, last, max(2, round(length * rate)))
+    times = frame_times(recording, first, last, max(2, round(length * rate)), slowed=slow)
     with claimed_output(path, force):
         require_encoder(path)
         motion = None if camera is None else CameraMotion(camera.value)
         shots = pictures(
             recording, times, pixels, view.value, theme=theme.value, event=event, bodies=bodies, camera=motion
         )
-        with MovieProgress(path, times, recording.units) as progress:
+        with MovieProgress(path, times, recording.units, len(recording.shown)) as progress:
             write_movie(path, progress.watched(shots), len(times), pixels, rate)
         say(f"{path} written, {bytes_text(path.stat().st_size)}: {progress.summary()}.")

@@ -17,14 +17,27 @@ from numpy.typing import NDArray
 from carom.arrays import FloatArray, SingleArray
 from carom.contact_table import IMPACT_MODE
 from carom.display.body_colours import BodyColours
-from carom.display.legend import Legend, LegendLine
+from carom.display.legend import DrawnLabels, Legend, LegendLine, MovieClock
+from carom.display.margins import moving
 from carom.display.request import ShownStep
+from carom.display.staging import axes_and_field
 from carom.display.supplement import Static
 from carom.physics.frame import Frame
 from carom.physics.vector import minimum_images
-from carom.recording.layout import faint_bodies
+from carom.recording.layout import FIELD, faint_bodies
 from carom.recording.layout.camera import CameraFit
-from carom.recording.layout.canvas import CORNERS, LEGEND, Area, View, free_corner, spatial_view, surroundings
+from carom.recording.layout.canvas import (
+    CORNERS,
+    LEGEND,
+    Area,
+    CameraMotion,
+    LensView,
+    View,
+    free_corner,
+    spatial_view,
+    surroundings,
+    views_of,
+)
 from carom.recording.layout.drawing import line_radii, single
 from carom.recording.read.frame_rows import DrawnPaths, drawn_paths, times_of
 from carom.recording.read.lookup import names_of
@@ -32,7 +45,7 @@ from carom.recording.read.named_events import Pair
 from carom.recording.read.recording import Recording
 from carom.recording.schema import palette, paths
 from carom.recording.schema.header import Header
-from carom.recording.write.rows import BatchColumn, Index, Rows
+from carom.recording.write.rows import NO_STEPS, BatchColumn, Index, Rows
 from carom.scene.units import dimension
 from carom.scene.units.system import UnitSystem
 
@@ -89,6 +102,7 @@ class _Arrows:
 class CloseUp:
     """Two bodies at one step."""
 
+    header: Header
     names: str  # of the bodies, or of the body and the plane
     called: Sequence[str]  # (b,) names of the bodies, or their numbers
     bodies: tuple[int, ...]  # a single one if it touches a plane
@@ -108,11 +122,12 @@ class CloseUp:
     area: Area
     legend: Legend  # empty, unless the view is alone in a picture
     corner: tuple[int, int]  # of the legend
+    poses: Sequence[View]  # of the camera, at the times of the clock of a movie
 
     def view(self, header: Header, recoloured: bool = False) -> rrb.Spatial3DView:
         """Return a view of the two bodies as solids, with all others as thin wires."""
         contents = [BODIES, FOLLOWED, EDGE, NORMAL, IMPULSE, SPIN, LABELS, paths.BODIES, *surroundings(header)]
-        contents += [LEGEND] if self.legend.entries else []
+        contents += [f"{LEGEND}/**", f"{FIELD}/**"] if self.legend.entries else []
         return spatial_view(
             *(f"Close-up: {self.names}", self.eye, contents, faint_bodies(header, recoloured)),
             follows=FOLLOWED,
@@ -141,11 +156,31 @@ class CloseUp:
         yield SPIN, rr.Arrows3D.from_fields(radii=line_radii(_THIN, small), colors=spin)
         # on the arrows themselves, the labels would have their colours
         yield LABELS, rr.Points3D.from_fields(radii=_UNSEEN * small, colors=ink, show_labels=True)
-        yield from self.legend.inside(self.eye, self.area, self.corner)
+        yield from self._legend().statics
+
+    def _legend(self) -> DrawnLabels:
+        """Place legend and axes, which move with the camera of a movie."""
+        drawn = self.legend.inside(self.eye, self.area, self.corner, self.poses)
+        if not self.legend.entries:
+            return drawn
+        radius = self.header.radius[list(self.bodies)]
+        axes = axes_and_field(self.header, self.eye, self.area, None, self.position, radius, self.corner)
+        statics = [*drawn.statics, *axes]
+        if self.legend.clock is None:
+            return DrawnLabels(statics, drawn.rows)
+        still = moving(statics, self.eye, self.poses, self.legend.clock.times)
+        return DrawnLabels(still.statics, [*drawn.rows, *still.rows])
+
+    def camera_rows(self, layout: rrb.Blueprint) -> Iterable[Rows]:
+        """Yield the poses of the camera of a movie."""
+        for shown in views_of(layout.root_container):
+            if isinstance(shown, LensView) and self.legend.clock is not None:
+                yield Rows(shown.lens.path, Index(NO_STEPS, self.legend.clock.times), shown.lens.poses(self.poses))
 
     def rows(self, header: Header) -> Iterable[Rows]:
         """Yield the positions of the bodies at all frames, and the contact of the step."""
         colours, instant = self.colours, self.instant
+        yield from self._legend().rows
         if colours.fixed is None:
             columns = rr.Ellipsoids3D.columns(colors=colours.colours.ravel())
             index = Index(colours.steps, colours.times)
@@ -294,6 +329,7 @@ def close_up(
     instant: ShownStep | None = None,
     *,
     pauses_within: bool = False,
+    clock: MovieClock | str = "",
     explained: bool = False,
 ) -> CloseUp:
     """Make the close-up view of a pair at a step.
@@ -307,6 +343,8 @@ def close_up(
         there.
     pauses_within
         Whether the viewer pauses at the instant.
+    clock
+        What the legend says about the time.
     explained
         Whether a legend is inside the view.
     """
@@ -351,11 +389,24 @@ def close_up(
         entries += [LegendLine("→ impulse on each body", impulse)] if np.any(contact.impulse) else []
         entries += [LegendLine("→ spin", palette.SPIN)] if spin is not None and np.any(spin) else []
     words = Legend(entries, area.theme)
+    if explained:
+        words = words.titled(header.title, clock)
+    words = words.wrapped(area)
     area = replace(area, inset=words.size)
     sizes, around = header.radius[places], ends if ends is not None else np.zeros((0, 3))
     eye = _fit(sizes, seen, contact).view(area.aspect, narrow=area.rendered, tips=ends, inset=area.inset_share)
     shown, radii = np.concatenate([seen, around]), np.pad(_ROOM * sizes, (0, len(around)))
+    poses: list[View] = []
+    if isinstance(clock, MovieClock) and found is not None:
+        eye = replace(eye, motion=CameraMotion.FOLLOW)
+        which = np.maximum(np.searchsorted(times, clock.times, side="right") - 1, 0)
+        paths_then = _nearest_images(found.position[which].astype(np.float64), header.cell(drawn.time))
+        half = 0.5 * eye.height() * min(1.0, area.aspect) - float(sizes.max())
+        middle = seen.mean(axis=0)
+        poses = [replace(eye, target=eye.target + _followed(each, half) - middle) for each in paths_then]
     return CloseUp(
+        header=header,
+        poses=poses,
         names=names,
         called=short,
         bodies=tuple(places),
@@ -376,6 +427,16 @@ def close_up(
         legend=words,
         corner=free_corner(eye, area.aspect, area.inset_share, shown, radii) or CORNERS[0],
     )
+
+
+def _followed(position: FloatArray, half: float) -> FloatArray:
+    """Return the point (3,) m that a camera follows, so that bodies at (b, 3) m are within ``half`` (m) of it.
+
+    Of two bodies that are too far apart, it is near the first.
+    """
+    apart = position.mean(axis=0) - position[0]
+    far = float(np.linalg.norm(apart))
+    return np.asarray(position[0] + apart * min(1.0, half / far) if far > 0.0 else position[0])
 
 
 def _impulse_radii(radius: FloatArray) -> FloatArray:

@@ -7,17 +7,20 @@ view of its own; in a picture of a single view it is in a corner. A recording do
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import astuple, dataclass, replace
 from itertools import product
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pyarrow as pa
 import rerun as rr
 import rerun.blueprint as rrb
+from numpy.typing import ArrayLike
 
 from carom.arrays import ColourArray, FloatArray
+from carom.display.letters import drawable, label_width, padded
+from carom.display.supplement import Static
 from carom.physics.frame import Frame
 from carom.recording.layout import OF_LATE, drawing
 from carom.recording.layout.canvas import LEGEND, Area, View
@@ -26,6 +29,7 @@ from carom.recording.read.recording import Recording
 from carom.recording.schema import palette, paths
 from carom.recording.schema.header import STATIC_COLOURS, Header
 from carom.recording.write.encoder import SPEED
+from carom.recording.write.rows import NO_STEPS, Index, Rows
 from carom.scene.units import dimension
 from carom.scene.units.dimension import Dimension
 from carom.scene.wording import counted
@@ -35,16 +39,11 @@ _SPACE = (BODIES, GRAPH)
 MOST_NAMED = 6  # bodies that have an entry each, so that the scales of arrows remain visible
 _LEAST_NAMED = 2  # lines about bodies that a legend has in any case
 
+_KEPT = "\u00a0"  # a space at which no line is broken
 _ROW = 25.0  # points, from one line to the next
 _MARGIN = 5.0  # points, around the lines
-_CHIP = 12.0  # points, by which a label is wider than its text
-# points, widths of letters, measured in a picture; of others `_LETTER`
-_WIDTHS = {3.1: "ijlI.,:;'·", 3.4: " ", 4.5: "frt()/|", 5.6: "1-_²³°τ", 6.9: "acksvxyzJL", 8.2: "ABKPRSTVXYZ34=+<>×α"}
-_WIDTHS |= {9.3: "CDGHNOQUωw%", 11.6: "mMW—→■½"}
-_LETTER = 7.5
-_WIDTH_OF = {letter: width for width, letters in _WIDTHS.items() for letter in letters}
-_PAD, _PAD_WIDTH = "\u00a0", 3.4  # a space that is kept, and its width in points, measured in a picture
-_END = "\u00ad"  # nothing to be seen; the viewer cuts spaces at the end of a label
+_WIDEST, _NARROWEST, _MOST_OF_VIEW = 400.0, 200.0, 0.3  # points, and a share: width of a legend inside a picture
+CLOCK = f"{LEGEND}/clock"
 _LENGTHS = {"½": 0.5, "1": 1.0, "1½": 1.5}  # radii, of the arrows whose magnitudes show the scale
 _EDGES = {2: "small", 4: "median", 6: "large"}  # levels of edges whose impulses show the scale
 _DIMENSIONS = {
@@ -70,11 +69,12 @@ class LegendLine:
     colour: int  # 0xRRGGBBAA
     views: Sequence[str] = ()  # views whose legend has this line in a picture of a single view
     bodies: int = 0  # that it names, in a list that may be folded
+    is_clock: bool = False  # whether its text changes with time
 
     @property
     def width(self) -> float:
         """Its width in points."""
-        return _CHIP + sum(_WIDTH_OF.get(letter, _LETTER) for letter in self.text)
+        return label_width(self.text)
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,11 +95,30 @@ class LegendContents:
 
 
 @dataclass(frozen=True, slots=True)
+class MovieClock:
+    """What the line of the clock in the legend of a movie says, from some times on."""
+
+    times: FloatArray  # (k,) s
+    texts: Sequence[str]  # (k,)
+
+
+@dataclass(frozen=True, slots=True)
 class Legend:
-    """The lines, from top to bottom."""
+    """The lines, from top to bottom, with a title and, in a movie, a clock above them."""
 
     entries: Sequence[LegendLine]
     theme: str = "dark"
+    clock: MovieClock | None = None
+
+    def titled(self, title: str, clock: MovieClock | str = "") -> Legend:
+        """Return the lines below a title and a clock, or the text of a clock that stands still."""
+        ink = palette.INKS[self.theme]
+        head = [LegendLine(title, ink, _SPACE)] if title and drawable(title) else []
+        if isinstance(clock, MovieClock):
+            head.append(LegendLine(max(clock.texts, key=label_width), ink, _SPACE, is_clock=True))
+        elif clock:
+            head.append(LegendLine(clock, ink, _SPACE))
+        return replace(self, entries=[*head, *self.entries], clock=clock if isinstance(clock, MovieClock) else None)
 
     def fitted(self, area: Area) -> Legend:
         """Return the lines for a view of this area: broken between words, and of many bodies only the first ones."""
@@ -112,9 +131,13 @@ class Legend:
             entries.insert(named[-2], _more_bodies(last.bodies + more.bodies))
         return replace(self, entries=found)
 
-    def of(self, view: str) -> Legend:
-        """Return the lines about one view."""
-        return replace(self, entries=[entry for entry in self.entries if view in entry.views])
+    def of(self, view: str, area: Area) -> Legend:
+        """Return the lines about one view, for a corner of this area."""
+        return replace(self, entries=[entry for entry in self.entries if view in entry.views]).wrapped(area)
+
+    def wrapped(self, area: Area) -> Legend:
+        """Return the lines for a corner of this area."""
+        return self.fitted(replace(area, width=min(_WIDEST, max(_NARROWEST, _MOST_OF_VIEW * area.width))))
 
     @property
     def size(self) -> tuple[float, float]:
@@ -132,36 +155,63 @@ class Legend:
             visual_bounds=rrb.VisualBounds2D(x_range=[0.0, area.width], y_range=[0.0, area.height]),
         )
 
-    def statics(self, area: Area) -> Iterator[tuple[str, rr.AsComponents]]:
-        """Yield the lines for a view of this area as labels of invisibly small points.
+    def beside(self, area: Area) -> DrawnLabels:
+        """Return the lines for a view of this area as labels of invisibly small points.
 
         A label is centred below its point, and its size does not change with that of the view. Spaces make all labels
         equally wide, so that their left ends are below one another in larger views, too.
         """
-        fitted = self.fitted(area)
-        wide = area.width - 2.0 * _MARGIN
-        padding = [int((wide - each.width) / _PAD_WIDTH) * _PAD + _END for each in fitted.entries]
-        points = [(0.5 * area.width, _MARGIN + _ROW * k) for k in range(len(padding))]
-        labels = fitted._labels()
-        labels["labels"] = [text + pad for text, pad in zip(labels["labels"], padding, strict=True)]
-        yield LEGEND, rr.Points2D(points, radii=1e-3, **labels)
+        fitted, wide = self.fitted(area), area.width - 2.0 * _MARGIN
+        return fitted._drawn(
+            rr.Points2D,
+            1e-3,
+            lambda text: padded(text, wide),
+            lambda _, row, __: (0.5 * area.width, _MARGIN + _ROW * row),
+        )
 
-    def inside(self, view: View, area: Area, corner: tuple[int, int]) -> Iterator[tuple[str, rr.AsComponents]]:
-        """Yield the same for a corner of a 3D view of this area."""
-        if not self.entries:
-            return
+    def inside(self, view: View, area: Area, corner: tuple[int, int], poses: Sequence[View] = ()) -> DrawnLabels:
+        """Return the same for a corner of a 3D view of this area; the clock is in each of the ``poses``, if any."""
         start = (np.array([area.width, area.height]) - self.size) * [corner[0] > 0, corner[1] < 0]
-        shift = (self._places() + start - [0.5 * area.width, 0.5 * area.height]) * [1.0, -1.0]
-        places = view.target + view.height() / area.height * shift @ view.axes()
-        yield LEGEND, rr.Points3D(single(places), radii=1e-6 * view.height(), **self._labels())
 
-    def _places(self) -> FloatArray:
-        """Return the points (k, 2) above the middles of the labels, from the upper left corner of the legend."""
-        return np.array([(_MARGIN + 0.5 * each.width, _MARGIN + _ROW * k) for k, each in enumerate(self.entries)])
+        def place(text: str, row: int, time: int | None = None) -> FloatArray:
+            pose = view if time is None or not poses else poses[time]
+            point = start + np.array([_MARGIN + 0.5 * label_width(text), _MARGIN + _ROW * row])
+            shift = (point - [0.5 * area.width, 0.5 * area.height]) * [1.0, -1.0]
+            return np.asarray(pose.target + pose.height() / area.height * shift @ pose.axes())
 
-    def _labels(self) -> dict[str, Any]:
+        return self._drawn(rr.Points3D, 1e-6 * view.height(), str, place)
+
+    def _drawn(
+        self,
+        archetype: type[rr.Points2D] | type[rr.Points3D],
+        radius: float,
+        written: Callable[[str], str],
+        place: Callable[[str, int, int | None], ArrayLike],
+    ) -> DrawnLabels:
+        """Draw the lines as labels; ``place`` returns the point of a text in a row, at the k-th time of the clock."""
         colours = palette.readable([entry.colour for entry in self.entries], self.theme)
-        return {"labels": [entry.text for entry in self.entries], "colors": colours, "show_labels": True}
+        still = [row for row, entry in enumerate(self.entries) if not entry.is_clock]
+        texts = [self.entries[row].text for row in still]
+        points = single(np.array([place(text, row, None) for text, row in zip(texts, still, strict=True)]))
+        common: dict[str, Any] = {"radii": radius, "show_labels": True}
+        statics: list[Static] = []
+        if still:
+            labels = [written(text) for text in texts]
+            statics.append((LEGEND, archetype(points, labels=labels, colors=colours[still], **common)))
+        if self.clock is None or len(still) == len(self.entries):
+            return DrawnLabels(statics, [])
+        row = next(row for row, entry in enumerate(self.entries) if entry.is_clock)
+        statics.append((CLOCK, archetype.from_fields(colors=colours[[row]], **common)))
+        points = single(np.array([place(text, row, k) for k, text in enumerate(self.clock.texts)]))
+        columns = archetype.columns(positions=points, labels=[written(text) for text in self.clock.texts])
+        return DrawnLabels(statics, [Rows(CLOCK, Index(NO_STEPS, self.clock.times), columns)])
+
+
+class DrawnLabels(NamedTuple):
+    """Static data, and rows."""
+
+    statics: Sequence[Static]
+    rows: Sequence[Rows]
 
 
 def _wrapped(entries: Sequence[LegendLine], width: float) -> Iterator[LegendLine]:
@@ -341,14 +391,14 @@ def _scale(header: Header, path: str, reference: float) -> str:
         return "1 radius = the median"
     kind = _DIMENSIONS[path]
     texts = [_round(header, magnitude_at(radii, REACH[path], reference), kind) for radii in _LENGTHS.values()]
-    unit = texts[-1].partition(" ")[2]
-    return ", ".join([*(text.removesuffix(f" {unit}") for text in texts[:-1]), texts[-1]])
+    unit = texts[-1].partition(_KEPT)[2]
+    return ", ".join([*(text.removesuffix(f"{_KEPT}{unit}") for text in texts[:-1]), texts[-1]])
 
 
 def _round(header: Header, value: float, kind: Dimension) -> str:
     """Write two digits of a magnitude, and a number below a million without an exponent."""
     number, _, unit = header.units.text(value, kind, ".2g").partition(" ")
-    return f"{float(number):.6g} {unit}"
+    return f"{float(number):.6g}{_KEPT}{unit.replace(' ', _KEPT)}"
 
 
 def _arrows(header: Header, references: Mapping[str, float], entities: Sequence[str]) -> Iterator[LegendLine]:

@@ -8,18 +8,18 @@ from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack
-from dataclasses import replace
 from itertools import cycle
 
 import numpy as np
 
 from carom.arrays import FloatArray
 from carom.display.body_colours import body_colours, change_with_time, redrawn_for, trail_colours
-from carom.display.legend import GRAPH, LegendContents, drawn_during, impact_marks, legend
+from carom.display.legend import LegendContents, MovieClock, drawn_during, impact_marks, legend
+from carom.display.margins import margins
 from carom.display.picture import headless, stable_picture, window_of
 from carom.display.presentation import asked, uniform_field
 from carom.display.request import Request
-from carom.display.staging import Staging, axes_and_field, decades, impact_strip, whole_span
+from carom.display.staging import Staging, decades, impact_strip, whole_span
 from carom.display.supplement import Supplement
 from carom.display.viewer import Viewer
 from carom.errors import RecordingError
@@ -28,13 +28,9 @@ from carom.recording.layout import (
     CLOSE_UP,
     as_happened,
     blueprint,
-    bodies_area,
-    bodies_eye,
-    graph_eye,
-    legend_area,
 )
 from carom.recording.layout.camera import FEW
-from carom.recording.layout.canvas import CORNERS, Additions, CameraMotion, Canvas, free_corner
+from carom.recording.layout.canvas import Additions, CameraMotion, Canvas
 from carom.recording.read.frame_rows import RecordedPositions
 from carom.recording.read.recorded_scene import header_of_recording, recorded_curves
 from carom.recording.read.recording import Recording
@@ -48,13 +44,23 @@ FORMATS = (".mp4", ".gif")
 _MOST_VIEWERS = 4
 _FRAMES_EACH = 20  # pictures for which it pays to start another viewer, which takes seconds
 _LOOKS = 50  # frames among which a legend finds a free corner
+_PICTURES_EACH = 4  # at least, for each impact around which a movie is slow
+_SLOW_EACH, _MOST_SLOW = 0.05, 0.5  # of a movie, at most, around each impact and around all
+_AROUND = 0.02  # of the shown time, at most, before and after an impact
+_PACE = 4  # pictures before and after one, from which its pace is measured
+_SLOW = 2.0  # times slower than the fastest part of a movie, from which on its clock says so
+_MOST_DIGITS = 9  # after the point
 _LIMIT = 60.0  # s, in which a picture must settle
 
 
-def frame_times(recording: Recording, start: float | None, end: float | None, count: int) -> FloatArray:
-    """Return the times (s) of recorded frames for ``count`` pictures, equally spaced from start to end (s).
+def frame_times(
+    recording: Recording, start: float | None, end: float | None, count: int, *, slowed: bool = False
+) -> FloatArray:
+    """Return the times (s) of recorded frames for ``count`` pictures from start to end (s).
 
-    Raises RecordingError if there are fewer than two frames, or the interval is not in the recording.
+    The pictures are equally spaced in time or, if ``slowed``, closer together around the hardest impacts. The instants
+    of these are among the times. Raises RecordingError if there are fewer than two frames, or the interval is not in
+    the recording.
     """
     times = recording.fingerprints()["time"].to_numpy()
     if len(times) < 2:
@@ -68,8 +74,60 @@ def frame_times(recording: Recording, start: float | None, end: float | None, co
         first, last = (recording.units.text(time, TIME, ".9g") for time in (start, end))
         raise RecordingError(f"from {first} to {last}: a movie goes from an earlier time to a later one")
     wanted = np.linspace(start, end, count)
+    impacts = _hardest(recording, start, end, count // _PICTURES_EACH) if slowed else np.zeros(0)
+    if len(impacts):
+        share = np.linspace(0.0, 1.0, count)
+        wanted = _around(impacts, start, end, share)
+        times = np.union1d(times, impacts)
     rows = np.searchsorted(times, wanted * (1.0 + 1e-12), side="right") - 1
-    return np.asarray(times[np.maximum(rows, 0)])
+    shown = np.asarray(times[np.maximum(rows, 0)])
+    shown[np.minimum(np.searchsorted(wanted, impacts), count - 1)] = impacts  # each instant has a picture
+    return shown
+
+
+def _hardest(recording: Recording, start: float, end: float, most: int) -> FloatArray:
+    """Return the instants (s) between start and end at which the hardest recorded impacts are, at most ``most``."""
+    if not header_of_recording(recording).records_contacts:
+        return np.zeros(0)
+    table = recording.impacts(start, end)
+    times, impulses = table["time"].to_numpy(), np.nan_to_num(table["normal_impulse"].to_numpy())
+    inside = (times > start) & (times < end)
+    instants, which = np.unique(times[inside], return_inverse=True)
+    largest = np.zeros(len(instants))
+    np.maximum.at(largest, which, impulses[inside])
+    return np.asarray(np.sort(instants[np.argsort(-largest, kind="stable")[:most]]))
+
+
+def _around(impacts: FloatArray, start: float, end: float, share: FloatArray) -> FloatArray:
+    """Return the times (s) that are shown when these fractions of a movie are over, slowly around ``impacts`` (s).
+
+    A part of the movie is spread evenly over time, the rest over an interval around each impact, which ends halfway
+    between two impacts.
+    """
+    borders = np.concatenate([[start], impacts, [end]])
+    half = np.minimum(0.5 * np.diff(borders), _AROUND * (end - start))
+    first, last = impacts - half[:-1], impacts + half[1:]
+    slow = min(_MOST_SLOW, _SLOW_EACH * len(impacts))
+    known = np.unique(np.concatenate([[start, end], first, last]))
+    over = np.interp(known, np.ravel([first, last], "F"), np.repeat(np.arange(len(impacts) + 1.0), 2)[1:-1])
+    over = (1.0 - slow) * (known - start) / (end - start) + slow * over / len(impacts)
+    return np.asarray(np.interp(share, over, known))
+
+
+def clock_of(recording: Recording, times: FloatArray) -> MovieClock:
+    """Return what the clock of a movie says whose pictures show these times (s): the time, and how slow it passes."""
+    shown, first = np.unique(times, return_index=True)
+    units = recording.units
+    apart = units.shown(float(np.diff(shown).min(initial=np.ptp(shown))), TIME) or 1.0
+    digits = int(np.clip(np.ceil(-np.log10(apart)), 0, _MOST_DIGITS))
+    window = np.clip(np.add.outer([-_PACE, _PACE], np.arange(len(times))), 0, len(times) - 1)
+    pace = np.diff(times[window], axis=0)[0] / np.diff(window, axis=0)[0].clip(1)
+    texts = list[str]()
+    for moment, row in zip(shown.tolist(), first.tolist(), strict=True):
+        text = f"t = {units.text(moment, TIME, f'.{digits}f')}"
+        slower = float(pace.max() / pace[row]) if pace[row] > 0.0 else 1.0
+        texts.append(f"{text}, slow motion 1 : {float(f'{slower:.1g}'):g}" if slower >= _SLOW else text)
+    return MovieClock(shown, texts)
 
 
 def pictures(
@@ -110,10 +168,11 @@ def pictures(
     supplement = None
     if view == CLOSE_UP:
         canvas = Canvas(*size, framed=False, rendered=True, theme=theme)
-        supplement = asked(recording, Request(event=event, bodies=bodies), canvas, view).supplement
+        clock = clock_of(recording, times)
+        supplement = asked(recording, Request(event=event, bodies=bodies), canvas, view, clock=clock).supplement
     elif not recording.is_overlay:
         canvas = Canvas(*size, framed=view == ALL, rendered=True, theme=theme)
-        supplement = _layout(recording, different, canvas, view, camera)
+        supplement = _layout(recording, different, canvas, view, camera, clock_of(recording, times))
     return _taken(times, lambda stack: _Studio(stack, recording, supplement, size, view, theme))
 
 
@@ -185,20 +244,24 @@ class _Studio:
 
 
 def _layout(
-    recording: Recording, times: Sequence[float], canvas: Canvas, view: str, motion: CameraMotion | None = None
+    recording: Recording,
+    times: Sequence[float],
+    canvas: Canvas,
+    view: str,
+    motion: CameraMotion | None = None,
+    clock: MovieClock | None = None,
 ) -> Supplement:
     """Lay out the views with a camera fitted to the bodies at all times and, in the light theme, legible colours."""
     header, recorded = header_of_recording(recording), RecordedPositions(recording)
     table = recording.fingerprints()
-    rows = np.searchsorted(table["time"].to_numpy(), times)
-    steps, moments = table[STEP].to_numpy()[rows], table["time"].to_numpy()[rows]
-    positions = [recorded.drawn(int(step)) - recording.origin for step in steps]
+    rows = np.maximum(np.searchsorted(table["time"].to_numpy(), times, side="right") - 1, 0)
+    positions = [recorded.drawn(int(step)) - recording.origin for step in table[STEP].to_numpy()[rows]]
     middling = np.argsort([_extent(position) for position in positions])[len(positions) // 2]
     colours = trail_colours(recording, header, header.coloured_by, canvas.theme)
     staging = Staging.of(recording, header, positions[int(middling)], colours, motion=motion)
     staging.camera.show_all()
     recoloured = redrawn_for(header, canvas.theme)
-    clock, curves = TimeScale(float(recording.info["time_scale"])), recorded_curves(recording)
+    scale, curves = TimeScale(float(recording.info["time_scale"])), recorded_curves(recording)
     impulses, strip, bands = impact_strip(recording)
     curves |= impulses
     logarithms, drawn_logarithms, styles = decades(recording, header, curves)
@@ -211,41 +274,36 @@ def _layout(
     contents = drawn_during(recording, laid_out)
     references = {name: float(value) for name, value in recording.arrow_references.items()}
     fixed = None if bodies is None else bodies.fixed
-    note = viewer_time(header.units, clock)
+    note = viewer_time(header.units, scale)
     contents |= LegendContents(trails=staging.trails is not None)
     words = legend(*(laid_out, by, fixed, references, None, contents), viewer_time=note, field=field, theme=theme)
+    words = words.titled(header.title, clock or clock_of(recording, np.array(times)))
     added = Additions(
         trails=staging.trails is not None,
         recoloured=recoloured,
         legend=words,
         struck=bool(strip),
         decades=logarithms,
-        span=clock.nanoseconds(whole_span(recording)),
+        span=scale.nanoseconds(whole_span(recording)),
         marks=marks,
         viewer_time=note,
     )
-    area = bodies_area(laid_out, canvas, view, close=False)
-    statics = [*bands, *styles, *staging.statics(), *arrow_styles(header, theme)]
-    seen = bodies_eye(staging.camera, area, added)
-    if view == ALL:
-        statics += words.statics(legend_area(canvas))
-    if seen.motion is CameraMotion.STILL:  # with a moving camera, nothing stays in a corner
-        added = replace(added, inset=words.of(view).size)
-        area = replace(area, inset=added.inset)
-        seen = bodies_eye(staging.camera, area, added)
-        if view == GRAPH:
-            seen = graph_eye(header, staging.camera, area, added)
-        some = np.concatenate(positions[:: max(1, len(positions) // _LOOKS)])
-        radius = np.resize(header.radius, len(some))
-        corner = free_corner(seen, area.aspect, area.inset_share, some, radius) or CORNERS[0]
-        statics += words.of(view).inside(seen, area, corner)
-        statics += axes_and_field(header, seen, area, field, some, radius, corner if added.inset[0] else None)
-        added = replace(added, axes=True)
-    layout = blueprint(header, staging.camera, curves, canvas, view, added)
-    drawn = [*strip, *drawn_logarithms, *staging.rows(), *staging.camera_rows(layout, steps, moments, positions)]
+    some = np.concatenate(positions[:: max(1, len(positions) // _LOOKS)])
+    radius = np.resize(header.radius, len(some))
+    parts = (laid_out, staging.camera, canvas, view, added, words, field, some, radius)
+    placed = margins(*parts, poses=lambda eye: staging.poses(eye, positions), times=np.array(times))
+    statics = [*bands, *styles, *staging.statics(), *arrow_styles(header, theme), *placed.statics]
+    layout = blueprint(header, staging.camera, curves, canvas, view, placed.added)
+    drawn = [
+        *strip,
+        *drawn_logarithms,
+        *staging.rows(),
+        *placed.rows,
+        *staging.camera_rows(layout, np.array(times), positions),
+    ]
     if recoloured and bodies is not None:
         drawn.append(bodies.rows(header))
-    return Supplement(layout, clock, drawn, statics)
+    return Supplement(layout, scale, drawn, statics)
 
 
 def _extent(position: FloatArray) -> float:

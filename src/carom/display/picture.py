@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import re
 import shutil
 import struct
 import tempfile
@@ -16,6 +15,7 @@ from pathlib import Path
 
 import rerun as rr
 
+from carom.display.letters import drawable
 from carom.display.presentation import asked
 from carom.display.request import Request
 from carom.display.viewer import Viewer, virtual_screen
@@ -26,21 +26,6 @@ from carom.recording.layout.canvas import Canvas
 from carom.recording.read.lookup import names_of
 from carom.recording.read.recording import Recording
 from carom.recording.write.whole_file import whole_file
-
-# The characters that the viewer can draw with its own font, Inter, as shipped with Rerun 0.41.
-
-# Latin, Greek, Cyrillic, punctuation, currencies, fractions, arrows and some signs of mathematics
-_DRAWN = re.compile(
-    r"[\s\x20-\x7e\xa0-\u0148\u014a-\u01c3\u01c5-\u031e\u038e-\u03a1\u03a3-\u03e1\u03f0-\u049d\u04a0-\u04ff"
-    r"\u2010-\u2027\u2030-\u205e\u2070-\u2071\u2074-\u208e\u20a0-\u20bf\u2153\u215a-\u2188\u2190-\u2199"
-    r"\u2202\u2205-\u2206\u220f\u2211-\u2212\u221a\u221e\u222b\u2248\u2260\u2264-\u2265\u25a0-\u25a2"
-    r"\u2605-\u2606]*"
-)
-
-
-def drawable(text: str) -> bool:
-    """Return whether the font has all characters of a text."""
-    return _DRAWN.fullmatch(text) is not None
 
 
 def has_all_glyphs(recording: Recording) -> bool:

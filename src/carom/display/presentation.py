@@ -10,7 +10,8 @@ import numpy as np
 from carom.arrays import FloatArray
 from carom.display.body_colours import body_colours, change_with_time, recorded_colours, redrawn_for, trail_colours
 from carom.display.close_up import close_up
-from carom.display.legend import GRAPH, LegendContents, drawn_at, drawn_during, impact_marks, legend
+from carom.display.legend import LegendContents, MovieClock, drawn_at, drawn_during, impact_marks, legend
+from carom.display.margins import margins
 from carom.display.request import (
     Request,
     ShownStep,
@@ -19,7 +20,7 @@ from carom.display.request import (
     pair_of_step,
     shown_step,
 )
-from carom.display.staging import Staging, axes_and_field, decades, impact_strip, names_that_fit, whole_span
+from carom.display.staging import Staging, decades, impact_strip, names_that_fit, whole_span
 from carom.display.supplement import BodyPlots, Supplement, asked_quantities, body_series
 from carom.errors import RecordingError, SceneError
 from carom.recording.layout import (
@@ -30,13 +31,10 @@ from carom.recording.layout import (
     as_happened,
     blueprint,
     bodies_area,
-    bodies_eye,
     close_up_area,
-    graph_eye,
-    legend_area,
 )
 from carom.recording.layout.camera import FEW
-from carom.recording.layout.canvas import CORNERS, Additions, CameraMotion, Canvas, free_corner
+from carom.recording.layout.canvas import Additions, CameraMotion, Canvas
 from carom.recording.layout.drawing import REACH
 from carom.recording.read.frame_rows import arrow_floors
 from carom.recording.read.lookup import tolerance
@@ -50,6 +48,7 @@ from carom.recording.write.encoder import BatchEncoder, state_rows
 from carom.recording.write.rows import NO_STEPS, Index, Rows
 from carom.recording.write.static_entities import arrow_styles
 from carom.scene.forces import UNIFORM_FIELD
+from carom.scene.units.dimension import TIME
 
 _ONCE = (paths.EVENTS, paths.FINGERPRINT, paths.MOMENTUM, paths.IMPACTS)  # not sent for repeated steps
 
@@ -72,6 +71,7 @@ def asked(
     only: str = ALL,
     *,
     dense: bool = False,
+    clock: MovieClock | None = None,
     watch: Watcher = lambda _: None,
 ) -> Presentation:
     """Choose how a request is shown; raises RecordingError if there is no such moment, event or body."""
@@ -97,6 +97,7 @@ def asked(
         colour_by=request.colour_by,
         by_stage=request.edges == "stage",
         dense=dense,
+        movie_clock=clock,
         watch=watch,
     )
 
@@ -114,6 +115,7 @@ def presentation(
     colour_by: str | None = None,
     by_stage: bool = False,
     dense: bool = False,
+    movie_clock: MovieClock | None = None,
     watch: Watcher = lambda _: None,
 ) -> Presentation:
     """Choose how a moment (s) is shown.
@@ -135,6 +137,8 @@ def presentation(
         Whether the edges beside the bodies have the colours of the solver's stages, not of impulses.
     dense
         Whether to add all steps up to the next recorded frame.
+    movie_clock
+        What the clock says, if the moment is that of the close-up of a movie.
     watch
         Called while steps are repeated.
 
@@ -161,12 +165,14 @@ def presentation(
     instant = None if chosen is None else at_impact(step, chosen, header, recording.origin, moment, clock)
     within_step = instant is not None and (at_own_time or abs(instant.time - moment) <= tolerance(moment))
     paused = instant if instant is not None and within_step else step
+    written = f"t = {header.units.text(paused.time, TIME, '.9g')}" if canvas.rendered else ""
     close = None
     if chosen is not None:
         close_area = close_up_area(header, canvas, only)
         close = close_up(
             *(recording, header, step, chosen, close_area, own, instant),
             pauses_within=within_step,
+            clock=movie_clock or written,
             explained=only == CLOSE_UP and canvas.rendered,
         )
     references = {name: float(value) for name, value in recording.arrow_references.items()}
@@ -213,26 +219,17 @@ def presentation(
         by_stage=by_stage,
         theme=canvas.theme,
     )
+    words = words.titled(header.title, written) if canvas.rendered else words
     added = Additions(
         *(close, has_trails, recoloured, by_stage, plots, words),
         moment=canvas.rendered,
         tips=_arrow_tips(header, recording.origin, paused, references),
         marks=marks,
-        inset=words.of(only).size if canvas.rendered else (0.0, 0.0),
     )
-    area = replace(area, inset=added.inset)
-    seen = graph_eye(header, staging.camera, area, added) if only == GRAPH else bodies_eye(staging.camera, area, added)
     past = np.zeros((0, 3)) if staging.trails is None else staging.trails.until(moment)
     visible, radius = np.concatenate([paused.position, past]), np.pad(header.radius, (0, len(past)))
-    corner = None
-    if added.inset[0]:
-        corner = free_corner(seen, area.aspect, area.inset_share, visible, radius) or CORNERS[0]
-        statics += words.of(only).inside(seen, area, corner)
-    elif only == ALL:
-        statics += words.statics(legend_area(canvas))
-    is_still = seen.motion is CameraMotion.STILL
-    if is_still:
-        statics += axes_and_field(header, seen, area, field, visible, radius, corner)
+    placed = margins(laid_out, staging.camera, canvas, only, added, words, field, visible, radius)
+    statics += placed.statics
     statics += arrow_styles(header, canvas.theme)
     impulses, strip, bands = impact_strip(recording)
     curves |= impulses
@@ -240,15 +237,16 @@ def presentation(
     rows += [*strip, *drawn_logarithms]
     statics += [*bands, *styles]
     added = replace(
-        added,
-        named=names_that_fit(header, step.position, seen, area),
+        placed.added,
+        named=names_that_fit(header, step.position, placed.view, placed.area),
         viewer_time=viewer_time(header.units, clock),
-        axes=is_still,
         struck=bool(strip),
         decades=logarithms,
         span=clock.nanoseconds(whole_span(recording)) if canvas.rendered else None,
     )
     layout = blueprint(header, staging.camera, curves, canvas, only, added)
+    if close is not None:
+        rows += close.camera_rows(layout)
     return Presentation(paused.time, step.missing, Supplement(layout, clock, rows, statics))
 
 

@@ -12,12 +12,12 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-from carom.arrays import ColourArray, FloatArray, IntArray
+from carom.arrays import ColourArray, FloatArray
 from carom.display.request import ShownStep
 from carom.display.supplement import Static, Trails, has_trails
 from carom.recording.layout import FIELD
 from carom.recording.layout.camera import CameraFit
-from carom.recording.layout.canvas import Area, CameraMotion, LensView, View, turned, views_of
+from carom.recording.layout.canvas import Area, CameraMotion, LensView, View, views_of
 from carom.recording.layout.curve_outline import CurveOutline, Curves
 from carom.recording.layout.drawing import line_radii, shape, single
 from carom.recording.layout.plot_views import DECADES, curve_style, grows_by_decades, shown_series
@@ -28,7 +28,7 @@ from carom.recording.schema import palette, paths
 from carom.recording.schema.header import Header
 from carom.recording.schema.paths import STEP
 from carom.recording.schema.series import PLOTS
-from carom.recording.write.rows import Index, Rows
+from carom.recording.write.rows import NO_STEPS, Index, Rows
 from carom.recording.write.static_entities import plane_grids
 from carom.scene.units import dimension
 
@@ -108,20 +108,20 @@ class Staging:
         if self.trails is not None:
             yield from self.trails.statics()
 
-    def camera_rows(
-        self, layout: rrb.Blueprint, steps: IntArray, times: FloatArray, positions: Sequence[FloatArray]
-    ) -> Iterator[Rows]:
-        """Yield the poses of the cameras that move, for positions (n, 3), in m from the origin, of some frames."""
+    def poses(self, view: View, positions: Sequence[FloatArray]) -> list[View]:
+        """Return the poses of a camera that moves, for positions (n, 3), in m from the origin, at some times."""
+        if view.motion is CameraMotion.FOLLOW:
+            return [replace(view, target=view.target + self.camera.offset(each)) for each in positions]
+        angles = np.linspace(0.0, 2.0 * np.pi, len(positions))
+        return [self.camera.turned_about(view, angle) for angle in angles.tolist()]
+
+    def camera_rows(self, layout: rrb.Blueprint, times: FloatArray, positions: Sequence[FloatArray]) -> Iterator[Rows]:
+        """Yield the poses of the cameras that move, for positions (n, 3), in m from the origin, at some times (s)."""
         for shown in views_of(layout.root_container):
             if not isinstance(shown, LensView) or shown.lens.view.motion is CameraMotion.STILL:
                 continue
-            view = shown.lens.view
-            if view.motion is CameraMotion.FOLLOW:
-                poses = [replace(view, target=view.target + self.camera.offset(each)) for each in positions]
-            else:
-                angles = np.linspace(0.0, 2.0 * np.pi, len(steps))
-                poses = [replace(view, to_eye=turned(view.to_eye, view.up, angle)) for angle in angles]
-            yield Rows(shown.lens.path, Index(steps, times), shown.lens.poses(poses))
+            poses = self.poses(shown.lens.view, positions)
+            yield Rows(shown.lens.path, Index(NO_STEPS, times), shown.lens.poses(poses))
 
 
 def impact_strip(recording: Recording) -> tuple[Curves, list[Rows], list[Static]]:

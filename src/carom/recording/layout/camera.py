@@ -201,6 +201,11 @@ class CameraFit:
                 centred = self._spheres[:, :3] - self._centre, self._spheres[:, :3] - self._spheres[:, 4:]
                 self._spheres = self._spheres[np.unique([_farthest(each, self._spheres[:, 3]) for each in centred])]
 
+    def turned_about(self, view: View, angle: float) -> View:
+        """Return a view from another side: turned about the vertical through the middle of the bodies (rad)."""
+        aside = turned(view.target - self._centre, view.up, angle)
+        return replace(view, to_eye=turned(view.to_eye, view.up, angle), target=self._centre + aside)
+
     def offset(self, position: FloatArray) -> FloatArray:
         """Return how far (m) the middle of the bodies (n, 3) has moved since the first moment."""
         moment = position[self._shown]
