@@ -118,6 +118,7 @@ class EngineMoment:
     position: FloatArray  # (n, 3) m
     velocity: FloatArray  # (n, 3) m/s
     spin: FloatArray  # (n, 3) rad/s; (0, 3) where unknown
+    orientation: FloatArray  # (n, 4) xyzw; (0, 4) where unknown
 
 
 @dataclass(frozen=True, slots=True)

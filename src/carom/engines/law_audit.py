@@ -18,15 +18,12 @@ from dataclasses import dataclass, field, fields
 import numpy as np
 
 from carom.arrays import BoolArray, FloatArray, IntArray
-from carom.engines.engine_contacts import EngineMoment, Near, lengths
+from carom.engines.engine_contacts import MARGIN, EngineMoment, Near, lengths
+from carom.engines.single_contacts import SHALLOW, Broken, ContactLaws
 from carom.engines.source import Setup
 from carom.errors import RecordingError
 from carom.event import Event
-from carom.physics.contact.impact_log import IMPACT
 from carom.physics.contact.islands import number_sets
-from carom.physics.contact.law import MATERIAL
-from carom.physics.contact.loads import LOAD
-from carom.physics.diagnostics.dissipation import WRONG, WRONG_WORK, JudgedEnds, judge_impacts
 from carom.physics.diagnostics.energy import Energy
 from carom.scene.units.dimension import ENERGY, VELOCITY
 from carom.scene.units.system import SI, UnitSystem
@@ -83,7 +80,8 @@ class Tolerances:
     momentum: float = 1e-3  # of Σ m |v| of the cluster
     angular_momentum: float = 1e-3  # of Σ (m |x| |v| + I |ω|) of the cluster
     overlap: float = 0.05  # of the smaller radius
-    dissipation: float = 0.01  # of ½ μ v_n² of an impact
+    restitution: float = 0.02  # of a coefficient of restitution
+    friction: float = 0.2  # of the work of friction, whose sign may be wrong
 
     def __post_init__(self) -> None:
         for each in fields(self):
@@ -96,7 +94,8 @@ class Tolerances:
 class Fault:
     """A violated law.
 
-    It is "energy", "momentum", "angular-momentum", "overlap", "missed-impact", "dissipation" or "not-finite".
+    It is "energy", "momentum", "angular-momentum", "overlap", "missed-impact", "friction", "restitution", "pull",
+    "spin" or "not-finite".
     """
 
     law: str
@@ -105,6 +104,7 @@ class Fault:
     amount: float  # error in units of the law's scale
     text: str  # a sentence
     bodies: tuple[int, ...] = ()  # numbers from n on are planes
+    excess: float = 1.0  # violation over tolerance
 
     @property
     def event(self) -> Event:
@@ -127,11 +127,16 @@ class AuditFinding:
 
 UNCHANGED = 1e-3  # of the closing speed; a smaller change does not count as contact
 TUNNELLED = 0.5  # of the closing speed; bodies that pass through each other and keep more of it have not collided
-SHALLOW = 1e-3  # of the smaller radius; such bodies count as apart
 FOUND = 5e-3  # of the smaller radius; at this depth even a soft contact must exert a force
 STILL = 0.05  # of the typical speed; slower contacts are at rest, where forces may balance
 AT_LEAST = 1e-2  # of a typical body's momentum or energy; smaller changes are noise
+OFF_AXIS = 0.3  # of an arm: the impulse of a contact is that far from its normal
+TINY = float(np.finfo(np.float64).tiny)  # replaces a tolerance of 0
 UNSEEN = 4 * float(np.finfo(np.float64).eps)  # of a position, which a motion must change from one frame to the next
+OFTEN, RARELY = 20, 0.05  # impacts that show an engine's habit, and the fraction of exceptions
+TURNED = 0.05  # of a rotation in a frame, which engines integrate to first order
+ROUNDED = 1e-5  # rad, of orientations in single precision
+MOST_TURN = 0.5  # rad; engines limit or approximate larger rotations in a step
 MOST_NAMED = 8  # bodies in a sentence
 TOLD = 3  # events reported for each law
 
@@ -152,8 +157,11 @@ class LawAudit:
         self._tolerances = tolerances
         self._names = names
         self._units = units
+        self._laws = ContactLaws(setup, tolerances.restitution, tolerances.friction)
         self._owed = np.zeros(len(setup))  # J, absorbed from each body by contacts since it was last free
         self._typical = 0.0  # m/s
+        self._fresh = 0  # frames in which two ends begin to overlap
+        self._late: list[Fault] = []  # of these, those in which they still close unchanged, unless they are many
         self._unseen = 0.0  # m/s, too slow to change a position from the previous frame to this one
         self._allowed = 0.0  # J, accumulated error of first-order steps in the uniform field, and of unseen motion
         self.counts: dict[str, int] = {}  # number of frames that violated each law
@@ -175,9 +183,10 @@ class LawAudit:
         clusters = clusters_of(self._setup, near, whole=potentials is not None)
         place = step, now.time
         faults = [
-            *self._momenta(place, before, now, clusters),
+            *self._momenta(place, before, now, near, clusters),
             *self._energy(place, before, now, clusters, potentials, found),
             *self._contacts(place, before, now, near, found),
+            *self._rotations(place, before, now, near),
         ]
         found.faults = [fault for fault in faults if self.note(fault)]
         return found
@@ -190,7 +199,7 @@ class LawAudit:
             return None
         way = "risen" if error > 0.0 else "fallen"
         text = f"Energy has {way} by {abs(relative):.2%} of its scale since the start, and no contact explains it."
-        fault = Fault("energy", step, time, abs(relative), text)
+        fault = Fault("energy", step, time, abs(relative), text, (), abs(relative) / max(self._tolerances.drift, TINY))
         return fault if self.note(fault) else None
 
     def closing(self) -> Iterator[tuple[str, str | int | float]]:
@@ -198,6 +207,7 @@ class LawAudit:
 
         The number of judged bodies comes first, unless all were judged.
         """
+        self.conclude()
         if not self._setup.judged.all():
             yield "audit.judged", int(np.count_nonzero(self._setup.judged))
         for law, first in self.first.items():
@@ -209,16 +219,18 @@ class LawAudit:
         """Continue the counts of an earlier audit, of other bodies."""
         self.counts, self.first, self.broken = earlier.counts, earlier.first, earlier.broken
         self._typical, self._allowed = earlier._typical, earlier._allowed
+        self._laws.go_on(earlier._laws)
 
     def note(self, fault: Fault) -> bool:
         """Count a fault, also of another check; return whether it is among the first of its law."""
-        self.first.setdefault(fault.law, fault)
+        if fault.law not in self.first or fault.step < self.first[fault.law].step:
+            self.first[fault.law] = fault
         self.broken.append((fault.time, fault.law))
         self.counts[fault.law] = self.counts.get(fault.law, 0) + 1
         return self.counts[fault.law] <= TOLD
 
     def _momenta(
-        self, place: tuple[int, float], before: EngineMoment, now: EngineMoment, clusters: Clusters
+        self, place: tuple[int, float], before: EngineMoment, now: EngineMoment, near: Near, clusters: Clusters
     ) -> Iterator[Fault]:
         """Compare the momenta of every free cluster."""
         m, dt = self._setup.mass, now.time - before.time
@@ -235,8 +247,33 @@ class LawAudit:
         (l0, s0), (l1, s1) = (self._spin(moment, clusters, mass) for moment in (before, now))
         size = clusters.sum(m * self._setup.radius)
         scale = np.maximum(s0, s1) + AT_LEAST * size * self._typical
-        tolerance, change = self._tolerances.angular_momentum, lengths(l1 - l0) - size * self._unseen
-        yield from self._worst("angular-momentum", place, clusters, change, scale, tolerance)
+        # a contact may act anywhere in the overlap of two bodies
+        kicks, n = m[:, None] * (v1 - v0 - self._setup.gravity * dt), len(m)
+        deep, bodies = np.zeros(n), near.pairs[:, 1] < n
+        for end in near.pairs[bodies].T:
+            np.maximum.at(deep, end, -np.minimum(near.gap_before, near.gap_now)[bodies])
+        change = l1 - l0
+        # engines with several steps in a frame keep the places of contacts while bodies move and turn
+        ways = [_cross(now.position - before.position - bulk * dt, kicks)]
+        if len(now.spin):
+            arms = self._setup.radius * dt
+            turn = arms[:, None] * 0.5 * (before.spin + now.spin)
+            size_of_kick = lengths(kicks)
+            along = kicks / np.where(size_of_kick > 0.0, size_of_kick, 1.0)[:, None]
+            ways.append(size_of_kick[:, None] * (turn - np.einsum("ij,ij->i", turn, along)[:, None] * along))
+            deep += OFF_AXIS * arms * np.maximum(lengths(before.spin), lengths(now.spin))
+        for way in ways:
+            moved = clusters.sum(way)
+            square = np.einsum("ij,ij->i", moved, moved)
+            part = np.einsum("ij,ij->i", change, moved) / np.where(square > 0.0, square, 1.0)
+            change = change - np.clip(part, 0.0, 1.0)[:, None] * moved
+        # several contacts may do so at different moments
+        many = np.bincount(clusters.label, minlength=clusters.count) > 2
+        off = lengths(np.where(many[:, None], l1 - l0, change))
+        off -= np.where(many, sum(clusters.sum(lengths(way)) for way in ways), 0.0)
+        off -= size * self._unseen + clusters.sum(deep * lengths(kicks))
+        tolerance = self._tolerances.angular_momentum
+        yield from self._worst("angular-momentum", place, clusters, off, scale, tolerance)
 
     def _spin(self, moment: EngineMoment, clusters: Clusters, mass: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return each cluster's angular momentum about its centre of mass, and Σ (m |x| |v| + I |ω|)."""
@@ -271,7 +308,8 @@ class LawAudit:
             touched = clusters.touched[worst]
             meanwhile = "in a contact among themselves" if touched else "while they attracted each other"
         text = f"{what} of {called} changed by {share[worst]:.2%} {meanwhile}."
-        yield Fault(law, *place, float(share[worst]), text, tuple(self._ends[members[:MOST_NAMED]].tolist()))
+        ends = tuple(self._ends[members[:MOST_NAMED]].tolist())
+        yield Fault(law, *place, float(share[worst]), text, ends, float(share[worst]) / max(most, TINY))
 
     def _energy(
         self,
@@ -315,7 +353,8 @@ class LawAudit:
         came = "came from nothing" if wrong[worst] > 0.0 else "was lost while nothing touched"
         much = self._units.text(abs(float(wrong[worst])), ENERGY, ".3g")
         text = f"Energy {came}: {much}, {share[worst]:.2%} of that of {self._called(members)}."
-        yield Fault("energy", *place, float(share[worst]), text, tuple(self._ends[members[:MOST_NAMED]].tolist()))
+        ends, amount = tuple(self._ends[members[:MOST_NAMED]].tolist()), float(share[worst])
+        yield Fault("energy", *place, amount, text, ends, amount / max(self._tolerances.energy, TINY))
 
     def _book(self, clusters: Clusters, taken: FloatArray, back: FloatArray, owed: FloatArray) -> None:
         """Divide the energy absorbed by contacts among each cluster's bodies; without contacts, nothing is owed."""
@@ -323,6 +362,25 @@ class LawAudit:
         members = np.bincount(label, minlength=clusters.count)
         left = np.where(owed > 0.0, 1.0 - back / np.where(owed > 0.0, owed, 1.0), 0.0)
         self._owed = np.where(clusters.touched[label], self._owed * left[label] + (taken / members)[label], 0.0)
+
+    def _rotations(
+        self, place: tuple[int, float], before: EngineMoment, now: EngineMoment, near: Near
+    ) -> Iterator[Fault]:
+        """Compare the rotation of each body that touched nothing with its spins at both ends of the frame."""
+        dt = now.time - before.time
+        if not (len(now.spin) and len(now.orientation)) or not dt > 0.0:
+            return
+        turn = rotation_between(before.orientation, now.orientation)
+        off = np.minimum(*(lengths(turn - moment.spin * dt) for moment in (before, now)))
+        free = self._setup.judged & ~self._setup.fixed & (lengths(turn) < MOST_TURN)
+        free[near.pairs[near.pairs < len(free)]] = False
+        excess = np.where(free, off / (TURNED * lengths(turn) + ROUNDED), 0.0)
+        worst = int(np.argmax(excess))
+        if excess[worst] > 1.0:
+            end = int(self._ends[worst])
+            text = f"{self._names.of(end)} turns otherwise than it spins: by {lengths(turn)[worst]:.3g} rad, off by "
+            text = f"{text[0].upper()}{text[1:]}{off[worst]:.3g} rad. Spins are expected in the frame of the world."
+            yield Fault("spin", *place, float(excess[worst]), text, (end,), float(excess[worst]))
 
     def _kinetic(self, moment: EngineMoment) -> FloatArray:
         """Return the kinetic energy of every body, (n,) J."""
@@ -345,7 +403,8 @@ class LawAudit:
         deepest = int(np.argmax(depth))
         if depth[deepest] > self._tolerances.overlap:
             text = f"{self._pair(near, deepest)} overlap by {depth[deepest]:.1%} of the smaller radius."
-            yield Fault("overlap", *place, float(depth[deepest]), text, tuple(self._ends[near.pairs[deepest]].tolist()))
+            ends, overlap = tuple(self._ends[near.pairs[deepest]].tolist()), max(self._tolerances.overlap, TINY)
+            yield Fault("overlap", *place, float(depth[deepest]), text, ends, float(depth[deepest]) / overlap)
         still = STILL * self._typical + 2.0 * float(np.sqrt(setup.gravity @ setup.gravity)) * dt
         at = near.directions_of_touch()
         plane = near.pairs[:, 1] >= n
@@ -359,6 +418,19 @@ class LawAudit:
         inside = np.einsum("ij,ij->i", near.now, normal) < 0.0
         passed = np.where(plane, inside, (near.gap_now >= -SHALLOW * near.small) | inside)
         through = near.passed_deep() & ~overlapped & passed & (closing > still) & (after > TUNNELLED * closing)
+        fresh = known & (near.gap_before > 0.0) & (near.gap_now < -SHALLOW * near.small) & (closing > still)
+        adjacent = near.pairs[np.minimum(near.gap_before, near.gap_now) <= MARGIN * near.small]
+        others = np.bincount(adjacent.ravel(), minlength=n + len(setup.planes)) - 1
+        others[n:] = 0
+        # a contact of one of the bodies may have closed it again
+        late = fresh & (after > (1.0 - UNCHANGED) * closing) & (others[near.pairs] == 0).all(axis=1)
+        self._fresh += int(np.count_nonzero(fresh))
+        if self._fresh < OFTEN or self._is_prompt(len(self._late)):
+            for row in np.flatnonzero(late & ~through).tolist():
+                speed = self._units.text(float(closing[row]), VELOCITY, ".3g")
+                text = f"Missed impact: {self._pair(near, row)} closed at {speed} and overlap, but not yet parted."
+                ends, excess = tuple(self._ends[near.pairs[row]].tolist()), float(closing[row]) / still
+                self._late.append(Fault("missed-impact", *place, float(closing[row]), text, ends, excess))
         missed = np.flatnonzero(known & (ignored | through))
         if len(missed):
             worst = int(missed[np.argmax(closing[missed])])
@@ -366,70 +438,49 @@ class LawAudit:
             speed = self._units.text(float(closing[worst]), VELOCITY, ".3g")
             text = f"Missed impact: {self._pair(near, worst)} {how}, closing at {speed}."
             ends = tuple(self._ends[near.pairs[worst]].tolist())
-            yield Fault("missed-impact", *place, float(closing[worst]), text, ends)
+            excess = float(closing[worst]) / still if still > 0.0 else np.inf
+            yield Fault("missed-impact", *place, float(closing[worst]), text, ends, excess)
         met = (near.gap_before > 0.0) & ((near.gap_now <= 0.0) | (after < TUNNELLED * closing))
         met &= near.gap_before <= closing * dt  # otherwise another body reversed them
         struck = met & known & (closing > still)
         self._impacts(near, np.where(struck, closing, 0.0), found)
-        # an impact that began and ended in this frame, of bodies that touched nothing else
-        counts = np.bincount(near.pairs.ravel(), minlength=n + len(setup.planes))
-        counts[n:] = 1
-        whole = np.flatnonzero(struck & (after < 0.0) & (counts[near.pairs] == 1).all(axis=1))
-        if len(whole) and setup.spins:
-            yield from self._dissipation(place, before, now, near, whole, at[whole], closing[whole])
+        yield from self._single_contacts(place, before, now, near, closing, still)
 
-    def _dissipation(
+    def _single_contacts(
         self,
         place: tuple[int, float],
         before: EngineMoment,
         now: EngineMoment,
         near: Near,
-        whole: IntArray,
-        normal: FloatArray,
         closing: FloatArray,
+        still: float,
     ) -> Iterator[Fault]:
-        """Judge the losses of whole impacts, rows of ``near``, as carom judges those of its own runs.
+        """Report the worst contact of each law of single contacts."""
+        worst: dict[str, Broken] = {}
+        for broken in self._laws.see(place[0], before, now, near, closing, still):
+            if broken.law not in worst or broken.excess > worst[broken.law].excess:
+                worst[broken.law] = broken
+        yield from (self._fault(place, broken) for broken in worst.values())
 
-        The impulse and the work of its parts, -J (v + v') / 2, follow from the velocities of both frames. The tolerance
-        is larger because the field may act before or after an impact at something fixed, and the normal turns.
-        """
-        setup, n, dt = self._setup, len(self._setup), now.time - before.time
-        i, j = near.pairs[whole].T
-        free = (j < n) & ~setup.fixed[np.minimum(j, n - 1)]
-        pushed = np.where(free, j, i)
-        change = now.velocity[pushed] - before.velocity[pushed] - setup.gravity * dt
-        impulse = np.where(free, 1.0, -1.0)[:, None] * setup.mass[pushed][:, None] * change
-        lost = []
-        for moment, relative in ((before, near.relative_before), (now, near.relative_now)):
-            surface = setup.radius[i][:, None] * moment.spin[i]
-            surface[j < n] += setup.radius[j[j < n]][:, None] * moment.spin[j[j < n]]
-            velocity = relative[whole] - _cross(surface, normal)
-            along = np.einsum("ij,ij->i", impulse, normal) * np.einsum("ij,ij->i", velocity, normal)
-            lost.append((-0.5 * along, along - np.einsum("ij,ij->i", impulse, velocity)))
-        log = np.zeros(len(whole), IMPACT)
-        log["i"], log["j"], log["approach"], log["clock"] = i, j, closing, np.arange(len(whole))
-        log["restitution_loss"] = lost[0][0] + lost[1][0]
-        log["friction_loss"] = 0.5 * (lost[0][1] + lost[1][1])
-        anchored = ~free | setup.fixed[i]
-        fallen = np.where(anchored, lengths(setup.gravity[None, :])[0] * dt, 0.0)
-        directions = [apart / lengths(apart)[:, None] for apart in (near.before[whole], near.now[whole])]
-        turned = lengths(directions[1] - directions[0]) * lengths(near.relative_before[whole])
-        slips = lengths(impulse) * (fallen + turned)  # J, by velocities that are uncertain by so much
-        weight = np.where(setup.fixed[i], 0.0, 1.0 / setup.mass[i]) + np.where(free, 1.0 / setup.mass[pushed], 0.0)
-        tolerance = self._tolerances.dissipation + 2.0 * slips * weight / closing**2
-        materials = np.zeros(1 + len(setup.planes), MATERIAL)
-        materials["restitution"] = np.nan if setup.restitution is None else setup.restitution
-        inverse_mass = np.append(np.where(setup.fixed, 0.0, 1.0 / setup.mass), np.zeros(len(setup.planes)))
-        ends = JudgedEnds(materials, np.empty((0, 2), np.int64), inverse_mass, n, False, False)
-        unloaded = dt, np.zeros((len(inverse_mass), 3)), np.zeros(len(inverse_mass), LOAD)
-        wrong = np.zeros(len(WRONG), WRONG_WORK)
-        judge_impacts(log, ends, unloaded, tolerance, *place, wrong)
-        for sentence, row in zip(WRONG, wrong, strict=True):
-            if row["energy"] > 0.0:
-                pair = np.array([row["i"], row["j"]])
-                energy = self._units.text(float(row["worst"]), ENERGY, ".3g")
-                text = f"{sentence}: {energy} by {self._names.pair(self._ends[pair].tolist())}."
-                yield Fault("dissipation", *place, float(row["energy"]), text, tuple(self._ends[pair].tolist()))
+    def _fault(self, place: tuple[int, float], broken: Broken) -> Fault:
+        ends = tuple(self._ends[list(broken.ends)].tolist())
+        called = self._names.pair((ends[0], ends[1])) if len(ends) == 2 else self._names.of(ends[0])
+        text = f"{called[0].upper()}{called[1:]} {broken.what}."
+        return Fault(broken.law, *place, broken.excess, text, ends, broken.excess)
+
+    def _is_prompt(self, late: int) -> bool:
+        """Return whether an engine resolves nearly all impacts in the step in which the bodies meet."""
+        return self._fresh >= OFTEN and late <= RARELY * self._fresh
+
+    def conclude(self) -> None:
+        """Judge what only the whole run shows: impacts unlike all others."""
+        if self._is_prompt(len(self._late)):
+            for fault in self._late:
+                self.note(fault)
+        self._late = []
+        for impact, broken in sorted(self._laws.outliers(), key=lambda found: found[0].step):
+            self.note(self._fault((impact.step, impact.time), broken))
+        self._laws.impacts = []
 
     def _impacts(self, near: Near, closing: FloatArray, found: AuditFinding) -> None:
         """Book the impacts, given their closing speeds in m/s; 0 for other pairs."""
@@ -449,6 +500,18 @@ class LawAudit:
         if len(bodies) == len(self._setup) > 2:
             return "all bodies together"
         return bodies_called(self._ends[bodies].tolist(), self._names.bodies)
+
+
+def rotation_between(before: FloatArray, now: FloatArray) -> FloatArray:
+    """Return the rotation vectors (n, 3), in the frame of the world, from quaternions (n, 4), xyzw, to others."""
+    u, a = before[:, :3], before[:, 3]
+    v, b = now[:, :3], now[:, 3]
+    half = a[:, None] * v - b[:, None] * u - _cross(v, u)
+    cosine = a * b + np.einsum("ij,ij->i", u, v)
+    sine = lengths(half)
+    angle = 2.0 * np.arctan2(sine, np.abs(cosine))
+    factor = np.where(sine > 0.0, angle / np.where(sine > 0.0, sine, 1.0), 2.0) * np.where(cosine < 0.0, -1.0, 1.0)
+    return np.asarray(factor[:, None] * half)
 
 
 def _cross(a: FloatArray, b: FloatArray) -> FloatArray:

@@ -113,7 +113,13 @@ class Observer:
         if self.setup.spins:
             self.bodies.angular_velocity[:] = state.angular_velocity
         bodies, before = self.bodies, self._before
-        now = EngineMoment(state.time, bodies.position.copy(), bodies.velocity.copy(), bodies.angular_velocity.copy())
+        now = EngineMoment(
+            state.time,
+            bodies.position.copy(),
+            bodies.velocity.copy(),
+            bodies.angular_velocity.copy(),
+            bodies.orientation.copy() if self.setup.turns else np.empty((0, 4)),
+        )
         dt_known = self._last_time is not None
         dt = 0.0 if self._last_time is None else now.time - self._last_time
         potentials, pull = self._potentials()
