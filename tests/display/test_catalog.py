@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
+import signal
 import socket
 import subprocess
 import sys
@@ -118,6 +120,39 @@ def test_the_server_of_a_window_is_where_no_other_user_can_connect(tmp_path: Pat
             socket.create_connection(("127.0.0.1", port), timeout=10)
         serving.stdin.close()
         assert serving.wait(60) == 0
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="namespaces are Linux's")
+def test_without_a_screen_only_calls_of_the_user_reach_the_server(tmp_path: Path) -> None:
+    (tmp_path / "runs").mkdir()
+    swept(tmp_path / "runs", 0.5)
+    screenless = {name: value for name, value in os.environ.items() if "DISPLAY" not in name}
+    with subprocess.Popen(
+        [sys.executable, "-u", "-c", CATALOGUE],
+        cwd=tmp_path,
+        env=screenless,
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+    ) as serving:
+        assert serving.stdout is not None
+        try:
+            line = serving.stdout.readline()
+            if "for your own viewers" not in line:
+                pytest.skip("this machine grants no namespaces")
+            server, _, entry = line.split(" at ")[1].split(",")[0].rpartition("/dataset/")
+            dataset = CatalogClient(server).get_dataset(tmp_path.name)
+            assert str(dataset.id) == entry and len(dataset.segment_ids()) == 1
+            port = int(server.rpartition(":")[2])
+            for host in (f"127.0.0.1:{port}", "rebound.example"):
+                with socket.create_connection(("127.0.0.1", port), timeout=10) as page:
+                    page.sendall(f"POST / HTTP/1.1\r\nHost: {host}\r\n\r\n".encode())
+                    with contextlib.suppress(ConnectionResetError):
+                        assert page.recv(1) == b""
+            serving.send_signal(signal.SIGINT)
+            assert serving.wait(60) == 0
+        finally:
+            serving.kill()
 
 
 def test_a_catalog_names_missing_recordings(tmp_path: Path) -> None:

@@ -33,6 +33,7 @@ from pathlib import Path
 
 name, changes, waits, folder = json.loads(sys.argv[1])
 ended = []
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell that starts us in the background ignores it
 
 def attempt():
     import carom

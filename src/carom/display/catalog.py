@@ -9,11 +9,13 @@ import contextlib
 import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
+from urllib.parse import urlsplit
 
 import datafusion  # noqa: F401 - Rerun's client needs it, and would fail only at the first request
 from rerun.server import Server
 
 from carom.display import keeper
+from carom.display.keeper import Door
 from carom.display.viewer import Viewer
 from carom.errors import RecordingError
 
@@ -35,7 +37,7 @@ def catalog(name: str, paths: Sequence[Path]) -> Iterator[str]:
         yield f"{server.url()}/dataset/{dataset.id}"
 
 
-def serve_catalog(name: str, paths: Sequence[Path], say: Callable[[str], None], alone: bool) -> None:
+def serve_catalog(name: str, paths: Sequence[Path], say: Callable[[str], None], alone: bool, door: Door | None) -> None:
     """Open the table in a viewer; without a screen, serve it until the interrupt key.
 
     Parameters
@@ -46,13 +48,21 @@ def serve_catalog(name: str, paths: Sequence[Path], say: Callable[[str], None], 
         Prints a line.
     alone
         Whether no other viewer can reach the server, since this process is in a network namespace of its own.
+    door
+        The port of the machine through which this user reaches the server of an isolated process without a screen.
 
     Raises
     ------
     RecordingError
-        If a recording is missing or, for an isolated process, there is no viewer.
+        If a recording is missing or, for an isolated process with a screen, there is no viewer.
     """
     with catalog(name, paths) as address:
+        if door is not None:
+            inner = urlsplit(address)
+            outer = inner._replace(netloc=f"{_HOST}:{door.address[1]}").geturl()
+            say(f"{len(paths)} recordings at {outer}, for your own viewers on this machine. Ctrl-C ends it.")
+            _until_interrupted(lambda: door.serve(inner.port or 0))
+            return
         say(f"{len(paths)} recordings" + ("" if alone else f" at {address}"))
         try:
             with Viewer(keep=(keeper.SHARED,)) as viewer:
@@ -63,6 +73,10 @@ def serve_catalog(name: str, paths: Sequence[Path], say: Callable[[str], None], 
             if alone:
                 raise
             say(f"{error}. The address serves a viewer elsewhere on this machine; Ctrl-C ends it.")
-            with contextlib.suppress(KeyboardInterrupt):
-                while True:
-                    time.sleep(1.0)
+            _until_interrupted(lambda: time.sleep(1.0))
+
+
+def _until_interrupted(wait: Callable[[], None]) -> None:
+    with contextlib.suppress(KeyboardInterrupt):
+        while True:
+            wait()

@@ -123,7 +123,7 @@ def free_port() -> int:
         return int(probe.getsockname()[1])
 
 
-class _Door:
+class Door:
     """A port of the machine through which this process's user, and nobody else, reaches a port in the namespace."""
 
     def __init__(self) -> None:
@@ -139,8 +139,8 @@ class _Door:
         with socket.create_connection(self.address) as ours, self._listener.accept()[0]:
             return is_ours(ours.getsockname(), self.address, self._table)
 
-    def serve(self) -> None:
-        """Wait `_POLL` for a connection; forward it."""
+    def serve(self, port: int) -> None:
+        """Wait `_POLL` for a connection; forward it to a port in the namespace."""
         try:
             connection, peer = self._listener.accept()
         except TimeoutError:
@@ -150,11 +150,11 @@ class _Door:
             return
         connection.settimeout(None)
         with contextlib.suppress(RuntimeError):  # no thread can be started
-            threading.Thread(target=_forward_calls, args=(connection,), daemon=True).start()
+            threading.Thread(target=_forward_calls, args=(connection, port), daemon=True).start()
 
 
-def _forward_calls(connection: socket.socket) -> None:
-    """Forward a connection of HTTP/2 to the viewer; close any other."""
+def _forward_calls(connection: socket.socket, port: int) -> None:
+    """Forward a connection of HTTP/2 to the viewer or server on a port; close any other."""
     begun = b""
     with contextlib.suppress(OSError, RuntimeError):
         while len(begun) < len(_PREFACE) and _PREFACE.startswith(begun):
@@ -163,7 +163,7 @@ def _forward_calls(connection: socket.socket) -> None:
                 break
             begun += piece
         if begun == _PREFACE:
-            viewer = socket.create_connection((HOST, _PORT))
+            viewer = socket.create_connection((HOST, port))
             viewer.sendall(begun)
             threading.Thread(target=_forward, args=(viewer, connection), daemon=True).start()
             _forward(connection, viewer)
@@ -258,7 +258,7 @@ def keep(parent: int, report: int, folder: Path, options: Sequence[str], screen:
     ``command`` starts the viewer, without its port.
     """
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))
-    door, port, environment = _Door(), _PORT, os.environ | {"TMPDIR": str(folder)}
+    door, port, environment = Door(), _PORT, os.environ | {"TMPDIR": str(folder)}
     isolated = SHARED not in options and door.knows_us() and isolate()
     if not isolated:
         port = free_port()
@@ -273,7 +273,7 @@ def keep(parent: int, report: int, folder: Path, options: Sequence[str], screen:
         os.close(report)
         while (status := children.ended()) is None and (LIVE in options or os.getppid() == parent):
             if isolated:
-                door.serve()
+                door.serve(port)
             else:
                 time.sleep(_POLL)
     return 1 if status is None else status

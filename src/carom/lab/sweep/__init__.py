@@ -309,18 +309,20 @@ def serve(folder: Path) -> None:
     """Serve a sweep's recordings to the viewer until the user closes it or presses Ctrl-C.
 
     Rerun's server has no password. Before libraries start threads, this process and its viewer therefore move into a
-    network namespace that other users of the machine cannot reach. Without a screen, the server accepts viewers
-    elsewhere.
+    network namespace that other users of the machine cannot reach. Without a screen, a port of the machine leads the
+    user's own viewers there.
     """
     from carom.display import keeper
 
-    alone = keeper.has_screen() and not keeper.screen_is_remote() and keeper.isolate()
+    door = None if keeper.has_screen() else keeper.Door()
+    wanted = not keeper.screen_is_remote() if door is None else door.knows_us()
+    alone = wanted and keeper.isolate()
     from carom.lab.sweep.manifest import Folder, read
 
     with needing("catalog", "carom sweep --catalog", "datafusion", "pandas"):
         from carom.display.catalog import serve_catalog
     paths = [folder / run.file for run in read(Folder(folder)).runs if run.file.startswith("runs/")]
-    serve_catalog(folder.resolve().name, paths, typer.echo, alone)
+    serve_catalog(folder.resolve().name, paths, typer.echo, alone, door if alone else None)
 
 
 def _rows(folder: Path) -> tuple[list[Row], StoredSweep]:
