@@ -9,8 +9,8 @@ import pytest
 from mypy import api
 
 from carom.arrays import RecordArray, dtype_of
-from carom.physics.contact.constraints import CONTACT, ROLLING_CONTACT, ContactRecord, RollingContactRecord
-from carom.physics.contact.rolling import ContactGeometry
+from carom.physics.contact.constraints import CONTACT, ROLLING_CONTACT
+from carom.physics.contact.records import ContactGeometry, ContactRecord, RollingContactRecord
 
 SNIPPET = """
 from carom.physics.contact.constraints import ConstraintSystem

@@ -41,6 +41,7 @@ from typing import TYPE_CHECKING, Any, Protocol, cast
 import numpy as np
 
 from carom.arrays import FloatArray, RecordArray, dtype_of
+from carom.physics.contact.records import ImageVelocity
 from carom.physics.jit.decorators import chosen_by_type, inline, inner, kernel, with_field
 from carom.physics.vector import Vector, minimum_image, nearest_image
 from carom.scene.portable_math import ENDLESS
@@ -68,14 +69,6 @@ class ShearedBoxRecord(Protocol):
 
 
 SHEARED_BOX = dtype_of(ShearedBoxRecord)
-
-
-class ImageVelocity(Protocol):
-    """Fields of lasting contacts in a sheared box."""
-
-    image_x: float  # m/s, w: the velocity of the image of j that touches i, relative to j
-    image_y: float
-    image_z: float
 
 
 class ShearedBox:

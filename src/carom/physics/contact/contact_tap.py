@@ -12,7 +12,7 @@ Rows are made on demand, since few steps are frames. Only impacts are stored at 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, NamedTuple, Protocol
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -29,12 +29,20 @@ from carom.contact_table import (
     ContactRow,
 )
 from carom.physics.aligned import Buffer, columns, joined, picked, raw
-from carom.physics.contact.constraints import CONTACT, ContactRecord, ContactStateRecord, ImpulseRecord
+from carom.physics.contact.constraints import CONTACT
 from carom.physics.contact.graph import comes_before, empty_graph
 from carom.physics.contact.hooks import OptionalPart, PresentStep
-from carom.physics.contact.impact_log import NO_IMPACTS, ImpactRecord
+from carom.physics.contact.impact_log import NO_IMPACTS
 from carom.physics.contact.law import IMPULSES, Materials, material_index, slides
-from carom.physics.contact.rolling import ContactGeometry, angular_impulse, angular_impulses_of
+from carom.physics.contact.records import (
+    ContactGeometry,
+    ContactRecord,
+    ContactStateRecord,
+    HasImpulse,
+    ImpactRecord,
+    ImpulseRecord,
+)
+from carom.physics.contact.rolling import angular_impulse, angular_impulses_of
 from carom.physics.diagnostics.ledger import FRICTION, RESTITUTION, STABILISATION
 from carom.physics.jit.decorators import inline, kernel, long_kernel
 from carom.physics.sheared_box import nearest_in_drift
@@ -44,15 +52,6 @@ if TYPE_CHECKING:
     from carom.physics.contact.pipeline import ContactPipeline
 
 MOST_IMPACTS = 100_000  # stored between two frames, 15 MB; of more, the largest are stored and the others counted
-
-
-class HasImpulse(Protocol):
-    """A record with an impulse in N s."""
-
-    normal_impulse: float
-    friction_x: float
-    friction_y: float
-    friction_z: float
 
 
 class Impulses(NamedTuple):

@@ -11,8 +11,9 @@ from __future__ import annotations
 import numpy as np
 
 from carom.arrays import FloatArray, IntArray, RecordArray
-from carom.physics.contact.constraints import ContactRecord, ContactStateRecord, ends_of
+from carom.physics.contact.constraints import ends_of
 from carom.physics.contact.moving_walls import set_surface_velocity
+from carom.physics.contact.records import ContactRecord, ContactStateRecord
 from carom.physics.contact.solids import tangent_plane
 from carom.physics.jit.decorators import inline, long_kernel
 from carom.physics.jit.instructions import from_front

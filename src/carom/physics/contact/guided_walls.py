@@ -7,7 +7,7 @@ N, and the effective mass of friction does not contain M,
     Δu = J·N / M,    K_n = 1/m + 1/M,    K_t = 1/m + ρ²/I
 
 The correction of overlaps moves it, too. Its load and its motion are a part of the model that can be removed, such as
-that of a piston (`piston_motion`): the part returns a `GuidedPlane` for a scene, whose motion extends
+that of a piston (`piston_motion`): the part returns a `solids.GuidedPlane` for a scene, whose motion extends
 `WallTranslation`. Records of bodies have the fields of a guide only in scenes with such a plane; see `moving_walls`.
 
 **Impacts during a drift.** As for bodies, the velocity u of the drift is that of the middle of the step, and the path
@@ -23,54 +23,11 @@ predictions of all other bodies.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import Any
 
-from carom.arrays import FloatArray, Records
+from carom.arrays import FloatArray
 from carom.physics.jit.decorators import inline, with_field
 from carom.physics.vector import Vector
-
-if TYPE_CHECKING:
-    from carom.physics.bodies import Ends
-    from carom.physics.contact.translating_walls import WallTranslation
-    from carom.scene.schema.motion import WallMotion
-
-
-class GuidedPlane(Protocol):
-    """A plane that contacts move along its normal."""
-
-    @property
-    def row(self) -> int:
-        """Its number among the solids."""
-        ...
-
-    @property
-    def normal(self) -> FloatArray:
-        """The normal, (3,)."""
-        ...
-
-    @property
-    def acceleration(self) -> float:
-        """The acceleration along the normal in m/s², without contacts."""
-        ...
-
-    def motion(
-        self, records: Records, before: Records, ends: Ends, motions: Sequence[WallMotion | None], smallest: float
-    ) -> WallTranslation:
-        """Return what moves it, and the walls with a prescribed motion, through the phases of a step.
-
-        ``smallest`` is the radius of the smallest body in m; the other parameters are those of `WallTranslation`.
-        """
-        ...
-
-
-class Guide(Protocol):
-    """Fields of bodies in a scene with a guided wall."""
-
-    axis_x: float  # the axis along which the wall moves; 0 for bodies, which move freely
-    axis_y: float
-    axis_z: float
-
 
 GUIDE = (  # of a solid in a drift; zeros for one that contacts do not move
     "guide_start",  # m, r₀

@@ -10,22 +10,32 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple, Protocol, TypeVar
+from typing import NamedTuple, Protocol, TypeVar
 
 import numpy as np
 
-from carom.arrays import FloatArray, IntArray, Records
+from carom.arrays import FloatArray, IntArray
 from carom.physics.contact.contact_checkpoint import ContactCheckpoint
-from carom.physics.contact.graph import CollisionGraph
 from carom.physics.contact.impact_log import NO_IMPACTS, Impacts
 from carom.physics.diagnostics.run_monitor import Profile
 from carom.physics.integrators.kick_drift import DampedPath
 
-if TYPE_CHECKING:
-    from carom.physics.diagnostics.impulse_audit import ImpulseAudit
-
 STRAIGHT = DampedPath(0.0, 0.0, 1.0)
 NO_ENTRIES: FloatArray = np.zeros((0, 3))
+
+
+class KickAudit(Protocol):
+    """The audit of impulses, as a step and its parts use it; as a context, it adds a change of velocities and spins."""
+
+    def add_kick(self, acceleration: FloatArray, dt: float) -> None:
+        """Add a kick of (n, 3) m/s² for dt s."""
+
+    def add_force(self, change: FloatArray) -> None:
+        """Add changes of velocities by forces, (n, 3) m/s."""
+
+    def __enter__(self) -> None: ...
+
+    def __exit__(self, *error: object) -> None: ...
 
 
 @dataclass(slots=True)
@@ -43,27 +53,13 @@ class PresentStep:
     path: DampedPath = STRAIGHT
     against: FloatArray | None = None  # (n + p, 3) m/s²: contacts hold against these, not the bodies' accelerations
     impacts: Impacts = NO_IMPACTS  # of the drift
-    audit: ImpulseAudit | None = None
+    audit: KickAudit | None = None
     pushed: float = 0.0  # m, by which the correction of overlaps moved a solid along its normal
 
     def set_kicks(self, before: float, drift: float, after: float) -> None:
         """Set a drift and the plain kicks before and after it, in s."""
         self.kick = self.booked = before
         self.drift, self.last_kick, self.path = drift, after, DampedPath(before, 0.0, 1.0)
-
-
-class IdleContacts(Protocol):
-    """Contacts at rest that no solver computes; sorted by pair."""
-
-    def __len__(self) -> int: ...
-
-    def graph(self) -> CollisionGraph:
-        """Return the contacts that touch or carry a force."""
-        ...
-
-    def records(self, dt: float) -> tuple[IntArray, IntArray, Records, Records, Records]:
-        """Return pairs, places, `CONTACT` with the impulses of dt s, `CONTACT_STATE` and `RECORDED`."""
-        ...
 
 
 class LedgerAccount(Protocol):

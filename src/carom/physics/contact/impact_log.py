@@ -7,14 +7,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol, cast
+from typing import cast
 
 import numpy as np
 
 from carom.arrays import FloatArray, IntArray, Records, dtype_of
 from carom.physics.aligned import columns
-from carom.physics.contact.rolling import AngularImpulse, ContactGeometry
-from carom.physics.diagnostics.ledger import LedgerRecord, terms_of
+from carom.physics.contact.records import ImpactRecord, RollingImpactRecord
+from carom.physics.diagnostics.ledger import terms_of
 
 ROUNDING = 1e-14  # of the speed of a body, and of a radius per drift; slower closing is a rounding error
 MAX_IN_COLLAPSE = 100  # impacts of a body in a drift, with e < 1 and no force that presses, after which it is held
@@ -22,34 +22,6 @@ MAX_IN_COLLAPSE = 100  # impacts of a body in a drift, with e < 1 and no force t
 # carried a load: with e < 1, its slow impacts then end at the load speed. Without this, bodies in the densest steps of
 # `hopper` have 1300 impacts instead of 160 and are exhausted.
 MANY_IMPACTS = 30
-
-
-class ImpactRecord(ContactGeometry, LedgerRecord, Protocol):
-    """An impact at its exact time."""
-
-    i: int  # i < j
-    j: int
-    time: float  # s from the beginning of the drift
-    clock: float  # s, the clock σ of the straight paths, see `events.trajectories`
-    approach: float  # m/s, closing speed
-    rest_speed: float  # m/s, closing speed up to which a contact is at rest
-    vix: float  # m/s, velocities right after the impact
-    viy: float
-    viz: float
-    vjx: float
-    vjy: float
-    vjz: float
-    normal_impulse: float  # N s
-    friction_x: float  # N s, the tangential impulse that acts on j
-    friction_y: float
-    friction_z: float
-    x: float  # m, the contact point
-    y: float
-    z: float
-
-
-class RollingImpactRecord(AngularImpulse, ImpactRecord, Protocol):
-    """An impact whose law resists rolling or twisting."""
 
 
 IMPACT = dtype_of(ImpactRecord)

@@ -19,35 +19,17 @@ than the largest acceleration does.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Protocol
-
 import numpy as np
 
 from carom.arrays import FloatArray, IntArray, RecordArray, dtype_of
 from carom.physics.contact.impact_log import ROUNDING
+from carom.physics.contact.records import ContactRecord, ContactStateRecord, LoadRecord
 from carom.physics.jit.decorators import inline, kernel, long_kernel, unowned
 from carom.physics.jit.instructions import from_front
 from carom.physics.vector import Vector, between, vector
 from carom.scene.rest_speed import PER_STEP
 
-if TYPE_CHECKING:
-    from carom.physics.contact.constraints import ContactRecord, ContactStateRecord
-
 UNKNOWN = 1e200  # m/s², a load in all directions: the rest speed is then the load speed
-
-
-class LoadRecord(Protocol):
-    """What contacts did to a body in the last kick, over its mass and the kick."""
-
-    x: float  # m/s², the acceleration by its contacts, Σ J/(m h)
-    y: float
-    z: float
-    xx: float  # m/s², the load Σ λ n nᵀ/(m h), symmetric
-    yy: float
-    zz: float
-    xy: float
-    xz: float
-    yz: float
 
 
 LOAD = dtype_of(LoadRecord)

@@ -18,28 +18,17 @@ field s, and records of solids the fields Ω and c; without these fields, the fu
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import Any
 
 from carom.arrays import FloatArray, IntArray, RecordArray
+from carom.physics.contact.records import ImpactRecord, ImpulseRecord, SlidingWallContactRecord
 from carom.physics.contact.rolling import angular_impulse
 from carom.physics.contact.translating_walls import displacement_in_drift, shift_of
 from carom.physics.jit.decorators import chosen_by_type, inline, kernel, with_field
 from carom.physics.vector import Vector
 
-if TYPE_CHECKING:
-    from carom.physics.contact.constraints import ImpulseRecord, SlidingWallContactRecord
-    from carom.physics.contact.impact_log import ImpactRecord
-
 ENTRY = "walls"  # of the ledger, with the sign of a loss: -W
 MOTION = ("motion_spin_x", "motion_spin_y", "motion_spin_z", "motion_x", "motion_y", "motion_z")  # Ω and c, of a solid
-
-
-class SurfaceVelocity(Protocol):
-    """Fields of contacts in a scene with moving walls."""
-
-    surface_x: float  # m/s, s of the wall; 0 between bodies
-    surface_y: float
-    surface_z: float
 
 
 def slip_on_wall(contact: Any, ux: float, uy: float, uz: float) -> tuple[float, float, float]:

@@ -24,12 +24,12 @@ from carom.errors import PhysicsError
 from carom.physics.bodies import Bodies
 from carom.physics.contact.contact_checkpoint import ContactCheckpoint
 from carom.physics.contact.graph import OrderedContacts, empty_graph
-from carom.physics.contact.hooks import NO_ENTRIES, Hooks, IdleContacts, Mover, OptionalPart, P, PresentStep
+from carom.physics.contact.hooks import NO_ENTRIES, Hooks, Mover, OptionalPart, P, PresentStep
 from carom.physics.contact.impact_log import NO_IMPACTS, Impacts
 from carom.physics.contact.impact_totals import ImpactTotals
 from carom.physics.contact.near_pairs import ContactWorld, NearPairs
 from carom.physics.contact.reactions import ImpactTurns, Torques, supported_acceleration
-from carom.physics.contact.snapshot import SnapshotSource
+from carom.physics.contact.snapshot import IdleContacts, SnapshotSource
 from carom.physics.contact.solver.contact_solver import MOST_SWEEPS, ContactSolver
 from carom.physics.contact.solver.positions import BAUMGARTE
 from carom.physics.contact.solver.prepare import ImpulseCache

@@ -15,8 +15,8 @@ from carom.arrays import BoolArray, FloatArray, IntArray, RecordArray
 from carom.contact_table import turning_impulses
 from carom.physics.aligned import columns
 from carom.physics.bodies import Bodies
-from carom.physics.contact.constraints import ContactRecord
 from carom.physics.contact.impact_log import Impacts
+from carom.physics.contact.records import ContactRecord
 from carom.physics.contact.rolling import angular_impulses_of
 from carom.physics.contact.solver.contact_solver import ContactSolver
 from carom.physics.contact.solver.prepare import ImpulseCache

@@ -11,49 +11,17 @@ fields, the functions below read 0 and write nothing.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import Any
 
 import numpy as np
 
 from carom.arrays import FloatArray, RecordArray
 from carom.physics.aligned import columns
 from carom.physics.contact import law
+from carom.physics.contact.records import AngularImpulse, BodyStateRecord, ContactGeometry
 from carom.physics.jit.decorators import inline, with_field
 from carom.physics.vector import Vector
 from carom.scene.schema import Coefficients
-
-if TYPE_CHECKING:
-    from carom.physics.contact.constraints import BodyStateRecord
-
-
-class ContactGeometry(Protocol):
-    """The geometry of a contact or an impact."""
-
-    nx: float  # the normal, from i to j
-    ny: float
-    nz: float
-    arm_i: float  # m, from each centre to the contact point
-    arm_j: float
-
-
-class AngularImpulse(Protocol):
-    """Fields of records whose law resists rolling or twisting."""
-
-    angular_x: float  # N m s, Λ
-    angular_y: float
-    angular_z: float
-
-
-class RollingFields(AngularImpulse, Protocol):
-    """Further fields of a contact whose law resists rolling or twisting."""
-
-    change_x: float  # N m s, the change of Λ in the last iteration
-    change_y: float
-    change_z: float
-    spin_x: float  # rad/s, Ω before `hold`
-    spin_y: float
-    spin_z: float
-
 
 ANGULAR_IMPULSE = tuple(AngularImpulse.__annotations__)
 

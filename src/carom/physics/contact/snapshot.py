@@ -7,20 +7,31 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 import numpy as np
 
-from carom.arrays import FloatArray, IntArray, RecordArray
+from carom.arrays import FloatArray, IntArray, RecordArray, Records
 from carom.physics.aligned import columns
-from carom.physics.contact.constraints import ContactRecord, ContactStateRecord
 from carom.physics.contact.graph import CollisionGraph, OrderedContacts, colour_bodies, colour_rest, empty_graph
 from carom.physics.contact.impact_log import NO_IMPACTS, Impacts
+from carom.physics.contact.records import ContactRecord, ContactStateRecord
 from carom.physics.contact.solver.contact_solver import ContactSolver
 from carom.physics.jit.decorators import kernel
 
-if TYPE_CHECKING:
-    from carom.physics.contact.hooks import IdleContacts
+
+class IdleContacts(Protocol):
+    """Contacts at rest that no solver computes; sorted by pair."""
+
+    def __len__(self) -> int: ...
+
+    def graph(self) -> CollisionGraph:
+        """Return the contacts that touch or carry a force."""
+        ...
+
+    def records(self, dt: float) -> tuple[IntArray, IntArray, Records, Records, Records]:
+        """Return pairs, places, `CONTACT` with the impulses of dt s, `CONTACT_STATE` and `RECORDED`."""
+        ...
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,16 +11,23 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
 from carom import registry
 from carom.arrays import BoolArray, FloatArray, IntArray, RecordArray, Records
-from carom.physics.contact.constraints import ContactStateRecord, ends_of
-from carom.physics.contact.guided_walls import GuidedPlane
+from carom.physics.bodies import Ends
+from carom.physics.contact.constraints import ends_of
 from carom.physics.contact.moving_walls import MOTION
-from carom.physics.contact.translating_walls import TRANSLATION, in_frame_of_wall, place, translation_of
+from carom.physics.contact.records import ContactStateRecord
+from carom.physics.contact.translating_walls import (
+    TRANSLATION,
+    WallTranslation,
+    in_frame_of_wall,
+    place,
+    translation_of,
+)
 from carom.physics.jit.decorators import chosen_by_type, identity_of, kernel, leaf, long_kernel, with_field
 from carom.physics.jit.instructions import from_front
 from carom.physics.vector import Vector, add, vector
@@ -36,6 +43,34 @@ _PLANE = ("plane_x", "plane_y", "plane_z", "plane_offset")
 _nearest: dict[str, Callable[..., Any]] = {}  # functions by the name of that field
 ARC_PASSES = 3  # of Newton's method; each doubles the number of correct digits
 LARGEST_ARC = 0.5  # fraction of the focal distance by which a body may move along a wall in a step
+
+
+class GuidedPlane(Protocol):
+    """A plane that contacts move along its normal."""
+
+    @property
+    def row(self) -> int:
+        """Its number among the solids."""
+        ...
+
+    @property
+    def normal(self) -> FloatArray:
+        """The normal, (3,)."""
+        ...
+
+    @property
+    def acceleration(self) -> float:
+        """The acceleration along the normal in m/s², without contacts."""
+        ...
+
+    def motion(
+        self, records: Records, before: Records, ends: Ends, motions: Sequence[WallMotion | None], smallest: float
+    ) -> WallTranslation:
+        """Return what moves it, and the walls with a prescribed motion, through the phases of a step.
+
+        ``smallest`` is the radius of the smallest body in m; the other parameters are those of `WallTranslation`.
+        """
+        ...
 
 
 @dataclass(frozen=True)

@@ -13,9 +13,10 @@ import numpy as np
 
 from carom.arrays import FloatArray, IntArray, RecordArray, dtype_of
 from carom.physics.bodies import Ends
-from carom.physics.contact.constraints import CONTACTS_PER_BLOCK, ContactRecord, ContactStateRecord, ends_of
+from carom.physics.contact.constraints import CONTACTS_PER_BLOCK, ends_of
 from carom.physics.contact.graph import OVERFLOW, OrderedContacts, comes_before, first_of
-from carom.physics.contact.impact_log import ImpactRecord, Impacts
+from carom.physics.contact.impact_log import Impacts
+from carom.physics.contact.records import ContactRecord, ContactStateRecord, ImpactRecord
 from carom.physics.diagnostics.ledger import LedgerRecord, clear_terms, terms_of
 from carom.physics.jit.decorators import inline, kernel, long_kernel
 from carom.physics.jit.instructions import from_front

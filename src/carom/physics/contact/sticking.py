@@ -15,8 +15,8 @@ import numpy as np
 from carom.arrays import FloatArray, IntArray, RecordArray
 from carom.physics.aligned import columns
 from carom.physics.bodies import Ends
-from carom.physics.contact.constraints import ContactRecord
 from carom.physics.contact.law import IMPULSES
+from carom.physics.contact.records import ContactRecord
 
 NEGLIGIBLE = 1e-2  # of the requested error; a motion that is slower than this in a step may end anywhere in it
 SOON = 1e-3  # of the next step; a motion that ends before may end in it, with a millionth of the largest error

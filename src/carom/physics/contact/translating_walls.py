@@ -32,6 +32,7 @@ import numpy as np
 
 from carom.arrays import FloatArray, IntArray, RecordArray, Records
 from carom.physics.contact.guided_walls import GUIDE, guided_displacement
+from carom.physics.contact.records import ContactRecord, ImpactRecord, ImpulseRecord
 from carom.physics.jit.decorators import inline, kernel, leaf, with_field
 from carom.physics.rotation import TWO_PI, sine_cosine
 from carom.physics.vector import Vector, vector
@@ -39,8 +40,6 @@ from carom.scene.schema.motion import WallMotion
 
 if TYPE_CHECKING:
     from carom.physics.bodies import Ends
-    from carom.physics.contact.constraints import ContactRecord, ImpulseRecord
-    from carom.physics.contact.impact_log import ImpactRecord
 
 _SHIFT = ("motion_shift_x", "motion_shift_y", "motion_shift_z")  # m, D at the present phase of the step
 TRANSLATION = (

@@ -23,12 +23,13 @@ import numpy as np
 from carom.arrays import FloatArray, IntArray, RecordArray, dtype_of
 from carom.event import Event
 from carom.physics.bodies import Bodies
-from carom.physics.contact.constraints import ContactRecord, ContactStateRecord, ends_of
+from carom.physics.contact.constraints import ends_of
 from carom.physics.contact.graph import comes_before
-from carom.physics.contact.impact_log import MANY_IMPACTS, MAX_IN_COLLAPSE, ImpactRecord, Impacts
+from carom.physics.contact.impact_log import MANY_IMPACTS, MAX_IN_COLLAPSE, Impacts
 from carom.physics.contact.islands import join_islands, root_of
 from carom.physics.contact.law import Materials, exerts_torque, material_index, restitution_of_impact, slides
-from carom.physics.contact.loads import LoadRecord, pressing
+from carom.physics.contact.loads import pressing
+from carom.physics.contact.records import ContactRecord, ContactStateRecord, ImpactRecord, LoadRecord
 from carom.physics.diagnostics.extremes import Extreme
 from carom.physics.diagnostics.ledger import clear_terms
 from carom.physics.jit.decorators import entry_of, inline, kernel, long_kernel

@@ -30,11 +30,11 @@ import numpy as np
 from carom.arrays import FloatArray, RecordArray, dtype_of
 from carom.physics.aligned import columns
 from carom.physics.bodies import Bodies
-from carom.physics.contact.hooks import LedgerAccount, OptionalPart, PresentStep
-from carom.physics.contact.impact_log import ImpactRecord
+from carom.physics.contact.hooks import LedgerAccount, PresentStep
+from carom.physics.contact.records import ImpactRecord
 from carom.physics.exponential import exponentials
 from carom.physics.forces.field import MIN_BODIES_PER_TASK, add
-from carom.physics.forces.force import Exchange
+from carom.physics.forces.force import Damping, Exchange
 from carom.physics.integrators.kick_drift import (
     DampedPath,
     DampedStep,
@@ -83,7 +83,7 @@ class DragLaw(NamedTuple):
     exchanged: FloatArray
 
 
-class StokesDrag(OptionalPart):
+class StokesDrag(Damping):
     """Slows all bodies down relative to a medium, at the same rate; a force, and a part of a step with its own kicks.
 
     ``outer``, (3,) m/s², is the acceleration by other forces that is the same for all bodies.
@@ -91,6 +91,7 @@ class StokesDrag(OptionalPart):
 
     kind = DRAG
     needs_every_step = False
+    law: DragLaw
 
     def __init__(self, drag: Drag, bodies: Bodies, outer: FloatArray, team: Team) -> None:
         rate = 1.0 / drag.relaxation_time

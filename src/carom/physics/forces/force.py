@@ -19,7 +19,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from math import sqrt
-from typing import TYPE_CHECKING, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
@@ -37,9 +37,6 @@ from carom.plan.auto import uses_tree
 from carom.plan.features import Requirements
 from carom.scene.forces import FORCES, UNIFORM_FIELD, ForceKind
 from carom.scene.load import Scene
-
-if TYPE_CHECKING:
-    from carom.physics.forces.drag import DragLaw, StokesDrag
 
 Potentials = dict[str, float]  # J, by term of the energy
 DRIVING_FIELD = "driving_field"  # entry of the ledger: the negative work of the uniform field along periodic axes
@@ -92,7 +89,13 @@ class ForceLaws(NamedTuple):
     softening: float  # m
     uniform: FloatArray  # (f, 3) m/s², of each force that accelerates all bodies alike, in the order of summation
     others: Parameters  # forces of installed packages, as for `add_forces`
-    damping: DragLaw | tuple[()]  # of the force that depends on velocities, for `kick_before_drift`; empty without one
+    damping: tuple[Any, ...]  # `Damping.law`, for `kick_before_drift`; empty without such a force
+
+
+class Damping(OptionalPart):
+    """A force that depends on velocities, and a part of a step with its own kicks."""
+
+    law: tuple[Any, ...]  # the force for kernels, which recognise it by its type
 
 
 class PathWork(OptionalPart):
@@ -170,7 +173,7 @@ class TotalForce:
         self._forces: list[Force] = [registry.load("forces", kind.name)(scene, bodies, team) for kind in kinds]
         self._forces += [kernel_forces.make(name, scene, bodies, team) for name in scene.forces.given]
         self.uniform: FloatArray = np.sum([np.zeros(3), *(force.uniform for force in self._forces)], axis=0)
-        self.damping: StokesDrag | None = next((force for force in self._forces if force.kind.damps), None)  # type: ignore[assignment] # a scene has at most one
+        self.damping = next((force for force in self._forces if isinstance(force, Damping)), None)  # at most one
         self.losses = [force.kind.loss for force in self._forces if force.kind.loss]
         own = (force for force in self._forces if isinstance(force, KernelForce))
         self.path_works = [PathWork(force.kind.loss, force.write, bodies) for force in own if force.kind.loss]

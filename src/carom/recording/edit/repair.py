@@ -16,10 +16,10 @@ from carom.errors import DamageError, RecordingError
 from carom.recording.layout import blueprint
 from carom.recording.layout.camera import CameraFit
 from carom.recording.read.entities import FINGERPRINTS, centres_of, join_rows, plain, reading
+from carom.recording.read.recorded_data import rising
 from carom.recording.read.recorded_scene import header_of_recording, recorded_curves
 from carom.recording.read.recording import Recording
 from carom.recording.read.statics import UNFINISHED
-from carom.recording.read.tables import rising
 from carom.recording.rrd.container import Container, Salvage, salvage
 from carom.recording.rrd.messages import BLUEPRINT, RECORDING, Chunk, Entry, Store
 from carom.recording.schema import paths

@@ -26,12 +26,12 @@ from carom.scene.units.dimension import TIME
 from carom.scene.wording import Names, bodies_called, body_called
 
 if TYPE_CHECKING:
-    from carom.recording.read.recording import Recording
+    from carom.recording.read.recorded_data import RecordedData
 
 _MOST_NAMED = 8  # bodies that a message lists
 
 
-def body_number(recording: Recording, body: int | str) -> int:
+def body_number(recording: RecordedData, body: int | str) -> int:
     """Return the number of a body: given as a number, a name, or text such as "3", or "#3" if a body is called "3".
 
     Raises RecordingError if there is no such body, or several have this name.
@@ -61,7 +61,7 @@ def body_number(recording: Recording, body: int | str) -> int:
     raise RecordingError(f'{recording.path} has no body "{body}"; {others}')
 
 
-def shown_body(recording: Recording, body: int | str) -> int:
+def shown_body(recording: RecordedData, body: int | str) -> int:
     """Return the number of a body, see `body_number`; raises RecordingError if a clip does not show it, too."""
     number, names, shown = body_number(recording, body), recording.bodies.name, recording.shown
     if number not in shown:
@@ -82,7 +82,7 @@ def split_at_commas(text: str, names: Iterable[str]) -> list[str]:
     return parts
 
 
-def names_of(recording: Recording) -> Names:
+def names_of(recording: RecordedData) -> Names:
     """Return the names of all bodies, planes and walls; planes are unnamed if this version cannot read the scene."""
     if recording.engine:
         return Names(recording.bodies.name, str(recording.info.get("plane_names", "")).split("\n"))
@@ -104,7 +104,7 @@ def check_times(**times: object) -> None:
 _RELATIVE_TOLERANCE = 1e-8  # `carom inspect` prints nine digits of a time, which people type again
 
 
-def moment(recording: Recording, at: float | None) -> float:
+def moment(recording: RecordedData, at: float | None) -> float:
     """Return the simulated time (s) to show; see `Recording.moment`."""
     recording.require_frames()
     times = _column(recording.fingerprints(), "time")
@@ -136,7 +136,7 @@ def moment(recording: Recording, at: float | None) -> float:
     return float(times[-1])
 
 
-def interval(recording: Recording, start: float | None, end: float | None) -> tuple[float, float]:
+def interval(recording: RecordedData, start: float | None, end: float | None) -> tuple[float, float]:
     """Return an interval (s), by default the whole recording, both ends included; RecordingError if it is outside."""
     recording.require_frames()
     check_times(begin=start, end=end)
@@ -148,7 +148,7 @@ def interval(recording: Recording, start: float | None, end: float | None) -> tu
     return first, last
 
 
-def _refuse_outside(recording: Recording, times: FloatArray, first: float, last: float, asked: str) -> None:
+def _refuse_outside(recording: RecordedData, times: FloatArray, first: float, last: float, asked: str) -> None:
     """Refuse an interval (s) outside the frames and the step before the first one."""
     begins, ends = float(times[0]), float(times[-1])
     if last < begins and not recording.is_overlay:
@@ -159,20 +159,20 @@ def _refuse_outside(recording: Recording, times: FloatArray, first: float, last:
         raise RecordingError(f"{recording.path} covers {whole}; {asked} is outside")
 
 
-def recorded_moments(recording: Recording) -> dict[str, float]:
+def recorded_moments(recording: RecordedData) -> dict[str, float]:
     """Return the times (s) of the moments of `carom inspect`, such as that of the hardest impact, by their names."""
     matches = ((re.fullmatch(r"moments\.([^.]+)\.time", key), value) for key, value in recording.closing.items())
     return {match[1]: float(value) for match, value in matches if match}
 
 
-def end_of_step(recording: Recording, step: int) -> float | None:
+def end_of_step(recording: RecordedData, step: int) -> float | None:
     """Return the time (s) at the end of a step; None if it has no frame."""
     frames = recording.fingerprints()
     rows = np.flatnonzero(frames[STEP].to_numpy() == step)
     return float(frames["time"][int(rows[0])].as_py()) if len(rows) else None
 
 
-def printed_time(recording: Recording, time: float, rounding: float) -> float:
+def printed_time(recording: RecordedData, time: float, rounding: float) -> float:
     """Return the recorded time (s) nearest to one that was rounded when it was printed; without one, the given time.
 
     Recorded times are those of frames, and of the moments of `carom inspect`, whose steps may have no frame.
@@ -188,13 +188,13 @@ def tolerance(time: float) -> float:
     return 0.0 if np.isinf(time) else _RELATIVE_TOLERANCE * abs(time)
 
 
-def goal_of(recording: Recording, at: float) -> float:
+def goal_of(recording: RecordedData, at: float) -> float:
     """Return the time (s) that a step must reach to contain a time; later times belong to the last recorded step."""
     times = _column(recording.fingerprints(), "time")
     return at if _row_at(times, at) is not None else min(at - tolerance(at), float(times[-1]))
 
 
-def frame_of(recording: Recording, at: float) -> int | None:
+def frame_of(recording: RecordedData, at: float) -> int | None:
     """Return the row of the frame at the end of the step that contains a time (s); None if that step has no frame.
 
     Times after the last frame belong to the last frame, and times before the first frame to the first.

@@ -23,7 +23,7 @@ from carom.scene.units.dimension import TIME
 
 if TYPE_CHECKING:
     from carom.physics.checkpoint import Checkpoint
-    from carom.recording.read.recording import Recording
+    from carom.recording.read.recorded_data import RecordedData
 
 
 _COLUMNS = (  # name, type and unit
@@ -86,7 +86,7 @@ def modes(numbers: NDArray[np.uint8], path: str) -> pa.Array:
     return pa.array(MODES).take(pa.array(numbers))
 
 
-def named_contacts(recording: Recording, table: pa.Table) -> pa.Table:
+def named_contacts(recording: RecordedData, table: pa.Table) -> pa.Table:
     """Add the names of both bodies or planes, and to each field its unit."""
     names, named = names_of(recording), with_units(table, UNITS)
     for place, number in ((4, "i"), (5, "j")):  # after step, time, i and j
@@ -103,7 +103,7 @@ def of_body(table: pa.Table, body: int | None) -> pa.Table:
     return table.filter(pa.array(own))
 
 
-def with_angular_impulses(table: pa.Table, recording: Recording) -> pa.Table:
+def with_angular_impulses(table: pa.Table, recording: RecordedData) -> pa.Table:
     """Fill in the angular impulses on spheres that spin: radius times tangential impulse."""
     if recording.engine or not recording.info["spins"]:
         return table
@@ -117,7 +117,7 @@ def with_angular_impulses(table: pa.Table, recording: Recording) -> pa.Table:
     return table
 
 
-def of_shown(table: pa.Table, recording: Recording) -> pa.Table:
+def of_shown(table: pa.Table, recording: RecordedData) -> pa.Table:
     """Keep the rows of bodies that a recording shows, in contact with each other or with planes."""
     if recording.shows_all:
         return table
@@ -141,7 +141,7 @@ _SAME = 1e-5  # relative error of sums of float32 impulses, and of the length of
 _TIME_AND_PLACE = ("time", "x", "y", "z", "nx", "ny", "nz")  # of an impact
 
 
-def contacts(recording: Recording, at: float | None) -> pa.Table:
+def contacts(recording: RecordedData, at: float | None) -> pa.Table:
     """Return the contacts of the step that contains a time (s); see `Recording.contacts`."""
     at = recording.moment(at)
     row = frame_of(recording, at)
@@ -152,14 +152,14 @@ def contacts(recording: Recording, at: float | None) -> pa.Table:
         return with_angular_impulses(_table(recording, *_row_of_contacts(recording, row)), recording)
 
 
-def rows_of_engine(recording: Recording, row: int) -> tuple[Records, float]:
+def rows_of_engine(recording: RecordedData, row: int) -> tuple[Records, float]:
     """Return the contacts (k,) `CONTACT_ROW` of another engine in a frame, and the time (s) since the last frame."""
     with reading(recording.path):
         chunk, own, step, time = _row_of_contacts(recording, row)
         return _rows_of_engine(recording, chunk, own, step, time), _dt(recording, step)
 
 
-def rows_by_frame(recording: Recording, first: int, last: int) -> Iterator[tuple[int, float, Records]]:
+def rows_by_frame(recording: RecordedData, first: int, last: int) -> Iterator[tuple[int, float, Records]]:
     """Yield step, time (s) and contacts (k,) `CONTACT_ROW` of another engine, from the first step to the last."""
     frames = recording.fingerprints()
     times = dict(zip(frames[STEP].to_pylist(), frames["time"].to_pylist(), strict=True))
@@ -186,7 +186,7 @@ def closing_speeds(rows: Records, state: Checkpoint, moves: BoolArray | None = N
     return np.asarray(np.nan_to_num(-np.einsum("ij,ij->i", relative, normal)))
 
 
-def _row_of_contacts(recording: Recording, row: int) -> tuple[Chunk, int, int, float]:
+def _row_of_contacts(recording: RecordedData, row: int) -> tuple[Chunk, int, int, float]:
     """Return the chunk with the contacts of a frame, the row in it, and the frame's step and time (s)."""
     frames = recording.fingerprints()
     step, time = int(frames[STEP][row].as_py()), float(frames["time"][row].as_py())
@@ -196,7 +196,7 @@ def _row_of_contacts(recording: Recording, row: int) -> tuple[Chunk, int, int, f
     return *found, step, time
 
 
-def _table(recording: Recording, chunk: Chunk, row: int, step: int, time: float) -> pa.Table:
+def _table(recording: RecordedData, chunk: Chunk, row: int, step: int, time: float) -> pa.Table:
     """Read a row of contacts, whose points and normals follow from its lines."""
     if recording.engine:
         rows, unknown = _rows_of_engine(recording, chunk, row, step, time), ("approach_speed", "energy_lost")
@@ -236,14 +236,14 @@ def _table(recording: Recording, chunk: Chunk, row: int, step: int, time: float)
     return table_of(columns, "recorded")
 
 
-def _dt(recording: Recording, step: int) -> float:
+def _dt(recording: RecordedData, step: int) -> float:
     """Return the length of a step in s; 0 if it is not recorded."""
     steps = recording.steps("dt")
     dt = steps["dt"].to_numpy()[steps[STEP].to_numpy() == step]
     return float(dt[0]) if len(dt) else 0.0
 
 
-def _rows_of_engine(recording: Recording, chunk: Chunk, row: int, step: int, time: float) -> Records:
+def _rows_of_engine(recording: RecordedData, chunk: Chunk, row: int, step: int, time: float) -> Records:
     """Read a row of another engine's contacts, whose points are not on the lines between the centres."""
     pairs = _values(chunk, "bodies", row, pa.uint32()).astype(np.int64).reshape(-1, 2)
     check_pairs(pairs, len(recording.bodies.radius), paths.CONTACTS)
@@ -263,7 +263,9 @@ def _rows_of_engine(recording: Recording, chunk: Chunk, row: int, step: int, tim
     return rows
 
 
-def _of_impacts(recording: Recording, columns: dict[str, Any], struck: BoolArray, apart: BoolArray) -> dict[str, Any]:
+def _of_impacts(
+    recording: RecordedData, columns: dict[str, Any], struck: BoolArray, apart: BoolArray
+) -> dict[str, Any]:
     """Add approach speeds and energies of the step's impacts to contacts that had no other impulse.
 
     If the bodies have separated by the end of the step, time, point and normal are those of the hardest impact.

@@ -26,7 +26,7 @@ from carom.recording.schema import paths
 from carom.recording.schema.paths import IMPACT, IMPACT_SUMS, SIM_TIME, STEP
 
 if TYPE_CHECKING:
-    from carom.recording.read.recording import Recording
+    from carom.recording.read.recorded_data import RecordedData
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +58,7 @@ class RecordedImpacts:
         return f"{text}{total}, {more} more than counted: they parted by the end of their step"
 
 
-def impacts(recording: Recording, start: float | None, end: float | None, body: int | str | None) -> pa.Table:
+def impacts(recording: RecordedData, start: float | None, end: float | None, body: int | str | None) -> pa.Table:
     """Return the impacts of an interval; see `Recording.impacts`."""
     first, last = interval(recording, start, end)
     number = None if body is None else shown_body(recording, body)
@@ -69,7 +69,7 @@ def impacts(recording: Recording, start: float | None, end: float | None, body: 
     return of_body(table, number)
 
 
-def numbered_impact(recording: Recording, number: int) -> tuple[float, int, int, int]:
+def numbered_impact(recording: RecordedData, number: int) -> tuple[float, int, int, int]:
     """Return time (s), step and ends of a recorded impact, given its number (from 1) on the timeline ``impact``."""
     numbers, rows = impacts_by_number(recording)
     found = np.flatnonzero(numbers == number)
@@ -83,20 +83,20 @@ def numbered_impact(recording: Recording, number: int) -> tuple[float, int, int,
     return row["time"], row["step"], row["i"], row["j"]
 
 
-def numbered_impacts(recording: Recording) -> tuple[IntArray, pa.Table]:
+def numbered_impacts(recording: RecordedData) -> tuple[IntArray, pa.Table]:
     """Return the numbers (k,) of all recorded impacts, ascending from 1, and their table; see `Recording.impacts`."""
     numbers, rows = impacts_by_number(recording)
     return numbers, _measured(recording, rows) if len(numbers) else table_of({STEP: numbers}, "")
 
 
-def _measured(recording: Recording, rows: pa.Table) -> pa.Table:
+def _measured(recording: RecordedData, rows: pa.Table) -> pa.Table:
     """Return the table of recorded rows of impacts, at least one."""
     with reading(recording.path):
         chunk = Chunk(paths.IMPACTS, rows.to_batches()[0])
         return _table(recording, chunk, _times(recording, chunk))
 
 
-def impacts_until(recording: Recording, step: int) -> RecordedImpacts:
+def impacts_until(recording: RecordedData, step: int) -> RecordedImpacts:
     """Count the impacts up to a step that has a frame; in a clip, the impacts since its first frame.
 
     In a clip of some bodies, only recorded impacts count, since the others may belong to bodies outside the clip.
@@ -115,12 +115,12 @@ def impacts_until(recording: Recording, step: int) -> RecordedImpacts:
     return RecordedImpacts(recorded, count - recorded)
 
 
-def impacts_by_number(recording: Recording) -> tuple[IntArray, pa.Table]:
+def impacts_by_number(recording: RecordedData) -> tuple[IntArray, pa.Table]:
     """Read the numbers of all recorded impacts, (k,) ascending, and their rows."""
     return _rows_by_number(recording, recording.store.frames_of(paths.IMPACTS))
 
 
-def states_by_number(recording: Recording) -> dict[str, tuple[IntArray, pa.Table]]:
+def states_by_number(recording: RecordedData) -> dict[str, tuple[IntArray, pa.Table]]:
     """Read the states at impacts: the numbers of each entity's rows, (k,), and the rows; series have two each."""
     entries = [entry for entry in recording.store.entries if entry.is_within_steps]
     return {
@@ -129,7 +129,7 @@ def states_by_number(recording: Recording) -> dict[str, tuple[IntArray, pa.Table
     }
 
 
-def _rows_by_number(recording: Recording, entries: list[Entry], least: int = 1) -> tuple[IntArray, pa.Table]:
+def _rows_by_number(recording: RecordedData, entries: list[Entry], least: int = 1) -> tuple[IntArray, pa.Table]:
     """Read chunks of an entity on the timeline of impacts; the numbers of two rows differ by at least ``least``."""
     with reading(recording.path):
         batches = [chunk.batch for chunk in recording.chunks(entries) if chunk.batch.num_rows]
@@ -146,7 +146,7 @@ def _rows_by_number(recording: Recording, entries: list[Entry], least: int = 1) 
         return numbers, table
 
 
-def count_at(recording: Recording, step: int) -> int:
+def count_at(recording: RecordedData, step: int) -> int:
     """Return the number of impacts up to a frame; 0 if it is not recorded."""
     with reading(recording.path):
         chunk, row = recording.row(paths.CONTACTS, step) or (None, 0)
@@ -155,7 +155,7 @@ def count_at(recording: Recording, step: int) -> int:
         return int(flat(chunk, "impact_count", Column(pa.int64()))[row].as_py())
 
 
-def sums_between(recording: Recording, first: int, last: int) -> ImpactSums | None:
+def sums_between(recording: RecordedData, first: int, last: int) -> ImpactSums | None:
     """Add up the sums over all impacts after the frame of one step, up to that of another; None if one lacks them."""
     found = list[ImpactSums]()
     with reading(recording.path):
@@ -175,7 +175,7 @@ def sums_between(recording: Recording, first: int, last: int) -> ImpactSums | No
     return ImpactSums.over(found)
 
 
-def _recorded(recording: Recording, first: float, last: float) -> pa.Table:
+def _recorded(recording: RecordedData, first: float, last: float) -> pa.Table:
     frames = recording.fingerprints()
     steps, times = frames[STEP].to_numpy(), frames["time"].to_numpy()
     # skip the chunks of other steps: the impacts of a step are not later than its end
@@ -197,13 +197,13 @@ def _recorded(recording: Recording, first: float, last: float) -> pa.Table:
     return pa.concat_tables(found).replace_schema_metadata({"source": "recorded", "left_out": str(told.left_out)})
 
 
-def _times(recording: Recording, chunk: Chunk) -> FloatArray:
+def _times(recording: RecordedData, chunk: Chunk) -> FloatArray:
     """Return the times of the rows of a chunk, in s."""
     scale = 1e-9 * float(recording.info["time_scale"])
     return np.asarray(chunk.batch[SIM_TIME].cast(pa.int64()).to_numpy() * scale)
 
 
-def _table(recording: Recording, chunk: Chunk, time: FloatArray) -> pa.Table:
+def _table(recording: RecordedData, chunk: Chunk, time: FloatArray) -> pa.Table:
     path, rows = paths.IMPACTS, chunk.batch.num_rows
     pairs = flat(chunk, "bodies", Column(pa.uint32(), 2)).to_numpy().reshape(-1, 2).astype(np.int64)
     check_pairs(pairs, len(recording.bodies.mass), path)

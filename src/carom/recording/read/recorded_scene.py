@@ -28,10 +28,10 @@ from carom.scene.start import InitialBodies, planes_of
 
 if TYPE_CHECKING:
     from carom.physics.checkpoint import Checkpoint
-    from carom.recording.read.recording import Recording
+    from carom.recording.read.recorded_data import RecordedData
 
 
-def recorded_scene(recording: Recording, overrides: list[str] | None = None) -> Scene:
+def recorded_scene(recording: RecordedData, overrides: list[str] | None = None) -> Scene:
     """Return the scene of a recording. Raises SceneError if this version cannot read it.
 
     Raises RecordingError if it is a recording of another engine or a clip without exact states, or is damaged.
@@ -59,7 +59,7 @@ def recorded_scene(recording: Recording, overrides: list[str] | None = None) -> 
     return scene
 
 
-def materials_of(recording: Recording) -> ShownMaterials | None:
+def materials_of(recording: RecordedData) -> ShownMaterials | None:
     """Return the materials of a recording; None if it has none, or this version cannot read the scene."""
     if "material" not in recording.scene_toml:  # reading a scene of many bodies takes seconds
         return None
@@ -69,7 +69,7 @@ def materials_of(recording: Recording) -> ShownMaterials | None:
         return None
 
 
-def refuse_missing_extensions(recording: Recording) -> None:
+def refuse_missing_extensions(recording: RecordedData) -> None:
     """Raise RecordingError, with the packages to install, if packages of the scene are missing."""
     if lack := missing(stamped(recording.info)):
         raise RecordingError(f"{recording.path}: {lack}")
@@ -78,7 +78,7 @@ def refuse_missing_extensions(recording: Recording) -> None:
 class RecordedBodies:
     """Finds the bodies of [[bodies]] tables in a recording."""
 
-    def __init__(self, recording: Recording) -> None:
+    def __init__(self, recording: RecordedData) -> None:
         self._recording = recording
 
     def find(self, wanted: Wanted) -> SourcedBodies:
@@ -93,7 +93,7 @@ class RecordedBodies:
         return SourcedBodies(self._recording.given_bodies(wanted.index, wanted.row, place), section.sha256, notes=notes)
 
 
-def start_of(recording: Recording, scene: Scene, checkpoint: Checkpoint) -> InitialBodies:
+def start_of(recording: RecordedData, scene: Scene, checkpoint: Checkpoint) -> InitialBodies:
     """Return the recorded bodies in the state of a checkpoint."""
     bodies, n = recording.bodies, scene.count
     spin = checkpoint.angular_velocity
@@ -117,7 +117,7 @@ def fixed_of(scene: Scene) -> BoolArray:
     return np.pad(fixed, (0, scene.count - len(fixed)))
 
 
-def header_of_recording(recording: Recording) -> Header:
+def header_of_recording(recording: RecordedData) -> Header:
     """Return the header of a recorded run, from the data that the file holds."""
     info, bodies = recording.info, recording.bodies
     extensions = stamped(info)
@@ -156,7 +156,7 @@ def header_of_recording(recording: Recording) -> Header:
     )
 
 
-def recorded_curves(recording: Recording, until: int | None = None) -> dict[str, CurveOutline]:
+def recorded_curves(recording: RecordedData, until: int | None = None) -> dict[str, CurveOutline]:
     """Return the outlines of all plotted series by path, optionally only up to a step."""
     curves: dict[str, CurveOutline] = {}
     tables = {ENERGY: recording.energy(), STEPS: recording.steps()}

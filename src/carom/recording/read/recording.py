@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
-from functools import cached_property
 from importlib.metadata import version as installed_version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
@@ -12,31 +11,28 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 import pyarrow as pa
 
-from carom.arrays import BoolArray, FloatArray, IntArray
-from carom.errors import DamageError, RecordingError
-from carom.recording.read.entities import CHECKPOINT_TIMES, Values, reading
+from carom.errors import RecordingError
+from carom.recording.read.entities import reading
 from carom.recording.read.lookup import check_times, moment
 from carom.recording.read.recorded_contacts import contacts
+from carom.recording.read.recorded_data import RecordedData
 from carom.recording.read.recorded_impacts import impacts
 from carom.recording.read.state_columns import BodyTrajectories
-from carom.recording.read.statics import BodyTable, decode_bodies, decode_names, named
+from carom.recording.read.statics import named
 from carom.recording.read.summary import html_of, summary
-from carom.recording.read.tables import FrameTables, bodies_at, checkpoints_at, trajectories, trajectory
+from carom.recording.read.tables import bodies_at, checkpoints_at, trajectories, trajectory
 from carom.recording.rrd.container import Container
-from carom.recording.rrd.messages import RECORDING, Chunk, Store
+from carom.recording.rrd.messages import RECORDING, Store
 from carom.recording.schema import paths
 from carom.recording.schema.header import schema_version
-from carom.recording.schema.paths import STEP
-from carom.scene.data.body_columns import BodyColumns
 from carom.scene.extensions import RELEASE
-from carom.scene.schema.shear import Shear
 from carom.scene.wording import counted
 
 if TYPE_CHECKING:
     from carom.physics.checkpoint import Checkpoint
 
 
-class Recording(FrameTables):
+class Recording(RecordedData):
     """A recording on disk. Make one with :meth:`open`."""
 
     def __init__(self, container: Container, store: Store | None = None) -> None:
@@ -74,82 +70,6 @@ class Recording(FrameTables):
             reader = f"carom {writer}, which recorded it, reads it: `pip install carom=={writer}`"
         own = f"this carom reads version {paths.SCHEMA_VERSION} only"
         raise RecordingError(f"{self.path} has schema version {version}, and {own}; {reader}")
-
-    @cached_property
-    @named
-    def bodies(self) -> BodyTable:
-        """Names, groups, masses, radii and moments of inertia; ``bodies(at)`` returns their state at a time.
-
-        In a clip of some bodies, the values of all others are NaN.
-        """
-        self.refuse_overlay()
-        stored, n = self._entities.static(paths.STATIC_STATE), int(self.info["bodies"])
-        n = len(self.shown) if self.is_partial else n
-        names, groups = decode_names(stored), np.asarray(stored["group"])
-        if len(names) != n or groups.shape != (n,) or groups.dtype != np.int64:
-            raise DamageError(f"names or groups of its bodies are not those of {n} bodies")
-        sizes = {name: np.asarray(stored[name]) for name in ("mass", "radius", "inertia")}
-        for name, array in sizes.items():
-            if array.shape != (n,) or array.dtype != np.float64 or not np.all((array >= 0.0) & np.isfinite(array)):
-                raise DamageError(f"{name} of its bodies is not {n} numbers of at least 0")
-        mass, radius, inertia = sizes.values()
-        if not (radius.all() and (mass.any() or self.is_partial) and np.array_equal(mass > 0.0, inertia > 0.0)):
-            raise DamageError("a radius, a moment of inertia or all masses of its bodies are 0")
-        table = BodyTable(names, groups, mass, radius, inertia, lambda at: bodies_at(self, at))
-        return table.among(self.shown, int(self.info["bodies"])) if self.is_partial else table
-
-    @cached_property
-    @named
-    def lives(self) -> IntArray | None:
-        """Steps (n, 2) of the first and the last frame with each body, where bodies came or went; otherwise None.
-
-        Both numbers are -1 for a body without a frame.
-        """
-        stored = self._entities.static(paths.LIVES, required=False)
-        if not stored:
-            return None
-        first, last = (np.asarray(stored[name]) for name in ("first_step", "last_step"))
-        n = int(self.info["bodies"])
-        if any(each.shape != (n,) or each.dtype != np.int64 for each in (first, last)):
-            raise DamageError("it does not state for each body when it came and went")
-        end = int(self.fingerprints()[STEP][-1].as_py()) if self.frames else -1
-        return np.stack([first, np.where((first >= 0) & (last < 0), end, last)], axis=1)
-
-    @cached_property
-    @named
-    def fixed(self) -> BoolArray:
-        """Mask (n,) of the bodies that another engine never moves; a recording without it has none."""
-        n = int(self.info["bodies"])
-        stored = self._entities.static(paths.STATIC_STATE).get("fixed", np.zeros(n, np.bool_))
-        mask = np.asarray(stored)
-        if mask.shape != (n,) or mask.dtype != np.bool_:
-            raise DamageError("it does not state for each body whether it is fixed")
-        return mask
-
-    @property
-    def shear(self) -> Shear | None:
-        """The shear of the periodic box; None without one."""
-        info = self.info
-        if "shear.rate" not in info:
-            return None
-        try:
-            return Shear(rate=float(info["shear.rate"]), flow=info["shear.flow"], gradient=info["shear.gradient"])
-        except (KeyError, ValueError) as error:
-            raise DamageError("it does not state how its box is sheared") from error
-
-    def cell(self, time: float) -> FloatArray | None:
-        """Return the size of the periodic box, (3,) m; of a sheared one, the vectors to its images, (3, 3); or None."""
-        if "box" not in self.info:
-            return None
-        size = np.asarray(self.info["box"], dtype=np.float64)
-        return self.shear.cell(size, time) if self.shear else size
-
-    def present(self, step: int) -> BoolArray:
-        """Return a mask (n,) of the bodies that exist in the frame of a step."""
-        if self.lives is None:
-            return np.ones(int(self.info["bodies"]), dtype=bool)
-        first, last = self.lives.T
-        return np.asarray((first >= 0) & (first <= step) & (step <= last))
 
     def trajectory(self, body: int | str, start: float = -np.inf, end: float = np.inf) -> pa.Table:
         """Return the path of one body, with one row per frame.
@@ -249,45 +169,6 @@ class Recording(FrameTables):
         check_times(at=at)
         return contacts(self, at)
 
-    @cached_property
-    @named
-    def impact_steps(self) -> IntArray:
-        """Steps of all recorded impacts, in order of their numbers."""
-        chunks = self.chunks(self.store.frames_of(paths.IMPACTS))
-        return np.concatenate([np.empty(0, np.int64), *(chunk.batch[STEP].to_numpy() for chunk in chunks)])
-
-    @named
-    def given_bodies(self, index: int, row: int, place: range) -> BodyColumns:
-        """Return the initial bodies of one [[bodies]] table; see `carom.recording.read.statics`."""
-        return decode_bodies(self._given_state, index, row, place, self.bodies)
-
-    @cached_property
-    @named
-    def checkpoint_times(self) -> dict[int, float]:
-        """Simulated times (s) of the checkpoints by step, ascending; the first one of a clip may precede its frames."""
-        table = self._entities.table(paths.CHECKPOINT, CHECKPOINT_TIMES)
-        times = {int(self._start[STEP][0]): float(self._start["time"][0])} if self._start else {}
-        rows = zip(table[STEP].to_pylist(), table["time"].to_pylist(), strict=True)
-        times |= {int(step): float(time) for step, time in rows}
-        return dict(sorted(times.items()))
-
-    @property
-    def checkpoint_steps(self) -> list[int]:
-        """Steps that carry an exact checkpoint, ascending."""
-        return list(self.checkpoint_times)
-
-    @named
-    def checkpoint(self, step: int) -> Checkpoint:
-        """Decode the exact state at one of :attr:`checkpoint_steps`.
-
-        Raises RecordingError if there is none at this step, or it is damaged: not finite, or different from its digest
-        or from the fingerprint of its frame.
-        """
-        if isinstance(step, bool) or not isinstance(step, (int, np.integer)):
-            known = f"give one of checkpoint_steps, such as {self.checkpoint_steps[:1]}"
-            raise RecordingError(f"checkpoint {step!r}: {known}")
-        return next(self.checkpoints([int(step)]))
-
     def checkpoints(self, steps: Iterable[int] | None = None) -> Iterator[Checkpoint]:
         """Yield the exact states at some of :attr:`checkpoint_steps`, by default at all, one by one.
 
@@ -314,6 +195,10 @@ class Recording(FrameTables):
         """Return the summary that `carom inspect` prints, as nested numbers and strings."""
         return summary(self)
 
+    def bodies_at(self, at: float | None) -> pa.Table:
+        """Return the state of all bodies at the end of the step that contains a time (s)."""
+        return bodies_at(self, at)
+
     def __repr__(self) -> str:
         """Return the path, the numbers of bodies and frames, and the outcome of the run."""
         bodies = counted(int(self.info["bodies"]), "body")
@@ -322,19 +207,3 @@ class Recording(FrameTables):
     def _repr_html_(self) -> str:
         """Return the summary as a table, for notebooks."""
         return html_of(self)
-
-    @cached_property
-    def _given_state(self) -> dict[str, Values]:
-        return self._entities.static(paths.GIVEN_STATE)
-
-    @cached_property
-    def _start(self) -> dict[str, Values]:
-        return self._entities.static(paths.START, required=False)
-
-    def temporal_chunks(self) -> Iterator[Chunk]:
-        """Read all chunks that are not static, unchanged."""
-        return self.chunks([entry for entry in self.store.entries if not entry.is_static])
-
-    def layout(self) -> list[Chunk]:
-        """Read the chunks of the layout with which the file opens; empty if there is none."""
-        return self._entities.layout()

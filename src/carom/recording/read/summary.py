@@ -19,10 +19,10 @@ from carom.scene.units.dimension import ENERGY, TIME
 from carom.scene.wording import body_called, counted, hypertext
 
 if TYPE_CHECKING:
-    from carom.recording.read.recording import Recording
+    from carom.recording.read.recorded_data import RecordedData
 
 
-def summary(recording: Recording) -> dict[str, Any]:
+def summary(recording: RecordedData) -> dict[str, Any]:
     """Nested numbers; docs/recording.md lists the keys.
 
     The largest errors of all steps are in the property `outcome`, under the same dotted key, such as
@@ -79,7 +79,7 @@ def summary(recording: Recording) -> dict[str, Any]:
     return found
 
 
-def _of_engine(recording: Recording) -> dict[str, Any]:
+def _of_engine(recording: RecordedData) -> dict[str, Any]:
     """Describe another engine's run: its judged bodies, and the violated laws with their first frames."""
     if not recording.engine:
         return {}
@@ -98,7 +98,7 @@ def _of_engine(recording: Recording) -> dict[str, Any]:
     }
 
 
-def _impacts(recording: Recording) -> dict[str, int]:
+def _impacts(recording: RecordedData) -> dict[str, int]:
     """Count recorded and unrecorded impacts; empty if the scene records none, as in runs of other engines."""
     if recording.engine or not recording.records_contacts or not recording.frames:
         return {}
@@ -115,7 +115,7 @@ def _energy(energy: pa.Table) -> dict[str, float]:
     return {"initial": float(total[0]), "final": float(total[-1]), "max_error": worst}
 
 
-def _changes(recording: Recording) -> dict[str, float]:
+def _changes(recording: RecordedData) -> dict[str, float]:
     """Split the energy change (J) of another engine's run into changes with and without touching bodies.
 
     While bodies touch, both the work of contacts and errors of the engine change the energy; states do not distinguish
@@ -142,7 +142,7 @@ def _largest(momenta: pa.Table, name: str) -> float | None:
     return None if np.isnan(worst) else worst
 
 
-def _contacts(recording: Recording) -> dict[str, Any]:
+def _contacts(recording: RecordedData) -> dict[str, Any]:
     """Return the sum of contacts in the recorded frames and their deepest overlap; None where it is lost."""
     steps = recording.steps("contacts")
     if "contacts" not in steps.column_names or steps.num_rows == 0:
@@ -155,7 +155,7 @@ def _contacts(recording: Recording) -> dict[str, Any]:
     return {"total": total, "max_overlap": deepest, "summed_over": "frames"}
 
 
-def _moments(recording: Recording) -> dict[str, Any]:
+def _moments(recording: RecordedData) -> dict[str, Any]:
     """Nest the worst moments.
 
     Bodies are written as ``3,17``, since a property cannot hold a list of unknown length.
@@ -192,7 +192,7 @@ def _below(properties: Mapping[str, Any], section: str) -> dict[str, Any]:
     return found
 
 
-def html_of(recording: Recording) -> str:
+def html_of(recording: RecordedData) -> str:
     """Return the summary of a recording as an HTML table, or the error if it cannot be read."""
     try:
         summary = recording.summary()

@@ -42,17 +42,10 @@ from carom.physics.contact.events.trajectories import (
     write_search_radii,
 )
 from carom.physics.contact.hooks import Mover, PresentStep
-from carom.physics.contact.impact_log import (
-    IMPACT,
-    MAX_IN_COLLAPSE,
-    NO_IMPACTS,
-    ROLLING_IMPACT,
-    ROUNDING,
-    ImpactRecord,
-    Impacts,
-)
+from carom.physics.contact.impact_log import IMPACT, MAX_IN_COLLAPSE, NO_IMPACTS, ROLLING_IMPACT, ROUNDING, Impacts
 from carom.physics.contact.islands import island_load_speeds
 from carom.physics.contact.law import dissipates, has_torque, material_index
+from carom.physics.contact.records import ImpactRecord
 from carom.physics.contact.solver.prepare import ImpulseCache
 from carom.physics.integrators.kick_drift import MIN_BODIES_PER_TASK, drift
 from carom.physics.jit.decorators import entry_of, inline, kernel, long_kernel

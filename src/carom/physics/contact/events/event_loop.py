@@ -46,7 +46,7 @@ from carom.physics.contact.events.trajectories import (
 from carom.physics.contact.events.wall_impacts import predict_with_walls
 from carom.physics.contact.geometry import normal_and_distance
 from carom.physics.contact.guided_walls import impacts_of_wall, push_guided
-from carom.physics.contact.impact_log import MANY_IMPACTS, MAX_IN_COLLAPSE, ROUNDING, ImpactRecord
+from carom.physics.contact.impact_log import MANY_IMPACTS, MAX_IN_COLLAPSE, ROUNDING
 from carom.physics.contact.law import (
     dissipates,
     exerts_torque,
@@ -58,6 +58,7 @@ from carom.physics.contact.law import (
     restitution_of_impact,
 )
 from carom.physics.contact.moving_walls import slip_at_wall
+from carom.physics.contact.records import ImpactRecord
 from carom.physics.contact.rolling import angular_impulse_of_impact, set_angular_impulse
 from carom.physics.contact.solver.body_state import slip_velocity
 from carom.physics.contact.translating_walls import velocity_in_drift, walls_translate

@@ -50,8 +50,9 @@ from carom.physics.contact.events.trajectories import (
     velocity_of_partner,
 )
 from carom.physics.contact.guided_walls import push_guided
-from carom.physics.contact.impact_log import ROUNDING, ImpactRecord
+from carom.physics.contact.impact_log import ROUNDING
 from carom.physics.contact.law import dissipates, material_index
+from carom.physics.contact.records import ImpactRecord
 from carom.physics.contact.rolling import set_angular_impulse
 from carom.physics.contact.solids import tangent_plane
 from carom.physics.contact.translating_walls import velocity_in_drift, walls_translate

@@ -16,7 +16,7 @@ import numpy as np
 from carom.arrays import BoolArray, FloatArray, IntArray, RecordArray
 from carom.physics.aligned import aligned_empty, words
 from carom.physics.bodies import Bodies
-from carom.physics.contact.constraints import CONTACTS_PER_BLOCK, ConstraintSystem, ContactRecord
+from carom.physics.contact.constraints import CONTACTS_PER_BLOCK, ConstraintSystem
 from carom.physics.contact.events.drift import WIDEST, EventDrivenDrift
 from carom.physics.contact.events.event_loop import predict
 from carom.physics.contact.events.trajectories import Neighbours, Trajectories, begin, straighten, write_search_radii
@@ -27,6 +27,7 @@ from carom.physics.contact.near_pairs import LARGEST_SKIN
 from carom.physics.contact.near_pairs import ROUNDING as MOST_ROUNDED
 from carom.physics.contact.pipeline import ContactPipeline
 from carom.physics.contact.plane_guard import mark_behind
+from carom.physics.contact.records import ContactRecord
 from carom.physics.contact.solver.body_state import gather, scatter
 from carom.physics.contact.solver.impacts import CONVERGED, check_closing
 from carom.physics.contact.solver.phase_code import IMPACTS, POSITIONS, RESTING

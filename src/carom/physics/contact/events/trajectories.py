@@ -27,11 +27,11 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from carom.arrays import BoolArray, FloatArray, IntArray, RecordArray, dtype_of
-from carom.physics.contact.constraints import ContactRecord
 from carom.physics.contact.geometry import normal_and_distance
 from carom.physics.contact.guided_walls import straighten_guided
 from carom.physics.contact.impact_log import ROUNDING
-from carom.physics.contact.loads import LoadRecord, pressing
+from carom.physics.contact.loads import pressing
+from carom.physics.contact.records import ContactRecord, LoadRecord
 from carom.physics.contact.solids import tangent_plane
 from carom.physics.contact.translating_walls import displacement_in_drift, velocity_in_drift, walls_translate
 from carom.physics.diagnostics.momentum import centre_velocity

@@ -25,16 +25,10 @@ heap of 1000 spheres, one `hold` in twenty is repeated; a separate pass for the 
 
 from __future__ import annotations
 
-from carom.physics.contact.constraints import (
-    ConstraintSystem,
-    ContactRecord,
-    ContactStateRecord,
-    body_count,
-    contacts_of,
-    ends_of,
-)
+from carom.physics.contact.constraints import ConstraintSystem, body_count, contacts_of, ends_of
 from carom.physics.contact.islands import join_islands
 from carom.physics.contact.law import exerts_torque
+from carom.physics.contact.records import ContactRecord, ContactStateRecord
 from carom.physics.contact.rolling import angular_impulse, relative_spin, set_angular_impulse, spin_before
 from carom.physics.contact.solver.body_state import half_turn_of, prefetch_ends, relative_velocity, slip
 from carom.physics.diagnostics.ledger import copy_terms

@@ -14,9 +14,10 @@ from typing import Any, Protocol
 import numpy as np
 
 from carom.arrays import BoolArray, FloatArray, IntArray, RecordArray
-from carom.physics.contact.constraints import BodyStateRecord, ContactRecord, ends_of
+from carom.physics.contact.constraints import ends_of
 from carom.physics.contact.guided_walls import along_guide
 from carom.physics.contact.moving_walls import slip_at_wall, slip_on_wall
+from carom.physics.contact.records import BodyStateRecord, ContactRecord
 from carom.physics.contact.solids import LARGEST_ARC
 from carom.physics.jit.decorators import inline, kernel, long_kernel, with_field
 from carom.physics.jit.instructions import AHEAD, from_front, prefetch_record

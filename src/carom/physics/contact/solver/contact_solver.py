@@ -16,15 +16,13 @@ from carom.physics.contact.constraints import (
     SETTINGS,
     SHARED_FROM,
     ConstraintSystem,
-    ContactRecord,
-    ContactStateRecord,
-    ImpulseRecord,
 )
 from carom.physics.contact.geometry import update_geometry
 from carom.physics.contact.graph import SolveOrder, solve_order_of
 from carom.physics.contact.islands import MOST_EXACT, Islands, mark_meshed
 from carom.physics.contact.law import Materials
-from carom.physics.contact.loads import UNKNOWN, LoadRecord, add_loads, clear_loads, write_rest_speeds
+from carom.physics.contact.loads import UNKNOWN, add_loads, clear_loads, write_rest_speeds
+from carom.physics.contact.records import ContactRecord, ContactStateRecord, ImpulseRecord, LoadRecord
 from carom.physics.contact.solids import add_arc_speeds, add_load_of_walls
 from carom.physics.contact.solver.body_state import active_bodies, gather, scatter
 from carom.physics.contact.solver.impacts import CONVERGED, check_closing

@@ -19,16 +19,7 @@ With e itself, the energy of each rebound is wrong by the change of the potentia
 from __future__ import annotations
 
 from carom.arrays import BoolArray, FloatArray, IntArray, RecordArray
-from carom.physics.contact.constraints import (
-    BodyStateRecord,
-    ConstraintSystem,
-    ContactRecord,
-    ContactStateRecord,
-    ImpulseRecord,
-    body_count,
-    contacts_of,
-    ends_of,
-)
+from carom.physics.contact.constraints import ConstraintSystem, body_count, contacts_of, ends_of
 from carom.physics.contact.geometry import smaller_arm
 from carom.physics.contact.guided_walls import tangent_inverse_mass
 from carom.physics.contact.impact_log import ROUNDING
@@ -42,6 +33,7 @@ from carom.physics.contact.law import (
     restitution_at_depth,
     restitution_of_impact,
 )
+from carom.physics.contact.records import BodyStateRecord, ContactRecord, ContactStateRecord, ImpulseRecord
 from carom.physics.contact.rolling import (
     angular_impulse,
     angular_impulse_of_impact,

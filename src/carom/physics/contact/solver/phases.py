@@ -30,11 +30,9 @@ from carom.physics.contact.constraints import (
     SCALE_BACK,
     SOLVE,
     WARM_START,
-    BlockSumsRecord,
     ConstraintSystem,
-    PieceResultsRecord,
-    SettingsRecord,
 )
+from carom.physics.contact.records import BlockSumsRecord, PieceResultsRecord, SettingsRecord
 from carom.physics.contact.solver.impacts import CONVERGED
 from carom.physics.contact.solver.phase_code import IMPACTS, POSITIONS
 from carom.physics.contact.solver.refine import INTOLERABLE, step_length

@@ -32,8 +32,6 @@ from carom.physics.contact.constraints import (
     PUSHED_BODY,
     RECORDED,
     ConstraintSystem,
-    ContactStateRecord,
-    PushedBodyRecord,
     body_count,
     contacts_of,
     ends_of,
@@ -41,6 +39,7 @@ from carom.physics.contact.constraints import (
 from carom.physics.contact.geometry import normal_and_distance
 from carom.physics.contact.guided_walls import pushed_rise
 from carom.physics.contact.law import material_index, restitution
+from carom.physics.contact.records import ContactStateRecord, PushedBodyRecord
 from carom.physics.contact.solids import tangent_plane
 from carom.physics.contact.solver.block import Block, whole_blocks
 from carom.physics.contact.solver.body_state import along_and_across, prefetch_ends, velocity_along

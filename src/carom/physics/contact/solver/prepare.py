@@ -22,8 +22,6 @@ from carom.physics.contact.constraints import (
     MIN_PER_TASK,
     ROLLING_CONTACT,
     ConstraintSystem,
-    ContactRecord,
-    ContactStateRecord,
     body_count,
     contacts_of,
     ends_of,
@@ -41,6 +39,7 @@ from carom.physics.contact.law import (
     inverse_tangent_mass,
 )
 from carom.physics.contact.moving_walls import clear_surface_velocity
+from carom.physics.contact.records import ContactRecord, ContactStateRecord
 from carom.physics.contact.rolling import (
     angular_impulse,
     angular_impulses_of,

@@ -38,11 +38,7 @@ from carom.physics.contact.constraints import (
     BODIES_PER_BLOCK,
     BODY_STATE,
     ENOUGH,
-    BlockSumsRecord,
-    BodyStateRecord,
     ConstraintSystem,
-    PieceResultsRecord,
-    SearchRecord,
     body_count,
     contacts_of,
     ends_of,
@@ -50,6 +46,7 @@ from carom.physics.contact.constraints import (
 from carom.physics.contact.geometry import smaller_arm
 from carom.physics.contact.law import material_index, sticks
 from carom.physics.contact.moving_walls import slope_on_wall
+from carom.physics.contact.records import BlockSumsRecord, BodyStateRecord, PieceResultsRecord, SearchRecord
 from carom.physics.contact.rolling import set_change_of_angular_impulse
 from carom.physics.contact.solver.block import CHANGE, VELOCITY
 from carom.physics.contact.solver.body_state import (

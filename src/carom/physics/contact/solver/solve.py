@@ -49,16 +49,14 @@ from carom.physics.contact.constraints import (
     ROLLING_CONTACT_OF_IMAGE,
     ROLLING_ON_MOVING_WALL,
     ROLLING_ON_WALL,
-    BodyStateRecord,
     ConstraintSystem,
-    ContactRecord,
-    ContactStateRecord,
     body_count,
     ends_of,
 )
 from carom.physics.contact.guided_walls import is_guided
 from carom.physics.contact.law import exerts_torque, lasting_friction, material_index, sliding_friction, sticks
 from carom.physics.contact.moving_walls import along_surface_velocity, slope_on_wall
+from carom.physics.contact.records import BodyStateRecord, ContactRecord, ContactStateRecord
 from carom.physics.contact.rolling import (
     accumulate_angular_impulse,
     angular_impulse,

@@ -29,12 +29,11 @@ from carom.physics.contact.constraints import (
     ROLLING_RECORDED,
     SEARCH,
     ConstraintSystem,
-    ContactRecord,
-    SettingsRecord,
 )
 from carom.physics.contact.graph import SolveOrder
 from carom.physics.contact.law import Materials, has_torque
 from carom.physics.contact.loads import LOAD
+from carom.physics.contact.records import ContactRecord, SettingsRecord
 from carom.physics.sheared_box import SHEARED_BOX
 from carom.scene.start import HalfSpaces
 

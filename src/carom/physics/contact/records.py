@@ -1,0 +1,330 @@
+"""The fields of the records of contacts, impacts and bodies; `constraints` lays most of them out in memory.
+
+Optional parts add fields: a law that resists rolling, walls, moving walls, guided walls, and a sheared box. This module
+imports nothing of contacts, so that each part names the fields that it needs.
+"""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+from carom.physics.diagnostics.ledger import LedgerRecord
+
+
+class ContactGeometry(Protocol):
+    """The geometry of a contact or an impact."""
+
+    nx: float  # the normal, from i to j
+    ny: float
+    nz: float
+    arm_i: float  # m, from each centre to the contact point
+    arm_j: float
+
+
+class AngularImpulse(Protocol):
+    """Fields of records whose law resists rolling or twisting."""
+
+    angular_x: float  # N m s, Λ
+    angular_y: float
+    angular_z: float
+
+
+class RollingFields(AngularImpulse, Protocol):
+    """Further fields of a contact whose law resists rolling or twisting."""
+
+    change_x: float  # N m s, the change of Λ in the last iteration
+    change_y: float
+    change_z: float
+    spin_x: float  # rad/s, Ω before `hold`
+    spin_y: float
+    spin_z: float
+
+
+class ContactRecord(ContactGeometry, Protocol):
+    """The fields of a contact that the iterations use."""
+
+    normal_mass: float  # kg, effective masses of normal and tangential impulses
+    tangent_mass: float
+    velocity_bias: float  # m/s, c: the contact may close at up to c; it has to separate if c is negative
+    normal_impulse: float  # N s, λ_n and λ_t
+    friction_x: float
+    friction_y: float
+    friction_z: float
+    delta_normal: float  # N s, s: their change in the last iteration
+    delta_x: float
+    delta_y: float
+    delta_z: float
+
+
+class RollingContactRecord(RollingFields, ContactRecord, Protocol):
+    """A contact whose law resists rolling."""
+
+
+class TurningNormal(Protocol):
+    """Fields of contacts in a scene with walls that may curve, and with friction."""
+
+    turn_x: float  # m/s, q at a wall before a drift, see `body_state.half_turn`
+    turn_y: float
+    turn_z: float
+
+
+class WallContactRecord(TurningNormal, ContactRecord, Protocol):
+    """A contact in a scene with walls."""
+
+
+class RollingWallContactRecord(TurningNormal, RollingContactRecord, Protocol):
+    """A contact in a scene with walls, whose law resists rolling."""
+
+
+class SurfaceVelocity(Protocol):
+    """Fields of contacts in a scene with moving walls."""
+
+    surface_x: float  # m/s, s of the wall; 0 between bodies
+    surface_y: float
+    surface_z: float
+
+
+class SlidingWallContactRecord(SurfaceVelocity, WallContactRecord, Protocol):
+    """A contact in a scene with rotating walls."""
+
+
+class RollingSlidingWallContactRecord(SurfaceVelocity, RollingWallContactRecord, Protocol):
+    """A contact in a scene with rotating walls, whose law resists rolling."""
+
+
+class ImageVelocity(Protocol):
+    """Fields of lasting contacts in a sheared box."""
+
+    image_x: float  # m/s, w: the velocity of the image of j that touches i, relative to j
+    image_y: float
+    image_z: float
+
+
+class ImageContactRecord(ImageVelocity, ContactRecord, Protocol):
+    """A contact in a sheared box."""
+
+
+class RollingImageContactRecord(ImageVelocity, RollingContactRecord, Protocol):
+    """A contact in a sheared box, whose law resists rolling."""
+
+
+class ContactStateRecord(Protocol):
+    """The fields of a contact that only the phases before and after the iterations use."""
+
+    overlap: float  # m, at present; negative for a gap
+    detected_overlap: float  # m, before the position correction; 0 for a gap
+    rest_speed: float  # m/s, largest approach speed of a contact at rest
+    approach_speed: float  # m/s, before the impulses
+    normal_before: float  # m/s, v_n and u before `hold`
+    slip_x: float
+    slip_y: float
+    slip_z: float
+    restitution_loss: float  # J, its ledger, as in `LedgerRecord`
+    friction_loss: float
+    stabilisation_gain: float
+    push_x: float  # m, Σ δ n of the position corrections
+    push_y: float
+    push_z: float
+    push_fraction: float  # of the overlap, removed by one position correction
+    apart: bool  # whether the contact was detected with a gap
+    biased: bool  # whether Baumgarte's bias makes it separate
+    slides: bool  # whether it slid in the last iterations and may not stick again
+
+
+class BodyStateRecord(Protocol):
+    """The velocities of a body, and their changes in the last iteration."""
+
+    vx: float  # m/s
+    vy: float
+    vz: float
+    wx: float  # rad/s
+    wy: float
+    wz: float
+    inverse_mass: float  # 1/kg
+    inverse_inertia: float  # 1/(kg m²)
+    dvx: float  # m/s, the changes
+    dvy: float
+    dvz: float
+    dwx: float  # rad/s
+    dwy: float
+    dwz: float
+    mass: float  # kg; 0 if fixed
+    inertia: float  # kg m²; 0 if fixed
+
+
+class Guide(Protocol):
+    """Fields of bodies in a scene with a guided wall."""
+
+    axis_x: float  # the axis along which the wall moves; 0 for bodies, which move freely
+    axis_y: float
+    axis_z: float
+
+
+class GuidedBodyRecord(Guide, BodyStateRecord, Protocol):
+    """A body in a scene with a guided wall."""
+
+
+class PushedBodyRecord(Protocol):
+    """A body during the position correction."""
+
+    x: float  # m
+    y: float
+    z: float
+    radius: float  # m
+    vx: float  # m/s
+    vy: float
+    vz: float
+    inverse_mass: float  # 1/kg
+
+
+class LoadRecord(Protocol):
+    """What contacts did to a body in the last kick, over its mass and the kick."""
+
+    x: float  # m/s², the acceleration by its contacts, Σ J/(m h)
+    y: float
+    z: float
+    xx: float  # m/s², the load Σ λ n nᵀ/(m h), symmetric
+    yy: float
+    zz: float
+    xy: float
+    xz: float
+    yz: float
+
+
+class SearchRecord(Protocol):
+    """A contact in conjugate gradients."""
+
+    step_normal: float  # N s, s: the change of the impulses
+    step_x: float
+    step_y: float
+    step_z: float
+    direction_normal: float  # N s, d
+    direction_x: float
+    direction_y: float
+    direction_z: float
+    residual_normal: float  # m/s, r
+    residual_x: float
+    residual_y: float
+    residual_z: float
+    velocity_bias: float  # m/s, c, see `bias_along_arc`
+    free_normal: bool  # whether λ_n and λ_t are free to change
+    free_tangent: bool
+
+
+class HasImpulse(Protocol):
+    """A record with an impulse in N s."""
+
+    normal_impulse: float
+    friction_x: float
+    friction_y: float
+    friction_z: float
+
+
+class ImpulseRecord(Protocol):
+    """Impulses of a contact that is recorded."""
+
+    normal_impulse: float  # N s, Σ of the impulses by `solver.impacts`
+    friction_x: float
+    friction_y: float
+    friction_z: float
+    correction_x: float  # N s, Σ of the changes of momentum by `solver.positions`
+    correction_y: float
+    correction_z: float
+
+
+class RollingImpulseRecord(AngularImpulse, ImpulseRecord, Protocol):
+    """Recorded impulses of a contact whose law resists rolling."""
+
+
+class PieceResultsRecord(Protocol):
+    """Results of a phase for one piece of contacts."""
+
+    residual: float  # m/s, the largest change or violation; for position corrections, 1 if another iteration is needed
+    residual_norm: float  # r·z, of conjugate gradients
+    exact_norm: float  # the same of contacts that are to converge to rounding
+    largest_push: float  # N s, the largest impulses of either sign
+    largest_pull: float
+    slope: float  # J, s·c of the line search
+    step_limit: float  # largest α of the line search at which no impulse is attractive
+    fastest: float  # m/s, the fastest approach
+    restitution_loss: float  # J, the ledger of the piece
+    friction_loss: float
+    stabilisation_gain: float
+    any_rests: bool  # whether a contact is at rest
+    is_exact: bool  # whether conjugate gradients go on here when they leave meshed islands
+
+
+class BlockSumsRecord(Protocol):
+    """Sums of the line search over a block of bodies."""
+
+    slope: float  # J, along the impulses
+    curvature: float
+
+
+class MeasuredRecord(LedgerRecord, BlockSumsRecord, Protocol):
+    """A contact whose island may have to return energy, and its ledger before the audit."""
+
+
+class IslandRecord(BlockSumsRecord, Protocol):
+    """An island that may have to return energy."""
+
+    scale: float  # factor on its impulses
+
+
+class SettingsRecord(Protocol):
+    """Settings of the phases, and values that they share."""
+
+    independent: int  # number of leading colours whose contacts share no moving body
+    iteration: int  # number of iterations before this one
+    dt: float  # s, the step for which the rest speeds were found; before a drift, the previous one
+    drift: float  # s, the coming drift; 0 after the last kick
+    booked: float  # s, the part of the drift for which the work of the forces is already booked
+    bias_rate: float  # 1/s, Baumgarte's separation speed per overlap
+    alpha: float  # α, of the line search and of conjugate gradients
+    beta: float  # β of conjugate gradients, weight of the last direction in the next one
+    negligible: float  # m/s, slower approaches are no violation
+    tolerance: float  # in multiples of `tolerated`
+    fastest: float  # m/s, the fastest approach before the impulses of impacts
+    any_rests: bool  # whether a contact was at rest before them
+    spins: bool  # whether impulses exert torques
+    impacts_only: bool  # whether resting contacts are skipped
+    solved: float  # of r·z at the start of a round of conjugate gradients, at which its iterations end
+    meshed_iterations: int  # of a round of conjugate gradients, after which it leaves meshed islands; 0 for no limit
+    refines: bool  # whether conjugate gradients follow the iterations
+    keeps_iterating: bool  # whether iterations follow conjugate gradients that did not converge
+    spares_meshed: bool  # whether these iterations ignore the contacts of meshed islands
+    ignores_meshed: bool  # whether they do so now
+    slides_meshed: bool  # whether contacts of meshed islands that have slid keep sliding in all iterations
+    is_lenient: bool  # whether contacts of meshed islands may close by their rest speed
+    slides_above: float  # contacts with a larger `enough` that have slid since the kick keep sliding
+    islands_known: bool  # whether the bodies' islands are found
+    measures: bool  # whether the audit writes `MEASURED`
+    scaled_back: bool  # whether impulses were too large for the energy bound
+
+
+class ImpactRecord(ContactGeometry, LedgerRecord, Protocol):
+    """An impact at its exact time."""
+
+    i: int  # i < j
+    j: int
+    time: float  # s from the beginning of the drift
+    clock: float  # s, the clock σ of the straight paths, see `events.trajectories`
+    approach: float  # m/s, closing speed
+    rest_speed: float  # m/s, closing speed up to which a contact is at rest
+    vix: float  # m/s, velocities right after the impact
+    viy: float
+    viz: float
+    vjx: float
+    vjy: float
+    vjz: float
+    normal_impulse: float  # N s
+    friction_x: float  # N s, the tangential impulse that acts on j
+    friction_y: float
+    friction_z: float
+    x: float  # m, the contact point
+    y: float
+    z: float
+
+
+class RollingImpactRecord(AngularImpulse, ImpactRecord, Protocol):
+    """An impact whose law resists rolling or twisting."""
