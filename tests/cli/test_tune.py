@@ -23,12 +23,12 @@ def test_the_only_setting_that_keeps_the_limit_is_written_with_its_measurement(t
     done = carom(*command, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     said = done.stdout.splitlines()[-5:]
-    assert said[0].startswith("The cheapest of 3 settings tried: integrator = yoshida4, step × 16, ")
+    assert said[0].startswith("The cheapest of 3 settings tried: integrator = yoshida4, steps 16 times as long, ")
     assert " times as fast as the original scene (" in said[1]
     assert said[2].startswith("It keeps energy ") and said[3].startswith("Worse than the original scene: position ")
     assert said[4] == "Written to figure-eight-tuned.toml. The measurements stay in recordings/tradeoff/figure-eight."
     text = (tmp_path / "figure-eight-tuned.toml").read_text(encoding="utf-8")
-    assert text.startswith("# carom tune: integrator = yoshida4, step × 16\n# measured: energy ")
+    assert text.startswith("# carom tune: integrator = yoshida4, steps 16 times as long\n# measured: energy ")
     assert "# Three equal masses chase each other" in text, "the author's comments stay"
     scene = Scene.load(tmp_path / "figure-eight-tuned.toml")
     assert scene.time.fixed_dt == 0.032 and scene.time.integrator == "yoshida4"
@@ -44,7 +44,7 @@ def test_a_cheaper_setting_that_loses_frames_is_named_with_its_reason(tmp_path: 
     done = carom("tune", "figure-eight", "--error", "energy=1e-3", *vary, *frames, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     (left_out,) = (line for line in done.stdout.splitlines() if line.startswith("Cheaper, but rejected"))
-    assert left_out.startswith("Cheaper, but rejected: step × 32, ")
+    assert left_out.startswith("Cheaper, but rejected: steps 32 times as long, ")
     assert left_out.endswith(" s; a recording would have 314 frames of 1001.")
 
 
@@ -99,8 +99,10 @@ def test_without_values_to_vary_it_searches_and_tells_a_script_what_it_found(tmp
     tuned = Scene.load(tmp_path / "figure-eight-tuned.toml")
     # which setting costs least is a matter of this machine's noise, but the file holds the one that is named
     changes = [] if found["best"]["name"] == "as written" else found["best"]["name"].split(", ")
-    named = dict(part.split(" × " if "×" in part else " = ") for part in changes)
-    assert tuned.time.fixed_dt == pytest.approx(0.01 * float(named.get("step", 1.0)))
+    named = dict(part.split(" = ") for part in changes if " = " in part)
+    (step,) = [part.split()[1::3] for part in changes if part.startswith("steps")] or [["1", "long"]]
+    factor = float(step[0]) if step[1] == "long" else 1.0 / float(step[0])
+    assert tuned.time.fixed_dt == pytest.approx(0.01 * factor)
     assert tuned.time.integrator == named.get("integrator", Scene.load("figure-eight").time.integrator)
 
 
@@ -133,6 +135,8 @@ def test_where_none_keeps_the_limit_it_says_so_and_which_is_nearest(tmp_path: Pa
         ("energy", "expected a number of 0 or more, such as energy=1e-4"),
         ("energy=small", "expected a number"),
         ("energy=-1", "expected a number"),
+        ("energy=1e-4:end", "only position, velocity, size, dispersion are measured over time; leave out :end"),
+        ("position=1e-4:last", "expected :rms (over time, the default), :max (the largest) or :end (at the end)"),
     ],
 )
 def test_a_limit_that_is_none_is_one_message(limit: str, said: str, tmp_path: Path) -> None:

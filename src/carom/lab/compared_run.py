@@ -43,7 +43,7 @@ MORE_SAMPLES_UP_TO, MORE_SAMPLES = 20, 600  # more samples of few bodies cost no
 class Setting:
     """A few keys of the scene with changed values."""
 
-    name: str  # such as "step × 2, integrator = euler"
+    name: str  # such as "integrator = euler, steps 2 times as long"
     overrides: tuple[str, ...]  # as given to ``--set``
     threads: int | None = None  # None for the study's
     engine: str = ""  # another engine, to whose own keys `overrides` belong; empty for carom

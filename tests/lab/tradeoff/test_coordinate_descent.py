@@ -127,8 +127,10 @@ def point_of(result: SettingResult, scene: Scene) -> GridPoint:
     """Find the coordinates of a result, which keeps its overrides alone."""
     values = dict(text.split("=", 1) for text in result.setting.overrides)
     keys = {key: value for key, value in values.items() if value in knobs(scene).get(key, ())}
-    factors = re.findall(r"(?:step|max_dt) × ([\d.]+)", result.setting.name)
-    return GridPoint(float(factors[0]) if factors else 1.0, tuple(sorted(keys.items())))
+    factors = re.findall(r"max_dt × ([\d.]+)|steps ([\d.]+) times as (long|short)", result.setting.name)
+    limit, factor, way = factors[0] if factors else ("1", "", "")
+    step = float(limit or factor)
+    return GridPoint(1.0 / step if way == "short" else step, tuple(sorted(keys.items())))
 
 
 @pytest.mark.slow

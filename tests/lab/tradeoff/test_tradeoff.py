@@ -35,9 +35,9 @@ def measured(scene: Scene, folder: Path, *choices: str, repeats: int = 1) -> tup
 def test_every_setting_gets_its_errors_and_as_many_costs_as_asked_for(tmp_path: Path) -> None:
     study, _ = measured(eight(), tmp_path, "time.integrator=leapfrog,yoshida4", "step=2,1", repeats=2)
     assert [result.setting.name for result in study.results] == [
-        "integrator = leapfrog, step × 2",
+        "integrator = leapfrog, steps 2 times as long",
         "integrator = leapfrog",
-        "integrator = yoshida4, step × 2",
+        "integrator = yoshida4, steps 2 times as long",
         "integrator = yoshida4",
     ]
     assert all(len(result.costs) == 2 and result.complete for result in study.results)
@@ -57,7 +57,7 @@ def test_a_setting_is_measured_once(tmp_path: Path) -> None:
     assert [r.costs for r in again.results] == [r.costs for r in first.results]
     assert repr([r.errors for r in again.results]) == repr([r.errors for r in first.results]), "NaN is not NaN"
     more, said = measured(eight(), tmp_path, "step=2,1,0.5", repeats=2)
-    assert said[0] == "3/3  step × 0.5: errors" and sum("errors" in text for text in said) == 1
+    assert said[0] == "3/3  steps 2 times as short: errors" and sum("errors" in text for text in said) == 1
     assert [len(r.costs) for r in more.results] == [2, 2, 2]
     assert more.results[0].costs[0] == first.results[0].costs[0]
 
@@ -77,7 +77,10 @@ def test_a_study_that_was_stopped_keeps_what_is_done(tmp_path: Path, monkeypatch
         measured(eight(), tmp_path, "step=8,4,2,1")
     monkeypatch.undo()
     _, said = measured(eight(), tmp_path, "step=8,4,2,1")
-    assert [text for text in said if text.endswith("errors")] == ["3/4  step × 2: errors", "4/4  as written: errors"]
+    assert [text for text in said if text.endswith("errors")] == [
+        "3/4  steps 2 times as long: errors",
+        "4/4  as written: errors",
+    ]
     assert not any("reference" in text for text in said)
 
 
@@ -165,7 +168,9 @@ def test_what_the_budget_cannot_pay_is_left_out_and_measured_by_the_next_command
     study = Study(eight(), tmp_path, threads=1, budget=0.0)
     study.measure(settings, None, said.append)
     assert [result.complete for result in study.results] == [True, False, False], "the first is always measured"
-    assert study.left_out == dict.fromkeys(["step × 2", "step × 4"], "the budget of 0 s was spent")
+    assert study.left_out == dict.fromkeys(
+        ["steps 2 times as long", "steps 4 times as long"], "the budget of 0 s was spent"
+    )
     document = json.loads((tmp_path / "tradeoff.json").read_text(encoding="utf-8"))
     assert document["left_out"] == study.left_out and document["budget"] == 0.0
     assert table_of(study).row_count == 1
@@ -194,7 +199,7 @@ def test_shorter_steps_than_those_of_an_exact_setting_are_not_measured(tmp_path:
     study = Study(scene, tmp_path, threads=1)
     study.measure(settings, None, lambda text: None, chooses=True)
     (reason,) = study.left_out.values()
-    assert list(study.left_out) == ["step × 0.5"]
+    assert list(study.left_out) == ["steps 2 times as short"]
     assert reason.endswith("errs by rounding alone, and shorter steps cost more")
     study.measure(settings, None, lambda text: None)
     assert not study.left_out, "a setting that was chosen by hand is measured"
@@ -202,7 +207,7 @@ def test_shorter_steps_than_those_of_an_exact_setting_are_not_measured(tmp_path:
 
 @pytest.mark.slow
 def test_a_setting_that_another_one_beats_clearly_is_not_timed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    price = {"integrator = yoshida4, step × 2": 0.01}
+    price = {"integrator = yoshida4, steps 2 times as long": 0.01}
     monkeypatch.setattr(Study, "_cost", lambda study, result: price.get(result.setting.name, 1.0))
     scene = eight()
     settings = [*vary(scene, ["step=1"]), *vary(scene, ["time.integrator=yoshida4", "step=2"])]
@@ -218,7 +223,7 @@ def test_short_runs_are_timed_until_their_time_is_known_and_long_ones_three_time
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     noise = np.random.default_rng(1)
-    price = {"as written": 0.02, "step × 2": 0.06}
+    price = {"as written": 0.02, "steps 2 times as long": 0.06}
     monkeypatch.setattr(Study, "_cost", lambda study, result: price[result.setting.name] * noise.uniform(0.8, 1.25))
     study = Study(eight(), tmp_path, threads=1)
     short, long = study.measure(vary(eight(), ["step=1,2"]), None, lambda text: None)
@@ -251,9 +256,12 @@ def test_the_recording_of_a_study_holds_every_trajectory(tmp_path: Path) -> None
     shown = Recording.open(tmp_path / "tradeoff.rrd")
     assert shown.finished and shown.is_overlay and shown.frames == 600 and shown.layout()
     drawn = {entry.entity_path for entry in shown.store.entries}
-    for course in ("00-reference-exact", "01-step-4", "02-as-written"):
+    for course in ("00-reference-exact", "01-steps-4-times-as-long", "02-as-written"):
         assert {f"world/{course}/bodies", f"world/{course}/paths"} <= drawn
-    assert {"distance/01-step-4", "distance/02-as-written"} <= drawn and "distance/00-reference-exact" not in drawn
+    assert {
+        "distance/01-steps-4-times-as-long",
+        "distance/02-as-written",
+    } <= drawn and "distance/00-reference-exact" not in drawn
     assert shown.moment() == pytest.approx(1.0)
     for ask in (shown.summary, lambda: shown.scene_toml):
         with pytest.raises(RecordingError, match="contains several runs"):
@@ -355,7 +363,7 @@ def test_a_factor_on_the_step_names_the_limits_where_it_is_not_one_on_every_step
         "max_dt × 2, cfl × 2, target_dx × 4",
     ]
     (fixed,) = vary(scene.changed(["time.fixed_dt=0.01"]), ["step=2"])
-    assert fixed.name == "step × 2"
+    assert fixed.name == "steps 2 times as long"
     (adaptive,) = vary(Scene.load("figure-eight", ["time.fixed_dt=", "time.integrator=gauss-radau15"]), ["step=2"])
     assert adaptive.name == "max_dt × 2"
 
@@ -363,10 +371,15 @@ def test_a_factor_on_the_step_names_the_limits_where_it_is_not_one_on_every_step
 def test_settings_with_the_same_run_are_timed_once_and_share_a_row(tmp_path: Path) -> None:
     # a fixed step is not averaged
     study, said = measured(eight(), tmp_path, "time.smoothing=0.5,1", "step=1,2", repeats=2)
-    assert [result.same_as for result in study.results] == ["", "", "smoothing = 0.5", "smoothing = 0.5, step × 2"]
+    assert [result.same_as for result in study.results] == [
+        "",
+        "",
+        "smoothing = 0.5",
+        "smoothing = 0.5, steps 2 times as long",
+    ]
     assert sum("cost" in text for text in said) == 2 * 2
     assert [len(result.costs) for result in study.results] == [2] * 4
-    assert list(study.marks("energy")) == ["smoothing = 0.5", "smoothing = 0.5, step × 2"]
+    assert list(study.marks("energy")) == ["smoothing = 0.5", "smoothing = 0.5, steps 2 times as long"]
     assert table_of(study).row_count == 2
     again, _ = measured(eight(), tmp_path, "time.smoothing=0.5,1", "step=1,2", repeats=3)
     assert [len(result.costs) for result in again.results] == [3] * 4
@@ -398,7 +411,7 @@ def test_the_default_settings_are_about_a_dozen_and_all_different(name: str) -> 
 
 
 def test_the_legend_of_a_table_states_the_noise_of_the_costs() -> None:
-    assert "or 5% where that is more" in _legend(0.05)
+    assert "or to 5% where that is more" in _legend(0.05)
 
 
 def test_default_settings_of_a_piston_leave_out_what_it_refuses() -> None:

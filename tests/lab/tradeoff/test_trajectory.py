@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -207,3 +207,17 @@ def test_a_body_that_came_to_rest_has_sunk_by_the_overlap_it_keeps() -> None:
     assert sinking("split") < 1e-14
     gas = pair(time={"duration": 2.0})
     assert np.isnan(follow(Space(gas), sample_times(gas)).sinking)
+
+
+def test_an_error_over_time_has_an_rms_a_largest_value_and_one_at_the_end() -> None:
+    scene = pair(time={"duration": 1.0, "fixed_dt": 0.1})
+    exact = follow(Space(scene), sample_times(scene))
+    shift = np.linspace(-0.3, 0.1, len(exact))
+    moved = replace(exact, position=exact.position + shift[:, None, None] * [1.0, 0.0, 0.0])
+    scale = ErrorScale(length=2.0, speed=1.0)
+    errors = compare(moved, exact, scale, len(exact), whole=True)
+    assert errors.position == pytest.approx(np.sqrt(np.mean(shift**2)) / 2.0)
+    assert errors.position_max == pytest.approx(0.15) and errors.position_end == pytest.approx(0.05)
+    assert errors.velocity_max == errors.velocity_end == 0.0
+    cut = compare(moved, exact, scale, len(exact) // 2, whole=True)
+    assert math.isnan(cut.position_end) and cut.position_max == pytest.approx(0.15), "known only so far"

@@ -72,13 +72,18 @@ LimitOption = Annotated[
         min=0.0,
     ),
 ]
-COLUMNS = {  # headings of the errors in the table
-    **{name: name for name in ("position", "velocity", "missed", "energy", "momentum", "overlap", "sinking")},
-    **{name: name for name in ("size", "dispersion")},
-    **{"impact": "impact time", "energy_gain": "gain", "impacts": "impact count"},
-}
-TO_THE_HORIZON = ("position", "velocity", "impact", "missed")  # errors that are compared only up to the horizon
-STATISTICS = ("size", "dispersion")  # errors that are compared to the end of the reference
+SHOWN = (  # errors in the table
+    *("position", "velocity", "impact", "missed", "energy", "energy_gain", "momentum", "overlap", "sinking", "impacts"),
+    *("size", "dispersion"),
+)
+TO_THE_HORIZON = (  # errors that are compared only as far as the reference is certain
+    *(f"{error}{ending}" for error in ("position", "velocity") for ending in ("", "_max", "_end")),
+    *("impact", "missed"),
+)
+STATISTICS = tuple(  # errors that are compared to the end of the reference
+    f"{error}{ending}" for error in ("size", "dispersion") for ending in ("", "_max", "_end")
+)
+VAGUE = 0.5  # relative uncertainty of a cost, from which on it is shown as a factor
 SPENT = "the budget"  # the first words of the reason for which settings are left out at the end of a budget
 STOPPED = "carom: stopped; the measurements are kept, and the same command continues"
 PIPE_WIDTH = 320  # characters of the table where the output is not a terminal
@@ -209,8 +214,9 @@ def _show(study: Study) -> None:
     console.print(f"Reference, {escape(reference.text)}.", soft_wrap=True)
     end, horizon, units = study.scene.time.duration, reference.horizon, study.scene.unit_system
     console.print(
-        f"Positions are compared up to the horizon, {units.text(horizon, TIME)} of {units.text(end, TIME)}, where it "
-        f"is certain to {study.floor('position'):.1e} of the size and {study.floor('velocity'):.1e} of the speed.",
+        f"Positions are compared up to t = {units.text(horizon, TIME)} of {units.text(end, TIME)}. Until then, the "
+        f"reference is certain to {study.floor('position'):.1e} of the size and {study.floor('velocity'):.1e} of the "
+        "speed.",
         soft_wrap=True,
     )
     console.print(_legend(study.noise), soft_wrap=True)
@@ -235,17 +241,17 @@ def say_left_out(left_out: Mapping[str, str]) -> None:
 def _legend(noise: float) -> str:
     if not noise:
         return (
-            "[bold]●[/bold] no other setting is as accurate and cheaper. Each was run once, so the noise of the costs "
-            "is unknown."
+            "[bold]●[/bold] No other setting is as accurate and cheaper. Each was timed once, so the noise of the "
+            "costs is unknown."
         )
     return (
-        "[bold]●[/bold] no other setting is as accurate and as cheap; ○ another may be, within the noise of the costs "
-        "or the uncertainty of the reference; no mark: another one is. Costs are medians ± half their range; their "
-        f"noise is half the range, or {noise:.0%} where that is more."
+        "[bold]●[/bold] No other setting is as accurate and as cheap. ? Another one may be, but the times or the "
+        "reference are not certain enough to tell. Without a mark: another one is. Costs are medians, known to half "
+        f"their range, or to {noise:.0%} where that is more."
     )
 
 
-def table_of(study: Study, errors: Collection[str] = tuple(COLUMNS)) -> Table:
+def table_of(study: Study, errors: Collection[str] = SHOWN) -> Table:
     """Make the table of a study, cheapest first, with a column for each of some errors."""
     from rich import box
     from rich.markup import escape
@@ -257,20 +263,25 @@ def table_of(study: Study, errors: Collection[str] = tuple(COLUMNS)) -> Table:
     measured = [r for r in study.results if r.errors is not None]
     done = sorted((r for r in measured if not r.same_as), key=lambda r: (math.isnan(r.cost), r.cost))
     written = next((r.steps for r in measured if r.setting == AS_WRITTEN), 0)
-    shown = [
-        e for e in NAMES if e in COLUMNS and e in errors and any(not math.isnan(getattr(r.errors, e)) for r in done)
-    ]
+    shown = [e for e in NAMES if e in errors and any(not math.isnan(getattr(r.errors, e)) for r in done)]
     marks = {error: study.marks(error) for error in shown}
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
-    for heading in ("setting", "cost / s", "±", "steps", "mean step", *(_heading(study, error) for error in shown)):
+    for heading in (
+        "setting",
+        "cost / s",
+        "known to",
+        "steps",
+        "mean step / written",
+        *(_heading(study, error) for error in shown),
+    ):
         table.add_column(heading, no_wrap=True, justify="left" if heading == "setting" else "right")
     for result in done:
         name = result.setting.name
         cells = [_cell(result, error, marks[error].get(name, ""), study.scene.unit_system) for error in shown]
-        cost = (f"{result.cost:.3g}" if result.costs else "", f"{result.spread:.0%}" if len(result.costs) > 1 else "")
+        cost = (f"{result.cost:.3g}" if result.costs else "", _certainty(result))
         same = [r.setting.name for r in measured if r.same_as == name]
         called = f"{name} (the same run: {'; '.join(same)})" if same else name
-        step = f"× {written / result.steps:.3g}" if written and result.steps else ""
+        step = f"{written / result.steps:.3g}" if written and result.steps else ""
         table.add_row(escape(called), *cost, str(result.steps), step, *cells)
     for result in study.results:
         if result.errors is None and result.status != "left out":
@@ -279,11 +290,20 @@ def table_of(study: Study, errors: Collection[str] = tuple(COLUMNS)) -> Table:
     return table
 
 
+def _certainty(result: SettingResult) -> str:
+    """Say how well a cost is known; empty for a single timing."""
+    if len(result.costs) < 2:
+        return ""
+    return f"{result.spread:.0%}" if result.spread < VAGUE else f"a factor {1.0 + result.spread:.2g}"
+
+
 def _heading(study: Study, error: str) -> str:
     """Return the heading of a column, with its unit and the time up to which positions are compared."""
+    from carom.lab.tradeoff.reference import phrase
+
     units, reference = study.scene.unit_system, study.reference
     unit = units.unit(TIME) if error == "impact" else ""
-    heading = f"{COLUMNS[error]} / {unit}" if unit else COLUMNS[error]
+    heading = f"{phrase(error)} / {unit}" if unit else phrase(error)
     if reference is not None and not reference.is_complete and error in TO_THE_HORIZON:
         heading += f" up to {units.text(reference.horizon, TIME)}"
     if reference is not None and not reference.whole and error in STATISTICS:
@@ -297,7 +317,7 @@ def _cell(result: SettingResult, error: str, mark: str, units: UnitSystem) -> st
     if math.isnan(value):
         return ""
     text = f"{value:.0f}" if error == "missed" else f"{value:.1e}" if value else "0"
-    return f"[bold]{text} ●[/bold]" if mark == "front" else f"{text} {'○' if mark == 'near' else ' '}"
+    return f"[bold]{text} ●[/bold]" if mark == "front" else f"{text} {'?' if mark == 'near' else ' '}"
 
 
 def tune_command(
@@ -306,8 +326,9 @@ def tune_command(
         list[str] | None,
         typer.Option(
             "--error",
-            metavar="NAME=LIMIT",
-            help="Limit of an error, such as energy=1e-4 or position=1e-3; at least one. Repeatable.",
+            metavar="NAME=LIMIT[:MEASURE]",
+            help="Limit of an error, such as energy=1e-4; at least one. Repeatable. An error over time is measured as "
+            "its rms, its maximum or at the end: position=1e-3:rms (the default), :max or :end.",
         ),
     ] = None,
     output: Annotated[
@@ -389,17 +410,18 @@ def _extent(tuning: Tuning, errors: Collection[str]) -> str:
 
 def _tuning_lines(tuning: Tuning) -> list[str]:
     """Describe the best settings: their gain in speed over the scene as written, and what they make worse."""
+    from carom.lab.tradeoff.reference import phrase
+
     best, written = tuning.best, tuning.written
     assert best is not None and best.errors is not None, "something was found"
     lines = [f"The cheapest of {len(tuning.tried)} settings tried: {best.setting.name}, {best.cost:.3g} s."]
     if written.costs and best is not written:
         missed = tuning.misses(written)
-        but = f", which misses {', '.join(missed)}" if missed else ""
-        lines.append(f"It is {tuning.claim}; {written.cost:.3g} s{but}.")
-    kept = [f"{name} {getattr(best.errors, name):.2g} (limit {limit:.2g})" for name, limit in tuning.limits.items()]
-    lines.append(f"It keeps {', '.join(kept)}{_extent(tuning, tuning.limits)}.")
+        but = f" and misses {', '.join(missed)}" if missed else ""
+        lines.append(f"It is {tuning.claim}, which takes {written.cost:.3g} s{but}.")
+    lines.append(f"It keeps {', '.join(tuning.kept(best))}{_extent(tuning, tuning.limits)}.")
     changes = tuning.worse()
-    worse = [f"{COLUMNS.get(name, name)} {after:.2g} (was {before:.2g})" for name, (before, after) in changes.items()]
+    worse = [f"{phrase(name)} {after:.2g} (was {before:.2g})" for name, (before, after) in changes.items()]
     if worse:
         lines.append(f"Worse than the original scene: {', '.join(worse)}{_extent(tuning, changes)}.")
     if (passed := tuning.passed_over) is not None:

@@ -48,10 +48,39 @@ class Errors:
     impacts: float  # | number of impacts / that of the reference - 1 |
     size: float  # rms error over all samples of the rms radius, over the reference's
     dispersion: float  # error of the rms speed about the centre
+    # of the errors above that are compared at samples: the largest, and that at the end of the scene
+    position_max: float
+    position_end: float
+    velocity_max: float
+    velocity_end: float
+    size_max: float
+    size_end: float
+    dispersion_max: float
+    dispersion_end: float
 
 
 NAMES = tuple(Errors.__dataclass_fields__)
-COMPARED = ("position", "velocity", "impact", "missed", "impacts", "size", "dispersion")  # with the reference
+OVER_TIME = ("position", "velocity", "size", "dispersion")  # errors at each sample
+MEASURES = {"rms": "", "max": "_max", "end": "_end"}  # of an error over time, with the ends of their names
+OF_SAMPLES = tuple(error + ending for error in OVER_TIME for ending in MEASURES.values())
+COMPARED = (*OF_SAMPLES, "impact", "missed", "impacts")  # with the reference
+
+
+def phrase(error: str) -> str:
+    """Return an error in words, such as "position (rms)" or "position (largest)"."""
+    base, _, measure = error.rpartition("_")
+    if base in OVER_TIME:
+        return f"{base} ({'largest' if measure == 'max' else 'at the end'})"
+    return f"{error} (rms)" if error in OVER_TIME else PHRASES.get(error, error)
+
+
+PHRASES = {  # of errors whose names say too little
+    "impact": "time of first contact",
+    "missed": "first contacts missed",
+    "impacts": "number of impacts",
+    "energy_gain": "energy gained",
+    "angular_momentum": "angular momentum",
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,9 +124,12 @@ def compare(run: Trajectory, reference: Trajectory, scale: ErrorScale, samples: 
     count = min(len(run), len(reference))
     dispersion = spread(run.velocity[:count]) - spread(reference.velocity[:count])
     size = spread(run.position[:count]) - spread(reference.position[:count])
+    box = scale.box is not None
     return Errors(
-        position=_total(position),
-        velocity=_total(velocity),
+        **_over_time("position", position, samples == len(reference)),
+        **_over_time("velocity", velocity, samples == len(reference)),
+        **_over_time("size", size[:0] if box else size / scale.length, whole and count == len(reference)),
+        **_over_time("dispersion", dispersion / scale.speed, whole and count == len(reference)),
         impact=impact,
         missed=missed,
         energy=run.energy_error,
@@ -107,9 +139,14 @@ def compare(run: Trajectory, reference: Trajectory, scale: ErrorScale, samples: 
         overlap=run.overlap,
         sinking=run.sinking,
         impacts=abs(run.impacts / reference.impacts - 1.0) if whole and reference.impacts else np.nan,
-        size=_total(size / scale.length) if scale.box is None else np.nan,
-        dispersion=_total(dispersion / scale.speed),
     )
+
+
+def _over_time(name: str, errors: FloatArray, reaches_end: bool) -> dict[str, float]:
+    """Return the measures of an error at the samples; the last sample is that of the end if they reach it."""
+    largest = float(np.abs(errors).max()) if len(errors) else np.nan
+    end = float(abs(errors[-1])) if len(errors) and reaches_end else np.nan
+    return {name: _total(errors), f"{name}_max": largest, f"{name}_end": end}
 
 
 def _late(run: Trajectory, reference: Trajectory, horizon: float) -> tuple[float, float]:
@@ -318,5 +355,5 @@ def _largest(errors: list[Errors], horizon: float) -> Errors:
     """Return the largest value of each error, but at least rounding; times of impact have that of the clock."""
     rows = [astuple(error) for error in errors] or [(math.nan,) * len(NAMES)]
     largest = Errors(*np.fmax.reduce(np.array(rows), axis=0).tolist())
-    rounding = {"position": EPS, "velocity": EPS, "impact": EPS * horizon, "size": EPS, "dispersion": EPS}
+    rounding = dict.fromkeys(OF_SAMPLES, EPS) | {"impact": EPS * horizon}
     return replace(largest, **{name: max(getattr(largest, name), least) for name, least in rounding.items()})

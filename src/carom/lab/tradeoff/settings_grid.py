@@ -31,6 +31,7 @@ from carom.scene.integrators import INTEGRATORS, integrator_called
 from carom.scene.load import Scene
 from carom.terminal.printing import finite
 
+STEPS_WORD = "steps"  # the first word of the name of a factor on every step
 STEP = "step"  # a pseudo-key: a factor on the limits of the step, whichever applies
 THREADS = "threads"  # threads of the kernels, which change the cost but no bits
 TIMING = "contact.timing"
@@ -207,7 +208,7 @@ def _setting(scene: Scene, picked: tuple[_Choice, ...]) -> Setting:
         chosen = Setting("", tuple(overrides)).apply(scene)
         finer = refined(chosen, 1.0 / step)
         overrides += finer
-        words += [f"{STEP} × {step:g}"] if scales_steps(chosen) else [_factor(override, step) for override in finer]
+        words += [_longer(step)] if scales_steps(chosen) else [_factor(override, step) for override in finer]
     name = ", ".join(words) or AS_WRITTEN.name
     threads = next((choice.threads for choice in picked if choice.threads), None)
     setting = Setting(name, tuple(overrides), threads)
@@ -246,6 +247,11 @@ def _value(key: str, value: str) -> _Choice:
 
 def _times(step: float) -> _Choice:
     return _Choice(step=step)
+
+
+def _longer(step: float) -> str:
+    """Name a factor on every step."""
+    return f"{STEPS_WORD} {step:g} times as long" if step > 1.0 else f"{STEPS_WORD} {1.0 / step:g} times as short"
 
 
 def scales_steps(scene: Scene) -> bool:

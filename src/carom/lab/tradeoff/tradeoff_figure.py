@@ -15,7 +15,7 @@ import numpy as np
 from carom.display import overlays
 from carom.errors import ExperimentError, install_extra
 from carom.lab.compared_run import AS_WRITTEN
-from carom.lab.tradeoff.settings_grid import pareto_front
+from carom.lab.tradeoff.settings_grid import STEPS_WORD, pareto_front
 from carom.lab.tradeoff.tradeoff import Study
 from carom.physics.space import Space
 from carom.recording.write.whole_file import whole_file
@@ -103,8 +103,8 @@ def draw(document: dict[str, Any], path: Path, units: UnitSystem = SI) -> None:
             title += f"\npositions are compared up to t = {units.text(reference['horizon'], TIME)}"
         figure.suptitle(title, fontsize=10)
         ends = [f"{_short(e)}: {e['reason']}" for e in document["settings"] if e["status"] in ("stopped", "failed")]
-        words = "filled: on the front; ring: uncertain; faint: another is as accurate and cheaper"
-        noise = f"costs ± half their range, noise {document['noise']:.1%} at least; lines join steps of a setting"
+        words = "filled: no other is as accurate and as cheap; ring: cannot be told; faint: another one is"
+        noise = f"costs with their uncertainty, {document['noise']:.1%} or more; lines join steps of a setting"
         figure.legend(
             handles=[
                 Line2D([], [], color=look.colour, marker=look.marker, markersize=5, linewidth=0.8, label=name)
@@ -125,7 +125,11 @@ def _families(done: list[dict[str, Any]]) -> dict[str, list[dict[str, Any]]]:
     """Group settings that differ only in the step by their common name; a single setting keeps its whole name."""
     found: dict[str, list[dict[str, Any]]] = {}
     for entry in done:
-        parts = [part for part in _short(entry).split(", ") if " × " not in part and not part.startswith("dt =")]
+        parts = [
+            part
+            for part in _short(entry).split(", ")
+            if " × " not in part and not part.startswith(("dt =", STEPS_WORD))
+        ]
         found.setdefault(", ".join(parts) or AS_WRITTEN.name, []).append(entry)
     return {name if len(group) > 1 else _short(group[0]): group for name, group in found.items()}
 

@@ -22,7 +22,7 @@ import tomlkit
 from carom.errors import ExperimentError, SceneError
 from carom.lab.compared_run import AS_WRITTEN, Setting
 from carom.lab.tradeoff.budget import ALONE
-from carom.lab.tradeoff.reference import COMPARED, NAMES, Teller
+from carom.lab.tradeoff.reference import COMPARED, MEASURES, NAMES, OF_SAMPLES, OVER_TIME, Teller, phrase
 from carom.lab.tradeoff.settings_grid import GridPoint, SettingResult, default_points, knobs, result_entry
 from carom.lab.tradeoff.tradeoff import Study
 from carom.plan import auto
@@ -209,8 +209,8 @@ class Tuning:
         if low > 1.0:
             return f"{self.speed:.2g} times as fast as the original scene ({low:.2g} to {high:.2g})"
         if high < 1.0:
-            return f"slower than the original scene: {1.0 / self.speed:.2g} times its time"
-        return "as fast as the original scene, within the noise"
+            return f"{1.0 / self.speed:.2g} times as slow as the original scene ({1.0 / high:.2g} to {1.0 / low:.2g})"
+        return "as fast as the original scene within the noise"
 
     def _gain(self, result: SettingResult) -> tuple[float, float]:
         """Return the least and the largest speed of a setting over that of the scene as written."""
@@ -224,13 +224,20 @@ class Tuning:
         """Name the limits that a setting misses."""
         errors = {name: getattr(result.errors, name, math.nan) for name in self.limits}
         missed = [
-            f"{name} not measured" if math.isnan(found) else f"{name} {found:.2g} > {self.limits[name]:.2g}"
+            f"{phrase(name)} not measured"
+            if math.isnan(found)
+            else f"{phrase(name)} {found:.2g} > {self.limits[name]:.2g}"
             for name, found in errors.items()
             if not found <= self.limits[name]
         ]
         if loses_frames(self.study, self.written, result):
             missed.append(f"{result.frames} frames of {self.written.frames}")
         return missed
+
+    def kept(self, result: SettingResult) -> list[str]:
+        """Describe the errors of a setting, each with its limit."""
+        errors = {name: getattr(result.errors, name) for name in self.limits}
+        return [f"{phrase(name)} {error:.2g} (limit {self.limits[name]:.2g})" for name, error in errors.items()]
 
     @property
     def passed_over(self) -> SettingResult | None:
@@ -254,13 +261,15 @@ class Tuning:
         return {
             name: (before[name], after[name])
             for name in NAMES
-            if after[name] > max(WORSE * before[name], self.study.floor(name))
+            if (name in self.limits or name in OVER_TIME or name not in OF_SAMPLES)
+            and after[name] > max(WORSE * before[name], self.study.floor(name))
         }
 
     def why_none(self) -> str:
         """Explain why no setting keeps the limits, by the setting with the smallest excess."""
         for name in unsure(self.study, self.limits):
-            return f"{name} below {self.study.floor(name):.2g} is within rounding or the uncertainty of the reference"
+            floor = self.study.floor(name)
+            return f"{phrase(name)} below {floor:.2g} is within rounding or the uncertainty of the reference"
         done = [result for result in self.tried if result.complete]
         if not done:
             return "no setting could be measured"
@@ -319,10 +328,19 @@ def tuned(
             f'{reference.text}. Shorten the scene, as with --set "time.duration={until}", or limit an error that needs '
             f"no reference: {alone}"
         )
+    at_end = [name for name in limits if name.endswith(MEASURES["end"])]
+    if at_end and not reference.is_complete:
+        until, end = units.text(reference.horizon, TIME), units.text(study.scene.time.duration, TIME)
+        raise ExperimentError(
+            f"--error {at_end[0].removesuffix(MEASURES['end'])}=…:end: the reference is certain only up to t = {until} "
+            f"of {end}; limit the rms or the largest error until then (:rms, :max), or shorten the scene with --set "
+            f'"time.duration={until}"'
+        )
     (written,) = study.measure([AS_WRITTEN], 0, tell)
     for name in limits if written.errors else ():  # such as overlaps where nothing can touch
         if math.isnan(getattr(written.errors, name)):
-            known = ", ".join(each for each in NAMES if not math.isnan(getattr(written.errors, each)))
+            own = [each for each in NAMES if each in OVER_TIME or each not in OF_SAMPLES]
+            known = ", ".join(each for each in own if not math.isnan(getattr(written.errors, each)))
             raise ExperimentError(f"--error {name}: this scene has no such error; it has {known}")
     if settings is None:
         tried = SettingSearch(study, limits, tell).run(repeats)
@@ -333,23 +351,34 @@ def tuned(
 
 
 def limits(asked: list[str]) -> dict[str, float]:
-    """Read limits as given to ``--error``, such as ``energy=1e-4``.
+    """Read limits as given to ``--error``, such as ``energy=1e-4`` or ``position=1e-5:end``.
 
     Raises SceneError if there are none, or one does not limit a measured error.
     """
+    named = [name for name in NAMES if name in OVER_TIME or name not in OF_SAMPLES]
     if not asked:
-        raise SceneError(f"name an error and its limit, such as --error position=1e-3; {suggestion('', NAMES)}")
+        raise SceneError(f"name an error and its limit, such as --error position=1e-3; {suggestion('', named)}")
     found = {}
     for text in asked:
         name, separator, value = (part.strip() for part in text.partition("="))
-        if name not in NAMES:
-            raise SceneError(f"--error {text}: no error of that name; {suggestion(name, NAMES)}")
+        if name not in named:
+            raise SceneError(f"--error {text}: no error of that name; {suggestion(name, named)}")
+        value, over_time, measure = (part.strip() for part in value.partition(":"))
+        if over_time and name not in OVER_TIME:
+            raise SceneError(
+                f"--error {text}: only {', '.join(OVER_TIME)} are measured over time; leave out :{measure}"
+            )
+        if over_time and measure not in MEASURES:
+            raise SceneError(
+                f"--error {text}: expected :rms (over time, the default), :max (the largest) or :end (at the end)"
+            )
         try:
-            found[name] = float(value)
+            limit = float(value)
         except ValueError:
-            found[name] = math.nan
-        if not separator or not 0.0 <= found[name] < math.inf:
+            limit = math.nan
+        if not separator or not 0.0 <= limit < math.inf:
             raise SceneError(f"--error {text}: expected a number of 0 or more, such as {name}=1e-4")
+        found[name + MEASURES[measure or "rms"]] = limit
     return found
 
 
@@ -360,12 +389,11 @@ def write(tuning: Tuning, path: Path) -> None:
     """
     study, result = tuning.study, tuning.best
     assert study.reference is not None and result is not None, "the measured errors need a reference"
-    measured = [f"{e} {getattr(result.errors, e):.2g} (limit {limit:.2g})" for e, limit in tuning.limits.items()]
     cost = f"{result.cost:.3g} s, the median of {len(result.costs)}, ± {result.spread:.0%}"
     horizon = study.scene.unit_system.text(study.reference.horizon, TIME)
     comment = [
         f"carom tune: {result.setting.name}",
-        f"measured: {', '.join(measured)}; {cost}",
+        f"measured: {', '.join(tuning.kept(result))}; {cost}",
         f"the cheapest of {len(tuning.tried)} settings tried" + (f", {tuning.claim}" if tuning.claim else ""),
         f"against a reference that is {study.reference.text}; compared up to {horizon}",
     ]
