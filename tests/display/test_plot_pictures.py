@@ -12,7 +12,7 @@ from PIL import Image
 from carom.display.picture import render
 from carom.display.request import Request
 from carom.recording.layout.canvas import Area
-from carom.recording.layout.plot_views import energy_view, place_legend
+from carom.recording.layout.plot_views import place_legend
 from carom.recording.read.recorded_scene import recorded_curves
 from carom.recording.read.recording import Recording
 from carom.recording.schema.palette import LINES, PLOT_GROUNDS
@@ -79,9 +79,3 @@ def test_the_legend_covers_no_curve(energy: tuple[str, Path, Pixels]) -> None:
             continue  # so are the letters
         count = int(np.sum(of_colour(box, LINES[name])))
         assert 10 < count < DOT, f"{legend}: its dot, and nothing of its curve"
-
-
-def test_energies_that_fill_a_picture_have_their_unit_in_the_legend() -> None:
-    view = energy_view(ScriptedRun(20).header, None, Area(*SIZE))
-    names = {path: str(overridden) for path, overridden in view.visualizer_overrides.items()}
-    assert "total (J)" in names["energy/total"] and "translational (J)" in names["energy/translational"]

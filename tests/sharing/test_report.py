@@ -126,7 +126,7 @@ def test_texts_of_a_recording_neither_format_a_report_nor_steer_a_terminal(
     assert (
         page[page.index(quote) + 1].type == "paragraph_open" and page[page.index(quote) + 4].type == "blockquote_close"
     )
-    (line,) = [span.content for span in spans if span.type == "code_inline"]
+    *_, line = [span.content for span in spans if span.type == "code_inline"]  # after the ways to open the clip
     assert line == command_of_a_file(f"{HOSTILE}\n# owned\n```"), "one quoted word"
 
 

@@ -162,7 +162,7 @@ def decades(recording: Recording, header: Header, curves: Curves) -> tuple[Curve
         path = f"{DECADES}/{each.path}"
         outlines[each.path] = CurveOutline.of(index.times, values)
         rows.append(Rows(path, index, list(rr.Scalars.columns(scalars=values))))
-        statics.append((path, curve_style(each.legend, each.colour, each.width)))
+        statics.append((path, curve_style(each.name_in(header), each.colour, each.width)))
     return outlines, rows, statics
 
 

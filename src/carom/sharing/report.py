@@ -198,6 +198,7 @@ def _summary(
     span = units.span(times[0], times[-1], TIME, ".9g")
     repeat = f"{command('replay', name)}    # are the bits the same on your machine?"
     lines = description(recording.scene_toml).splitlines()
+    version = literal(str(recording.versions.get("carom", "")))
     return "\n".join(
         [
             f"# {literal(recording.title)}",
@@ -213,6 +214,10 @@ def _summary(
             *([] if clip.engine or clip.is_partial else [repeat]),
             command("view", name, "--at", f"{units.shown(moment, TIME):.9g}"),
             "```",
+            "",
+            f"The commands are those of carom {version}: `pip install .` in a copy of its repository, with Python 3.11 "
+            f"or newer. Without carom, `pip install rerun-sdk` and `rerun {bundle.CLIP}` show the clip; its texts "
+            "Legend and About explain what is drawn, and how to read the numbers.",
             "",
             f"The clip: {counted(clip.frames, 'frame')} from {span}. {replayed}",
             "",

@@ -184,7 +184,7 @@ def _named(entry: Entry) -> str:
 
 
 _WITH_ENDS = (paths.CONTACTS, paths.FORCE_NORMAL, paths.FORCE_FRICTION)
-_RENEWED = (paths.SCENE, paths.BODIES, paths.STATIC_STATE, paths.LIVES)  # sent again whenever bodies come or go
+_RENEWED = (paths.ABOUT, paths.SCENE, paths.BODIES, paths.STATIC_STATE, paths.LIVES)  # again if bodies come or go
 
 
 def widen(path: Path) -> None:

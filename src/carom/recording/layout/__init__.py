@@ -295,8 +295,11 @@ def _all(header: Header, camera: CameraFit, curves: Curves | None, canvas: Canva
         origin=paths.EVENTS,
         columns=rrb.TextLogColumns(text_log_columns=["LogLevel", "Body"]),  # without the entity, always the same
     )
-    scene = rrb.TextDocumentView(name="Scene", origin=paths.SCENE, contents=[paths.SCENE])
-    texts = rrb.Tabs(events, scene, rrb.TextDocumentView(name="Scene file", origin=paths.SCENE_TOML))
+    documents = {"Scene": paths.SCENE, "Scene file": paths.SCENE_TOML, "About": paths.ABOUT}
+    if not beside:  # for readers without carom, which draws a legend
+        documents = {"Legend": paths.LEGEND} | documents
+    pages = [rrb.TextDocumentView(name=name, origin=path, contents=[path]) for name, path in documents.items()]
+    texts = rrb.Tabs(events, *pages, active_tab=None if beside else "Legend")
     rows = rrb.Vertical(
         rrb.Horizontal(*views, column_shares=shares),
         *([] if added.plots is None else [rrb.Horizontal(*added.plots.views(plots))]),

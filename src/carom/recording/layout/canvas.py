@@ -225,7 +225,7 @@ class Additions:
 
 
 NONE = Additions()
-LEGEND = "legend"  # entity
+LEGEND = paths.LEGEND
 
 
 # Magnified spaces, in which views show small scenes. Rerun's camera draws nothing nearer than 0.01 units (Rerun 0.41),

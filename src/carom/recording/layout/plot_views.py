@@ -163,7 +163,7 @@ def grows_by_decades(curves: Iterable[CurveOutline]) -> bool:
 def _decades(header: Header, curves: Curves, area: Area, span: IntArray | None) -> rrb.TimeSeriesView:
     """Lay out the plot of the logarithms of energies."""
     unit = header.plot_unit(PLOTS[0][0].unit)
-    legends = [each.legend for each in recorded(header) if each.path in curves]
+    legends = [each.name_in(header) for each in recorded(header) if each.path in curves]
     paths_of = [f"{DECADES}/{path}" for path in curves]
     title = "log10 of energy" if unit == "1" else f"log10 of energy in {unit}"
     return time_series_view(title, paths_of, legends, list(curves.values()), area, span=span)
@@ -172,9 +172,7 @@ def _decades(header: Header, curves: Curves, area: Area, span: IntArray | None) 
 def energy_view(header: Header, curves: Curves | None, area: Area, span: IntArray | None = None) -> rrb.View:
     """Lay out the plot of the energies alone in an area of this size, without a title; the legend states the unit."""
     plot = PLOTS[0][0]
-    unit = header.plot_unit(plot.unit)
-    legends = {each: f"{each.legend} ({unit})" for each in shown_series(header, plot, curves)}
-    return _laid_out(header, plot, legends, curves, area, span)
+    return _laid_out(header, plot, shown_series(header, plot, curves), curves, area, span, named=True)
 
 
 def shown_series(header: Header, plot: Plot, curves: Curves | None = None) -> list[Series]:
@@ -210,30 +208,28 @@ def _plot(header: Header, plot: Plot, curves: Curves | None, area: Area, span: I
             axis_y=rrb.ScalarAxis(range=(0.0, _ABOVE * largest)) if largest > 0.0 else None,
         )
     series = shown_series(header, plot, curves)
-    legends = {each: each.legend if len(series) > 1 else "" for each in series}
-    return _laid_out(header, plot, legends, curves, area, span)
+    return _laid_out(header, plot, series, curves, area, span, named=len(series) > 1)
 
 
 def _laid_out(
     header: Header,
     plot: Plot,
-    legends: Mapping[Series, str],
+    series: Sequence[Series],
     curves: Curves | None,
     area: Area,
     span: IntArray | None,
+    *,
+    named: bool,  # whether it has a legend
 ) -> rrb.TimeSeriesView:
-    """Lay out a plot of some series, with the texts of its legend."""
-    factor = header.plot_factor(plot.unit)
-    known = [curves[each.path].over(factor) for each in legends] if curves is not None else []
-    texts = [text for text in legends.values() if text]
+    """Lay out a plot of some series."""
+    factor, entities = header.plot_factor(plot.unit), [each.path for each in series]
+    known = [curves[each].over(factor) for each in entities] if curves is not None else []
+    texts = [each.name_in(header) for each in series] if named else []
     styles = dict[EntityPathLike, VisualizerLike]()
-    for each, text in legends.items():
-        style = rr.SeriesLines.from_fields(names=text if text not in ("", each.legend) else None)
-        if factor != 1.0:
-            styles[each.path] = style.visualizer(mappings=taken_from({"Scalars:scalars": IN_PLOT}))
-        elif text not in ("", each.legend):
-            styles[each.path] = style
-    return time_series_view(plot.name_in(header), [each.path for each in legends], texts, known, area, styles, span)
+    if factor != 1.0:
+        style = rr.SeriesLines.from_fields().visualizer(mappings=taken_from({"Scalars:scalars": IN_PLOT}))
+        styles |= dict.fromkeys(entities, style)
+    return time_series_view(plot.name_in(header), entities, texts, known, area, styles, span)
 
 
 def time_series_view(

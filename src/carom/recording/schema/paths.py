@@ -10,6 +10,8 @@ SIM_TIME = "sim_time"  # a duration in ns, scaled: see `TimeScale`
 IMPACT = "impact"  # a count, from 1 on: rows of impacts, and the states at some of them
 SCHEMA_VERSION = 5  # of recordings; a version of carom reads the schema that it writes
 
+ABOUT = "about"  # texts for readers without carom
+LEGEND = "legend"  # with the drawn legend of a viewer beside it
 SCENE = "scene"
 SCENE_TOML = "scene/toml"
 WORLD = "world"

@@ -95,6 +95,11 @@ class Series:
     # whether the plot of a constant series is omitted, too; a series of zeros is never plotted
     flat_is_dull: bool = False
 
+    def name_in(self, header: Header) -> str:
+        """Return the name in the legend of a plot, with the unit."""
+        unit = header.plot_unit(self.unit)
+        return self.legend if unit == "1" else f"{self.legend} ({unit})"
+
     def __post_init__(self) -> None:
         if self.path.partition("/")[0] not in (ENERGY, STEPS):
             raise ValueError(f"the series {self.path}: its path must begin with {ENERGY}/ or {STEPS}/")
@@ -271,6 +276,8 @@ _ALWAYS = {  # entity → why it is recorded
     paths.MOMENTUM: "momentum",
     paths.CHECKPOINT: "the exact state, at times",
     paths.STATIC_STATE: ONCE,
+    paths.ABOUT: ONCE,
+    paths.LEGEND: ONCE,
     paths.SCENE: ONCE,
     paths.SCENE_TOML: ONCE,
     paths.WORLD: ONCE,

@@ -1,4 +1,4 @@
-"""The static entities of a recording: texts, sizes, colours, names of series, and the document at /scene."""
+"""The static entities of a recording: texts, sizes, colours, names of series."""
 
 from __future__ import annotations
 
@@ -16,25 +16,18 @@ from carom.recording.layout.plot_views import curve_style
 from carom.recording.read.statics import encode_bodies, encode_names
 from carom.recording.schema import palette, paths
 from carom.recording.schema.header import STATIC_COLOURS, Header, Scalar, TimeScale
-from carom.recording.schema.paths import ANGULAR_ACCELERATION, FORCE_NORMAL, TORQUE
 from carom.recording.schema.properties import stated
 from carom.recording.schema.series import recorded
-from carom.scene.portable_math import ENDLESS
-from carom.scene.units.dimension import LENGTH, MASS, RATE, TIME
+from carom.recording.write.recorded_texts import about_document, legend_document, scene_document
 from carom.scene.wall_shapes import SIDES, Mesh, shape_called
-from carom.scene.wording import in_series, literal
 
 Static = tuple[str, rr.AsComponents]
 
-_FORCE, _THICKNESS = (
-    0.05,
-    {  # of arrows, in median body radii; of two parallel ones, the shorter is thicker
-        paths.TORQUE: 0.16,
-        paths.ANGULAR_ACCELERATION: 0.07,
-        paths.ANGULAR_IMPULSE: 0.16,
-        paths.SPIN_CHANGE: 0.07,
-    },
-)
+_THICKNESS = {  # of arrows, in median body radii; of two parallel ones, the shorter is thicker
+    **dict.fromkeys((paths.TORQUE, paths.ANGULAR_IMPULSE), 0.16),
+    **dict.fromkeys((paths.ANGULAR_ACCELERATION, paths.SPIN_CHANGE), 0.07),
+    **dict.fromkeys((paths.FORCE_NORMAL, paths.FORCE_FRICTION), 0.05),
+}
 _EDGE_POINTS = 2.5  # width of a contact's line in points of the screen
 _TRANSLUCENT = 0x8A93A638  # walls in front of bodies
 _SECTORS, _SHADE = 16, 0x505050FF  # of walls that rotate
@@ -44,7 +37,12 @@ _MESH_RINGS = 8  # from pole to pole; enough for one sphere among thousands to l
 
 def statics(header: Header, clock: TimeScale, origin: FloatArray, reach: float) -> Iterable[Static]:
     """Yield the static data, entity by entity; initially all bodies are within ``reach`` (m) of the origin."""
-    yield paths.SCENE, rr.TextDocument(_scene_document(header, clock, origin), media_type=rr.MediaType.MARKDOWN)
+    for path, text in (
+        (paths.ABOUT, about_document(header, clock)),
+        (paths.LEGEND, legend_document(header)),
+        (paths.SCENE, scene_document(header, clock, origin)),
+    ):
+        yield path, rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN)
     yield paths.SCENE_TOML, rr.TextDocument(header.scene_toml, media_type=rr.MediaType.TEXT)
     yield paths.WORLD, rr.ViewCoordinates.RIGHT_HAND_Z_UP
     yield from _bodies(header)
@@ -58,7 +56,7 @@ def statics(header: Header, clock: TimeScale, origin: FloatArray, reach: float) 
     if header.collides:
         yield paths.CONTACTS, rr.LineStrips3D.from_fields(radii=rr.Radius.ui_points(_EDGE_POINTS))
     for series in recorded(header):
-        yield series.path, curve_style(series.legend, series.colour, series.width)
+        yield series.path, curve_style(series.name_in(header), series.colour, series.width)
     yield paths.PHASE, _states(palette.PHASES)
     yield paths.DT_LIMIT, _states(palette.DT_LIMITS)
 
@@ -183,7 +181,7 @@ def _two_tone_sphere() -> rr.Mesh3D:
 def arrow_styles(header: Header, theme: str = "dark") -> Iterable[Static]:
     """Yield the widths and colours of the arrows that a recording has."""
     for path in (*turning_arrows(header), *force_arrows(header)):
-        thickness = _THICKNESS.get(path, _FORCE)
+        thickness = _THICKNESS[path]
         (colour,) = palette.legible([palette.ARROWS[path]], theme).tolist()
         width = line_radii(thickness, float(np.median(header.radius)))
         yield path, rr.Arrows3D.from_fields(radii=width, colors=colour)
@@ -191,169 +189,3 @@ def arrow_styles(header: Header, theme: str = "dark") -> Iterable[Static]:
 
 def _states(colours: dict[str, int]) -> rr.StateConfiguration:
     return rr.StateConfiguration(values=list(colours), colors=np.array(list(colours.values()), dtype=np.uint32))
-
-
-def _scene_document(header: Header, clock: TimeScale, origin: FloatArray) -> str:
-    """Return the text at /scene, in Markdown: the run, the scales and the colours."""
-    about = "\n".join(literal(line) for line in header.description.strip().splitlines())
-    parts = [f"# {literal(header.title)}", about, _run(header), _data(header)]
-    parts += [_scales(header, clock, origin), _legend(header), _contacts(header)]
-    return "\n\n".join(part for part in parts if part) + "\n"
-
-
-def _run(header: Header) -> str:
-    radius, units = header.radius, header.units
-    lines = [
-        "| | |",
-        "|---|---|",
-        f"| bodies | {header.bodies} |",
-        f"| radii | {units.shown(radius.min(), LENGTH):.4g} to {units.text(radius.max(), LENGTH, '.4g')} |",
-        f"| total mass | {units.text(header.mass.sum(), MASS)} |",
-    ]
-    if massless := int(np.count_nonzero(header.mass == 0.0)):
-        lines.append(f"| test particles | {massless} |")
-    if not header.engine:
-        lines += [f"| duration asked for | {units.text(header.duration, TIME, 'g')} |", f"| seed | {header.seed} |"]
-    return "\n".join(
-        lines
-        + [
-            f"| {literal(name)} | {literal(str(value))} |"
-            for name, value in sorted(header.properties.items())
-            if value != ""
-        ]
-    )
-
-
-def _data(header: Header) -> str:
-    """List the notes on data files (unused or reinterpreted columns); empty without any."""
-    notes = [literal(note) for notes in header.data_notes for note in notes]
-    return "\n".join(["## Data", *(f"- {note}" for note in notes)]) if notes else ""
-
-
-def _scales(header: Header, clock: TimeScale, origin: FloatArray) -> str:
-    units = header.units
-    x, y, z = (units.shown(each, LENGTH) for each in origin.tolist())
-    lines = ["## Scales"]
-    if units.own:
-        lines.append("- The numbers have no units." if units.dimensionless else f"- Numbers are in {units.named}.")
-    elif not units.is_si:
-        own = f"- Plots, legends and texts are in the units of the scene, {units.named}; the recorded data are in SI."
-        lines.append(own)
-    at = f"({x:g}, {y:g}, {z:g}) {units.unit(LENGTH)}".rstrip()
-    lengths = "Positions are" if units.own else "Lengths are metres,"
-    lines.append(f"- {lengths} from the centre of mass of the first frame at {at}.")
-    if clock.scale != 1.0 or header.units.own:
-        scaled = "**Time is scaled**: one" if clock.scale != 1.0 else "One"
-        stands_for = f"{units.text(clock.scale, TIME, 'g')} of the simulation"
-        lines.append(f"- {scaled} second on `sim_time` stands for {stands_for}.")
-    if header.has_torque:
-        lines.append(
-            "- Arrows start at a body's centre. What sticks out of the sphere is L = L_max · s / (1 + s) long, with "
-            f"s = (m / m_ref)^⅓. L_max is {units.text(arrow_length(header, TORQUE), LENGTH, '.4g')} for torques and "
-            f"angular impulses, {units.text(arrow_length(header, ANGULAR_ACCELERATION), LENGTH, '.4g')} for angular "
-            "accelerations and changes of spin; m_ref stands in the recording's property `arrows`, and the magnitude m "
-            "beside each arrow."
-        )
-    if header.planes is not None:
-        names = literal(in_series(header.planes.name))
-        lines.append(f"- Static planes, drawn as grids: {names}. They extend to infinity.")
-    if header.shapes:
-        names = literal(in_series([wall.name or wall.shape for wall in header.shapes]))
-        lines.append(f"- Walls, drawn as translucent surfaces: {names}. Some extend beyond what is drawn.")
-    if header.walls is not None:
-        sides = " × ".join(f"{units.shown(side, LENGTH):g}" for side in header.walls.tolist())
-        lines.append(f"- Walls with sides {sides} {units.unit(LENGTH)}".rstrip() + ".")
-    if header.box is not None:
-        box = zip("xyz", header.box.tolist(), strict=True)
-        periods = [f"{axis} with {units.text(side, LENGTH, 'g')}" for axis, side in box if side < ENDLESS]
-        lines.append(f"- Space is periodic along {in_series(periods)}.")
-    if header.shear:
-        rate = units.text(header.shear.rate, RATE, "g")
-        lines.append(
-            f"- It is sheared at {rate}: the mean velocity is along {header.shear.flow} and changes along "
-            f"{header.shear.gradient}. The box is drawn at rest; its images along {header.shear.gradient} move."
-        )
-    return "\n".join(lines)
-
-
-def _drawn(header: Header, si: str) -> str:
-    """Return the unit of recorded numbers, after a space, given its name in SI; empty for pure numbers."""
-    unit = header.units.recorded_unit(si)
-    return "" if unit == "1" else f" {unit}"
-
-
-def _legend(header: Header) -> str:
-    lines = ["## Colours", f"- Bodies: {_body_colours(header)}."]
-    if header.collides and header.engine:
-        lines.append("- Lines join the centres of touching bodies.")
-    elif header.collides:
-        stages = ", ".join(f"{k} {name}" for k, name in enumerate(palette.STAGE_NAMES))
-        lines.append(
-            f"- Lines join the centres of touching bodies. Their recorded colour, which `--edges stage` shows, is the "
-            f"stage in which the contact is resolved: {stages}, then again from the start; white is the last, serial "
-            f"stage (past {palette.SERIAL_STAGE})."
-        )
-    if header.records_contacts:
-        lines += _impulse_legend(header)
-    if header.has_torque:
-        lines.append(
-            "- Contacts that last turn bodies by a torque: an orange, thick arrow, with the angular acceleration, "
-            "green and thin."
-        )
-    if header.has_torque and header.records_contacts:
-        lines.append(
-            "- Impacts turn them by an angular impulse, which does not depend on the length of the step as a torque "
-            "would: a magenta, thick arrow, with the change of spin, crimson and thin."
-        )
-    if shape(header) == "mesh":
-        lines.append("- Dark and light halves of a sphere show how it turns.")
-    return "\n".join(lines)
-
-
-def _contacts(header: Header) -> str:
-    """List the contact coefficients of each pair of materials; empty without [[material]]."""
-    if header.materials is None or not header.collides:
-        return ""
-    lines = ["## Contacts", "| | e | μs | μk |", "|---|---|---|---|"]
-    for kind in header.materials.contacts:
-        values = " | ".join(f"{value:.4g}" for value in kind.coefficients)
-        lines.append(f"| {literal(str(kind))} | {values} |")
-    return "\n".join(lines)
-
-
-def _impulse_legend(header: Header) -> list[str]:
-    """Explain how impulses and impacts are drawn."""
-    longest, joules = header.units.text(arrow_length(header, FORCE_NORMAL), LENGTH, ".4g"), _drawn(header, "J")
-    friction = ", and the friction on it (purple)" if header.has_friction else ""
-    lines = [
-        "- Both views colour these lines by the normal impulse J of the step; that of impulses draws wider lines, too: "
-        "u = s / (1 + s), s = (J / m_ref)^⅓, from dark purple (u = 0) over red (⅓) and orange (⅔) to pale yellow (1). "
-        "Chains of wide lines carry the load. m_ref is the median of the frame.",
-        "- The contacts of the largest impulses have arrows at the contact point: the normal impulse on the second "
-        f"body (yellow){friction}, {longest} · u long.",
-    ]
-    if header.engine:
-        return [*lines, "- An impulse is the force that the engine reports, times the time since the frame before."]
-    return [
-        *lines,
-        "- Points are impacts, each where the two touched: as large as the impulse (m_ref is `impacts` in the "
-        "property `arrows`), as bright as "
-        f"the energy lost (m_ref{' in' if joules else ''}{joules} is `impacts.energy`). On the timeline `impact` one "
-        "steps from each to the next.",
-    ]
-
-
-def _body_colours(header: Header) -> str:
-    if shape(header) == "mesh":
-        return "one colour for all of them, since there are so many"
-    match header.coloured_by:
-        case "material" if header.materials:
-            pairs = zip(header.materials.names, header.materials.colours, strict=True)
-            return "by material, " + ", ".join(f"{literal(name)} {palette.name_of(colour)}" for name, colour in pairs)
-        case "graph":
-            return "the body's colour in the collision graph, or grey without contacts"
-        case "island":
-            return "one colour for bodies that are connected by contacts, or grey without contacts"
-        case "speed":
-            return "by speed, from violet to yellow; the colour in the middle is the median speed of the first frame"
-    return "a hue for each group and each single body, in turns, and a shade for each body"

@@ -194,7 +194,7 @@ class Stream:
         self.send_property("carom", {"bodies": header.bodies})
         if header.drawn_as:
             self.send_property("carom", {"drawn_as": header.drawn_as})
-        changed = (paths.SCENE, paths.BODIES, paths.STATIC_STATE)
+        changed = (paths.ABOUT, paths.SCENE, paths.BODIES, paths.STATIC_STATE)
         archetypes = [each for each in statics(header, clock, origin, 1.0) if each[0] in changed]
         for path, archetype in [*archetypes, (paths.LIVES, any_values(lives.columns()))]:
             for stream in self._streams():
