@@ -5,13 +5,15 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
 
 from carom.event import Event
 from carom.scene.units.dimension import TIME
-from carom.scene.wording import command, counted
+from carom.scene.wording import command, counted, in_one_line
 from carom.terminal.options import JsonOption, RecordingArgument
-from carom.terminal.printing import materials_table, mention_killed_run, say_json, warning_lines
+from carom.terminal.printing import materials_table, mention_killed_run, say, say_json, warning_lines
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -24,7 +26,13 @@ AROUND = 20  # frames in a clip around a moment
 Row = tuple[str, str | Iterable[str]]  # a name, and the text or the texts beside it
 
 
-def inspect(file: RecordingArgument, as_json: JsonOption = False) -> None:
+def inspect(
+    file: RecordingArgument,
+    as_json: JsonOption = False,
+    check: Annotated[
+        bool, typer.Option("--check", help="Exit with 1 if a law of mechanics is broken (recordings of other engines).")
+    ] = False,
+) -> None:
     """Summarise a recording: outcome, energy, contacts, the moments worth looking at, run time, versions.
 
     For a file that compares runs, such as one by `carom fork`, it prints their names and the verdict.
@@ -43,9 +51,20 @@ def inspect(file: RecordingArgument, as_json: JsonOption = False) -> None:
         else:
             refuse_missing_extensions(recording)
             summary = recording.summary() | {"description": description(recording.scene_toml)}
+    broken = summary.get("laws", {}) if check and not is_overlay else {}
     if as_json:
         say_json(summary)
-        return
+    else:
+        _print(summary, file, units, is_overlay)
+    for name, law in broken.items():
+        at = f"step {law['step']}, t = {units.text(law['time'], TIME)}"
+        say(f"carom: {file}: the law {name} is broken, first at {at}: {in_one_line(str(law['text']))}", err=True)
+    if broken:
+        raise typer.Exit(1)
+
+
+def _print(summary: dict[str, Any], file: Path, units: UnitSystem, is_overlay: bool) -> None:
+    """Print the summary of a recording, or of a file that compares runs."""
     from carom.terminal.console import Terminal
 
     console = Terminal(soft_wrap=True)

@@ -25,6 +25,7 @@ from carom.errors import RecordingError
 from carom.event import Event
 from carom.physics.contact.islands import number_sets
 from carom.physics.diagnostics.energy import Energy
+from carom.recording.schema.header import LARGEST
 from carom.scene.units.dimension import ENERGY, VELOCITY
 from carom.scene.units.system import SI, UnitSystem
 from carom.scene.wording import Names, bodies_called
@@ -166,6 +167,7 @@ class LawAudit:
         self._allowed = 0.0  # J, accumulated error of first-order steps in the uniform field, and of unseen motion
         self.counts: dict[str, int] = {}  # number of frames that violated each law
         self.first: dict[str, Fault] = {}
+        self.worst: dict[str, float] = {}  # largest violation over tolerance of each law
         self.broken: list[tuple[float, str]] = []  # s and law, for each of these frames
 
     def see(
@@ -213,11 +215,14 @@ class LawAudit:
         for law, first in self.first.items():
             found: dict[str, str | int | float]
             found = {"frames": self.counts[law], "step": first.step, "time": first.time, "text": first.text}
+            found["excess"] = min(self.worst[law], LARGEST)
+            found["bodies"] = ",".join(map(str, first.bodies))
             yield from ((f"laws.{law}.{name}", value) for name, value in found.items())
 
     def go_on(self, earlier: LawAudit) -> None:
         """Continue the counts of an earlier audit, of other bodies."""
         self.counts, self.first, self.broken = earlier.counts, earlier.first, earlier.broken
+        self.worst = earlier.worst
         self._typical, self._allowed = earlier._typical, earlier._allowed
         self._laws.go_on(earlier._laws)
 
@@ -225,6 +230,7 @@ class LawAudit:
         """Count a fault, also of another check; return whether it is among the first of its law."""
         if fault.law not in self.first or fault.step < self.first[fault.law].step:
             self.first[fault.law] = fault
+        self.worst[fault.law] = max(self.worst.get(fault.law, 0.0), fault.excess)
         self.broken.append((fault.time, fault.law))
         self.counts[fault.law] = self.counts.get(fault.law, 0) + 1
         return self.counts[fault.law] <= TOLD

@@ -41,6 +41,7 @@ from carom.scene.wording import command, counted, in_one_line, literal
 
 FRAMES = 120  # largest number of frames in the clip, half of them before the time of interest
 ROOM = 7_000_000  # bytes, largest size of the clip before compression
+FRAMES_OF_LAW, ROOM_OF_LAW = 20, 200_000  # of the clip of a broken law that the clip does not show
 REPLAY_AT_MOST = 30.0  # s, longest replay of the clip
 ENERGY_ERROR = 1e-3  # of the scale; a larger error becomes the subject of the report
 MOST_WARNINGS = 50
@@ -96,16 +97,18 @@ def report(recording: Recording, path: Path, at: float | None = None) -> Report:
         replayed = _replay(small)
         shown, has_pair = _shown(small, moment, why)
         shots = [Shot(shown, view, folder / name) for view, name in list(PICTURES.items())[: 2 if has_pair else 1]]
+        evidence = _evidence(recording, small, folder)
         missing = try_to_render(small, shots)
         pictures = {shot.out_png.name: shot.out_png for shot in shots if shot.out_png.exists()}
         recorded = {key: value for key, value in recording.properties.items() if isinstance(value, str | int | float)}
         surroundings = {"recorded": recorded, "reported": environment(0)}
-        text = _summary(recording, small, moment, why, replayed, list(pictures), path.name)
+        text = _summary(recording, small, moment, why, replayed, list(pictures), path.name, evidence)
         members: dict[str, bytes | Path] = {
             "README.md": text.encode(),
             "scene.toml": recording.scene_toml.encode(),
             "environment.json": json.dumps(surroundings, indent=2).encode(),
             bundle.CLIP: cut,
+            **{path.name: path for path in evidence.values()},
             **pictures,
         }
         size = bundle.pack(path, members)
@@ -113,6 +116,29 @@ def report(recording: Recording, path: Path, at: float | None = None) -> Report:
             path.unlink()
             raise RecordingError(f"{recording.path}: a bundle with a single frame would have {size / 1e6:.3g} MB")
         return Report(path, size, moment, why, small.frames, replayed, missing, not (small.engine or small.is_partial))
+
+
+def _evidence(recording: Recording, small: Recording, folder: Path) -> dict[str, Path]:
+    """Cut a clip around the first frame of each broken law that a bundle's clip does not show."""
+    begin, end = small.fingerprints()["time"].to_numpy()[[0, -1]]
+    found: dict[str, Path] = {}
+    for name, law in _laws(recording).items():
+        if not begin < law["time"] <= end:
+            found[name] = folder / f"law-{name}.rrd"
+            excerpt(recording, law["time"], found[name], FRAMES_OF_LAW, ROOM_OF_LAW)
+    return found
+
+
+def _broken(recording: Recording, evidence: dict[str, Path]) -> list[str]:
+    """List the broken laws, the worst one first, and where the bundle shows each."""
+    rows = []
+    for name, law in _laws(recording).items():
+        time = recording.units.text(law["time"], TIME, ".9g")
+        where = evidence[name].name if name in evidence else bundle.CLIP
+        frames = counted(law["frames"], "frame")
+        rows.append(f"| {name} | {law['step']} | {time} | {frames} | {literal(str(law['text']))} | {where} |")
+    head = ["| law | first step | time | in all | what | shown in |", "|---|---|---|---|---|---|"]
+    return ["## Broken laws", "", *head, *rows, ""] if rows else []
 
 
 def _shown(recording: Recording, moment: float, why: str) -> tuple[Request, bool]:
@@ -123,8 +149,21 @@ def _shown(recording: Recording, moment: float, why: str) -> tuple[Request, bool
     for name in sorted(WORST, key=lambda name: name not in why):  # both may be at this time
         if recording.closing.get(f"moments.{name}.time") == moment and pair_of_extreme(recording, name):
             return Request(event=name), True
+    for law in _laws(recording).values():
+        ends, n = law["bodies"], int(recording.info["bodies"])
+        if law["time"] == moment and len(ends) == 2 and ends[0] < n:
+            return Request(moment, bodies=",".join(str(end) for end in ends if end < n)), True
     contacts = recording.steps("contacts")["contacts"] if recording.info["collides"] else [0]
     return Request(moment), recording.outcome.startswith("failed") and float(contacts[-1]) > 0.0
+
+
+def _laws(recording: Recording) -> dict[str, dict[str, Any]]:
+    """Return the laws that another engine broke within the recording's frames, the worst one first."""
+    if not (recording.engine and recording.frames):
+        return {}
+    begin, end = recording.fingerprints()["time"].to_numpy()[[0, -1]]
+    laws = recording.summary()["laws"]
+    return {name: law for name, law in laws.items() if begin <= law["time"] <= end}
 
 
 def worst_moment(recording: Recording) -> tuple[float, str]:
@@ -141,6 +180,8 @@ def worst_moment(recording: Recording) -> tuple[float, str]:
         return last, in_words(recording.outcome)
     warnings = recording.warnings()
     broken = [event for event in warnings if event.kind.startswith(LAWS)]
+    for law in [] if any(event.kind == NOT_FINITE for event in broken) else _laws(recording).values():
+        return law["time"], str(law["text"]).splitlines()[0].rstrip(".")  # the worst one
     for event in sorted(broken, key=lambda event: event.kind != NOT_FINITE):
         return event.time, event.text.splitlines()[0].rstrip(".")
     for name, verdict in summary["expect"].items():
@@ -191,7 +232,14 @@ def _replay(recording: Recording) -> str:
 
 
 def _summary(
-    recording: Recording, clip: Recording, moment: float, why: str, replayed: str, pictures: list[str], name: str
+    recording: Recording,
+    clip: Recording,
+    moment: float,
+    why: str,
+    replayed: str,
+    pictures: list[str],
+    name: str,
+    evidence: dict[str, Path],
 ) -> str:
     """Write the summary: what went wrong, its picture, warnings, how to repeat it, and everything else."""
     times, units = clip.fingerprints()["time"].to_numpy(), recording.units
@@ -207,6 +255,7 @@ def _summary(
             "",
             *(f"![The moment]({picture})" for picture in pictures),
             *([""] if pictures else []),
+            *_broken(recording, evidence),
             *_warned(recording),
             "## Repeat it",
             "",

@@ -94,8 +94,17 @@ def _of_engine(recording: RecordedData) -> dict[str, Any]:
         **lives,
         "contact_forces": recording.records_contacts,
         "judged": int(judged),
-        "laws": _complete(_below(recording.closing, "laws"), ("step", "time", "frames", "text")),
+        "laws": _laws(recording),
     }
+
+
+def _laws(recording: RecordedData) -> dict[str, Any]:
+    """Describe the violated laws, the worst one first: the one whose violation is most times its tolerance."""
+    keys = ("step", "time", "frames", "text", "excess", "bodies")
+    laws = _complete(_below(recording.closing, "laws"), keys)
+    for law in laws.values():
+        law["bodies"] = [int(end) for end in str(law["bodies"]).split(",") if end]
+    return dict(sorted(laws.items(), key=lambda row: (-row[1]["excess"], row[1]["step"])))
 
 
 def _impacts(recording: RecordedData) -> dict[str, int]:

@@ -1,0 +1,81 @@
+"""Broken laws of another engine are ranked, checked by `inspect --check`, and shown by a report."""
+
+from __future__ import annotations
+
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import carom
+from carom.cli.main import app
+from carom.recording.edit import bundle
+from carom.recording.read.recording import Recording
+from carom.sharing.report import report
+
+STEPS, DT = 180, 0.01  # s; a report's clip has 120 frames
+JUMP = 170  # step in which a free body gains speed from nothing: energy and momentum change by far more than 0.1 %
+
+
+class Faulty:
+    """A body in free flight, and two at rest that overlap by 6 %, 1.2 times the tolerance; or all without a fault."""
+
+    model = carom.record.Model(engine="mine 1", mass=np.ones(3), radius=np.full(3, 0.1), names=["comet", "a", "b"])
+
+    def __init__(self, faulty: bool) -> None:
+        self.faulty, self.step = faulty, 0
+
+    def state(self) -> carom.record.State:
+        x = np.array([[0.0, 0.0, 5.0], [0.0, 0.0, 0.0], [0.194 if self.faulty else 0.3, 0.0, 0.0]])
+        v = np.zeros((3, 3))
+        late = max(self.step - JUMP, 0) if self.faulty else 0
+        v[0, 0] = 2.0 if late else 1.0
+        x[0, 0] = (self.step + late) * DT
+        return carom.record.State(self.step * DT, x, v, angular_velocity=np.zeros((3, 3)))
+
+
+def recorded(path: Path, faulty: bool) -> Path:
+    source = Faulty(faulty)
+    with carom.record.Recorder(source, path) as recorder:
+        for source.step in range(1, STEPS):
+            recorder.frame()
+    return path
+
+
+@pytest.fixture(scope="module")
+def broken(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return recorded(tmp_path_factory.mktemp("laws") / "broken.rrd", True)
+
+
+def test_laws_are_ranked_by_violation_over_tolerance_not_by_time_or_name(broken: Path) -> None:
+    laws = Recording.open(broken).summary()["laws"]
+    assert list(laws)[-1] == "overlap" and laws["overlap"]["step"] < JUMP < laws["energy"]["step"]
+    excess = [law["excess"] for law in laws.values()]
+    assert excess == sorted(excess, reverse=True)
+    assert laws["overlap"]["bodies"] == [1, 2] and laws["energy"]["bodies"] == [0]
+
+
+def test_inspect_check_fails_and_names_law_body_and_step(broken: Path, tmp_path: Path) -> None:
+    bad = CliRunner().invoke(app, ["inspect", str(broken), "--check"])
+    assert bad.exit_code == 1
+    assert f"the law energy is broken, first at step {JUMP + 1}" in bad.stderr and 'body 0 "comet"' in bad.stderr
+    good = CliRunner().invoke(app, ["inspect", str(recorded(tmp_path / "good.rrd", False)), "--check"])
+    assert good.exit_code == 0 and good.stderr == ""
+
+
+@pytest.mark.slow
+def test_a_report_is_of_the_worst_law_and_holds_the_first_frame_of_each(broken: Path, tmp_path: Path) -> None:
+    recording = Recording.open(broken)
+    made = report(recording, tmp_path / "report.zip")
+    worst = next(iter(recording.summary()["laws"].values()))
+    assert made.time == worst["time"] and worst["text"].startswith(made.why)
+    with zipfile.ZipFile(tmp_path / "report.zip") as members:
+        for name in (bundle.CLIP, "law-overlap.rrd"):
+            members.extract(name, tmp_path)
+    shown = [
+        Recording.open(tmp_path / name).fingerprints()["step"].to_numpy() for name in (bundle.CLIP, "law-overlap.rrd")
+    ]
+    overlap = recording.summary()["laws"]["overlap"]["step"]
+    assert worst["step"] in shown[0] and overlap not in shown[0] and overlap in shown[1]
