@@ -28,6 +28,7 @@ PACKAGE = ROOT / "src" / "carom"
 CODE = [path for folder in ("src", "tests", "benchmarks") for path in sorted((ROOT / folder).rglob("*.py"))]
 PAGES = [ROOT / "README.md", ROOT / "SECURITY.md", *ROOT.glob("CONTRIBUTING.md"), *sorted((ROOT / "docs").glob("*.md"))]
 FOLDERS = {"benchmarks", "configs", "docs", "src", "tests"}
+LINE = 120  # characters of a line of code, and of a row that is read at a glance
 COMMANDS: dict[str, Any] = get_command(app).commands  # type: ignore[attr-defined]
 EVERYWHERE = {"--help", "--version", "--install-completion", "--show-completion"}
 
@@ -49,6 +50,12 @@ FLAG = re.compile(r"(?<!\S)--[a-z][a-z-]+")
 def test_a_page_names_only_what_exists(page: Path) -> None:
     text = page.read_text(encoding="utf-8")
     assert not list(unknown_spans(spans_of_markdown(text), page)) and not list(broken_links(text, page))
+
+
+def test_a_concept_has_one_line_that_says_where_it_is() -> None:
+    page = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
+    rows = page.partition("## Where is …?")[2].partition("\n## ")[0].splitlines()
+    assert not [row for row in rows if len(row) > LINE], "split it into two concepts"
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda path: path.name)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import pytest
@@ -12,6 +13,7 @@ from carom.errors import SceneError
 from carom.recording.schema.series import Series
 from carom.scene.extensions import extensions_of, missing, of_extensions
 from carom.scene.load import Scene
+from carom.scene.schema.body import BodyData
 from carom.scene.schema.contact import section_of
 
 PAIR = {"body": [{"radius": 1.0, "position": [3.0 * k, 0, 0]} for k in range(2)]}
@@ -145,3 +147,13 @@ def test_the_name_of_a_part_cannot_look_like_another_line() -> None:
 def test_versions_of_packages_with_extensions_are_compared_as_caroms_own_are() -> None:
     used = {"forces.trap": "carom-example 0.1.0", "series.fastest": "carom-example 0.1.0", "walls.cup": "cups 2.0"}
     assert of_extensions(used) == {"carom-example": "0.1.0", "cups": "2.0"}
+
+
+def test_the_page_of_data_files_lists_each_format_and_the_help_names_only_some_of_them() -> None:
+    formats = {f".{name}" for name in registry.HOUSE["data_formats"]}
+    page = (Path(__file__).parents[1] / "docs" / "data.md").read_text(encoding="utf-8")
+    table = page.partition("| ending | what is read |\n|---|---|\n")[2].partition("\n\n")[0]
+    endings = [ending for row in table.splitlines() for ending in re.findall(r"`(\.\w+)`", row.split("|")[1])]
+    assert set(endings) == formats
+    named = re.findall(r"\.[a-z0-9]+\b", (BodyData.model_fields["file"].description or "").partition(" or another")[0])
+    assert named and set(named) <= formats
