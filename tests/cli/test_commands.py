@@ -335,6 +335,7 @@ def test_without_a_cache_the_command_says_that_it_compiles(tmp_path: Path) -> No
         for name in ("first.rrd", "second.rrd")
     )
     assert first.stderr.count("Compiling kernels") == 1
+    assert "once on this machine: 0 of about 15 …" in first.stderr
     assert "Compiling" not in second.stderr
 
 

@@ -56,17 +56,17 @@ def announce_compilation(
 ) -> None:
     """Announce the first compilation of a kernel, by default on stderr, and start a second process for others.
 
-    ``helped`` says that the process already runs. The time that compilation takes depends on the scene.
+    ``helped`` says that the process already runs. How many kernels are needed depends on the scene.
     """
     from carom.physics.jit.decorators import cache_folder, on_compilation
 
-    takes = "one or two minutes" if scene and (scene.wall or scene.contact.laws) else "about 15 s"
-    text = f"Compiling kernels, once on this machine ({takes}) …"
-    if not cache_folder():
-        text = f"Compiling kernels ({takes}), at every start: {NO_CACHE} …"
-
     def announce() -> None:
-        (say or note)(text)
+        from carom.terminal.compilation_progress import CompilationProgress
+
+        progress = CompilationProgress(scene, say or note)
+        progress.__enter__()  # until the process ends
+        often = "once on this machine" if cache_folder() else f"at every start: {NO_CACHE}"
+        (say or note)(f"Compiling kernels, {often}: {progress.counts()} …")
         if not helped and cache_folder():
             start_compiling()
 

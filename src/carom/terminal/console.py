@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 from rich.console import Console, ConsoleOptions, RenderableType
 from rich.live import Live
@@ -60,6 +60,9 @@ def print_whole(table: Table) -> None:
 class LiveLine:
     """A line on stderr, rewritten in place on a terminal and printed every few seconds elsewhere."""
 
+    interlude: ClassVar[Callable[[float], str]] = staticmethod(lambda now: "")  # what it shows at a time (s) instead
+    is_live: ClassVar[bool] = False  # whether one is shown on the terminal
+
     def __init__(self, quiet: bool = False) -> None:
         self._console = Terminal(stderr=True, quiet=quiet)
         self._live: Live | None = None
@@ -67,14 +70,17 @@ class LiveLine:
 
     def __enter__(self) -> Self:
         if self._console.is_terminal and not self._console.quiet:
-            self._live = Live(console=self._console, refresh_per_second=8, transient=True)
-            self._live.start()
+            self._start(Live(console=self._console, refresh_per_second=8, transient=True))
         return self
 
     def __exit__(self, *_: object) -> None:
         if self._live:
             self._live.stop()
-            self._live = None
+            self._live, LiveLine.is_live = None, False
+
+    def _start(self, live: Live) -> None:
+        live.start()
+        self._live, LiveLine.is_live = live, True
 
     def say(self, text: str) -> None:
         """Print a line that stays."""
@@ -88,7 +94,7 @@ class LiveLine:
         """Show the current line, made by a function of the clock (s)."""
         now = time.perf_counter()
         if self._live:
-            self._live.update(Text(line(now)))
+            self._live.update(Text(LiveLine.interlude(now) or line(now)))
         elif now - self._last_line >= LINE_EVERY:
             self._last_line = now
             self.say(line(now))
@@ -133,12 +139,11 @@ class Patience(LiveLine):
             self._last_line = time.perf_counter()
             self.say(str(self._line()))
             return
-        self._live = Live(console=self._console, refresh_per_second=8, transient=True, get_renderable=self._line)
-        self._live.start()
+        self._start(Live(console=self._console, refresh_per_second=8, transient=True, get_renderable=self._line))
 
     def _line(self) -> Text:
-        text = f"{self._text} {self._detail}".strip()
-        return Text(f"{text}  {duration_text(time.perf_counter() - self._began)}")
+        text, now = f"{self._text} {self._detail}".strip(), time.perf_counter()
+        return Text(LiveLine.interlude(now) or f"{text}  {duration_text(now - self._began)}")
 
 
 def bar(done: float) -> str:

@@ -1,0 +1,118 @@
+"""How far the compilation of kernels is: kernels that a run has of those that it needs, and the time that is left."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable
+from functools import cache
+from typing import Any
+
+from carom.physics.jit.decorators import Compilations
+from carom.plan.features import require
+from carom.scene.load import Scene
+from carom.terminal.console import LINE_EVERY, LiveLine, bar
+
+# Kernels of a run, as `kernels_ready` counts them at the end of the bundled scenes; `test_compilation_progress.py`
+# holds the numbers to that.
+POINTS = 15  # without contacts: figure-eight
+IMPACTS = 117  # two-spheres
+FORCES = 145  # forces press contacts together: heap
+LEAST = 5  # kernels, after which their rate is a rate
+
+
+class CompilationProgress(Compilations):
+    """Shows the progress of a compilation, in the live line of a run, or in a line every `LINE_EVERY`.
+
+    Parameters
+    ----------
+    scene
+        The scene that is run; without one, the kernels of a scene with forces are expected.
+    say
+        Prints a line where no live line is shown.
+    """
+
+    def __init__(self, scene: Scene | None, say: Callable[[str], None]) -> None:
+        super().__init__()
+        self._needed = FORCES if scene is None else kernels_needed(scene)
+        self._say = say
+        self._began = self._last_line = time.perf_counter()
+        self._had = kernels_ready()  # at the start
+        self._depth = 0  # kernels that are being compiled, one for the other
+        LiveLine.interlude = self.interlude
+
+    def on_start(self, event: object) -> None:
+        """Count a kernel, and print a line if one is due."""
+        super().on_start(event)
+        self._depth += 1
+        now = time.perf_counter()
+        if not LiveLine.is_live and now - self._last_line >= LINE_EVERY:
+            self._last_line = now
+            self._say(self.text(now))
+
+    def on_end(self, event: object) -> None:
+        """Note that a kernel is compiled, or could not be."""
+        self._depth = max(0, self._depth - 1)  # it may not have heard of the first one
+
+    def interlude(self, now: float) -> str:
+        """Return what a live line shows at a time of the clock (s) in place of its own; nothing between kernels."""
+        ready, needed = self._counts()
+        return f"{bar(ready / needed)} {self.text(now)}" if self._depth else ""
+
+    def text(self, now: float) -> str:
+        """Describe the progress at a time of the clock (s). The time left is estimated from the rate so far."""
+        ready, needed = self._counts()
+        text = f"Compiling: {self.counts()} kernels"
+        if (made := ready - self._had) >= LEAST:
+            left = (now - self._began) / made * (needed - ready)
+            text += f", about {float(f'{left:.2g}'):g} s left"
+        return text
+
+    def counts(self) -> str:
+        """Say how many kernels of how many there are."""
+        ready, needed = self._counts()
+        return f"{ready} of about {needed}"
+
+    def _counts(self) -> tuple[int, int]:
+        ready = kernels_ready()
+        return ready, max(self._needed, ready)
+
+
+def kernels_needed(scene: Scene) -> int:
+    """Return the approximate number of kernels that a run of a scene needs."""
+    needs = require(scene)
+    if not needs.contact.modelled:
+        return POINTS
+    return FORCES if needs.resting.modelled else IMPACTS
+
+
+def kernels_ready() -> int:
+    """Return the number of kernels that this process has: compiled, loaded, or part of others that were loaded."""
+    found = set[Any]()
+    waiting = [kernel for name in list(sys.modules) for kernel in _kernels_of(name) if kernel.overloads]
+    while waiting:
+        kernel = waiting.pop()
+        if kernel not in found:
+            found.add(kernel)
+            waiting += _called_by(kernel)
+    return len(found)
+
+
+def _kernels_of(module: str) -> list[Any]:
+    """Return the kernels that a module of carom names, without those that are inlined into others."""
+    if not module.startswith("carom."):
+        return []
+    return [each for each in list(vars(sys.modules[module]).values()) if _is_kernel(each)]
+
+
+@cache
+def _called_by(kernel: Any) -> list[Any]:
+    """Return the kernels that a kernel names."""
+    function = kernel.py_func
+    named = [function.__globals__.get(name) for name in function.__code__.co_names]
+    enclosed = [cell.cell_contents for cell in function.__closure__ or ()]
+    return [each for each in named + enclosed if _is_kernel(each)]
+
+
+def _is_kernel(thing: Any) -> bool:
+    return hasattr(thing, "py_func") and thing.targetoptions.get("inline") != "always"
