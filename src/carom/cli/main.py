@@ -113,7 +113,7 @@ class Command(TyperCommand):
         return _plain(super().get_params(ctx))
 
     def invoke(self, ctx: Any) -> Any:
-        """Run the command, without pandas as far as it does not ask for it."""
+        """Run the command; pandas is loaded only if the command asks for it."""
         leave_pandas_out()
         return super().invoke(ctx)
 
@@ -174,7 +174,7 @@ class CommandGroup(TyperGroup):
             function = registry.load("commands", cmd_name)
             try:
                 return _made(cmd_name, function, EXTENSIONS)
-            except Exception as error:  # parameters of which Typer makes no options
+            except Exception as error:  # Typer cannot make options of its parameters
                 said = f"{type(error).__name__}: {str(error).partition(chr(10))[0]}"
                 source = registry.source_of("commands", cmd_name)
                 raise registry.ExtensionError(f'the command "{cmd_name}" of the package {source}: {said}') from error

@@ -2,7 +2,7 @@
 
 The viewer is controlled through a port without a password: anybody who connects can read and write files as its user.
 This program, which `Viewer` starts, therefore puts the viewer into a network namespace of its own, where nobody can
-connect, and forwards connections of the same user to it. These must begin like HTTP/2, as those of the SDK do. A web
+connect, and forwards connections of the same user to it. A connection must begin like HTTP/2, as the SDK's do. A web
 page in the user's browser sends HTTP/1.1, and could otherwise use the port under a name that it makes point there.
 Where the system grants no namespace (other systems than Linux, most containers, Ubuntu's restriction of user
 namespaces) the port is open to all users of the machine, and to such pages, while the viewer runs.

@@ -130,7 +130,7 @@ def presentation(
         Whether to pause within the step, where the pair meets; by default only if the moment is that time, otherwise at
         the end of the step.
     pair
-        The bodies of the close-up view; by default those of the hardest impact of the step or, without one, of the run.
+        The bodies of the close-up view; by default the two of the step's hardest impact or, without one, of the run's.
     colour_by
         The property that sets the colours, one of `COLOUR_BY` in recording/schema/header.py; by default as recorded.
     by_stage

@@ -76,7 +76,7 @@ class Staging:
         motion
             The camera's motion; by default it depends on the scene.
         repeated
-            A step of which there may be no frame, for the trails to lead to its bodies.
+            A step, possibly without a frame; the trails lead to its bodies.
         """
         camera = CameraFit.of_scene(header, recording.origin, first, motion)
         trails = Trails(recording, header, colours, repeated) if has_trails(recording) else None

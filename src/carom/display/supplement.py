@@ -313,7 +313,7 @@ class BodyPlots:
                 yield _path(each), curve_style(self._legend(each), colour)
 
     def _curve_colours(self, series: Sequence[BodySeries]) -> list[int]:
-        """Return the colours of the curves of a plot: those of their bodies, if these distinguish the curves.
+        """Return the colours of the curves of a plot: each has its body's colour, if that distinguishes the curves.
 
         If a body has two curves, or two bodies have similar colours, each curve gets another colour.
         """

@@ -173,7 +173,7 @@ class LawAudit:
     def see(
         self, step: int, before: EngineMoment, now: EngineMoment, near: Near, potentials: tuple[float, float] | None
     ) -> AuditFinding:
-        """Judge a moment after that of the previous frame, given the pairs that may have touched in between.
+        """Judge a moment, given the pairs that may have touched since the moment of the previous frame.
 
         The potential energies (J) of the bodies' own gravity are those of both moments; None without gravity.
         """
@@ -194,7 +194,7 @@ class LawAudit:
         return found
 
     def drifted(self, step: int, time: float, energy: Energy) -> Fault | None:
-        """Judge the change of energy since the start, of the judged bodies, as far as no contact explains it."""
+        """Judge the energy that the judged bodies gained or lost outside of contacts since the start."""
         error = energy.integration_error
         relative = energy.relative(error)
         if abs(error) <= self._allowed or abs(relative) <= self._tolerances.drift or "energy" in self.first:

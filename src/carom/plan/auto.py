@@ -175,7 +175,7 @@ def _largest_speed(scene: Scene) -> float:
 
 
 def most_steps(scene: Scene, first: float) -> float:
-    """Return how many steps a run may take, given its first one (s): those of the fastest conceivable contacts.
+    """Return how many steps a run may take, given its first step (s) and the fastest conceivable contacts.
 
     Bodies that fall onto the surface of another reach its escape speed, v = √(2 G m/r). The velocity limit then allows
     κ r/v to the smallest body that slides or rolls there.

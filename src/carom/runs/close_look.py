@@ -134,7 +134,7 @@ class CloseLook:
         return energy
 
     def lacks_a_bounce(self, touching: Touching, refined: Frame) -> bool:
-        """Return whether the run made plastic an impact whose bounce takes longer than its steps."""
+        """Return whether the run held a pair that bounces in the finer run for longer than a step."""
         bounced = {(int(row["i"]), int(row["j"])) for row in self.run.impacts}
         energy = self._kinetic(touching, refined)
         for row in self.refined.impacts:

@@ -318,7 +318,7 @@ def estimate_steps(
     start: InitialBodies | None = None,
     look_seconds: float = LOOK_SECONDS,
 ) -> Outlook:
-    """Estimate the steps of a run, of which the first take ``step_seconds`` each.
+    """Estimate the steps of a run, given that each of its first steps takes ``step_seconds``.
 
     ``flight_seconds`` is the time of a step without contacts, if a run, unlike the coarse run, makes many of these in
     one call; ``start`` are the initial bodies, if known. A coarse run takes ``look_seconds`` at most. Raises

@@ -81,7 +81,7 @@ def replay(
     """Run a recording again, and compare every frame with the recorded one, bit for bit.
 
     It begins at the last checkpoint before the window, and ends at the first frame whose state differs. The new frames
-    are recorded in a temporary file, which needs as much space as those of the recording.
+    are recorded in a temporary file, which needs as much space as the frames of the recording.
 
     Parameters
     ----------

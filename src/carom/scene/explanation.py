@@ -86,7 +86,7 @@ def _meant(keys: list[str]) -> str:
 
 
 def _chosen_by_few() -> list[str]:
-    """Return the names of shapes of walls and of contact laws, of which a scene has a few or none."""
+    """Return the names of all shapes of walls and contact laws; a scene has a few of them or none."""
     return [*registry.names("walls"), *registry.names("contact_laws")]
 
 

@@ -166,7 +166,7 @@ class NumberedNames(_LazyNames):
 
 @dataclass(eq=False)
 class SomeNames(_LazyNames):
-    """Names of which only some are known; the others are numbered."""
+    """Names, only some of them known; the others are numbered."""
 
     prefix: str
     length: int

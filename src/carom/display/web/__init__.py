@@ -275,7 +275,7 @@ def _listening(port: int) -> _Server:
 
 INDEX, STYLE = "index.html", "index.css"
 SIZE = (1000, 640)  # pixels of a picture
-_FRAME = "frame.html"  # the template around the others
+_FRAME = "frame.html"  # the template of a page, around the template of its content
 _CLASS = "class.html"  # the template of the page with cards
 
 

@@ -142,7 +142,7 @@ def _plain(value: Any) -> Any:
 
 
 def source_of(given: str, overrides: list[str]) -> tuple[Scene, InitialBodies]:
-    """Read a scene and its bodies; of a recording or a bundle, those of the first checkpoint.
+    """Read a scene and its bodies; a recording or a bundle gives the bodies of its first checkpoint.
 
     Raises SceneError or RecordingError if there is none, or the recording cannot be run again.
     """

@@ -1,4 +1,4 @@
-"""The file of a reduced scene: TOML with comments, of which one records whether the reduction is finished."""
+"""The file of a reduced scene: TOML with comments; one comment records whether the reduction is finished."""
 
 from __future__ import annotations
 

@@ -57,7 +57,7 @@ class Condition(ABC):
         """Describe the failure, for the comments of the result."""
 
     def bodies(self, seen: Observation) -> set[str]:
-        """Return the names of the bodies involved, as far as they are known."""
+        """Return the names of the bodies involved, if they are known."""
         return set()
 
 
@@ -115,7 +115,7 @@ class Budget:
         self.check()
 
 
-STEPS_MORE = 4  # limit of a candidate's steps over those of the smallest scene so far
+STEPS_MORE = 4  # limit of a candidate's steps, in multiples of the steps of the smallest scene so far
 FEWEST_STEPS = 2000
 
 
@@ -187,7 +187,7 @@ class Trials:
     def shows(self, document: Document, steps: int | None = None) -> Observation | None:
         """Run a candidate; return its observation if it still shows the failure.
 
-        The limit of its steps is by default a few times those of the smallest scene so far.
+        It may take by default a few times as many steps as the smallest scene so far.
         """
         self.budget.check()
         key = hash((toml_text(document), steps))

@@ -242,7 +242,7 @@ def applies(name: str, scene: Scene) -> bool:
 
 
 def _by_arrays(scene: Scene) -> str:
-    """Compare the bits with those of the scene whose bodies are given as arrays."""
+    """Compare the bits with a run of the same scene whose bodies are given as arrays."""
     start = place(scene)
     kept = {key: value for key, value in tomllib.loads(scene.toml).items() if key not in (BODIES, "group")}
     names = ("position", "velocity", "angular_velocity", "mass", "radius", "inertia", "fixed")

@@ -4,8 +4,8 @@ The interval begins and ends with a frame, so that the time in which impacts are
 impacts, contacts and drawn positions, but exact velocities only at checkpoints. With ``replay``, impacts, contacts and
 velocities are computed again.
 
-Most impacts of a busy run have no rows of their own, and those that have are the largest. Means and totals are
-therefore those of the sums over all impacts that each frame has; only histograms need the rows.
+In a busy run, only the largest impacts have rows of their own. Means and totals therefore come from the sums over all
+impacts that each frame has; only histograms need the rows.
 """
 
 from __future__ import annotations
@@ -179,8 +179,8 @@ class Interval:
     def sums(self) -> ImpactSums:
         """Sums over all impacts after the first frame; `NothingThereError` if there are none.
 
-        If the recording lacks them, they are those of the rows; RecordingError if some impacts have no rows. Rows lack
-        the length of the paths, the kinetic stress and the losses of pairs, which are NaN, and the virial of friction.
+        If the recording lacks sums, rows are summed; RecordingError if some impacts have no rows. Rows lack the length
+        of the paths, the kinetic stress and the losses of pairs, which are NaN, and the virial of friction.
         """
         known = self._sums
         if known is None:

@@ -128,8 +128,8 @@ def measure_forces(interval: Interval) -> Statistic:
 def chains_of(pairs: IntArray, normal: FloatArray, force: FloatArray, radius: FloatArray) -> list[int]:
     """Return the number of bodies of each force chain.
 
-    Contacts have two ends, (k, 2), of which numbers from n on are planes, normals (k, 3) from the first end to the
-    second, and forces (k,) N; radii are (n,) m.
+    Contacts have two ends, (k, 2), where a number from n on is a plane; normals (k, 3) from the first end to the
+    second; and forces (k,) N. Radii are (n,) m.
     """
     n, bodies = len(radius), pairs < len(radius)
     stress = np.zeros((n, 3, 3))

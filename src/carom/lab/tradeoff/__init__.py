@@ -76,7 +76,7 @@ SHOWN = (  # errors in the table
     *("position", "velocity", "impact", "missed", "energy", "energy_gain", "momentum", "overlap", "sinking", "impacts"),
     *("size", "dispersion"),
 )
-TO_THE_HORIZON = (  # errors that are compared only as far as the reference is certain
+TO_THE_HORIZON = (  # errors that are compared only while the reference is certain
     *(f"{error}{ending}" for error in ("position", "velocity") for ending in ("", "_max", "_end")),
     *("impact", "missed"),
 )

@@ -90,7 +90,7 @@ class Cone:
     inverse_mass: FloatArray  # (n + p,) 1/kg
     count: int  # of bodies
     drives: BoolArray  # (n + p,) whether a plane or wall moves by itself
-    weights: FloatArray  # (q,) of each body of the question in the answer
+    weights: FloatArray  # (q,) the weight in the answer of each body that the question names
     carried: FloatArray  # (n + p, q) share of each body's velocity that each end carries at the present moment
     forced: FloatArray  # (n, q) share contributed by forces on each body
     reached: BoolArray  # (n,) whether it could have had an effect

@@ -87,7 +87,8 @@ def why(
 ) -> Answer:
     """Answer a question about a window that begins at the last checkpoint before ``start`` (s).
 
-    By default the window goes back as far as is cheap, and at least to the last checkpoint before the moment. ``watch``
+    By default the window begins where its replay is still cheap, and at the latest at the last checkpoint before the
+    moment. ``watch``
     receives the progress of the replay after every step.
 
     Raises

@@ -51,7 +51,7 @@ def force_arrows(header: Header) -> list[str]:
 def _edges(header: Header, theme: str, *, wide: bool, by_stage: bool = False) -> Overrides:
     """Draw the edges of the collision graph in colours by impulse, and as wide by impulse, as force chains.
 
-    The recorded colours are those of the solver's stages. On white paper the bright colours of either would be
+    The recorded colours show the solver's stages. On white paper the bright colours of either would be
     invisible, so edges have one colour, and only the width shows the impulse.
     """
     if not header.collides or (theme == "dark" and (by_stage or not header.records_contacts)):
@@ -263,7 +263,7 @@ def bodies_area(header: Header, canvas: Canvas, only: str, close: bool) -> Area:
 
 
 def legend_area(canvas: Canvas) -> Area:
-    """Return the area of the legend in a layout of all views; in a window, the one that it has in a small window."""
+    """Return the area of the legend in a layout of all views; for a window, its area in a small window."""
     return (canvas if canvas.rendered else _SMALL_WINDOW).area(LEGEND_SHARE)
 
 

@@ -101,7 +101,7 @@ def corners_of(header: Header, origin: FloatArray) -> FloatArray | None:
 
 
 def upright(up: FloatArray) -> FloatArray:
-    """Return axes (3, 3), the last of which points up: the axes of the scene, unless gravity points elsewhere."""
+    """Return axes (3, 3); the last axis points up. They are the axes of the scene, unless gravity points elsewhere."""
     if float(up @ UP) > 1.0 - STEEP:
         return np.eye(3)
     across = np.cross(up, np.eye(3)[int(np.argmin(np.abs(up)))])
@@ -146,7 +146,7 @@ class Area:
 
     @property
     def inset_share(self) -> tuple[float, float]:
-        """Width and height of the legend, as fractions of those of the view."""
+        """Width and height of the legend, as fractions of the width and height of the view."""
         return self.inset[0] / self.width, self.inset[1] / self.height
 
 

@@ -1,8 +1,8 @@
 """What a reader asks for: bodies by number or name, moments and intervals of time.
 
-The moment shown by default is that of the hardest impact or, without impacts, of the most contacts. If no later step
-has more contacts than the first, as on a slope, the end is shown, since nothing has moved yet in the first step. A
-killed run has recorded neither. For it, the frame before which contacts dissipated most energy is shown.
+By default, the moment of the hardest impact is shown or, without impacts, the moment of the most contacts. If no later
+step has more contacts than the first, as on a slope, the end is shown, since nothing has moved yet in the first step.
+A killed run has recorded neither moment; for it, the frame before which contacts dissipated most energy is shown.
 """
 
 from __future__ import annotations

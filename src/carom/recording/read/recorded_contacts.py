@@ -268,7 +268,7 @@ def _of_impacts(
 ) -> dict[str, Any]:
     """Add approach speeds and energies of the step's impacts to contacts that had no other impulse.
 
-    If the bodies have separated by the end of the step, time, point and normal are those of the hardest impact.
+    If the bodies have separated by the end of the step, the hardest impact gives time, point and normal.
     """
     count, impulse = len(struck), columns["normal_impulse"]
     speed, lost, given, known = np.zeros(count), np.zeros(count), np.zeros(count), np.zeros(count, dtype=bool)

@@ -53,8 +53,8 @@ def _spin_change(state: State, mass: FloatArray, inertia: FloatArray) -> FloatAr
     return None if turned is None else turned / inertia[:, None]
 
 
-# A checkpoint has no torques; a frame has all that its scene models. Torques and angular accelerations are those of
-# contacts that last, angular impulses and changes of spin those of impacts, in the step that ends there.
+# A checkpoint has no torques; a frame has all that its scene models. In the step that ends there, contacts that last
+# exert the torques and the angular accelerations, and impacts the angular impulses and the changes of spin.
 STATE_QUANTITIES = (
     StateQuantity("position", _along(""), "m", _kept("position")),
     StateQuantity("velocity", _along("v"), "m/s", _kept("velocity")),

@@ -26,8 +26,8 @@ def summary(recording: RecordedData) -> dict[str, Any]:
     """Nested numbers; docs/recording.md lists the keys.
 
     The largest errors of all steps are in the property `outcome`, under the same dotted key, such as
-    ``contacts.total``; without it, those of the recorded frames are used. The numbers of a clip describe its own
-    frames; its outcome and expectations describe the whole run.
+    ``contacts.total``; without that property, the largest errors of the recorded frames are used. The numbers of a clip
+    describe its own frames; its outcome and expectations describe the whole run.
     """
     recording.refuse_overlay()
     frames = recording.fingerprints()

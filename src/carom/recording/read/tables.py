@@ -159,7 +159,7 @@ def _recorded_paths(
 
 
 def checkpoints_at(recording: RecordedData, start: dict[str, Values], steps: Iterable[int]) -> Iterator[Checkpoint]:
-    """Yield the exact states at some steps; ``start`` is that before the frames of a clip, empty for a whole run."""
+    """Yield the exact states at some steps; ``start`` is the state before the frames of a clip, else empty."""
     from carom.recording.schema.checkpoint_columns import decode  # noqa: PLC0415 - loads Numba
 
     frames = recording.fingerprints()

@@ -123,7 +123,7 @@ def _admit(column: pa.Field, depth: int = 0) -> None:
         _admit(kind.field(k), depth + 1)
 
 
-# The fields of a Protocol Buffers message are decoded, as far as the messages of an .rrd need it.
+# Decodes the fields of Protocol Buffers that the messages of an .rrd use.
 
 Fields = dict[int, list["int | memoryview"]]
 
@@ -132,7 +132,7 @@ _MOST_FIELDS = 1000  # fields in a message; messages of an .rrd have up to six
 
 
 def fields(message: memoryview) -> Fields:
-    """Decode the fields of a message, each of which may occur more than once; nested messages remain bytes."""
+    """Decode the fields of a message; a field may occur more than once, and nested messages remain bytes."""
     found: Fields = {}
     at = count = 0
     while at < len(message):

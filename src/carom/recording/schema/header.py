@@ -296,7 +296,7 @@ class TimeScale:
         return np.round(shown * 1e9).astype(np.int64)
 
     def within(self, times: FloatArray, ends: FloatArray | None) -> IntArray:
-        """Convert seconds to nanoseconds, before those of the frames that end at ``ends`` (s); see `Index`."""
+        """Convert seconds to nanoseconds, each before the frame that ends at ``ends`` (s); see `Index`."""
         shown = self.nanoseconds(times)
         return shown if ends is None or not len(ends) else np.minimum(shown, self.nanoseconds(ends) - 1)
 

@@ -88,7 +88,7 @@ class Series:
     plot: Plot | None  # one of `PLOTS`; None if it is recorded, but not plotted
     value: Callable[[Sample], float]
     meaning: str  # for docs/recording.md
-    # the part of the model (`carom explain`) without which it is not recorded; None if it is always recorded
+    # the part of the model (`carom explain`) that it is recorded with; None: it is always recorded
     part: str | None = None
     width: float = THIN
     inside: bool = False  # whether the series is internal to carom's solver, so that runs of other engines lack it

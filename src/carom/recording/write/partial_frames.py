@@ -15,7 +15,7 @@ from carom.recording.schema.checkpoint_columns import PartialCheckpoint
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PartialFrame(Frame):
-    """A frame with a place for each body of the run, of which only some exist."""
+    """A frame with a place for each body of the run, including bodies that do not exist in it."""
 
     present: IntArray  # (k,) numbers of the bodies that exist
 

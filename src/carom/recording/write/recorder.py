@@ -161,7 +161,7 @@ class FrameRecorder:
     """Writes one recording.
 
     ``put`` only enqueues, and blocks while the queue is full: no frame is dropped. The first error, such as a full
-    disk, closes the file as far as possible, and is raised by the next ``put`` and by ``finish``.
+    disk, closes the file if that is possible, and is raised by the next ``put`` and by ``finish``.
     """
 
     def __init__(

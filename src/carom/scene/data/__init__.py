@@ -50,7 +50,7 @@ class DataTable:
     names: Sequence[str]  # names of its columns
     hidden: Sequence[str] = ()  # names of further columns, read only if the scene names them
     unnamed: int = 0  # number of its columns if they have no names
-    paths: bool = False  # whether the names are paths of HDF5, of which the last part counts
+    paths: bool = False  # whether the names are paths of HDF5; only the last part of a path counts
     vectors: Collection[str] = ()  # names of the columns that hold three numbers for each body
     facts: Facts = Facts()  # units and whatever else the file states about its numbers
     law: MotionLaw | None = None  # None if unknown

@@ -1,8 +1,8 @@
 """What a file states about its numbers beside its columns: units, angles, frame of reference, epoch, time and box.
 
 Each reader fills a `Facts`, `column_factor` converts a column or refuses it, and `contradiction` compares the tables of
-a scene. A unit is, in this order, that of the column in the scene (``columns = { mass = "mass [g]" }``), of the column
-in the file, of the file, or of the scene.
+a scene. The unit of a column is stated by the scene (``columns = { mass = "mass [g]" }``); otherwise by the column in
+the file; otherwise by the file; otherwise it is the scene's own unit.
 """
 
 from __future__ import annotations
