@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from carom.lab.compared_run import sample_times
+from carom.lab.compared_run import follow, sample_times
 from carom.lab.tradeoff.event_driven_reference import solve, why_not
+from carom.lab.tradeoff.reference import make_reference
 from carom.physics.space import Space
 from carom.scene.load import Scene
 from published.test_two_body_bounce import AT_REST, BOUNCES
@@ -207,3 +208,33 @@ def test_spheres_that_meet_askew_and_keep_no_approach_part_along_their_tangents(
     apart = np.linalg.norm(exact.trajectory.position[-1, 1] - exact.trajectory.position[-1, 0])
     met = (4.0 - math.sqrt(3.0)) / 2.0
     assert apart == pytest.approx(math.hypot(2.0, (4.0 - met) * 1.0), rel=1e-13)  # v_t = 2 m/s · sin 30°
+
+
+def struck_row(restitution: float, gap: float) -> Scene:
+    """Return a ball that meets a row of four others, which touch or are a gap (m) apart, after 1.3 s."""
+    row = [{"radius": 0.1, "mass": 1.0, "position": [k * (0.2 + gap), 0.0, 0.0]} for k in range(4)]
+    ball = {"radius": 0.1, "mass": 1.0, "position": [-1.5, 0.0, 0.0], "velocity": [1.0, 0.0, 0.0]}
+    contact = {"restitution": restitution, "static_friction": 0.0, "kinetic_friction": 0.0}
+    return scene_of([ball, *row], gravity={"constant": 0.0}, contact=contact, time={"duration": 2.0})
+
+
+@pytest.mark.parametrize(
+    ("restitution", "gap", "is_determined"), [(1.0, 0.0, True), (0.9, 0.0, False), (0.9, 0.01, True)]
+)
+def test_a_reference_says_where_the_order_of_simultaneous_impacts_matters(
+    restitution: float, gap: float, is_determined: bool
+) -> None:
+    # Touching balls that lose energy strike again at once, in several orders. Equal elastic ones exchange velocities,
+    # and balls apart strike one after the other: both have a single outcome.
+    reference = make_reference(struck_row(restitution, gap), threads=1)
+    said = "velocities after the simultaneous impacts at t = 1.3 s depend on their order" in reference.text
+    assert said is not is_determined
+    assert (reference.uncertainty.velocity < 1e-12) is is_determined
+
+
+def test_balls_that_touch_from_the_start_have_no_time_of_first_contact() -> None:
+    scene = struck_row(1.0, 0.0)
+    reference = make_reference(scene, threads=1)
+    errors = reference.errors(follow(Space(scene, 1), sample_times(scene)))
+    assert reference.trajectory.pair.tolist() == [[0, 1]], "the only pair that is apart at first"
+    assert errors.impact <= 1e-13 and errors.missed == 0.0

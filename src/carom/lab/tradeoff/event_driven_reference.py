@@ -11,7 +11,10 @@ solution ends where a force presses touching bodies together or where contacts a
 not events.
 
 The tolerance bounds the error of flights only. A *twin* measures how contacts amplify rounding: the same scene,
-displaced by rounding errors, with simultaneous contacts resolved in the opposite order.
+displaced by rounding errors, with simultaneous contacts resolved in another order. Each order keeps the impulse law of
+a pair, but in a row of touching bodies the velocities depend on it: no law of pairs determines them. The solution
+resolves all pairs that close, and then those that close again; the twins resolve one pair at a time, one twin the last
+of those that close, the other twin the first.
 """
 
 from __future__ import annotations
@@ -55,6 +58,7 @@ class EventDrivenSolution:
     trajectory: Trajectory
     ended: str = ""  # why it ends before the scene; empty if complete
     time: list[float] = field(default_factory=list)  # s, of every contact
+    together: list[float] = field(default_factory=list)  # s, of impacts of one body with several others at one instant
 
 
 def why_not(scene: Scene) -> str:
@@ -78,8 +82,8 @@ def solve(
     """Solve a scene from the start of its space, which does not change; keep the solution at times (K,) in s.
 
     The relative ``tolerance`` of DOP853, times the largest coordinate and speed at the start, is also the absolute one.
-    A ``twin`` other than 0 is the seed of a twin, which starts displaced by rounding and resolves simultaneous contacts
-    in the opposite order. The solution ends after a ``budget`` of CPU time in s.
+    A ``twin`` of 1 or 2 starts displaced by rounding and resolves simultaneous contacts in another order. The solution
+    ends after a ``budget`` of CPU time in s.
     """
     return _Solver(space, times, tolerance, twin, budget).run()
 
@@ -87,7 +91,7 @@ def solve(
 class _Solver:
     def __init__(self, space: Space, times: FloatArray, tolerance: float, twin: int, budget: float) -> None:
         scene, start = space.scene, space.state
-        self._scene, self._tolerance, self._times = scene, tolerance, times
+        self._scene, self._tolerance, self._times, self._twin = scene, tolerance, times, twin
         self._coefficients = pair_coefficients(scene)
         self._budget, self._deadline = budget, clock.thread_time() + budget
         # the state that contacts change
@@ -107,10 +111,10 @@ class _Solver:
             signs = np.random.default_rng(twin).choice([-1.0, 1.0], (2, self._n, 3))
             position += NUDGE * EPS * signs[0] * (np.abs(position) + np.abs(velocity) * scene.time.duration)
             velocity *= 1.0 + NUDGE * EPS * signs[1]
-            self._i, self._j = self._i[::-1], self._j[::-1]
         self._max_step = (LONGER if twin else 1.0) * float(np.median(np.diff(times, prepend=0.0)))
         self._reach = start.radius[self._i] + start.radius[self._j]
         self._near = TOUCHING * self._reach  # (pairs,) m; gaps up to this are contact
+        self._touched = self._gaps(self._state()) <= self._near  # (pairs,) at the start; they have no first contact
         self._time = 0.0
         self._position: list[FloatArray] = []  # (n, 3) m, at each sample so far
         self._velocity: list[FloatArray] = []  # (n, 3) m/s, at each sample so far
@@ -152,7 +156,16 @@ class _Solver:
             struck=np.array(self._ends, dtype=np.int64).reshape(-1, 2),
             struck_at=np.array(self._struck),
         )
-        return EventDrivenSolution(trajectory, self._ended, self._struck)
+        return EventDrivenSolution(trajectory, self._ended, self._struck, self._together())
+
+    def _together(self) -> list[float]:
+        """Return the times (s) at which one body has impacts with several others."""
+        pairs: dict[float, set[tuple[int, int]]] = {}
+        for time, ends in zip(self._struck, self._ends, strict=True):
+            pairs.setdefault(time, set()).add(ends)
+        return [
+            time for time, found in pairs.items() if len({body for ends in found for body in ends}) < 2 * len(found)
+        ]
 
     def _advance(self, end: float, longest: float) -> list[int]:
         """Advance to a time or to the first contacts before it; return the pairs in contact.
@@ -301,7 +314,8 @@ class _Solver:
         """Resolve contacts; return the longest allowed next step, in s."""
         rounds = 0
         while touching and not self._ended:
-            for pair in touching:
+            chosen = touching if not self._twin else touching[-1:] if self._twin == 1 else touching[:1]
+            for pair in chosen:
                 self._strike(pair)
             rounds += 1
             if len(self._struck) > MOST_CONTACTS or rounds > MOST_CONTACTS:
@@ -324,7 +338,8 @@ class _Solver:
         e = LAW.restitution(material, -float((v2 - v1) @ normal), 0.0)
         impact = CollisionContext(b1, b2, normal, r1_vec, r2_vec, v2 - v1, 0.0)
         impact.resolve(e, material.static_friction, material.kinetic_friction)
-        self._met.setdefault((i, j), self._time)
+        if not self._touched[pair]:
+            self._met.setdefault((i, j), self._time)
         if rate < -self._rate_noise(state, pair, self._tolerance):
             self._struck.append(float(self._time))
             self._ends.append((i, j))

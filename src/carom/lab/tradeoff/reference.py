@@ -20,7 +20,7 @@ import numpy as np
 
 from carom.arrays import FloatArray
 from carom.lab.compared_run import Stopwatch, Trajectory, follow, sample_times
-from carom.lab.tradeoff.event_driven_reference import EPS, TIGHTEST, solve, why_not
+from carom.lab.tradeoff.event_driven_reference import EPS, TIGHTEST, EventDrivenSolution, solve, why_not
 from carom.physics.space import Space
 from carom.physics.vector import minimum_images
 from carom.plan import auto
@@ -172,6 +172,7 @@ def _total(values: FloatArray) -> float:
     return float(np.sqrt(np.mean(values * values))) if len(values) else np.nan
 
 
+ORDER_MATTERS = 1e-10  # of the speed, more than rounding: solutions with impacts in another order that differ by more
 AGREEMENT = 1e-3  # of the size of the system; refinements that differ by more do not agree
 LOOSER = 10.0  # ratio of the tolerances of the second and first exact solution
 GAIN = 1.1  # refinement ends when the horizon grows by less than this factor
@@ -288,8 +289,25 @@ def _exact(scene: Scene, threads: int | None, budget: float, tell: Teller) -> tu
     text = f"exact: DOP853, tolerance {TIGHTEST:g}, {counted(len(best.time), 'contact')} located"
     text += f"; it ends early: {best.ended}" if best.ended else ""
     whole = not best.ended
+    text += _undetermined(scene, best, checks)
     reference = _reference(scene, best.trajectory, checks, kind="exact", fineness=math.inf, whole=whole, text=text)
     return (reference, "") if reference.samples else (None, f"no sample is certain: {text}")
+
+
+def _undetermined(scene: Scene, best: EventDrivenSolution, checks: list[Trajectory]) -> str:
+    """Say at which simultaneous impacts the solution depends on their order; empty if at none."""
+    scale = scale_of(scene, best.trajectory)
+    for check in checks:
+        _, apart = scale.apart(best.trajectory, check)
+        for time in best.together:
+            after = int(np.searchsorted(best.trajectory.time, time, side="right"))
+            if 0 < after < len(apart) and apart[after] > ORDER_MATTERS and apart[after] > 10.0 * apart[after - 1]:
+                when = scene.unit_system.text(time, TIME)
+                return (
+                    f"; velocities after the simultaneous impacts at t = {when} depend on their order, "
+                    f"by {apart[after]:.1e} of the speed, and no law determines it"
+                )
+    return ""
 
 
 def _refined(scene: Scene, finest: float, threads: int | None, budget: float, tell: Teller, reason: str) -> Reference:
