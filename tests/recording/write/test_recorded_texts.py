@@ -7,6 +7,7 @@ import re
 import pytest
 
 import carom
+from carom.display.letters import drawable
 from carom.recording.layout import turning_arrows
 from carom.recording.read.recorded_scene import header_of_recording
 from carom.recording.read.recording import Recording
@@ -50,6 +51,11 @@ def test_the_legend_explains_torques_and_impacts_where_there_are_any(recording: 
     assert ("torque" in legend) == header.has_torque
     assert ("does not depend on the length of the step" in legend) == (header.has_torque and header.records_contacts)
     assert legend.startswith("# Legend") and "Bodies:" in legend
+
+
+def test_the_font_of_the_viewer_has_every_character(recording: Recording) -> None:
+    for path in (paths.ABOUT, paths.LEGEND, paths.SCENE):  # a viewer without a screen ends at any other
+        assert {letter for letter in text(recording, path) if not drawable(letter)} == set()
 
 
 def test_the_command_of_about_reads_the_file(recording: Recording, capsys: pytest.CaptureFixture[str]) -> None:

@@ -11,7 +11,7 @@ from carom.recording.layout import force_arrows, turning_arrows
 from carom.recording.layout.drawing import arrow_length, shape
 from carom.recording.schema import palette, paths
 from carom.recording.schema.header import Header, TimeScale
-from carom.recording.schema.paths import ANGULAR_ACCELERATION, FORCE_NORMAL, TORQUE
+from carom.recording.schema.paths import FORCE_NORMAL
 from carom.recording.schema.series import recorded
 from carom.scene.portable_math import ENDLESS
 from carom.scene.units.dimension import LENGTH, MASS, RATE, TIME
@@ -140,12 +140,11 @@ def _lengths(header: Header) -> Iterator[str]:
     """State how long arrows are."""
     if not header.has_torque:
         return
-    length = header.units.text
+    short, long = (header.units.text(arrow_length(header, path), LENGTH, ".4g") for path in paths.OF_LASTING)
     yield (
         "- Arrows start at a body's centre. What sticks out of the sphere is L = L_max · s / (1 + s) long, with "
-        f"s = (m / m_ref)^⅓. L_max is {length(arrow_length(header, TORQUE), LENGTH, '.4g')} for torques and angular "
-        f"impulses, {length(arrow_length(header, ANGULAR_ACCELERATION), LENGTH, '.4g')} for angular accelerations and "
-        "changes of spin; m_ref stands in the recording's property `arrows`, and the magnitude m beside each arrow."
+        f"s = (m / m_ref)^(1/3). L_max is {short} for torques and angular impulses, {long} for angular accelerations "
+        "and changes of spin; m_ref stands in the recording's property `arrows`, and the magnitude m beside each arrow."
     )
 
 
@@ -275,8 +274,8 @@ def _impulse_legend(header: Header) -> list[str]:
     friction = ", and the friction on it (purple)" if header.has_friction else ""
     lines = [
         "- Both views colour these lines by the normal impulse J of the step; that of impulses draws wider lines, too: "
-        "u = s / (1 + s), s = (J / m_ref)^⅓, from dark purple (u = 0) over red (⅓) and orange (⅔) to pale yellow (1). "
-        "Chains of wide lines carry the load. m_ref is the median of the frame.",
+        "u = s / (1 + s), s = (J / m_ref)^(1/3), from dark purple (u = 0) over red (1/3) and orange (2/3) to pale "
+        "yellow (1). Chains of wide lines carry the load. m_ref is the median of the frame.",
         "- The contacts of the largest impulses have arrows at the contact point: the normal impulse on the second "
         f"body (yellow){friction}, {longest} · u long.",
     ]
