@@ -11,8 +11,9 @@ import pytest
 
 from carom.errors import ExperimentError, PhysicsError, RecordingError, SceneError
 from carom.lab import compared_run as trajectory
+from carom.lab import tradeoff as trade
 from carom.lab.compared_run import Setting
-from carom.lab.tradeoff import _legend, table_of, tradeoff
+from carom.lab.tradeoff import _legend, say_equal_runs, show_tables, table_of, tradeoff
 from carom.lab.tradeoff.settings_grid import SettingResult, default_settings, vary
 from carom.lab.tradeoff.tradeoff import Study
 from carom.lab.tradeoff.tradeoff_figure import draw, record
@@ -368,7 +369,24 @@ def test_a_factor_on_the_step_names_the_limits_where_it_is_not_one_on_every_step
     assert adaptive.name == "max_dt × 2"
 
 
-def test_settings_with_the_same_run_are_timed_once_and_share_a_row(tmp_path: Path) -> None:
+@pytest.mark.parametrize(("width", "tables"), [(320, 1), (80, 3)])
+def test_a_terminal_of_any_width_shows_every_error_in_whole_cells(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, width: int, tables: int
+) -> None:
+    monkeypatch.setattr(trade, "PIPE_WIDTH", width)
+    study, _ = measured(eight(), tmp_path, "step=1,2")
+    capsys.readouterr()
+    show_tables(study)
+    shown = capsys.readouterr().out
+    assert "…" not in shown and max(map(len, shown.splitlines())) <= width
+    assert shown.count("steps 2 times as long") == tables
+    assert study.results[1].errors is not None
+    assert all(f"{getattr(study.results[1].errors, name):.1e}" in shown for name in ("position", "velocity", "energy"))
+
+
+def test_settings_with_the_same_run_are_timed_once_and_share_a_row(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     # a fixed step is not averaged
     study, said = measured(eight(), tmp_path, "time.smoothing=0.5,1", "step=1,2", repeats=2)
     assert [result.same_as for result in study.results] == [
@@ -381,6 +399,8 @@ def test_settings_with_the_same_run_are_timed_once_and_share_a_row(tmp_path: Pat
     assert [len(result.costs) for result in study.results] == [2] * 4
     assert list(study.marks("energy")) == ["smoothing = 0.5", "smoothing = 0.5, steps 2 times as long"]
     assert table_of(study).row_count == 2
+    say_equal_runs(study)
+    assert "The same run as smoothing = 0.5: smoothing = 1." in capsys.readouterr().out
     again, _ = measured(eight(), tmp_path, "time.smoothing=0.5,1", "step=1,2", repeats=3)
     assert [len(result.costs) for result in again.results] == [3] * 4
     assert again.results[3].costs is again.results[1].costs

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
+from textwrap import fill
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -86,6 +87,9 @@ STATISTICS = tuple(  # errors that are compared to the end of the reference
 VAGUE = 0.5  # relative uncertainty of a cost, from which on it is shown as a factor
 SPENT = "the budget"  # the first words of the reason for which settings are left out at the end of a budget
 STOPPED = "carom: stopped; the measurements are kept, and the same command continues"
+COSTS = "cost / s", "known to", "steps", "mean step / written"  # columns of the first table
+HEADING = 10  # characters of a line of a heading, about those of a value
+MARKS = {"front": "●", "near": "?"}  # of an error in the table; see `_legend`
 PIPE_WIDTH = 320  # characters of the table where the output is not a terminal
 ADVICE = "start over with --new-study, or choose another folder with --study"
 
@@ -206,8 +210,8 @@ def _show(study: Study) -> None:
 
     from carom.terminal.console import Terminal
 
+    show_tables(study)
     console = Terminal(markup=True, piped=PIPE_WIDTH)
-    console.print(table_of(study))
     reference = study.reference
     if reference is None:
         return
@@ -225,7 +229,18 @@ def _show(study: Study) -> None:
         if result.reason and result.setting.name not in left_out:
             status = "" if result.status == "stopped" else f"{result.status}: "
             console.print(f"{escape(result.setting.name)}: {status}{escape(result.reason)}", soft_wrap=True)
+    say_equal_runs(study)
     say_left_out(left_out)
+
+
+def say_equal_runs(study: Study) -> None:
+    """Name the settings that share a row of the table."""
+    equal: dict[str, list[str]] = {}
+    for result in study.results:
+        if result.same_as:
+            equal.setdefault(result.same_as, []).append(result.setting.name)
+    for name, others in equal.items():
+        say(f"The same run as {name}: {'; '.join(others)}.")
 
 
 def say_left_out(left_out: Mapping[str, str]) -> None:
@@ -251,8 +266,24 @@ def _legend(noise: float) -> str:
     )
 
 
-def table_of(study: Study, errors: Collection[str] = SHOWN) -> Table:
-    """Make the table of a study, cheapest first, with a column for each of some errors."""
+def show_tables(study: Study, errors: Collection[str] = SHOWN) -> None:
+    """Print the table of a study; on a narrow terminal, errors that do not fit are in further tables below it."""
+    from carom.lab.tradeoff.reference import NAMES
+    from carom.terminal.console import WIDEST, Terminal
+
+    console = Terminal(markup=True, piped=PIPE_WIDTH)
+    widest, parts = console.options.update(width=WIDEST), [list[str]()]
+    for error in (name for name in NAMES if name in errors):
+        longer = table_of(study, [*parts[-1], error], costs=len(parts) == 1)
+        if parts[-1] and console.measure(longer, options=widest).maximum > console.width:
+            parts.append([])
+        parts[-1].append(error)
+    for k, part in enumerate(parts):
+        console.print(table_of(study, part, costs=k == 0))
+
+
+def table_of(study: Study, errors: Collection[str] = SHOWN, *, costs: bool = True) -> Table:
+    """Make the table of a study, cheapest first, with a column for each of some errors, and those of the costs."""
     from rich import box
     from rich.markup import escape
     from rich.table import Table
@@ -266,24 +297,17 @@ def table_of(study: Study, errors: Collection[str] = SHOWN) -> Table:
     shown = [e for e in NAMES if e in errors and any(not math.isnan(getattr(r.errors, e)) for r in done)]
     marks = {error: study.marks(error) for error in shown}
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
-    for heading in (
-        "setting",
-        "cost / s",
-        "known to",
-        "steps",
-        "mean step / written",
-        *(_heading(study, error) for error in shown),
-    ):
-        table.add_column(heading, no_wrap=True, justify="left" if heading == "setting" else "right")
+    table.add_column("setting", no_wrap=True)
+    for heading in (*(COSTS if costs else ()), *(_heading(study, error) for error in shown)):
+        in_lines = fill(heading, HEADING, break_long_words=False)
+        table.add_column(in_lines, no_wrap=True, justify="right")
     for result in done:
         name = result.setting.name
         cells = [_cell(result, error, marks[error].get(name, ""), study.scene.unit_system) for error in shown]
-        cost = (f"{result.cost:.3g}" if result.costs else "", _certainty(result))
-        same = [r.setting.name for r in measured if r.same_as == name]
-        called = f"{name} (the same run: {'; '.join(same)})" if same else name
         step = f"{written / result.steps:.3g}" if written and result.steps else ""
-        table.add_row(escape(called), *cost, str(result.steps), step, *cells)
-    for result in study.results:
+        cost = f"{result.cost:.3g}" if result.costs else "", _certainty(result), str(result.steps), step
+        table.add_row(escape(name), *(cost if costs else ()), *cells)
+    for result in study.results if costs else ():
         if result.errors is None and result.status != "left out":
             steps = str(result.steps) if result.status == "stopped" else ""
             table.add_row(escape(result.setting.name), result.status, "", steps)
@@ -317,7 +341,8 @@ def _cell(result: SettingResult, error: str, mark: str, units: UnitSystem) -> st
     if math.isnan(value):
         return ""
     text = f"{value:.0f}" if error == "missed" else f"{value:.1e}" if value else "0"
-    return f"[bold]{text} ●[/bold]" if mark == "front" else f"{text} {'?' if mark == 'near' else ' '}"
+    text += f" {MARKS.get(mark, ' ')}"
+    return f"[bold]{text}[/bold]" if mark == "front" else text
 
 
 def tune_command(
@@ -375,10 +400,7 @@ def tune_command(
     found: list[Tuning] = []
     finished = ran(lambda tell: found.append(tuned(study, asked, repeats, tell, settings)), quiet=as_json)
     if not as_json:
-        from carom.terminal.console import Terminal
-
-        console = Terminal(markup=True, piped=PIPE_WIDTH)
-        console.print(table_of(study, asked))
+        show_tables(study, asked)
     if not finished:
         if as_json:
             say_json(stopped(study, asked))
@@ -390,6 +412,7 @@ def tune_command(
     if as_json:
         say_json(tuning.document() | {"file": str(path) if tuning.best else None})
     else:
+        say_equal_runs(study)
         say_left_out(study.left_out)
     if tuning.best is not None and not as_json:
         say("\n".join([*_tuning_lines(tuning), f"Written to {path}. The measurements stay in {study.folder}."]))
