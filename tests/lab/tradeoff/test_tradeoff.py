@@ -335,8 +335,9 @@ def test_a_figure_of_settings_with_the_same_error_is_drawn_without_a_warning(tmp
         entry["errors"]["position"], entry["spread"] = 1.0489772850920652e-08, 0.1  # of which matplotlib warned
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        draw(document, tmp_path / "same.png")
+        draw(document, tmp_path / "same.png", tmp_path / "same.pdf")
     assert (tmp_path / "same.png").read_bytes().startswith(b"\x89PNG")
+    assert (tmp_path / "same.pdf").read_bytes().startswith(b"%PDF")
 
 
 def test_a_step_is_a_multiple_of_what_it_is_with_the_other_choices() -> None:

@@ -188,16 +188,16 @@ def ran(measure: Callable[[Teller], object], *, quiet: bool) -> bool:
 def _draw(study: Study, quiet: bool) -> None:
     """Write the figure and the recording beside the document; print their paths, or why there is none."""
     from carom.errors import ExperimentError
-    from carom.lab.tradeoff.tradeoff import DOCUMENT, FIGURE, OVERLAY
+    from carom.lab.tradeoff.tradeoff import DOCUMENT, FIGURE, OVERLAY, VECTORS
     from carom.lab.tradeoff.tradeoff_figure import draw, record
 
     if not any(result.complete for result in study.results):
         return
     said = [str(study.folder / DOCUMENT)]
-    figure, recording = study.folder / FIGURE, study.folder / OVERLAY
+    figure, vectors, recording = (study.folder / name for name in (FIGURE, VECTORS, OVERLAY))
     try:
-        draw(study.document(), figure, study.scene.unit_system)
-        said.append(str(figure))
+        draw(study.document(), figure, vectors, units=study.scene.unit_system)
+        said += [str(figure), str(vectors)]
     except ExperimentError as error:
         said.append(f"no figure: {error}")
     record(study, recording)

@@ -37,7 +37,8 @@ PANELS = {
 }
 MOST_PANELS = 6
 OF_THE_RUN_ALONE = ("energy", "energy_gain", "overlap", "sinking")  # errors that need no reference
-LEAST = 1e-14  # rounding; smaller errors are drawn here
+LEAST = 1e-14  # rounding; smaller errors are drawn as zeros
+ZERO_BELOW = 4.0  # factor between the least error drawn and the line of the zeros below it
 INK, FAINT = "#1b2a3a", "#8a94a0"
 COLOURS = ("#d55e00", "#0072b2", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#1b2a3a", "#a0522d")  # of families
 OWN, OTHERS = ("o", "s", "^"), ("D", "v", "P")  # markers of carom's families in turn, and of other engines'
@@ -67,8 +68,8 @@ def styled(size: float) -> AbstractContextManager[None]:
     return context
 
 
-def draw(document: dict[str, Any], path: Path, units: UnitSystem = SI) -> None:
-    """Draw the document of a study into a PNG or SVG; times of impacts are drawn in units of its scene.
+def draw(document: dict[str, Any], *paths: Path, units: UnitSystem = SI) -> None:
+    """Draw the document of a study into files (PNG, SVG, PDF); times of impacts are drawn in units of its scene.
 
     Raises ExperimentError if matplotlib is not there, or nothing is measured.
     """
@@ -117,8 +118,9 @@ def draw(document: dict[str, Any], path: Path, units: UnitSystem = SI) -> None:
             title="\n".join([words, noise, *ends]),
             title_fontproperties={"size": 7},
         )
-        with whole_file(path) as part:
-            figure.savefig(part)
+        for path in paths:
+            with whole_file(path) as part:
+                figure.savefig(part)
 
 
 def _families(done: list[dict[str, Any]]) -> dict[str, list[dict[str, Any]]]:
@@ -154,10 +156,13 @@ def _panel(
     ax.set(xscale="log", yscale="log", xlabel="cost / s", ylabel=f"{PANELS[error]} / {unit}" if unit else PANELS[error])
     points: list[tuple[float, float]] = []
     ax.autoscale(enable=False, axis="y")
+    sizes = [entry["errors"][error] for group in families.values() for entry in group]
+    zero = one * min(size for size in sizes if size is not None and size > LEAST) / ZERO_BELOW
     for name, group in families.items():
         look = looks[name]
         known = [entry for entry in group if entry["errors"][error] is not None]
-        here = [(entry["cost"], one * max(entry["errors"][error], LEAST)) for entry in known]
+        found = [(entry["cost"], entry["errors"][error]) for entry in known]
+        here = [(cost, one * size if size > LEAST else zero) for cost, size in found]
         points += here
         if len(here) > 1:
             ax.plot(*zip(*sorted(here), strict=True), color=look.colour, linewidth=0.6, alpha=0.5)
@@ -184,6 +189,11 @@ def _panel(
         ax.axhline(floor, color=FAINT, linewidth=0.8, linestyle=":")
         words, where = "the reference's own uncertainty", ("axes fraction", "data")
         ax.annotate(words, (1.0, floor), xycoords=where, ha="right", va="bottom", fontsize=6, color=FAINT)
+    if wrong.min() == zero:
+        ax.axhline(zero, color=FAINT, linewidth=0.5, zorder=0)
+        ax.annotate(
+            "zero, or rounding", (1.0, zero), xycoords=("axes fraction", "data"), ha="right", va="bottom", fontsize=6
+        )
     wider = max(1.2, (cost.max() / cost.min()) ** 0.06)  # matplotlib's own limits warn if all costs are equal
     ax.set_xlim(cost.min() / wider, cost.max() * wider)
     drawn = [*wrong, floor] if seen else wrong
