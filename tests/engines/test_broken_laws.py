@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import zipfile
 from pathlib import Path
 
@@ -79,3 +80,40 @@ def test_a_report_is_of_the_worst_law_and_holds_the_first_frame_of_each(broken: 
     ]
     overlap = recording.summary()["laws"]["overlap"]["step"]
     assert worst["step"] in shown[0] and overlap not in shown[0] and overlap in shown[1]
+
+
+class Odd(Faulty):
+    """A source whose time stops, or whose constants change, in one step."""
+
+    def __init__(self, odd: str) -> None:
+        super().__init__(False)
+        radius = np.array([0.1, 0.1, 0.0 if odd == "radius 0" else 0.1])
+        self.odd, self.model = odd, dataclasses.replace(Faulty.model, mass=np.ones(3), radius=radius)
+
+    def state(self) -> carom.record.State:
+        state = super().state()
+        if self.step == 7 and self.odd == "time":
+            state.time = (self.step - 1) * DT
+        if self.step == 7 and self.odd in ("mass", "radius"):
+            getattr(self.model, self.odd)[1] = 0.05
+        return state
+
+
+@pytest.mark.parametrize(
+    ("odd", "step", "said"),
+    [
+        ("none", 0, ""),
+        ("time", 7, "the time did not advance, it is still 0.06 s"),
+        ("mass", 7, 'the mass of body 1 "a" changed from 1 kg to 0.05 kg'),
+        ("radius", 7, 'the radius of body 1 "a" changed from 0.1 m to 0.05 m'),
+        ("radius 0", 0, 'body 2 "b" has the radius 0'),
+    ],
+)
+def test_a_bad_source_is_named_at_its_frame(odd: str, step: int, said: str, tmp_path: Path) -> None:
+    source = Odd(odd)
+    with carom.record.Recorder(source, tmp_path / "odd.rrd") as recorder:
+        for source.step in range(1, 12):
+            recorder.frame()
+    assert len(recorder.problems) == bool(said) and all(said in problem for problem in recorder.problems)
+    noted = [event for event in Recording.open(tmp_path / "odd.rrd").warnings() if event.kind == "not-recorded"]
+    assert [event.step for event in noted] == [step] * bool(said)

@@ -39,10 +39,12 @@ from carom.recording.read.recording import Recording
 from carom.recording.schema.header import LARGEST
 from carom.recording.write.whole_file import claimed_output, refuse_name
 from carom.runs.environment import environment
-from carom.scene.units.dimension import TIME, UnitError
+from carom.scene.units.dimension import LENGTH, MASS, TIME, UnitError
 from carom.scene.units.system import SI, UnitSystem
+from carom.scene.wording import Names
 
 COMPLETED = "completed"
+CONSTANTS = {"mass": MASS, "radius": LENGTH}  # arrays of a model that must not change without ids
 LONGEST_TURN = 10.0  # s, that a thread waits for another one within `frame`, which may never return
 
 
@@ -141,6 +143,7 @@ class Recorder:
         self._model = source.model  # of the first bodies
         self._setup: Setup | None = None  # of these bodies; None until there are some
         self._ids: IntArray | None = None
+        self._unrecorded = Unrecorded(self.path)
         if not _is_empty(first):
             self._begin_with(first)
         self._new: Callable[[], StateMemory] = lambda: StateMemory.like(first)
@@ -149,7 +152,6 @@ class Recorder:
         self._free: StateMemory | None = None  # reusable memory
         self._sink: SnapshotWriter | None = None
         self._written = self._taken = 0
-        self._unrecorded = Unrecorded(self.path)
         self._lock, self._owner = threading.Lock(), 0  # the thread that records a frame; 0 for none
         self.faults: list[Fault] = []
 
@@ -285,7 +287,13 @@ class Recorder:
             )
             self._end(call, text, ())
             return False
+        if state.time == self._time:
+            stands = self._units.text(state.time, TIME, "g")
+            text = f"{setup.engine}: the time did not advance, it is still {stands}: give the engine's own time."
+            self._unrecorded.add(call, state.time, text, "What changed in no time counts as an error of the engine.")
         self._time = state.time
+        if setup is self._setup and self._ids is None:
+            self._note_changed_constants(call, setup)
         if self._ring is not None:
             if not self._ring:
                 expect_finish(self, True)
@@ -308,6 +316,19 @@ class Recorder:
         self._taken += 1
         return True
 
+    def _note_changed_constants(self, call: int, setup: Setup) -> None:
+        """Note a mass or a radius of the model that is not the one at the start any more."""
+        for name, unit in CONSTANTS.items():
+            was, now = self._constants[name], np.asarray(getattr(self._source.model, name))
+            if now.shape == was.shape and (now != was).any():
+                body = int(np.argmax(now != was))
+                called = Names(setup.names, []).of(body)
+                before, after = (self._units.text(float(values[body]), unit, "g") for values in (was, now))
+                text = f"{setup.engine}: the {name} of {called} changed from {before} to {after}."
+                keeps = f"The recording keeps the first {name}; where bodies change, give each state their ids."
+                self._unrecorded.add(call, self._time, text, keeps)
+                self._constants[name] = now.astype(np.float64)  # a copy; each change is noted once
+
     def _begin_with(self, first: State) -> None:
         """Check the model and the first state with bodies, before anything is allocated or written."""
         if not isinstance(first, State):
@@ -325,6 +346,11 @@ class Recorder:
             refuse_no_rotation(setup.engine, np.asarray(first.orientation, dtype=np.float64))
         self._setup = setup
         self._ids = None if first.ids is None else ids_of(setup.engine, first.ids, n)
+        points = np.flatnonzero(~setup.touches & ~setup.fixed)
+        if setup.collides and len(points):
+            text = f"{setup.engine}: {Names(setup.names, []).of(int(points[0]))} has the radius 0."
+            self._unrecorded.add(self._calls, time_of(first), text, "It touches nothing, and is drawn small.")
+        self._constants = {name: np.array(getattr(self._model, name), np.float64) for name in CONSTANTS}
 
     @property
     def _time_of_note(self) -> float:
