@@ -80,7 +80,7 @@ def test_a_scene_that_misses_a_limit_gets_shorter_steps_until_it_is_kept(tmp_pat
 def test_a_limit_that_no_step_keeps_ends_the_search(tmp_path: Path) -> None:
     tuning = search(eight(fixed_dt=0.1), tmp_path, position=1e-17)  # below rounding, whatever the order
     assert tuning.best is None and len(tuning.tried) < 60
-    assert tuning.why_none().startswith("position below 1e-13 is within rounding")
+    assert tuning.why_none().startswith("position (rms) below 1e-13 is within rounding")
 
 
 @pytest.mark.slow
