@@ -37,6 +37,11 @@ def test_run_records_a_scene_and_says_what_to_do_next(tmp_path: Path) -> None:
     assert Recording.open(tmp_path / "recordings" / "two-spheres.rrd").frames > 100
 
 
+def test_a_run_in_which_nothing_touched_says_so(tmp_path: Path) -> None:
+    said = carom("run", "two-spheres", "--set", "time.duration=0.1", cwd=tmp_path)
+    assert said.returncode == 0 and "none: nothing touched" in said.stderr + said.stdout
+
+
 def test_run_prints_json_that_a_script_can_use(tmp_path: Path) -> None:
     done = carom("run", "two-spheres", "--json", "-o", "x.rrd", cwd=tmp_path)
     outcome = json.loads(done.stdout)

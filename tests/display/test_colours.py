@@ -3,10 +3,12 @@
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 import carom
 from carom.display import body_colours, close_up, movie
+from carom.display.body_colours import BodyColours
 from carom.display.presentation import Presentation, asked
 from carom.display.request import Request
 from carom.recording.edit.clip import clip
@@ -121,3 +123,14 @@ def test_a_close_up_of_a_clip_has_the_colours_of_the_whole(collision: Recording,
     clip(collision.path, tmp_path / "clip.rrd", 0.5, 1.5, bodies=[1, 2])
     shown = asked(Recording.open(tmp_path / "clip.rrd"), Request(bodies="1,2"))
     assert colours_in(dict(shown.supplement.statics)[close_up.BODIES]) == recorded_colours(collision)[1:]
+
+
+@pytest.mark.parametrize("theme", ["dark", "light"])
+def test_two_shades_of_one_hue_are_two_colours_in_a_close_up(theme: str) -> None:
+    shades = palette.legible(palette.body_colours(np.zeros(200, dtype=np.int64)), theme)
+    for pair in (shades[[0, 1]], shades[[3, 3]]):
+        told = close_up._told_apart(BodyColours(np.zeros(1, np.int64), np.zeros(1), pair[None]), theme).fixed
+        assert told is not None and told[0] == pair[0] and told[1] not in shades
+    apart = palette.legible([palette.SKY, palette.CLAY], theme)
+    kept = close_up._told_apart(BodyColours(np.zeros(1, np.int64), np.zeros(1), apart[None]), theme).fixed
+    assert kept is not None and kept.tolist() == apart.tolist(), "bodies that differ keep their colours"

@@ -6,6 +6,7 @@ from typing import Any, cast
 import numpy as np
 import pytest
 import rerun.blueprint as rrb
+from rerun.components import FillMode
 
 import carom
 from carom.display import staging
@@ -25,6 +26,7 @@ from carom.scene.forces import FORCES
 from carom.scene.load import Scene
 from carom.scene.scene_file import bundled_scenes
 from carom.scene.units.dimension import OF_UNIT
+from scripted_run import ScriptedRun
 from small_scenes import scene_of
 
 MASS, GRAVITY = 2.0, 9.81
@@ -133,3 +135,14 @@ def test_every_plot_of_every_bundled_scene_names_the_unit_of_the_scene(ball: Rec
             named.add(title)
         assert not series, "each has a plot"
     assert {"Energy (J)", "dt (s)", "Impulse of impacts (N s)", "dt (day)"} < named
+
+
+@pytest.mark.parametrize(("bodies", "is_solid"), [(2, False), (300, True)])
+def test_in_a_crowd_bodies_are_solid_and_contacts_in_the_other_view(bodies: int, is_solid: bool) -> None:
+    """Transparent spheres behind one another, with an edge in each, are a tangle."""
+    layout = blueprint(ScriptedRun(bodies).header, CameraFit(np.ones(bodies), np.arange(3.0 * bodies).reshape(-1, 3)))
+    first, second, *_ = cast(list[Any], views_of(layout.root_container))
+    assert (paths.CONTACTS in first.contents) != is_solid and paths.CONTACTS in second.contents
+    drawn = first.visualizer_overrides.get(paths.BODIES, [])
+    fills = [one for each in drawn for one in each.overrides if "fill_mode" in str(one.component_descriptor())]
+    assert [one.as_arrow_array().to_pylist() for one in fills] == [[FillMode.Solid.value]] * is_solid

@@ -162,7 +162,7 @@ def picture(
     from carom.recording.read.recording import Recording
     from carom.recording.write.whole_file import refuse_output
     from carom.terminal.compilation import announce_compilation
-    from carom.terminal.console import replaying
+    from carom.terminal.console import LiveLine, Patience, replaying
 
     given = GivenMoment(at, step, event)
     pixels, out = pixels_of(size), output or file.with_suffix(".png")
@@ -175,7 +175,8 @@ def picture(
             request = Request(given.time(recording, watch), event, bodies, plot, colour_by, edges.value)
         announce_compilation()
         _announce_replay(path, plot, alone=view is PictureView.PLOT)
-        made = render(path, request, out, pixels, view=view.value, theme=theme.value)
+        with Patience("Rendering the picture", LiveLine()):
+            made = render(path, request, out, pixels, view=view.value, theme=theme.value)
         when = recording.units.text(made.time, TIME, ".9g")
     typer.echo(f"{out} written, t = {when}.")
     _say_missing(made.missing)

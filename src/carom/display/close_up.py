@@ -66,6 +66,8 @@ _LABEL_HEIGHT, _LETTER_WIDTH = 25.0, 7.2  # points, with the margin of the label
 _BELOW = 32.0  # points, from the place of a label to its lower edge
 _ROUNDING = 1e-9  # of the faster spin; a slower one is rounding
 _TOUCHING = 1e-9  # of a radius; a smaller gap is rounding
+_FADED = {"dark": 0x3C4250FF, "light": 0xC4C8D0FF}  # wires of other bodies
+_ALIKE = 0.08  # largest difference of the shares of red, green and blue of two shades of one hue
 _UNSEEN = 1e-6  # size of the invisible points that the camera follows, in radii of the smaller body
 
 
@@ -129,7 +131,7 @@ class CloseUp:
         contents = [BODIES, FOLLOWED, EDGE, NORMAL, IMPULSE, SPIN, LABELS, paths.BODIES, *surroundings(header)]
         contents += [f"{LEGEND}/**", f"{FIELD}/**"] if self.legend.entries else []
         return spatial_view(
-            *(f"Close-up: {self.names}", self.eye, contents, faint_bodies(header, recoloured)),
+            *(f"Close-up: {self.names}", self.eye, contents, faint_bodies(header, recoloured, _FADED[self.area.theme])),
             follows=FOLLOWED,
             theme=self.area.theme,
         )
@@ -382,10 +384,13 @@ def close_up(
     if contact is not None:
         tip = contact.point + _NORMAL * header.radius[places].min() * contact.normal
         ends = tip[None] if ends is None else np.concatenate([ends, tip[None]])
+    colours = _told_apart(colours, area.theme)
     entries = list[LegendLine]()
+    if explained and colours.fixed is not None:
+        entries += [LegendLine(f"■ {name}", int(own)) for name, own in zip(short, colours.fixed, strict=True)]
     if explained and contact is not None:
         ink, impulse = palette.INKS[area.theme], palette.ARROWS[paths.FORCE_NORMAL]
-        entries = [LegendLine("— line of centres", palette.VERMILION), LegendLine("→ normal", ink)]
+        entries += [LegendLine("— line of centres", palette.VERMILION), LegendLine("→ normal", ink)]
         entries += [LegendLine("→ impulse on each body", impulse)] if np.any(contact.impulse) else []
         entries += [LegendLine("→ spin", palette.SPIN)] if spin is not None and np.any(spin) else []
     words = Legend(entries, area.theme)
@@ -427,6 +432,26 @@ def close_up(
         legend=words,
         corner=free_corner(eye, area.aspect, area.inset_share, shown, radii) or CORNERS[0],
     )
+
+
+def _told_apart(colours: BodyColours, theme: str) -> BodyColours:
+    """Return colours by which two bodies can be told apart: their own, unless these are shades of one hue.
+
+    Colours that change with time, such as those of speeds, mean something, and stay.
+    """
+    fixed = colours.fixed
+    if fixed is None or len(fixed) < 2 or not _alike(int(fixed[0]), int(fixed[1])):
+        return colours
+    others = palette.legible([palette.SKY, palette.CLAY, palette.INDIGO], theme)
+    rest = [int(other) for other in others if not _alike(int(other), int(fixed[0]))]
+    return BodyColours(colours.steps, colours.times, np.array([[fixed[0], rest[0]]], dtype=np.uint32))
+
+
+def _alike(one: int, another: int) -> bool:
+    """Return whether two colours are shades of one hue."""
+    channels = np.array([[colour >> shift & 0xFF for shift in (24, 16, 8)] for colour in (one, another)], dtype=float)
+    shares = channels / channels.sum(axis=1, keepdims=True).clip(1.0)
+    return bool(np.abs(shares[0] - shares[1]).max() <= _ALIKE)
 
 
 def _followed(position: FloatArray, half: float) -> FloatArray:

@@ -22,7 +22,7 @@ from carom.arrays import ColourArray, FloatArray
 from carom.display.letters import drawable, label_width, padded
 from carom.display.supplement import Static
 from carom.physics.frame import Frame
-from carom.recording.layout import OF_LATE, drawing
+from carom.recording.layout import OF_LATE, drawing, is_crowded
 from carom.recording.layout.canvas import LEGEND, Area, View
 from carom.recording.layout.drawing import REACH, magnitude_at, shape, single
 from carom.recording.read.recording import Recording
@@ -268,7 +268,13 @@ def legend(
     by_stage
         Whether the edges beside the bodies have the colours of the solver's stages.
     """
-    lines = [*_bodies(header, by, colours, references, named), *_edges(header, frame, drawn, theme, by_stage)]
+    edges = list(_edges(header, frame, drawn, theme, by_stage))
+    if is_crowded(header):  # solid spheres hide them
+        edges = [
+            replace(line, views=[view for view in line.views if view != BODIES]) if line.text[0] == "—" else line
+            for line in edges
+        ]
+    lines = [*_bodies(header, by, colours, references, named), *edges]
     if drawn.trails:
         lines.append(LegendLine("— path so far", palette.GREY, (BODIES,)))
     for turning in (paths.OF_LASTING if drawn.torques else (), paths.OF_IMPACTS if drawn.turns else ()):

@@ -149,7 +149,7 @@ def presentation(
     """
     header = header_of_recording(recording)
     step = shown_step(recording, moment, within, dense=dense, watch=watch)
-    until, motion = (moment, CameraMotion.STILL) if canvas.rendered else (np.inf, None)
+    motion = CameraMotion.STILL if canvas.rendered else None
     by = colour_by or header.coloured_by
     recoloured = by != header.coloured_by or redrawn_for(header, canvas.theme)
     chosen = pair or _pair(recording, header, step)
@@ -160,7 +160,7 @@ def presentation(
         colours = body_colours(recording, header, by, step).on(canvas.theme)
         fixed, own = colours.fixed, colours.of(places)
     trails = trail_colours(recording, header, by, canvas.theme)
-    staging = Staging.of(recording, header, step.position, trails, until, motion, step)
+    staging = Staging.of(recording, header, step.position, trails, moment, motion, step)
     clock = TimeScale(float(recording.info["time_scale"]))
     instant = None if chosen is None else at_impact(step, chosen, header, recording.origin, moment, clock)
     within_step = instant is not None and (at_own_time or abs(instant.time - moment) <= tolerance(moment))
@@ -222,7 +222,7 @@ def presentation(
     words = words.titled(header.title, written) if canvas.rendered else words
     added = Additions(
         *(close, has_trails, recoloured, by_stage, plots, words),
-        moment=canvas.rendered,
+        moment=True,
         tips=_arrow_tips(header, recording.origin, paused, references),
         marks=marks,
     )

@@ -189,7 +189,7 @@ def counts_text(contact_steps: int, impacts: int | None, each: str | None, summe
         return (
             f"{counted(contact_steps, 'contact')} in the recorded frames (pairs that touch, summed over these frames)"
         )
-    steps = f"{counted(contact_steps, 'contact-step')} (pairs that touch, summed over steps)"
+    steps = f"{counted(contact_steps, 'touching pair')}, summed over steps"
     if impacts is None:
         return steps
     how = f" (counted {each})" if each not in (None, EACH) else ""
@@ -271,7 +271,7 @@ def energy_texts(summary: dict[str, Any], units: UnitSystem) -> list[str]:
     first, last = (units.text(energy[when], ENERGY) for when in ("initial", "final"))
     texts, worst = [f"{first} at first, {last} at last"], error_text(energy["max_error"])
     if not summary["scene"].get("engine"):
-        return [*texts, f"integration error at most {worst} of the energy scale at the checks"]
+        return [*texts, f"integration error at most {worst} of the energy scale"]
     if summary["contacts"]["total"] or energy["change_in_contact"]:
         change = units.text(energy["change_in_contact"], ENERGY, "+.4g")
         unjudged = " or are not judged" if summary["judged"] < summary["bodies"] else ""

@@ -98,7 +98,7 @@ class RunProgress(LiveLine):
         if moments.energy_error:
             table.add_row(
                 "energy",
-                f"integration error at most {error_text(moments.energy_error.value)} of the energy scale at the checks",
+                f"integration error at most {error_text(moments.energy_error.value)} of the energy scale",
             )
         linear, angular = moments.momentum_error, moments.angular_momentum_error
         if linear is None:
@@ -113,6 +113,8 @@ class RunProgress(LiveLine):
                 table.add_row("", f"impacts: {outcome.impacts.text(moments.impacts)}")
             most = f"at most {moments.contacts.value:.0f} at once"
             table.add_row("", "; ".join(filter(None, (most, overlap_text(moments.overlap.value)))))
+        elif moments.total_contacts == 0 and self._scene.contact.enabled:
+            table.add_row("contacts", "none: nothing touched")
         if outcome.accuracy:
             table.add_row("accuracy", accuracy_text(outcome.accuracy, units))
         for line in warning_lines(outcome.warnings, units):

@@ -13,7 +13,7 @@ from rerun.encodings import EntityPathLike
 
 from carom.arrays import SingleArray
 from carom.errors import RecordingError
-from carom.recording.layout.camera import CameraFit
+from carom.recording.layout.camera import FEW, CameraFit
 from carom.recording.layout.canvas import (
     LEGEND,
     NONE,
@@ -79,13 +79,19 @@ _HIDDEN = 1e-12  # of a body's radius; size of the dot if the body itself is lar
 Overrides = dict[EntityPathLike, VisualizerLike | list[VisualizerLike]]
 
 
+def is_crowded(header: Header) -> bool:
+    """Return whether bodies are so many that they are solid beside the view of the contacts, and have no trails."""
+    return header.bodies > FEW
+
+
 def _drawn_bodies(
     header: Header, view: View, area: Area, recoloured: bool = False, named: tuple[str, ...] = ()
 ) -> Overrides:
     """Return overrides that add dots to small bodies and names to few, and apply the colours of a `Supplement`."""
     apparent = header.radius / view.height() * area.height  # points
     small = apparent < LEAST
-    if not (small.any() or recoloured or named):
+    is_solid = shape(header) == "ellipsoids" and is_crowded(header)
+    if not (small.any() or recoloured or named or is_solid):
         return {}
     # negative radii are in points of the screen (Rerun)
     dots = np.where(small, -LEAST, _HIDDEN * header.radius).astype(np.float32)
@@ -93,7 +99,8 @@ def _drawn_bodies(
     match shape(header):
         case "ellipsoids":
             colours = "Points3D:colors" if recoloured else "Ellipsoids3D:colors"
-            names = rr.Ellipsoids3D.from_fields(show_labels=bool(named), labels=named or None)
+            fill: Literal["Solid"] | None = "Solid" if is_solid else None
+            names = rr.Ellipsoids3D.from_fields(show_labels=bool(named), labels=named or None, fill_mode=fill)
             spheres = names.visualizer(mappings=taken_from({"Ellipsoids3D:colors": colours}))
             return {paths.BODIES: [spheres, *([_points(dots, "Ellipsoids3D:centers", colours)] if small.any() else [])]}
         case "points":
@@ -117,9 +124,10 @@ def bodies_eye(camera: CameraFit, area: Area, added: Additions) -> View:
 
 
 def bodies_view(header: Header, camera: CameraFit, area: Area, added: Additions = NONE) -> rrb.Spatial3DView:
-    """Show bodies, contacts, planes, walls and the box."""
+    """Show bodies, planes, walls and the box, and the contacts unless spheres of a crowd hide them."""
     view = bodies_eye(camera, area, added)
-    name = "Bodies and contacts" if header.collides else "Bodies"
+    has_contacts = header.collides and not is_crowded(header)
+    name = "Bodies and contacts" if has_contacts else "Bodies"
     overrides = _drawn_bodies(header, view, area, added.recoloured, added.named)
     overrides |= _edges(header, area.theme, wide=False, by_stage=added.by_stage)
     cursor = rr.TimeRangeBoundary.cursor_relative()
@@ -137,7 +145,7 @@ def bodies_view(header: Header, camera: CameraFit, area: Area, added: Additions 
         [
             paths.BODIES,
             *surroundings(header),
-            *([paths.CONTACTS] if header.collides else []),
+            *([paths.CONTACTS] if has_contacts else []),
             *([TRAILS] if added.trails else []),
             *([f"{FIELD}/**"] if added.axes else []),
             *([f"{LEGEND}/**"] if area.inset[0] else []),
@@ -186,12 +194,13 @@ def graph_view(header: Header, camera: CameraFit, area: Area, added: Additions =
     )
 
 
-def faint_bodies(header: Header, recoloured: bool = False) -> Overrides:
-    """Draw bodies as thin wires in their own colours, so that they do not hide edges and arrows."""
+def faint_bodies(header: Header, recoloured: bool = False, colour: int | None = None) -> Overrides:
+    """Draw bodies as thin wires, in one colour or in their own, so that they do not hide edges and arrows."""
     match shape(header):
         case "ellipsoids":
-            thin = rr.Ellipsoids3D.from_fields(fill_mode="MajorWireframe", line_radii=rr.Radius.ui_points(0.4))
-            colours = {"Ellipsoids3D:colors": "Points3D:colors"} if recoloured else {}
+            width = rr.Radius.ui_points(0.4)
+            thin = rr.Ellipsoids3D.from_fields(fill_mode="MajorWireframe", line_radii=width, colors=colour)
+            colours = {"Ellipsoids3D:colors": "Points3D:colors"} if recoloured and colour is None else {}
             return {paths.BODIES: thin.visualizer(mappings=taken_from(colours))}
         case "points":
             dots = rr.Points3D.from_fields(radii=rr.Radius.ui_points(1.0))

@@ -55,7 +55,7 @@ class RecordedImpacts:
         if more <= 0:
             return text
         total = f"; in all {self.count}" if self.left_out else ""
-        return f"{text}{total}, {more} more than counted: they parted by the end of their step"
+        return f"{text}{total}, {more} of them too brief to be counted"
 
 
 def impacts(recording: RecordedData, start: float | None, end: float | None, body: int | str | None) -> pa.Table:

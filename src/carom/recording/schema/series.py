@@ -50,7 +50,7 @@ class Plot:
 
 PLOTS = (  # from left to right; the plots of a column are tabs
     (Plot("Energy", "J"),),
-    (Plot("Energy taken out", "J"), Plot("Relative error", "1")),
+    (Plot("Energy lost", "J"), Plot("Relative error", "1")),
     (Plot("Contacts", "1"), Plot("Contact force", "N"), Plot("Impacts", "1/s"), Plot("Solver", "1")),
     (Plot("Overlap / radius", "1"), Plot("dt", "s"), Plot("Piston", "m")),
 )
