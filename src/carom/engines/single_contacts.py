@@ -33,9 +33,8 @@ KEPT = 0.25  # of J_n times the gain of speed, of which friction may take as muc
 MOSTLY = 0.75  # of the impacts of an engine; the deviations of the others may be faults
 SPREADS = 6.0  # of the deviation that most impacts have: those of PyBullet at planes are as large as their coefficients
 SHALLOW = 1e-3  # of the smaller radius; bodies that overlap less have no elastic energy
-OFF = (
-    0.1  # least deviation of a coefficient of restitution; those of soft contacts vary by 0.07 with the phase of a step
-)
+# Least deviation of a coefficient of restitution. Those of soft contacts vary by 0.07 with the phase of a step.
+OFF = 0.1
 OVER = 0.05  # of the speed of an impact; bodies that change their velocities more in the next frame still touch
 MOST_SAMPLES = 100_000  # impacts kept for comparison
 FRICTION, RESTITUTION, PULL, SPIN = "friction", "restitution", "pull", "spin"
