@@ -155,7 +155,7 @@ def test_edges_and_arrows_are_seen_between_bodies_larger_than_planets(tmp_path: 
     pixels = picture(Scene.load(str(file)), tmp_path)
     graph, close = (view(pixels, number, SHARES) for number in (1, 2))
     assert sum(of_colour(graph, int(colour)) for colour in drawing.COLOURS) > 30, "the edge of the graph"
-    assert of_hue(graph, palette.ORANGE) > 100, "the arrows of the torques"
+    assert of_hue(graph, palette.MAGENTA) > 100, "the arrows of the angular impulses"
     assert of_colour(close, palette.YELLOW, 60) > 100, "the arrow of the impulse"
 
 

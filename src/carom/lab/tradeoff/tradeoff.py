@@ -448,6 +448,7 @@ class Study:
                 space = Space(result.setting.apply(self.scene), result.setting.threads or self.threads)
                 watch = Stopwatch()
                 run = follow(space, times, self._bound(result), reached)
+                result.followed = watch.seconds
         except RunStoppedError as stopped:
             result.status, result.reason = "stopped", str(stopped)
             result.steps, result.spent = stopped.steps, stopped.seconds
@@ -455,7 +456,6 @@ class Study:
         except (PhysicsError, ExperimentError) as error:
             result.status, result.reason = "failed", str(error)
             return
-        result.followed = watch.seconds
         run.save(self._path(result))
         result.status, result.errors = "measured", self.reference.errors(run) if self.reference else None
         result.steps, result.frames, result.digest = run.steps, run.frames, run.digest
