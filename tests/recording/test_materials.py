@@ -40,9 +40,9 @@ def test_bodies_have_the_colours_of_their_materials(hops: Recording) -> None:
     assert recorded_colours(hops) == [SKY, GREY, palette.VERMILION, palette.ORANGE, SAND]
 
 
-def test_the_text_of_the_scene_names_materials_colours_and_coefficients(hops: Recording) -> None:
-    text = str(hops._entities.static(paths.SCENE)["TextDocument:text"][0])
-    assert "by material, glass sky blue, steel grey, rubber vermilion, wood orange, clay #b08968" in text
+def test_the_texts_of_a_recording_name_materials_colours_and_coefficients(hops: Recording) -> None:
+    legend, text = (str(hops._entities.static(path)["TextDocument:text"][0]) for path in (paths.LEGEND, paths.SCENE))
+    assert "by material, glass sky blue, steel grey, rubber vermilion, wood orange, clay #b08968" in legend
     assert "| glass and plate (steel) | 0.93 | 0.3 | 0.2 |" in text
     assert "| rubber on rubber | 0.8 | 1 | 0.8 |" in text
 
