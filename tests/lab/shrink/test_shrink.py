@@ -63,6 +63,7 @@ def test_the_reduced_file_runs_and_misses_the_same_promise(tmp_path: Path) -> No
     (tmp_path / "gas.toml").write_text(Scene.from_dict(GAS).toml)
     made = carom("shrink", "gas.toml", "--while", "energy.max_error > 1e-6", cwd=tmp_path)
     assert made.returncode == 0, made.stderr
+    assert "runs the scene tens to hundreds of times" in made.stderr
     text = (tmp_path / "gas-small.toml").read_text()
     assert "# Asked for: energy.max_error > 1e-6" in text and ", minimal" in text
     assert scene_from_text(text, "gas-small.toml").count == 2

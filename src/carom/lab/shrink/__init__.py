@@ -11,7 +11,7 @@ import typer
 
 from carom.scene.wording import command, counted
 from carom.terminal.options import ForceOption, JsonOption, SetOption, work_time
-from carom.terminal.printing import say, say_json
+from carom.terminal.printing import note, say, say_json
 
 if TYPE_CHECKING:
     from carom.lab.shrink.reducer import Reducer, ReducerProgress, Reduction
@@ -132,6 +132,11 @@ def _reduced(
         write(path, unfinished_text(document, asked, said, reducer.before, key, command))
 
     reducer.keep = keep
+    if not quiet:
+        note(
+            f"This runs the scene tens to hundreds of times. After Ctrl-C, {path} has the smallest scene so far, and "
+            "the same command continues."
+        )
     with nullcontext() if quiet else _watched(reducer):
         result = reducer.reduce(scene, start)
     write(path, text_of(result, asked, key, command))
