@@ -207,7 +207,7 @@ def test_times_of_impacts_in_a_study_are_in_the_units_of_the_scene(folder: Path)
     table = printed(folder, "tradeoff", "cm.toml", "--vary", "step=1,2", "--repeats", "1", "-o", "study")
     settings = json.loads((folder / "study" / "tradeoff.json").read_text(encoding="utf-8"))["settings"]
     late = max(each["errors"]["impact"] for each in settings)  # s
-    assert late > 0.0 and "impact time / ms" in table and f" {1000.0 * late:.1e} " in table
+    assert late > 0.0 and "contact / ms" in table and f" {1000.0 * late:.1e} " in table
 
 
 def test_a_description_in_a_refusal_is_in_the_units_of_the_scene(folder: Path) -> None:

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import carom
+from carom.display.body_colours import BodyColours, fixed_colours
 from carom.display.close_up import close_up
 from carom.display.request import shown_step
 from carom.lab.why.history import question_of
@@ -148,7 +149,8 @@ def test_commands_show_recorded_contact_forces_and_count_impacts(recording: Reco
 
 def test_a_close_up_of_a_recorded_contact_has_its_force(recording: Recording) -> None:
     header = header_of_recording(recording)
-    close = close_up(recording, header, shown_step(recording, STEPS * DT), Pair(0, 1), Area(400.0, 400.0), None, "dark")  # type: ignore[arg-type]
+    colours = BodyColours(np.zeros(1, np.int64), np.zeros(1), fixed_colours(recording)[None])
+    close = close_up(recording, header, shown_step(recording, STEPS * DT), Pair(0, 1), Area(400.0, 400.0), colours)
     assert close.contact is not None and close.contact.force is not None
     (row,) = [row for row in recording.contacts(STEPS * DT).to_pylist() if (row["i"], row["j"]) == (0, 1)]
     assert close.contact.force == pytest.approx(np.hypot(row["normal_force"], row["tangential_force"]), rel=1e-6)

@@ -88,6 +88,7 @@ VAGUE = 0.5  # relative uncertainty of a cost, from which on it is shown as a fa
 SPENT = "the budget"  # the first words of the reason for which settings are left out at the end of a budget
 STOPPED = "carom: stopped; the measurements are kept, and the same command continues"
 COSTS = "cost / s", "known to", "steps", "mean step / written"  # columns of the first table
+UNBROKEN_SLASH = "\N{NO-BREAK SPACE}/\N{NO-BREAK SPACE}"  # before a unit
 HEADING = 10  # characters of a line of a heading, about those of a value
 MARKS = {"front": "●", "near": "?"}  # of an error in the table; see `_legend`
 PIPE_WIDTH = 320  # characters of the table where the output is not a terminal
@@ -299,7 +300,7 @@ def table_of(study: Study, errors: Collection[str] = SHOWN, *, costs: bool = Tru
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
     table.add_column("setting", no_wrap=True)
     for heading in (*(COSTS if costs else ()), *(_heading(study, error) for error in shown)):
-        in_lines = fill(heading, HEADING, break_long_words=False)
+        in_lines = fill(heading.replace(" / ", UNBROKEN_SLASH), HEADING, break_long_words=False)
         table.add_column(in_lines, no_wrap=True, justify="right")
     for result in done:
         name = result.setting.name
