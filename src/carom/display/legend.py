@@ -20,6 +20,7 @@ from numpy.typing import ArrayLike
 
 from carom.arrays import ColourArray, FloatArray
 from carom.display.letters import drawable, label_width, padded
+from carom.display.motion_texts import motion_texts
 from carom.display.supplement import Static
 from carom.physics.frame import Frame
 from carom.recording.layout import OF_LATE, drawing, is_crowded
@@ -291,6 +292,7 @@ def legend(
     if field is not None and np.any(field):
         size = header.units.text(float(np.linalg.norm(field)), dimension.ACCELERATION, ".4g")
         lines.append(LegendLine(f"→ gravity, {size}", palette.FIELD))
+    lines += [LegendLine(text, palette.GREY, (BODIES,)) for text in motion_texts(header) if drawable(text)]
     if viewer_time:
         lines.append(LegendLine(f"time: {viewer_time}", palette.GREY))
     return Legend(lines, theme)
