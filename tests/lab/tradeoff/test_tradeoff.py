@@ -370,9 +370,9 @@ def test_a_factor_on_the_step_names_the_limits_where_it_is_not_one_on_every_step
     assert adaptive.name == "max_dt × 2"
 
 
-@pytest.mark.parametrize(("width", "tables"), [(320, 1), (80, 3)])
+@pytest.mark.parametrize("width", [320, 80])
 def test_a_terminal_of_any_width_shows_every_error_in_whole_cells(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, width: int, tables: int
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, width: int
 ) -> None:
     monkeypatch.setattr(trade, "PIPE_WIDTH", width)
     study, _ = measured(eight(), tmp_path, "step=1,2")
@@ -380,7 +380,7 @@ def test_a_terminal_of_any_width_shows_every_error_in_whole_cells(
     show_tables(study)
     shown = capsys.readouterr().out
     assert "…" not in shown and max(map(len, shown.splitlines())) <= width
-    assert shown.count("steps 2 times as long") == tables
+    assert (shown.count("steps 2 times as long") > 1) == (width == 80), "further tables"
     assert study.results[1].errors is not None
     assert all(f"{getattr(study.results[1].errors, name):.1e}" in shown for name in ("position", "velocity", "energy"))
 

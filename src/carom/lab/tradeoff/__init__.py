@@ -276,7 +276,8 @@ def show_tables(study: Study, errors: Collection[str] = SHOWN) -> None:
     widest, parts = console.options.update(width=WIDEST), [list[str]()]
     for error in (name for name in NAMES if name in errors):
         longer = table_of(study, [*parts[-1], error], costs=len(parts) == 1)
-        if parts[-1] and console.measure(longer, options=widest).maximum > console.width:
+        alone = len(parts) > 1 and not parts[-1]
+        if not alone and console.measure(longer, options=widest).maximum > console.width:
             parts.append([])
         parts[-1].append(error)
     for k, part in enumerate(parts):
