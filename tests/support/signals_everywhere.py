@@ -88,6 +88,8 @@ def attempt(rng: random.Random, folder: Path) -> dict[str, object]:
 
 def main(seed: str, count: int) -> int:
     """Judge so many attempts; return the number of faults."""
+    # a shell that starts us in the background has us ignore the interrupt key, and commands would inherit that
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     rng, faults = random.Random(seed), 0
     with tempfile.TemporaryDirectory() as place:
         folder = Path(place)
