@@ -269,13 +269,7 @@ def legend(
     by_stage
         Whether the edges beside the bodies have the colours of the solver's stages.
     """
-    edges = list(_edges(header, frame, drawn, theme, by_stage))
-    if is_crowded(header):  # solid spheres hide them
-        edges = [
-            replace(line, views=[view for view in line.views if view != BODIES]) if line.text[0] == "—" else line
-            for line in edges
-        ]
-    lines = [*_bodies(header, by, colours, references, named), *edges]
+    lines = [*_bodies(header, by, colours, references, named), *_edges(header, frame, drawn, theme, by_stage)]
     if drawn.trails:
         lines.append(LegendLine("— path so far", palette.GREY, (BODIES,)))
     for turning in (paths.OF_LASTING if drawn.torques else (), paths.OF_IMPACTS if drawn.turns else ()):
@@ -363,11 +357,12 @@ def _edges(
 ) -> Iterator[LegendLine]:
     """Explain lines between touching bodies, points at impacts, and arrows of impulses."""
     by_impulse = theme == "dark" and drawn.impulses and not by_stage  # beside the bodies
+    beside = () if is_crowded(header) else (BODIES,)  # solid spheres hide lines
     if drawn.contacts and not by_impulse:
         if theme == "dark" and not header.engine:
-            yield LegendLine("— contact, coloured by the solver's stage", palette.STAGES[0], (BODIES,))
+            yield LegendLine("— contact, coloured by the solver's stage", palette.STAGES[0], beside)
         else:
-            yield LegendLine("— bodies that touch", palette.VERMILION, (BODIES, *(() if drawn.impulses else (GRAPH,))))
+            yield LegendLine("— bodies that touch", palette.VERMILION, (*beside, *(() if drawn.impulses else (GRAPH,))))
     if drawn.impacts:
         text = "■ impact: size = impulse, brightness = energy lost"
         yield LegendLine(text, int(drawing.COLOURS[-2]), (BODIES,))
@@ -376,7 +371,7 @@ def _edges(
     middle = _middle(frame)
     levels = drawing.COLOURS.tolist() if theme == "dark" else [palette.VERMILION] * drawing.LEVELS
     normal, friction = palette.ARROWS[paths.FORCE_NORMAL], palette.ARROWS[paths.FORCE_FRICTION]
-    views = (BODIES, GRAPH) if by_impulse else (GRAPH,)
+    views = (*beside, GRAPH) if by_impulse else (GRAPH,)
     for level, word in _EDGES.items():
         impulse = magnitude_at(level, drawing.LEVELS, middle)
         value = f", {_round(header, impulse, dimension.IMPULSE)}" if middle else ""

