@@ -36,7 +36,6 @@ keep_freed_memory()  # as the carom command does, before NumPy starts its thread
 import numpy as np  # noqa: E402
 import rerun as rr  # noqa: E402
 
-from carom.physics.frame import Frame  # noqa: E402
 from carom.physics.schedule import at  # noqa: E402
 from carom.physics.space import Space  # noqa: E402
 from carom.recording.rrd.container import Container  # noqa: E402
@@ -47,6 +46,7 @@ from carom.runs import run as experiment  # noqa: E402
 from carom.runs.run import Outcome, header_of, recording_space, simulate  # noqa: E402
 from carom.scene.load import Scene  # noqa: E402
 from carom.scene.scene_file import bundled_scenes  # noqa: E402
+from carom.state.frame import Frame  # noqa: E402
 from measurement import merge  # noqa: E402
 
 ROUNDS = 7
@@ -272,7 +272,7 @@ def recorded(space: Space, folder: str) -> tuple[float, Outcome]:
 
 def recorded_without_exact_states(space: Space, folder: str) -> float:
     """Record without fingerprints and checkpoints; such a file could be viewed, but not replayed."""
-    nothing = mock.patch("carom.physics.frame.fingerprint_of", lambda time, arrays: 0)
+    nothing = mock.patch("carom.state.frame.fingerprint_of", lambda time, arrays: 0)
     never: Any = mock.patch("carom.recording.write.recorder.CheckpointPlan.chosen", lambda plan, batch: [])
     with nothing, never:
         return recorded(space, folder)[0]

@@ -30,7 +30,6 @@ BODIES = 12  # along a side of the heap; 16 along a side of the gas
 
 WORKER = """
 import json, sys, time
-from carom.physics.checkpoint import fingerprint
 from carom.physics.space import Space
 from carom.scene.load import Scene
 space = Space(Scene.from_dict(json.loads(sys.stdin.readline())), 1)

@@ -17,13 +17,13 @@ import sys
 from typing import TYPE_CHECKING, Any
 
 from carom.held_signals import signals_held
+from carom.state.frame import Frame as Frame
 
 if TYPE_CHECKING:
     from carom import errors as errors
     from carom import record as record
     from carom.display.notebook import show as show
     from carom.display.viewer import view as view
-    from carom.physics.frame import Frame as Frame
     from carom.physics.space import Space as Space
     from carom.recording.read.recording import Recording as Recording
     from carom.runs.replay import replay as replay
@@ -34,11 +34,12 @@ if TYPE_CHECKING:
 
     __version__: str
 
+
 __all__ = ["Frame", "Recording", "Scene", "Space", "__version__", "errors", "record"]
 __all__ += ["replay", "rerun", "resume", "run", "show", "view"]
 
 _HOMES = {
-    "Frame": "carom.physics.frame",
+    "Frame": "carom.state.frame",
     "Recording": "carom.recording.read.recording",
     "Scene": "carom.scene.load",
     "Space": "carom.physics.space",

@@ -106,7 +106,7 @@ def test_steps_that_are_run_again_leave_the_magnitudes_of_arrows_as_they_were_gi
 def test_a_step_that_cannot_be_run_again_is_replaced_by_the_frame_before_it_with_the_reason(
     bounce: Recording, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("carom.physics.frame.fingerprint_of", lambda time, arrays: 1)
+    monkeypatch.setattr("carom.state.frame.fingerprint_of", lambda time, arrays: 1)
     shown = presentation(bounce, bounce.moment())
     assert "other bits" in shown.missing
     assert shown.time == pytest.approx(1.5, abs=1e-12), "the frame before 1.605 s"

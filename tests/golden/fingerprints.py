@@ -30,12 +30,12 @@ import numpy as np
 import xxhash
 
 from carom.errors import SceneError
-from carom.physics.frame import Frame
 from carom.physics.schedule import every
 from carom.physics.space import Space
 from carom.scene.data.body_sources import DataFiles
 from carom.scene.load import Scene, scene_from_dict
 from carom.scene.scene_file import bundled_scenes, extreme_scenes
+from carom.state.frame import Frame
 
 HERE = Path(__file__).parent
 STORED = HERE / "fingerprints.json"

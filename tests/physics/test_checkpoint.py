@@ -10,10 +10,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from carom.physics.frame import Frame
 from carom.physics.schedule import every
 from carom.physics.space import Space
 from carom.scene.load import Scene
+from carom.state.frame import Frame
 from scene_strategies import documents, scene_from
 from small_scenes import cloud
 

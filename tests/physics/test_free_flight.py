@@ -14,11 +14,11 @@ from carom import registry
 from carom.errors import PhysicsError
 from carom.physics.contact.events import steady_steps
 from carom.physics.contact.events.steady_steps import PATIENCE
-from carom.physics.frame import Frame
 from carom.physics.jit.decorators import WORTH_COMPILING, compiling_all
 from carom.physics.schedule import Schedule, every
 from carom.physics.space import Space
 from carom.scene.load import Scene
+from carom.state.frame import Frame
 
 
 def one_by_one(schedule: Schedule) -> Schedule:

@@ -20,8 +20,8 @@ from scipy.spatial.transform import Rotation
 
 from carom.lab.hunt.documents import Document
 from carom.lab.shrink.whole_run import Image
-from carom.physics.frame import Frame
 from carom.physics.space import Space
+from carom.state.frame import Frame
 from scene_strategies import EPS, directions, documents, impact_documents, scene_from, smooth_documents, vectors
 from seeds import examples
 

@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 
 from carom.lab.hunt.documents import Document
 from carom.physics.contact.solver.contact_solver import MOST_SWEEPS
-from carom.physics.frame import Frame
 from carom.physics.space import Space
 from carom.scene.load import Scene
+from carom.state.frame import Frame
 from scene_strategies import EPS, documents, scene_from
 
 FloatArray = NDArray[np.float64]

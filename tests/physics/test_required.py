@@ -13,11 +13,11 @@ from hypothesis import given, settings
 
 from carom.errors import SceneError
 from carom.lab.hunt.documents import Document
-from carom.physics.frame import Frame
 from carom.physics.space import Space
 from carom.plan.features import require
 from carom.scene.load import Scene
 from carom.scene.parts import PARTS
+from carom.state.frame import Frame
 from scene_strategies import documents, scene_from
 from small_scenes import cloud, pair, scene_of
 

@@ -15,11 +15,11 @@ import pytest
 import carom
 from carom.arrays import FloatArray
 from carom.errors import SceneError
-from carom.physics.frame import Frame
 from carom.physics.space import Space
 from carom.recording.export.extended_xyz import write_extended_xyz
 from carom.runs.recomputed import snapshots
 from carom.scene.load import Scene
+from carom.state.frame import Frame
 from small_scenes import scene_of
 
 SIZE = np.array([5.0, 4.0, 6.0])  # m

@@ -14,13 +14,13 @@ import numpy as np
 import pytest
 
 import carom
-from carom.physics.frame import Frame
 from carom.physics.placement.initial_state import place
 from carom.physics.space import Space
 from carom.plan.auto import MAX_DT, largest_step
 from carom.plan.checks import doubts
 from carom.plan.features import require
 from carom.scene.load import Scene
+from carom.state.frame import Frame
 
 RATE, DENSITY = 1.0, 6 / pi  # 1/s, kg/m³: spheres of the diameter 1 m weigh 1 kg
 ROUGH = {"restitution": 0.3, "static_friction": 0.5, "kinetic_friction": 0.5, "timing": "end-of-step"}

@@ -16,12 +16,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from carom.errors import PhysicsError
-from carom.physics.frame import Frame
 from carom.physics.space import Space
 from carom.physics.step_rule import LIMIT_NAMES
 from carom.scene.integrators import INTEGRATORS
 from carom.scene.load import Scene
 from carom.scene.schema.settings import LARGEST_ACCURACY
+from carom.state.frame import Frame
 from seeds import examples
 from small_scenes import cloud, momentum_of, pair, scene_of
 

@@ -12,7 +12,6 @@ import pytest
 from rerun.chunk import RrdReader
 
 import carom
-from carom.physics.frame import Frame
 from carom.physics.jit.decorators import leaf
 from carom.physics.space import Space
 from carom.physics.time_step import Timestep
@@ -22,6 +21,7 @@ from carom.runs.estimate import MARKS, Estimate, _first_frames, estimate, estima
 from carom.runs.run import header_of, recording_space, run
 from carom.scene.load import Scene
 from carom.scene.parts import PARTS
+from carom.state.frame import Frame
 from small_scenes import cloud, pair, scene_of
 
 SMOOTH = {"static_friction": 0}

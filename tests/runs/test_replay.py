@@ -14,7 +14,7 @@ import pytest
 
 import carom
 from carom.errors import RecordingError
-from carom.physics.frame import Frame, FrameStore
+from carom.physics.frame_store import FrameStore
 from carom.physics.schedule import Schedule
 from carom.physics.simulation import StepStatus
 from carom.physics.space import Space
@@ -27,6 +27,7 @@ from carom.runs.replay import INTERVAL, replay
 from carom.runs.run import simulate
 from carom.scene.load import Scene
 from carom.scene.units.system import UnitSystem
+from carom.state.frame import Frame
 from edited_recordings import changed, mapped
 from other_processor import OtherProcessor
 from small_scenes import cloud

@@ -10,7 +10,7 @@ import pytest
 
 import carom
 from carom import Scene, Space
-from carom.physics.frame import Frame
+from carom.state.frame import Frame
 from carom_command import carom as command
 
 G = 9.81  # m/s²

@@ -91,7 +91,7 @@ def test_a_run_that_differs_says_so_in_its_report(
     cloud_run: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(reports, "try_to_render", lambda *_: "not now")
-    monkeypatch.setattr("carom.physics.frame.fingerprint_of", lambda time, arrays: 1)
+    monkeypatch.setattr("carom.state.frame.fingerprint_of", lambda time, arrays: 1)
     made = report(cloud_run, tmp_path / "cloud.zip")
     assert "it differs" in made.replayed
 

@@ -34,6 +34,7 @@ TESTS: dict[str, tuple[str, ...]] = {
     "src/carom/lab/tradeoff/": ("lab/tradeoff", "cli/test_tune.py"),
     "src/carom/lab/why/": ("lab/why", "cli/test_why.py"),
     "src/carom/laws/": ("laws", "published/test_contact_laws.py", "published/test_rolling.py"),
+    "src/carom/state/": ("physics/test_checkpoint.py", "recording/write/test_checkpoint.py", "runs/test_run.py"),
     "src/carom/physics/": ("physics/test_space.py", "physics/test_checkpoint.py"),
     "src/carom/physics/contact/": (
         *(

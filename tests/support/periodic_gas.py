@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from carom.physics.contact.graph import CollisionGraph
 from carom.physics.space import Space
 from carom.scene.load import Scene
+from carom.state.frame import CollisionGraph
 
 FloatArray = NDArray[np.float64]
 

@@ -8,16 +8,10 @@ from typing import Any
 import numpy as np
 
 from carom.event import Event
-from carom.physics.checkpoint import Books
-from carom.physics.contact.graph import CollisionGraph
-from carom.physics.diagnostics.energy import Energy, EnergyBaseline, Origin
-from carom.physics.diagnostics.energy_monitor import MonitorState
-from carom.physics.diagnostics.extremes import Extreme, Extremes
-from carom.physics.diagnostics.ledger import Ledger
-from carom.physics.diagnostics.momentum import MomentumBaseline
-from carom.physics.diagnostics.run_monitor import PaceTally
-from carom.physics.frame import Frame
 from carom.recording.schema.header import Header
+from carom.state.books import Books, Extreme, Extremes, MomentumBaseline, MonitorState, PaceTally
+from carom.state.energies import Energy, EnergyBaseline, Ledger, Origin
+from carom.state.frame import CollisionGraph, Frame
 
 RUN_ID = "5e0f5d0e-9c0b-4f53-8a4c-1d2d6b1f3a77"
 

@@ -12,16 +12,17 @@ from carom.errors import SceneError
 from carom.scene.scene_file import EXTREMES, extreme_scenes
 from carom.scene.units.dimension import TIME
 from carom.scene.wording import command, suggestion
+from carom.state.books import Extreme
 from carom.terminal.options import JsonOption, SetOption, output_option
 from carom.terminal.printing import duration_text, say_json
 
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from carom.physics.diagnostics.extremes import Extreme
     from carom.runs.outcome import Verdict
     from carom.runs.run import Outcome, Watcher
     from carom.scene.load import Scene
+
 
 PIPE_WIDTH = 140  # characters of the table where the output is not a terminal
 _FOLDER = Path("recordings/stress")
@@ -59,7 +60,7 @@ class Trial:
     @property
     def worst(self) -> dict[str, Extreme]:
         """The worst times by missed criterion; for an incomplete run, its end."""
-        from carom.physics.diagnostics.extremes import Extreme
+        from carom.state.books import Extreme
 
         extremes = {verdict.name: verdict.worst for verdict in self.verdicts if not verdict.met and verdict.worst}
         if self.outcome and self.status == "failed":

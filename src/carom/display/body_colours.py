@@ -23,7 +23,7 @@ from carom.recording.read.recorded_scene import header_of_recording
 from carom.recording.read.recording import Recording
 from carom.recording.schema import palette, paths
 from carom.recording.schema.header import STATIC_COLOURS, Header
-from carom.recording.schema.paths import STEP
+from carom.recording.timelines import STEP
 from carom.recording.write.encoder import graph_colours
 from carom.recording.write.rows import Index, Rows
 

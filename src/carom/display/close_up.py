@@ -22,7 +22,6 @@ from carom.display.margins import moving
 from carom.display.request import ShownStep
 from carom.display.staging import axes_and_field
 from carom.display.supplement import Static
-from carom.physics.frame import Frame
 from carom.physics.vector import minimum_images
 from carom.recording.layout import FIELD, faint_bodies
 from carom.recording.layout.camera import CameraFit
@@ -48,6 +47,7 @@ from carom.recording.schema.header import Header
 from carom.recording.write.rows import NO_STEPS, BatchColumn, Index, Rows
 from carom.scene.units import dimension
 from carom.scene.units.system import UnitSystem
+from carom.state.frame import Frame
 
 ROOT = "close_up"
 BODIES, EDGE, NORMAL, IMPULSE, SPIN = (f"{ROOT}/{name}" for name in ("bodies", "edge", "normal", "impulse", "spin"))

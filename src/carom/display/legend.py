@@ -22,7 +22,6 @@ from carom.arrays import ColourArray, FloatArray
 from carom.display.letters import drawable, label_width, padded
 from carom.display.motion_texts import motion_texts
 from carom.display.supplement import Static
-from carom.physics.frame import Frame
 from carom.recording.layout import OF_LATE, drawing, is_crowded
 from carom.recording.layout.canvas import LEGEND, Area, View
 from carom.recording.layout.drawing import REACH, magnitude_at, shape, single
@@ -34,6 +33,7 @@ from carom.recording.write.rows import NO_STEPS, Index, Rows
 from carom.scene.units import dimension
 from carom.scene.units.dimension import Dimension
 from carom.scene.wording import counted
+from carom.state.frame import Frame
 
 BODIES, GRAPH = "bodies", "graph"  # views
 _SPACE = (BODIES, GRAPH)

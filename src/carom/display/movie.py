@@ -35,7 +35,7 @@ from carom.recording.read.frame_rows import RecordedPositions
 from carom.recording.read.recorded_scene import header_of_recording, recorded_curves
 from carom.recording.read.recording import Recording
 from carom.recording.schema.header import TimeScale, viewer_time
-from carom.recording.schema.paths import STEP
+from carom.recording.timelines import STEP
 from carom.recording.write.static_entities import arrow_styles
 from carom.scene.units.dimension import TIME
 

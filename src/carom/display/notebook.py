@@ -13,7 +13,7 @@ from carom.errors import RecordingError, install_extra
 from carom.private_folder import temporary_folder
 from carom.recording.read.recording import Recording
 from carom.recording.schema.header import TimeScale
-from carom.recording.schema.paths import SIM_TIME
+from carom.recording.timelines import SIM_TIME
 from carom.recording.write.rerun_compat import send_to_notebook
 
 

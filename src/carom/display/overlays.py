@@ -28,8 +28,8 @@ from carom.recording.layout.plot_views import curve_style, time_beside_legend, w
 from carom.recording.read.recording import Recording
 from carom.recording.schema import palette, paths
 from carom.recording.schema.header import Scalar, ShownMaterials, TimeScale
-from carom.recording.schema.paths import SIM_TIME
 from carom.recording.schema.series import THICK, THIN
+from carom.recording.timelines import SIM_TIME
 from carom.recording.write.whole_file import Writer
 from carom.scene.units.dimension import ENERGY, LENGTH, Dimension
 from carom.scene.units.system import UnitSystem

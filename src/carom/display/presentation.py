@@ -43,7 +43,7 @@ from carom.recording.read.recorded_scene import header_of_recording, recorded_cu
 from carom.recording.read.recording import Recording
 from carom.recording.schema import paths
 from carom.recording.schema.header import Header, TimeScale, viewer_time
-from carom.recording.schema.paths import STEP
+from carom.recording.timelines import STEP
 from carom.recording.write.encoder import BatchEncoder, state_rows
 from carom.recording.write.rows import NO_STEPS, Index, Rows
 from carom.recording.write.static_entities import arrow_styles

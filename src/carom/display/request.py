@@ -13,8 +13,6 @@ import numpy as np
 
 from carom.arrays import FloatArray, IntArray
 from carom.errors import PhysicsError, RecordingError
-from carom.physics.contact.graph import CollisionGraph
-from carom.physics.frame import Frame
 from carom.physics.simulation import StepStatus
 from carom.recording.read.frame_rows import RecordedPositions
 from carom.recording.read.lookup import frame_of, tolerance
@@ -22,9 +20,10 @@ from carom.recording.read.named_events import Pair
 from carom.recording.read.recorded_contacts import rows_of_engine
 from carom.recording.read.recording import Recording
 from carom.recording.schema.header import Header, TimeScale
-from carom.recording.schema.paths import STEP
+from carom.recording.timelines import STEP
 from carom.recording.write.impact_frames import Instant, instants
 from carom.runs.window import Window
+from carom.state.frame import CollisionGraph, Frame
 
 
 @dataclass(frozen=True, slots=True)

@@ -26,8 +26,8 @@ from carom.recording.read.recorded_impacts import impacts_by_number
 from carom.recording.read.recording import Recording
 from carom.recording.schema import palette, paths
 from carom.recording.schema.header import Header
-from carom.recording.schema.paths import STEP
 from carom.recording.schema.series import PLOTS
+from carom.recording.timelines import STEP
 from carom.recording.write.rows import NO_STEPS, Index, Rows
 from carom.recording.write.static_entities import plane_grids
 from carom.scene.units import dimension

@@ -27,7 +27,7 @@ from carom.recording.read.lookup import body_number, split_at_commas
 from carom.recording.read.recording import Recording
 from carom.recording.schema import palette
 from carom.recording.schema.header import Header, TimeScale
-from carom.recording.schema.paths import STEP
+from carom.recording.timelines import STEP
 from carom.recording.write.durable_sink import FLUSH
 from carom.recording.write.rerun_compat import send_layout
 from carom.recording.write.rows import Index, Rows

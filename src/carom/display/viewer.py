@@ -26,7 +26,7 @@ from carom.errors import RecordingError, install_packages
 from carom.private_folder import private_folder
 from carom.recording.read.recording import Recording
 from carom.recording.schema.header import TimeScale
-from carom.recording.schema.paths import SIM_TIME
+from carom.recording.timelines import SIM_TIME
 from carom.recording.write.rerun_compat import connect_viewer
 
 _T = TypeVar("_T")

@@ -24,8 +24,6 @@ from carom.engines.snapshot_writer import observed_recording, observed_totals
 from carom.engines.source import SPHERE, Model, Source, State, engine_package, setup_of
 from carom.errors import ExperimentError, RecordingError
 from carom.lab.compared_run import RunStoppedError, Setting, Trajectory, between
-from carom.physics.diagnostics.extremes import Extremes
-from carom.physics.frame import Frame
 from carom.physics.placement import place
 from carom.physics.space import Space
 from carom.plan.features import require
@@ -37,6 +35,8 @@ from carom.scene.start import HalfSpaces, InitialBodies, half_spaces
 from carom.scene.units.dimension import TIME
 from carom.scene.units.system import SI, UnitSystem
 from carom.scene.wording import suggestion
+from carom.state.books import Extremes
+from carom.state.frame import Frame
 
 
 @dataclass(frozen=True, slots=True)

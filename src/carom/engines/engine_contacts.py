@@ -12,8 +12,8 @@ from carom.contact_table import CONTACT_ROW, NO_ROWS, OPEN, RESTING
 from carom.engines.source import CONTACT, ROUGHLY, Setup
 from carom.errors import RecordingError
 from carom.physics.contact.broad_phase.grid import HierarchicalGrid
-from carom.physics.contact.graph import CollisionGraph, empty_graph
 from carom.physics.vector import minimum_images
+from carom.state.frame import CollisionGraph, empty_graph
 
 
 def whole_numbers(engine: str, name: str, values: Any) -> IntArray:

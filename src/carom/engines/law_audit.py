@@ -24,11 +24,11 @@ from carom.engines.source import Setup
 from carom.errors import RecordingError
 from carom.event import Event
 from carom.physics.contact.islands import number_sets
-from carom.physics.diagnostics.energy import Energy
 from carom.recording.schema.header import LARGEST
 from carom.scene.units.dimension import ENERGY, VELOCITY
 from carom.scene.units.system import SI, UnitSystem
 from carom.scene.wording import Names, bodies_called
+from carom.state.energies import Energy
 
 
 @dataclass(frozen=True, slots=True)

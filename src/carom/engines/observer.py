@@ -22,23 +22,22 @@ from carom.engines.source import Setup, State, has_forces
 from carom.errors import RecordingError
 from carom.event import Event
 from carom.physics.bodies import Bodies
-from carom.physics.checkpoint import Books
-from carom.physics.contact.graph import CollisionGraph
 from carom.physics.contact.statistics import ContactStatistics
-from carom.physics.diagnostics.energy import Energy, EnergyAccount
-from carom.physics.diagnostics.energy_monitor import MonitorState
-from carom.physics.diagnostics.extremes import NOTHING, Extreme, Extremes
-from carom.physics.diagnostics.ledger import Ledger
+from carom.physics.diagnostics.energy import EnergyAccount
+from carom.physics.diagnostics.extremes import add_contacts, add_energy, add_momentum
 from carom.physics.diagnostics.momentum import Momentum, MomentumAccount, TotalMotion
-from carom.physics.diagnostics.run_monitor import Activity, PaceTally
+from carom.physics.diagnostics.run_monitor import Activity
 from carom.physics.forces.gravity.direct import DirectGravity
-from carom.physics.frame import Frame, FrameStore, copies
+from carom.physics.frame_store import FrameStore, copies
 from carom.recording.schema.header import LARGEST, Header, Scalar
 from carom.scene.forces import GRAVITY, UNIFORM_FIELD
 from carom.scene.schema.settings import called
 from carom.scene.start import InitialBodies
 from carom.scene.units.system import SI, UnitSystem
 from carom.scene.wording import Names
+from carom.state.books import NOTHING, Books, Extreme, Extremes, MonitorState, PaceTally
+from carom.state.energies import Energy, Ledger
+from carom.state.frame import CollisionGraph, Frame
 
 DT_LIMIT = "engine"  # the recorded limit of dt
 
@@ -194,15 +193,15 @@ class Observer:
             events.insert(0, Event(step, time, "INFO", text, "first-contact"))
         statistics = self._statistics(contacts, seen)
         if statistics.contacts or statistics.impacts:  # otherwise there is no extreme to name
-            self.extremes.add_contacts(step, time, statistics)
+            add_contacts(self.extremes, step, time, statistics)
         # update the extremes of the energy; energy returned by soft contacts is not a gain
         extremes = self.extremes
-        extremes.add_energy(step, time, energy)
+        add_energy(extremes, step, time, energy)
         self._lowest_error = min(self._lowest_error, energy.integration_error)
         gain = energy.relative_change(energy.integration_error - self._lowest_error)
         self._gain = Extreme(gain, step, time) if gain > self._gain.value else self._gain
         extremes.energy_gain, extremes.contact_gain = self._gain, NOTHING
-        self.extremes.add_momentum(step, time, momentum)
+        add_momentum(self.extremes, step, time, momentum)
         return events
 
     def _potentials(self) -> tuple[dict[str, float], float | None]:

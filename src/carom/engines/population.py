@@ -14,10 +14,9 @@ import numpy as np
 from carom.arrays import BoolArray, FloatArray, IntArray, Records
 from carom.engines.source import MASSLESS, SPHERE, Model, Setup, State, array_of, flags_of
 from carom.errors import RecordingError
-from carom.physics.contact.graph import empty_graph
-from carom.physics.frame import Frame
 from carom.recording.write.partial_frames import PartialFrame
 from carom.scene.wording import Names, SomeNames
+from carom.state.frame import Frame, empty_graph
 
 FIRST_PLANE = 1 << 40  # number of the first plane while the number of bodies is not known yet
 

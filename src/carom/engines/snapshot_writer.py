@@ -23,7 +23,6 @@ from carom.engines.population import Population, Present, spread, without_bodies
 from carom.engines.source import State, StateMemory
 from carom.errors import RecordingError
 from carom.event import Event
-from carom.physics.frame import Frame
 from carom.recording.edit.repair import widen
 from carom.recording.schema.header import Header, Scalar
 from carom.recording.write.recorder import FrameRecorder
@@ -32,6 +31,7 @@ from carom.runs.environment import environment
 from carom.runs.outcome import ONCE_A_STEP, closing_of
 from carom.scene.load import Scene
 from carom.scene.wording import counted
+from carom.state.frame import Frame
 
 WAITING_BYTES = 32_000_000  # bytes of states that wait for the writer
 MOST_WAITING = 256

@@ -21,7 +21,6 @@ import numpy as np
 
 from carom.arrays import FloatArray, IntArray
 from carom.errors import ExperimentError, PhysicsError
-from carom.physics.frame import Frame
 from carom.physics.schedule import Watch, every, quiet
 from carom.physics.space import Space
 from carom.physics.vector import minimum_images
@@ -29,6 +28,7 @@ from carom.plan import auto
 from carom.recording.write.whole_file import whole_file, write_whole
 from carom.scene.load import Scene
 from carom.scene.units.dimension import TIME
+from carom.state.frame import Frame
 
 TELLING = 5.0  # s between two lines of progress
 STEPS = (4.0, 2.0, 1.0, 0.5)  # step factors of each integrator, if only the integrator matters

@@ -18,13 +18,13 @@ import numpy as np
 
 from carom.errors import ExperimentError, PhysicsError
 from carom.event import Event
-from carom.physics.frame import Frame
 from carom.physics.space import Space
 from carom.runs.environment import versions
 from carom.runs.outcome import Verdict, judge
 from carom.runs.run import closing_summary
 from carom.scene.start import names_of_solids
 from carom.scene.wording import Names, nearest
+from carom.state.frame import Frame
 
 LONGEST = 1000  # characters
 _EXAMPLE = "expected a condition such as energy.max_error > 1e-3"

@@ -9,15 +9,15 @@ import numpy as np
 
 from carom.arrays import FloatArray
 from carom.event import Event
-from carom.physics.checkpoint import Checkpoint
 from carom.physics.diagnostics.bookkeeper import Bookkeeper
 from carom.physics.diagnostics.run_monitor import refuse_infinities
-from carom.physics.integrators.batch_integrator import BY_LEAPFROG, Batch, BatchIntegrator, IntegratorCheckpoint
+from carom.physics.integrators.batch_integrator import BY_LEAPFROG, Batch, BatchIntegrator
 from carom.physics.rotation import rotate
 from carom.physics.schedule import Goal, Pause, quiet
 from carom.physics.step import KickDriftStepper
 from carom.physics.time_step import Timestep
 from carom.physics.world import World
+from carom.state.checkpoint import Checkpoint, IntegratorCheckpoint
 
 FREE_DT = 1.0  # s, the first step if nothing limits it; later steps are longer
 FORESEEN = 2.0  # largest ratio of the next step to the holder's last one

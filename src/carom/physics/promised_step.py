@@ -7,12 +7,12 @@ from dataclasses import replace
 from typing import Protocol
 
 from carom.arrays import FloatArray
-from carom.physics.checkpoint import Checkpoint
-from carom.physics.integrators.batch_integrator import BY_LEAPFROG, IntegratorCheckpoint
+from carom.physics.integrators.batch_integrator import BY_LEAPFROG
 from carom.physics.schedule import Goal
 from carom.physics.world import Clock
 from carom.plan.auto import integrator
 from carom.scene.load import Scene
+from carom.state.checkpoint import Checkpoint, IntegratorCheckpoint
 
 HORIZON = "horizon"  # the limit of the last step that keeps the accuracy
 

@@ -11,14 +11,12 @@ import numpy as np
 from carom.arrays import FloatArray, Records
 from carom.contact_table import NO_ROWS
 from carom.physics.batch_step import BatchStepper
-from carom.physics.checkpoint import Checkpoint, fingerprint
+from carom.physics.bodies import Bodies
 from carom.physics.contact.contact_tap import ContactTap
-from carom.physics.contact.graph import CollisionGraph, empty_graph
 from carom.physics.diagnostics.bookkeeper import Bookkeeper
-from carom.physics.diagnostics.energy import Energy
 from carom.physics.diagnostics.run_monitor import PaceMonitor, remedies_of
 from carom.physics.forces.force import Potentials
-from carom.physics.frame import Frame, FrameStore, copies
+from carom.physics.frame_store import FrameStore, copies
 from carom.physics.integrators.batch_integrator import batch_integrator_of
 from carom.physics.jit import cores
 from carom.physics.jit.team import Team
@@ -40,6 +38,9 @@ from carom.plan.auto import (
 from carom.plan.features import require
 from carom.scene.load import Scene
 from carom.scene.start import InitialBodies
+from carom.state.checkpoint import Checkpoint, fingerprint_of
+from carom.state.energies import Energy
+from carom.state.frame import CollisionGraph, Frame, empty_graph
 
 WARM_UP_DT = 1e-3  # of the step that the limits allow at the start
 
@@ -159,7 +160,9 @@ class Simulation:
 
     def fingerprint(self) -> int:
         """Return a 64-bit fingerprint of the exact state."""
-        return fingerprint(self.state, self.time)
+        bodies = self.state
+        state = bodies.position, bodies.velocity, bodies.orientation, bodies.angular_velocity
+        return fingerprint_of(self.time, state)
 
     def restore(self, checkpoint: Checkpoint) -> None:
         """Restore a checkpoint of the same scene; the following steps have the same bits as in the original run.
@@ -167,7 +170,7 @@ class Simulation:
         The torques and the contact graph of the previous step are not stored, so they are empty until the next step.
         """
         clock = self._world.clock
-        checkpoint.write_to(self.state)
+        _write(checkpoint, self.state)
         clock.step, clock.time, clock.dt, clock.limit = checkpoint.step, checkpoint.time, 0.0, "start"
         self._stepper.restore(checkpoint)
         self._books.restore(checkpoint)
@@ -378,3 +381,16 @@ def warm_up(world: World, stepper: Stepper) -> Potentials:
     potentials = world.forces.accelerate(potential=True)
     stepper.begin()
     return potentials
+
+
+def _write(checkpoint: Checkpoint, bodies: Bodies) -> None:
+    """Restore the state of the bodies. Torques are not stored, so they are zero until the next step."""
+    bodies.position[:] = checkpoint.position
+    bodies.velocity[:] = checkpoint.velocity
+    bodies.acceleration[:] = checkpoint.acceleration
+    bodies.torque[:] = 0.0
+    bodies.angular_acceleration[:] = 0.0
+    if checkpoint.orientation is not None:
+        bodies.orientation[:] = checkpoint.orientation
+    if checkpoint.angular_velocity is not None:
+        bodies.angular_velocity[:] = checkpoint.angular_velocity

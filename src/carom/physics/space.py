@@ -10,9 +10,6 @@ from carom.arrays import FloatArray
 from carom.event import Event
 from carom.physics.contact.contact_tap import Impulses
 from carom.physics.contact.impact_log import NO_IMPACTS, Impacts
-from carom.physics.diagnostics.energy import Energy
-from carom.physics.diagnostics.extremes import Extremes
-from carom.physics.diagnostics.ledger import Ledger
 from carom.physics.look_ahead.find_step import with_promise
 from carom.physics.look_ahead.trial_run import Watcher
 from carom.physics.placement import place
@@ -22,6 +19,8 @@ from carom.physics.simulation import Simulation
 from carom.plan.checks import refuse_impossible
 from carom.scene.load import Scene
 from carom.scene.start import InitialBodies
+from carom.state.books import Extremes
+from carom.state.energies import Energy, Ledger
 
 ONE_STEP = Goal(end=np.inf, schedule=at(()), checks=at(()), most=1)
 

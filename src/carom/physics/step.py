@@ -7,7 +7,6 @@ from collections.abc import Callable
 import numpy as np
 
 from carom.arrays import FloatArray
-from carom.physics.checkpoint import Checkpoint
 from carom.physics.contact.hooks import PresentStep, StepHooks
 from carom.physics.contact.pipeline import ContactPipeline
 from carom.physics.contact.reactions import NO_SUPPORT
@@ -22,6 +21,7 @@ from carom.physics.time_step import Timestep
 from carom.physics.world import World
 from carom.plan.auto import integrator
 from carom.registry import load, names
+from carom.state.checkpoint import Checkpoint
 
 WARM_UP_STEPS = 3
 STICKING = "friction"  # the limit of a step that ends where a contact stops sliding or rolling

@@ -22,10 +22,10 @@ from scipy.sparse.csgraph import connected_components
 
 from carom.arrays import FloatArray, IntArray, Records
 from carom.contact_table import IMPACT_MODE, NO_ROWS
-from carom.physics.frame import Frame
 from carom.physics.schedule import every
 from carom.physics.space import Space
 from carom.scene.start import InitialBodies
+from carom.state.frame import Frame
 
 LASTS = 4  # steps: a contact that presses for so long carries a load; what stops a slow impact is gone sooner
 LOOK_AFTER = LASTS + 1.0  # steps, for the loads of contacts after an interval

@@ -17,7 +17,6 @@ from carom.errors import PhysicsError
 from carom.physics.diagnostics.run_monitor import Profile, remedies_of
 from carom.physics.forces.gravity import gravity_of
 from carom.physics.forces.gravity.direct import MAX_IN_ONE_BLOCK
-from carom.physics.frame import Frame
 from carom.physics.jit.decorators import Compilations
 from carom.physics.jit.team import Team
 from carom.physics.look_ahead.trial_run import CALL_WITH_CONTACTS, Watcher
@@ -49,6 +48,7 @@ from carom.scene.forces import FORCES
 from carom.scene.load import Scene
 from carom.scene.start import InitialBodies
 from carom.scene.units.dimension import LENGTH, TIME
+from carom.state.frame import Frame
 
 TRIAL_SECONDS = 0.1
 TRIAL_STEPS = 200

@@ -12,7 +12,6 @@ from typing import Any, Protocol
 
 from carom.arrays import FloatArray
 from carom.contact_table import ROUNDED_OVERLAP
-from carom.physics.diagnostics.extremes import Extreme, Extremes
 from carom.recording.read.recording import Recording
 from carom.recording.schema.header import Scalar
 from carom.scene.load import Scene
@@ -21,6 +20,7 @@ from carom.scene.schema.promise import STATES
 from carom.scene.units.dimension import ENERGY, RATE, TIME
 from carom.scene.units.system import SI, UnitSystem
 from carom.scene.wording import command_of_a_file, counted
+from carom.state.books import Extreme, Extremes
 
 
 @dataclass(frozen=True, slots=True)

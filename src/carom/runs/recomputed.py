@@ -13,15 +13,15 @@ from numpy.typing import NDArray
 
 from carom.arrays import BoolArray, FloatArray, IntArray
 from carom.errors import NotRecordedError, RecordingError, SceneError
-from carom.physics.checkpoint import Checkpoint
-from carom.physics.frame import Frame
 from carom.recording.export import Snapshot
 from carom.recording.read.lookup import end_of_step, goal_of, interval, tolerance
 from carom.recording.read.recorded_contacts import MEASURED, named_contacts
 from carom.recording.read.recording import Recording
 from carom.recording.read.state_columns import state_vectors
-from carom.recording.schema.paths import STEP
+from carom.recording.timelines import STEP
 from carom.runs.window import Watcher, Window
+from carom.state.checkpoint import Checkpoint
+from carom.state.frame import Frame
 
 
 def contacts_of(

@@ -28,9 +28,6 @@ import numpy as np
 
 from carom.arrays import BoolArray, FloatArray
 from carom.errors import RecordingError
-from carom.physics.diagnostics.energy import Energy
-from carom.physics.diagnostics.extremes import NOTHING
-from carom.physics.frame import Frame
 from carom.physics.placement import place
 from carom.physics.schedule import Schedule, at, every
 from carom.physics.simulation import StepStatus
@@ -47,6 +44,9 @@ from carom.scene.start import InitialBodies, names_of_solids
 from carom.scene.units.dimension import OF_UNIT, TIME, VELOCITY
 from carom.scene.units.system import SI, UnitSystem
 from carom.scene.wording import Names
+from carom.state.books import NOTHING
+from carom.state.energies import Energy
+from carom.state.frame import Frame
 
 FACTOR = 4.0  # default: an error of first order shrinks to a quarter, so three quarters of it are seen
 INSTANTS = 200  # at which the runs are compared

@@ -13,7 +13,6 @@ from pathlib import Path
 import numpy as np
 
 from carom.errors import RecordingError
-from carom.physics.frame import Frame
 from carom.physics.schedule import at, every
 from carom.physics.space import Space
 from carom.plan.auto import auto_interval
@@ -33,6 +32,7 @@ from carom.runs.run import Watcher, closing_summary, ending_of, header_of, outco
 from carom.runs.window import checkpoint_before, space_of
 from carom.scene.data.body_sources import changed_files
 from carom.scene.extensions import extensions_of, of_extensions, stamped
+from carom.state.frame import Frame
 
 TRIAL_SECONDS = 1.0  # after stepping so long, a replay estimates its remaining time
 REPAIRED = "; repaired, "  # in the outcome of a repaired recording, which may lack pieces

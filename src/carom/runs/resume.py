@@ -9,14 +9,13 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from carom.errors import RecordingError
-from carom.physics.checkpoint import Checkpoint
 from carom.physics.schedule import every
 from carom.physics.space import Space
 from carom.plan.auto import frame_interval, integrator, largest_step
 from carom.recording.read.frame_rows import Continuation
 from carom.recording.read.recorded_scene import recorded_scene
 from carom.recording.read.recording import Recording
-from carom.recording.schema.paths import STEP
+from carom.recording.timelines import STEP
 from carom.recording.write.whole_file import Claim, claimed_output, refuse_name, refuse_output
 from carom.runs.environment import environment
 from carom.runs.run import Outcome, Watcher, recording_of, simulate, watched
@@ -25,6 +24,7 @@ from carom.scene.integrators import AUTO
 from carom.scene.load import Scene
 from carom.scene.units.dimension import TIME
 from carom.scene.wording import command
+from carom.state.checkpoint import Checkpoint
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,6 @@ from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, T
 
 from carom.errors import DamageError, PhysicsError, RecorderError, RecordingError
 from carom.event import Event
-from carom.physics.diagnostics.extremes import Extremes
 from carom.physics.look_ahead.trial_run import Watcher as LookAheadWatcher
 from carom.physics.simulation import StepStatus
 from carom.physics.space import Space
@@ -35,6 +34,7 @@ from carom.scene.schema.settings import LARGEST_ACCURACY
 from carom.scene.start import InitialBodies, planes_of
 from carom.scene.units.dimension import TIME
 from carom.scene.units.system import UnitSystem
+from carom.state.books import Extremes
 
 POLL = 0.1  # s between two checks of a running simulation
 

@@ -28,10 +28,10 @@ from carom.physics.contact.law import materials_of
 from carom.physics.contact.near_pairs import largest_values
 from carom.physics.contact.solver.contact_solver import ContactSolver
 from carom.physics.contact.solver.prepare import ImpulseCache
-from carom.physics.diagnostics.ledger import Ledger
+from carom.physics.diagnostics.ledger import with_contacts
 from carom.physics.diagnostics.run_monitor import refuse_infinities
 from carom.physics.forces.gravity.direct import MAX_IN_ONE_BLOCK
-from carom.physics.frame import FrameStore
+from carom.physics.frame_store import FrameStore
 from carom.physics.jit.decorators import Compilations, cache_folder, compiling_all
 from carom.physics.jit.team import SOLO, load_helpers, sharing_all
 from carom.physics.placement import place
@@ -49,6 +49,7 @@ from carom.scene.load import Scene
 from carom.scene.matter import pair_coefficients
 from carom.scene.start import half_spaces
 from carom.scene.units.system import SI
+from carom.state.energies import Ledger
 
 # Together these scenes need every kernel. Add a scene for a kernel that none of them needs (a test checks this).
 _PAIR = [{"position": [-1.0, 0.0, 0.0], "mass": 1.0}, {"position": [0.9999, 0.1, 0.0], "mass": 1.0}]
@@ -259,7 +260,7 @@ def _compile_second_steps(bodies: Bodies) -> None:
     unequal = np.arange(3.0 * ends).reshape(ends, 3)
     Islands(ends, SOLO).write_load_speeds(pairs, pairs[0], unequal, np.ones(ends), none, 1.0, np.zeros(1))
     largest_values(unequal, none, bodies.position)
-    Ledger().plus(np.zeros((1, 3)))
+    with_contacts(Ledger(), np.zeros((1, 3)))
     load_helpers()
     refuse_infinities(bodies, ["", ""], 0, 0.0, SI)
 

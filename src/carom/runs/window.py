@@ -11,8 +11,6 @@ import pyarrow as pa
 from carom.arrays import FloatArray
 from carom.contact_table import NO_ROWS, ImpactSums
 from carom.errors import PhysicsError, RecordingError, SceneError
-from carom.physics.checkpoint import Checkpoint
-from carom.physics.frame import Frame
 from carom.physics.simulation import StepStatus
 from carom.physics.space import Space
 from carom.recording.read.lookup import goal_of, tolerance
@@ -23,6 +21,8 @@ from carom.recording.read.state_columns import BodyTrajectories, state_table, st
 from carom.recording.read.tables import frames_with, frames_within, shown_bodies, table_of_bodies
 from carom.scene.load import Scene
 from carom.scene.units.dimension import TIME
+from carom.state.checkpoint import Checkpoint
+from carom.state.frame import Frame
 
 Watcher = Callable[[StepStatus], None]
 

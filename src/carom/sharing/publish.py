@@ -39,7 +39,7 @@ from carom.recording.layout import CLOSE_UP
 from carom.recording.read.lookup import names_of
 from carom.recording.read.recorded_impacts import numbered_impacts
 from carom.recording.read.recording import Recording
-from carom.recording.schema.paths import STEP
+from carom.recording.timelines import STEP
 from carom.recording.write.whole_file import Claim, is_link_of_another, write_whole
 from carom.runs.outcome import FAILURES, Moment, description, headline, moments, overview, problems
 from carom.scene.units.dimension import ANGULAR_IMPULSE, ENERGY, IMPULSE, TIME, VELOCITY

@@ -19,8 +19,8 @@ from carom.recording.edit import bundle
 from carom.recording.edit.clip import Clip, clip
 from carom.recording.read.named_events import pair_of_extreme
 from carom.recording.read.recording import Recording
-from carom.recording.schema.paths import STEP
 from carom.recording.schema.series import all_series
+from carom.recording.timelines import STEP
 from carom.runs.environment import environment
 from carom.runs.outcome import (
     COMMAND,

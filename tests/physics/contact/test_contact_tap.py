@@ -12,10 +12,11 @@ from numpy.typing import NDArray
 
 from carom.contact_table import CONTACT_ROW, MODES
 from carom.physics.contact import contact_tap as impact_store
-from carom.physics.frame import Frame, FrameStore
+from carom.physics.frame_store import FrameStore
 from carom.physics.schedule import every
 from carom.physics.space import Space
 from carom.scene.load import Scene
+from carom.state.frame import Frame
 from small_scenes import cloud, pair, scene_of
 
 Records = NDArray[np.void]

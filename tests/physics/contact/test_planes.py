@@ -11,9 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from carom.physics.frame import Frame
 from carom.physics.space import Space
 from carom.scene.load import Scene
+from carom.state.frame import Frame
 from small_scenes import scene_of
 
 FloatArray = NDArray[np.float64]

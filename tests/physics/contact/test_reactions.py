@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from carom.physics.contact.contact_tap import Impulses
-from carom.physics.frame import Frame
 from carom.physics.schedule import every
 from carom.physics.space import Space
 from carom.scene.load import Scene
+from carom.state.frame import Frame
 from small_scenes import scene_of
 
 ROUNDING = 1e-13  # relative, of the sum of some dozens of impulses

@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from carom.physics.contact.contact_checkpoint import SleepCheckpoint
-from carom.physics.frame import Frame
 from carom.physics.schedule import every
 from carom.physics.space import Space
 from carom.recording.schema.checkpoint_columns import decode, encode
 from carom.scene.load import Scene
+from carom.state.checkpoint import SleepCheckpoint
+from carom.state.frame import Frame
 
 PILE = [  # in a shaft with the floor z = 0: four spheres that fill its width, and one in the hollow between them
     *({"position": [x, y, 1.0], "mass": 1.0} for x in (-1.01, 1.01) for y in (-1.01, 1.01)),

@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 
 import event_driven_oracle
 from carom.physics.contact.events.time_of_impact import stay_apart, time_of_impact, time_of_impact_on_parabola
-from carom.physics.contact.graph import OVERFLOW, CollisionGraph
-from carom.physics.frame import Frame
+from carom.physics.contact.graph import OVERFLOW
 from carom.physics.schedule import every
 from carom.physics.space import Space
 from carom.scene.load import Scene, scene_from_text
+from carom.state.frame import CollisionGraph, Frame
 from seeds import examples
 from small_scenes import cloud, scene_of
 

@@ -19,13 +19,13 @@ from carom.physics.diagnostics.dissipation import (
     SIGNIFICANT,
     STOPPED,
     SignsOfDissipation,
-    WrongWork,
     judge_contacts,
 )
 from carom.physics.space import Space
 from carom.recording.schema.checkpoint_columns import decode, encode
 from carom.runs.outcome import judge
 from carom.scene.load import Scene
+from carom.state.books import WrongWork
 
 MASS = 2.0  # kg, of each body
 DT = 0.01  # s

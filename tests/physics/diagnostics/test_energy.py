@@ -10,16 +10,17 @@ import numpy as np
 import pytest
 
 from carom.event import Event
-from carom.physics.diagnostics.energy import Energy, EnergyAccount
+from carom.physics.diagnostics.energy import EnergyAccount
 from carom.physics.diagnostics.energy_monitor import MOST_WARNINGS, EnergyMonitor
-from carom.physics.diagnostics.extremes import Extremes
-from carom.physics.diagnostics.ledger import Ledger
+from carom.physics.diagnostics.extremes import add_energy
 from carom.physics.diagnostics.momentum import TotalMotion
 from carom.physics.space import Space
 from carom.runs.outcome import judge
 from carom.scene.integrators import INTEGRATORS
 from carom.scene.schema import Expect
 from carom.scene.wording import Names
+from carom.state.books import Extremes
+from carom.state.energies import Energy, Ledger
 from small_scenes import pair, random_bodies, scene_of
 
 SPARSE = {"every": 1e9, "check_every": 1_000_000}  # one frame at the start, one at the end
@@ -256,7 +257,7 @@ def test_the_advice_against_a_lost_orbit_fits_the_integrator(integrator: str, ad
 def see(extremes: Extremes, *ledgers: Ledger) -> Extremes:
     """Show extremes a run in which contacts alone change the energy of 1 J."""
     for step, ledger in enumerate(ledgers):
-        extremes.add_energy(step, float(step), Energy(1.0 - ledger.balance, 0.0, 0.0, 0.0, ledger, 0.0, 1.0))
+        add_energy(extremes, step, float(step), Energy(1.0 - ledger.balance, 0.0, 0.0, 0.0, ledger, 0.0, 1.0))
     return extremes
 
 

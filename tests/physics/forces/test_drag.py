@@ -14,12 +14,12 @@ from scipy.integrate import solve_ivp
 
 from carom.errors import SceneError
 from carom.physics.exponential import exponentials
-from carom.physics.frame import Frame
 from carom.physics.space import Space
 from carom.plan.auto import integrator
 from carom.plan.checks import refuse_impossible
 from carom.plan.features import require
 from carom.scene.load import Scene
+from carom.state.frame import Frame
 from seeds import examples
 from small_scenes import scene_of
 

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from carom.errors import RecordingError
-from carom.physics.frame import Frame
 from carom.recording.edit.clip import clip
 from carom.recording.read.recording import Recording
 from carom.recording.schema import paths
 from carom.recording.write.recorder import FrameRecorder
+from carom.state.frame import Frame
 from scripted_run import ScriptedRun
 
 FIRST, LAST = 45, 73  # steps of the clip that most tests make: frame 45 lies inside a phase, and at no checkpoint

@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 import carom
 from carom.contact_table import CONTACT_ROW
 from carom.errors import NotRecordedError, RecordingError
-from carom.physics.frame import Frame
 from carom.physics.space import Space
 from carom.recording.edit.clip import clip
 from carom.recording.read.lookup import frame_of
@@ -33,6 +32,7 @@ from carom.runs.recomputed import contacts_of, impacts_of
 from carom.runs.replay import CHOICE, replay
 from carom.runs.resume import continue_run, resumable_run
 from carom.scene.load import Scene
+from carom.state.frame import Frame
 from edited_recordings import assembled, changed, is_of, mapped, messages_of, repacked, stream, with_column
 from scripted_run import ScriptedRun
 from small_scenes import pair, scene_of

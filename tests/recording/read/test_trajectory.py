@@ -9,11 +9,11 @@ import pytest
 
 import carom
 from carom.errors import RecordingError
-from carom.physics.frame import Frame
 from carom.physics.space import Space
 from carom.recording.edit.clip import clip
 from carom.recording.read.recording import Recording
 from carom.scene.load import Scene
+from carom.state.frame import Frame
 from small_scenes import scene_of
 
 FLOAT32 = 2.0**-23  # rounding of a float32, relative

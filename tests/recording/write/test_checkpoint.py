@@ -7,14 +7,14 @@ import pytest
 
 from carom.arrays import FloatArray
 from carom.errors import RecordingError
-from carom.physics.checkpoint import Checkpoint
-from carom.physics.frame import Frame
-from carom.physics.saved import BODY, Saved, all_saved
 from carom.recording.read.recording import Recording
 from carom.recording.rrd import container, messages
 from carom.recording.schema import paths
 from carom.recording.schema.checkpoint_columns import _components_of, _Row, encode, size
 from carom.recording.write.recorder import CheckpointPlan, FrameRecorder
+from carom.state.checkpoint import Checkpoint
+from carom.state.frame import Frame
+from carom.state.saved import BODY, Saved, all_saved
 from scripted_run import ScriptedRun
 
 

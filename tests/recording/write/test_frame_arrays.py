@@ -10,8 +10,8 @@ import pytest
 
 from carom.contact_table import CONTACT_ROW
 from carom.errors import RecordingError
-from carom.physics.frame import Frame
 from carom.recording.write.encoder import BatchEncoder
+from carom.state.frame import Frame
 from scripted_run import ScriptedRun
 
 BODIES = 60

@@ -20,7 +20,7 @@ from carom.recording.edit.clip import clip
 from carom.recording.read.recording import Recording
 from carom.recording.rrd.container import Container
 from carom.recording.rrd.messages import BLUEPRINT, RECORDING, Chunk
-from carom.recording.schema.paths import SIM_TIME, STEP
+from carom.recording.timelines import SIM_TIME, STEP
 from carom.recording.write import rerun_compat
 from carom.recording.write.durable_sink import DurableSink
 from carom.recording.write.rerun_compat import (

@@ -10,7 +10,8 @@ from carom.recording.layout.canvas import surroundings
 from carom.recording.read.recorded_scene import header_of_recording
 from carom.recording.read.recording import Recording
 from carom.recording.schema import paths
-from carom.recording.schema.paths import MOVING, STEP
+from carom.recording.schema.paths import MOVING
+from carom.recording.timelines import STEP
 from carom.recording.write.wall_places import MovingWall, moving_walls
 from carom.scene.load import Scene
 from carom.scene.schema.motion import WallMotion

@@ -30,7 +30,7 @@ from carom.recording.read.lookup import tolerance
 from carom.recording.read.recorded_impacts import count_at, impacts_by_number
 from carom.recording.read.recorded_scene import RecordedBodies
 from carom.recording.read.recording import Recording
-from carom.recording.schema.paths import STEP
+from carom.recording.timelines import STEP
 from carom.scene.load import Scene, scene_from_text
 from carom.scene.scene_file import DEEPEST, is_too_deep, line_of_long_key
 from carom.scene.units.dimension import TIME

@@ -14,7 +14,6 @@ import numpy as np
 from carom.arrays import FloatArray, SingleArray
 from carom.errors import ExperimentError, RecordingError
 from carom.lab.run_summary import Expression, Observation, Touches, UnknownNameError
-from carom.physics.checkpoint import Checkpoint
 from carom.physics.schedule import Every
 from carom.physics.space import Space
 from carom.physics.vector import minimum_images
@@ -28,6 +27,7 @@ from carom.runs.window import checkpoint_before, space_of
 from carom.runs.workers import Workers
 from carom.scene.load import Scene
 from carom.scene.units.dimension import TIME
+from carom.state.checkpoint import Checkpoint
 
 _BODIES = ("body", "bodies", "group", "seed", "units", "title", "description")
 _STATE = {"domain": "the positions of the bodies depend on it", "sweep": "one fork is one run"}

@@ -12,11 +12,11 @@ from carom.errors import SceneError
 from carom.lab.run_summary import Observation
 from carom.lab.shrink.literal import BODIES, ORIGIN, Document, KeyPath, value_at, with_bodies, with_value
 from carom.lab.shrink.trials import Smallest, Trials, observe
-from carom.physics.frame import Frame
 from carom.physics.schedule import every
 from carom.physics.space import Space
 from carom.plan.features import require
 from carom.scene.load import Scene
+from carom.state.frame import Frame
 
 Met = tuple[int, int]  # bodies that touched in a step
 

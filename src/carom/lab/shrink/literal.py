@@ -8,7 +8,6 @@ from typing import Any, cast
 
 from carom.arrays import FloatArray
 from carom.errors import RecordingError
-from carom.physics.frame import Frame
 from carom.physics.placement import place
 from carom.recording.edit.bundle import is_bundle, opened
 from carom.recording.read.recorded_scene import recorded_scene, start_of
@@ -19,6 +18,7 @@ from carom.scene.matter import body_materials
 from carom.scene.scene_file import RECORDED
 from carom.scene.schema.contact import DEFAULT
 from carom.scene.start import InitialBodies, half_spaces
+from carom.state.frame import Frame
 
 Document = dict[str, Any]  # a scene, as for `Scene.from_dict`
 KeyPath = tuple[str | int, ...]  # keys of tables and indices of lists

@@ -11,7 +11,6 @@ from carom.lab.run_summary import Observation
 from carom.lab.shrink.leave_out import drop_parts, leave_out_bodies, round_numbers, set_defaults
 from carom.lab.shrink.literal import BodyStates, Document, at_moment, literal, with_value
 from carom.lab.shrink.trials import Budget, Condition, Judges, OutOfTime, Smallest, Trials, observe
-from carom.physics.frame import Frame
 from carom.physics.placement import place
 from carom.physics.schedule import Schedule, every
 from carom.physics.space import Space
@@ -19,6 +18,7 @@ from carom.runs.environment import Interrupts
 from carom.scene.load import Scene
 from carom.scene.start import InitialBodies
 from carom.scene.wording import counted
+from carom.state.frame import Frame
 
 ROOM = 200_000_000  # bytes of stored states of a run
 ROUNDING = 1e-9  # of the duration, by which a sum of steps may fall short

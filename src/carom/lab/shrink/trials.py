@@ -16,7 +16,6 @@ from carom.errors import ExperimentError, PhysicsError
 from carom.event import Event
 from carom.lab.run_summary import Observation, Touches, said_by
 from carom.lab.shrink.literal import BODIES, Document
-from carom.physics.frame import Frame
 from carom.physics.jit import cores
 from carom.physics.schedule import Every, Schedule
 from carom.physics.space import Space
@@ -25,6 +24,7 @@ from carom.runs.environment import Interrupts
 from carom.runs.workers import LocalWorkers, WorkerDiedError
 from carom.scene.load import Scene
 from carom.scene.scene_file import toml_text
+from carom.state.frame import Frame
 
 
 @dataclass(frozen=True, slots=True)

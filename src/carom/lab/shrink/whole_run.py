@@ -26,7 +26,6 @@ from carom.errors import ExperimentError, PhysicsError, SceneError
 from carom.lab.run_summary import Observation, said_by
 from carom.lab.shrink.literal import BODIES, Document, with_value
 from carom.lab.shrink.trials import Condition
-from carom.physics.checkpoint import Checkpoint
 from carom.physics.placement import place
 from carom.physics.schedule import every
 from carom.physics.simulation import StepStatus
@@ -39,6 +38,7 @@ from carom.scene.conversion import converted, rescaled
 from carom.scene.load import Scene
 from carom.scene.units.dimension import BASE, LENGTH, Dimension
 from carom.scene.wording import suggestion
+from carom.state.checkpoint import Checkpoint
 
 EPS = float(np.finfo(np.float64).eps)
 PERTURBED = 6  # runs that measure the growth of roundings

@@ -29,7 +29,7 @@ from carom.recording.read.recorded_contacts import closing_speeds, rows_by_frame
 from carom.recording.read.recorded_impacts import count_at, sums_between
 from carom.recording.read.recorded_scene import recorded_scene, start_of
 from carom.recording.read.recording import Recording
-from carom.recording.schema.paths import STEP
+from carom.recording.timelines import STEP
 from carom.runs.window import rerun
 from carom.scene.load import Scene
 from carom.scene.units.dimension import TIME, Dimension

@@ -14,7 +14,6 @@ import numpy as np
 from carom.arrays import BoolArray, FloatArray, Records
 from carom.contact_table import CONTACT_ROW, IMPACT_MODE, OPEN
 from carom.errors import ExperimentError, RecordingError
-from carom.physics.checkpoint import Checkpoint
 from carom.physics.schedule import every
 from carom.physics.simulation import StepStatus
 from carom.physics.space import Space
@@ -27,6 +26,7 @@ from carom.runs.window import space_of
 from carom.scene.load import Scene
 from carom.scene.units.dimension import TIME
 from carom.scene.units.system import SI, UnitSystem
+from carom.state.checkpoint import Checkpoint
 
 Watcher = Callable[[StepStatus], None]
 

@@ -18,7 +18,7 @@ from carom.lab.why.cone import Cone, Edge, Link, chain_of
 from carom.lab.why.history import History, Question, Step, Watcher, recorded_history
 from carom.recording.read.lookup import goal_of, tolerance
 from carom.recording.read.recording import Recording
-from carom.recording.schema.paths import STEP
+from carom.recording.timelines import STEP
 from carom.scene.units.dimension import TIME
 
 

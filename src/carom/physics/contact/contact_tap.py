@@ -30,7 +30,7 @@ from carom.contact_table import (
 )
 from carom.physics.aligned import Buffer, columns, joined, picked, raw
 from carom.physics.contact.constraints import CONTACT
-from carom.physics.contact.graph import comes_before, empty_graph
+from carom.physics.contact.graph import comes_before
 from carom.physics.contact.hooks import OptionalPart, PresentStep
 from carom.physics.contact.impact_log import NO_IMPACTS
 from carom.physics.contact.law import IMPULSES, Materials, material_index, slides
@@ -47,6 +47,7 @@ from carom.physics.diagnostics.ledger import FRICTION, RESTITUTION, STABILISATIO
 from carom.physics.jit.decorators import inline, kernel, long_kernel
 from carom.physics.sheared_box import nearest_in_drift
 from carom.scene.schema import Coefficients
+from carom.state.frame import empty_graph
 
 if TYPE_CHECKING:
     from carom.physics.contact.pipeline import ContactPipeline

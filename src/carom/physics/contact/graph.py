@@ -28,40 +28,6 @@ OVERFLOW = 64  # colour of contacts that do not fit into 64 colours; they are re
 CONTACTS_PER_PIECE = 256  # at most, unless a block needs more to be full; an iteration over them takes microseconds
 
 
-@dataclass(frozen=True, slots=True)
-class CollisionGraph:
-    """The contacts of one step. A body is a node, a contact an edge.
-
-    ``pairs`` are sorted by (i, j) with i < j, so the graph does not depend on the method of search.
-    """
-
-    pairs: IntArray  # (m, 2) indices; j ≥ n is plane j - n
-    normals: FloatArray  # (m, 3) unit vectors from i to j, before position correction
-    overlaps: FloatArray  # (m,) m, r_i + r_j - distance, before position correction
-    colours: IntArray  # (m,) stage in which the contact is resolved
-    body_colours: IntArray | None = None  # (n,) the reference engine's colouring of the nodes; -1 without contacts
-    # (m,) s from the start of the step to the first impact of each contact; None: the end of the step
-    into_step: FloatArray | None = None
-
-    def __len__(self) -> int:
-        return len(self.pairs)
-
-    @property
-    def first(self) -> int:
-        """Index of the contact that was resolved first."""
-        return 0 if self.into_step is None else int(np.argmin(self.into_step))
-
-
-def empty_graph() -> CollisionGraph:
-    """Return the graph of a step in which nothing touches."""
-    return CollisionGraph(
-        pairs=np.empty((0, 2), dtype=np.int64),
-        normals=np.empty((0, 3)),
-        overlaps=np.empty(0),
-        colours=np.empty(0, dtype=np.int64),
-    )
-
-
 @inline
 def comes_before(i: float, j: float, other_i: float, other_j: float) -> bool:
     """Return whether the pair (i, j) precedes another in the order of pairs; the numbers may be floats."""

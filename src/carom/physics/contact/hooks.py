@@ -15,10 +15,10 @@ from typing import NamedTuple, Protocol, TypeVar
 import numpy as np
 
 from carom.arrays import FloatArray, IntArray
-from carom.physics.contact.contact_checkpoint import ContactCheckpoint
 from carom.physics.contact.impact_log import NO_IMPACTS, Impacts
 from carom.physics.diagnostics.run_monitor import Profile
 from carom.physics.integrators.kick_drift import DampedPath
+from carom.state.checkpoint import ContactCheckpoint
 
 STRAIGHT = DampedPath(0.0, 0.0, 1.0)
 NO_ENTRIES: FloatArray = np.zeros((0, 3))

@@ -22,8 +22,7 @@ import numpy as np
 from carom.arrays import BoolArray, FloatArray, IntArray
 from carom.errors import PhysicsError
 from carom.physics.bodies import Bodies
-from carom.physics.contact.contact_checkpoint import ContactCheckpoint
-from carom.physics.contact.graph import OrderedContacts, empty_graph
+from carom.physics.contact.graph import OrderedContacts
 from carom.physics.contact.hooks import NO_ENTRIES, Hooks, Mover, OptionalPart, P, PresentStep
 from carom.physics.contact.impact_log import NO_IMPACTS, Impacts
 from carom.physics.contact.impact_totals import ImpactTotals
@@ -41,6 +40,8 @@ from carom.plan.features import Requirements
 from carom.plan.step_parts import STEP_PARTS, required
 from carom.registry import imported
 from carom.scene.load import Scene
+from carom.state.checkpoint import ContactCheckpoint
+from carom.state.frame import empty_graph
 
 
 class ContactPipeline:

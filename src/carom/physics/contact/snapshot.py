@@ -13,11 +13,12 @@ import numpy as np
 
 from carom.arrays import FloatArray, IntArray, RecordArray, Records
 from carom.physics.aligned import columns
-from carom.physics.contact.graph import CollisionGraph, OrderedContacts, colour_bodies, colour_rest, empty_graph
+from carom.physics.contact.graph import OrderedContacts, colour_bodies, colour_rest
 from carom.physics.contact.impact_log import NO_IMPACTS, Impacts
 from carom.physics.contact.records import ContactRecord, ContactStateRecord
 from carom.physics.contact.solver.contact_solver import ContactSolver
 from carom.physics.jit.decorators import kernel
+from carom.state.frame import CollisionGraph, empty_graph
 
 
 class IdleContacts(Protocol):

@@ -16,16 +16,15 @@ from carom.arrays import FloatArray, Records
 from carom.errors import PhysicsError
 from carom.event import Event
 from carom.physics.bodies import Bodies
-from carom.physics.checkpoint import Books, Checkpoint
 from carom.physics.contact.pipeline import ContactPipeline
 from carom.physics.diagnostics.dissipation import SignsOfDissipation
-from carom.physics.diagnostics.energy import Energy, EnergyAccount, EnergyBaseline
+from carom.physics.diagnostics.energy import EnergyAccount
 from carom.physics.diagnostics.energy_monitor import EnergyMonitor, Suspects
-from carom.physics.diagnostics.extremes import NOTHING, Extreme, Extremes
+from carom.physics.diagnostics.extremes import add_contacts, add_energy, add_impulse_audit, add_momentum
 from carom.physics.diagnostics.impulse_audit import ImpulseAudit
-from carom.physics.diagnostics.ledger import Ledger
+from carom.physics.diagnostics.ledger import with_contacts
 from carom.physics.diagnostics.momentum import Momentum, MomentumAccount, TotalMotion
-from carom.physics.diagnostics.run_monitor import Activity, PaceMonitor, PaceTally, refuse_infinities
+from carom.physics.diagnostics.run_monitor import Activity, PaceMonitor, refuse_infinities
 from carom.physics.forces.force import Potentials
 from carom.physics.world import World
 from carom.plan.auto import integrator
@@ -33,6 +32,9 @@ from carom.scene.forces import acts_from_outside
 from carom.scene.load import Scene
 from carom.scene.units.dimension import TIME
 from carom.scene.wording import Names
+from carom.state.books import NOTHING, Books, Extreme, Extremes, PaceTally
+from carom.state.checkpoint import Checkpoint
+from carom.state.energies import Energy, EnergyBaseline, Ledger
 
 ROUNDING = 1e-10  # upper bound of the rounding of a sum over 10⁶ bodies
 
@@ -92,7 +94,7 @@ class BalanceAudit:
 
     def book(self, contacts: FloatArray) -> None:
         """Book the energies of the contacts of a step, (m, 3) J."""
-        self.ledger = self.ledger.plus(contacts)
+        self.ledger = with_contacts(self.ledger, contacts)
 
     def exchange(self, entry: str, loss: float, impulse: FloatArray, angular_impulse: FloatArray) -> None:
         """Book the energy (J) dissipated by a force without a potential, and its impulses (N s and N m s)."""
@@ -143,8 +145,8 @@ class BalanceAudit:
             raise PhysicsError(f"the energy is no longer finite at step {step}, t = {self._units.text(time, TIME)}")
         self.momentum = self.momenta.balance(motion, time, judged)
         if extremes:
-            extremes.add_energy(step, time, self.energy)
-            extremes.add_momentum(step, time, self.momentum)
+            add_energy(extremes, step, time, self.energy)
+            add_momentum(extremes, step, time, self.momentum)
         self.step = step
 
     def check(self, time: float, extremes: Extremes, contact: ContactPipeline | None = None) -> list[Event]:
@@ -253,7 +255,7 @@ class Bookkeeper:
         clock = self._world.clock
         if self.impulse_audit:
             worst = self.impulse_audit.finish(self.audit.ledger)
-            self.extremes.add_impulse_audit(clock.step, clock.time, worst)
+            add_impulse_audit(self.extremes, clock.step, clock.time, worst)
         if computed:
             self.measure(potentials, judged, contact)
         if self._is_past_the_promise(clock.time):
@@ -368,7 +370,7 @@ class Bookkeeper:
     def _measure_contacts(self, contact: ContactPipeline, extremes: Extremes) -> None:
         clock = self._world.clock
         self.audit.book(contact.statistics.work)
-        extremes.add_contacts(clock.step, clock.time, contact.statistics)
+        add_contacts(extremes, clock.step, clock.time, contact.statistics)
 
     def _beginning(self, extremes: Extremes) -> Extremes:
         """Return a copy of the extremes so far, with an entry for every quantity that this run measures."""

@@ -15,7 +15,6 @@ the energy of a change of impulses has no unique division among the contacts of 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import numpy as np
@@ -30,7 +29,6 @@ from carom.physics.contact.islands import join_islands, root_of
 from carom.physics.contact.law import Materials, exerts_torque, material_index, restitution_of_impact, slides
 from carom.physics.contact.loads import pressing
 from carom.physics.contact.records import ContactRecord, ContactStateRecord, ImpactRecord, LoadRecord
-from carom.physics.diagnostics.extremes import Extreme
 from carom.physics.diagnostics.ledger import clear_terms
 from carom.physics.jit.decorators import entry_of, inline, kernel, long_kernel
 from carom.physics.vector import Vector, between
@@ -40,6 +38,7 @@ from carom.scene.start import HalfSpaces
 from carom.scene.units.dimension import ENERGY, TIME
 from carom.scene.units.system import UnitSystem
 from carom.scene.wording import Names
+from carom.state.books import Extreme, WrongWork
 
 if TYPE_CHECKING:
     from carom.physics.contact.graph import OrderedContacts
@@ -81,18 +80,6 @@ class WrongWorkRecord(Protocol):
 
 
 WRONG_WORK = dtype_of(WrongWorkRecord)
-
-
-@dataclass(frozen=True, slots=True)
-class WrongWork:
-    """A row of the tally, for a checkpoint."""
-
-    energy: float  # J
-    worst: float  # J
-    pair: tuple[int, int]
-    step: int
-    time: float  # s
-    told: bool  # whether its warning has been given
 
 
 class HeldContacts(Protocol):

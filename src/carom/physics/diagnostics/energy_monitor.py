@@ -13,14 +13,15 @@ import numpy as np
 from carom.arrays import FloatArray
 from carom.event import Event
 from carom.physics.bodies import Bodies
-from carom.physics.contact.graph import CollisionGraph
 from carom.physics.contact.pipeline import ContactPipeline
-from carom.physics.diagnostics.energy import Energy
 from carom.physics.diagnostics.ledger import FRICTION, RESTITUTION, STABILISATION
 from carom.scene.integrators import Integrator
 from carom.scene.units.dimension import ANGULAR_VELOCITY, ENERGY, LENGTH, TIME, VELOCITY, Dimension
 from carom.scene.units.system import SI, UnitSystem
 from carom.scene.wording import Names, counted
+from carom.state.books import MonitorState
+from carom.state.energies import Energy
+from carom.state.frame import CollisionGraph
 
 MOST_CONTACTS = 6  # listed in a warning, the largest added energies first
 LOST = 0.1  # of the energy scale; such an error changes the size and the period of an orbit
@@ -68,17 +69,6 @@ class Suspects:
                 text += f", ω = {_vector(self.angular_velocity[body], ANGULAR_VELOCITY, units)}"
             lines.append(text)
         return "\n".join(lines)
-
-
-@dataclass(frozen=True, slots=True)
-class MonitorState:
-    """The state of the monitor between two checks."""
-
-    lowest: Energy | None = None  # the lowest total since the last warning
-    since: float = 0.0  # s, the time of the lowest total
-    warnings: int = 0
-    lost: bool = False  # whether a large error has been reported
-    gained: bool = False  # whether energy added by contact impulses has been reported
 
 
 class EnergyMonitor:

@@ -1,157 +1,55 @@
-"""The extremes of a run: its hardest impact, deepest overlap, most contacts and largest errors, with their times."""
+"""Updates the extremes of a run: by the contacts of every step, and by energy and momentum at the checks."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, fields, replace
-from operator import attrgetter
-from typing import Any
-
-from carom.contact_table import ROUNDED_OVERLAP
-from carom.event import Event
 from carom.physics.contact.statistics import ContactStatistics
-from carom.physics.diagnostics.energy import Energy
 from carom.physics.diagnostics.momentum import Momentum
-from carom.scene.units.dimension import ENERGY
-from carom.scene.units.system import UnitSystem
-from carom.scene.wording import Names
+from carom.state.books import Extreme, Extremes
+from carom.state.energies import Energy
 
 
-@dataclass(frozen=True, slots=True)
-class Extreme:
-    """One extreme: its value, its time, and the bodies involved."""
-
-    value: float
-    step: int
-    time: float  # s
-    bodies: tuple[int, ...] = ()  # during the run, ends of a contact, where numbers from n on are planes
-    planes: tuple[int, ...] = ()  # planes involved, see `Extremes.named`
-    between: str = ""  # names of bodies and planes
-
-
-NOTHING = Extreme(0.0, 0, 0.0)
+def add_contacts(extremes: Extremes, step: int, time: float, tally: ContactStatistics) -> None:
+    """Update by the contacts of a step."""
+    if tally.impacts:
+        extremes.impact = _larger(extremes.impact, tally.hardest, step, time, tally.hardest_pair)
+    extremes.overlap = _larger(extremes.overlap, tally.deepest, step, time, tally.deepest_pair)
+    if extremes.contacts is None or tally.contacts > extremes.contacts.value:
+        extremes.contacts = Extreme(float(tally.contacts), step, time)
+    extremes.total_contacts += tally.contacts
+    extremes.impacts += tally.impacts
 
 
-@dataclass(slots=True)
-class Extremes:
-    """Extremes so far: of energy and momentum at the checks, of contacts at every step.
-
-    An extreme is None if it was not measured. Contacts dissipate and gravity is conservative, so the total energy can
-    only fall. A rise above its lowest value is an error, whether or not the ledger explains it.
-    """
-
-    energy_error: Extreme | None = None  # |integration error| / scale
-    energy_gain: Extreme = NOTHING  # rise of the total energy above its lowest value so far / scale
-    contact_gain: Extreme = NOTHING  # energy that contact impulses have added or given back / scale
-    kinetic: Extreme = NOTHING  # kinetic energy / scale at the last check, not the largest
-    impact: Extreme | None = None  # J, largest ½ μ v_n² of an impact
-    overlap: Extreme | None = None  # deepest overlap / smaller radius
-    contacts: Extreme | None = None  # most contacts in a step
-    momentum_error: Extreme | None = NOTHING  # None where the scene does not conserve it
-    angular_momentum_error: Extreme | None = NOTHING  # None where the scene does not conserve it
-    total_contacts: int = 0  # sum of the numbers of contacts over the steps
-    impacts: int = 0  # during drifts; at the end of a step, a contact counts once
-    lowest_energy: float = float("inf")  # J
-    energy_scale: float = 0.0  # J, of the last check
-    most_taken: float = 0.0  # J, the largest restitution + friction of the ledger
-    warned: tuple[str, ...] = ()  # kinds of warnings so far
-    contact_audit: Extreme | None = None  # largest error of `diagnostics.impulse_audit`; None without the audit
-    dissipation_error: Extreme | None = None  # energy moved against `diagnostics.dissipation` / scale; None for nothing
-
-    @property
-    def energy_fault(self) -> Extreme | None:
-        """The larger of the integration error and the energy added by contact impulses; both are errors."""
-        if self.energy_error is None or self.contact_gain.value > self.energy_error.value:
-            return self.contact_gain if self.contact_gain.value > 0.0 else self.energy_error
-        return self.energy_error
-
-    def add_contacts(self, step: int, time: float, tally: ContactStatistics) -> None:
-        """Update by the contacts of a step."""
-        if tally.impacts:
-            self.impact = _larger(self.impact, tally.hardest, step, time, tally.hardest_pair)
-        self.overlap = _larger(self.overlap, tally.deepest, step, time, tally.deepest_pair)
-        if self.contacts is None or tally.contacts > self.contacts.value:
-            self.contacts = Extreme(float(tally.contacts), step, time)
-        self.total_contacts += tally.contacts
-        self.impacts += tally.impacts
-
-    def copy(self) -> Extremes:
-        """Return a copy, which later steps do not change."""
-        return Extremes(*_values(self))
-
-    def named(self, names: Names) -> Extremes:
-        """Return the extremes with planes and bodies separated, both by their names."""
-        n = len(names.bodies)
-
-        def named(extreme: Extreme) -> Extreme:
-            return replace(
-                extreme,
-                bodies=tuple(end for end in extreme.bodies if end < n),
-                planes=tuple(end - n for end in extreme.bodies if end >= n),
-                between=names.pair(extreme.bodies),
-            )
-
-        values: list[Any] = [named(value) if isinstance(value, Extreme) else value for value in _values(self)]
-        return Extremes(*values)
-
-    def highlights(
-        self, names: Names, units: UnitSystem, energy_error: str = "integration error at a check"
-    ) -> tuple[Event, ...]:
-        """Return the extremes of contacts and energy as events in order of time, with a name for the energy error."""
-        known = self.named(names)
-        overlap = known.overlap if known.overlap and known.overlap.value > ROUNDED_OVERLAP else None
-        deepest = 0.0 if overlap is None else 100.0 * overlap.value
-        approach = "" if known.impact is None else units.text(known.impact.value, ENERGY, ".4g")
-        wordings = (
-            (known.impact, f"Hardest impact of the run, {approach} of approach (½ μ v_n²)"),
-            (overlap, f"Deepest overlap of the run, {deepest:.3g}% of the smaller radius"),
-            (known.contacts, "Most contacts of the run, {value:.0f}"),
-            (known.energy_error, f"Largest {energy_error}, {{value:.2e}} of the energy scale"),
-        )
-        events = []
-        for extreme, wording in wordings:
-            if extreme is not None and extreme.value > 0:
-                text = wording.format(value=extreme.value) + (f": {extreme.between}." if extreme.between else ".")
-                events.append(Event(extreme.step, extreme.time, "INFO", text, "extreme"))
-        return tuple(sorted(events, key=lambda event: event.step))
-
-    def add_energy(self, step: int, time: float, energy: Energy) -> None:
-        """Update by the energy of a step."""
-        undamped, ledger = energy.undamped, energy.ledger
-        self.energy_error = _larger(self.energy_error, energy.relative_error, step, time)
-        self.energy_scale = energy.scale
-        self.lowest_energy = min(self.lowest_energy, undamped)
-        gain = energy.relative_change(undamped - self.lowest_energy)
-        if gain > self.energy_gain.value:
-            self.energy_gain = Extreme(gain, step, time)
-        taken = ledger.restitution + ledger.friction
-        self.most_taken = max(self.most_taken, taken)
-        given = energy.relative_change(max(self.most_taken - taken, -ledger.restitution, -ledger.friction))
-        if given > self.contact_gain.value:
-            self.contact_gain = Extreme(given, step, time)
-        self.kinetic = Extreme(energy.relative(energy.translational + energy.rotational), step, time)
-
-    def add_impulse_audit(self, step: int, time: float, worst: tuple[float, tuple[int, ...]]) -> None:
-        """Update by the largest error of a step's impulses, and its body."""
-        error, bodies = worst
-        if self.contact_audit is None or not error <= self.contact_audit.value:
-            self.contact_audit = Extreme(error, step, time, bodies)
-
-    def add_warning(self, kind: str) -> None:
-        """Update by a warning."""
-        if kind not in self.warned:
-            self.warned += (kind,)
-
-    def add_momentum(self, step: int, time: float, momentum: Momentum) -> None:
-        """Update by the momenta of a step."""
-        linear, angular = momentum.linear_error, momentum.angular_error
-        self.momentum_error = None if linear is None else _larger(self.momentum_error, linear, step, time)
-        self.angular_momentum_error = (
-            None if angular is None else _larger(self.angular_momentum_error, angular, step, time)
-        )
+def add_energy(extremes: Extremes, step: int, time: float, energy: Energy) -> None:
+    """Update by the energy of a step."""
+    undamped, ledger = energy.undamped, energy.ledger
+    extremes.energy_error = _larger(extremes.energy_error, energy.relative_error, step, time)
+    extremes.energy_scale = energy.scale
+    extremes.lowest_energy = min(extremes.lowest_energy, undamped)
+    gain = energy.relative_change(undamped - extremes.lowest_energy)
+    if gain > extremes.energy_gain.value:
+        extremes.energy_gain = Extreme(gain, step, time)
+    taken = ledger.restitution + ledger.friction
+    extremes.most_taken = max(extremes.most_taken, taken)
+    given = energy.relative_change(max(extremes.most_taken - taken, -ledger.restitution, -ledger.friction))
+    if given > extremes.contact_gain.value:
+        extremes.contact_gain = Extreme(given, step, time)
+    extremes.kinetic = Extreme(energy.relative(energy.translational + energy.rotational), step, time)
 
 
-_values: Callable[[Extremes], tuple[Any, ...]] = attrgetter(*(field.name for field in fields(Extremes)))
+def add_impulse_audit(extremes: Extremes, step: int, time: float, worst: tuple[float, tuple[int, ...]]) -> None:
+    """Update by the largest error of a step's impulses, and its body."""
+    error, bodies = worst
+    if extremes.contact_audit is None or not error <= extremes.contact_audit.value:
+        extremes.contact_audit = Extreme(error, step, time, bodies)
+
+
+def add_momentum(extremes: Extremes, step: int, time: float, momentum: Momentum) -> None:
+    """Update by the momenta of a step."""
+    linear, angular = momentum.linear_error, momentum.angular_error
+    extremes.momentum_error = None if linear is None else _larger(extremes.momentum_error, linear, step, time)
+    extremes.angular_momentum_error = (
+        None if angular is None else _larger(extremes.angular_momentum_error, angular, step, time)
+    )
 
 
 def _larger(known: Extreme | None, value: float, step: int, time: float, pair: tuple[int, ...] = ()) -> Extreme:

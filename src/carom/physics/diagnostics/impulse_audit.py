@@ -20,7 +20,7 @@ from carom.contact_table import turning_impulses
 from carom.physics.bodies import Bodies
 from carom.physics.contact.contact_tap import ContactTap, Impulses
 from carom.physics.contact.pipeline import ContactPipeline
-from carom.physics.diagnostics.ledger import Ledger
+from carom.state.energies import Ledger
 
 
 class ImpulseAudit:

@@ -23,6 +23,7 @@ from carom.arrays import FloatArray
 from carom.physics.bodies import Bodies
 from carom.physics.jit.decorators import kernel
 from carom.physics.vector import square, vector
+from carom.state.books import MomentumBaseline
 
 
 class TotalMotion(NamedTuple):
@@ -116,17 +117,6 @@ class Momentum:
     linear_error: float | None  # relative to the largest Σ m |v| of the checks so far; None if something is fixed
     # relative to the largest Σ (m |x| |v| + I |ω|); None without a scale, and in a periodic box
     angular_error: float | None
-
-
-@dataclass(frozen=True, slots=True)
-class MomentumBaseline:
-    """Reference values: the initial momenta, and the largest sums of magnitudes at the checks so far."""
-
-    linear: tuple[float, float, float]  # kg m/s
-    angular: tuple[float, float, float]  # kg m²/s
-    centre: tuple[float, float, float]  # m, the centre of mass
-    linear_scale: float  # kg m/s
-    angular_scale: float  # kg m²/s
 
 
 class MomentumAccount:

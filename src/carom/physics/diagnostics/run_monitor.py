@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from time import perf_counter_ns
 
 import numpy as np
@@ -12,7 +11,6 @@ from carom.arrays import BoolArray, FloatArray
 from carom.errors import PhysicsError
 from carom.event import Event
 from carom.physics.bodies import Bodies
-from carom.physics.diagnostics.energy import Energy
 from carom.physics.jit.decorators import kernel, long_kernel
 from carom.physics.jit.team import SOLO, Team
 from carom.plan.auto import integrator
@@ -22,6 +20,8 @@ from carom.scene.schema.settings import LARGEST_ACCURACY
 from carom.scene.units.dimension import TIME
 from carom.scene.units.system import SI, UnitSystem
 from carom.scene.wording import bodies_called
+from carom.state.books import PaceTally
+from carom.state.energies import Energy
 
 MOST_CROSSINGS = 1e6
 MIN_NUMBERS_PER_TASK = 30_000
@@ -144,14 +144,6 @@ def remedies_of(scene: Scene) -> Mapping[str, str]:
     if integrator(scene).controls_error:
         return {} if require(scene).contact.modelled else {"cap": REMEDY["cap"]}
     return dict.fromkeys(REMEDY, "time.accuracy") if require(scene).accelerates and accuracy < LARGEST_ACCURACY else {}
-
-
-@dataclass(frozen=True, slots=True)
-class PaceTally:
-    """The state of the monitor between two checks."""
-
-    slow_since: float | None = None  # s, time since which all checked steps were short; None if the last one was not
-    told: bool = False  # whether the warning has been given
 
 
 class PaceMonitor:

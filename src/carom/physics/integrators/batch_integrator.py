@@ -6,74 +6,17 @@ kicks and drifts, which `carom.physics.step` takes one at a time.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Annotated, NamedTuple, Protocol
-
-import numpy as np
+from typing import NamedTuple, Protocol
 
 from carom import registry
 from carom.arrays import FloatArray
 from carom.physics.bodies import Bodies
-from carom.physics.saved import BODY, ENCOUNTER, RUN, Saved
 from carom.plan.auto import integrator
 from carom.plan.features import Requirements
 from carom.scene.load import Scene
+from carom.state.checkpoint import IntegratorCheckpoint
 
 BY_LEAPFROG = -1.0  # value of ``last_dt`` where contacts came to rest, and leapfrog takes the steps
-
-
-class EqualSteps(NamedTuple):
-    """A series of equal steps of Wisdom–Holman integration, stored as five numbers in a checkpoint."""
-
-    phase: float  # one of the phases in `wisdom_holman`
-    start: float  # s, when the series began
-    steps: float  # number of steps since then
-    dt: float  # s
-    limit: float  # index of the limit that set dt
-
-
-@dataclass(frozen=True, slots=True)
-class OrbitCheckpoint:
-    """State of Wisdom–Holman integration; arrays are in the order of its Jacobi coordinates."""
-
-    series: Annotated[FloatArray, Saved("orbit_series", "", RUN, len(EqualSteps._fields))]  # of `EqualSteps`
-    order: Annotated[FloatArray, Saved("orbit_order", "", BODY)]  # (n,) index of each body in the scene
-    near: Annotated[FloatArray, Saved("orbit_near", "m", BODY)]  # (n,) distance below which another body is close
-    # (n, 3) Jacobi coordinates after the last kick
-    position: Annotated[FloatArray, Saved("orbit_position", "m", BODY, 3)]
-    velocity: Annotated[FloatArray, Saved("orbit_velocity", "m/s", BODY, 3)]  # (n, 3)
-
-    def check(self) -> None:
-        """Raise ValueError if no integration has such a state."""
-        series = EqualSteps(*self.series.tolist())
-        if not np.array_equal(np.sort(self.order), np.arange(len(self.order))):
-            raise ValueError("orbit_order is not an order of the bodies")
-        if series.phase not in (0.0, 1.0, 2.0) or series.steps < 0.0 or series.limit not in (0.0, 1.0, 2.0):
-            raise ValueError("orbit_series is not a series of equal steps")
-
-
-@dataclass(frozen=True, slots=True)
-class IntegratorCheckpoint:
-    """State of Gauss–Radau integration; rows of the last two are the coordinates x, y, z of body after body.
-
-    With Wisdom–Holman integration, its arrays have rows only in close encounters.
-    """
-
-    # `BY_LEAPFROG`, or 0 if the last step predicts nothing
-    last_dt: Annotated[float, Saved("integrator_last_dt", "s")]
-    # (n, 3) accumulated rounding errors of the positions
-    position_rest: Annotated[FloatArray, Saved("integrator_position_rest", "m", ENCOUNTER, 3)]
-    velocity_rest: Annotated[FloatArray, Saved("integrator_velocity_rest", "m/s", ENCOUNTER, 3)]  # (n, 3)
-    # (3 n, 8) coefficients of the last step's polynomial
-    accepted: Annotated[FloatArray, Saved("integrator_accepted", "m/s²", ENCOUNTER, 8, rows=3)]
-    # (3 n, 8) error of the predicted coefficients
-    correction: Annotated[FloatArray, Saved("integrator_correction", "m/s²", ENCOUNTER, 8, rows=3)]
-    orbits: OrbitCheckpoint | None = None  # None with Gauss–Radau integration alone
-
-    def check(self) -> None:
-        """Raise ValueError if no integration has such a state."""
-        if self.orbits is None and not len(self.accepted):
-            raise ValueError("integrator_accepted has no values")
 
 
 class Meeting(NamedTuple):

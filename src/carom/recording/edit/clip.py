@@ -21,7 +21,7 @@ from carom.recording.read.recording import Recording
 from carom.recording.rrd.messages import Chunk, Entry
 from carom.recording.schema import paths
 from carom.recording.schema.header import Scalar
-from carom.recording.schema.paths import IMPACT, SIM_TIME, STEP
+from carom.recording.timelines import IMPACT, SIM_TIME, STEP
 from carom.recording.write.rerun_compat import StoredLayout
 from carom.recording.write.whole_file import Writer
 from carom.scene.units.dimension import TIME

@@ -30,7 +30,7 @@ from carom.recording.layout.drawing import arrow_length, shape
 from carom.recording.layout.plot_views import energy_view, plot_views, time_axis
 from carom.recording.schema import palette, paths
 from carom.recording.schema.header import Header, TimeScale
-from carom.recording.schema.paths import SIM_TIME, STEP
+from carom.recording.timelines import SIM_TIME, STEP
 
 OF_LATE = 1 / 300  # fraction of the duration for which an impact stays visible
 

@@ -18,7 +18,6 @@ import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import product
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -38,9 +37,7 @@ from carom.recording.layout.canvas import (
 from carom.recording.schema.header import Header
 from carom.scene.conversion import converted
 from carom.scene.forces import UNIFORM_FIELD
-
-if TYPE_CHECKING:
-    from carom.physics.frame import Frame
+from carom.state.frame import Frame
 
 ASPECT = 1.25  # width over height of a 3D view, unless the layout gives another
 _NARROW_SLOPE = float(np.tan(np.radians(1.0)))

@@ -22,8 +22,8 @@ from carom.recording.rrd.container import Container
 from carom.recording.rrd.framing import looks_recorded
 from carom.recording.rrd.messages import BLUEPRINT, Chunk, Entry, Store, release_memory
 from carom.recording.schema import paths
-from carom.recording.schema.paths import SIM_TIME, STEP
 from carom.recording.schema.properties import checked
+from carom.recording.timelines import SIM_TIME, STEP
 from carom.scene.wording import command
 
 # Exceptions caused by wrong names, types or lengths in a file.

@@ -17,8 +17,9 @@ from carom.recording.read.recorded_impacts import count_at, impacts_by_number, s
 from carom.recording.read.recording import Recording
 from carom.recording.rrd.messages import Chunk
 from carom.recording.schema import paths
-from carom.recording.schema.paths import CLOSING, IMPACT, SIM_TIME, STEP
+from carom.recording.schema.paths import CLOSING
 from carom.recording.schema.series import SERIES
+from carom.recording.timelines import IMPACT, SIM_TIME, STEP
 from carom.scene.units.dimension import OF_UNIT, TIME
 from carom.scene.units.system import SI, UnitSystem
 from carom.scene.wording import body_called

@@ -6,7 +6,7 @@ from collections import OrderedDict
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import cached_property
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import pyarrow as pa
@@ -20,10 +20,9 @@ from carom.recording.read.recording import Recording
 from carom.recording.rrd.messages import Chunk, Entry
 from carom.recording.schema import paths
 from carom.recording.schema.header import TimeScale
-from carom.recording.schema.paths import CLOSING, IMPACT, STEP
-
-if TYPE_CHECKING:
-    from carom.physics.checkpoint import Checkpoint
+from carom.recording.schema.paths import CLOSING
+from carom.recording.timelines import IMPACT, STEP
+from carom.state.checkpoint import Checkpoint
 
 _KEPT = 3  # chunks of each entity in memory; neighbouring frames may be in different ones
 

@@ -20,7 +20,7 @@ import pyarrow as pa
 from carom.arrays import FloatArray
 from carom.errors import RecordingError, SceneError
 from carom.recording.read.recorded_scene import recorded_scene
-from carom.recording.schema.paths import STEP
+from carom.recording.timelines import STEP
 from carom.scene.start import names_of_solids
 from carom.scene.units.dimension import TIME
 from carom.scene.wording import Names, bodies_called, body_called

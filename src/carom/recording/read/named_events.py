@@ -8,7 +8,7 @@ from carom.errors import RecordingError
 from carom.recording.read.lookup import end_of_step, names_of, recorded_moments, shown_body, split_at_commas
 from carom.recording.read.recorded_impacts import numbered_impact
 from carom.recording.read.recording import Recording
-from carom.recording.schema.paths import SIM_TIME, STEP
+from carom.recording.timelines import SIM_TIME, STEP
 from carom.scene.wording import suggestion
 
 

@@ -18,11 +18,11 @@ from carom.recording.read.lookup import frame_of, names_of
 from carom.recording.read.state_columns import with_units
 from carom.recording.rrd.messages import Chunk
 from carom.recording.schema import paths
-from carom.recording.schema.paths import STEP
+from carom.recording.timelines import STEP
 from carom.scene.units.dimension import TIME
+from carom.state.checkpoint import Checkpoint
 
 if TYPE_CHECKING:
-    from carom.physics.checkpoint import Checkpoint
     from carom.recording.read.recorded_data import RecordedData
 
 

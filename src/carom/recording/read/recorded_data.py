@@ -26,14 +26,15 @@ from carom.recording.read.entities import (
 )
 from carom.recording.read.statics import BodyTable, Statics, decode_bodies, decode_names, named
 from carom.recording.schema import paths
-from carom.recording.schema.paths import CLOSING, SIM_TIME, STEP
+from carom.recording.schema.paths import CLOSING
 from carom.recording.schema.series import is_recorded, names_below
+from carom.recording.timelines import SIM_TIME, STEP
 from carom.scene.data.body_columns import BodyColumns
 from carom.scene.schema.shear import Shear
 from carom.scene.start import HalfSpaces
+from carom.state.checkpoint import Checkpoint
 
 if TYPE_CHECKING:
-    from carom.physics.checkpoint import Checkpoint
     from carom.recording.rrd.messages import Chunk
 
 

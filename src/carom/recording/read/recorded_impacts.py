@@ -23,7 +23,8 @@ from carom.recording.read.recorded_contacts import (
 )
 from carom.recording.rrd.messages import Chunk, Entry
 from carom.recording.schema import paths
-from carom.recording.schema.paths import IMPACT, IMPACT_SUMS, SIM_TIME, STEP
+from carom.recording.schema.paths import IMPACT_SUMS
+from carom.recording.timelines import IMPACT, SIM_TIME, STEP
 
 if TYPE_CHECKING:
     from carom.recording.read.recorded_data import RecordedData

@@ -17,17 +17,18 @@ from carom.recording.layout.curve_outline import CurveOutline
 from carom.recording.read.entities import SCALARS, flat
 from carom.recording.schema import paths
 from carom.recording.schema.header import COLOUR_BY, Header, ShownMaterials, motions_of, scene_digest
-from carom.recording.schema.paths import ENERGY, SIM_TIME, STEP, STEPS
+from carom.recording.schema.paths import ENERGY, STEPS
 from carom.recording.schema.properties import fields_read
 from carom.recording.schema.series import all_series
+from carom.recording.timelines import SIM_TIME, STEP
 from carom.scene.data.body_sources import SourcedBodies, Wanted
 from carom.scene.extensions import missing, names_of, stamped
 from carom.scene.forces import FORCES
 from carom.scene.load import Scene, longest_text, scene_from_text
 from carom.scene.start import InitialBodies, planes_of
+from carom.state.checkpoint import Checkpoint
 
 if TYPE_CHECKING:
-    from carom.physics.checkpoint import Checkpoint
     from carom.recording.read.recorded_data import RecordedData
 
 

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 from importlib.metadata import version as installed_version
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self
+from typing import Any, Self
 
 import numpy as np
 import pyarrow as pa
@@ -27,9 +27,7 @@ from carom.recording.schema import paths
 from carom.recording.schema.header import schema_version
 from carom.scene.extensions import RELEASE
 from carom.scene.wording import counted
-
-if TYPE_CHECKING:
-    from carom.physics.checkpoint import Checkpoint
+from carom.state.checkpoint import Checkpoint
 
 
 class Recording(RecordedData):

@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
 from carom.arrays import FloatArray, IntArray
-from carom.recording.schema.paths import STEP
-
-if TYPE_CHECKING:
-    from carom.physics.checkpoint import Checkpoint
-    from carom.physics.frame import Frame
+from carom.recording.timelines import STEP
+from carom.state.checkpoint import Checkpoint
+from carom.state.frame import Frame
 
 State: TypeAlias = "Checkpoint | Frame"
 

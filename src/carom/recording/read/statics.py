@@ -23,7 +23,7 @@ from carom.recording.rrd.container import Container
 from carom.recording.rrd.messages import Chunk, Entry, Store
 from carom.recording.schema import paths
 from carom.recording.schema.header import LARGEST
-from carom.recording.schema.paths import STEP
+from carom.recording.timelines import STEP
 from carom.scene.data.body_columns import BodyColumns
 from carom.scene.data.mapping import VECTORS
 from carom.scene.schema.settings import called

@@ -28,13 +28,13 @@ from carom.recording.read.state_columns import (
 )
 from carom.recording.rrd.messages import release_memory
 from carom.recording.schema import paths
-from carom.recording.schema.paths import STEP
+from carom.recording.timelines import STEP
 from carom.scene.units.dimension import TIME
 from carom.scene.wording import body_called
+from carom.state.checkpoint import Checkpoint
+from carom.state.frame import Frame
 
 if TYPE_CHECKING:
-    from carom.physics.checkpoint import Checkpoint
-    from carom.physics.frame import Frame
     from carom.recording.read.recorded_data import RecordedData
     from carom.recording.rrd.messages import Chunk
 

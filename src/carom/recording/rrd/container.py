@@ -29,7 +29,7 @@ from carom.recording.rrd.messages import (
     store_named,
     store_of,
 )
-from carom.recording.schema.paths import STEP
+from carom.recording.timelines import STEP
 
 _ZIP = b"PK\x03\x04"  # start of a zip file, such as a bug report's
 _SHORTEST = 100  # bytes of a chunk's message, whose schema alone is longer

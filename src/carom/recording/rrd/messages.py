@@ -19,7 +19,7 @@ import pyarrow.compute as pc
 from carom.arrow_claims import Claims, claims
 from carom.errors import DamageError
 from carom.recording.rrd.framing import Message
-from carom.recording.schema.paths import SIM_TIME, STEP
+from carom.recording.timelines import SIM_TIME, STEP
 
 # The sizes that an Arrow IPC stream claims are checked before memory is allocated. In some Arrow types, a hundred bytes
 # can represent 10⁸ rows: nulls, run-end encoding, fixed-size lists, views, dictionaries. Buffers can be compressed a

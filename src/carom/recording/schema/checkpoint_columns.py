@@ -15,12 +15,13 @@ from pydantic import TypeAdapter, ValidationError
 
 from carom.arrays import FloatArray, IntArray
 from carom.errors import RecordingError
-from carom.physics.checkpoint import Books, Checkpoint
-from carom.physics.contact.contact_checkpoint import ContactCheckpoint
-from carom.physics.diagnostics.energy import Energy
-from carom.physics.diagnostics.ledger import Ledger, NamedEnergies
-from carom.physics.frame import Frame
-from carom.physics.saved import (
+from carom.recording.schema.header import LARGEST, Header
+from carom.recording.timelines import STEP
+from carom.state.books import Books
+from carom.state.checkpoint import Checkpoint, ContactCheckpoint
+from carom.state.energies import Energy, Ledger, NamedEnergies
+from carom.state.frame import Frame
+from carom.state.saved import (
     BODY,
     CONTACT,
     ENCOUNTER,
@@ -33,8 +34,6 @@ from carom.physics.saved import (
     saved_fields,
     saved_parts,
 )
-from carom.recording.schema.header import LARGEST, Header
-from carom.recording.schema.paths import STEP
 
 Values = NDArray[Any] | list[str]
 Column = tuple[Values, list[int]]  # the values of all rows, and their number in each row

@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 from carom.arrays import BoolArray, ColourArray, FloatArray, IntArray
 from carom.errors import RecorderError
 from carom.recording.schema import palette
-from carom.recording.schema.paths import IMPACT, MOVING, SCHEMA_VERSION, SIM_TIME, STEP
+from carom.recording.schema.paths import MOVING, SCHEMA_VERSION
+from carom.recording.timelines import IMPACT, SIM_TIME, STEP
 from carom.scene.data.body_columns import BodyColumns
 from carom.scene.extensions import PROPERTY
 from carom.scene.forces import FORCES

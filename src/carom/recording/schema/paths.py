@@ -1,13 +1,10 @@
-"""The timelines and entities of a recording, the kinds of its events, and the version of the schema.
+"""The entities of a recording, the kinds of its events, and the version of the schema.
 
 The entities of scalars are in `series`.
 """
 
 from __future__ import annotations
 
-STEP = "step"  # a count
-SIM_TIME = "sim_time"  # a duration in ns, scaled: see `TimeScale`
-IMPACT = "impact"  # a count, from 1 on: rows of impacts, and the states at some of them
 SCHEMA_VERSION = 5  # of recordings; a version of carom reads the schema that it writes
 
 ABOUT = "about"  # texts for readers without carom

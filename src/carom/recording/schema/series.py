@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 from carom import registry
 from carom.arrays import FloatArray
@@ -21,13 +21,9 @@ from carom.recording.schema.palette import LINES
 from carom.recording.schema.paths import ENERGY, STEPS
 from carom.scene.extensions import names_of
 from carom.scene.forces import FORCES, ForceKind, kind_called
-
-if TYPE_CHECKING:
-    from carom.physics.checkpoint import Checkpoint
-    from carom.physics.contact.contact_checkpoint import ContactCheckpoint
-    from carom.physics.diagnostics.energy import Energy
-    from carom.physics.frame import Frame
-
+from carom.state.checkpoint import Checkpoint, ContactCheckpoint
+from carom.state.energies import Energy
+from carom.state.frame import Frame
 
 BLUE, RED, GREEN, PURPLE, GREY, ORANGE = (LINES[name] for name in ("blue", "red", "green", "purple", "grey", "orange"))
 THIN, THICK = 2.0, 4.0  # widths of curves in points of the screen; thinner curves would be blended with the background

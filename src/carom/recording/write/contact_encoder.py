@@ -14,8 +14,6 @@ from carom.arrays import FloatArray, IntArray, Records, SingleArray
 from carom.contact_table import CONTACT_ROW, NO_ROWS
 from carom.errors import RecorderError
 from carom.physics.aligned import joined, picked
-from carom.physics.checkpoint import Checkpoint
-from carom.physics.frame import Frame
 from carom.recording.layout import drawing
 from carom.recording.layout.drawing import part_of_longest, single
 from carom.recording.read.recorded_impacts import RecordedImpacts
@@ -35,6 +33,8 @@ from carom.recording.write.encoding_kernels import EdgeColumns, FrameContacts
 from carom.recording.write.impact_frames import Instant, instants, turns_of
 from carom.recording.write.impact_plan import ImpactPlan, impact_rows, largest
 from carom.recording.write.rows import Index, Rows, any_column, vector_column
+from carom.state.checkpoint import Checkpoint
+from carom.state.frame import Frame
 
 _ROUNDING = 1e-9  # of the largest magnitude in the recorded frames so far
 NO_SUMS = np.empty(0)

@@ -22,13 +22,10 @@ import threading
 import time
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from carom.errors import RecorderError, RecordingError
 from carom.recording.rrd.framing import MessageSplitter
-
-if TYPE_CHECKING:
-    from carom.physics.frame import Frame
+from carom.state.frame import Frame
 
 
 class DiskReserve:

@@ -14,9 +14,8 @@ from rerun import ComponentColumn
 from carom.arrays import ColourArray, FloatArray, IntArray, Records, SingleArray
 from carom.errors import RecorderError
 from carom.event import Event
-from carom.physics.checkpoint import Checkpoint
 from carom.physics.contact.graph import colour_bodies
-from carom.physics.frame import Frame, FrameStore
+from carom.physics.frame_store import FrameStore
 from carom.physics.vector import minimum_images
 from carom.recording.layout import drawing
 from carom.recording.layout.curve_outline import CurveOutline
@@ -46,6 +45,8 @@ from carom.recording.write.rows import (
     vector_column,
 )
 from carom.recording.write.wall_places import moving_walls, piston_rows, wall_rows
+from carom.state.checkpoint import Checkpoint
+from carom.state.frame import Frame
 
 SPEED = "speed"  # in the property `arrows`: the speed (m/s) in the middle of the colours
 NO_IMPACTS = RecordedImpacts()

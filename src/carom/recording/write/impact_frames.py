@@ -16,17 +16,16 @@ import rerun as rr
 from carom.arrays import BoolArray, FloatArray, IntArray, Records, SingleArray
 from carom.contact_table import turning_impulses
 from carom.physics.aligned import columns
-from carom.physics.checkpoint import Checkpoint
-from carom.physics.contact.graph import CollisionGraph
 from carom.physics.contact.rolling import ANGULAR_IMPULSE
-from carom.physics.diagnostics.energy import Energy
 from carom.physics.diagnostics.ledger import terms_of
-from carom.physics.frame import Frame
 from carom.recording.layout.drawing import single
 from carom.recording.schema.header import Header
 from carom.recording.schema.paths import IMPACT_SPINS
 from carom.recording.write.impact_plan import orientations_at, positions_at
 from carom.recording.write.rows import NO_STEPS, NO_TIMES, Index, Rows, any_column, plain_column, vector_column
+from carom.state.checkpoint import Checkpoint
+from carom.state.energies import Energy
+from carom.state.frame import CollisionGraph, Frame
 
 STEPPING = (  # the series that change at an impact, in the order of `Instant.energies`
     "energy/translational",

@@ -9,8 +9,6 @@ import numpy as np
 import rerun as rr
 
 from carom.arrays import FloatArray, IntArray, RecordArray, Records, SingleArray, dtype_of
-from carom.physics.checkpoint import Checkpoint
-from carom.physics.frame import Frame
 from carom.physics.jit.decorators import inline, long_kernel
 from carom.physics.sheared_box import ShearedBox, nearest_in_drift
 from carom.physics.vector import minimum_images
@@ -22,6 +20,8 @@ from carom.recording.schema.series import IMPULSES, IN_PLOT
 from carom.recording.write.encoding_kernels import count_moved
 from carom.recording.write.rows import Index, Rows, any_column, plain_column, vector_column
 from carom.scene.schema.shear import Shear
+from carom.state.checkpoint import Checkpoint
+from carom.state.frame import Frame
 
 # Positions of the bodies at impacts between two frames. A body with impacts between the frames is at the contact point
 # of each impact, and moves on straight lines in between. Other bodies follow the cubic through their positions and

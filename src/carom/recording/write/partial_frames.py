@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from carom.arrays import IntArray
-from carom.physics.checkpoint import fingerprint_of
-from carom.physics.frame import Frame
 from carom.recording.schema.checkpoint_columns import PartialCheckpoint
+from carom.state.checkpoint import fingerprint_of
+from carom.state.frame import Frame
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

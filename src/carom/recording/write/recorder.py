@@ -16,7 +16,7 @@ from carom.arrays import FloatArray
 from carom.errors import DroppedRunWarning, RecorderError, RecordingError
 from carom.event import Event
 from carom.physics.bodies import Bodies
-from carom.physics.frame import Frame, FrameStore
+from carom.physics.frame_store import FrameStore
 from carom.recording.layout import blueprint
 from carom.recording.layout.camera import CameraFit
 from carom.recording.layout.canvas import Additions
@@ -31,6 +31,7 @@ from carom.recording.write.encoder import BatchEncoder, event_rows
 from carom.recording.write.partial_frames import Lives
 from carom.recording.write.stream import BATCH_BYTES, Stream, frames_in_batch
 from carom.recording.write.whole_file import name_until_whole
+from carom.state.frame import Frame
 
 # A bounded queue from the physics thread to the recorder, read in batches. The reader sleeps until a batch is full or
 # due. `queue.Queue` would wake the reader for every frame, to take the interpreter lock from the physics. That costs a

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence, Sized
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pyarrow as pa
@@ -14,10 +14,7 @@ from rerun import ComponentColumn
 
 from carom.arrays import FloatArray, Int32Array, IntArray, SingleArray
 from carom.recording.read.entities import plain
-
-if TYPE_CHECKING:
-    from carom.physics.frame import Frame
-
+from carom.state.frame import Frame
 
 # Columns of a batch: the values of a component, row after row, and their number in each row. The columns below wrap the
 # arrays without a copy. Rerun's own columns copy their values, and compute offsets for every single value before a

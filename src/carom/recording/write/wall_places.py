@@ -13,7 +13,6 @@ import numpy as np
 import rerun as rr
 
 from carom.arrays import FloatArray
-from carom.physics.frame import Frame
 from carom.recording.layout.drawing import single
 from carom.recording.schema.header import Header
 from carom.recording.schema.paths import MOVING
@@ -21,6 +20,7 @@ from carom.recording.write.rows import Index, Rows, vector_column
 from carom.scene.portable_math import cosine_and_sine
 from carom.scene.schema.motion import WallMotion
 from carom.scene.wall_shapes import shape_called
+from carom.state.frame import Frame
 
 
 @dataclass(frozen=True, slots=True)

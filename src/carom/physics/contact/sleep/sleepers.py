@@ -26,8 +26,6 @@ import numpy as np
 
 from carom.arrays import BoolArray, FloatArray, IntArray, Records
 from carom.physics.contact.constraints import CONTACT, CONTACT_STATE, RECORDED, ends_of
-from carom.physics.contact.contact_checkpoint import ContactCheckpoint, SleepCheckpoint
-from carom.physics.contact.graph import CollisionGraph, empty_graph
 from carom.physics.contact.hooks import NO_ENTRIES, OptionalPart, PresentStep
 from carom.physics.contact.islands import join_islands, root_of
 from carom.physics.contact.law import IMPULSES, NORMAL
@@ -39,6 +37,8 @@ from carom.physics.diagnostics.ledger import FRICTION, RESTITUTION, TERMS
 from carom.physics.jit.decorators import kernel
 from carom.physics.jit.team import SOLO
 from carom.physics.vector import square, write
+from carom.state.checkpoint import ContactCheckpoint, SleepCheckpoint
+from carom.state.frame import CollisionGraph, empty_graph
 
 if TYPE_CHECKING:
     from carom.physics.contact.pipeline import ContactPipeline

@@ -36,7 +36,7 @@ import numpy as np
 from carom.arrays import FloatArray, RecordArray
 from carom.physics.bodies import Bodies
 from carom.physics.forces.kernel_forces import parameters_of_all
-from carom.physics.integrators.batch_integrator import Batch, IntegratorCheckpoint, Meeting
+from carom.physics.integrators.batch_integrator import Batch, Meeting
 from carom.physics.integrators.gauss_radau.radau_impacts import (
     AT_REST,
     NONE,
@@ -66,6 +66,7 @@ from carom.plan.auto import largest_step
 from carom.plan.features import Requirements
 from carom.scene.load import Scene
 from carom.scene.start import half_spaces
+from carom.state.checkpoint import IntegratorCheckpoint
 
 STEP_FRACTION = 0.17506702932189996  # η
 LARGEST_CHANGE_AFTER_IMPACT = 1.5  # the largest change after an impact, since the previous step had other velocities

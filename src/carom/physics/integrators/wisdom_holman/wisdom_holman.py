@@ -30,7 +30,7 @@ import numpy as np
 
 from carom.arrays import FloatArray, IntArray
 from carom.physics.bodies import Bodies
-from carom.physics.integrators.batch_integrator import Batch, EqualSteps, IntegratorCheckpoint, OrbitCheckpoint
+from carom.physics.integrators.batch_integrator import Batch
 from carom.physics.integrators.gauss_radau.gauss_radau15 import GaussRadau15
 from carom.physics.integrators.gauss_radau.radau_step import motion_of
 from carom.physics.integrators.wisdom_holman.kepler import TWO_PI, WORKSPACE
@@ -39,6 +39,7 @@ from carom.plan.auto import largest_step
 from carom.plan.features import Requirements
 from carom.scene.load import Scene
 from carom.scene.portable_math import cube_root
+from carom.state.checkpoint import EqualSteps, IntegratorCheckpoint, OrbitCheckpoint
 
 HILL_RADII = 12.0  # bodies on crossing orbits are close within these (docs/validation.md)
 FEWEST_HILL_RADII = 3.0  # bodies whose orbits are farther apart than this never come close

@@ -2,73 +2,49 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
-from carom.arrays import FloatArray, Records
-from carom.contact_table import CONTACT_ROW
+from carom.arrays import FloatArray, IntArray, Records
 from carom.event import Event
-from carom.physics.aligned import Buffer
-from carom.physics.bodies import Bodies
-from carom.physics.checkpoint import Books, Checkpoint, fingerprint_of
-from carom.physics.contact.contact_checkpoint import ContactCheckpoint
-from carom.physics.contact.graph import CollisionGraph
-from carom.physics.diagnostics.energy import Energy
-from carom.physics.integrators.batch_integrator import IntegratorCheckpoint
+from carom.state.books import Books
+from carom.state.checkpoint import Checkpoint, ContactCheckpoint, IntegratorCheckpoint, fingerprint_of
+from carom.state.energies import Energy
 
 
-class FrameStore:
-    """A ring buffer for the arrays of many frames, in which the frames of a batch are contiguous.
+@dataclass(frozen=True, slots=True)
+class CollisionGraph:
+    """The contacts of one step. A body is a node, a contact an edge.
 
-    Reused memory is in the cache and causes no page faults. Allocating memory for a frame of 1000 bodies took 50 µs.
-    When all ``slots`` are in use, the oldest frame is overwritten as soon as ``until_free`` returns.
+    ``pairs`` are sorted by (i, j) with i < j, so the graph does not depend on the method of search.
     """
 
-    def __init__(self, slots: int, bodies: Bodies, until_free: Callable[[], None] = lambda: None) -> None:
-        self.slots = slots
-        self._until_free = until_free
-        self._buffers = tuple(np.zeros((slots, *array.shape)) for array in _arrays(bodies))
-        self.position, self.velocity, self.acceleration, self.orientation, *of_spin = self._buffers
-        self.angular_velocity, self.torque, self.angular_acceleration = of_spin
-        self.contact_rows = defaultdict[int, Buffer](lambda: Buffer(CONTACT_ROW))  # by slot
-        self._bodies = bodies
-        self._views: list[tuple[FloatArray, ...] | None] = [None] * slots
-        self._next = 0
+    pairs: IntArray  # (m, 2) indices; j ≥ n is plane j - n
+    normals: FloatArray  # (m, 3) unit vectors from i to j, before position correction
+    overlaps: FloatArray  # (m,) m, r_i + r_j - distance, before position correction
+    colours: IntArray  # (m,) stage in which the contact is resolved
+    body_colours: IntArray | None = None  # (n,) the reference engine's colouring of the nodes; -1 without contacts
+    # (m,) s from the start of the step to the first impact of each contact; None: the end of the step
+    into_step: FloatArray | None = None
 
-    def keep(self) -> int:
-        """Copy the arrays of the bodies into the next slot once it is free; return its number."""
-        self._until_free()
-        slot, self._next = self._next, (self._next + 1) % self.slots
-        for array, buffer in zip(_arrays(self._bodies), self._buffers, strict=True):
-            buffer[slot] = array
-        return slot
+    def __len__(self) -> int:
+        return len(self.pairs)
 
-    def kept(self, slot: int) -> tuple[FloatArray, ...]:
-        """Return the arrays of a slot, in the order of the attributes."""
-        views = self._views[slot]
-        if views is None:
-            views = self._views[slot] = tuple(buffer[slot] for buffer in self._buffers)
-        return views
+    @property
+    def first(self) -> int:
+        """Index of the contact that was resolved first."""
+        return 0 if self.into_step is None else int(np.argmin(self.into_step))
 
 
-def _arrays(bodies: Bodies) -> tuple[FloatArray, ...]:
-    return (
-        bodies.position,
-        bodies.velocity,
-        bodies.acceleration,
-        bodies.orientation,
-        bodies.angular_velocity,
-        bodies.torque,
-        bodies.angular_acceleration,
+def empty_graph() -> CollisionGraph:
+    """Return the graph of a step in which nothing touches."""
+    return CollisionGraph(
+        pairs=np.empty((0, 2), dtype=np.int64),
+        normals=np.empty((0, 3)),
+        overlaps=np.empty(0),
+        colours=np.empty(0, dtype=np.int64),
     )
-
-
-def copies(bodies: Bodies) -> tuple[FloatArray, ...]:
-    """Copy the arrays of the bodies, in the order of a `FrameStore`."""
-    return tuple(array.copy() for array in _arrays(bodies))
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,0 +1,169 @@
+"""The books of a run: totals, extremes and reference values so far. No step depends on them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, fields, replace
+from operator import attrgetter
+from typing import Any
+
+from carom.contact_table import ROUNDED_OVERLAP
+from carom.event import Event
+from carom.scene.units.dimension import ENERGY
+from carom.scene.units.system import UnitSystem
+from carom.scene.wording import Names
+from carom.state.energies import Energy, EnergyBaseline
+
+
+@dataclass(frozen=True, slots=True)
+class Extreme:
+    """One extreme: its value, its time, and the bodies involved."""
+
+    value: float
+    step: int
+    time: float  # s
+    bodies: tuple[int, ...] = ()  # during the run, ends of a contact, where numbers from n on are planes
+    planes: tuple[int, ...] = ()  # planes involved, see `Extremes.named`
+    between: str = ""  # names of bodies and planes
+
+
+NOTHING = Extreme(0.0, 0, 0.0)
+
+
+@dataclass(slots=True)
+class Extremes:
+    """Extremes so far: of energy and momentum at the checks, of contacts at every step.
+
+    An extreme is None if it was not measured. Contacts dissipate and gravity is conservative, so the total energy can
+    only fall. A rise above its lowest value is an error, whether or not the ledger explains it.
+    """
+
+    energy_error: Extreme | None = None  # |integration error| / scale
+    energy_gain: Extreme = NOTHING  # rise of the total energy above its lowest value so far / scale
+    contact_gain: Extreme = NOTHING  # energy that contact impulses have added or given back / scale
+    kinetic: Extreme = NOTHING  # kinetic energy / scale at the last check, not the largest
+    impact: Extreme | None = None  # J, largest ½ μ v_n² of an impact
+    overlap: Extreme | None = None  # deepest overlap / smaller radius
+    contacts: Extreme | None = None  # most contacts in a step
+    momentum_error: Extreme | None = NOTHING  # None where the scene does not conserve it
+    angular_momentum_error: Extreme | None = NOTHING  # None where the scene does not conserve it
+    total_contacts: int = 0  # sum of the numbers of contacts over the steps
+    impacts: int = 0  # during drifts; at the end of a step, a contact counts once
+    lowest_energy: float = float("inf")  # J
+    energy_scale: float = 0.0  # J, of the last check
+    most_taken: float = 0.0  # J, the largest restitution + friction of the ledger
+    warned: tuple[str, ...] = ()  # kinds of warnings so far
+    contact_audit: Extreme | None = None  # largest error of `diagnostics.impulse_audit`; None without the audit
+    dissipation_error: Extreme | None = None  # energy moved against `diagnostics.dissipation` / scale; None for nothing
+
+    @property
+    def energy_fault(self) -> Extreme | None:
+        """The larger of the integration error and the energy added by contact impulses; both are errors."""
+        if self.energy_error is None or self.contact_gain.value > self.energy_error.value:
+            return self.contact_gain if self.contact_gain.value > 0.0 else self.energy_error
+        return self.energy_error
+
+    def copy(self) -> Extremes:
+        """Return a copy, which later steps do not change."""
+        return Extremes(*_values(self))
+
+    def named(self, names: Names) -> Extremes:
+        """Return the extremes with planes and bodies separated, both by their names."""
+        n = len(names.bodies)
+
+        def named(extreme: Extreme) -> Extreme:
+            return replace(
+                extreme,
+                bodies=tuple(end for end in extreme.bodies if end < n),
+                planes=tuple(end - n for end in extreme.bodies if end >= n),
+                between=names.pair(extreme.bodies),
+            )
+
+        values: list[Any] = [named(value) if isinstance(value, Extreme) else value for value in _values(self)]
+        return Extremes(*values)
+
+    def highlights(
+        self, names: Names, units: UnitSystem, energy_error: str = "integration error at a check"
+    ) -> tuple[Event, ...]:
+        """Return the extremes of contacts and energy as events in order of time, with a name for the energy error."""
+        known = self.named(names)
+        overlap = known.overlap if known.overlap and known.overlap.value > ROUNDED_OVERLAP else None
+        deepest = 0.0 if overlap is None else 100.0 * overlap.value
+        approach = "" if known.impact is None else units.text(known.impact.value, ENERGY, ".4g")
+        wordings = (
+            (known.impact, f"Hardest impact of the run, {approach} of approach (½ μ v_n²)"),
+            (overlap, f"Deepest overlap of the run, {deepest:.3g}% of the smaller radius"),
+            (known.contacts, "Most contacts of the run, {value:.0f}"),
+            (known.energy_error, f"Largest {energy_error}, {{value:.2e}} of the energy scale"),
+        )
+        events = []
+        for extreme, wording in wordings:
+            if extreme is not None and extreme.value > 0:
+                text = wording.format(value=extreme.value) + (f": {extreme.between}." if extreme.between else ".")
+                events.append(Event(extreme.step, extreme.time, "INFO", text, "extreme"))
+        return tuple(sorted(events, key=lambda event: event.step))
+
+    def add_warning(self, kind: str) -> None:
+        """Update by a warning."""
+        if kind not in self.warned:
+            self.warned += (kind,)
+
+
+_values: Callable[[Extremes], tuple[Any, ...]] = attrgetter(*(field.name for field in fields(Extremes)))
+
+
+@dataclass(frozen=True, slots=True)
+class MomentumBaseline:
+    """Reference values: the initial momenta, and the largest sums of magnitudes at the checks so far."""
+
+    linear: tuple[float, float, float]  # kg m/s
+    angular: tuple[float, float, float]  # kg m²/s
+    centre: tuple[float, float, float]  # m, the centre of mass
+    linear_scale: float  # kg m/s
+    angular_scale: float  # kg m²/s
+
+
+@dataclass(frozen=True, slots=True)
+class MonitorState:
+    """The state of the monitor between two checks."""
+
+    lowest: Energy | None = None  # the lowest total since the last warning
+    since: float = 0.0  # s, the time of the lowest total
+    warnings: int = 0
+    lost: bool = False  # whether a large error has been reported
+    gained: bool = False  # whether energy added by contact impulses has been reported
+
+
+@dataclass(frozen=True, slots=True)
+class PaceTally:
+    """The state of the monitor between two checks."""
+
+    slow_since: float | None = None  # s, time since which all checked steps were short; None if the last one was not
+    told: bool = False  # whether the warning has been given
+
+
+@dataclass(frozen=True, slots=True)
+class WrongWork:
+    """A row of the tally, for a checkpoint."""
+
+    energy: float  # J
+    worst: float  # J
+    pair: tuple[int, int]
+    step: int
+    time: float  # s
+    told: bool  # whether its warning has been given
+
+
+@dataclass(frozen=True, slots=True)
+class Books:
+    """Running totals and extremes of a run. The summary and the warnings depend on them; no step does."""
+
+    energy: EnergyBaseline
+    momentum: MomentumBaseline
+    watch: MonitorState
+    moments: Extremes
+    activity: float  # J, activity of the impacts in the last steps
+    phase: str
+    limits: tuple[str, ...]  # limits of the method that were reached and reported so far
+    pace: PaceTally
+    wrong_work: tuple[WrongWork, ...] = ()  # of `diagnostics.dissipation`; empty if nothing was wrong
