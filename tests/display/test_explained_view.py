@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from rerun.blueprint import EntityBehavior
 
 import carom
 from carom.display import close_up, movie
@@ -72,7 +73,6 @@ def test_the_legend_names_the_scale_of_every_kind_of_arrow(bounce: Recording) ->
     turn = float(np.linalg.norm(step.angular_impulse[0]))
     for path, name, middle, unit in (
         (paths.ANGULAR_IMPULSE, "impact's angular impulse", turn, "N m s"),
-        (paths.SPIN_CHANGE, "impact's change of spin", turn / header.inertia[0], "rad/s"),
         (paths.FORCE_NORMAL, "normal impulse", impact["normal_impulse"], "N s"),  # the only one is the median
     ):
         values = [two_digits(magnitude_at(radii, REACH[path], middle)) for radii in (0.5, 1.0, 1.5)]
@@ -80,6 +80,12 @@ def test_the_legend_names_the_scale_of_every_kind_of_arrow(bounce: Recording) ->
     for word, share in (("small", 1 / 27), ("median", 1.0), ("large", 27.0)):  # u = 1/4, 1/2, 3/4
         assert f"{word} impulse, {two_digits(share * impact['normal_impulse'])} N s" in lines
     assert "torque" not in lines, "no contact lasts"
+    assert "beside it, also the change of spin" in lines and "impact's change of spin" not in lines
+    both = " ".join(" ".join(lines_of(asked(bounce, Request(arrows="both")))).split())
+    values = [
+        two_digits(magnitude_at(radii, REACH[paths.SPIN_CHANGE], turn / header.inertia[0])) for radii in (0.5, 1.0)
+    ]
+    assert f"impact's change of spin: {', '.join(values)}," in both
     assert "spin, close up: 1.3 radii = 0.857 rad/s" in lines
 
 
@@ -102,6 +108,15 @@ def test_an_arrow_has_the_same_colour_in_the_graph_and_in_the_legend(bounce: Rec
         assert arrow.colors.as_arrow_array().to_pylist() == [colour]
         recorded = bounce._entities.static(path)["Arrows3D:colors"]
         assert [int(each) for each in recorded] == [colour], "as in the file"
+
+
+def test_of_two_arrows_with_one_direction_the_view_draws_one(bounce: Recording) -> None:
+    for arrows, hidden in (("one", {paths.ANGULAR_ACCELERATION, paths.SPIN_CHANGE}), ("both", set())):
+        layout = asked(bounce, Request(arrows=arrows), only="graph").supplement.layout
+        graph: Any = views_of(layout.root_container)[0]
+        found = {path for path, override in graph.visualizer_overrides.items() if isinstance(override, EntityBehavior)}
+        assert found == hidden
+        assert {*paths.OF_LASTING, *paths.OF_IMPACTS} <= set(graph.contents), "a click shows it"
 
 
 def test_an_arrow_shows_where_the_field_pulls_and_its_size(slope: Recording, bounce: Recording) -> None:
@@ -249,7 +264,7 @@ def test_a_legend_is_whole_in_a_window_of_1280_by_720(bodies: int, bounce: Recor
     assert heights[-1] + chip <= area.height <= 720 - 70 - 24
     assert (np.diff(heights) >= chip).all(), "no label covers another"
     assert max(line.width for line in words.fitted(area).entries) <= area.width <= 0.2 * 1280
-    texts = " ".join(line.text for line in words.fitted(area).entries)
+    texts = " ".join(" ".join(line.text for line in words.fitted(area).entries).split())
     assert "a long name" in texts and "angular acceleration" in texts and "of the viewer" in texts
     assert bodies == 2 or f"and {bodies - texts.count('a long name')} more, in other shades" in texts
 

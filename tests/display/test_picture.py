@@ -94,7 +94,6 @@ def test_the_second_view_shows_wires_edges_and_arrows(picture: Pixels) -> None:
     shown = graph_view(picture)
     assert of_hue(shown, palette.SKY) > 300, "wires, in the colours of their bodies"
     assert of_hue(shown, palette.ORANGE) > 300, "torques"
-    assert of_hue(shown, palette.GREEN) > 100, "angular accelerations"
     for stage in (palette.YELLOW, palette.PURPLE):
         assert of_colour(shown, stage) > 30, "contacts, by stage"
 
@@ -138,7 +137,6 @@ def test_the_picture_of_the_bundled_collapse_shows_spheres_arrows_edges_and_plot
     assert of_hue(bodies, palette.SKY) > 0.05 * bodies.shape[0] * bodies.shape[1], "spheres"
     assert of_hue(graph, palette.SKY) > 300, "wires, in the colours of their bodies"
     assert of_hue(graph, palette.ORANGE) > 300, "torques"
-    assert of_hue(graph, palette.GREEN) > 30, "angular accelerations"
     assert sum(of_colour(graph, int(colour)) for colour in drawing.COLOURS) > 300, "contacts, by impulse"
     for name in ("blue", "red", "purple", "grey"):
         assert of_colour(plots(pixels), palette.LINES[name]) > 50, name

@@ -33,6 +33,7 @@ _BODIES = "Bodies to show close up, by number or name: two, or one on a plane or
 _PLOT = "Plot bodies over time, such as top.z,3.speed: x y z, vx vy vz speed, wx wy wz omega."
 _COLOUR = "Quantity shown by the colours of the bodies. Default: record.colour_by of the scene."
 _EDGES = "Quantity shown by the colours of the contacts beside the bodies: their impulse, or the solver's stage."
+_ARROWS = "Arrows of what turns bodies: one, with both numbers beside it, or both, torque and angular acceleration."
 _THEME = "Theme of the viewer. The light theme needs Xvfb, as do names in non-Latin scripts."
 _WEB = "Show the recording in a browser; the server listens on 127.0.0.1 only."
 _PORT = "Port for --web. Default: any free one."
@@ -46,6 +47,7 @@ _PAGE = "Folder to write. Default: FILE-page, beside FILE; of several recordings
 SMALLEST, LARGEST = 100, 8192  # pixels; textures of software renderers end at 8192
 ColourBy = StrEnum("ColourBy", ["GROUP", "MATERIAL", "SPEED", "GRAPH", "ISLAND"])
 Edges = StrEnum("Edges", ["IMPULSE", "STAGE"])
+Arrows = StrEnum("Arrows", ["ONE", "BOTH"])
 Theme = StrEnum("Theme", ["DARK", "LIGHT"])
 Camera = StrEnum("Camera", ["STILL", "FOLLOW", "ORBIT"])  # its motion in a movie
 MovieView = StrEnum(
@@ -60,6 +62,7 @@ BodiesOption = Annotated[str | None, typer.Option("--bodies", metavar="A,B", hel
 PlotOption = Annotated[str | None, typer.Option("--plot", metavar="BODY.QUANTITY,…", help=_PLOT)]
 ColourOption = Annotated[ColourBy | None, typer.Option("--colour-by", "--color-by", help=_COLOUR)]
 EdgesOption = Annotated[Edges, typer.Option("--edges", help=_EDGES)]
+ArrowsOption = Annotated[Arrows, typer.Option("--arrows", help=_ARROWS)]
 ThemeOption = Annotated[Theme, typer.Option("--theme", help=_THEME)]
 SizeOption = Annotated[str, typer.Option("--size", metavar="WxH", help="Width and height in pixels.")]
 
@@ -73,6 +76,7 @@ def view(
     plot: PlotOption = None,
     colour_by: ColourOption = None,
     edges: EdgesOption = Edges.IMPULSE,
+    arrows: ArrowsOption = Arrows.ONE,
     web: Annotated[bool, typer.Option("--web", help=_WEB)] = False,
     port: Annotated[int, typer.Option("--port", metavar="N", min=0, max=65535, help=_PORT, show_default=False)] = 0,
 ) -> None:
@@ -93,7 +97,8 @@ def view(
     with opened(file) as path:
         recording = Recording.open(path)
         with replaying(recording) as watch:
-            request = Request(given.time(recording, watch), event, bodies, plot, colour_by, edges.value)
+            moment = given.time(recording, watch)
+            request = Request(moment, event, bodies, plot, colour_by, edges.value, arrows.value)
         announce_compilation()
         _announce_replay(path, plot)
         if web:
@@ -145,6 +150,7 @@ def picture(
     plot: PlotOption = None,
     colour_by: ColourOption = None,
     edges: EdgesOption = Edges.IMPULSE,
+    arrows: ArrowsOption = Arrows.ONE,
     view: Annotated[PictureView, typer.Option("--view", help="View to render.")] = PictureView.ALL,
     theme: ThemeOption = Theme.DARK,
     size: SizeOption = "1600x1000",
@@ -172,7 +178,8 @@ def picture(
     with opened(file) as path:
         recording = Recording.open(path)
         with replaying(recording) as watch:
-            request = Request(given.time(recording, watch), event, bodies, plot, colour_by, edges.value)
+            moment = given.time(recording, watch)
+            request = Request(moment, event, bodies, plot, colour_by, edges.value, arrows.value)
         announce_compilation()
         _announce_replay(path, plot, alone=view is PictureView.PLOT)
         with Patience("Rendering the picture", LiveLine()):

@@ -24,7 +24,7 @@ from carom.display.motion_texts import motion_texts
 from carom.display.supplement import Static
 from carom.recording.layout import OF_LATE, drawing, is_crowded
 from carom.recording.layout.canvas import LEGEND, Area, View
-from carom.recording.layout.drawing import REACH, magnitude_at, shape, single
+from carom.recording.layout.drawing import DIMENSIONS, REACH, magnitude_at, shape, single
 from carom.recording.read.recording import Recording
 from carom.recording.schema import palette, paths
 from carom.recording.schema.header import STATIC_COLOURS, Header
@@ -47,13 +47,7 @@ _WIDEST, _NARROWEST, _MOST_OF_VIEW = 400.0, 200.0, 0.3  # points, and a share: w
 CLOCK = f"{LEGEND}/clock"
 _LENGTHS = {"½": 0.5, "1": 1.0, "1½": 1.5}  # radii, of the arrows whose magnitudes show the scale
 _EDGES = {2: "small", 4: "median", 6: "large"}  # levels of edges whose impulses show the scale
-_DIMENSIONS = {
-    paths.FORCE_NORMAL: dimension.IMPULSE,
-    paths.TORQUE: dimension.TORQUE,
-    paths.ANGULAR_ACCELERATION: dimension.ANGULAR_ACCELERATION,
-    paths.ANGULAR_IMPULSE: dimension.ANGULAR_IMPULSE,
-    paths.SPIN_CHANGE: dimension.ANGULAR_VELOCITY,
-}
+_PARALLEL = {paths.ANGULAR_ACCELERATION: "angular acceleration", paths.SPIN_CHANGE: "change of spin"}
 _NAMES = {
     paths.TORQUE: "torque",
     paths.ANGULAR_ACCELERATION: "angular acceleration",
@@ -244,6 +238,7 @@ def legend(
     spins: FloatArray | None = None,
     field: FloatArray | None = None,
     by_stage: bool = False,
+    both_arrows: bool = False,
     theme: str = "dark",
 ) -> Legend:
     """Explain the views of a recording.
@@ -268,12 +263,14 @@ def legend(
         (3,) m/s², a uniform field.
     by_stage
         Whether the edges beside the bodies have the colours of the solver's stages.
+    both_arrows
+        Whether angular accelerations and changes of spin have arrows, too.
     """
     lines = [*_bodies(header, by, colours, references, named), *_edges(header, frame, drawn, theme, by_stage)]
     if drawn.trails:
         lines.append(LegendLine("— path so far", palette.GREY, (BODIES,)))
     for turning in (paths.OF_LASTING if drawn.torques else (), paths.OF_IMPACTS if drawn.turns else ()):
-        lines += _arrows(header, references, turning)
+        lines += _arrows(header, references, turning, both_arrows)
     arrows = next((k for k, line in enumerate(lines) if line.text.startswith("→")), None)
     if arrows is not None:
         lengths = f"{', '.join(_LENGTHS)} radii from the surface"
@@ -392,7 +389,7 @@ def _scale(header: Header, path: str, reference: float) -> str:
     """Write the magnitudes of the arrows that are as long as `_LENGTHS`; nothing is known without a reference."""
     if not reference:
         return "1 radius = the median"
-    kind = _DIMENSIONS[path]
+    kind = DIMENSIONS[path]
     texts = [_round(header, magnitude_at(radii, REACH[path], reference), kind) for radii in _LENGTHS.values()]
     unit = texts[-1].partition(_KEPT)[2]
     return ", ".join([*(text.removesuffix(f"{_KEPT}{unit}") for text in texts[:-1]), texts[-1]])
@@ -404,11 +401,20 @@ def _round(header: Header, value: float, kind: Dimension) -> str:
     return f"{float(number):.6g}{_KEPT}{unit.replace(' ', _KEPT)}"
 
 
-def _arrows(header: Header, references: Mapping[str, float], entities: Sequence[str]) -> Iterator[LegendLine]:
+def _arrows(
+    header: Header, references: Mapping[str, float], entities: Sequence[str], both: bool
+) -> Iterator[LegendLine]:
     """State the scales of arrows that show what turns bodies: the arrows are not proportional to it."""
     for path in entities:
+        colour, other = palette.ARROWS[path], paths.PARALLEL.get(path)
+        if other is None and not both:
+            continue
         scale = f": {_scale(header, path, references[path])}" if path in references else ""
-        yield LegendLine(f"→ {_NAMES[path]}{scale}", palette.ARROWS[path], (GRAPH,))
+        yield LegendLine(f"→ {_NAMES[path]}{scale}", colour, (GRAPH,))
+        if other is not None and not is_crowded(header):
+            yield LegendLine(f"    beside it, also the {_PARALLEL[other]}", colour, (GRAPH,))
+        elif other is not None and not both:
+            yield LegendLine(f"    the {_PARALLEL[other]} is parallel", colour, (GRAPH,))
 
 
 # What is drawn, at a moment or during the whole run: the legend names nothing else.

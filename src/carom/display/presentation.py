@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -32,6 +32,7 @@ from carom.recording.layout import (
     blueprint,
     bodies_area,
     close_up_area,
+    hidden_arrows,
 )
 from carom.recording.layout.camera import FEW
 from carom.recording.layout.canvas import Additions, CameraMotion, Canvas
@@ -51,8 +52,6 @@ from carom.scene.forces import UNIFORM_FIELD
 from carom.scene.units.dimension import TIME
 
 _ONCE = (paths.EVENTS, paths.FINGERPRINT, paths.MOMENTUM, paths.IMPACTS)  # not sent for repeated steps
-
-_ARROWS = tuple(REACH)
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,6 +95,7 @@ def asked(
         plots=plots,
         colour_by=request.colour_by,
         by_stage=request.edges == "stage",
+        both_arrows=request.arrows == "both",
         dense=dense,
         movie_clock=clock,
         watch=watch,
@@ -114,6 +114,7 @@ def presentation(
     plots: BodyPlots | None = None,
     colour_by: str | None = None,
     by_stage: bool = False,
+    both_arrows: bool = False,
     dense: bool = False,
     movie_clock: MovieClock | None = None,
     watch: Watcher = lambda _: None,
@@ -135,6 +136,8 @@ def presentation(
         The property that sets the colours, one of `COLOUR_BY` in recording/schema/header.py; by default as recorded.
     by_stage
         Whether the edges beside the bodies have the colours of the solver's stages, not of impulses.
+    both_arrows
+        Whether angular accelerations and changes of spin have arrows, too.
     dense
         Whether to add all steps up to the next recorded frame.
     movie_clock
@@ -217,15 +220,16 @@ def presentation(
         spins=spins,
         field=field,
         by_stage=by_stage,
+        both_arrows=both_arrows,
         theme=canvas.theme,
     )
     words = words.titled(header.title, written) if canvas.rendered else words
     added = Additions(
-        *(close, has_trails, recoloured, by_stage, plots, words),
+        *(close, has_trails, recoloured, by_stage, both_arrows, plots, words),
         moment=True,
-        tips=_arrow_tips(header, recording.origin, paused, references),
         marks=marks,
     )
+    added = replace(added, tips=_arrow_tips(header, recording.origin, paused, references, hidden_arrows(header, added)))
     past = np.zeros((0, 3)) if staging.trails is None else staging.trails.until(moment)
     visible, radius = np.concatenate([paused.position, past]), np.pad(header.radius, (0, len(past)))
     placed = margins(laid_out, staging.camera, canvas, only, added, words, field, visible, radius)
@@ -306,7 +310,11 @@ def _instant(
 
 
 def _arrow_tips(
-    header: Header, origin: FloatArray, shown: ShownStep, references: Mapping[str, float]
+    header: Header,
+    origin: FloatArray,
+    shown: ShownStep,
+    references: Mapping[str, float],
+    hidden: Sequence[str],
 ) -> FloatArray | None:
     """Return the ends (k, 3) m of the arrows of a step, or an instant, of few bodies; None if it is not known."""
     frame, state = shown.frame, shown.state
@@ -315,9 +323,12 @@ def _arrow_tips(
     found = [np.zeros((0, 3))]
     encoder = BatchEncoder(header, origin, references, everything=True)
     for rows in encoder.rows([frame]) if state is None else encoder.at_impacts([state]):
-        if rows.path in _ARROWS:
-            drawn = [column.as_arrow_array().flatten().flatten() for column in list(rows.columns)[:2]]
-            found.append(np.add(*drawn, dtype=np.float64).reshape(-1, 3))
+        if rows.path in REACH and rows.path not in hidden:
+            drawn = {str(column.component_descriptor()): column.as_arrow_array() for column in rows.columns}
+            arrows = [drawn[f"Arrows3D:{part}"].flatten().flatten() for part in ("origins", "vectors")]
+            found.append(np.add(*arrows, dtype=np.float64).reshape(-1, 3))
+            if (places := drawn.get(paths.NUMBERS_AT)) is not None:
+                found.append(places.flatten().flatten().to_numpy().astype(np.float64).reshape(-1, 3))
     tips = np.concatenate(found)
     return np.asarray(tips[np.isfinite(tips).all(axis=1)])
 

@@ -40,6 +40,7 @@ class Request:
     plot: str | None = None  # quantities of bodies to plot, such as ``top.z,top.omega``
     colour_by: str | None = None  # property that sets the colours; by default as the scene states
     edges: str = "impulse"  # what the edges beside the bodies show: "impulse" or "stage", that of the solver
+    arrows: str = "one"  # of what turns bodies: "one" with both numbers, or "both" of torque and angular acceleration
 
     def __post_init__(self) -> None:
         """Refuse two moments."""

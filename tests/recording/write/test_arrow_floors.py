@@ -86,3 +86,42 @@ def test_a_replay_from_any_time_and_a_resumed_run_have_the_same_arrows(recording
         one, other = lengths(recording, path), lengths(longer, path)
         assert one.keys() == other.keys() and all(one[step].tolist() == other[step].tolist() for step in one)
     assert replay(longer).same
+
+
+def test_arrows_of_few_bodies_have_both_magnitudes_beside_them(recording: Recording) -> None:
+    rows = RecordedRows(recording)
+    (step,) = lengths(recording, paths.ANGULAR_IMPULSE)
+    own, other = (rows.at(path, step)[0].batch for path in (paths.ANGULAR_IMPULSE, paths.SPIN_CHANGE))
+    sizes, turns = own["angular_impulse"][0].values.to_pylist(), other["spin_change"][0].values.to_pylist()
+    texts = [f"{size:.3g} N m s, {turn:.3g} rad/s" for size, turn in zip(sizes, turns, strict=True)]
+    assert own[paths.NUMBERS][0].values.to_pylist() == texts
+    origin, vector, place = (
+        np.array(own[name][0].values.to_pylist()) for name in ("Arrows3D:origins", "Arrows3D:vectors", paths.NUMBERS_AT)
+    )
+    assert np.all(np.linalg.norm(place - origin, axis=1) > np.linalg.norm(vector, axis=1)), "beyond the tip"
+    assert paths.NUMBERS not in other.schema.names
+
+
+def test_of_many_arrows_the_largest_have_numbers_and_crowds_have_none(tmp_path: Path) -> None:
+    for count, labelled in ((12, 6), (41, None)):
+        bodies = [
+            {"position": [3.0 * k, 0.0, 0.5], "velocity": [1.0 + k, 0.0, 0.0], "radius": 0.5, "mass": 1.0 + 0.1 * k}
+            for k in range(count)
+        ]
+        scene = scene_of(
+            bodies,
+            gravity={"constant": 0.0, "uniform": [0.0, 0.0, -10.0]},
+            contact={"restitution": 0.0, "static_friction": 0.3, "kinetic_friction": 0.3},
+            plane=[{"normal": [0.0, 0.0, 1.0]}],
+            time={"duration": 0.02, "fixed_dt": 0.01},
+            record={"every": "step"},
+        )
+        recording = carom.run(scene, tmp_path / f"{count}.rrd")
+        batch = RecordedRows(recording).at(paths.TORQUE, 2)[0].batch
+        torques = batch["torque"][0].values.to_numpy()
+        assert len(torques) == count, "all of them slide"
+        if labelled is None:
+            assert paths.NUMBERS not in batch.schema.names
+            continue
+        texts = batch[paths.NUMBERS][0].values.to_pylist()
+        assert {k for k, text in enumerate(texts) if text} == set(np.argsort(-torques)[:labelled].tolist())

@@ -41,6 +41,11 @@ def turning_arrows(header: Header) -> list[str]:
     return [*paths.OF_LASTING, *of_impacts] if header.has_torque else []
 
 
+def hidden_arrows(header: Header, added: Additions) -> list[str]:
+    """Return the entities of the arrows that a view hides, since others have the same directions."""
+    return [] if added.both_arrows else [path for path in paths.PARALLEL.values() if path in turning_arrows(header)]
+
+
 def force_arrows(header: Header) -> list[str]:
     """Return the entities of the impulse arrows in a recording."""
     if not header.records_contacts:
@@ -157,6 +162,13 @@ def bodies_view(header: Header, camera: CameraFit, area: Area, added: Additions 
     )
 
 
+def _with_numbers(theme: str) -> list[VisualizerLike]:
+    """Draw arrows with their magnitudes beside them, as labels of invisible points: those of arrows have its colour."""
+    sources = {"Points3D:positions": paths.NUMBERS_AT, "Points3D:labels": paths.NUMBERS}
+    unseen = rr.Points3D.from_fields(radii=rr.Radius.ui_points(0.0), colors=palette.INKS[theme], show_labels=True)
+    return [rr.Arrows3D.from_fields().visualizer(), unseen.visualizer(mappings=taken_from(sources))]
+
+
 _GHOST = 0x8A93A630  # a mesh behind arrows and edges
 
 
@@ -168,7 +180,7 @@ def has_graph(header: Header) -> bool:
 def graph_eye(header: Header, camera: CameraFit, area: Area, added: Additions) -> View:
     """Return the camera of `graph_view`."""
     # how far (m) arrows of medium length extend from the bodies
-    room = arrow_length(header, paths.ANGULAR_ACCELERATION) / 4 if header.has_torque else 0.0
+    room = arrow_length(header, paths.TORQUE) / 2 if header.has_torque else 0.0
     inset, moment = area.inset_share, added.moment
     return camera.view(
         *(area.aspect, room), narrow=area.rendered, trails=False, tips=added.tips, moment=moment, inset=inset
@@ -178,6 +190,8 @@ def graph_eye(header: Header, camera: CameraFit, area: Area, added: Additions) -
 def graph_view(header: Header, camera: CameraFit, area: Area, added: Additions = NONE) -> rrb.Spatial3DView:
     """Show the collision graph; its edges are drawn by their impulses if these are recorded."""
     edges = "Impulses" if header.records_contacts else "Collision graph"
+    hidden: Overrides = {path: rrb.EntityBehavior(visible=False) for path in hidden_arrows(header, added)}
+    numbers: Overrides = {} if is_crowded(header) else {path: _with_numbers(area.theme) for path in paths.PARALLEL}
     return spatial_view(
         f"{edges}, torques, angular accelerations" if header.has_torque else edges,
         graph_eye(header, camera, area, added),
@@ -189,7 +203,7 @@ def graph_view(header: Header, camera: CameraFit, area: Area, added: Additions =
             *turning_arrows(header),
             *([f"{LEGEND}/**"] if area.inset[0] else []),
         ],
-        faint_bodies(header, added.recoloured) | _edges(header, area.theme, wide=True),
+        faint_bodies(header, added.recoloured) | _edges(header, area.theme, wide=True) | hidden | numbers,
         theme=area.theme,
     )
 

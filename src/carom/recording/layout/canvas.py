@@ -210,6 +210,7 @@ class Additions:
     trails: bool = False
     recoloured: bool = False
     by_stage: bool = False  # whether the edges beside the bodies have the colours of the solver's stages
+    both_arrows: bool = False  # whether angular accelerations and changes of spin have arrows, too
     plots: PlotsOfBodies | None = None  # of single bodies
     legend: LegendView | None = None
     named: tuple[str, ...] = ()  # (n,) names beside the bodies, empty for bodies without; () for none at all

@@ -11,7 +11,8 @@ m_ref therefore comes from the first frame with arrows and applies to the whole 
 is wrong by a factor of 1000.
 
 A sphere's torque and angular acceleration are parallel (τ = I α), as are the angular impulse of an impact and the
-change of spin (L = I Δω). Torques and angular impulses are drawn short and thick, the others long and thin.
+change of spin (L = I Δω). Views draw torques and angular impulses, short and thick; beside the arrows of few bodies
+stand both magnitudes. The others, long and thin, are hidden until somebody asks for them.
 
 **Impulses** of contacts and impacts have eight widths and colours. A magnitude is drawn by u = s / (1 + s), like the
 length of an arrow, and the eight levels of u have equal widths. They save 6 of 8 bytes per contact in the file, because
@@ -41,6 +42,7 @@ from carom.recording.schema.paths import (
     SPIN_CHANGE,
     TORQUE,
 )
+from carom.scene.units import dimension
 
 # Matplotlib's plasma from 0.15 to 1, perceptually uniform; its dark end would be invisible on the dark background.
 SPEEDS = np.array(
@@ -113,6 +115,14 @@ class References(dict[str, float]):
         self.chosen[name] = magnitude
         self.setdefault(name, magnitude)
 
+
+DIMENSIONS = {  # of magnitudes
+    FORCE_NORMAL: dimension.IMPULSE,
+    TORQUE: dimension.TORQUE,
+    ANGULAR_ACCELERATION: dimension.ANGULAR_ACCELERATION,
+    ANGULAR_IMPULSE: dimension.ANGULAR_IMPULSE,
+    SPIN_CHANGE: dimension.ANGULAR_VELOCITY,
+}
 
 # L_max in median body radii
 REACH = {

@@ -44,9 +44,11 @@ LIVES = "state/lives"  # steps of the first and the last frame of each body, whe
 GIVEN_STATE = "scene/bodies"  # the initial bodies of [[bodies]] tables
 
 IMPACT_SUMS = "impact_sums"  # component of the contacts: the sums over all impacts since the previous frame
+NUMBERS, NUMBERS_AT = "numbers", "numbers_at"  # components of arrows of few bodies: texts beside them, and their places
 FLOOR = "floor"  # component of arrows: the magnitude below which none is drawn
 OF_LASTING = (TORQUE, ANGULAR_ACCELERATION)
 OF_IMPACTS = (ANGULAR_IMPULSE, SPIN_CHANGE)
+PARALLEL = {TORQUE: ANGULAR_ACCELERATION, ANGULAR_IMPULSE: SPIN_CHANGE}  # arrows to those with the same directions
 WITH_FLOOR = (*OF_LASTING, *OF_IMPACTS, FORCE_NORMAL)
 MAGNITUDES = {  # component of the arrows of an entity: their magnitudes in SI, which lengths show by their cube roots
     TORQUE: "torque",

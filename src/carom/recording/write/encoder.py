@@ -7,6 +7,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
 import rerun as rr
 from numpy.typing import NDArray
 from rerun import ComponentColumn
@@ -17,7 +18,7 @@ from carom.event import Event
 from carom.physics.contact.graph import colour_bodies
 from carom.physics.frame_store import FrameStore
 from carom.physics.vector import minimum_images
-from carom.recording.layout import drawing
+from carom.recording.layout import drawing, is_crowded
 from carom.recording.layout.curve_outline import CurveOutline
 from carom.recording.layout.drawing import arrow_length, shape, single
 from carom.recording.read.recorded_impacts import RecordedImpacts
@@ -37,6 +38,7 @@ from carom.recording.write.encoding_kernels import Arrows, TorqueList
 from carom.recording.write.impact_frames import STEPPING, Instant, spin_rows
 from carom.recording.write.rows import (
     NO_STEPS,
+    BatchColumn,
     Index,
     Rows,
     any_column,
@@ -50,6 +52,8 @@ from carom.state.frame import Frame
 
 SPEED = "speed"  # in the property `arrows`: the speed (m/s) in the middle of the colours
 NO_IMPACTS = RecordedImpacts()
+_LABELLED = 6  # arrows of a frame that have their magnitudes beside them, so that labels cover few others
+_BEYOND = 0.8  # of a radius: places of these beyond the tip, since a viewer draws labels below their places
 
 
 class BatchEncoder:
@@ -284,7 +288,26 @@ class BatchEncoder:
             any_column(paths.MAGNITUDES[path], single(magnitude / inertia[body]), each),
             any_column(FLOOR, floors),
         ]
+        if path in paths.PARALLEL and not is_crowded(self.header):
+            columns += self._numbers(path, turning, arrows)
         return Rows(path, index, columns)
+
+    def _numbers(self, path: str, turning: TorqueList, arrows: Arrows) -> list[ComponentColumn]:
+        """Return both magnitudes of each arrow as a text; of a frame with many arrows, those of the largest."""
+        written, units = [""] * len(turning.body), self.header.units
+        other, ends = paths.PARALLEL[path], np.cumsum(turning.each)
+        turns = turning.magnitude / self.header.inertia[turning.body]
+        for start, end in zip((ends - turning.each).tolist(), ends.tolist(), strict=True):
+            for k in start + np.argsort(-turning.magnitude[start:end], kind="stable")[:_LABELLED]:
+                both = ((path, turning.magnitude[k]), (other, turns[k]))
+                written[k] = ", ".join(units.text(size, drawing.DIMENSIONS[which], ".3g") for which, size in both)
+        radius = self.header.radius[turning.body]
+        reach = 1.0 + _BEYOND * radius / np.maximum(drawing.magnitudes(arrows.vector.astype(np.float64)), radius)
+        places = arrows.origin + single(reach)[:, None] * arrows.vector
+        return [
+            BatchColumn(rr.ComponentDescriptor(paths.NUMBERS), pa.array(written, pa.utf8()), turning.each),
+            vector_column(rr.ComponentDescriptor(paths.NUMBERS_AT), places, turning.each),
+        ]
 
     def _above_floor(
         self, path: str, turning: TorqueList, inertia: FloatArray, raises: bool

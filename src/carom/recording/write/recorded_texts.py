@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from carom.arrays import FloatArray
-from carom.recording.layout import force_arrows, turning_arrows
+from carom.recording.layout import force_arrows, is_crowded, turning_arrows
 from carom.recording.layout.drawing import arrow_length, shape
 from carom.recording.schema import palette, paths
 from carom.recording.schema.header import Header, TimeScale
@@ -244,17 +244,30 @@ def _legend(header: Header) -> list[str]:
         lines += _impulse_legend(header)
     if header.has_torque:
         lines.append(
-            "- Contacts that last turn bodies by a torque: an orange, thick arrow, with the angular acceleration, "
-            "green and thin."
+            "- Contacts that last turn bodies by a torque: an orange, thick arrow. The angular acceleration has the "
+            f"same direction{_beside(header)}; its arrow, green and thin, is hidden."
         )
     if header.has_torque and header.records_contacts:
         lines.append(
             "- Impacts turn them by an angular impulse, which does not depend on the length of the step as a torque "
-            "would: a magenta, thick arrow, with the change of spin, crimson and thin."
+            "would: a magenta, thick arrow. The change of spin has the same direction; its arrow, crimson and thin, is "
+            "hidden."
+        )
+    if header.has_torque:
+        lines.append(
+            "- The eye beside its name in the panel of the blueprint shows a hidden arrow, as does "
+            "`carom view --arrows both`."
         )
     if shape(header) == "mesh":
         lines.append("- Dark and light halves of a sphere show how it turns.")
     return lines
+
+
+def _beside(header: Header) -> str:
+    """Say where both magnitudes stand."""
+    return (
+        ", and selecting an arrow shows both magnitudes" if is_crowded(header) else ", and its number beside that arrow"
+    )
 
 
 def _contacts(header: Header) -> str:
