@@ -292,6 +292,12 @@ def test_steps_with_lasting_contacts_are_those_of_single_steps(motion: str) -> N
     assert_same_run(in_contact(ON_A_FLOOR[motion]), least=2.0 if motion == "is hit from above" else 10.0)
 
 
+def test_frames_between_lasting_contacts_cost_a_single_step_each() -> None:
+    # of 20 steps to a frame, a call makes 19
+    scene = in_contact(ON_A_FLOOR["slides, then rolls"], record={"every": 0.02, "check_every": 1000})
+    assert_same_run(scene, least=9.0)
+
+
 def test_steps_of_two_balls_that_touch_at_rest_beside_a_third_are_those_of_single_steps() -> None:
     touching = [{"position": [x, y, 0.0]} for x, y in ((0.0, 0.0), (1.0, 0.0), (0.0, 5.0))]
     assert_same_run(in_contact(touching, floor=False), least=20.0)

@@ -34,7 +34,7 @@ _typeof: Any = numba.typeof  # the stub lacks its type
 
 # for `entry_if_worthwhile`: numbers of calls of a kernel, each of which saves 0.17 ms
 WORTH_COMPILING = 100_000  # 17 s, where compilation takes 5 s, or 13 s on a busy machine
-WORTH_LOADING = 5_000  # 0.9 s
+WORTH_LOADING = 1_000  # 0.17 s, where loading takes 0.05 s, or 0.12 s on a busy machine
 
 
 def kernel(function: Function) -> Function:

@@ -144,8 +144,8 @@ class SteadySteps:
             return False
         taken, before, time, dt, limit, timestep.previous = self._go_on(*asked, *self._arguments, contacts, totals)
         self._next_pause = 1 if taken else min(2 * self._next_pause, LONGEST_PAUSE)
+        self._pause = self._next_pause  # the kernel has left the next step to Python
         if taken == 0:
-            self._pause = self._next_pause
             return False
         clock.advance(taken, before, time, dt, LIMIT_NAMES[limit])
         contact.add_steady_steps(float(totals["last_kick"][0]), dt, int(totals["sweeps"][0]))
