@@ -24,7 +24,6 @@ from carom.physics.contact.solver.contact_solver import ContactSolver
 from carom.physics.diagnostics.bookkeeper import BalanceAudit
 from carom.physics.forces.drag import StokesDrag
 from carom.physics.forces.force import TotalForce
-from carom.physics.integrators import kick_drift
 from carom.physics.step import KickDriftStepper
 
 Document = dict[str, Any]
@@ -189,7 +188,7 @@ def _not_the_last(self: Any, position: np.ndarray, pairs: np.ndarray) -> np.ndar
 
 def _after(name: str, spoil: Callable[[np.ndarray, np.ndarray, float], None]) -> Plant:
     """Falsify the result of a kick or a drift, given its rate of change and dt."""
-    right = getattr(kick_drift, name)
+    right = getattr(stepping, name)
 
     def spoilt(changed: np.ndarray, rate: np.ndarray, dt: float, *given: Any) -> None:
         right(changed, rate, dt, *given)
@@ -213,7 +212,7 @@ def _half_drift(position: np.ndarray, velocity: np.ndarray, dt: float) -> None:
 
 
 def _wrap() -> dict[Any, dict[str, Any]]:
-    wrap = kick_drift.wrap
+    wrap = stepping.wrap
 
     def sideways(position: np.ndarray, box: np.ndarray, *given: Any) -> None:
         before = position.copy()

@@ -54,6 +54,12 @@ TESTS: dict[str, tuple[str, ...]] = {
         "physics/test_mixed_domains.py",
         HEAP,
     ),
+    "src/carom/physics/contact/near_pairs": (
+        "physics/contact/test_graph.py",
+        "physics/contact/test_planes.py",
+        "physics/test_mixed_domains.py",
+        HEAP,
+    ),
     "src/carom/physics/contact/hooks": ("physics/contact", "walls", "physics/forces/test_drag.py"),
     "src/carom/physics/contact/plane_guard": ("physics/contact/test_plane_guard.py", "physics/test_mixed_domains.py"),
     "src/carom/physics/contact/wall_motion": ("walls", "published/test_bouncing_plate.py"),

@@ -14,7 +14,8 @@ from carom.physics.diagnostics.bookkeeper import Bookkeeper
 from carom.physics.diagnostics.run_monitor import refuse_infinities, refuse_many_crossings
 from carom.physics.forces.force import Potentials
 from carom.physics.free_flight import Flight, FreeFlight, can_fly
-from carom.physics.integrators.kick_drift import drift, kick, wrap
+from carom.physics.integrators.kick_drift import MIN_BODIES_PER_TASK, advance, wrap_rows
+from carom.physics.jit.team import Team
 from carom.physics.rotation import rotate
 from carom.physics.schedule import Goal, looks_before
 from carom.physics.time_step import Timestep
@@ -301,3 +302,18 @@ class KickDriftStepper:
         for hook in hooks:
             with self._books.change:
                 hook(self._now)
+
+
+def kick(velocity: FloatArray, acceleration: FloatArray, dt: float, team: Team) -> None:
+    """Kick: v += a dt, both (n, 3)."""
+    team.divide(len(velocity), MIN_BODIES_PER_TASK, advance, velocity, acceleration, dt)
+
+
+def drift(position: FloatArray, velocity: FloatArray, dt: float, team: Team) -> None:
+    """Drift: x += v dt, both (n, 3)."""
+    team.divide(len(position), MIN_BODIES_PER_TASK, advance, position, velocity, dt)
+
+
+def wrap(position: FloatArray, box: FloatArray, team: Team) -> None:
+    """Wrap every centre into the periodic box about the origin."""
+    team.divide(len(position), MIN_BODIES_PER_TASK, wrap_rows, position, box)

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from carom.errors import PhysicsError
 from carom.physics.contact.broad_phase.grid import ALL_PAIRS_UP_TO, HierarchicalGrid, _buffer_for
-from carom.physics.contact.broad_phase.pairs import KdTree, PairList
 from carom.physics.contact.graph import (
     CONTACTS_PER_PIECE,
     OVERFLOW,
@@ -20,6 +19,7 @@ from carom.physics.contact.graph import (
     colour_contacts,
     solve_order_of,
 )
+from carom.physics.contact.near_pairs import KdTree, PairList
 from carom.physics.jit.team import Team
 from seeds import examples
 from small_scenes import random_bodies, solver_of

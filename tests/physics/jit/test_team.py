@@ -12,8 +12,8 @@ import pytest
 from numpy.typing import NDArray
 
 from carom.physics.contact.broad_phase.grid import HierarchicalGrid
-from carom.physics.contact.broad_phase.planes import PlaneSearch
 from carom.physics.contact.constraints import SHARED_FROM
+from carom.physics.contact.near_pairs import PlaneSearch
 from carom.physics.jit.instructions import atomic_load, atomic_store
 from carom.physics.jit.team import Team, sharing_all
 from carom.physics.space import Space

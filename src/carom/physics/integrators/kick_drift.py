@@ -1,4 +1,4 @@
-"""Building blocks of the integrators in `scene.integrators`: kick, drift, and wrap into a periodic box."""
+"""Kernels of kicks, drifts and periodic boxes; those of a few bodies also include drag."""
 
 from __future__ import annotations
 
@@ -6,25 +6,9 @@ from typing import Any, NamedTuple
 
 from carom.arrays import FloatArray
 from carom.physics.jit.decorators import Function, for_first, long_kernel
-from carom.physics.jit.team import SOLO, Team
 from carom.physics.vector import minimum_image
 
 MIN_BODIES_PER_TASK = 5000
-
-
-def kick(velocity: FloatArray, acceleration: FloatArray, dt: float, team: Team = SOLO) -> None:
-    """Kick: v += a dt, both (n, 3)."""
-    team.divide(len(velocity), MIN_BODIES_PER_TASK, advance, velocity, acceleration, dt)
-
-
-def drift(position: FloatArray, velocity: FloatArray, dt: float, team: Team = SOLO) -> None:
-    """Drift: x += v dt, both (n, 3)."""
-    team.divide(len(position), MIN_BODIES_PER_TASK, advance, position, velocity, dt)
-
-
-def wrap(position: FloatArray, box: FloatArray, team: Team = SOLO) -> None:
-    """Wrap every centre into the periodic box about the origin."""
-    team.divide(len(position), MIN_BODIES_PER_TASK, wrap_rows, position, box)
 
 
 @long_kernel

@@ -47,7 +47,7 @@ from carom.physics.contact.islands import island_load_speeds
 from carom.physics.contact.law import dissipates, has_torque, material_index
 from carom.physics.contact.records import ImpactRecord
 from carom.physics.contact.solver.prepare import ImpulseCache
-from carom.physics.integrators.kick_drift import MIN_BODIES_PER_TASK, drift
+from carom.physics.integrators.kick_drift import MIN_BODIES_PER_TASK, advance
 from carom.physics.jit.decorators import entry_of, inline, kernel, long_kernel
 from carom.physics.vector import between, vector
 
@@ -199,7 +199,7 @@ class EventDrivenDrift(Mover):
         if len(impacts):
             self._team.divide(n, MIN_BODIES_PER_TASK, finish, T, alone=self._finish)
         else:
-            drift(bodies.position, bodies.velocity, dt, self._team)
+            self._team.divide(len(bodies), MIN_BODIES_PER_TASK, advance, bodies.position, bodies.velocity, dt)
         return impacts
 
     def bend_by(self, strength: float) -> None:
