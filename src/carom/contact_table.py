@@ -122,5 +122,6 @@ class ImpactSums(NamedTuple):
 
 
 _TOTALS = ImpactSums._fields.index("virial")
-SINGLE_SUMS = _TOTALS + 2 * 9  # numbers of `ImpactSums.flat` before those of pairs
+TENSORS = 2 * 9  # numbers of the virial and of the kinetic tensor, which follow the totals
+SINGLE_SUMS = _TOTALS + TENSORS  # numbers of `ImpactSums.flat` before those of pairs
 NO_PAIRS = PairSums(*(np.empty(0, np.int64),) * 2, *(np.empty(0),) * 4)

@@ -41,6 +41,7 @@ if TYPE_CHECKING:
 
 NAMED = 3  # descriptions of data that were not compared, printed at most
 ASKS_ABOVE = 60.0  # s; a longer replay requires consent
+NEARLY_ALL = 0.995  # of the motion; more reads as 100 %, which needs no word
 _CHECKS = "Check energy and momentum every N steps. Default: as the scene says."
 
 
@@ -250,7 +251,7 @@ def _tell(result: Refinement, units: UnitSystem, as_json: bool) -> None:
         )
         for moved in result.moved:
             say(f"- {moved.text(units)}.")
-        if result.compared < 0.995:
+        if result.compared < NEARLY_ALL:
             say(f"{100.0 * result.compared:.0f}% of the motion was compared; the rest depends on the last bit (chaos).")
         shares = [f"{name} {share:.2g}" for name, share in result.largest.items() if share > 0.0]
         if shares and not result.moved:

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from carom.scene.load import Scene
 
 
+HALF_A_PERCENT = 0.005  # a smaller share rounds to 0 %
 _SCHEMA = "Print the JSON schema of scene files, for editors."
 _FROM = "Copy this bundled scene, such as incline or cradle."
 _PART = "Switch on a part of the model that the scene does not require. Repeatable."
@@ -183,7 +184,7 @@ def _steps(cost: Cost, scene: Scene) -> str:
             f"{duration_text(cost.fewest_steps * seconds)} to {duration_text(cost.most_steps * seconds)} "
             f"(seen up to t = {scene.unit_system.text(cost.looked_until, TIME, '.4g')})"
         )
-    shares = ", ".join(f"{limit} {_percent(share)}" for limit, share in cost.limits.items() if share >= 0.005)
+    shares = ", ".join(f"{limit} {_percent(share)}" for limit, share in cost.limits.items() if share >= HALF_A_PERCENT)
     remedy = remedies_of(scene).get(next(iter(cost.limits)))  # none if the integrator's own error sets the step
     return f"{count}\n  set by: {shares}" + (f"; for fewer steps, raise {remedy}" if remedy else "")
 
@@ -221,4 +222,4 @@ def _add(table: Table, name: str, is_there: bool, share: str, why: str) -> None:
 def _percent(share: float | None) -> str:
     if share is None:
         return "—"
-    return "<1 %" if 0.0 < share < 0.005 else f"{100 * share:.0f} %"
+    return "<1 %" if 0.0 < share < HALF_A_PERCENT else f"{100 * share:.0f} %"

@@ -24,6 +24,8 @@ from carom.scene.wall_shapes import shape_called
 from carom.scene.wording import body_key, counted
 
 EARTH = 9.81  # m/s², as a user writes it: 9.8 to 9.82
+AS_ON_EARTH = 0.01  # relative difference; the field at the poles is 0.2 % above, that at the equator 0.3 % below
+NARROWEST = 4  # largest radii: two bodies and the image of one of them side by side
 LIGHTEST = 100.0  # kg/m³; balls of cork have 200
 
 INTEGRATOR: KeyPath = ("time", "integrator")
@@ -309,8 +311,8 @@ def _refuse_narrow_box(scene: Scene) -> None:
         return
     given = [body.radius for body in scene.body] + [columns.radii[1] for columns in scene.data]
     largest, units = max(given + [group.radius.max for group in scene.group]), scene.unit_system
-    if min(scene.domain.size[axis] for axis in scene.domain.repeating) < 4 * largest:
-        least = units.text(4 * largest, LENGTH, "g")
+    if min(scene.domain.size[axis] for axis in scene.domain.repeating) < NARROWEST * largest:
+        least = units.text(NARROWEST * largest, LENGTH, "g")
         raise SceneError(
             f"domain.size = {units.vector(scene.domain.size, LENGTH)}: a periodic box must be at least four times the "
             f"largest radius wide ({least}), or a body may touch another body and its image at once",
@@ -334,7 +336,7 @@ def doubts(scene: Scene) -> list[str]:
     # the digits of the Earth's field, but another size
     size = math.hypot(*scene.gravity.uniform)
     same_digits = round(units.shown(size, ACCELERATION), 1) == round(EARTH, 1)
-    if same_digits and not math.isclose(size, EARTH, rel_tol=0.01):
+    if same_digits and not math.isclose(size, EARTH, rel_tol=AS_ON_EARTH):
         text = units.text(size, ACCELERATION, ".3g")
         found.append(
             f"gravity.uniform has {text}, {size / EARTH:.2g} of the Earth's; for the Earth's field, write "

@@ -89,6 +89,7 @@ def _cpu() -> str:
 
 _HASH = re.compile(r"[0-9a-f]{40}|[0-9a-f]{64}")  # SHA-1 or SHA-256
 _BRANCH = re.compile(r"ref: (refs/.+)")
+_SHA1 = 40  # digits
 _LONGEST = 4096  # characters of a file that holds one line
 _TIME = 5  # s, time limit of Git
 _CONFIG = "[core]\nrepositoryformatversion = 0\n"
@@ -153,7 +154,7 @@ def _changes(repository: _Repository, commit: str) -> str:
         with temporary_folder() as ours:
             (ours / "refs").mkdir()
             (ours / "HEAD").write_text(commit + "\n", encoding="ascii")
-            config = _CONFIG if len(commit) == 40 else _CONFIG_SHA256
+            config = _CONFIG if len(commit) == _SHA1 else _CONFIG_SHA256
             (ours / "config").write_text(config, encoding="ascii")
             inherited = {name: value for name, value in os.environ.items() if not name.startswith("GIT_")}
             borrowed = {

@@ -20,8 +20,11 @@ from carom.recording.read.recording import Recording
 from carom.recording.read.state_columns import state_vectors
 from carom.recording.timelines import STEP
 from carom.runs.window import Watcher, Window
+from carom.scene.schema.body import SOLID
 from carom.state.checkpoint import Checkpoint
 from carom.state.frame import Frame
+
+_ROUNDING = 1e-12  # relative, of moments of inertia that were computed from masses and radii
 
 
 def contacts_of(
@@ -166,7 +169,7 @@ def _own(recording: Recording, fixed: BoolArray) -> tuple[IntArray, FloatArray, 
     """Return numbers, masses and radii of the shown bodies, and further columns that differ from the defaults."""
     bodies, shown, found = recording.bodies, np.array(recording.shown, dtype=np.int64), dict[str, NDArray[Any]]()
     mass, radius, inertia = (np.asarray(each)[shown] for each in (bodies.mass, bodies.radius, bodies.inertia))
-    if not np.allclose(inertia, 0.4 * mass * radius * radius, rtol=1e-12, atol=0.0):
+    if not np.allclose(inertia, SOLID * mass * radius * radius, rtol=_ROUNDING, atol=0.0):
         found["inertia"] = inertia
     if fixed[shown].any():
         found["fixed"] = fixed[shown]

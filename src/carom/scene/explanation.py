@@ -21,7 +21,7 @@ from carom.scene.schema import Coefficients
 from carom.scene.schema.quantity import SectionError
 from carom.scene.units.system import UnitSystem
 
-LONGEST = 80  # characters of a key that are compared
+LONGEST = 80  # characters of a key, or of a given text, that messages show and compare
 MOST = 4  # places that a message lists
 ALIKE, ALIKE_ELSEWHERE = 0.75, 0.8  # required similarity in the same section, and in other sections
 SHORTEST = 3  # characters of an abbreviated key
@@ -122,14 +122,14 @@ def is_known(path: KeyPath, messages: Collection[KeyPath]) -> bool:
 
 def not_a_quantity(wrong: Wrong, places: KeyPlaces) -> str:
     """Return a one-line message about a text that is not a quantity: place, key, mistake and a valid value."""
-    key = ".".join(str(part)[:80] for part in wrong.path)
-    given = "" if wrong.given is None else f" = {wrong.given[:80]!r}:"
+    key = ".".join(str(part)[:LONGEST] for part in wrong.path)
+    given = "" if wrong.given is None else f" = {wrong.given[:LONGEST]!r}:"
     return f"{places.of(wrong.path)}{key}{given} {wrong.message}"
 
 
 def explain(detail: Any, path: KeyPath, places: KeyPlaces, data: Any, units: UnitSystem) -> str:
     """Return a one-line message about a mistake reported by Pydantic: place, key, mistake and a valid value."""
-    place, key, given = places.of(path), ".".join(str(part)[:80] for part in path), _as_written(detail, path, data)
+    place, key, given = places.of(path), ".".join(str(part)[:LONGEST] for part in path), _as_written(detail, path, data)
     if detail["type"] == "extra_forbidden":
         return f"{place}unknown key {key}{hint(path)}"
     if detail["type"] == "missing" and isinstance(detail["loc"][-1], str):

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 
 ROWS = 12  # rows in the table of the growing difference
 KEYS = 50  # different keys of the scene printed at most; --json has all
+LONGEST_VALUE = 60  # characters of a value of such a key; two fit into a row of a wide terminal
 
 _FIRST = "A recording (.rrd), or the zip of `carom report`."
 
@@ -250,4 +251,4 @@ def _short(value: Any, default: Any = None) -> str:
     text = str(value)
     if value is None:
         text = "nothing" if default is None else f"{default} by default"
-    return text if len(text) <= 60 else text[:57] + "…"
+    return text if len(text) <= LONGEST_VALUE else text[: LONGEST_VALUE - 3] + "…"

@@ -26,6 +26,7 @@ _POINTS, _FACTOR = 5, 10.0  # smallest number of frames, and smallest growth, fo
 _ROUNDING = 16 * 2.0**-53  # of a coordinate, for the few operations on it in a step
 _GRAZING = 1000.0  # a grazing impact multiplies a difference at once by mean free path over radius
 _SURE = 3.0  # standard errors by which a rate must exceed 0 to be significant
+_LARGEST_EXPONENT = 700.0  # exp overflows above 709.78
 SAME_TIME = 1e-12  # relative; times are sums of dt, whose round-off is of this order after thousands of steps
 _GAPS_AT_THE_END = 2.0  # times the largest gap between common frames, since one run may have two recording intervals
 _UNSEEN = 2.0  # largest acceleration between frames, over the second difference of three frames
@@ -114,7 +115,7 @@ def verdict(curve: DistanceCurve, divergence: Divergence | None, units: UnitSyst
     before = max(0, first - 1)
     steps = max(1, int(curve.step[first] - curve.step[before]))
     rate = divergence.rate if divergence is not None and divergence.is_exponential else 0.0
-    stretched = np.exp(min(rate * (curve.time[first] - curve.time[before]), 700.0))
+    stretched = np.exp(min(rate * (curve.time[first] - curve.time[before]), _LARGEST_EXPONENT))
     allowed = float(_GRAZING * steps * _ROUNDING * curve.reach * stretched)
     if divergence is None:
         how = (

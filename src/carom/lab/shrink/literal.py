@@ -16,6 +16,7 @@ from carom.runs.window import checkpoint_before
 from carom.scene.load import Scene
 from carom.scene.matter import body_materials
 from carom.scene.scene_file import RECORDED
+from carom.scene.schema.body import SOLID
 from carom.scene.schema.contact import DEFAULT
 from carom.scene.start import InitialBodies, half_spaces
 from carom.state.frame import Frame
@@ -26,7 +27,6 @@ KeyPath = tuple[str | int, ...]  # keys of tables and indices of lists
 BODIES = "body"
 ORIGIN = [0.0, 0.0, 0.0]  # the default of every vector of a body, which is left out
 _NOT_COPIED = {"body", "bodies", "group", "sweep", "promise", "description", "units"}  # keys of a scene
-_FACTOR = 0.4  # moment of inertia of a solid sphere over m r²
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,7 +72,7 @@ def literal(scene: Scene, start: InitialBodies) -> Document:
         body |= {"radius": float(start.radius[k]), "mass": float(start.mass[k])}
         material = DEFAULT if materials is None else materials.names[materials.index[k]]
         # a moment of inertia may follow from the material
-        if (factor := _inertia_factor(start, k)) != _FACTOR or material != DEFAULT:
+        if (factor := _inertia_factor(start, k)) != SOLID or material != DEFAULT:
             body["inertia_factor"] = factor
         if start.fixed[k]:
             body["fixed"] = True
@@ -129,9 +129,9 @@ def value_at(document: Document, path: KeyPath) -> Any:
 def _inertia_factor(start: InitialBodies, k: int) -> float:
     """Return I/(m r²) without the rounding of the product."""
     if start.mass[k] == 0.0:
-        return _FACTOR
+        return SOLID
     factor = float(start.inertia[k]) / (float(start.mass[k]) * float(start.radius[k]) * float(start.radius[k]))
-    return _FACTOR if abs(factor - _FACTOR) <= 1e-12 * _FACTOR else min(factor, 2 / 3)
+    return SOLID if abs(factor - SOLID) <= 1e-12 * SOLID else min(factor, 2 / 3)
 
 
 def _plain(value: Any) -> Any:

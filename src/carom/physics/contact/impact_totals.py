@@ -15,7 +15,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from carom.arrays import BoolArray, FloatArray, IntArray, RecordArray, Records, dtype_of
-from carom.contact_table import NO_ROWS, SINGLE_SUMS, ContactRow
+from carom.contact_table import NO_ROWS, SINGLE_SUMS, TENSORS, ContactRow
 from carom.physics.aligned import columns
 from carom.physics.bodies import Bodies
 from carom.physics.jit.decorators import kernel
@@ -73,8 +73,8 @@ class ImpactTotals:
         own = number.astype(np.int64), len(groups)
         self._corners = _Corners(bodies.radius, bodies.mass, moves, *own, np.zeros((len(bodies), 3)), box)
         self._row = np.zeros(SINGLE_SUMS)
-        self._totals = self._row[:-18].view(TOTALS)
-        self._virial, self._kinetic = self._row[-18:].reshape(2, 3, 3)
+        self._totals = self._row[:-TENSORS].view(TOTALS)
+        self._virial, self._kinetic = self._row[-TENSORS:].reshape(2, 3, 3)
         self._pairs = np.zeros((len(groups) + 1) ** 2, PAIR_TOTALS)  # row after row
         self._quiet = True  # whether there was no impact since the last `pop`
         self.forget()

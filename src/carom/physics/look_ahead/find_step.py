@@ -88,6 +88,7 @@ DISPLACEMENT = 1e-11
 # errors exceeded the request before the horizon in 11 of 235 cases, by up to a fifteenth of the time.
 SPREAD = 2.5
 LARGEST_ERROR = 1.0  # of the size; larger errors are not distinguished
+SMALLEST = 1e-300  # in place of an error of 0, which has no first digit
 ROUNDING = 8.0  # ρ in units of the last bit of the coordinates
 LOWEST = 64.0  # smallest accuracy in units of ρ
 STEPS_OF_TWINS = 200  # steps within the last 1 / λ in chaos; a twin with one iteration adds hardly any rounding
@@ -394,7 +395,7 @@ class _LookAhead:
         units, until = self._scene.unit_system, self._scene.time.duration
         best = float(error.min(initial=LARGEST_ERROR))
         if best <= LARGEST_ACCURACY:
-            digit = 10.0 ** math.floor(math.log10(max(best, 1e-300)))
+            digit = 10.0 ** math.floor(math.log10(max(best, SMALLEST)))
             rounded_up = math.ceil(best / digit) * digit
             could = f"{rounded_up:g} could be promised for the first {units.text(covered, TIME, '.2g')} or less"
         else:

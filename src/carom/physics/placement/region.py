@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from carom.physics.placement.neighbours import Surroundings
 
 DEFAULT_PACKING = 0.1  # of a group without a region
+LEAST_SIZE = 1.01  # of that region, in radii of the largest body, which then has room to be placed
 FARTHEST = 10.0  # times the scale of a plummer region: its default radius, which contains 98.5 % of the mass
 ROUNDING = 1e-12  # of the size of a region
 
@@ -154,7 +155,7 @@ def default_region(index: int, radius: FloatArray, units: UnitSystem) -> Region:
     """Return a ball with the packing `DEFAULT_PACKING`."""
     with np.errstate(over="ignore"):
         volume = np.asarray(np.sum(radius * radius * radius) / DEFAULT_PACKING)
-        size = float(max(cube_root(volume), 1.01 * radius.max()))
+        size = float(max(cube_root(volume), LEAST_SIZE * radius.max()))
     if size > LARGEST:
         most = units.text(LARGEST, LENGTH, "g")
         raise SceneError(

@@ -50,7 +50,7 @@ def body_number(recording: RecordedData, body: int | str) -> int:
         return int(number)
     count = f"its bodies are 0 to {len(names) - 1}" if len(names) > 1 else "its only body is 0"
     own = [name for number, name in enumerate(names) if name not in ("", f"body {number}")]
-    near = difflib.get_close_matches(text, own, n=1, cutoff=0.6)
+    near = difflib.get_close_matches(text, own, n=1)
     if not near and text and not text.isdigit():
         near = [name for name in own if name.casefold().startswith(text.casefold())]
     if near:

@@ -262,6 +262,8 @@ LARGEST = 1e150  # largest coordinate or speed, so that squares do not overflow
 NOTES = re.compile(r"data_notes\.[0-9]{1,9}")  # keys of notes on data files, one for each [[bodies]] table
 
 _LONGEST = 9.0e9  # s; 2⁶³ ns are 9.22e9 s, or 292 years
+_PAST_THE_END = 1.02  # of `_LONGEST`, up to which a time still fits into 2⁶³ ns
+_SMALLEST_POWER = -300  # of ten, of a scale; 1e-308 is the smallest normal number
 _COARSEST = 1.0e-6  # s; with shorter steps, times of impact would have fewer than three digits
 _FINE = 1.0e-3  # s, shortest step after scaling, so that times within a step have six digits
 
@@ -281,7 +283,7 @@ class TimeScale:
 
         If a scene is long and has very short steps, the duration fits, and short steps are rounded.
         """
-        least = math.ceil(math.log10(duration / _LONGEST)) if 0.0 < duration < math.inf else -300
+        least = math.ceil(math.log10(duration / _LONGEST)) if 0.0 < duration < math.inf else _SMALLEST_POWER
         if least > 0:
             return cls(10.0**least)
         if 0.0 < shortest_dt < _COARSEST:
@@ -292,7 +294,7 @@ class TimeScale:
     def nanoseconds(self, times: Sequence[float] | FloatArray) -> IntArray:
         """Convert simulated seconds to whole nanoseconds of the timeline, by rounding."""
         shown = np.asarray(times, dtype=np.float64) / self.scale
-        if not bool(np.all(np.abs(shown) <= _LONGEST * 1.02)):
+        if not bool(np.all(np.abs(shown) <= _LONGEST * _PAST_THE_END)):
             raise RecorderError(f"simulated time {np.max(np.abs(times)):g} does not fit the timeline")
         return np.round(shown * 1e9).astype(np.int64)
 

@@ -15,6 +15,7 @@ from carom.arrays import ColourArray, FloatArray, IntArray, Records, SingleArray
 from carom.physics.jit.decorators import inline, inner, long_kernel
 from carom.recording.layout.drawing import part_of_longest
 
+SMALLEST_NORMAL = float(np.finfo(np.float64).tiny)  # N s, a median to divide by
 _part_of_longest = inline(part_of_longest)  # the same function, compiled; NumPy uses the other for arrays
 
 
@@ -204,7 +205,7 @@ def find_middles(contacts: FrameContacts, positive: FloatArray, middles: FloatAr
                 positive[count] = rows[c].normal_impulse
                 count += 1
             c += 1
-        middles[f] = 1.0 if count == 0 else max(_median(positive[:count]), 2.2250738585072014e-308)
+        middles[f] = 1.0 if count == 0 else max(_median(positive[:count]), SMALLEST_NORMAL)
 
 
 @inner

@@ -144,6 +144,10 @@ _HARDER = 1.25  # times the hardest impact with a frame; a harder one gets a fra
 _SCENE = 850  # bytes of a frame at an impact, in addition to its bodies: edge, arrows, energies, spins
 _CONTACT, _IMPACT, _ARROW = 12.5, 85, 36  # measured bytes in the file, compressed
 _SCALARS = 500  # bytes of a frame's scalars
+DRAWN_BYTES, TURNED_BYTES = 12, 28  # of a body in a frame: its centre in float32, and with a quaternion
+_AT_REST = 2  # measured bytes of a body that does not move, compressed
+_TORQUE, _EDGE, _MOVED_EDGE = 25, 5, 12  # measured: an arrow of torque; an edge, and more if its bodies move
+_CHECKPOINTS = 1.08  # factor by which checkpoints enlarge a frame, less the arrays that are equal to others
 
 
 class BudgetRecord(Protocol):
@@ -256,7 +260,7 @@ def _spend(
 ) -> None:
     """Decide for the frames of a batch."""
     used, (bodies, moved, edges, contacts, impacts) = budget[0], counts
-    scene = _SCENE + bodies * (28 if columns.orientation else 12)
+    scene = _SCENE + bodies * (TURNED_BYTES if columns.orientation else DRAWN_BYTES)
     arrow = 2 * _ARROW if columns.torque else _ARROW  # with friction two
     for f in range(len(moved)):
         used.others += _size(bodies, moved[f] / bodies, edges[f], columns)
@@ -283,9 +287,9 @@ def _size(bodies: int, moved: float, edges: int, columns: _BodyColumns) -> float
 
     Unchanged values compress to little; ``moved`` is the fraction of bodies that move.
     """
-    drawn = bodies * (2 + moved * (26 if columns.orientation else 10))
-    arrows = 25 * (1 + moved) * min(bodies, 2 * edges) if columns.torque else 0.0
-    return 1.08 * (drawn + arrows + (5 + 12 * moved) * edges + _SCALARS)
+    drawn = bodies * (_AT_REST + moved * ((TURNED_BYTES if columns.orientation else DRAWN_BYTES) - _AT_REST))
+    arrows = _TORQUE * (1 + moved) * min(bodies, 2 * edges) if columns.torque else 0.0
+    return _CHECKPOINTS * (drawn + arrows + (_EDGE + _MOVED_EDGE * moved) * edges + _SCALARS)
 
 
 def impact_rows(

@@ -28,6 +28,7 @@ from carom.recording.schema.checkpoint_columns import size
 from carom.recording.schema.header import Header, Scalar, TimeScale, viewer_time
 from carom.recording.write.durable_sink import AddressReserve
 from carom.recording.write.encoder import BatchEncoder, event_rows
+from carom.recording.write.impact_plan import DRAWN_BYTES, TURNED_BYTES
 from carom.recording.write.partial_frames import Lives
 from carom.recording.write.stream import BATCH_BYTES, Stream, frames_in_batch
 from carom.recording.write.whole_file import name_until_whole
@@ -112,6 +113,8 @@ class CheckpointPlan:
     """
 
     _SHARE = 0.1
+    _EDGE_BYTES = 28  # of a contact: two bodies, impulses, mode, colour and width
+    _SCALAR_BYTES = 20 * 24  # of twenty scalars, each with its times
     _WARNINGS_AT_LEAST = 4
 
     def __init__(self, every_frame: bool = False, steps: Collection[int] | None = None) -> None:
@@ -131,8 +134,8 @@ class CheckpointPlan:
         kept: list[Frame] = []
         for frame in batch:
             # about the bytes of its row without arrows: drawn bodies and contacts, and twenty scalars
-            drawn = len(frame.position) * (12 if frame.orientation is None else 28)
-            self._others += drawn + 28 * len(frame.contacts) + 20 * 24
+            drawn = len(frame.position) * (DRAWN_BYTES if frame.orientation is None else TURNED_BYTES)
+            self._others += drawn + self._EDGE_BYTES * len(frame.contacts) + self._SCALAR_BYTES
             room, cost = self._SHARE * self._others, size(frame)
             before, self._before = self._before, frame
             warns = any(event.level == "WARN" for event in frame.events)
@@ -152,6 +155,7 @@ _BATCH_FRAMES, _QUEUE_FRAMES = 2048, 512
 _SMALL_FRAMES, _SMALL_BYTES = 4096, 16_000_000  # more of few bodies, since a chunk costs 2.4 kB, as 40 scalars do
 _BATCH_SECONDS, _LIVE_SECONDS = 2.0, 1.0  # s, the frames that a killed run may lose, and that a live viewer lags
 _QUEUE_BYTES = 64_000_000
+_BODY_BYTES, _FRAME_BYTES = 300, 2000  # of memory of a waiting frame, at most: its arrays for a body, and the rest
 _LOOK = 1.25  # ratio between the frame counts at two updates of the camera
 _LAID_OUT_AFTER = (
     1_000_000  # bytes; smaller or shorter recordings get a blueprint only at the end, since it takes 10 ms
@@ -184,7 +188,7 @@ class FrameRecorder:
         self._extended: dict[int, Header] = {}  # headers with more bodies, by their number
         self._lives = Lives(header.bodies)
         self._continued = continued
-        frame_bytes = 300 * header.bodies + 2000
+        frame_bytes = _BODY_BYTES * header.bodies + _FRAME_BYTES
         self._stream = Stream(self.path, header, file=self._file, batch_bytes=max(BATCH_BYTES, frame_bytes), live=live)
         self._clock = continued.clock if continued else TimeScale.fitting(header.duration, header.shortest_dt_hint)
         small = min(_SMALL_FRAMES, _SMALL_BYTES // frame_bytes)

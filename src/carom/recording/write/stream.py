@@ -76,6 +76,7 @@ class LiveView:
 
 
 BATCH_BYTES = 4_000_000  # a batch costs some milliseconds, whatever its size
+_BODY_BYTES, _FRAME_BYTES = 40, 500  # of a frame for Rerun's encoder: of a body with its arrows, and of the scalars
 
 # Rerun's encoder keeps 5.7 kB of memory and 1.2 kB of the footer for each message, and a batch has some 60. A long run
 # therefore joins batches, so that their number grows logarithmically with time and size: 28 800 batches make a footer
@@ -92,7 +93,7 @@ _FOOTER_BYTES = 120  # bytes of the footer for each message; 50 were measured
 
 def frames_in_batch(bodies: int) -> int:
     """Return the number of frames that fill a batch, given the number of bodies; 0 if one frame is larger."""
-    return BATCH_BYTES // (40 * bodies + 500)
+    return BATCH_BYTES // (_BODY_BYTES * bodies + _FRAME_BYTES)
 
 
 class Stream:

@@ -102,10 +102,13 @@ def output_folder(path: Path) -> None:
         raise RecordingError(f"{path}: the folder cannot be created: {error.strerror}") from None
 
 
+_LONGEST = 200  # characters of a path in a message
+
+
 def _short(path: Path) -> str:
-    """Return the text of a path, cut after 200 characters."""
+    """Return the text of a path, cut after `_LONGEST` characters."""
     text = str(path)
-    return text if len(text) <= 200 else f"{text[:200]}…"
+    return text if len(text) <= _LONGEST else f"{text[:_LONGEST]}…"
 
 
 # An exclusive lock on an output file, since two processes that write one file would destroy both recordings.

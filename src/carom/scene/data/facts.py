@@ -24,6 +24,7 @@ SUN = "Sun"
 _SAME_EPOCH = 1e-5  # days; printed Julian dates have seven digits or more after the point
 _LONGEST_NAME = 40  # characters of a name that messages show
 _LONGEST_SPLIT = 200  # characters of a name in which a unit is looked for
+_NAMES_KEPT = 100_000  # names of columns whose reading is remembered; a wide table has some thousands
 _WITH_UNIT = re.compile(r"(.*?)\s*(?:\[([^\[\]]*)\]|\(([^()]*(?:\([^()]*\)[^()]*)*)\))\s*")  # "x [au]", "mass (kg)"
 _OVER = re.compile(r"([^/]+?)\s*/\s*\(?([^()]+?)\)?")  # "x/m" and "v/(m/s)", as ISO 80000 writes headers
 _INDEX = re.compile(r"[\s_:.\[(-]+([012])[\])]?\Z")  # of a component: "Points:0", "v_2", "velocity[1]"
@@ -118,7 +119,7 @@ class FileColumn:
         return None
 
 
-@lru_cache(maxsize=100_000)
+@lru_cache(maxsize=_NAMES_KEPT)
 def plain_name(proper: str) -> str:
     """Return a name for comparisons: in lower case, without separators, with x, y, z for 0, 1, 2."""
     if found := _INDEX.search(proper):
@@ -136,7 +137,7 @@ def column_named(name: str, paths: bool) -> FileColumn:
     return _column(name, None, paths)
 
 
-@lru_cache(maxsize=100_000)
+@lru_cache(maxsize=_NAMES_KEPT)
 def _column(name: str, stated: str | None, paths: bool) -> FileColumn:
     proper = name.strip()
     if paths:

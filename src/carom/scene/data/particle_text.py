@@ -52,7 +52,10 @@ _MOST_STEPS = 10_000_000
 _COUNT = re.compile(rb"^\s*([0-9]{1,18})\s+atoms\b", re.MULTILINE)  # in the header of a data file
 _HEAD = 10_000  # bytes of a data file that have its header
 _LINES = 20  # lines of a data file per atom, with bonds, angles and dihedrals
+_HEADER_LINES = 1000  # further ones: header, masses, coefficients
 _LONGEST = 1_000_000  # characters in a line
+_DIGITS = 20  # of a number of rows, which has at most 19 below 2⁶³
+_WIDEST = 100  # numbers of a property in a row
 _PROPERTIES = re.compile(r'\bProperties="?([^\s"]+)"?', re.IGNORECASE)
 _PERIODIC = re.compile(r'\bpbc="?([TF01][TFrueals01 ]*)', re.IGNORECASE)
 _LATTICE = re.compile(r'\bLattice="([^"]*)"', re.IGNORECASE)
@@ -196,7 +199,7 @@ def open_data(path: Path, called: str, snapshot: int) -> DataTable:
     if stated is None:
         raise SceneError(f'{called}: no line such as "100 atoms" in its header, which a data file of LAMMPS has')
     refuse_many_rows(called, int(stated[1]))
-    if (lines := content.count(b"\n")) > _LINES * (int(stated[1]) + 1000):
+    if (lines := content.count(b"\n")) > _LINES * (int(stated[1]) + _HEADER_LINES):
         raise SceneError(f"{called}: {lines} lines are too many for {int(stated[1])} stated atoms: it is damaged")
     sections = _sections(content.decode("utf-8", "surrogateescape").splitlines())
     if "Atoms" not in sections:
@@ -276,7 +279,7 @@ def open_xyz(path: Path, called: str, snapshot: int) -> DataTable:
             first = file.readline(_LONGEST)
             if not first.strip():
                 break
-            if not first.strip().isdecimal() or len(first) > 20:
+            if not first.strip().isdecimal() or len(first) > _DIGITS:
                 raise SceneError(
                     f"{called}: line {line} is {printable(first.strip())}, but the number of rows is needed"
                 )
@@ -325,7 +328,7 @@ def _names(called: str, comment: str, rows: list[str]) -> list[str]:
     parts = found[1].split(":")
     names = list[str]()
     for name, kind, width in itertools.zip_longest(parts[::3], parts[1::3], parts[2::3]):
-        if kind not in ("S", "R", "I", "L") or not str(width).isdecimal() or not 1 <= int(width) <= 100:
+        if kind not in ("S", "R", "I", "L") or not str(width).isdecimal() or not 1 <= int(width) <= _WIDEST:
             raise SceneError(f"{called}: Properties={printable(found[1])} does not name columns, such as pos:R:3")
         plain = _OWN.get(name, name)
         if int(width) == 1:

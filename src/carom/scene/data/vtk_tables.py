@@ -37,6 +37,9 @@ _KINDS = {
 _DATASETS = ("POLYDATA", "UNSTRUCTURED_GRID")
 _CELLS = ("VERTICES", "LINES", "POLYGONS", "TRIANGLE_STRIPS", "CELLS")
 _LONGEST = 10_000  # characters in a line
+_DIGITS = 12  # of a number of values; a file of `_LARGEST` bytes has fewer
+_DIGITS_OF_WIDTH = 4
+_MOST_FIELDS = 10_000  # arrays of a file
 _APPENDED = re.compile(rb'<AppendedData\s+encoding="(raw|base64)"\s*>\s*_')
 _ATTRIBUTES = {
     **{f"{sign}Int{8 * size}": f"{letter}{size}" for sign, letter in (("", "i"), ("U", "u")) for size in (1, 2, 4, 8)},
@@ -111,7 +114,7 @@ def _arrays(reader: _Reader) -> dict[str, Raw]:
     arrays, points, of_points, each = dict[str, Raw](), 0, False, 0
 
     def whole(word: str) -> int:
-        if not word.isdecimal() or len(word) > 12:
+        if not word.isdecimal() or len(word) > _DIGITS:
             raise SceneError(f"{reader.called}: {printable(word)} is not a number of values")
         return int(word)
 
@@ -155,7 +158,7 @@ def _arrays(reader: _Reader) -> dict[str, Raw]:
         elif title == "TENSORS":
             add(rest[0], rest[1], 9, each)
         elif title == "FIELD":
-            for _ in range(min(whole(rest[1]), 10_000)):
+            for _ in range(min(whole(rest[1]), _MOST_FIELDS)):
                 field = [*reader.words(), "", "", ""]
                 add(field[0], field[3], whole(field[1]), whole(field[2]))
         elif title == "METADATA":
@@ -220,7 +223,7 @@ def open_vtp(path: Path, called: str, snapshot: int) -> DataTable:
 def _piece(blocks: _Blocks, piece: ElementTree.Element) -> dict[str, Raw]:
     """Read the points of a piece, and their arrays."""
     rows = piece.get("NumberOfPoints", "")
-    if not rows.isdecimal() or len(rows) > 12:
+    if not rows.isdecimal() or len(rows) > _DIGITS:
         raise SceneError(f"{blocks.called}: NumberOfPoints is {printable(rows)}, not a number")
     refuse_many_rows(blocks.called, int(rows))
     arrays = dict[str, Raw]()
@@ -228,7 +231,7 @@ def _piece(blocks: _Blocks, piece: ElementTree.Element) -> dict[str, Raw]:
         for element in piece.iterfind(f"{section}/DataArray"):
             name = "points" if section == "Points" else element.get("Name", "")
             width = element.get("NumberOfComponents", "1") or "1"
-            if element.get("type") not in _ATTRIBUTES or not width.isdecimal() or len(width) > 4:
+            if element.get("type") not in _ATTRIBUTES or not width.isdecimal() or len(width) > _DIGITS_OF_WIDTH:
                 continue  # an array of texts
             kind = np.dtype(blocks.order + _ATTRIBUTES[element.get("type", "")])
             size = int(rows) * int(width)

@@ -29,6 +29,7 @@ from carom.scene.units.dimension import ACCELERATION, DENSITY, GRAVITATIONAL_CON
 from carom.scene.wording import suggestion
 
 DEFAULT = "default"  # name of the material of [contact]
+STATIC, KINETIC = 0.6, 0.4  # default coefficients of friction, of the order of those of dry stone
 COLOURS = ("orange", "sky-blue", "green", "yellow", "blue", "vermilion", "purple", "grey", "white")
 _HEX = re.compile(r"#[0-9a-fA-F]{6}")
 
@@ -266,12 +267,12 @@ class ContactSettings(Section):
         0.5, ge=0, le=1, description="rebound speed over approach speed, from 0 (no bounce) to 1 (elastic)"
     )
     static_friction: Friction = Field(
-        0.6,
+        STATIC,
         description="Coulomb coefficient of a sticking contact; not negative; if only kinetic_friction is given, at "
         "least that",
     )
     kinetic_friction: Friction = Field(
-        0.4,
+        KINETIC,
         description="Coulomb coefficient of a sliding contact, from 0 to static_friction; if only static_friction is "
         "given, at most that",
     )
@@ -318,9 +319,9 @@ class ContactSettings(Section):
             return data
         static, kinetic = data.get("static_friction"), data.get("kinetic_friction")
         if isinstance(static, (int, float)) and kinetic is None:
-            return {**data, "kinetic_friction": min(0.4, static)}
+            return {**data, "kinetic_friction": min(KINETIC, static)}
         if isinstance(kinetic, (int, float)) and static is None:
-            return {**data, "static_friction": max(0.6, kinetic)}
+            return {**data, "static_friction": max(STATIC, kinetic)}
         return data
 
     @model_validator(mode="after")

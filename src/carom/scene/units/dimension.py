@@ -254,7 +254,7 @@ def _nearest(name: str, known: Iterable[str]) -> str:
     by_lower: dict[str, list[str]] = {}
     for word in sorted(known):
         by_lower.setdefault(word.lower(), []).append(word)
-    near = difflib.get_close_matches(name.lower(), by_lower, n=1, cutoff=0.6)
+    near = difflib.get_close_matches(name.lower(), by_lower, n=1)
     return max(by_lower[near[0]], key=lambda word: difflib.SequenceMatcher(None, name, word).ratio()) if near else ""
 
 

@@ -62,6 +62,7 @@ from carom.physics.vector import Vector, along, between, vector
 
 MOST_BODIES = 48  # in a group; further bodies are held in groups of their own
 MOST_CONTACTS = 3 * MOST_BODIES
+MOST_CHANGES = 20  # of the set of held contacts, for each contact; rounding could exchange two of them without end
 DEPENDENT = 1e-29  # of the square of a direction; a smaller orthogonal component is rounding
 MOST_RELEASES = 3  # of an exhausted elastic body in a drift; a chain of impacts between masses needs one or two
 SPEED_ROUNDING = 10.0 * ROUNDING  # of the fastest body; slower closing needs no impulse
@@ -306,7 +307,7 @@ def find_impulses(bodies: int, contacts: int, negligible: float, group: Group) -
             k = group.place[c, end]
             square += group.root[k] * group.root[k] if k >= 0 else 0.0
         scale[c] = np.sqrt(square)
-    for _ in range(20 * contacts):
+    for _ in range(MOST_CHANGES * contacts):
         worst, c = negligible, -1
         for k in range(contacts):
             excess = -_normal_velocity(k, group) - group.allowed[k]

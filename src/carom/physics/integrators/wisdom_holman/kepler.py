@@ -44,6 +44,7 @@ WIDEST = 8  # numbers in a vector on any processor
 X, Y, Z, VX, VY, VZ, MU, END_X, END_Y, END_Z, END_VX, END_VY, END_VZ, ENOUGH = range(0, 14 * LANES, LANES)
 WORKSPACE = 14 * LANES  # numbers
 TWO_PI = 6.283185307179586  # rad
+WIDER = 1.01  # times a period: the bracket of a time within it, with room for rounding
 
 
 @unowned
@@ -86,7 +87,7 @@ def revolve(x: FloatArray, v: FloatArray, i: int, mu: float, h: float) -> None:
         period = TWO_PI * mu / (beta * root)
         if t >= period:
             t -= period * np.floor(t / period)
-        high = 1.01 * TWO_PI / root
+        high = WIDER * TWO_PI / root
     s = t * over_r
     bend = 0.5 * s * over_r * eta
     if abs(bend) < 0.5:
