@@ -21,8 +21,8 @@ ROOT = Path(__file__).parents[1]
 
 
 def test_a_person_who_explores_the_package_finds_what_it_offers() -> None:
-    functions = ["replay", "rerun", "resume", "run", "show", "view"]
-    assert dir(carom) == ["Frame", "Recording", "Scene", "Space", "__version__", "errors", "record", *functions]
+    classes, functions = ["Frame", "Recording", "Scene", "Space"], ["replay", "rerun", "resume", "run", "show", "view"]
+    assert dir(carom) == [*classes, "__version__", "errors", "fields", "record", *functions]
     assert carom.__version__ == version("carom")
     assert carom.errors.SceneError.__doc__
 

@@ -27,7 +27,7 @@ pytestmark = pytest.mark.slow
 HOUSE = Path(carom.__file__).parent
 ROWS = ("cli/main.py", "registry.py")  # where an optional part may have its rows
 ENGINES = ("rebound", "mujoco", "box3d", "pybullet", "newton")
-TOOLS = ("diff", "fork", "hunt", "shrink", "sweep", "tradeoff", "why")
+TOOLS = ("diff", "fields", "fork", "hunt", "shrink", "sweep", "tradeoff", "why")
 
 
 class Carom:

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from carom import record as record
     from carom.display.notebook import show as show
     from carom.display.viewer import view as view
+    from carom.lab.fields.fields import fields as fields
     from carom.physics.space import Space as Space
     from carom.recording.read.recording import Recording as Recording
     from carom.runs.replay import replay as replay
@@ -36,13 +37,14 @@ if TYPE_CHECKING:
 
 
 __all__ = ["Frame", "Recording", "Scene", "Space", "__version__", "errors", "record"]
-__all__ += ["replay", "rerun", "resume", "run", "show", "view"]
+__all__ += ["fields", "replay", "rerun", "resume", "run", "show", "view"]
 
 _HOMES = {
     "Frame": "carom.state.frame",
     "Recording": "carom.recording.read.recording",
     "Scene": "carom.scene.load",
     "Space": "carom.physics.space",
+    "fields": "carom.lab.fields.fields",
     "replay": "carom.runs.replay",
     "rerun": "carom.runs.window",
     "resume": "carom.runs.resume",

@@ -50,6 +50,7 @@ COMMANDS: dict[str, dict[str, str]] = {  # panel → name → module:function, i
     "Ask": {
         "inspect": "carom.cli.inspect:inspect",
         "contacts": "carom.cli.contacts:contacts",
+        "fields": "carom.lab.fields:fields_command",
         "why": "carom.lab.why:why_command",
         "replay": "carom.cli.run:replay",
         "diff": "carom.lab.diff:diff_command",

@@ -343,17 +343,23 @@ class Interval:
         frame, i, j = (table[name].to_numpy() for name in ("frame", "i", "j"))
         steps = self.recording.steps("dt")
         dt = steps["dt"].to_numpy()[np.isin(steps[STEP].to_numpy(), self.step[rows])]
-        held = np.ones(len(rows))
-        if self.scene is not None and self.scene.drag is not None:
-            # The impulse that balances a constant force F in a step under drag, over F dt, is (h φ₂ + k₂)/h of
-            # docs/physics.md, section 6: drag removes a part of the momentum of the first kick.
-            z = dt / self.scene.drag.relaxation_time
-            phi1 = -np.expm1(-z) / z
-            phi2 = (1 - phi1) / z
-            held = phi2 + phi1 - np.exp(-z) * phi2 / phi1
+        held = self.held_part(dt)
         force, friction = force / held[frame], friction / held[frame]
         moving = np.stack([self.moving & self.recording.present(int(step)) for step in self.step[rows]])
         return ContactColumns(moving, float((dt * held).sum()), frame, i, j, normal, impulse, force, friction)
+
+    def held_part(self, dt: FloatArray) -> FloatArray:
+        """Return the impulse that balances a constant force in steps of lengths dt (s), over force times dt; (k,).
+
+        It is 1 but with drag, which removes a part of the momentum of the first kick: (h φ₂ + k₂)/h of
+        docs/physics.md, section 6.
+        """
+        if self.scene is None or self.scene.drag is None:
+            return np.ones(len(dt))
+        z = dt / self.scene.drag.relaxation_time
+        phi1 = -np.expm1(-z) / z
+        phi2 = (1 - phi1) / z
+        return np.asarray(phi2 + phi1 - np.exp(-z) * phi2 / phi1)
 
     def groups(self, among: BoolArray | None = None) -> list[tuple[str, BoolArray]]:
         """Return the name of each group of bodies, and a mask of its members among all bodies or some.

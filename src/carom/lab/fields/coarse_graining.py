@@ -1,0 +1,210 @@
+"""Coarse-graining on a grid: bodies and contacts become densities that are constant in each cell.
+
+Goldhirsch, Granular Matter 12, 239 (2010), with the function φ(r - r') that is 1/V where r' is in the cell of r, of
+volume V, and 0 elsewhere. It is the only choice that needs no body beyond a wall, and sums over the cells are exactly
+sums over the bodies. A branch vector, along which a contact transfers momentum, counts in each cell with the part of
+its length in that cell, which is the integral of φ along it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+
+from carom.arrays import BoolArray, FloatArray, IntArray
+from carom.scene.schema.shear import Shear
+
+
+@dataclass(frozen=True)
+class Grid:
+    """Equal cells that fill a box; along periodic axes they repeat."""
+
+    origin: FloatArray  # (3,) m, the corner with the lowest coordinates
+    cell: FloatArray  # (3,) m, edges of a cell
+    shape: tuple[int, int, int]  # cells along x, y and z
+    periodic: tuple[bool, bool, bool]
+    shear: Shear | None = None  # of the periodic box
+
+    @cached_property
+    def count(self) -> int:
+        """Number of cells."""
+        return int(np.prod(self.shape))
+
+    @cached_property
+    def volume(self) -> float:
+        """Volume of a cell, m³."""
+        return float(np.prod(self.cell))
+
+    @cached_property
+    def size(self) -> FloatArray:
+        """Edges of the whole grid, (3,) m."""
+        return self.cell * self.shape
+
+    def centres(self, axis: int) -> FloatArray:
+        """Return the coordinates (m) of the centres of the cells along an axis."""
+        return np.asarray(self.origin[axis] + self.cell[axis] * (np.arange(self.shape[axis]) + 0.5))
+
+    def shift(self, time: FloatArray) -> FloatArray:
+        """Return the displacement (m) along the flow of the next image of a sheared box, at some times (s)."""
+        shear = self.shear
+        assert shear is not None, "only a sheared box has images that move"
+        flow, gradient = shear.axes
+        path, width = shear.rate * self.size[gradient] * time, self.size[flow]
+        return np.asarray(path - width * np.floor(path / width + 0.5))
+
+    def cells(self, point: FloatArray, time: FloatArray) -> IntArray:
+        """Return the numbers of the cells that contain points, (k, 3) m, at times (k,) s; bodies on a face count once.
+
+        A point outside of a face that does not repeat, by the overlap of a body with a wall, counts in the cell inside.
+        """
+        place = point - self.origin
+        if self.shear is not None:
+            flow, gradient = self.shear.axes
+            place[:, flow] -= np.floor(place[:, gradient] / self.size[gradient]) * self.shift(time)
+        number = np.zeros(len(point), np.int64)
+        for axis, count in enumerate(self.shape):
+            along = np.floor(place[:, axis] / self.cell[axis]).astype(np.int64)
+            along = along % count if self.periodic[axis] else np.clip(along, 0, count - 1)
+            number = number * count + along
+        return number
+
+    def cut(self, start: FloatArray, reach: FloatArray, time: FloatArray) -> tuple[IntArray, IntArray, FloatArray]:
+        """Cut branch vectors at the faces of the cells.
+
+        Parameters
+        ----------
+        start, reach
+            m, (k, 3), their beginnings, and the vectors to their ends.
+        time
+            s, (k,), of each.
+
+        Returns
+        -------
+        branch, cell, fraction
+            (p,) of each piece: the row of its branch, the number of its cell, and its part of the length.
+        """
+        ends = [np.zeros(len(start)), np.ones(len(start))]
+        for axis in range(3):
+            first = (start[:, axis] - self.origin[axis]) / self.cell[axis]
+            offsets = [np.zeros(len(start))]
+            if self.shear is not None and axis == self.shear.axes[0]:  # cells of both images along the gradient
+                moved = self.shift(time) / self.cell[axis]
+                offsets += [moved, -moved]
+            for offset in offsets:
+                ends += _crossings(first - offset, reach[:, axis] / self.cell[axis])
+        cuts = np.sort(np.stack(ends, axis=1), axis=1)
+        fraction = np.diff(cuts, axis=1)
+        branch, piece = np.nonzero(fraction)
+        middle = (cuts[branch, piece] + cuts[branch, piece + 1]) / 2
+        cell = self.cells(start[branch] + middle[:, None] * reach[branch], time[branch])
+        return branch, cell, fraction[branch, piece]
+
+
+def _crossings(first: FloatArray, reach: FloatArray) -> list[FloatArray]:
+    """Return where lines from ``first`` cross whole numbers, as parts of their reach; 1 in place of a crossing less."""
+    low = np.floor(np.minimum(first, first + reach)) + 1.0
+    most = int(np.max(np.ceil(np.maximum(first, first + reach)) - low, initial=0.0))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        found = [np.nan_to_num((low + number - first) / reach, nan=1.0) for number in range(most)]
+    return [np.clip(each, 0.0, 1.0) for each in found]
+
+
+class Branches(NamedTuple):
+    """Lines along which contacts transfer momentum between moving bodies, or to the surface of a wall."""
+
+    start: FloatArray  # (k, 3) m
+    reach: FloatArray  # (k, 3) m
+    impulse: FloatArray  # (k, 3) N s, towards the end
+    time: FloatArray  # (k,) s
+
+    @classmethod
+    def of(
+        cls,
+        start: FloatArray,
+        whole: FloatArray,
+        impulse: FloatArray,
+        time: FloatArray,
+        share: FloatArray,
+        moves: tuple[BoolArray, BoolArray],
+    ) -> Branches:
+        """Leave out the part of each line in a fixed body, which is a wall (Weinhart et al. 2012).
+
+        Parameters
+        ----------
+        start, whole
+            m, (k, 3), the centre of body i, and the vector to that of body j, or to the surface of a plane or wall.
+        impulse
+            N s, (k, 3), on body j.
+        time
+            s, (k,).
+        share
+            (k,) part of the vector that is inside of body i; 1 at a plane or wall.
+        moves
+            (k,) each, whether i and j are bodies that move.
+        """
+        low, high = np.where(moves[0], 0.0, share), np.where(moves[1], 1.0, share)
+        kept = high > low
+        start, whole, low, high = start[kept], whole[kept], low[kept, None], high[kept, None]
+        return cls(start + low * whole, (high - low) * whole, impulse[kept], time[kept])
+
+
+class BodySums:
+    """Sums over moving bodies at several moments, by cell."""
+
+    def __init__(self, grid: Grid) -> None:
+        self.grid, self.moments = grid, 0
+        self.number = np.zeros(grid.count)
+        self.volume = np.zeros(grid.count)  # m³
+        self.mass = np.zeros(grid.count)  # kg
+        self.momentum = np.zeros((grid.count, 3))  # kg m/s
+        self.kinetic = np.zeros((grid.count, 3, 3))  # J, Σ m c ⊗ c about the mean velocity of the cell so far
+        self.contacts = np.zeros(grid.count)  # contacts of these bodies, at moments when they are known
+
+    def add(
+        self, position: FloatArray, velocity: FloatArray, mass: FloatArray, radius: FloatArray, time: float
+    ) -> IntArray:
+        """Add bodies at a time (s), given (n, 3) m, (n, 3) m/s, (n,) kg and (n,) m; return the cells of all.
+
+        Sums of squares are about the mean, and those of two moments are joined as by Chan, Golub & LeVeque (1983): a
+        temperature is never lost in the rounding of a common velocity.
+        """
+        cell = self.grid.cells(position, np.full(len(position), time))
+        used, place = np.unique(cell, return_inverse=True)
+
+        def summed(values: FloatArray) -> FloatArray:
+            return np.bincount(place, values, len(used)).astype(np.float64)
+
+        own = summed(mass)
+        carried = np.stack([summed(mass * velocity[:, a]) for a in range(3)], axis=1)
+        mean = carried / own[:, None]
+        about = velocity - mean[place]
+        before = self.mass[used]
+        with np.errstate(invalid="ignore"):
+            moved = np.where(before[:, None] > 0.0, self.momentum[used] / before[:, None] - mean, 0.0)
+        joined = (before * own / (before + own))[:, None, None] * moved[:, :, None] * moved[:, None, :]
+        for a in range(3):
+            for b in range(3):
+                joined[:, a, b] += summed(mass * about[:, a] * about[:, b])
+        self.kinetic[used] += joined
+        self.number[used] += summed(np.ones(len(cell)))
+        self.volume[used] += summed(4.0 / 3.0 * np.pi * radius**3)
+        self.mass[used] += own
+        self.momentum[used] += carried
+        self.moments += 1
+        return cell
+
+
+def transferred(grid: Grid, branches: Branches) -> FloatArray:
+    """Return Σ ℓ ⊗ J of branch vectors by cell, (cells, 3, 3) J: ℓ is the part of a vector in the cell."""
+    total = np.zeros((grid.count, 3, 3))
+    if len(branches.start):
+        row, cell, fraction = grid.cut(branches.start, branches.reach, branches.time)
+        used, place = np.unique(cell, return_inverse=True)
+        reach, impulse = fraction[:, None] * branches.reach[row], branches.impulse[row]
+        for a in range(3):
+            for b in range(3):
+                total[used, a, b] = np.bincount(place, reach[:, a] * impulse[:, b], len(used))
+    return total

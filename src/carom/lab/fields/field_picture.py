@@ -1,0 +1,108 @@
+"""The picture of fields: means over the depth of the grid, in a panel for each field."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from carom.arrays import FloatArray
+from carom.errors import needing
+from carom.lab.fields.field_arrays import Fields
+from carom.scene.units.dimension import ENERGY, LENGTH, PRESSURE, TIME, VELOCITY, Dimension
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+INK, FAINT = "#1b2a3a", "#8a94a0"
+PANEL = 3.3  # inches, the longer side of a panel
+MOST_ARROWS = 14  # along a side
+_PLAIN = Dimension("number", "", (0, 0, 0, 0), "3")
+
+
+class Panel(NamedTuple):
+    """A field as an image."""
+
+    label: str
+    values: FloatArray  # (across, up)
+    dimension: Dimension
+    arrows: tuple[FloatArray, FloatArray] | None = None  # components along the picture's axes
+
+
+def draw(fields: Fields, path: Path) -> None:
+    """Draw the fields into a PNG or SVG, in the units of the scene.
+
+    The picture's plane is the one with most cells, with z upwards if it is one of its axes. Densities and stresses are
+    means over the depth; velocity, temperature and coordination are weighted with mass and number. Raises
+    ExperimentError if matplotlib is not installed.
+    """
+    with needing("plot", "a picture of fields", "matplotlib"):
+        import matplotlib as mpl  # noqa: PLC0415 - an extra
+        from matplotlib.figure import Figure  # noqa: PLC0415
+    depth = min(range(3), key=lambda axis: (fields.shape[axis], (1, 0, 2)[axis]))  # of equal ones y
+    across, up = (axis for axis in range(3) if axis != depth)
+    panels = [panel for panel in _panels(fields, depth, across, up) if np.isfinite(panel.values).any()]
+    width, height = (fields.shape[axis] * fields.cell[axis] for axis in (across, up))
+    longer = max(width, height)
+    columns = 3
+    rows = -(-len(panels) // columns)
+    size = PANEL * max(width / longer, 0.45) + 1.2, PANEL * max(height / longer, 0.3) + 0.9
+    colours = {"axes.edgecolor": FAINT, "text.color": INK, "axes.labelcolor": INK}
+    style: Any = {"font.size": 8, "svg.fonttype": "none"} | colours
+    with mpl.rc_context(style):
+        figure = Figure(figsize=(size[0] * columns, size[1] * rows + 0.4), layout="constrained", dpi=150)
+        places = figure.subplots(rows, columns, squeeze=False).ravel()
+        for axes, panel in zip(places, panels, strict=False):
+            _show(axes, panel, fields, across, up)
+        for axes in places[len(panels) :]:
+            axes.set_visible(False)
+        span = fields.units.span(fields.start, fields.end, TIME)
+        figure.suptitle(f"{fields.title}, mean of {span} and over {'xyz'[depth]}", fontsize=10)
+        figure.savefig(path, format=path.suffix[1:])
+
+
+def _panels(fields: Fields, depth: int, across: int, up: int) -> list[Panel]:
+    """Return the means over the depth of the grid."""
+
+    def mean(values: FloatArray, weight: FloatArray | None = None) -> FloatArray:
+        if weight is None:
+            return np.asarray(values.mean(axis=depth))
+        with np.errstate(invalid="ignore"):
+            return np.asarray(np.nansum(values * weight, axis=depth) / weight.sum(axis=depth))
+
+    velocity = [mean(fields.velocity[..., axis], fields.density) for axis in range(3)]
+    speed = np.sqrt(np.sum(np.square(velocity), axis=0))
+    kinetic, contact = (
+        np.trace(each, axis1=3, axis2=4) / 3.0 for each in (fields.kinetic_stress, fields.contact_stress)
+    )
+    known = np.isfinite(fields.coordination).any()
+    coordination = mean(fields.coordination, fields.number_density) if known else np.full(speed.shape, np.nan)
+    return [
+        Panel("solid fraction", mean(fields.solid_fraction), _PLAIN),
+        Panel("velocity", speed, VELOCITY, (velocity[across], velocity[up])),
+        Panel("granular temperature", mean(fields.granular_temperature, fields.number_density), ENERGY),
+        Panel("pressure of moving bodies", mean(kinetic), PRESSURE),
+        Panel("pressure of contacts", mean(contact), PRESSURE),
+        Panel("lasting contacts of a body", coordination, _PLAIN),
+    ]
+
+
+def _show(axes: Axes, panel: Panel, fields: Fields, across: int, up: int) -> None:
+    units = fields.units
+    values = panel.values * units.shown(1.0, panel.dimension)
+    x, y = (fields.faces(axis) * units.shown(1.0, LENGTH) for axis in (across, up))
+    image = axes.pcolormesh(x, y, values.T, cmap="viridis", vmin=min(0.0, np.nanmin(values)), rasterized=True)
+    bar = axes.figure.colorbar(image, ax=axes, shrink=0.8)
+    bar.outline.set_visible(False)
+    if panel.arrows is not None and np.nanmax(values) > 0.0:
+        every = max(1, -(-max(values.shape) // MOST_ARROWS))
+        middle = [(faces[1:] + faces[:-1])[::every] / 2.0 for faces in (x, y)]
+        along, upwards = (component[::every, ::every].T for component in panel.arrows)
+        longest = np.nanmax(values) / (every * (x[1] - x[0]))  # velocity over the length of its arrow
+        one = units.shown(1.0, panel.dimension)
+        how: Any = {"angles": "xy", "scale_units": "xy", "scale": longest, "pivot": "middle", "width": 0.006}
+        axes.quiver(*middle, along * one, upwards * one, color="white", **how)
+    axes.set(xlabel=units.labelled("xyz"[across], LENGTH), ylabel=units.labelled("xyz"[up], LENGTH), aspect="equal")
+    axes.set_title(units.labelled(panel.label, panel.dimension), fontsize=8)
+    axes.tick_params(which="both", color=FAINT)
