@@ -14,7 +14,7 @@ RESERVED = "64M"  # addresses that an allocator of Rerun or Arrow reserves at a 
 
 
 def main() -> None:
-    """Run the command. Until its modules are imported, a signal ends it with one line: there is nothing to close."""
+    """Run the command. While carom imports its modules, a signal ends it with one line: nothing is open yet."""
     if os.name != "posix":
         sys.exit("carom: runs on Linux, macOS and other POSIX systems only; on Windows, use WSL")
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):

@@ -21,7 +21,7 @@ class Claims:
     """The size that a record batch claims to have."""
 
     rows: int
-    lengths: IntArray  # of each array and of each child of one
+    lengths: IntArray  # of each array, and of each array within it
     buffer_bytes: int  # summed over all buffers
     compressed: bool  # whether each buffer is compressed, and begins with its uncompressed size
     buffers: IntArray  # (b, 2) offset in the body and length of each buffer

@@ -58,8 +58,8 @@ def turning_impulses(
 ) -> FloatArray:
     """Return the angular impulses of contacts on both bodies about their centres, (k, 2, 3) N m s: ρ λ_t × n ± Λ.
 
-    Given are the normals, (k, 3), the arms ρ, (k, 2) m, the friction λ_t, (k, 3) N s, and Λ, (k, 3) N m s, or no
-    columns where no law resists rolling.
+    Given are the normals, (k, 3), the arms ρ, (k, 2) m, the friction λ_t, (k, 3) N s, and the angular impulses Λ, (k,
+    3) N m s. Where no law resists rolling, Λ has no columns.
     """
     turns = arms[:, :, None] * np.cross(friction, normal)[:, None, :]
     if angular.shape[1]:
@@ -71,7 +71,7 @@ ROUNDED_OVERLAP = 1e-13  # of a radius; largest overlap by rounding of bodies th
 
 
 class PairSums(NamedTuple):
-    """Sums over the impacts of each pair of groups that met, (k,), in order of the pairs."""
+    """Sums over the impacts between two groups, (k,), in the order of the pairs of groups."""
 
     first: IntArray  # the lower number, in the ascending order of the groups
     second: IntArray  # the number of groups stands for planes and walls

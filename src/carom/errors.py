@@ -1,6 +1,7 @@
 """The exceptions that carom raises, each with a sentence for a person, and the commands that install missing packages.
 
-Users need the four in ``__all__``. The others let callers inside carom tell one kind of `RecordingError` from another.
+Users need the four in ``__all__``. The other classes are kinds of `RecordingError`, which callers inside carom
+distinguish.
 """
 
 from __future__ import annotations
@@ -63,7 +64,7 @@ class ExistsError(RecordingError):
 
 
 class NotRecordedError(RecordingError):
-    """The recording does not hold what is asked; `carom.rerun` computes it, unless another engine made the run."""
+    """The recording lacks the requested data. `carom.rerun` computes them, unless another engine made the run."""
 
     def __init__(self, path: Path, what: str, engine: str = "") -> None:
         remedy = f"it was recorded from {engine}, which carom cannot rerun" if engine else "carom.rerun computes it"

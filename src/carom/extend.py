@@ -1,4 +1,4 @@
-"""The interface for authors of packages that extend carom, in addition to that of `carom`.
+"""The interface for packages that extend carom, in addition to the names of `carom`.
 
 An extension is a package that names its parts in its ``pyproject.toml``, as `carom.registry` describes;
 ``examples/extension`` has parts of most kinds. docs/extending.md says what each name means. Names are imported at their

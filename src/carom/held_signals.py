@@ -16,9 +16,10 @@ ENDING = (signal.SIGTERM, signal.SIGHUP)  # sent by Slurm, Kubernetes and `kill`
 def signals_held() -> Iterator[None]:
     """Let the handlers of signals run afterwards, each once, in the order in which the signals came.
 
-    A handler may raise, as that of Ctrl-C does. An import that an exception ends leaves modules half made, which a
-    later import takes for whole: Numba and NumPy then fail until the process ends. LLVM's callbacks drop the exception,
-    and link a kernel to address zero. Outside the main thread, where no handler runs, nothing is held.
+    A handler may raise an exception, as the handler of Ctrl-C does. An import that an exception ends leaves modules
+    half made, which a later import takes for whole: Numba and NumPy then fail until the process ends. LLVM's callbacks
+    drop the exception, and link a kernel to address zero. Outside the main thread, where no handler runs, nothing is
+    held.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
@@ -38,7 +39,7 @@ def signals_held() -> Iterator[None]:
     try:
         yield
     finally:
-        with contextlib.ExitStack() as afterwards:  # the last of it first; all of it, though handlers raise
+        with contextlib.ExitStack() as afterwards:  # the last signal first, and all signals, even if a handler raises
             for number in reversed(dict.fromkeys(held)):
                 afterwards.callback(signal.raise_signal, number)
             for number, handler in handlers.items():

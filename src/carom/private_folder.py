@@ -36,7 +36,7 @@ def private_folder() -> Path:
     """
     with _guard:
         known = _made.get(os.getpid())
-        if known is None or not known[0].is_dir():  # a fork has its own; another program may have removed it
+        if known is None or not known[0].is_dir():  # in a forked process, or if another program removed it
             known = _made[os.getpid()] = _make()
             atexit.register(remove_private_folder)
         return known[0]

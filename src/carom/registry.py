@@ -132,7 +132,7 @@ HOUSE: Mapping[str, Mapping[str, str]] = {  # carom's own parts: kind → name �
     },
 }
 
-MADE_OF: Mapping[str, tuple[str, ...]] = {  # kind → the classes of its parts; those of other kinds are called
+MADE_OF: Mapping[str, tuple[str, ...]] = {  # kind → the classes of its parts; parts of other kinds are functions
     "forces": ("carom.scene.installed_forces:BodyForce", "carom.scene.installed_forces:PairForce"),
     "contact_laws": ("carom.scene.contact_laws:ContactLaw",),
     "walls": ("carom.scene.wall_shapes:WallShape",),
@@ -241,7 +241,7 @@ def imported(target: str) -> Any:
 
 @cache
 def _installed() -> Mapping[str, Mapping[str, tuple[PartOrigin, ...]]]:
-    """Return the parts of installed packages by kind and name; a package found twice counts once."""
+    """Return the parts of installed packages by kind and name; a package that is found twice appears once."""
     from importlib.metadata import distributions  # noqa: PLC0415 - takes 20 ms, which `carom --version` need not wait for
 
     found: dict[str, dict[str, dict[str, PartOrigin]]] = {}

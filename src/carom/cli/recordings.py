@@ -128,7 +128,7 @@ def repair(
     if in_place and torn.exists() and not force:
         raise RecordingError(f"{torn}: exists, from an earlier repair; move it away, or give --force to replace it")
     refuse_output(path, force or in_place)
-    with Claim(file) if in_place else nullcontext():  # a running simulation's file looks like that of a killed one
+    with Claim(file) if in_place else nullcontext():  # the file of a running simulation looks as if it was killed
         done = mend(file, path)
         if in_place and done.path is not None:
             file.replace(torn)
@@ -159,8 +159,8 @@ def export(
 ) -> None:
     """Write bodies, contacts and energies, in double precision, for ParaView, OVITO, pandas or NumPy.
 
-    States between checkpoints are computed again. Tables (.parquet, .csv, .arrow) have contacts and energies in files
-    of their own beside that of the bodies. With --all, a .vtk becomes a folder of files and a .vtk.series.
+    States between checkpoints are computed again. Tables (.parquet, .csv, .arrow) have contacts and energies in
+    separate files beside the file of the bodies. With --all, a .vtk becomes a folder of files and a .vtk.series.
     """
     from carom.errors import RecordingError
     from carom.recording.edit.bundle import opened

@@ -298,8 +298,8 @@ def _print(result: Replay, units: UnitSystem) -> None:
 def warmup(scenes: ScenesArgument = None, as_json: JsonOption = False) -> None:
     """Compile the kernels of most scenes now, so that later runs start at once.
 
-    Scenes with walls other than those of the domain, a sheared box or a contact law other than coulomb have kernels of
-    their own: name such scenes to compile these, too.
+    Scenes with a [[wall]], a sheared box, or a contact law other than coulomb need further kernels: name such scenes to
+    compile these, too.
     """
     from dataclasses import asdict
 

@@ -199,7 +199,7 @@ def _table(first: str, share: str) -> Table:
 
 
 def _entities(entities: list[EntityCost]) -> Table:
-    """Show the entities: a row for those of one folder with the same reason, and one for those not recorded."""
+    """Show the entities: a row for each folder and reason, and one row for the entities that are not recorded."""
     from carom.recording.schema.series import ONCE
 
     rows: dict[tuple[str, str], list[EntityCost]] = {}

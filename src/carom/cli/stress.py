@@ -49,7 +49,7 @@ class Trial:
 
     @property
     def reason(self) -> str:
-        """Why it did not complete or meet a criterion; empty if it met all."""
+        """Why the run did not complete or missed a criterion; empty if it met all criteria."""
         return self.outcome.reason if self.outcome else self.refusal
 
     @property

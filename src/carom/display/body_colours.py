@@ -1,4 +1,4 @@
-"""The colours of the bodies of a recording; no other module decides on the colour of a body in a view or plot.
+"""The colours of the bodies in a recording. No other module decides the colour of a body in a view or plot.
 
 The 3D views, the close-up, trails and curves of single bodies all use `BodyColours`. If colours change with time (by
 speed, graph or island), curves have other colours.
@@ -36,7 +36,7 @@ _RECORDED = ("Ellipsoids3D:colors", "Points3D:colors")
 class BodyColours:
     """The colours of all bodies that a recording shows, as its views draw them."""
 
-    steps: IntArray  # (k,) of the frames at which the colours may change; one frame if they are constant
+    steps: IntArray  # (k,) steps of the frames at which colours may change; one frame if they are constant
     times: FloatArray  # (k,) s, of these frames
     colours: ColourArray  # (k, n) 0xRRGGBBAA
 
@@ -51,7 +51,7 @@ class BodyColours:
         return BodyColours(self.steps, self.times, shown)
 
     def of(self, places: Sequence[int]) -> BodyColours:
-        """Return the colours of some bodies, by their indices among those that the recording shows."""
+        """Return the colours of some bodies, given by their indices among the shown bodies."""
         return BodyColours(self.steps, self.times, self.colours[:, list(places)])
 
     def rows(self, header: Header) -> Rows:
@@ -115,13 +115,13 @@ def _of_rows(recording: Recording, header: Header, places: Sequence[int], rows: 
 
 
 def trail_colours(recording: Recording, header: Header, by: str, theme: str) -> ColourArray:
-    """Return the colours (n,) of trails: those of the bodies if they are constant, otherwise those of the groups."""
+    """Return the colours (n,) of trails: the colours of the bodies if they are constant, otherwise of the groups."""
     fixed = header.static_colours(by if by in STATIC_COLOURS else "group")
     return palette.legible(fixed[recording.shown], theme)
 
 
 def fixed_colours(recording: Recording) -> ColourArray:
-    """Return the colours (n,) of the bodies on a dark background; those of their groups if they change with time."""
+    """Return the colours (n,) of the bodies on a dark background, or of their groups if the bodies change colour."""
     header = header_of_recording(recording)
     if shape(header) == "mesh":
         return np.full(len(header.radius), palette.SKY, dtype=np.uint32)

@@ -4,9 +4,9 @@ These bodies have their own colours, and the others are faded. An edge stays at 
 that it marks the place of an impact while the bodies move on.
 
 The graph has bodies in rows, from the first cause down to the bodies in question, connected by impulses. Rerun's own
-graphs (0.41) have edges without widths, colours or labels, and their labels overlap. This one consists of lines and
-points in a 2D view, whose units are points of the screen in a window of the usual size. A label is centred below its
-point.
+graphs (0.41) have edges without widths, colours or labels, and their labels overlap. The graph consists of lines and
+points in a 2D view. A unit of this view is a point of the screen in a window of the usual size. A label is centred
+below its point.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ _WIDEST = 4.0  # points, radius of the line of a large impulse
 _HEIGHT, _LETTER, _BORDER = 26.0, 7.0, 12.0  # points, of a label: height, mean width of a letter, both borders
 _GAP, _WIDE = 24.0, 180.0  # points: smallest gap between neighbouring labels; usual distance of neighbours
 _ALONG = (0.5, 0.38, 0.62, 0.28, 0.72)  # positions of a label along its edge, in the order in which they are tried
-MOST_EDGES = 200  # edges that are drawn, those with the largest shares
+MOST_EDGES = 200  # edges that are drawn: the ones with the largest shares
 _CONE, _OTHERS, _ASKED, _TRAILS, _EDGES, _TEXT = (
     *(f"world/{name}" for name in ("cone", "others", "asked", "trails", "edges")),
     "why",
@@ -149,7 +149,7 @@ class CauseGraph:
         return place
 
     def _steps(self) -> Iterator[list[int]]:
-        """Yield the nodes at each distance from those in question; nodes without a path to them come last."""
+        """Yield the nodes by their distance from the asked bodies; nodes without a path to these come last."""
         left, step = set(range(self.asked, len(self.names))), list(range(self.asked))
         while step:
             yield step

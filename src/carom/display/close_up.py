@@ -1,7 +1,7 @@
 """The close-up view: the two bodies of a contact with normal, impulse and spins; all other bodies are faint.
 
-Its entities are not in the file; the viewer gets them in a `Supplement`. The bodies move through all frames, and the
-camera follows them. Edge and arrows belong to one step.
+The entities of a close-up are not in the file; the viewer gets them in a `Supplement`. The bodies move through all
+frames, and the camera follows them. Edge and arrows belong to one step.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ _BELOW = 32.0  # points, from the place of a label to its lower edge
 _ROUNDING = 1e-9  # of the faster spin; a slower one is rounding
 _TOUCHING = 1e-9  # of a radius; a smaller gap is rounding
 _FADED = {"dark": 0x3C4250FF, "light": 0xC4C8D0FF}  # wires of other bodies
-_ALIKE = 0.08  # largest difference of the shares of red, green and blue of two shades of one hue
+_ALIKE = 0.08  # two shades have one hue if their shares of red, green and blue differ by at most this
 _UNSEEN = 1e-6  # size of the invisible points that the camera follows, in radii of the smaller body
 
 
@@ -112,7 +112,7 @@ class CloseUp:
     instant: ShownStep | None  # the time of an impact within the step, at which normal, impulse and spins are drawn
     position: FloatArray  # (b, 3) m, where normal, impulse and spins are drawn
     contact: Contact | None  # None if they do not touch in this step, or its contacts are unknown
-    spin: FloatArray | None  # (b, 3) rad/s; at an instant, those after the impact
+    spin: FloatArray | None  # (b, 3) rad/s; at an instant, after the impact
     spin_before: FloatArray | None  # (b, 3) rad/s, before the impact of an instant
     middle: FloatArray  # (3,) m, of the bodies as they are drawn
     paths: DrawnPaths | None
@@ -437,7 +437,7 @@ def close_up(
 def _told_apart(colours: BodyColours, theme: str) -> BodyColours:
     """Return colours by which two bodies can be told apart: their own, unless these are shades of one hue.
 
-    Colours that change with time, such as those of speeds, mean something, and stay.
+    Colours that change with time, such as colours by speed, have a meaning, so they stay.
     """
     fixed = colours.fixed
     if fixed is None or len(fixed) < 2 or not _alike(int(fixed[0]), int(fixed[1])):
@@ -510,7 +510,7 @@ def _fit(radius: FloatArray, position: FloatArray, contact: Contact | None) -> C
 
 
 def _nearest_images(position: FloatArray, box: FloatArray | None) -> FloatArray:
-    """Return the positions, (..., b, 3) m, of the first body and of the images of the others nearest to it."""
+    """Return positions, (..., b, 3) m: of the first body, and of each other body's image nearest to the first."""
     if box is None:
         return position
     first = position[..., :1, :]

@@ -172,7 +172,7 @@ def _forward_calls(connection: socket.socket, port: int) -> None:
 
 
 def _forward(source: socket.socket, sink: socket.socket) -> None:
-    """Copy data from one socket to another, until it ends."""
+    """Copy data from one socket to another until the data end."""
     with contextlib.suppress(OSError):
         while piece := source.recv(_PIECE):
             sink.sendall(piece)
@@ -211,7 +211,7 @@ class _Children:
         self._started.append(process)
 
     def ended(self) -> int | None:
-        """Return the exit status of the last one; None while it runs."""
+        """Return the exit status of the last process; None while it runs."""
         return self._started[-1].poll()
 
 
@@ -251,7 +251,7 @@ def _wait_for(children: _Children, port: int) -> None:
 
 
 def keep(parent: int, report: int, folder: Path, options: Sequence[str], screen: str, command: Sequence[str]) -> int:
-    """Run a viewer until it ends, or the process that started this one does; return its exit status.
+    """Run a viewer until it or the parent process ends; return the viewer's exit status.
 
     Once the viewer listens, its port is written to the descriptor ``report``. ``folder`` is its temporary folder,
     ``options`` are of `SHARED` and `LIVE`, ``screen`` is WIDTHxHEIGHT of a virtual screen to run it on, or empty, and

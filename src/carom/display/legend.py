@@ -1,8 +1,8 @@
 """The legend of the 3D views: the meaning of each colour, arrow and edge, and the scale of the arrows.
 
-It has a label for each entry in the colour that it explains, and names only what is drawn. Beside several views it is a
-view of its own; in a picture of a single view it is in a corner. A recording does not hold it: the viewer gets it in a
-`Supplement`.
+It has a label for each entry in the colour that it explains, and names only what is drawn. Beside several views the
+legend is a separate view; in a picture of a single view it is in a corner. A recording does not hold it: the viewer
+gets it in a `Supplement`.
 """
 
 from __future__ import annotations
@@ -116,7 +116,7 @@ class Legend:
         return replace(self, entries=[*head, *self.entries], clock=clock if isinstance(clock, MovieClock) else None)
 
     def fitted(self, area: Area) -> Legend:
-        """Return the lines for a view of this area: broken between words, and of many bodies only the first ones."""
+        """Return a legend that fits into an area: long lines are broken, and the last of many bodies are left out."""
         entries, rows = list(self.entries), int((area.height - 2.0 * _MARGIN) / _ROW)
         while len(found := list(_wrapped(entries, area.width))) > rows:
             named = [k for k, entry in enumerate(entries) if entry.bodies]
@@ -153,7 +153,7 @@ class Legend:
     def beside(self, area: Area) -> DrawnLabels:
         """Return the lines for a view of this area as labels of invisibly small points.
 
-        A label is centred below its point, and its size does not change with that of the view. Spaces make all labels
+        A label is centred below its point, and its size does not depend on the size of the view. Spaces make all labels
         equally wide, so that their left ends are below one another in larger views, too.
         """
         fitted, wide = self.fitted(area), area.width - 2.0 * _MARGIN
@@ -165,7 +165,7 @@ class Legend:
         )
 
     def inside(self, view: View, area: Area, corner: tuple[int, int], poses: Sequence[View] = ()) -> DrawnLabels:
-        """Return the same for a corner of a 3D view of this area; the clock is in each of the ``poses``, if any."""
+        """Return the labels for a corner of a 3D view; the clock is repeated for each of the ``poses``, if any."""
         start = (np.array([area.width, area.height]) - self.size) * [corner[0] > 0, corner[1] < 0]
 
         def place(text: str, row: int, time: int | None = None) -> FloatArray:
@@ -425,7 +425,7 @@ _ROUNDING = 1e-9  # of the largest normal impulse; friction below it is rounding
 
 
 def drawn_during(recording: Recording, header: Header) -> LegendContents:
-    """Return what is drawn at some time of a run; ``header`` is that of its layout."""
+    """Return what is drawn at some time of a run; ``header`` is the header of the layout."""
     records = header.records_contacts
     impacts = records and any(entry.rows for entry in recording.store.frames_of(paths.IMPACTS))
     rubs = records and header.has_friction and _has_arrows(recording, paths.FORCE_FRICTION)

@@ -23,7 +23,7 @@ _LETTERS = {
 }
 _LETTERS |= {9.3: "CDGHNOQUωw%", 11.6: "mMW—→■½"}
 _WIDTHS = {letter: width for width, letters in _LETTERS.items() for letter in letters}  # points, measured in a picture
-_MEAN = 7.5  # points, of other letters
+_MEAN = 7.5  # points, width of other letters
 _KEPT_SPACE, _KEPT_WIDTH = "\u00a0", 3.4  # a space that is kept, and its width
 _END = "\u00ad"  # nothing to be seen; the viewer cuts spaces at the end of a label
 

@@ -27,7 +27,7 @@ from carom.recording.write.rows import NO_STEPS, NO_TIMES, Index, Rows
 
 @dataclass(frozen=True, slots=True)
 class Margins:
-    """What stands in the margins of the view of the bodies, or of another single view."""
+    """What stands in the margins of a single view, usually the view of the bodies."""
 
     view: View
     area: Area

@@ -42,7 +42,7 @@ from carom.scene.units.dimension import TIME
 FORMATS = (".mp4", ".gif")
 
 _MOST_VIEWERS = 4
-_FRAMES_EACH = 20  # pictures for which it pays to start another viewer, which takes seconds
+_FRAMES_EACH = 20  # pictures that justify another viewer, whose start takes seconds
 _LOOKS = 50  # frames among which a legend finds a free corner
 _PICTURES_EACH = 4  # at least, for each impact around which a movie is slow
 _SLOW_EACH, _MOST_SLOW = 0.05, 0.5  # of a movie, at most, around each impact and around all

@@ -27,8 +27,8 @@ def show(
 ) -> None:
     """Display Rerun's viewer below the cell of a notebook, paused at a moment. Needs `carom[notebook]`.
 
-    The moment, the event and the bodies are those of `carom.view`; the height is in pixels, the width that of the cell.
-    Raises RecordingError if there is no such moment, event or body, or rerun-notebook is not installed.
+    The moment, the event and the bodies are chosen as in `carom.view`. The height is in pixels; the width is the width
+    of the cell. Raises RecordingError if there is no such moment, event or body, or rerun-notebook is not installed.
     """
     recording = recording if isinstance(recording, Recording) else Recording.open(recording)
     request = Request(at, event, bodies)

@@ -88,7 +88,7 @@ _SERIES = {
 _LARGEST = 100_000_000  # bytes of positions; of a longer recording, every k-th frame is shown
 _BATCH = 4_000_000  # bytes
 _SEEN = 0.02  # of the median radius: shorter lines are hidden inside the spheres
-_HALO = 1.04  # scale of B's spheres: at equal size, those of A would hide them
+_HALO = 1.04  # scale of B's spheres: at equal size, A's spheres would hide them
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,7 +110,7 @@ def write_overlay(
     series: Mapping[str, FloatArray],
     text: str,
 ) -> None:
-    """Write both recordings into one; ``pairs`` are ``count`` frames, ``series`` holds a value for each of them."""
+    """Write both recordings into one; ``pairs`` yields ``count`` pairs of frames, each with a value of ``series``."""
     radius = a.bodies.radius[a.shown][: len(b.shown)]  # some bodies may come in one run only
     names, origin = list(a.bodies.name[: len(radius)]), a.origin
     every = max(1, int(np.ceil(count * len(radius) * 60 / _LARGEST)))

@@ -208,7 +208,7 @@ def headless(recording: Recording, size: tuple[int, int], theme: str) -> Iterato
 
 
 def stable_picture(viewer: Viewer, view: str | None) -> bytes:
-    """Take pictures until they no longer change, since the viewer loads in parts; return the last one."""
+    """Take pictures until two are equal, since the viewer loads in parts; return the last picture."""
     alike, last = 0, b""
     end = time.monotonic() + _LIMIT
     while alike < _ALIKE:

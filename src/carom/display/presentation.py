@@ -255,7 +255,7 @@ def presentation(
 
 
 def uniform_field(recording: Recording, header: Header) -> FloatArray | None:
-    """Return the uniform field (3,) m/s² of a recording; None if it has none, or its scene cannot be read."""
+    """Return the uniform field (3,) m/s² of a recording; None if there is no field, or the scene cannot be read."""
     if UNIFORM_FIELD.name not in header.forces or not recording.scene_toml:
         return None
     try:
@@ -278,7 +278,7 @@ _References = dict[str, float]
 def _steps(
     recording: Recording, header: Header, step: ShownStep, references: _References
 ) -> tuple[list[Rows], _References]:
-    """Return the rows of the repeated steps, unless all of them are recorded, and the magnitudes of arrows.
+    """Return the rows of the repeated steps, and the magnitudes of arrows; no rows if all steps are recorded.
 
     The steps may be the first with arrows, which then determine the magnitudes.
     """

@@ -30,8 +30,8 @@ from carom.state.frame import CollisionGraph, Frame
 class Request:
     """A moment of a recording, the bodies to show close up, plots, and colours.
 
-    Without a time and an event, the moment is the hardest impact or, without impacts, that of the most contacts. Both
-    together raise RecordingError.
+    Without a time and an event, the moment is the hardest impact or, without impacts, the step with the most contacts.
+    Both together raise RecordingError.
     """
 
     at: float | None = None  # s
@@ -49,7 +49,7 @@ class Request:
 
 
 def pair_of_step(frame: Frame, bodies: int) -> Pair | None:
-    """Return the ends of the contact with the largest impulse (if unknown, of the first); None without contacts."""
+    """Return the ends of the contact with the largest impulse, or of the first contact; None without contacts."""
     graph = frame.contacts
     if not len(graph):
         return None
@@ -73,7 +73,7 @@ class ShownStep:
 
     step: int
     time: float  # s, at its end
-    position: FloatArray  # (n, 3) m, from the recording's origin, of the bodies that it shows
+    position: FloatArray  # (n, 3) m, of the shown bodies, from the recording's origin
     frame: Frame | None = None  # the step, if it was repeated
     before: Frame | None = None  # the frame before those in `added`
     added: Sequence[Frame] = ()  # repeated steps: this one, the steps between recorded frames, and the frame after them
@@ -181,7 +181,7 @@ def at_impact(
 
 
 def _row_of(step: int, steps: IntArray) -> int | None:
-    """Return the row of a step's frame; None if it has none."""
+    """Return the row of a step's frame; None if the step has no frame."""
     row = int(np.searchsorted(steps, step))
     return row if row < len(steps) and steps[row] == step else None
 

@@ -226,7 +226,7 @@ def axes_and_field(
 
 
 def _round_length(most: float, header: Header) -> float:
-    """Return the longest length (m) of at most ``most`` that is 1, 2 or 5 times a power of ten of the scene's unit."""
+    """Return the longest round length (m) up to ``most``: 1, 2 or 5 times a power of ten, in the scene's unit."""
     shown = header.units.shown(most, dimension.LENGTH)
     power = 10.0 ** np.floor(np.log10(shown))
     return float(most * max(step for step in (1.0, 2.0, 5.0) if step * power <= shown) * power / shown)
@@ -235,7 +235,7 @@ def _round_length(most: float, header: Header) -> float:
 def names_that_fit(header: Header, position: FloatArray, view: View, area: Area) -> tuple[str, ...]:
     """Return the names (n,) of bodies at (n, 3) m if they are few, otherwise ().
 
-    Of two names that would overlap in a view of this area, that of the smaller body is empty.
+    Where two names would overlap in a view of this area, the name of the smaller body is empty.
     """
     n = len(position)
     if not any(header.names) or n > MOST_NAMES or n != len(header.names) or shape(header) != "ellipsoids":

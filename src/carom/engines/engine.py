@@ -147,7 +147,7 @@ class Engine(Protocol):
         """
 
     def samples_steps(self, scene: Scene) -> bool:
-        """Return whether `follow` takes its samples from the ends of steps, as `watch` does."""
+        """Return whether `follow` samples the ends of steps, as `watch` does."""
 
     def run(self, scene: Scene, setting: Setting) -> float:
         """Run a scene without sampling; return the seconds that the engine took: CPU time if it uses one thread."""
@@ -296,7 +296,7 @@ class _Walk:
         self.observer = observer
         self.frame: Frame  # the last one
         self.recorder: Any = None  # None if the run is not recorded
-        self._due = 0.0  # s, of the next recorded frame
+        self._due = 0.0  # s, time of the next recorded frame
         self._simulation, self._scene, self._times = simulation, scene, times
         self._position: list[FloatArray] = []  # at the first of the times, interpolated between the ends of steps
         self._velocity: list[FloatArray] = []
@@ -402,7 +402,7 @@ class InOrder:
 
 
 def _copied(state: State) -> State:
-    """Copy a state that may be a view of the engine's memory, since the observer keeps it until the next one."""
+    """Copy a state that may be a view of the engine's memory, since the observer keeps it until the next state."""
     arrays = (state.position, state.velocity, state.orientation, state.angular_velocity)
     position, velocity, turn, spin = (None if each is None else np.array(each, dtype=np.float64) for each in arrays)
     return State(state.time, position, velocity, turn, spin, state.contacts)

@@ -198,7 +198,7 @@ class Proximity:
         return CollisionGraph(near.pairs[touching], near.normal[touching], -near.gap_now[touching], colours)
 
     def graph_of_rows(self, rows: Records, position: FloatArray) -> CollisionGraph:
-        """Return the graph of an engine's contacts, (m,) `CONTACT_ROW`; their overlaps are those of the spheres."""
+        """Return the graph of an engine's contacts, (m,) `CONTACT_ROW`, with the overlaps of the spheres."""
         if len(rows) == 0:
             return empty_graph()
         setup, n = self._setup, len(self._setup)
@@ -271,6 +271,6 @@ def lengths(vectors: FloatArray) -> FloatArray:
 
 
 def cross(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Return a × b of vectors (3,), or of rows of three; `numpy.cross` takes eight times as long for a few."""
+    """Return a × b for vectors (3,) or rows of vectors; `numpy.cross` takes eight times as long for a few rows."""
     (x, y, z), (u, v, w) = a.T, b.T
     return np.ascontiguousarray(np.array([y * w - z * v, z * u - x * w, x * v - y * u]).T)

@@ -168,7 +168,7 @@ class Recorder:
     def frame(self) -> bool:
         """Record the present state; return whether the recording continues. Raises nothing, see `problems`.
 
-        Threads take turns; a call within `state` of the source is refused, since it would record the same state again.
+        Threads take turns. A call from within the source's `state` is refused, since it would record a state twice.
         """
         this = threading.get_ident()
         if self._owner == this:

@@ -7,7 +7,8 @@ neither a plane nor anything fixed,
     Δ Σ (m (x - X) × (v - V) + I ω) = 0        angular momentum about the centre of mass X
 
 hold for any contact model. The energy never rises, and falls only in contacts. A soft contact returns energy, so a rise
-counts only once it exceeds the energy that the contact has absorbed. Bodies that attract each other are one cluster.
+is a fault only once it exceeds the energy that the contact has absorbed. Bodies that attract each other are one
+cluster.
 """
 
 from __future__ import annotations
@@ -129,7 +130,7 @@ class AuditFinding:
 UNCHANGED = 1e-3  # of the closing speed; a smaller change does not count as contact
 TUNNELLED = 0.5  # of the closing speed; bodies that pass through each other and keep more of it have not collided
 FOUND = 5e-3  # of the smaller radius; at this depth even a soft contact must exert a force
-STILL = 0.05  # of the typical speed; slower contacts are at rest, where forces may balance
+STILL = 0.05  # of the typical speed; bodies that touch and are slower may rest in a balance of forces
 AT_LEAST = 1e-2  # of a typical body's momentum or energy; smaller changes are noise
 OFF_AXIS = 0.3  # of an arm: the impulse of a contact is that far from its normal
 TINY = float(np.finfo(np.float64).tiny)  # replaces a tolerance of 0
@@ -162,7 +163,7 @@ class LawAudit:
         self._owed = np.zeros(len(setup))  # J, absorbed from each body by contacts since it was last free
         self._typical = 0.0  # m/s
         self._fresh = 0  # frames in which two ends begin to overlap
-        self._late: list[Fault] = []  # of these, those in which they still close unchanged, unless they are many
+        self._late: list[Fault] = []  # the part in which bodies still close unchanged, unless they are many
         self._unseen = 0.0  # m/s, too slow to change a position from the previous frame to this one
         self._allowed = 0.0  # J, accumulated error of first-order steps in the uniform field, and of unseen motion
         self.counts: dict[str, int] = {}  # number of frames that violated each law
@@ -175,7 +176,8 @@ class LawAudit:
     ) -> AuditFinding:
         """Judge a moment, given the pairs that may have touched since the moment of the previous frame.
 
-        The potential energies (J) of the bodies' own gravity are those of both moments; None without gravity.
+        Potential energies (J) are given at both moments, for the gravity of the bodies themselves; None without
+        gravity.
         """
         found = AuditFinding()
         relative = now.velocity - self._setup.mass @ now.velocity / self._setup.mass.sum()
@@ -205,7 +207,7 @@ class LawAudit:
         return fault if self.note(fault) else None
 
     def closing(self) -> Iterator[tuple[str, str | int | float]]:
-        """Yield the first fault of each law and the number of its frames, under the dotted keys of `outcome`.
+        """Yield the first fault of each law and the number of frames with one, under the dotted keys of `outcome`.
 
         The number of judged bodies comes first, unless all were judged.
         """
@@ -220,7 +222,7 @@ class LawAudit:
             yield from ((f"laws.{law}.{name}", value) for name, value in found.items())
 
     def go_on(self, earlier: LawAudit) -> None:
-        """Continue the counts of an earlier audit, of other bodies."""
+        """Continue the counts of an earlier audit, which judged other bodies."""
         self.counts, self.first, self.broken = earlier.counts, earlier.first, earlier.broken
         self.worst = earlier.worst
         self._typical, self._allowed = earlier._typical, earlier._allowed
@@ -398,7 +400,7 @@ class LawAudit:
     def _contacts(
         self, place: tuple[int, float], before: EngineMoment, now: EngineMoment, near: Near, found: AuditFinding
     ) -> Iterator[Fault]:
-        """Find overlaps, impacts, impacts that were missed, and those that dissipate what they may not."""
+        """Find overlaps, impacts, missed impacts, and impacts that dissipate too much or too little."""
         if len(near) == 0:
             return
         dt = now.time - before.time

@@ -51,7 +51,7 @@ class Observer:
         first: State,
         tolerances: Tolerances,
         units: UnitSystem = SI,  # of the numbers, and of the numbers in messages about faults
-        present: Present | None = None,  # where bodies come and go, those that exist, whose constants ``setup`` has
+        present: Present | None = None,  # the bodies that exist, whose constants ``setup`` has, if bodies come and go
     ) -> None:
         self.setup = setup
         self.units = units
@@ -89,8 +89,8 @@ class Observer:
     def continued(self, present: Present, state: State) -> Observer:
         """Return the observer for the bodies that exist from a state on.
 
-        The change of energy since the previous frame is due to the bodies that came and went. It counts neither as an
-        error nor as absorbed by contacts. Momenta are compared with those of this state.
+        The change of energy since the previous frame is due to the bodies that came and went. This change is neither an
+        error nor absorbed by contacts. Momenta are compared with the momenta of this state.
         """
         new = Observer(present.setup, state, self._tolerances, self.units, present)
         new.extremes, new._ledger, new._last_time = self.extremes, self._ledger, self._last_time
@@ -205,7 +205,7 @@ class Observer:
         return events
 
     def _potentials(self) -> tuple[dict[str, float], float | None]:
-        """Return the potential energies by their names, and that of the bodies' own gravity, in J."""
+        """Return the potential energies by name, and the potential energy of the bodies' own gravity, in J."""
         found: dict[str, float] = {}
         bodies, pull = self.bodies, None
         if self._gravity is not None:

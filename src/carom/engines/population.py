@@ -32,7 +32,7 @@ class Present:
 
     @property
     def ends(self) -> IntArray:
-        """(k + p,) numbers of the ends of contacts in a frame: of these bodies, and of the planes."""
+        """(k + p,) numbers of the ends of a frame's contacts: the bodies that exist, then the planes."""
         return np.concatenate((self.numbers, self.bodies + np.arange(len(self.setup.planes))))
 
     @property
@@ -169,7 +169,7 @@ def spread(frame: Frame, present: Present) -> PartialFrame:
 
 
 def without_bodies(last: Frame, step: int, time: float) -> PartialFrame:
-    """Return a frame in which no body exists, after another one; nothing happens in it."""
+    """Return a frame in which no body exists and nothing happens, given the previous frame."""
     values: dict[str, Any] = {field.name: getattr(last, field.name) for field in fields(last)}
     for name in ("position", "velocity", "acceleration", "angular_velocity"):
         values[name] = None if values[name] is None else np.full_like(values[name], np.nan)

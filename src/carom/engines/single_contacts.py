@@ -5,8 +5,8 @@ contact follows from the momenta: a leaf of the tree has one unknown impulse. Th
 in any order, at the places of either frame, and the field may have acted before or after them. A law is broken only if
 it is broken for each of these possibilities.
 
-Coefficients of restitution are also compared with those of other impacts of the same materials, which are known only at
-the end of the run.
+At the end of the run, coefficients of restitution are also compared with one another, over all impacts of the same
+materials.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ RUBBED = 0.02  # of the impulse of a contact, the least friction that is judged,
 SPUN = 0.1  # of r |J_t|, the error of a torque
 ALIKE = 9  # impacts, slower and faster, that give the expected coefficient of restitution
 FEWEST = 3  # the same, at least
-KEPT = 0.25  # of J_n times the gain of speed, of which friction may take as much as the contact keeps
-MOSTLY = 0.75  # of the impacts of an engine; the deviations of the others may be faults
+KEPT = 0.25  # of J_n times the gain of speed; friction may dissipate as much as the contact keeps
+MOSTLY = 0.75  # of the impacts of an engine; deviations of the remaining impacts may be faults
 SPREADS = 6.0  # of the deviation that most impacts have: those of PyBullet at planes are as large as their coefficients
 SHALLOW = 1e-3  # of the smaller radius; bodies that overlap less have no elastic energy
 # Least deviation of a coefficient of restitution. Those of soft contacts vary by 0.07 with the phase of a step.
@@ -85,7 +85,7 @@ class ContactLaws:
     def see(
         self, step: int, before: EngineMoment, now: EngineMoment, near: Near, closing: FloatArray, still: float
     ) -> list[Broken]:
-        """Judge the contacts between two moments, given closing speeds of pairs before and what counts as slow, m/s."""
+        """Judge the contacts between two moments, given earlier closing speeds of pairs, and the slow speed, m/s."""
         dt = now.time - before.time
         self._settle(before, now, dt)
         if self._setup.constant or not dt > 0.0 or not self._setup.touches.any():
@@ -105,7 +105,7 @@ class ContactLaws:
         return found
 
     def note(self, impact: IsolatedImpact) -> Iterator[Broken]:
-        """Compare an isolated impact with the model; keep it until the next frame shows whether it was over."""
+        """Compare an isolated impact with the model, once the next frame has shown that the impact was over."""
         self._pending.append(impact)
         known = self._setup.restitution
         if known is not None and impact.differs(known) > self.restitution:
@@ -114,7 +114,8 @@ class ContactLaws:
     def outliers(self) -> Iterator[tuple[IsolatedImpact, Broken]]:
         """Yield the impacts whose coefficient of restitution differs from others of the same materials and speed.
 
-        It differs from both the next slower and the next faster ones, since the coefficient may depend on the speed.
+        A faulty coefficient differs from the coefficients of the next slower and the next faster impact, since it may
+        depend on the speed.
         """
         groups: dict[int, list[IsolatedImpact]] = {}
         for impact in self.impacts:
@@ -266,7 +267,7 @@ class _Tree:
         return np.asarray(slip)
 
     def _contact(self, k: int, laws: ContactLaws, slow: float) -> Iterator[Broken]:
-        """Judge one contact; what it broke, it broke in each order and with each normal."""
+        """Judge one contact: a fault is a deviation that remains in each order of the impacts and with each normal."""
         J, pair = self.impulses[k], self._pairs[k]
         row = self._rows[k]
         i, j = self._ends[k]

@@ -167,7 +167,7 @@ class SnapshotWriter:
         self._put(frame)
 
     def _put(self, frame: Frame) -> None:
-        # the notes since the last frame get the time of this one if they are earlier, as before the first frame
+        # notes since the last frame that are earlier than this one get its time, as before the first frame
         notes: list[Event] = []
         for event in self._unrecorded.events[self._noted :]:
             if event.step > frame.step:

@@ -288,11 +288,11 @@ _Floats = NDArray[np.floating[Any]]
 
 
 class StateMemory:
-    """Memory that holds one state at a time.
+    """Memory for one state.
 
     The engine's thread fills it with few calls: one copy per array, and two passes over the block to check that all
-    numbers are finite. The block holds all numbers; the arrays of the state, and the parts that a `BulkSource` fills,
-    are views of it.
+    numbers are finite. All numbers are in one block: the arrays of the state, and the parts that a `BulkSource` fills,
+    are views of the block.
     """
 
     def __init__(self, state: State, block: _Floats, parts: tuple[NDArray[Any], ...] = ()) -> None:

@@ -34,7 +34,7 @@ TELLING = 5.0  # s between two lines of progress
 STEPS = (4.0, 2.0, 1.0, 0.5)  # step factors of each integrator, if only the integrator matters
 SAMPLES = 200  # times at which trajectories are compared
 EARLIER = (3.0 - 5.0**0.5) / 2.0  # of the time between two samples; the golden section avoids simple ratios
-LATE = 0.9  # of the samples; after it, bodies are assumed to have come to rest
+LATE = 0.9  # of the samples; bodies that come to rest later are not expected
 ROUNDINGS = 8  # of a coordinate, by which a drift may differ from the mean velocity of a held body
 MORE_SAMPLES_UP_TO, MORE_SAMPLES = 20, 600  # more samples of few bodies cost nothing, and their paths can be drawn
 
@@ -90,7 +90,7 @@ class RunBound:
 
 
 class RunGuard:
-    """Observes a run from its start; decides when to stop it, and calls ``tell`` every `TELLING` seconds.
+    """Observes a run from its start, decides when it stops, and calls ``tell`` every `TELLING` seconds.
 
     ``tell`` receives the step and the simulated time in s.
     """

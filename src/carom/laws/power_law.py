@@ -1,4 +1,4 @@
-"""Restitution by a power of the closing speed, as of ice and of materials that yield.
+"""Restitution as a power of the closing speed, as measured for ice and for materials that yield.
 
     e(v) = e₁                  up to the speed v₁
     e(v) = e₁ (v / v₁)^(-q)    above it

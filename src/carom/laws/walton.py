@@ -33,7 +33,7 @@ def smaller(one: Mapping[str, float], other: Mapping[str, float]) -> dict[str, f
 
 
 def impact_friction(p: Any, normal: float, stopping: float) -> float:
-    """Return the impulse that reverses the slip, at most that of kinetic friction."""
+    """Return the impulse that reverses the slip, limited to the impulse of kinetic friction."""
     impulse: float = min((1.0 + p.tangential_restitution) * stopping, p.kinetic_friction * normal)
     return impulse
 

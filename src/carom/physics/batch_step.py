@@ -21,14 +21,15 @@ from carom.state.checkpoint import Checkpoint, IntegratorCheckpoint
 
 FREE_DT = 1.0  # s, the first step if nothing limits it; later steps are longer
 FORESEEN = 2.0  # largest ratio of the next step to the holder's last one
-MOST_STRIKES = 100  # impacts at one moment; bodies that still meet after these are at rest on each other
+MOST_STRIKES = 100  # impacts at one moment; bodies that meet after these impacts rest on each other
 
 
 class BatchStepper:
     """Advances a world by a `BatchIntegrator`, which ends a step where bodies meet, and keeps its books.
 
-    ``timestep`` suggests the first step. The ``holder`` takes over when contacts come to rest; it is None where nothing
-    can touch. With an accuracy, the integrator resumes once nothing touches; otherwise the holder finishes the run.
+    ``timestep`` suggests the first step. The ``holder`` computes the steps once contacts come to rest; it is None where
+    nothing can touch. With an accuracy, the integrator resumes once nothing touches; otherwise the holder finishes the
+    run.
     """
 
     def __init__(

@@ -136,7 +136,7 @@ class Flight(NamedTuple):
 
 
 class FreeFlight:
-    """Takes the steps of a world in which nothing touches; `arguments` are those of the kernel, except the clock."""
+    """Takes the steps of a world in which nothing touches; `arguments` are the kernel's, except for the clock."""
 
     def __init__(self, world: World, timestep: Timestep) -> None:
         forces, chosen = world.forces.laws, integrator(world.scene)
@@ -176,7 +176,7 @@ class FreeFlight:
         """Take steps until a time or a number of steps is reached, the run ends, or something may touch.
 
         Times are in s. The last step is cut to end at ``end``, but not at ``until``. With ``stops_before``, the step
-        that reaches ``until`` or ``end`` is not taken. ``impact_energy`` (J) is that of recent impacts.
+        that reaches ``until`` or ``end`` is not taken. ``impact_energy`` (J) is the energy of recent impacts.
         """
         timestep = self._timestep
         clock = FlightClock(time, end, until, min(most, MOST_STEPS), timestep.previous, impact_energy, stops_before)

@@ -129,7 +129,7 @@ def _speed(k: int, omega: FloatArray) -> float:
 
 @inline
 def _rotate_row(k: int, q: FloatArray, omega: FloatArray, speed: float, sine: float, cosine: float) -> None:
-    """Rotate an orientation, given |ω|, sin θ and cos θ; without spin it keeps its bits."""
+    """Rotate an orientation, given |ω|, sin θ and cos θ; without spin, the orientation keeps its bits."""
     s, c = sine / speed, cosine
     ax, ay, az = s * omega[k, 0], s * omega[k, 1], s * omega[k, 2]
     qx, qy, qz, qw = q[k, 0], q[k, 1], q[k, 2], q[k, 3]

@@ -1,4 +1,4 @@
-"""The schedule of a run: the steps with a frame, those with a check of errors, and the end.
+"""The schedule of a run: the steps with a frame, the steps with a check of errors, and the end.
 
 No step depends on a schedule. The last step of a run always has a frame and a check.
 """

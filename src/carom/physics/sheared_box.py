@@ -23,10 +23,10 @@ wrapping is added to the expected one. In coordinates that the shear carries alo
 the images form a grid at rest, and bodies move only relative to the flow. The broad phase searches there, within
 distances multiplied by the largest stretch of x ↦ x' and of the flow within a step (`ShearedBox.stretch`).
 
-Contacts that last are resolved at the end of a step, at the places of the images there. Records of contacts then have
-a field for w, so that the solver finds impulses by velocities relative to the image, and their work is booked as that
-of an impact. A packing in the flow is never at rest: the relative velocity of two neighbours, γ d for centres at a
-distance d, changes by its own size within 1/γ. A contact counts as at rest if it closes at most twice as fast as the
+Contacts that last are resolved at the end of a step, at the places of the images there. Records of contacts then have a
+field for w, so that the solver finds impulses by velocities relative to the image, and their work is booked like the
+work of an impact. A packing in the flow is never at rest: the relative velocity of two neighbours, γ d for centres at a
+distance d, changes by its own size within 1/γ. A contact is at rest if it closes at most twice as fast as the
 acceleration γ² d makes it close in a step.
 
 Numba compiles the functions below by the type of the box: an array of sizes, or the record of a sheared box; and by
@@ -306,7 +306,7 @@ def set_image_velocity(contact: object, dx: float, dy: float, dz: float, box: An
 
 
 def relative_to_image(contact: Any, ux: float, uy: float, uz: float) -> Vector:
-    """Return the velocity (m/s) of the image of j relative to i, given that of j; it is called with lanes, too."""
+    """Return the velocity (m/s) of the image of j relative to i, given the velocity of j; for numbers and lanes."""
     return _image_velocity(contact, ux, uy, uz) if hasattr(contact, "image_x") else (ux, uy, uz)
 
 

@@ -141,7 +141,7 @@ class Space(Simulation):
     def get_body_data_for_display(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         """Return positions (n, 3), quaternions (n, 4) xyzw, torques (n, 3) and angular accelerations (n, 3) as copies.
 
-        Torques (N m) and angular accelerations (rad/s²) are those of contacts that last, as in a `Frame`. Where the
+        Torques (N m) and angular accelerations (rad/s²) are due to contacts that last, as in a `Frame`. Where the
         scene requires no orientations or torques, they are the identity and zeros.
         """
         state, n, needs = self.state, len(self.state), self.requirements

@@ -34,7 +34,8 @@ FIRST_IN_CONTACT = 1.0 / 64.0
 class KickDriftStepper:
     """Advances a world by kicks, drifts and contacts, one step at a time, and keeps its books.
 
-    ``timestep`` chooses the steps. If it allows longer ones than the scene, ``asked`` chooses the scene's own steps.
+    ``timestep`` chooses the steps. If ``timestep`` allows longer steps than the scene, ``asked`` chooses the scene's
+    own steps.
     """
 
     def __init__(self, world: World, books: Bookkeeper, timestep: Timestep, asked: Timestep | None = None) -> None:

@@ -12,10 +12,10 @@ By default, the first two limits apply where bodies can touch, and the third whe
 
 dt_v solves u dt + ½ |a| dt² = s. Speeds u_i = |v_i - V| are relative to the centre of mass, and accelerations exclude
 the uniform field, so a scene that moves or falls as a whole takes the same steps. With planes, walls or fixed bodies,
-speeds are relative to them, and the field counts. The reference engine ignores the acceleration, uses absolute speeds,
-and uses the radius of the *fastest* body only, so a small body that is slightly slower tunnels. That limit remains
-available as "fastest-body". The reference engine also smooths decreases, which violates the bound of a limit. Here a
-decrease takes effect at once.
+speeds are relative to these, and accelerations include the field. The reference engine ignores the acceleration, uses
+absolute speeds, and uses the radius of the *fastest* body only, so a small body that is slightly slower tunnels. That
+limit remains available as "fastest-body". The reference engine also smooths decreases, which violates the bound of a
+limit. Here a decrease takes effect at once.
 """
 
 from __future__ import annotations

@@ -61,7 +61,7 @@ class Clock:
         self.before, self.time = before, time
 
     def foresee(self, limit: str, steps: float) -> None:
-        """Count steps of the length that the scene sets; a coarse look-ahead takes fewer, longer ones."""
+        """Count steps of the length that the scene sets; a coarse look-ahead takes fewer, longer steps."""
         self.foreseen[limit] = self.foreseen.get(limit, 0.0) + steps
 
 

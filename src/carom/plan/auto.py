@@ -23,7 +23,7 @@ BYTES_PER_BODY_AND_FRAME = 60  # centre, quaternion, and about one arrow or edge
 
 MAX_DT = 1.0  # s, the longest step of kicks and drifts, as in the reference engine, unless a run would take
 FEWEST_STEPS = 1e6  # steps of that length: 1 s is no time scale of orbits, and would give a year 3 × 10⁷ steps
-STRAIN_PER_STEP = 1e-3  # of a sheared packing; at a fraction of 0.54, a strain of 0.015 halves the stress
+STRAIN_PER_STEP = 1e-3  # of a sheared packing; at a packing fraction of 0.54, a strain of 0.015 halves the stress
 STEPS_PER_OSCILLATION = 100  # of a wall, at least: contacts are held against its mean velocity in a step
 
 STEP_GROWS_UP_TO = 100  # bodies; with more, "auto" steps are a tenth of the time of a fall through the smallest radius
@@ -152,7 +152,7 @@ def _error_by_gravity(scene: Scene) -> float:
     """Estimate the relative error of an approach speed by self-gravity in a step.
 
     The acceleration a at a contact is at most G M / r², with M twice the largest mass. The velocity limit allows at
-    most a step of κ r/v, and the limit of the acceleration one in which a body falls by Δx from rest.
+    most a step of κ r/v, and the acceleration limit a step in which a body falls by Δx from rest.
     """
     r, slowest = smallest_radius(scene), _largest_speed(scene)
     # of each body, and the mean mass of each group
@@ -239,7 +239,7 @@ def _bounces_on_curves(scene: Scene) -> bool:
 
 
 def holding(scene: Scene) -> Scene:
-    """Return the scene with an integrator that holds resting contacts, in place of one that only resolves impacts."""
+    """Return the scene with an integrator that computes resting contacts, not only impacts."""
     time = scene.time.model_copy(update={"integrator": "leapfrog"})
     contact = scene.contact.model_copy(update={"timing": "time-of-impact"})
     return scene.model_copy(update={"time": time, "contact": contact})
@@ -264,8 +264,8 @@ def _is_smooth(scene: Scene) -> bool:
 def largest_step(scene: Scene, duration: float | None = None) -> float:
     """Return the largest step (s); infinite if the integrator sets its steps by its error or by the orbits.
 
-    With a limit of 1 s, two years of the Earth would take 63 million steps of Gauss–Radau instead of 79. ``duration``
-    (s) is that of the scene by default.
+    With a limit of 1 s, two years of the Earth's orbit would take 63 million Gauss–Radau steps instead of 79 steps.
+    The default of ``duration`` (s) is the duration of the scene.
     """
     if scene.time.max_dt != "auto":
         return scene.time.max_dt
@@ -294,10 +294,10 @@ def target_dx(scene: Scene) -> float | None:
 
 
 def held_dx(scene: Scene) -> float | None:
-    """Return ``target_dx`` (m) for bodies held by lasting contacts; None if it is the same as for others.
+    """Return ``target_dx`` (m) for bodies held by lasting contacts; None if it is the same as for other bodies.
 
     Short steps make flights between bounces accurate. Forces on a held body are balanced, so it does not fly. The step
-    for many bodies, a tenth of a fall, is short enough to hold one.
+    for many bodies, a tenth of the time of a fall, is short enough for a single held body.
     """
     if scene.time.target_dx != "auto" or scene.count >= STEP_GROWS_UP_TO or scene.contact.solver != "lasting":
         return None
@@ -361,7 +361,7 @@ def frame_interval(scene: Scene) -> float:
 
 
 def auto_interval(scene: Scene, duration: float) -> float:
-    """Return the automatic time (s) between frames for a recording of some duration (s)."""
+    """Return the automatic time (s) between frames, given the duration of a recording (s)."""
     affordable = AUTO_BYTES // (BYTES_PER_BODY_AND_FRAME * scene.count)
     return duration / min(FRAMES, max(FEWEST_FRAMES, affordable))
 
@@ -397,8 +397,8 @@ def accurate_limits(scene: Scene, refinement: float, until: float) -> StepLimits
     """Return limits for steps shorter than the longest useful ones by a factor, with impacts at their exact times.
 
     All limits shrink by the same factor, so that runs with different refinements differ wherever the step matters. No
-    step is longer than the frame interval of an automatic recording of ``until`` seconds, the span of the look-ahead. A
-    longer or resumed run keeps that step.
+    step is longer than the automatic interval of frames in a recording of ``until`` seconds, the span of the
+    look-ahead. A longer or resumed run keeps that step.
     """
     touches = cfl(scene) is not None
     return StepLimits(

@@ -24,7 +24,7 @@ FEWEST_ORBITS = 1000
 MOST_BODIES = 100  # for "auto"; more bodies meet more often, and Gauss–Radau integrates all of them in each encounter
 HILL_RADII_APART = 5.0  # for "auto", between orbits, so that encounters are rare; Jupiter and Saturn are 8 apart
 LEAST_DISTANCE = 8.0  # in sums of the two radii; Europa is 9 from Jupiter, the Moon 47 from the Earth
-MOST_APART = 32  # bodies; more would soon meet often as the system contracts, unless they orbit a dominant one
+MOST_APART = 32  # bodies; as the system contracts, more would soon meet often, unless they orbit a dominant body
 
 
 class Heaviest(NamedTuple):
@@ -72,7 +72,7 @@ def heaviest(scene: Scene) -> Heaviest:
 
 
 def why_no_hierarchy(scene: Scene) -> str:
-    """Return why the bodies do not orbit a dominant one, and the remedy; empty if they do."""
+    """Return why the bodies do not orbit a dominant body, and the remedy; empty if they do."""
     if not gravity(scene).modelled:
         return 'without gravity between bodies; use "auto"'
     if scene.gravity.softening > 0.0:

@@ -17,7 +17,8 @@ ADDRESSES_PER_BODY = 4000  # bytes mapped by a run that records every step: with
 GRAVITY_BYTES_PER_BODY = {"none": 0, "direct": 550, "tree": 130, "fast-multipole": 280}  # 16 slabs of sums; boxes
 
 LEAST_PER_BODY = 5  # bytes of a frame in the file: positions on a lattice at rest take 5.6
-# Bodies in a frame of 64 kB, the window of LZ4. Frames of fewer may repeat earlier ones, and take next to nothing.
+# Bodies in a frame of 64 kB, the window of LZ4. Frames of fewer bodies may repeat earlier frames, and take next to no
+# space.
 LEAST_BODIES = (1 << 16) // 12
 
 _UNKNOWN = 2**47  # bytes: the whole address space
@@ -69,7 +70,7 @@ def usable_memory() -> tuple[int, str]:
 
 
 def _group_limits(own: Path = Path("/proc/self/cgroup"), root: Path = _CGROUPS) -> Iterator[int]:
-    """Yield the memory limits (bytes) of the control groups of this process and of those around them; Linux only."""
+    """Yield the memory limits (bytes) of this process's control groups and of the groups around them; Linux only."""
     try:
         groups = own.read_text(encoding="utf-8").splitlines()
     except OSError:

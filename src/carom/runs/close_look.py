@@ -29,7 +29,7 @@ from carom.state.frame import Frame
 
 LASTS = 4  # steps: a contact that presses for so long carries a load; what stops a slow impact is gone sooner
 LOOK_AFTER = LASTS + 1.0  # steps, for the loads of contacts after an interval
-RETURNS = 2.0  # steps: a bounce that takes longer is not one that a step may end at rest; it takes 2 v/a
+RETURNS = 2.0  # steps: a longer bounce, which takes 2 v/a, may not be ended at rest by a step
 SHARED = 5e-2  # of the kinetic energy of bodies that touch: runs that differ by less may have shared impulses otherwise
 SURFACE = 2.5  # m r²/I of a ball: friction changes the speed of its surface so much more than its velocity
 

@@ -277,7 +277,7 @@ def _raise_later(lost: sys.UnraisableHookArgs) -> None:
 
 
 class Interrupts:
-    """Counts requests to end while its context lasts; outside the main thread it counts none.
+    """Counts requests to end while its context lasts, in the main thread only.
 
     It raises nothing until the interrupt key has been pressed more often than ``patience``, so that work is not
     interrupted. Other signals count once, because their senders repeat them.
@@ -369,9 +369,9 @@ def collect_garbage_rarely() -> None:
     """Let Python collect cyclic garbage after 100 000 new objects instead of 700, unless the program collects none.
 
     There is hardly any, since frames and rows have no cycles. A full collection takes 0.1 s, in which the physics waits
-    for the interpreter lock, and small ones took 50 µs of each frame of 1000 bodies (both on a busy machine). They also
-    take a tenth of a compilation (38.5 and 41.9 in place of 42.7 and 46.6 s of CPU for `cloud-collapse`, in 4 to 18 %
-    more memory).
+    for the interpreter lock, and small ones took 50 µs of each frame of 1000 bodies (both on a busy machine).
+    Collections also take a tenth of a compilation: without them, `cloud-collapse` takes 38.5 and 41.9 instead of 42.7
+    and 46.6 s of CPU, and 4 to 18 % more memory.
     """
     threshold, *others = gc.get_threshold()
     if threshold:

@@ -108,7 +108,7 @@ class Cost:
     fewest_steps: int  # lower end of the estimated range
     most_steps: int
     limits: dict[str, float]  # fraction of the steps set by each limit, the largest first
-    looked_until: float  # s, the end of the coarse run: that of the run, unless the coarse run took too long
+    looked_until: float  # s, the end of the coarse run: the end of the run, unless the coarse run took too long
     seconds: float
     memory: int  # bytes, without the interpreter
     frames: int
@@ -129,7 +129,7 @@ class Estimate:
 
 
 def estimate(scene: Scene, watch_look_ahead: Watcher | None = None) -> Estimate:
-    """Run the first steps of a scene for about a tenth of a second, run it coarsely, and record a few of its frames.
+    """Time the first steps of a scene for about a tenth of a second, run the scene coarsely, and record a few frames.
 
     For ``watch_look_ahead`` see `Space`. Raises SceneError or PhysicsError if the scene cannot run.
     """
@@ -286,11 +286,11 @@ STRIDES = 8.0, 64.0  # coarse steps over the steps of the scene; the second if t
 LOOK_SECONDS = 3.0  # for each coarse run
 GLANCE_SECONDS = 0.1  # for a coarse run that would cover less than this fraction of the duration in its time
 LEAST_SEEN = 0.05
-SHORTER = 10.0  # times, of steps that become short in the course of a run
+SHORTER = 10.0  # factor by which steps shorten in a run that becomes slow
 LONG_RUN = 600.0  # s; a run that takes longer is announced
 WORTH_A_LOOK = 1e7  # conceivable steps, some 10 s of the fastest ones; with fewer, no trial is made before a run
 FORWARN_SECONDS = 1.0  # for each coarse run before a run
-MANY_STEPS = 100  # with at least this many coarse steps, their mean time is more accurate than that of the first steps
+MANY_STEPS = 100  # coarse steps; with more, their mean time is more accurate than the first steps' mean
 LIKELY = 2.0  # accuracy (a factor) of a complete estimate for the bundled scenes and extremes (test_estimate.py)
 
 

@@ -27,7 +27,7 @@ from carom.state.books import Extreme, Extremes
 class Verdict:
     """A promise: its limit, the measured value, and the worst time.
 
-    A promise about the end is not judged in a run of another length, and counts as met.
+    A promise about the end is not judged in a run of another length; it is then taken as met.
     """
 
     name: str
@@ -45,7 +45,7 @@ class Verdict:
 
     @property
     def met(self) -> bool:
-        """Whether the promise was kept or is not judged; NaN counts as broken."""
+        """Whether the promise was kept or is not judged; with NaN it is broken."""
         if not self.judged:
             return True
         return self.measured >= self.limit if self.at_least else self.measured <= self.limit
@@ -86,10 +86,10 @@ class EndState(Protocol):
 def judge(scene: Scene, extremes: Extremes, time: float, state: EndState | None = None) -> list[Verdict]:
     """Compare every promise of a scene with the extremes of its run, which ended at ``time`` (s), and its last state.
 
-    A quantity that the scene does not conserve, such as angular momentum in a periodic box or any momentum where
-    something is fixed, counts as infinitely wrong. The final kinetic energy, the largest number of impacts and states
-    are judged only if the run ends at the promised time; the smallest number of impacts and the warnings are also
-    judged if it ends later. An unknown state is wrong.
+    The error of a quantity that the scene does not conserve is infinite, such as angular momentum in a periodic box, or
+    any momentum where something is fixed. The final kinetic energy, the largest number of impacts and states are judged
+    only if the run ends at the promised time; the smallest number of impacts and the warnings are also judged if it
+    ends later. An unknown state is wrong.
     """
     expect, end = scene.expect, scene.expect.duration or scene.time.duration
     at_end, by_then = end if time != end else None, end if time < end else None

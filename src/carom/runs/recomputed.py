@@ -161,7 +161,7 @@ def _snapshot(
         with suppress(AttributeError):  # a series of an installed package, or no energy
             known[name] = state.energy.named(name)
     if contacts is not None:
-        contacts = named_contacts(recording, contacts).replace_schema_metadata()  # that of one step
+        contacts = named_contacts(recording, contacts).replace_schema_metadata()  # the metadata belong to one step
     return Snapshot(state.step, state.time, body, mass, radius, others, vectors, known, contacts, cell)
 
 

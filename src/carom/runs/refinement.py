@@ -370,7 +370,7 @@ class _Comparison:
     def _judge_losses(self, before: Frame, frame: Frame, fine_before: Frame, fine: Frame, of_twin: FloatArray) -> None:
         """Compare the entries of one interval, at whose start bodies with nearly all the energy moved with certainty.
 
-        Chaos within it may change who has the energy, but hardly how much of it is left. An entry counts if the twin
+        Chaos within it may change who has the energy, but hardly how much of it is left. An entry is judged if the twin
         agrees with the run, or with the shorter steps: then the run alone is wrong. It must also differ two steps
         later, since an impact may be just before or after the instant. Where positions differ, forces have done other
         work, and contacts take out what corrections of positions put in.

@@ -45,10 +45,10 @@ class ResumableRun:
 
 
 def resumable_run(recording: Recording, until: float | None = None) -> ResumableRun:
-    """Find the checkpoint from which a recording can be resumed, up to a time (s), by default that of its scene.
+    """Find the checkpoint from which a recording can be resumed up to a time (s), by default the end of its scene.
 
-    Frames keep their interval. Raises SceneError, RecordingError if there is nothing left to run, or no checkpoint to
-    resume from. A clip cannot be continued, because the run before it is missing.
+    The interval of frames stays the same. Raises SceneError, RecordingError if there is nothing left to run, or no
+    checkpoint to resume from. A clip cannot be continued, because the run before it is missing.
     """
     recording.refuse_some_bodies()
     scene, path = recorded_scene(recording), recording.path
@@ -98,7 +98,7 @@ def resume(
     watch: Watcher | None = None,
     progress: bool = False,
 ) -> Recording:
-    """Continue a run that was interrupted, killed or has ended; the result is that of an uninterrupted run.
+    """Continue a run that was interrupted, killed or has ended; the result equals an uninterrupted run.
 
     Parameters
     ----------

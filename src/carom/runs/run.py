@@ -139,7 +139,7 @@ def recording_space(
     start: InitialBodies | None = None,
     stride: float = 1.0,
 ) -> Space:
-    """Build a space whose frames carry all data for the scene's recording; the parameters are those of `Space`.
+    """Build a space whose frames carry all data for the scene's recording; for the parameters, see `Space`.
 
     Raises
     ------

@@ -2,7 +2,7 @@
 
 Numba compiles under a global lock, so a thread would gain nothing. Both processes share the cache of compiled kernels,
 and neither compiles a kernel that the other has begun (see `jit.cache`). The second process begins with the kernels
-that a run needs last. It only fills the cache; if it fails, the run compiles everything itself.
+that a run needs last. Compiling ahead only fills the cache; if it fails, the run compiles everything itself.
 """
 
 from __future__ import annotations

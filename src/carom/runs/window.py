@@ -37,7 +37,7 @@ def rerun(
 ) -> Window:
     """Run a recording again from its last checkpoint before a time (s), for data that the file does not hold.
 
-    Its bodies, contacts, impacts and trajectories are those of `Recording`, but computed, in float64. A rerun goes
+    It has the bodies, contacts, impacts and trajectories of a `Recording`, but computed, in float64. A rerun goes
     forward only: ask for later times after earlier ones.
 
     Parameters
@@ -127,7 +127,7 @@ class Window:
         raise self._ends_before(at)
 
     def states(self, steps: Sequence[int], bodies: Sequence[int]) -> list[dict[str, FloatArray]]:
-        """Return the states of some bodies in recorded frames, given by their ascending steps."""
+        """Return the states of selected bodies in recorded frames, which are given by their ascending steps."""
         wanted, states = set(steps), list[dict[str, FloatArray]]()
         if steps[0] < self.begin:
             raise RecordingError(f"the rerun begins at step {self.begin}, after step {steps[0]}: rerun an earlier time")
@@ -146,7 +146,7 @@ class Window:
         return table_of_bodies(self._recording, self.state_at(at), self.source)
 
     def trajectory(self, body: int | str, start: float = -np.inf, end: float = np.inf) -> pa.Table:
-        """Return the path of one body, with one row per frame from one time (s) on to another; see `Recording`."""
+        """Return the path of one body, with one row for each frame between two times (s); see `Recording`."""
         number, steps, times = frames_with(self._recording, body, start, end)
         table = state_table(steps.tolist(), times.tolist(), self.states(steps.tolist(), [number]))
         exact = pa.array(np.ones(table.num_rows, dtype=bool))
@@ -155,7 +155,7 @@ class Window:
     def trajectories(
         self, bodies: Sequence[int | str] | None = None, start: float = -np.inf, end: float = np.inf
     ) -> BodyTrajectories:
-        """Return the paths of several bodies, with all quantities, from one time (s) on to another; see `Recording`."""
+        """Return the paths of several bodies, with all quantities, between two times (s); see `Recording`."""
         numbers, (steps, times) = shown_bodies(self._recording, bodies), frames_within(self._recording, start, end)
         states = self.states(steps.tolist(), numbers)
         common = [name for name in states[0] if all(name in state for state in states)]
@@ -190,7 +190,7 @@ class Window:
         return table.replace_schema_metadata({"source": self.source, "left_out": str(left_out)})
 
     def contacts_of(self, frame: Frame) -> pa.Table | None:
-        """Return the contact table of a frame; None if it has none."""
+        """Return the contact table of a frame; None if the frame has no table."""
         if frame.contact_rows is None:
             return None
         return self._of_recording(table_of_rows(frame.contact_rows, self.source, frame.dt))

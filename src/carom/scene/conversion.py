@@ -34,7 +34,7 @@ class Wrong:
 
 @dataclass(frozen=True)
 class _Place:
-    """The values that a key may have: a quantity of a dimension, one of some words, or a section."""
+    """The values that a key may have: a quantity of a dimension, a word from a list, or a section."""
 
     dimension: Dimension | None
     words: frozenset[str] = frozenset()

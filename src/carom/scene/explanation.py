@@ -86,7 +86,7 @@ def _meant(keys: list[str]) -> str:
 
 
 def _chosen_by_few() -> list[str]:
-    """Return the names of all shapes of walls and contact laws; a scene has a few of them or none."""
+    """Return the names of all shapes of walls and of all contact laws, of which a scene needs few."""
     return [*registry.names("walls"), *registry.names("contact_laws")]
 
 
@@ -178,7 +178,7 @@ def written_path(detail: Any, data: Any) -> KeyPath:
 
 
 def _as_written(detail: Any, path: KeyPath, data: Any) -> Any:
-    """Return the value at a path before its conversion, if there was one."""
+    """Return the value at a path before conversion; None if the scene had no value there."""
     node, given = data, detail["input"]
     if not isinstance(given, int | float):
         return given

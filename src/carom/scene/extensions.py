@@ -57,8 +57,8 @@ _DISTRIBUTION = re.compile(rf"([A-Za-z0-9](?:[A-Za-z0-9._-]{{0,98}}[A-Za-z0-9])?
 def missing(extensions: Mapping[str, str]) -> str:
     """Return a sentence about the packages of missing parts of a recording; empty if none is missing.
 
-    The names come from the file. Anybody can register a name with an index of packages, so the sentence says whose they
-    are, and a command contains them only if they are names of a package and a version.
+    The names come from the file. Anybody can register a name with an index of packages. The sentence therefore says
+    that the names come from the recording, and its command contains them only if they are a valid package and version.
     """
     lost: dict[str, list[str]] = {}
     for key, package in extensions.items():

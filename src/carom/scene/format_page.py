@@ -93,7 +93,7 @@ def _sections(model: type[BaseModel], above: str) -> Iterator[str]:
 
 
 def _keys(model: type[BaseModel]) -> list[tuple[str, FieldInfo]]:
-    """Return the keys of a section without those of extensions, which are added to models once a scene is read."""
+    """Return the keys of a section without the keys of extensions, which models get once a scene is read."""
     later = {*registry.names("contact_laws"), *registry.names("walls")}
     return [(key, info) for key, info in model.model_fields.items() if key not in later]
 

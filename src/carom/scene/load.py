@@ -263,7 +263,7 @@ def _meant(error: str) -> str:
 
 
 def _meant_value(before: str, after: str) -> str:
-    """Return a remedy for a value that is not TOML, given its line before and after the mistake."""
+    """Return a remedy for a value that is not TOML, given the text before and after the mistake in its line."""
     ends_with_digit = re.search(r"[=\[,{\s][-+]?\d[\d_.eE+-]*\s*$", before) is not None
     if ends_with_digit and re.match(r",\d", after):
         return "write a decimal point, not a comma"
@@ -350,7 +350,7 @@ def _refuse(messages: Sequence[Callable[[], str]], more: int = 0) -> None:
 
 
 def _centre_of(scene: Scene, section: BodyData) -> Centre | None:
-    """Return the central body of the orbits in a [[bodies]] table; None if it has none."""
+    """Return the central body of the orbits in a [[bodies]] table; None if the table has no orbits."""
     orbit, constant = section.orbit, scene.gravity.constant
     if orbit is None:
         return None
@@ -367,7 +367,7 @@ def _centre_of(scene: Scene, section: BodyData) -> Centre | None:
 def _with_bodies(
     scene: Scene, units: UnitSystem, data: dict[str, Any], text: str, places: KeyPlaces, source: BodySource
 ) -> tuple[Scene, str]:
-    """Find the bodies of each [[bodies]] table; return the scene and its text with their counts and digests."""
+    """Find the bodies of each [[bodies]] table; return the scene, and its text with numbers and digests of bodies."""
     sources, row, wrong = list[SourcedBodies](), 0, list[Callable[[], str]]()
     for index, section in enumerate(scene.bodies):
         try:

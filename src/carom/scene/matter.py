@@ -161,7 +161,7 @@ def kinds_of_contacts(scene: SceneModel) -> list[KindOfContact]:
 
 
 def material_called(scene: SceneModel, name: str) -> Material | None:
-    """Return the material of a name; None for that of [contact]."""
+    """Return the material of a name; None for the material of [contact]."""
     return next((material for material in scene.material if material.name == name), None)
 
 
@@ -225,7 +225,7 @@ def _of_law(scene: SceneModel, one: str, other: str, plane: Surface | None = Non
 
 
 def _completed(numbers: Numbers, law: str, surface: Surface | None) -> dict[str, float]:
-    """Return the coefficients of a law, replaced by those that a surface states."""
+    """Return the coefficients of a law; coefficients that a surface states take precedence."""
     own = None if surface is None else getattr(surface, law)
     if own is None:
         return dict(numbers)

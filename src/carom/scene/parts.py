@@ -43,7 +43,7 @@ class Part:
 
 
 def in_order(names: Iterable[str]) -> tuple[str, ...]:
-    """Return names of parts in the order of `PARTS`; names of other forces follow carom's own."""
+    """Return names of parts in the order of `PARTS`; forces of packages follow carom's own."""
     others = [name for name in names if name not in PARTS]
     last = PARTS.index(OWN_FORCES[-1]) + 1
     return (*PARTS[:last], *others, *PARTS[last:])

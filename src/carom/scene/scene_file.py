@@ -80,7 +80,7 @@ _PAUSE = 0.01  # s, between two attempts to read a silent pipe
 
 
 def scene_path(source: str | Path) -> Path:
-    """Return the path of a scene's file, or of a bundled scene of that name."""
+    """Return the path of a scene's file, or of the bundled scene with the given name."""
     path = Path(source)
     try:
         if path.is_dir():
@@ -146,7 +146,7 @@ def _read_bytes(path: Path) -> bytes:
 def toml_text(data: Mapping[str, Any]) -> str:
     """Write a document: plain keys first, then a section for each table and for each table in a list.
 
-    It takes ten microseconds per body; tomlkit, which keeps comments, takes a millisecond.
+    Reading takes ten microseconds per body; tomlkit, which keeps comments, takes a millisecond.
 
     Raises
     ------

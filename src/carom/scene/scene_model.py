@@ -78,7 +78,7 @@ class SceneModel(Forces, Heading):
 
     @property
     def places(self) -> KeyPlaces | None:
-        """The places of its keys; None if it was not read from a text."""
+        """The places of the scene's keys; None if the scene was not read from a text."""
         return cast("KeyPlaces | None", self._private("_places"))
 
     @property

@@ -16,7 +16,7 @@ from carom.scene.wording import joined
 
 @dataclass(frozen=True)
 class InitialBodies:
-    """The initial bodies in SI units: explicit bodies first, then those from data, then the groups."""
+    """The initial bodies in SI units: explicit bodies first, then bodies from data, then groups."""
 
     name: Sequence[str]
     group: IntArray  # (n,) index of the group; -1 for explicit bodies; -2, -3 … for the [[bodies]] tables
@@ -67,7 +67,7 @@ class HalfSpaces:
 
     @property
     def moves(self) -> bool:
-        """Whether one of them moves."""
+        """Whether one of the planes and walls moves."""
         return self.rotates or self.translates
 
     @property
@@ -77,7 +77,7 @@ class HalfSpaces:
 
     @property
     def translates(self) -> bool:
-        """Whether one of them changes its place."""
+        """Whether one of the planes and walls changes its place."""
         return False
 
     @property
@@ -87,7 +87,7 @@ class HalfSpaces:
 
     @property
     def guided(self) -> Any:
-        """The one of them that contacts move; None if there is none."""
+        """The plane or wall that contacts move; None without one."""
         return None
 
     @property

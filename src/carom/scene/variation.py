@@ -45,7 +45,7 @@ def texts_of(text: str) -> list[str]:
 def alike(values: Any) -> Values:
     """Return the values as a tuple; if one is a float, whole numbers become floats.
 
-    Raises ValueError if there are none, or one occurs twice.
+    Raises ValueError if there are no values, or a value occurs twice.
     """
     listed = tuple(values)
     if not listed:

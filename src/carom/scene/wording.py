@@ -31,7 +31,7 @@ def _is_like_an_option(word: object) -> bool:
 
 
 def command_of_a_file(text: str) -> str:
-    """Return a command line that a file holds: as it is if it is one command with its words, else as one quoted word.
+    """Return a command line from a file: unchanged if it is a single command with its words, else as one quoted word.
 
     A shell that somebody pastes it into then starts nothing else: no second command, substitution or redirection.
     """
@@ -99,7 +99,7 @@ def bodies_called(numbers: Iterable[int], names: Sequence[str]) -> str:
 
 
 def in_series(called: Sequence[str]) -> str:
-    """Join names as in a sentence; of many, the first few and the number of the others."""
+    """Join names as in a sentence; if they are many, the first few and the number of the remaining names."""
     listed = list(called[:MOST_LISTED])
     if len(called) > MOST_LISTED:
         listed.append(f"{len(called) - MOST_LISTED} more")
@@ -166,7 +166,7 @@ class NumberedNames(_LazyNames):
 
 @dataclass(eq=False)
 class SomeNames(_LazyNames):
-    """Names, only some of them known; the others are numbered."""
+    """Names of which only some are known; a number stands for each unknown name."""
 
     prefix: str
     length: int

@@ -271,7 +271,7 @@ class TellingMoment:
 def telling_moments(recording: Recording) -> list[TellingMoment]:
     """Choose the moments.
 
-    They are the initial state, if there are many bodies; all impacts of a run with few impacts, otherwise the hardest
+    The moments are the initial state, if there are many bodies; all impacts, if they are few, otherwise the hardest
     impacts and the moment with the most contacts; and the end. In addition, there are the worst moment of a run that
     went wrong, a deep overlap, and a large integration error. Raises RecordingError if the recording has no frame.
     """

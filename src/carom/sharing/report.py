@@ -354,7 +354,7 @@ def excerpt(recording: Recording, moment: float, path: Path, frames: int, room: 
 def _fewer_frames(
     recording: Recording, middle: int, path: Path, frames: int, room: int, bodies: list[int] | None
 ) -> Clip:
-    """Cut as many frames as fit, at least one, of some bodies and without exact states."""
+    """Cut as many frames as fit, at least one, with selected bodies and without exact states."""
     times, count = recording.fingerprints()["time"].to_numpy(), frames
     while True:
         first, last = max(0, middle - count // 2), min(len(times) - 1, middle + count // 2)

@@ -48,9 +48,9 @@ class Extremes:
     momentum_error: Extreme | None = NOTHING  # None where the scene does not conserve it
     angular_momentum_error: Extreme | None = NOTHING  # None where the scene does not conserve it
     total_contacts: int = 0  # sum of the numbers of contacts over the steps
-    impacts: int = 0  # during drifts; at the end of a step, a contact counts once
+    impacts: int = 0  # impacts during drifts, and once for each contact at the end of a step
     lowest_energy: float = float("inf")  # J
-    energy_scale: float = 0.0  # J, of the last check
+    energy_scale: float = 0.0  # J, at the last check
     most_taken: float = 0.0  # J, the largest restitution + friction of the ledger
     warned: tuple[str, ...] = ()  # kinds of warnings so far
     contact_audit: Extreme | None = None  # largest error of `diagnostics.impulse_audit`; None without the audit

@@ -92,7 +92,7 @@ class OrbitCheckpoint:
 
 @dataclass(frozen=True, slots=True)
 class IntegratorCheckpoint:
-    """State of Gauss–Radau integration; rows of the last two are the coordinates x, y, z of body after body.
+    """State of Gauss–Radau integration; the last two arrays have a row for each coordinate x, y, z of body after body.
 
     With Wisdom–Holman integration, its arrays have rows only in close encounters.
     """
@@ -135,12 +135,12 @@ class Checkpoint:
 
     @property
     def fingerprint(self) -> int:
-        """The fingerprint of the state, which equals that of the frame."""
+        """The fingerprint of the state, equal to the fingerprint of the frame."""
         return fingerprint_of(self.time, (self.position, self.velocity, self.orientation, self.angular_velocity))
 
 
 def fingerprint_of(time: float, arrays: Iterable[FloatArray | None]) -> int:
-    """Return the fingerprint of a time (s) and of arrays; None counts as no array."""
+    """Return the fingerprint of a time (s) and of arrays; None stands for no array."""
     digest = xxhash.xxh64(np.float64(time).tobytes())
     for array in arrays:
         if array is not None:

@@ -52,7 +52,7 @@ class Ledger:
 
     @property
     def taken_out(self) -> float:
-        """The energy removed by contacts; a negative entry, which is an error, counts as 0."""
+        """The energy removed by contacts; a negative entry, which is an error, is taken as 0."""
         return max(0.0, self.restitution) + max(0.0, self.friction)
 
 

@@ -83,7 +83,7 @@ class Frame:
     slot: int | None = None  # slot of its arrays in a `FrameStore`; None if the frame owns them
     # (k,) `CONTACT_ROW`, since the previous frame, in order of time; None if not requested
     impacts: Records | None = None
-    impacts_left_out: int = 0  # number of further impacts; `impacts` then holds those with the largest impulses
+    impacts_left_out: int = 0  # number of further impacts, all with smaller impulses than `impacts`
     impact_sums: FloatArray | None = None  # `ImpactSums.flat`, of all impacts since the previous frame; None: not known
     contact_rows: Records | None = None  # (m,) `CONTACT_ROW`, by pair: the contacts of this step; None if not requested
     angular_impulse: FloatArray | None = None  # (n, 3) N m s, Σ r × J of the impacts of this step

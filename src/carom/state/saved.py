@@ -12,7 +12,7 @@ from functools import cache
 from types import NoneType
 from typing import Any, cast, get_args, get_type_hints
 
-# what has rows of a field; outside of close encounters, no body has rows of `ENCOUNTER`
+# the things for which a field has rows; fields for `ENCOUNTER` have rows for bodies in close encounters only
 RUN, BODY, ENCOUNTER, CONTACT, HELD, SLEEPING = "run", "body", "encounter", "contact", "held", "sleeping"
 
 

@@ -1,4 +1,4 @@
-"""How far the compilation of kernels is: kernels that a run has of those that it needs, and the time that is left."""
+"""How far the compilation of kernels is: how many of the needed kernels a run has, and the remaining time."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from carom.plan.features import require
 from carom.scene.load import Scene
 from carom.terminal.console import LINE_EVERY, LiveLine, bar
 
-# Kernels of a run, as `kernels_ready` counts them at the end of the bundled scenes; `test_compilation_progress.py`
-# holds the numbers to that.
+# Numbers of kernels that `kernels_ready` counts at the end of the bundled scenes; `test_compilation_progress.py`
+# compares the numbers.
 POINTS = 15  # without contacts: figure-eight
 IMPACTS = 117  # two-spheres
 FORCES = 145  # forces press contacts together: heap
@@ -99,7 +99,7 @@ def kernels_ready() -> int:
 
 
 def _kernels_of(module: str) -> list[Any]:
-    """Return the kernels that a module of carom names, without those that are inlined into others."""
+    """Return the kernels that a module of carom names, except the ones that are inlined into others."""
     if not module.startswith("carom."):
         return []
     return [each for each in list(vars(sys.modules[module]).values()) if _is_kernel(each)]

@@ -75,7 +75,7 @@ class GivenMoment:
         return time
 
     def end(self, recording: Recording, watch: Callable[[StepStatus], None] | None = None) -> float | None:
-        """Return the same, or the time (s) of an event; if the frame of its step is recorded, the end of that step."""
+        """Return the given time, or the time (s) of an event: the end of its step if that has a frame."""
         if self.event is None:
             return self.time(recording, watch)
         from carom.recording.read.named_events import named_event

@@ -26,7 +26,7 @@ class TypedTime(float):
     """A time as a person typed it: in s if it has a unit, otherwise in the unit of the scene."""
 
     has_unit = False
-    rounding = 0.0  # half a unit of its last digit, or of the last one that carom prints, relative to the time
+    rounding = 0.0  # half a unit of the last digit that is given or that carom prints, relative to the time
 
 
 def seconds(text: str | float) -> TypedTime:

@@ -1,6 +1,6 @@
 """Text and JSON on the terminal, and the quantities and tables that several commands print.
 
-They need no rich, whose import takes 30 ms: `carom --version` and commands with ``--json`` do without it.
+These functions need no rich, whose import takes 30 ms: `carom --version` and commands with ``--json`` do without it.
 """
 
 from __future__ import annotations

@@ -1,6 +1,7 @@
 """Web pages: Rerun's web viewer for recordings, a server for browsers of this machine only, and published folders.
 
-A published folder has a page about each recording, and one with a card for each. No page makes requests to other hosts.
+A published folder has a page about each recording, and an index page with a card for each. No page makes requests to
+other hosts.
 """
 
 from __future__ import annotations
@@ -162,8 +163,8 @@ def hosted(recording: Recording, at: float, supplement: Supplement | None = None
     """Host a recording, paused at a time (s), while the context lasts; yield the addresses that open it.
 
     The server listens on 127.0.0.1 only. The link has a secret in its path, since other people may use the machine.
-    Without a ``supplement``, the recording is shown in its own layout. ``port`` 0 takes a free one. Raises
-    RecordingError if the port is in use.
+    Without a ``supplement``, the recording is shown in its own layout. With ``port`` 0, the system chooses a free port.
+    Raises RecordingError if the port is in use.
     """
     with temporary_folder() as folder, _listening(port) as server:
         write_viewer(folder, recording.title)

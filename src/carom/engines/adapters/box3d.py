@@ -30,7 +30,7 @@ _NEAR = 0.2  # largest distance of a contact point from its plane, over its dist
 _PARALLEL = 1e-4  # 1 - cosine of the angle between the normal of a contact and of a plane
 _LARGEST = 64  # points in a group whose impulses are computed from velocities
 _ROUNDED = 1e-6  # of a speed: smaller changes of velocity are rounding in single precision
-_WEIGHT = 1e-3  # of the engine's own impulses in the fit; errors of the observed changes of velocity are below 1e-6
+_WEIGHT = 1e-3  # weight of the engine's impulses in the fit; observed changes of velocity have errors below 1e-6
 MOST_SHAPES = 64  # shapes examined for each body
 
 
@@ -182,11 +182,11 @@ class Box3DForces:
     Box3D has the impulses of its last substep, and sums over all substeps, in which a substep may count twice. Neither
     is the impulse of a step with an impact. Among spheres, impulses are therefore fitted to the observed changes of
     normal velocities, as close as possible to the impulses of the last substep. For other shapes and in large piles,
-    they are the impulses of the last substep or, in an impact, their sum over the step. Friction is always that of the
-    last substep.
+    they are the impulses of the last substep or, in an impact, their sum over the step. Friction is always the friction
+    of the last substep.
 
-    ``backend`` is robox3d._ffi; ``spheres`` says which of the recorded bodies are spheres about their centres, and
-    ``planes`` are those of static shapes.
+    ``backend`` is robox3d._ffi; ``spheres`` says which recorded bodies are spheres about their centres, and ``planes``
+    are the planes of static shapes.
     """
 
     def __init__(
@@ -248,7 +248,7 @@ class Box3DForces:
         mobility = inverse.sum(axis=1)
         stops = np.divide(np.maximum(0.0, closing), mobility, out=np.zeros(len(points)), where=mobility > 0.0)
         found = np.where((stops <= guess) & (guess <= total), guess, total)
-        # the change of each normal velocity in the step, without that of the field
+        # the change of each normal velocity in the step, without the part of the field
         change, field = closing.copy(), self._world.last_dt * np.asarray(self._world.gravity)
         normal, fastest = np.array([point.normal for point in points]), np.abs(closing)
         for side, sign in ((0, -1.0), (1, 1.0)):

@@ -55,7 +55,7 @@ class MuJoCoSource:
         package.mj_comPos(model, data)
         own = [np.flatnonzero(owner == b) for b in moving]
         free = np.array([_is_free_sphere(package, model, b, geoms) for b, geoms in zip(moving, own, strict=True)])
-        radius = []  # m, of the spheres about centres of mass that contain all shapes of a body
+        radius = []  # m, of spheres that contain all shapes of a body, about its centre of mass
         for b, geoms in zip(moving, own, strict=True):
             away = np.linalg.norm(data.geom_xpos[geoms] - data.xipos[b], axis=1) + model.geom_rbound[geoms]
             radius.append(away.max() if len(geoms) else np.sqrt(2.5 * model.body_inertia[b].max() / model.body_mass[b]))

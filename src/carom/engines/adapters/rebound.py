@@ -1,8 +1,8 @@
 """REBOUND: its recorder, and the engine that `crosscheck` compares. REBOUND is an optional package, under the GPL.
 
 REBOUND integrates bodies that attract each other, or smooth hard spheres. Every integrator that can run the scene is
-compared: IAS15, which controls its error, and those with a constant step at several steps. The symplectic maps for one
-dominant body, WHFast, MERCURIUS and TRACE, get steps that are fractions of the shortest period about that body.
+compared: IAS15, which controls its error, and the integrators of constant steps, at several steps. The symplectic maps
+for one dominant body, WHFast, MERCURIUS and TRACE, get steps that are fractions of the shortest period about that body.
 """
 
 from __future__ import annotations
@@ -165,7 +165,7 @@ def rebound(simulation: Any, radius: float | None = None, *, changing: bool = Fa
 
 
 def _variational(simulation: Any) -> int:
-    """Return the number of variational particles among all N; 0 where they have an array of their own, as in 5.2."""
+    """Return how many of the N particles are variational; 0 where these have a separate array, as in REBOUND 5.2."""
     return 0 if hasattr(simulation, "particles_var") else int(getattr(simulation, "N_var", 0))
 
 

@@ -198,10 +198,10 @@ class Crosscheck:
 
     scene: Scene
     engines: list[Engine]  # to compare carom with
-    folder: Path  # of the results; those of an interrupted crosscheck of the same scene are kept
+    folder: Path  # of the results; it may hold results of an interrupted crosscheck of the same scene
     threads: int | None = None  # of carom's kernels
     force: bool = False  # whether to start over
-    limit: float = math.inf  # s of CPU time of each engine's run, and s of the reference; longer runs are stopped
+    limit: float = math.inf  # s of CPU time for an engine, and s for the reference; longer runs are stopped
     runs: Runs = field(default_factory=lambda: Runs(1))
     refused: dict[str, str] = field(default_factory=dict)  # engine → why it cannot run the scene
     examinations: dict[str, Examination] = field(default_factory=dict)  # by the names of the settings

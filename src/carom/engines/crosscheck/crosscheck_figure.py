@@ -19,7 +19,7 @@ from carom.scene.units.dimension import TIME
 
 OWN_COLOUR = "#1b2a3a"
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")  # of the engines, in their order
-WIDEST = 3.0  # points, of the first line; later, thinner lines then do not hide earlier ones
+WIDEST = 3.0  # points, width of the first line; later lines are thinner, so that they do not hide it
 STYLES = ("-", "--", ":", "-.")  # of the settings of one engine, in their order
 MOST_IMPACTS = 40  # marked at most; more would fill the figure
 
@@ -80,6 +80,6 @@ def _draw_runs(ax: Any, check: Crosscheck, reference: Reference, runs: list[Sett
 
 
 def colours_of(engines: Iterable[str]) -> dict[str, str]:
-    """Return the colours of the engines by name, in order of first use; the name of carom is empty."""
+    """Return the colours of the engines by name, in the order of their first use; carom has an empty name."""
     names = [name for name in dict.fromkeys(engines) if name]
     return {"": OWN_COLOUR} | {name: COLOURS[k % len(COLOURS)] for k, name in enumerate(names)}

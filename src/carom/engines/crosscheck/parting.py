@@ -17,7 +17,7 @@ from carom.recording.read.recording import Recording
 from carom.scene.wording import Names
 
 PARTED = 0.01  # of the size of the system; runs farther apart have diverged
-OTHER_OUTCOME = 0.01  # of the speed of the system; a larger difference of velocities after an impact is another outcome
+OTHER_OUTCOME = 0.01  # of the speed of the system; velocities that differ by more after an impact are another outcome
 EARLIER = 2.0  # steps by which an impact of an engine may precede the same impact of the reference
 LATER = 40.0  # steps after the reference's impact within which a soft contact ends
 SAME_IMPACT = 0.02  # of the duration; largest time between the same impact in two runs
@@ -47,7 +47,7 @@ class NumberedImpacts:
         return cls(np.empty(0, np.int64), np.empty((0, 2), np.int64), np.empty(0), known=False)
 
     def nearest(self, pair: IntArray, time: float, within: float) -> int | None:
-        """Return the number of the impact of a pair nearest to a time (s); None without one near it."""
+        """Return the number of the pair's impact that is nearest to a time (s); None if no impact is near."""
         rows = np.flatnonzero((self.pair == pair).all(axis=1) & (np.abs(self.time - time) <= within))
         return int(self.number[rows[np.argmin(np.abs(self.time[rows] - time))]]) if len(rows) else None
 

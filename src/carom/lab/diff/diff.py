@@ -134,7 +134,7 @@ class ImpactDivergence:
 
 
 def impact_divergence(a: Recording, b: Recording) -> ImpactDivergence | None:
-    """Compare the impacts in both recordings; None if one has no impacts, as recordings of other engines."""
+    """Compare the impacts in both recordings; None if one records no impacts, as another engine's recording may."""
     if not (a.records_contacts and b.records_contacts) or a.engine or b.engine:
         return None
     numbers = impacts_by_number(a)[0], impacts_by_number(b)[0]
@@ -183,7 +183,7 @@ def _rows_by_ends(ends: IntArray) -> dict[tuple[int, int], IntArray]:
 
 
 def _nearest_in_order(short: FloatArray, long: FloatArray) -> IntArray:
-    """Match each time of the shorter list with one of the longer, in order, with the smallest sum of differences.
+    """Match each time of the shorter list, in order, with a time of the longer; minimise the sum of differences.
 
     This is dynamic programming over the number of skipped times. Of a list with more than `MOST_SKIPPED` surplus times,
     the last are ignored.
@@ -212,7 +212,7 @@ def _alone(
     times: tuple[FloatArray, ...],
     rows: tuple[IntArray, IntArray],
 ) -> ImpactPair | None:
-    """Return the first impact that certainly only one run has, within the common time; None if there is none."""
+    """Return the first impact within the common time that certainly only one run has; None if all impacts match."""
     spans = [recording.fingerprints()["time"].to_numpy() for recording in recordings]
     begin, end = max(span[0] for span in spans), min(span[-1] for span in spans)
     found: list[ImpactPair] = []
@@ -256,7 +256,7 @@ class MomentApart:
     time: float  # s
     rms: float  # m, of the distances between counterparts
     energy: float  # J, second minus first
-    bodies: tuple[int, ...]  # those furthest apart, the furthest first; none where all positions are the same
+    bodies: tuple[int, ...]  # the ones farthest apart, the farthest first; none if all positions are the same
     apart: tuple[float, ...]  # m
 
 

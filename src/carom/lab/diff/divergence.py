@@ -217,7 +217,7 @@ class FrameAlignment:
         return one[both], other[both], rounding
 
     def everywhere(self, k: int) -> tuple[FloatArray, FloatArray, float]:
-        """Return the same as `at` for all bodies; those that do not exist have the position NaN."""
+        """Return the same as `at` for all bodies; a body that does not exist has the position NaN."""
         i, j, part = self._place(k)
         if part == 1.0:
             exact = self._a.exact(i), self._b.exact(j)
@@ -297,7 +297,7 @@ class FrameAlignment:
 
 
 class _Frames:
-    """The frames of one recording, with its first ``count`` bodies; None: all."""
+    """The frames of one recording, with the first ``count`` bodies, or with all if it is None."""
 
     def __init__(self, recording: Recording, count: int | None) -> None:
         self._count = count
@@ -332,7 +332,7 @@ def _rounding(drawn: FloatArray) -> float:
 
 
 def _rms(vectors: FloatArray) -> float:
-    """Return the rms length, 0 for none; a vector with a NaN counts as infinitely long."""
+    """Return the rms length of vectors: 0 without vectors, infinite if one has a NaN."""
     if not len(vectors):
         return 0.0
     with np.errstate(invalid="ignore", over="ignore"):

@@ -155,9 +155,9 @@ def path_of(
 ) -> BranchPath:
     """Run a branch to its end.
 
-    Branches are compared at multiples of the interval of frames, or of a longer one for many frames, and at the end.
-    Each branch has a frame at the first step at or after a multiple. Since steps differ between branches, bodies are
-    moved back along their velocities to the exact multiple.
+    Branches are compared at the end, and at multiples of the interval of frames; with many frames, of a longer
+    interval. Each branch has a frame at the first step at or after a multiple. Since steps differ between branches,
+    bodies are moved back along their velocities to the exact multiple.
     """
     begin, end = start.checkpoint.time, start.scene.time.duration
     interval = float(max(auto.frame_interval(start.scene), (end - begin) / MOST_FRAMES))

@@ -7,8 +7,8 @@ branches, the logarithm of the likelihood ratio is
 
     k ln(0.99/0.9) + (m - k) ln(0.01/0.1)
 
-The test ends when this value leaves the interval (ln(0.05/0.95), ln(0.95/0.05)). If all branches agree, it takes 31 of
-them.
+The test ends when this value leaves the interval (ln(0.05/0.95), ln(0.95/0.05)). If all branches agree, the test takes
+31 branches.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Compare the bits of a scene alone in a new process with those after the other scenes of a hunt.
+"""Compare the bits of a scene that runs alone in a new process with its bits after the other scenes of a hunt.
 
 All scenes share the compiled kernels of their process, which other processes may have stored. Whatever leaks from one
 scene to the next, such as a kernel linked for the records of another scene, changes neither the ledger nor a replay in

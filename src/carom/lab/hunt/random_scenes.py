@@ -31,7 +31,7 @@ from carom.lab.hunt.random_boundaries import enclosed
 from carom.scene.parts import PARTS
 
 MOST_BODIES = 16
-DRIFT = 10.0  # common velocity of all bodies; the rounding of its energy is not part of the scale of errors
+DRIFT = 10.0  # common velocity of all bodies; the scale of errors excludes the rounding of its energy
 MOST_FIXED = 200  # steps of a fixed length
 SMOOTH_STEPS = 20
 ORDERED = ("leapfrog", "leapfrog-dkd", "yoshida4")  # integrators of order two or more

@@ -69,7 +69,7 @@ class MissedPromise(Condition):
 
     name: str = ""  # empty: the first that is missed
     note: str | None = None  # explains the measured value; None before the first run
-    or_error: bool = False  # whether an error that ends the run also counts
+    or_error: bool = False  # whether an error that ends the run also meets the condition
 
     def check(self, seen: Observation) -> None:
         """Check the name of the promise."""
@@ -122,7 +122,7 @@ class Measured(Condition):
     failed: bool = False  # whether the run ends with a PhysicsError
 
     def check(self, seen: Observation) -> None:
-        """Check the names, except those of moments, which may not exist yet."""
+        """Check all names but the names of moments, which may not exist yet."""
         for name in self.expression.unknown(seen.summary):
             if not name.startswith("moments."):
                 raise ExperimentError(self.expression.explain_unknown(name, seen.summary))
@@ -189,7 +189,7 @@ class Met(Condition):
         return f"impact of {' and '.join(sorted(self.pair or ()))}"
 
     def bodies(self, seen: Observation) -> set[str]:
-        """Return the names of those ends that are bodies."""
+        """Return the names of the ends that are bodies."""
         return set(self.pair or ()) & set(seen.space.names)
 
     def _pair(self, seen: Observation) -> Pair:
@@ -271,7 +271,7 @@ class Failed(Condition):
     """The end of a run by an error."""
 
     message: str = ""  # without numbers and names of bodies; empty: any
-    stated: bool = True  # whether a PhysicsError counts, whose message gives the reason, or only other exceptions
+    stated: bool = True  # whether a PhysicsError, which states a reason, is a failure, too
     about: str = ""  # text that the message must contain
 
     def pinned(self, seen: Observation) -> Failed:

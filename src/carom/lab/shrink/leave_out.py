@@ -82,8 +82,8 @@ Item = TypeVar("Item")
 def fewest(items: Sequence[Item], first: Callable[[list[list[Item]]], int | None]) -> list[Item]:
     """Return a subset of failing items that still fails, and from which no item can be left out.
 
-    This is delta debugging (Zeller & Hildebrandt, IEEE TSE 28, 183, 2002). ``first`` returns the index of the first of
-    several subsets that fails; each keeps the order of its items.
+    This is delta debugging (Zeller & Hildebrandt, IEEE TSE 28, 183, 2002). ``first`` returns the index of the first
+    failing subset among several; subsets keep the order of the items.
     """
     kept, parts = list(items), 2
     while len(kept) > 1:

@@ -259,7 +259,7 @@ class Reducer:
         self._end_stage("cut time", smallest, trials)
 
     def _pass_all(self, smallest: Smallest, cut: Callable[[], None], trials: Trials) -> str:
-        """Shorten the run, then repeat all passes until none changes the scene; return why they ended early, if so."""
+        """Shorten the run, then repeat all passes until no pass changes the scene; return why they ended early."""
         passes: dict[str, Callable[[], bool]] = {
             "left out bodies": lambda: leave_out_bodies(smallest, trials),
             "cut time": lambda: cut_time(smallest, trials),

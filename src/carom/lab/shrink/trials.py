@@ -83,7 +83,7 @@ class Budget:
 
     @property
     def reason(self) -> str:
-        """Why it has ended; empty before."""
+        """Why the reduction has ended; empty while it goes on."""
         if self._interrupts.count:
             return f"stopped by {self._interrupts.sender}"
         return "the budget was spent" if self.spent > self._seconds else ""
@@ -143,7 +143,7 @@ def observe(
     steps: int | None = None,
     schedule: Schedule | None = None,
 ) -> Observation | None:
-    """Run a space from its start, and return the observation of its end; None if it is abandoned after ``steps``.
+    """Run a space from its start and return the observation of its end; None if the run is abandoned after ``steps``.
 
     ``each`` is called at each frame with the observation so far, and returns whether to continue. The schedule of the
     frames is by default that of the scene. Raises `OutOfTime` if the budget ends before the run.
@@ -187,7 +187,7 @@ class Trials:
     def shows(self, document: Document, steps: int | None = None) -> Observation | None:
         """Run a candidate; return its observation if it still shows the failure.
 
-        It may take by default a few times as many steps as the smallest scene so far.
+        By default, a candidate may take a few times as many steps as the smallest scene so far.
         """
         self.budget.check()
         key = hash((toml_text(document), steps))
@@ -259,7 +259,7 @@ def execute(task: Task) -> bool:
 
 
 class Judges:
-    """A number of processes that judge candidates, started when candidates take long enough; None: one for each core.
+    """Processes that judge candidates, started once candidates take long enough; ``None`` means one for each core.
 
     The result does not depend on them: among several candidates, the first in order that shows the failure is chosen.
     """

@@ -42,7 +42,7 @@ from carom.state.checkpoint import Checkpoint
 
 EPS = float(np.finfo(np.float64).eps)
 PERTURBED = 6  # runs that measure the growth of roundings
-ROUNDINGS = 1e3  # allowed deviation of an image over that of these runs: an image is rounded in each step, not once
+ROUNDINGS = 1e3  # times their deviation, allowed for an image: it is rounded in each step, not once
 KNOWN = 1e-6  # of the extent; there is no verdict if roundings grow beyond it
 FINER = 16  # times as many steps: the error decreases by 16 at order 1, by 256 at order 2
 FALLS = 64.0  # smallest decrease of the error with an integrator of order 2 or more
@@ -299,7 +299,7 @@ def _grown(document: Document, here: FinalState, reach: float, speed: float) -> 
 
 
 def _by_shorter_steps(scene: Scene) -> str:
-    """Compare the largest energy error with that of shorter steps."""
+    """Compare the largest energy error with the error at shorter steps."""
     assert scene.time.fixed_dt is not None, "the steps are fixed"
     shorter = scene.time.model_copy(update={"fixed_dt": scene.time.fixed_dt / FINER})
     coarse, fine = _energy_error(scene), _energy_error(scene.model_copy(update={"time": shorter}))

@@ -53,7 +53,7 @@ class NothingThereError(RecordingError):
 
 
 class ContactColumns(NamedTuple):
-    """The lasting contacts that carry an impulse, in the steps of some frames."""
+    """The lasting contacts that carry an impulse in the steps of selected frames."""
 
     moving: BoolArray  # (f, n) mask of the bodies that exist in each frame and are not fixed
     elapsed: float  # s, the length of these steps in all
@@ -91,7 +91,7 @@ class Interval:
 
     @classmethod
     def of(cls, recording: Recording, start: float | None, end: float | None, replay: bool, watch: Watcher) -> Interval:
-        """Choose the frames from one time to another (s), both included; by default all."""
+        """Choose the frames between two times (s), both included; by default all frames."""
         recording.refuse_some_bodies()
         recording.require_frames()
         first, last = -np.inf if start is None else start, np.inf if end is None else end
@@ -179,8 +179,8 @@ class Interval:
     def sums(self) -> ImpactSums:
         """Sums over all impacts after the first frame; `NothingThereError` if there are none.
 
-        If the recording lacks sums, rows are summed; RecordingError if some impacts have no rows. Rows lack the length
-        of the paths, the kinetic stress and the losses of pairs, which are NaN, and the virial of friction.
+        If the recording lacks sums, rows are summed; RecordingError if some impacts have no rows. Rows give no length
+        of the paths, no kinetic stress and no losses of pairs, which are NaN, and no virial of friction.
         """
         known = self._sums
         if known is None:
@@ -316,7 +316,7 @@ class Interval:
 
     @property
     def contacts(self) -> ContactColumns:
-        """The lasting contacts of some frames, without impacts; `NothingThereError` if there are none."""
+        """The lasting contacts of some frames, without impacts; raises `NothingThereError` if nothing lasts."""
         self._require_contacts()
         if self.recording.engine and not self.recording.records_contacts:
             raise RecordingError(f"forces of contacts are not in this recording of {self.recording.engine}")
@@ -362,7 +362,7 @@ class Interval:
         return np.asarray(phi2 + phi1 - np.exp(-z) * phi2 / phi1)
 
     def groups(self, among: BoolArray | None = None) -> list[tuple[str, BoolArray]]:
-        """Return the name of each group of bodies, and a mask of its members among all bodies or some.
+        """Return the name of each group of bodies, and a mask of its members among the given bodies (default: all).
 
         A group is named by the common beginning of its bodies' names, such as "molecule" for "molecule 17".
         """
@@ -395,7 +395,7 @@ class Interval:
         return bool(scene.plane or scene.wall or ("walls" in scene.domain.axes and any(scene.gravity.uniform)))
 
     def chosen(self, count: int) -> IntArray:
-        """Return evenly spaced rows of the frames, the last one among them; frame 0 only if it is the only one."""
+        """Return evenly spaced rows of the frames, including the last frame, and frame 0 only if there is no other."""
         rows = np.flatnonzero(self.step > 0) if self.step[-1] > 0 else np.zeros(1, np.int64)
         places = np.linspace(len(rows) - 1, 0, min(count, len(rows))).round().astype(np.int64)
         return np.asarray(rows[places[::-1]])

@@ -55,7 +55,7 @@ class Statistics(NamedTuple):
     def of(
         cls, recording: Recording, start: float | None, end: float | None, replay: bool, watch: Watcher
     ) -> Statistics:
-        """Measure all statistics from one time to another (s); RecordingError if there is no data for any."""
+        """Measure all statistics between two times (s); raises RecordingError if the data suffice for none."""
         interval = Interval.of(recording, start, end, replay, watch)
         kinds = dict[str, Statistic]()
         for name, (_, measure) in KINDS.items():

@@ -89,7 +89,7 @@ def contact_counts(pairs: IntArray, bodies: int) -> IntArray:
 def held_bodies(pairs: IntArray, moving: BoolArray, fewest: int) -> tuple[BoolArray, IntArray]:
     """Remove rattlers and their contacts until none is left; return a mask of the other bodies, and their pairs.
 
-    Planes and fixed bodies hold others, and need no contacts themselves.
+    Planes and fixed bodies support other bodies, and need no contacts to be stable.
     """
     n, held = len(moving), np.ones(max(len(moving), int(pairs.max(initial=0)) + 1), dtype=bool)
     while True:

@@ -38,7 +38,7 @@ class SweepProgress(LiveLine):
         self.say(f"{self._title}: {self._runs} runs{there}")
 
     def ended(self, run: SweepRun) -> None:
-        """Count a run; report it if it failed."""
+        """Count a run, and report a failed one."""
         self._ended += 1
         self._first = self._first or time.perf_counter()
         if not run.ok:

@@ -179,7 +179,7 @@ class SweepRun:
     name: Plain
     parameters: dict[str, Any]
     seed: int
-    status: str = PENDING  # "done": run and recording are complete; "failed": one of them is not
+    status: str = PENDING  # "done": run and recording are complete; "failed": the run or the recording is not
     outcome: str = ""  # a status of `Outcome`, or "refused", "error", or "lost" with its workers
     reason: str = ""  # a sentence; empty when completed
     wall_time: float | None = None  # s

@@ -89,7 +89,7 @@ SPENT = "the budget"  # the first words of the reason for which settings are lef
 STOPPED = "carom: stopped; the measurements are kept, and the same command continues"
 COSTS = "cost / s", "known to", "steps", "mean step / written"  # columns of the first table
 UNBROKEN_SLASH = "\N{NO-BREAK SPACE}/\N{NO-BREAK SPACE}"  # before a unit
-HEADING = 10  # characters of a line of a heading, about those of a value
+HEADING = 10  # characters of a line of a heading: about as many as a value has
 MARKS = {"front": "●", "near": "?"}  # of an error in the table; see `_legend`
 PIPE_WIDTH = 320  # characters of the table where the output is not a terminal
 ADVICE = "start over with --new-study, or choose another folder with --study"
@@ -285,7 +285,7 @@ def show_tables(study: Study, errors: Collection[str] = SHOWN) -> None:
 
 
 def table_of(study: Study, errors: Collection[str] = SHOWN, *, costs: bool = True) -> Table:
-    """Make the table of a study, cheapest first, with a column for each of some errors, and those of the costs."""
+    """Make the table of a study, cheapest setting first, with the columns of the costs and one for each given error."""
     from rich import box
     from rich.markup import escape
     from rich.table import Table

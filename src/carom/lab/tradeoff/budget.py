@@ -1,7 +1,8 @@
-"""The time that a study may take, and which settings are worth it: those that may be on the front.
+"""The time that a study may take, and which settings are worth timing: the ones that may be on the front.
 
 A setting is left out before its first run if its steps are shorter than those of a setting that errs by rounding alone.
-It is not timed if another one is as accurate and clearly cheaper. Timings are repeated where the front is uncertain.
+A setting is not timed if another setting is as accurate and clearly cheaper. Timings are repeated where the front is
+uncertain.
 """
 
 from __future__ import annotations
@@ -78,7 +79,7 @@ def is_beaten(errors: Errors, rival: Errors, floors: Errors) -> bool:
 
 
 def estimated_cost(result: SettingResult, written: SettingResult) -> float:
-    """Return about the least cost (s) of a followed setting, from that of the scene as written; 0 if unknown."""
+    """Estimate the least cost (s) of a followed setting from the cost of the scene as written; 0 if unknown."""
     if not (written.costs and written.followed and result.followed and result.steps):
         return 0.0
     return written.cost * min(result.followed / written.followed, result.steps / written.steps)

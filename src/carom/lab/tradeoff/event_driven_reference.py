@@ -11,10 +11,10 @@ solution ends where a force presses touching bodies together or where contacts a
 not events.
 
 The tolerance bounds the error of flights only. A *twin* measures how contacts amplify rounding: the same scene,
-displaced by rounding errors, with simultaneous contacts resolved in another order. Each order keeps the impulse law of
-a pair, but in a row of touching bodies the velocities depend on it: no law of pairs determines them. The solution
-resolves all pairs that close, and then those that close again; the twins resolve one pair at a time, one twin the last
-of those that close, the other twin the first.
+displaced by rounding errors, with simultaneous contacts resolved in another order. Each order of the impacts obeys the
+impulse law of a pair, but in a row of touching bodies the velocities depend on the order: no law of pairs determines
+them. The solution resolves all closing pairs at once, and then the pairs that close again. The twins resolve one pair
+at a time: one twin the last closing pair, the other twin the first.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ LOWEST_FLIGHT = 10.0  # times the largest gap of a contact; bodies that bounce l
 BISECTIONS = 30  # of a step in which a force begins to press
 NEWTON = 12  # largest number of iterations, each of which squares the error
 NUDGE = 4.0  # initial displacement of a twin in units of rounding: more than the error of some hundred steps
-LONGER = 1.25  # the longest step of a twin over that of the solution; at order eight its error is six times as large
+LONGER = 1.25  # longest step of a twin over the longest step of the solution: at order eight, six times the error
 EPS = float(np.finfo(np.float64).eps)
 
 
@@ -224,7 +224,7 @@ class _Solver:
             self._velocity.append(v.copy())
 
     def _sample_now(self) -> None:
-        """Store the sample at the present time, if there is one; colliding bodies then have their new velocities."""
+        """Store the sample of the present time, if one is due; colliding bodies already have their new velocities."""
         if self._next_sample() == self._time:
             self._position.append(self._bodies.position.copy())
             self._velocity.append(self._bodies.velocity.copy())

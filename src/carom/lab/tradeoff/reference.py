@@ -143,7 +143,7 @@ def compare(run: Trajectory, reference: Trajectory, scale: ErrorScale, samples: 
 
 
 def _over_time(name: str, errors: FloatArray, reaches_end: bool) -> dict[str, float]:
-    """Return the measures of an error at the samples; the last sample is that of the end if they reach it."""
+    """Return the measures of an error at the samples; the last sample is the end, if samples reach it."""
     largest = float(np.abs(errors).max()) if len(errors) else np.nan
     end = float(abs(errors[-1])) if len(errors) and reaches_end else np.nan
     return {name: _total(errors), f"{name}_max": largest, f"{name}_end": end}
@@ -216,10 +216,9 @@ def make_reference(
 ) -> Reference:
     """Make the reference of a scene. Raises SceneError or PhysicsError if a run fails.
 
-    A refined reference begins with half of the smallest compared steps, which are ``finest`` times smaller than those
-    of the scene. If the next solution, with half the step, would exceed the ``budget`` (s of computing), the check has
-    twice the step instead. An exact solution ends after a third of the budget. ``tell`` receives a sentence before each
-    solution.
+    A refined reference begins with half of the smallest compared step, which is the scene's step over ``finest``. If
+    the next solution, with half the step, would exceed the ``budget`` (s of computing), the check has twice the step
+    instead. An exact solution ends after a third of the budget. ``tell`` receives a sentence before each solution.
     """
     tell = tell or (lambda text: None)
     reason = why_not(scene)
@@ -370,7 +369,7 @@ def _reference(
 
 
 def _largest(errors: list[Errors], horizon: float) -> Errors:
-    """Return the largest value of each error, but at least rounding; times of impact have that of the clock."""
+    """Return the largest value of each error, but at least rounding; for times of impact, the rounding of the clock."""
     rows = [astuple(error) for error in errors] or [(math.nan,) * len(NAMES)]
     largest = Errors(*np.fmax.reduce(np.array(rows), axis=0).tolist())
     rounding = dict.fromkeys(OF_SAMPLES, EPS) | {"impact": EPS * horizon}

@@ -1,11 +1,11 @@
 """The settings of a scene to be compared, their results as entries of ``tradeoff.json``, and the Pareto front.
 
 A setting is on the front if no other setting beats it in both cost and error. Errors are the same in every run. Costs
-are noisy, so each is an interval. A setting is beaten if another one has no larger error and its cost interval lies
-entirely below. It is on the front if the cost intervals of all others with no larger error lie entirely above.
-Otherwise it is undecided. If the intervals of two measurements overlap for each setting, no setting is on the front in
-one and beaten in the other. A front of medians would change with every measurement of settings with equal costs.
-Unequal errors that differ by less than the uncertainty of the reference are not distinguished.
+are noisy, so each is an interval. A setting is beaten if another setting has no larger error and a cost interval that
+lies entirely below. A setting is on the front if the cost intervals of all settings with no larger error lie entirely
+above its own. Otherwise it is undecided. If the intervals of two measurements overlap for each setting, no setting is
+on the front in one and beaten in the other. A front of medians would change with every measurement of settings with
+equal costs. Unequal errors that differ by less than the uncertainty of the reference are not distinguished.
 """
 
 from __future__ import annotations
@@ -172,9 +172,9 @@ def default_settings(scene: Scene) -> list[Setting]:
 def vary(scene: Scene, choices: list[str]) -> list[Setting]:
     """Return the settings of a grid; raises SceneError if a key or a value is wrong.
 
-    Each choice is ``key=a,b,c`` or ``key=first:last:count``, as in `carom sweep`; every value of one is combined with
-    every value of the others. The key ``step`` multiplies the limits of the step. ``threads`` is not part of the scene
-    and changes only the cost.
+    Each choice is ``key=a,b,c`` or ``key=first:last:count``, as in `carom sweep`; all combinations of the values are
+    settings. The key ``step`` multiplies the limits of the step. ``threads`` is not part of the scene and changes only
+    the cost.
     """
     settings = [_setting(scene, picked) for picked in itertools.product(*map(_axis, choices))]
     for choice in choices:
@@ -278,7 +278,7 @@ class SettingResult:
     setting: Setting
     status: str = "pending"  # "measured", "refused", "stopped", "failed" or "left out"
     reason: str = ""  # why it was refused, stopped, left out or not timed, or failed
-    costs: list[float] = field(default_factory=list)  # s, of each run
+    costs: list[float] = field(default_factory=list)  # s, cost of each run
     steps: int = 0
     frames: int = 0  # in a recording of the run
     errors: Errors | None = None

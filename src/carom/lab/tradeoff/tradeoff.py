@@ -75,7 +75,7 @@ VERSION = 6  # of the document; before, there were no largest errors and no erro
 ADVICE = "start over with --force, or choose another folder with -o"
 ROUND_OFF = 1e-13  # of a whole run, over its scale
 WORK = 3e7  # limit of steps × (bodies + `BODIES_PER_STEP`) of a bounded setting, some 20 s
-BODIES_PER_STEP = 30  # the fixed time of a step is about that of this many bodies
+BODIES_PER_STEP = 30  # a step without bodies takes about as long as this many bodies
 DEARER = 30.0  # a bounded setting may always make this many times the steps of the scene as written
 CERTAIN = 6  # costs, from which on the range contains the median with 95 %
 WRITING = 1.0  # s between two writings of the document while short runs are timed
@@ -158,7 +158,7 @@ class Study:
 
     @property
     def noise(self) -> float:
-        """The relative uncertainty of every cost: the median of the settings' intervals, or of the ranges of few costs.
+        """The relative uncertainty of every cost: the median of the settings' intervals or, for few costs, ranges.
 
         A single run deviates by half the range, but two of three runs, and with them the median, may deviate in the
         same direction by chance. A setting with a larger range has the larger uncertainty. 0 if nothing was run twice.
@@ -405,7 +405,7 @@ class Study:
         }
 
     def _result(self, setting: Setting) -> SettingResult:
-        """Return the result of a setting; creates one if there is none."""
+        """Return the result of a setting, which is created at the first call."""
         for result in self.results:
             if _key(result.setting) == _key(setting):
                 return result

@@ -47,7 +47,7 @@ COLUMNS = 4  # of the legend
 
 
 class Look(NamedTuple):
-    """The style of the points of a family of settings."""
+    """The style in which a family of settings is drawn."""
 
     colour: str
     marker: str
@@ -79,7 +79,7 @@ def draw(document: dict[str, Any], *paths: Path, units: UnitSystem = SI) -> None
     if not panels:
         raise ExperimentError("there are no measurements to draw yet")
     families = _families(done)
-    # each family has its own line and marker; those of other engines have other markers
+    # each family has its own line and marker; other engines have other markers than carom
     looks: dict[str, Look] = {}
     counts = {OWN: 0, OTHERS: 0}
     for name, group in families.items():

@@ -1,11 +1,11 @@
 """The cheapest setting of a scene whose measured errors keep given limits, by coordinate descent or from a list.
 
-The search begins at the best of about a dozen settings that differ from the scene in one key each. It changes one key
-after the other until no change is an improvement. A setting is an improvement if it keeps the limits and is cheaper,
-or, while no setting keeps them, if it is nearer to keeping them. After each change the step is doubled as long as that
-is an improvement, and halved until the limits are kept. An integrator of high order is thus judged with the long steps
-that it allows. The result is the cheapest setting that was tried. Errors and costs need not be monotonic in a key, so
-only a search of all combinations would prove that none is cheaper.
+The search begins at the best of about a dozen settings that differ from the scene in one key each. The search changes
+one key after the other until no change is an improvement. A setting is an improvement if it keeps the limits and is
+cheaper. While no setting keeps the limits, a setting nearer to them is an improvement. After each change the step is
+doubled as long as that is an improvement, and halved until the limits are kept. An integrator of high order is thus
+judged with the long steps that it allows. The result is the cheapest setting that was tried. Errors and costs need not
+be monotonic in a key, so only a search of all combinations would prove that none is cheaper.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from carom.scene.units.dimension import TIME
 from carom.scene.wording import suggestion
 from carom.terminal.printing import finite
 
-FRAMES_KEPT = 0.95  # least number of frames over that of the scene's recording, so that motion stays smooth
+FRAMES_KEPT = 0.95  # of the frames of the scene's recording; with fewer, motion is no longer smooth
 NEARER = 0.9  # if half the step leaves a larger fraction of the excess, no shorter step is tried
 DEAREST = 16.0  # times the cost of the scene; at a higher cost no step is halved
 HOPELESS = 2.0  # times the cost of a rival, above which a setting cannot win; costs are uncertain
@@ -131,9 +131,9 @@ class SettingSearch:
 
 
 def excess(study: Study, written: SettingResult, result: SettingResult, limits: dict[str, float]) -> float:
-    """Return the factor by which a setting misses the worst limit; the number of frames counts as a limit.
+    """Return the factor by which a setting misses the worst limit; the number of frames is a limit, too.
 
-    It is 0 if all are kept, and infinite if one of them is not measured.
+    The factor is 0 if all limits are kept, and infinite if one error is not measured.
     """
     if not result.complete:
         return math.inf
@@ -146,7 +146,7 @@ def excess(study: Study, written: SettingResult, result: SettingResult, limits: 
 
 
 def loses_frames(study: Study, written: SettingResult, result: SettingResult) -> bool:
-    """Return whether a recording has fewer frames than that of the scene as written.
+    """Return whether a recording has fewer frames than the recording of the scene as written.
 
     If the scene records every step, as many frames as in an automatic recording suffice.
     """
@@ -192,7 +192,7 @@ class Tuning:
 
     @property
     def speed(self) -> float:
-        """Speed of the best setting over that of the scene as written; NaN if one of them has no cost."""
+        """How many times as fast as the scene as written the best setting is; NaN if one of them has no cost."""
         return math.nan if self.best is None else self.written.cost / self.best.cost
 
     @property
@@ -213,7 +213,7 @@ class Tuning:
         return "as fast as the original scene within the noise"
 
     def _gain(self, result: SettingResult) -> tuple[float, float]:
-        """Return the least and the largest speed of a setting over that of the scene as written."""
+        """Return the least and the largest speed of a setting, in units of the speed of the scene as written."""
         doubt = 1.0
         for each in (result, self.written):
             doubt *= 1.0 + (self.study.doubt(each) if len(each.costs) > 1 else ALONE)

@@ -31,7 +31,7 @@ class Cause:
     moment: float  # s, of the impact, or of the largest impulse
     hardest: float  # N s, the largest impulse of a step
     approach_speed: float | None = None  # m/s, of an impact
-    energy_lost: float | None = 0.0  # J, dissipated by restitution and friction, of both bodies; None: unknown
+    energy_lost: float | None = 0.0  # J, dissipated by restitution and friction in both bodies; None if unknown
     lasts: bool = False  # whether an impact is a force that lasts for some steps, as impacts of other engines do
     share: float = 0.0  # net share of the velocity that the other end gave; see `Cone`
     turned: float = 0.0  # share of the velocity that the other end, which has no speed to give, turned round
@@ -44,7 +44,7 @@ class Cause:
         return "stop" if self.approach_speed is None else "impact"
 
     def takes(self, earlier: Cause, adjoins: bool) -> bool:
-        """Return whether this contact continues an earlier one, which ``adjoins`` if it was in the step before."""
+        """Return whether this contact continues an earlier one; ``adjoins``: one of the previous step."""
         goes_on = self.holds or (self.lasts and earlier.lasts)
         return adjoins and goes_on and earlier.holds == self.holds and earlier.partner == self.partner
 
@@ -125,9 +125,9 @@ class Account:
         """Go back through a step, or through its beginning up to a moment.
 
         ``rows`` are the impulses on this body up to the moment, in order, and ``flow`` their shares of its velocity,
-        (k, 1). ``shares`` are those that the body carries before the step, and that forces have given it so far.
-        ``kicks`` are its changes of velocity by forces, (3,) m/s each. ``impacts`` and ``contacts`` are the
-        `CONTACT_ROW` of the step, but the beginning of a step has no contacts.
+        (k, 1). ``shares`` are the shares that the body carries before the step, and the shares that forces have given
+        it so far. ``kicks`` are the body's changes of velocity by forces, (3,) m/s each. ``impacts`` and ``contacts``
+        are the `CONTACT_ROW` of the step, but the beginning of a step has no contacts.
         """
         self._lost, self._before = {}, step.before_step  # losses of all contacts less those of impacts
         for some, sign in ((contacts, 1.0), (impacts, -1.0)) if len(contacts) else ():
@@ -138,7 +138,7 @@ class Account:
         first, last = sum(kicks[:1], np.zeros(3)), sum(kicks[1:], np.zeros(3))  # before the drift, and after it
         forces_share = shares[1] - self.forces_share
         if step.by_field.any() and forces_share > 0.0:
-            # the field's part of what forces gave, along the sum of forces and of contacts that hold
+            # the part of the field in the change by forces, along the sum of forces and of holding contacts
             held = self._impulses(rows[~rows["impact"] | rows["lasts"]]).sum(axis=0) / self.mass
             forces = first + last
             parts = np.maximum(0.0, np.vstack((step.by_field, forces - step.by_field)) @ (forces + held))
@@ -201,7 +201,7 @@ class Account:
         cause = Cause(partner, holds, time, time, step, impulse, size, work, time, size, lasts=lasts)
         cause.share, cause.turned = shares
         if not holds:
-            # approach speed and energy loss are those of the recorded impact
+            # approach speed and energy loss come from the recorded impact
             low, high = sorted((self.body, partner))
             own = impacts[(impacts["i"] == low) & (impacts["j"] == high) & (impacts["time"] == time)]
             if len(own):  # a pair may meet several times at one moment

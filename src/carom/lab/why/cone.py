@@ -19,8 +19,8 @@ come from further impulses on the other end. A plane at rest has no speed, so it
 body round. A wall that moves by itself keeps its part, which has then reached its cause.
 
 All that is said about shares follows from these flows. The net share that passes over a contact is what the contact
-gave the body; it is negative if the body gave it to the other end and got it back later. For each body of the question
-the shares of its start, of forces on it and of its contacts therefore sum to 1.
+gave the body; it is negative if the body gave it to the other end and got it back later. For each body of the question,
+three shares therefore sum to 1: of its start, of forces on it, and of its contacts.
 
 Membership is exact: going back in time, a body belongs to the cone from its first contact with a body of the cone.
 """
@@ -40,13 +40,13 @@ from carom.arrays import BoolArray, FloatArray, IntArray, Records
 from carom.lab.why.history import Step
 
 _ROUNDS = 16  # largest number of bodies through which a share passes in one instant
-NEGLIGIBLE = 1e-9  # share that is not passed on; change of a velocity that counts as rounding
+NEGLIGIBLE = 1e-9  # smallest share that is passed on; smaller changes of a velocity are rounding
 
 
 class Flow(NamedTuple):
     """Shares at some impulses, for each of the q bodies of the question."""
 
-    net: FloatArray  # (k, q) passed from j to i, less those from i to j
+    net: FloatArray  # (k, q) shares passed from j to i, less the ones from i to j
     turned: FloatArray  # (k, q) returned by an end that has no speed to give: a plane, a wall or a fixed body
 
     @classmethod
@@ -67,7 +67,7 @@ class Passage:
     impulse: float  # N s
     net: float  # share of the answer that passed from j to i, less that from i to j
     turned: float  # share of the answer that a plane, a wall or a fixed body turned round
-    before_step: int  # the step before its first one
+    before_step: int  # the step before the first step of the answer
 
 
 @dataclass(slots=True)
@@ -298,7 +298,7 @@ class Cone:
         J = _vectors(rows)
         along = np.concatenate((-_units(J), _units(J)))
         moves = to < self.count
-        speed = np.zeros(len(to))  # m/s, of the receiving end along the impulse
+        speed = np.zeros(len(to))  # m/s, velocity of the receiving end along the impulse
         speed[moves] = (before[to[moves]] * along[moves]).sum(axis=1)
         back = np.abs(speed)
         is_free = (origin < self.count) & (self.inverse_mass[origin] > 0.0)
@@ -322,7 +322,7 @@ class Cone:
         np.add.at(self.carried, ends, parts)
 
     def _note(self, rows: Records, own: IntArray, passed: FloatArray, returned: FloatArray, flow: Flow) -> None:
-        """Add the shares that passed over some rows and those that returned, (2k, q) each: to i, then to j."""
+        """Add the shares that passed over some rows and the shares that returned, (2k, q) each: to i, then to j."""
         m = len(own)
         some = rows[own]
         size = np.sqrt((_vectors(some) ** 2).sum(axis=1))
@@ -409,7 +409,7 @@ _AT_ONCE = 0.5  # weight of an impact at the same instant as another, since thei
 
 @dataclass(frozen=True, slots=True)
 class Link:
-    """An impact by which one body got its velocity from another, or was turned round by an end at rest."""
+    """An impact that gave a body its velocity, or in which an end at rest turned the body round."""
 
     step: int
     instant: int  # within the step; impacts of one instant act together
@@ -458,7 +458,7 @@ def chain_of(cone: Cone, bodies: tuple[int, ...]) -> list[Link]:
 
 
 def _links_to(bodies: set[int], passage: Passage) -> Iterator[Link]:
-    """Yield an impact as a link to each of its ends that is one of some bodies."""
+    """Yield an impact as a link to each end that is among the given bodies."""
     for body, by, net in ((passage.i, passage.j, passage.net), (passage.j, passage.i, -passage.net)):
         if body in bodies:
             at = passage.step, passage.instant, passage.time

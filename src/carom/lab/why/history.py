@@ -43,7 +43,7 @@ IMPULSE = np.dtype(
         ("holds", np.bool_),  # whether it holds a contact at rest
         ("impact", np.bool_),  # whether the contact closed faster than its rest speed; if neither, it is a stop
         ("approach", np.float64),  # m/s, closing speed of an impact; 0 if it is unknown
-        ("lasts", np.bool_),  # whether it is a force over the whole step, as contacts of other engines are
+        ("lasts", np.bool_),  # whether the impulse is a force over the whole step, as in other engines
     ]
 )
 
@@ -60,13 +60,13 @@ class Step:
     """The data of one step."""
 
     step: int
-    before_step: int  # the one before; for another engine, that of the exact state before
+    before_step: int  # the previous step; for another engine, the step of the previous exact state
     time: float  # s, at its end
     began: float  # s
     before: FloatArray  # (n, 3) m/s, velocities at its beginning
     after: FloatArray  # (n, 3) m/s, velocities at its end
     impulses: Records  # (k,) `IMPULSE`, in order
-    kicks: list[FloatArray]  # each (b, 3) m/s, changes of velocity by forces, of the bodies of the question
+    kicks: list[FloatArray]  # each (b, 3) m/s, changes of the velocities of the asked bodies by forces
     contacts: Records  # (m,) `CONTACT_ROW`, the contacts of these bodies
     by_field: FloatArray = field(default_factory=lambda: np.zeros(3))  # (3,) m/s, of the kicks, by an engine's field
 
@@ -201,7 +201,7 @@ def recorded_history(recording: Recording, question: Question, start: float | No
 
     A step lasts from one exact state to the next. An impulse is a contact's force times the time between frames. A kick
     is the change of velocity beyond these impulses, by forces and by contacts that the engine does not report. A
-    contact is an impact while it closes or separates faster than these kicks could make it; otherwise it holds.
+    contact is an impact while it closes or separates faster than these kicks explain; otherwise it holds.
 
     The history begins with the last exact state before ``start`` (s). By default it goes back `MOST_FRAMES` frames, or
     fewer with many bodies.
@@ -283,7 +283,7 @@ def _step(
     for end, sign in (("i", -1.0), ("j", 1.0)):
         np.add.at(given, rows[end], sign * inverse_mass[rows[end], None] * J)
         np.add.at(acted, rows[end], inverse_mass[rows[end]] * np.linalg.norm(J, axis=1))
-    # a body that comes begins with the part of its velocity that contacts do not explain; one that goes keeps its own
+    # a new body starts with the part of its velocity that contacts do not explain; a body that goes keeps its velocity
     began = np.where(np.isnan(before.velocity), after.velocity - given[:n], before.velocity)
     ended = np.where(np.isnan(after.velocity), began + given[:n], after.velocity)
     began, ended = np.nan_to_num(began), np.nan_to_num(ended)

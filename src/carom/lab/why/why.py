@@ -29,7 +29,7 @@ class Answer:
     question: Question
     time: float  # s, to which the velocities belong
     step: int
-    begin: float  # s, of the window
+    begin: float  # s, the start of the window
     begin_step: int
     source: str  # source of the numbers, in words
     accounts: list[Account]  # of the bodies of the question
@@ -176,7 +176,7 @@ class _Backwards:
         self._rest(history, step.step - history.steps[0].step)
 
     def go_on(self, history: History) -> None:
-        """Go back through the window before."""
+        """Go back through the earlier window."""
         self._differs = history.differs if self._differs is None else self._differs
         self._rest(history, len(history.steps))
 

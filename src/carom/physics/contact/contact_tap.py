@@ -68,7 +68,7 @@ class Impulses(NamedTuple):
     impact: BoolArray | None = None
     approach: FloatArray | None = None  # (k,) m/s, closing speed before the impulses; None: all contacts were held
     angular: FloatArray = NO_ANGULAR_IMPULSES  # (k, 3) N m s, Λ, if the law resists rolling
-    ordered: bool = False  # whether they acted one after another; otherwise those of one moment acted together
+    ordered: bool = False  # whether impulses acted one by one; otherwise all of a moment acted together
 
 
 class RowData(NamedTuple):
@@ -174,7 +174,7 @@ class ContactTap(OptionalPart):
         return store.rows(), store.left_out, self._totals.pop()
 
     def rows(self, buffer: Buffer | None = None) -> Records:
-        """Return the contact table of this step, (m,) `CONTACT_ROW`, sorted by pair; in a buffer, if one is given.
+        """Return the contact table of this step, (m,) `CONTACT_ROW`, sorted by pair, in the buffer if it is given.
 
         It contains the contacts of the graph, contacts that exerted an impulse and have opened since, and idle contacts
         with the forces that they had in the solver.

@@ -25,7 +25,7 @@ from carom.physics.jit.instructions import from_front, lowest_bit
 from carom.physics.jit.vectors import WIDTH
 
 OVERFLOW = 64  # colour of contacts that do not fit into 64 colours; they are resolved last, one by one
-CONTACTS_PER_PIECE = 256  # at most, unless a block needs more to be full; an iteration over them takes microseconds
+CONTACTS_PER_PIECE = 256  # largest number, unless a full block needs more; an iteration over them takes microseconds
 
 
 @inline
@@ -151,7 +151,7 @@ class SolveOrder:
 
     place: IntArray  # (m,) index of each contact in this order
     pairs: IntArray  # (m, 2) in this order
-    pieces: IntArray  # (k, 2) first index of each, and the end of its range; a piece has one colour
+    pieces: IntArray  # (k, 2) first index and end of the range of each piece; a piece has one colour
     edges: IntArray  # (s + 1,) first piece of each colour, and k
     independent: int  # number of leading colours whose contacts share no moving body
 

@@ -32,7 +32,7 @@ from carom.physics.vector import Vector
 GUIDE = (  # of a solid in a drift; zeros for one that contacts do not move
     "guide_start",  # m, r₀
     "guide_speed",  # m/s, u
-    "guide_bend",  # m/s², a; 0 if contacts hold it, so that its path is straight
+    "guide_bend",  # m/s², a; 0 if contacts hold the wall, so that its path is straight
     "guide_half",  # s, ½ dt
     "guide_impacts",  # impacts so far
 )

@@ -1,9 +1,9 @@
 """The hooks of a step: what an optional part of the model does in it, and when.
 
 `carom.physics.step` and `carom.physics.contact.pipeline` name no optional part. They call hooks, each with the step,
-and a part implements those that it needs. The list of a hook has only the methods of the parts that implement it, so a
-scene without parts calls nothing. `carom.plan.step_parts` has a row for each part, in the order in which hooks call
-them.
+and a part implements the hooks that it needs. The list of a hook has only the methods of the parts that implement it,
+so a scene without parts calls nothing. `carom.plan.step_parts` has a row for each part, in the order in which hooks
+call them.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ class PresentStep:
     time: float = 0.0  # s, the time at which it ends
     dt: float = 0.0  # s
     drift: float = 0.0  # s, the present drift; steps of some integrators have several
-    kick: float = 0.0  # s, the kick before it; after the first one, the contacts of the last step are held
+    kick: float = 0.0  # s, the kick before the drift; after the first kick, the contacts of the last step are held
     booked: float = 0.0  # s, the part of the drift for which the work of the forces is booked by then
     last_kick: float = 0.0  # s, the kick after it
     path: DampedPath = STRAIGHT
@@ -115,7 +115,7 @@ class OptionalPart:
         return False
 
     def support(self, by_solver: FloatArray) -> FloatArray:
-        """Return the accelerations that contacts support, (n + p,) m/s², given those in the solver's contacts."""
+        """Return the supported accelerations, (n + p,) m/s², given the ones that the solver's contacts support."""
         return by_solver
 
     def warnings(self) -> Iterable[str]:

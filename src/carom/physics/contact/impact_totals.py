@@ -1,6 +1,6 @@
 """Sums over all impacts between two frames: what statistics need although most impacts have no row of their own.
 
-The rows of a busy run do not fit into memory or into its file, and those that remain are the largest, which is no
+The rows of a busy run do not fit into memory or into its file, and the rows that remain are the largest, so they are no
 sample. These sums have every impact, in the order in which rows are made: by steps, and in a step by time.
 
 The stress also needs Σ m c ⊗ c, which checkpoints have at few moments only.
@@ -96,7 +96,7 @@ class ImpactTotals:
         _end_paths(bodies.position, velocity, self._corners, self._totals, self._kinetic)
         row = self._row.copy()
         self._row[:] = 0.0
-        if self._quiet:  # saves 7 µs, of 30 of a frame of few bodies
+        if self._quiet:  # saves 7 of the 30 µs of a frame of few bodies
             return row
         numbers = np.flatnonzero(self._pairs["impacts"])
         ends, met = np.stack(np.divmod(numbers, self._corners.groups + 1), axis=1), columns(self._pairs, PAIRS)[numbers]

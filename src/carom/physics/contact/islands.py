@@ -57,7 +57,7 @@ class Islands:
     def __init__(self, ends: int, team: Team) -> None:
         self._team = team
         self._parent = np.empty(ends, dtype=np.int64)  # these arrays are used only for bodies with contacts
-        self._largest = np.empty(ends)  # m²/s⁴, |a|² of a body; at the root of an island, the largest of the island
+        self._largest = np.empty(ends)  # m²/s⁴, |a|² of a body; at the root of an island, the largest |a|² in it
 
     def write_load_speeds(
         self,

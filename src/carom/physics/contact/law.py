@@ -1,9 +1,10 @@
 """The contact law in kernels: the impulses that a contact may exert, and the code that all laws share.
 
-The functions below are those of `carom.scene.contact_laws.ContactLaw`. Kernels call them with ``material``, the record
-of a contact's coefficients. The type of the record names the law, by default Coulomb's (`coulomb`). Numba selects the
-functions by that type when it compiles a kernel, so a call costs nothing, and what a law lacks is not compiled. Kernels
-are compiled separately for each law, and `KernelCache` stores them under these types. The other arguments are
+The functions below are the ones that `carom.scene.contact_laws.ContactLaw` defines. Kernels call them with
+``material``, the record of a contact's coefficients. The type of the record names the law, by default Coulomb's
+(`coulomb`). Numba selects the functions by that type when it compiles a kernel, so a call costs nothing, and what a law
+lacks is not compiled. Kernels are compiled separately for each law, and `KernelCache` stores them under these types.
+The other arguments are
 
 - ``approach``, ``rest_speed`` in m/s: the closing speed, and the closing speed up to which the contact is at rest
 - ``normal`` in N s: the normal impulse, of an impact or in all since the kick
@@ -110,7 +111,7 @@ def restitution(material: Coefficients, approach: float, rest_speed: float) -> f
 
 @_of_law
 def equivalent_speed(material: Coefficients, approach: float, mass: float, radius: float) -> float:
-    """Return the speed (m/s) for which `restitution` is that of an impact, if it depends on the sizes of bodies.
+    """Return the speed (m/s) at which `restitution` holds for an impact, for laws that depend on the sizes of bodies.
 
     Coulomb's law lacks this function.
     """
@@ -142,7 +143,7 @@ def lasting_friction(material: Coefficients, normal: float, tx: float, ty: float
 def sliding_friction(material: Coefficients, normal: float, tx: float, ty: float, tz: float) -> Vector:
     """Return the tangential impulse of a lasting contact that has slid and does not stick again.
 
-    It must be continuous in its arguments, which are those of `lasting_friction`; see `solver.phases`.
+    It must be continuous in its arguments, which are the arguments of `lasting_friction`; see `solver.phases`.
     """
     raise NotImplementedError(_ONLY_KERNELS)
 

@@ -7,7 +7,7 @@ normal is, per unit of mass,
     b = a + Σ J/(m h),    L = Σ λ n nᵀ/(m h)
 
 with the sums over the contacts of a body in the last kick h, J their impulses on it and λ the normal ones. The first
-term is the relative acceleration, without and with the contacts. With them, each body counts by itself, because in a
+term is the relative acceleration, without and with the contacts. With them, each body is judged by itself, because in a
 high column two bodies that still fall alike are stopped one after the other. The second term is the load that contacts
 carry in the direction of the normal: in a pile, where nothing accelerates, a body that leaves one contact is pressed
 back by the others. Marbles side by side on a floor carry a load, but none along their common normal, so they bounce at
@@ -108,8 +108,8 @@ def write_rest_speeds(
 ) -> None:
     """Write the rest speeds (m/s) of the contacts [lo, hi).
 
-    ``pressed`` are the velocities (m/s), accelerations (m/s²) and loads of bodies and planes, and the step in s. Slower
-    closing than the rounding of velocities is at rest, too.
+    ``pressed`` are the velocities (m/s), accelerations (m/s²) and loads of bodies and planes, and the step in s. A pair
+    that closes more slowly than velocities are rounded is at rest, too.
     """
     v, a, loads, dt = pressed
     for c in range(lo, hi):

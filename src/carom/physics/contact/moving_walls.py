@@ -1,6 +1,6 @@
 """Walls whose surface moves along itself, such as a rotating drum.
 
-The shape of such a wall does not change, so its contacts and times of impact are those of a wall that does not rotate.
+The shape of such a wall does not change, so its contacts and times of impact are the same as without rotation.
 Only the slip differs: at the contact point p, the surface of a wall that rotates at Ω about an axis through c has the
 velocity
 

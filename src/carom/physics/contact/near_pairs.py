@@ -108,9 +108,9 @@ class NearPairs:
         self.pressing = bodies.acceleration  # (n, 3) m/s², the accelerations that press contacts together
         self._lift = planes.largest_acceleration
         self._shear = world.shear
-        # m/s², of a guided wall, or of contacts that a flow closes
+        # m/s², acceleration of a guided wall, or of contacts that a flow closes
         self._presses = abs(planes.guided.acceleration) if planes.guided else world.flow(float(bodies.radius.max()))
-        self.rounding = 0.0  # m, of the coordinates
+        self.rounding = 0.0  # m, rounding of the coordinates
         self.loading = 1.0  # largest factor by which walls increase the acceleration that presses contacts together
 
     def find(self, dt: float) -> IntArray:
@@ -172,7 +172,7 @@ def largest_values(
 def _update_largest(
     lo: int, hi: int, acceleration: FloatArray, field: FloatArray, position: FloatArray, shared: IntArray
 ) -> None:
-    """Raise the largest values to those of the bodies [lo, hi), as bit patterns."""
+    """Raise the largest values to the values of the bodies [lo, hi), as bit patterns."""
     largest = np.zeros(2)
     for i in range(lo, hi):
         largest[SQUARE] = max(largest[SQUARE], excess_square(acceleration, field, i))
@@ -243,7 +243,7 @@ class PairList:
         self._moves = np.zeros(-(-len(radius) // BODIES_PER_BLOCK), FARTHEST)
         self._scale, self._skin = 0.0, -np.inf  # distance within which the list holds all pairs
         self._least = -np.inf  # m, the same without the margin
-        self._calls = self._searches = 1  # calls since the list was made, and those that need its margin
+        self._calls = self._searches = 1  # calls since the list was made, and calls that need its margin
         self._within_reach(self._start, 1.0, 0.0)  # loads the kernels
         self._farthest_move(self._start)
 
@@ -266,7 +266,7 @@ class PairList:
         return self._within_reach(position, scale, skin)
 
     def _margin(self, closer: float, scale: float, skin: float) -> float:
-        """Return the margin of a list (m), by how much closer bodies came since the last one; 0 if it does not pay."""
+        """Return the margin of a list (m), given how much closer bodies came since the last list; 0 for no margin."""
         most = min(MOST_MARGIN * self._smallest, OF_HALF_A_BOX * self._widest - 2.0 * self._largest * scale - skin)
         if not closer / self._searches * LEAST_SEARCHES <= most:
             return 0.0
@@ -358,7 +358,7 @@ class PlaneSearch:
         self._radius, self._inverse_mass, self._planes, self._team = radius, inverse_mass, planes, team
 
     def merged(self, pairs: IntArray, position: FloatArray, scale: float, skin: float) -> IntArray:
-        """Return the pairs merged with those of bodies and planes, (m, 2) sorted by (i, j)."""
+        """Return the pairs merged with the pairs of bodies and planes, (m, 2) sorted by (i, j)."""
         n, p, team = len(self._radius), len(self._planes), self._team
         blocks = np.empty(-(-n // BODIES_PER_MERGE), dtype=BLOCK)
         merged = np.empty((len(pairs) + n * p, 2), dtype=np.int64)

@@ -73,7 +73,7 @@ class ContactPipeline:
         # islands are of interest only where contacts last
         sweeps = contact.sweeps if self.lasts or contact.sweeps != "auto" else "converged"
         shapes = bodies, world.planes, world.materials, world.solver_box
-        # torques are those of contacts that last, so the impulses of impacts are known
+        # torques belong to contacts that last, so the impulses of impacts are known
         keeps = totals is not None or requirements.torque.modelled
         self.solver = ContactSolver(*shapes, friction, team, keeps, sweeps)
         if not self.lasts:
@@ -113,7 +113,7 @@ class ContactPipeline:
         self.ledger_apart = NO_ENTRIES  # (k, 3) J, entries of the step that belong to no contact
         self.impacts: Impacts = NO_IMPACTS  # of the drift
         self.statistics = NO_CONTACTS  # of the step
-        self.counts_impacts = True  # whether statistics include those of the drift; a look-ahead needs none
+        self.counts_impacts = True  # whether statistics include the impacts of the drift; a look-ahead needs none
         self.snapshots.forget()
         self.signs.forget()
         for part in self.parts:
@@ -145,7 +145,7 @@ class ContactPipeline:
         return supported
 
     def recall(self, memory: ContactCheckpoint | None) -> None:
-        """Restore the state of `memory`; positions must already be those of that step."""
+        """Restore the state of `memory`; positions must already be restored to the same step."""
         self.forget()
         if memory is not None:
             if memory.highest >= len(self.bodies.ends.radius):
@@ -249,7 +249,7 @@ class ContactPipeline:
         return self.impulses.kick
 
     def add_steady_steps(self, kick: float, dt: float, sweeps: int) -> None:
-        """Account for steps with the same contacts; ``kick`` and ``dt`` are those of the last step, in s."""
+        """Account for steps with the same contacts, given the kick and the length of the last step, in s."""
         self.impulses = ImpulseCache(self.contacts.pairs, self.contacts.order.place, self.solver.contacts, kick)
         self._dt, self.sweeps = dt, sweeps
         self.ledger_apart, self.impacts = NO_ENTRIES, NO_IMPACTS

@@ -76,7 +76,7 @@ class PistonMotion(WallTranslation):
         smallest: float,
     ) -> None:
         self._piston, self._smallest = piston, smallest
-        self._drift = self._booked = 0.0  # s, of the step, and its first kick
+        self._drift = self._booked = 0.0  # s, length of the step, and its first kick
         # displacement in m, velocity in m/s, and the impulse of the bodies on the piston since the start in N s
         self.state = np.array([0.0, piston.velocity, 0.0])
         self._begun_state = self.state.copy()
@@ -151,7 +151,7 @@ class PistonMotion(WallTranslation):
         self._write()
 
     def accelerate(self) -> FloatArray:
-        """Return the velocities of other walls, whose work is that of their impulses; see `WallTranslation`."""
+        """Return the velocities of other walls, whose impulses do the work; see `WallTranslation`."""
         velocity = super().accelerate().copy()
         velocity[self._piston.row] = 0.0
         self._write()

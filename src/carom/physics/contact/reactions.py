@@ -57,7 +57,7 @@ class ImpactTurns:
 
     @classmethod
     def of(cls, impacts: Impacts, solver: ContactSolver, bodies: Bodies) -> ImpactTurns | None:
-        """Add up the impacts of the drift, and those that the solver resolved at its end; None without any."""
+        """Add up the impacts of the drift and the impacts that the solver resolved at its end; None without impacts."""
         late = solver.approach > solver.rest_speed
         late &= columns(solver.recorded, ("normal_impulse",))[:, 0] > 0.0
         early = impacts.approach > impacts.rest_speed
@@ -79,7 +79,7 @@ class ImpactTurns:
     ) -> None:
         """Leave only the torques of contacts that last in those of a step of dt s, which has the impacts, in place.
 
-        What is left of the change of a body's spin is 0 within the rounding of its impacts. ``spin``, (n, 3) rad/s, is
+        The remaining change of a body's spin is 0 within the rounding of its impacts. ``spin``, (n, 3) rad/s, is
         that after the step.
         """
         struck = np.flatnonzero(self.count)

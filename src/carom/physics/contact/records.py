@@ -241,7 +241,7 @@ class PieceResultsRecord(Protocol):
 
     residual: float  # m/s, the largest change or violation; for position corrections, 1 if another iteration is needed
     residual_norm: float  # r·z, of conjugate gradients
-    exact_norm: float  # the same of contacts that are to converge to rounding
+    exact_norm: float  # r·z of the contacts that are to converge to rounding
     largest_push: float  # N s, the largest impulses of either sign
     largest_pull: float
     slope: float  # J, s·c of the line search
@@ -288,7 +288,7 @@ class SettingsRecord(Protocol):
     any_rests: bool  # whether a contact was at rest before them
     spins: bool  # whether impulses exert torques
     impacts_only: bool  # whether resting contacts are skipped
-    solved: float  # of r·z at the start of a round of conjugate gradients, at which its iterations end
+    solved: float  # fraction of its first r·z at which a round of conjugate gradients ends
     meshed_iterations: int  # of a round of conjugate gradients, after which it leaves meshed islands; 0 for no limit
     refines: bool  # whether conjugate gradients follow the iterations
     keeps_iterating: bool  # whether iterations follow conjugate gradients that did not converge

@@ -27,7 +27,7 @@ ANGULAR_IMPULSE = tuple(AngularImpulse.__annotations__)
 
 
 def angular_impulses_of(records: RecordArray[object]) -> FloatArray:
-    """Return Λ, (m, 3) N m s, as a view; (m, 0) for records without it."""
+    """Return Λ, (m, 3) N m s, as a view; (m, 0) for records without Λ."""
     has_it = ANGULAR_IMPULSE[0] in (records.dtype.names or ())
     return columns(records, ANGULAR_IMPULSE) if has_it else np.empty((len(records), 0))
 
@@ -122,7 +122,7 @@ def apply_angular_impulse(a: BodyStateRecord, b: BodyStateRecord, x: float, y: f
 
 @inline
 def accumulate_angular_impulse(a: BodyStateRecord, b: BodyStateRecord, x: float, y: float, z: float) -> None:
-    """Add the changes of `apply_angular_impulse` to those of the iteration."""
+    """Add the changes of `apply_angular_impulse` to the changes of the iteration."""
     si, sj = a.inverse_inertia, b.inverse_inertia
     if si > 0.0:
         a.dwx -= si * x

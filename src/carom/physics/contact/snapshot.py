@@ -70,10 +70,10 @@ class ContactSnapshot:
         return ContactSnapshot.of(joined, approach, rest_speed), np.where(order < m, order, -1)
 
     def after(self, impacts: Impacts, dt: float, inverse_mass: FloatArray) -> ContactSnapshot:
-        """Add the impacts during a step of dt (s); ``inverse_mass`` is that of bodies and planes, (n + p,) 1/kg.
+        """Add the impacts during a step of dt (s), given the inverse masses of bodies and planes, (n + p,) 1/kg.
 
         A pair that no longer touches at the end gets the normal of its hardest impact, and no overlap. Contacts at the
-        end keep the colours in which they were resolved; the others are coloured in the order of time.
+        end of the step keep the colours in which they were resolved; impacts are coloured in the order of time.
         """
         if len(impacts) == 0:
             return self

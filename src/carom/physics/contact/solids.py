@@ -68,7 +68,7 @@ class GuidedPlane(Protocol):
     ) -> WallTranslation:
         """Return what moves it, and the walls with a prescribed motion, through the phases of a step.
 
-        ``smallest`` is the radius of the smallest body in m; the other parameters are those of `WallTranslation`.
+        ``smallest`` is the radius of the smallest body in m; for the other parameters see `WallTranslation`.
         """
         ...
 
@@ -192,7 +192,7 @@ def _parameters(scene: Scene, wall: Wall) -> Mapping[str, float]:
 
 
 def _spin_of(wall: Wall) -> FloatArray:
-    """Return the angular velocity in rad/s of a wall, and a point of its axis in m, (6,); zeros if it is at rest."""
+    """Return the angular velocity of a wall in rad/s, and a point of its axis in m, (6,); zeros for a wall at rest."""
     axis = shape_called(wall.shape).axis
     if wall.motion is None or wall.motion.rotation == 0.0 or axis is None:
         return np.zeros(len(MOTION))

@@ -29,7 +29,7 @@ MIN_BLOCKS_PER_TASK = 2
 class BlockCountsRecord(LedgerRecord, Protocol):
     """Statistics of one block of contacts."""
 
-    contacts: float  # number of contacts; the next field counts impacts
+    contacts: float  # number of contacts; the next field is the number of impacts
     impacts: float
     struck: float  # J, Σ ½ μ v_n² of the impacts
     hardest: float  # J
@@ -44,7 +44,7 @@ BLOCK_COUNTS = dtype_of(BlockCountsRecord)
 
 
 class ContactStatistics(NamedTuple):
-    """Statistics of the contacts of a step that touch or carry an impulse, and the work of all contacts."""
+    """Statistics of the contacts in a step that touch or carry an impulse, and the work of all contacts."""
 
     work: FloatArray  # (k, 3) J, the ledger, summed over blocks of contacts
     contacts: int

@@ -7,7 +7,7 @@ At the time t, such a wall is displaced from where the scene puts it by
 so its place is no state: steps and checkpoints need only the time. The velocity V_k lasts from t_k to t_{k+1}, where a
 step ends (`next_change`), so V is constant within each step. Kernels evaluate the shape at x - D. Within a drift that
 begins at t₀, the wall is displaced further by r(τ) = D(t₀ + τ) - D(t₀), and the path of a body relative to it has a
-second derivative of at most |g| + |A| (2π f)². Times of impact are found from both, as for a wall at rest.
+second derivative of at most |g| + |A| (2π f)². Times of impact follow from both, as for a wall at rest.
 
 A contact at rest is held as if kicks moved a wall of infinite mass. In a drift of dt, the wall has its mean velocity
 v̄ = r(dt)/dt, so a held body stays on it. The first kick changes the wall's velocity by v̄ - Ḋ(t₀), and the velocity
@@ -232,7 +232,7 @@ def work_at_velocities(
 ) -> float:
     """Return the work in J that walls do on a number of bodies by the impulses of contacts.
 
-    ``impulses``, (m,), may be the records of the contacts; ``velocity`` is that of the solids, (p, 3) m/s.
+    ``impulses``, (m,), may be the records of the contacts; ``velocity`` is the velocity of the solids, (p, 3) m/s.
     """
     work = 0.0
     for c in range(len(pairs)):
@@ -246,7 +246,7 @@ def work_at_velocities(
 def work_in_drift(log: RecordArray[ImpactRecord], surface: Any, bodies: int) -> float:
     """Return the work in J that walls with a prescribed motion do on bodies in impacts during a drift.
 
-    See `work_at_velocities`; that of a wall that contacts move is in `WallTranslation.settle`.
+    See `work_at_velocities`. For a wall that contacts move, `WallTranslation.settle` books the work.
     """
     work = 0.0
     for k in range(len(log)):
@@ -332,7 +332,8 @@ def _velocity(surface: Any, solid: int, time: float) -> Vector:
 def velocity_in_drift(surface: FloatArray, solid: int, time: float) -> Vector:
     """Return the velocity of a wall in m/s at a time (s) since the drift began.
 
-    As for bodies, it is that of the straight path if contacts move the wall: its acceleration is in `Ends`.
+    If contacts move the wall, the velocity is, as for bodies, the velocity of the straight path: the acceleration is in
+    `Ends`.
     """
     return 0.0, 0.0, 0.0
 

@@ -18,8 +18,8 @@ if TYPE_CHECKING:
     from carom.physics.contact.pipeline import ContactPipeline
 
 NO_VELOCITIES: FloatArray = np.zeros((0, 3))
-# rad, of the normal of a contact in a step where walls alone press. On a chord, a body with the tangential velocity v
-# advances by the angle arcsin(v dt/f), and is ahead by a sixth of its square: 7 × 10⁻⁵ of its path.
+# rad, largest turn of a contact's normal in a step where walls alone press. On a chord, a body with the tangential
+# velocity v advances by the angle arcsin(v dt/f), and is ahead by a sixth of its square: 7 × 10⁻⁵ of its path.
 LARGEST_TURN = 0.02
 
 
@@ -37,7 +37,7 @@ class MovingWalls(OptionalPart):
             moving = solids.records, solids.before, bodies.ends, solids.motions
             guided, smallest = solids.guided, float(bodies.radius.min())
             self._translation = guided.motion(*moving, smallest) if guided else WallTranslation(*moving)
-        self._velocity = NO_VELOCITIES  # (p, 3) m/s, of solids that translate, as they do the present work
+        self._velocity = NO_VELOCITIES  # (p, 3) m/s, of solids that translate, at which their work is computed
         self._work = 0.0  # J, of moving walls on bodies in the step
         self.entries = (ENTRY,) if solids.moves else ()
 

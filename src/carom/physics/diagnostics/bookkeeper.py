@@ -40,7 +40,7 @@ ROUNDING = 1e-10  # upper bound of the rounding of a sum over 10⁶ bodies
 
 
 class BalanceAudit:
-    """Energy and momentum as of the last frame or check, compared with those at the start of the run.
+    """Energy and momentum at the last frame or check, compared with their values at the start of the run.
 
     ``uniform``, (3,) m/s², is the acceleration that is the same for all bodies, ``constant`` (J) the gravitational
     energy between fixed bodies. ``losses`` are the ledger's entries for forces without a potential and optional parts.
@@ -132,7 +132,7 @@ class BalanceAudit:
     ) -> None:
         """Compute energy and momentum, and update the extremes of the run, if given, by their errors.
 
-        ``roundings`` is that of `EnergyAccount.balance`.
+        For ``roundings``, see `EnergyAccount.balance`.
 
         Raises
         ------
@@ -152,7 +152,7 @@ class BalanceAudit:
     def check(self, time: float, extremes: Extremes, contact: ContactPipeline | None = None) -> list[Event]:
         """Check the energy; return the warnings of the energy monitor.
 
-        They list the copied contacts and those in ``contact``, which may have changed the energy.
+        Warnings list the copied contacts and the ones in ``contact``, which may have changed the energy.
         """
 
         def suspects() -> list[Suspects]:
@@ -304,8 +304,8 @@ class Bookkeeper:
     def measure(self, potentials: Potentials, judged: bool, contact: ContactPipeline | None = None) -> None:
         """Compute energy and momentum.
 
-        If ``judged``, their errors count for the verdict on the run and for warnings, which list the copied contacts
-        and those in ``contact``. A computation for a frame alone does not change the books.
+        If ``judged``, errors enter the verdict on the run and the warnings, which list the copied contacts and the ones
+        in ``contact``. A computation for a frame alone does not change the books.
         """
         world, clock = self._world, self._world.clock
         try:

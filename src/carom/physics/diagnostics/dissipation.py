@@ -55,8 +55,8 @@ WRONG = (
 
 # Fraction of the energy of an impact, ½ μ v_n². Both sides follow from one closing speed, so they differ by rounding.
 ROUNDED = 1e-9
-# Fraction of the magnitudes of the works of both kicks of a step, which cancel for friction that holds. What remains is
-# of the order of the angle by which normals and loads turn in a step, at most 0.2; a work of first order in the step
+# Fraction of the magnitudes of the works of both kicks of a step, which cancel for friction that holds. The remainder
+# is of the order of the angle by which normals and loads turn in a step, at most 0.2. A work of first order in the step
 # does not cancel at all.
 CANCELLED = 0.25
 LARGEST_TURN = 0.2  # of a normal in a step; islands that turn further are not judged
@@ -156,7 +156,7 @@ class SignsOfDissipation:
         for k, row in enumerate(memory):
             self.rows[k] = row.energy, row.worst, *row.pair, row.step, row.time
             self._told[k] = row.told
-        self._known = float(self.rows["energy"].sum())  # J, of the last check
+        self._known = float(self.rows["energy"].sum())  # J, at the last check
 
     def before_hold(self, contacts: OrderedContacts, solver: ContactSolver, last: ImpulseCache) -> None:
         """Note what contacts did in the last kick, before the first kick of a judged step.
@@ -168,7 +168,7 @@ class SignsOfDissipation:
         note_last(*held, last.pairs, last.impulse, self._ends, self._held)
 
     def after_hold(self, contacts: OrderedContacts, solver: ContactSolver, kick: float) -> None:
-        """Note what they did in the first kick, of a length in s."""
+        """Note what the contacts did in the first kick, given its length in s."""
         self._held_pairs, self._kick = contacts.pairs, kick
         held = contacts.pairs, contacts.order.place, solver.contacts, solver.states
         asked = *held, self._ends, self._held
@@ -303,7 +303,7 @@ def judge_impacts(
     time: float,
     wrong: RecordArray[WrongWorkRecord],
 ) -> bool:
-    """Compare the losses of each impact with those of its closing speed; return whether one is wrong.
+    """Compare the loss of each impact with the loss that its closing speed requires; return whether one is wrong.
 
     ``tolerance`` has the error of each that is not wrong, or of all, relative to ½ μ v_n².
     The impulses of a group that is held act at one time, and their energies have a meaning only together.

@@ -22,7 +22,7 @@ from carom.scene.forces import GRAVITY, UNIFORM_FIELD
 from carom.state.energies import Energy, EnergyBaseline, Ledger, Origin
 
 _PULL, _FIELD = GRAVITY.potential, UNIFORM_FIELD.potential
-CANCELLED = 1e-8  # of the sum of magnitudes; a smaller sum of kinetic and gravitational energy counts as 0
+CANCELLED = 1e-8  # of the sum of magnitudes; a smaller sum of kinetic and gravitational energy is taken as 0
 EPSILON = float(np.finfo(np.float64).eps)
 WALKS = 4.0  # standard deviations of a random walk of roundings; see `Energy.rounding`
 RESOLVED = 1e-10  # of the energy scale; smaller roundings cannot be mistaken for an error

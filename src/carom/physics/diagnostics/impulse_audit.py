@@ -62,10 +62,10 @@ class ImpulseAudit:
     def finish(self, ledger: Ledger) -> tuple[float, tuple[int, ...]]:
         """Return the largest error, and its body if it belongs to one.
 
-        Errors of velocities, and of spins times the radius, are relative to the largest speed in the step. The sums of
-        the magnitudes of a body's kicks, and of its impulses over its mass, count as speeds, because the impulses in a
-        heavy pile may cancel, and each has its own rounding. The change of the ledger in the step should be the sum of
-        the work of all contacts; errors are relative to its largest entry.
+        Errors of velocities, and of spins times the radius, are relative to the largest speed in the step. The largest
+        speed includes the summed magnitudes of a body's kicks, and of its impulses over its mass: impulses in a heavy
+        pile may cancel, but each is rounded by itself. The change of the ledger in the step should be the sum of the
+        work of all contacts; errors are relative to its largest entry.
         """
         bodies, work = self._bodies, np.zeros((0, 3))
         if self._tap and self._contact:

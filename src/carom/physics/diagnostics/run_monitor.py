@@ -114,7 +114,7 @@ class Activity:
 
 @kernel
 def remembered(energy: float, impacts: float) -> float:
-    """Return the energy (J) of recent impacts after a step, given its value before and that of the step's impacts."""
+    """Return the energy (J) of recent impacts after a step, given its earlier value and the energy of new impacts."""
     return energy + (impacts - energy / STEPS_REMEMBERED)
 
 
@@ -135,8 +135,8 @@ def remedies_of(scene: Scene) -> Mapping[str, str]:
     """Return the scene key to raise for fewer steps, by the limit that sets them.
 
     An accuracy replaces the keys that set the step. Without forces, steps with an accuracy already have their longest
-    useful length. Integrators that choose steps by their error use time.max_dt directly. Leapfrog also uses it when it
-    takes over resting contacts.
+    useful length. Integrators that choose steps by their error use time.max_dt directly. Leapfrog, which computes
+    resting contacts for these integrators, uses it, too.
     """
     accuracy = scene.time.accuracy
     if accuracy is None:
@@ -160,7 +160,7 @@ class PaceMonitor:
     def check(self, step: int, time: float, dt: float, limit: str) -> Event | None:
         """Check the next step, of dt seconds, and the limit that sets it; return the warning at most once.
 
-        It warns if the run would take too many steps both at the mean pace so far and at that of the next step.
+        It warns if the run would take too many steps both at the mean pace so far and at the pace of the next step.
         """
         short = CRAWL * dt < self._first_dt
         since = self.tally.slow_since if self.tally.slow_since is not None else time
@@ -198,7 +198,7 @@ class Profile:
         self._last = now
 
     def clear(self) -> None:
-        """Discard all times, such as those of the warm-up, which compiles kernels."""
+        """Discard all times so far, such as the time of the warm-up, which compiles kernels."""
         self._nanoseconds.clear()
 
     def seconds(self) -> dict[str, float]:

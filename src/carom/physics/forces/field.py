@@ -46,7 +46,7 @@ def make(scene: Scene, bodies: Bodies, team: Team) -> UniformField:
 
 @long_kernel
 def add(lo: int, hi: int, acceleration: FloatArray, uniform: FloatArray) -> None:
-    """Add an acceleration, (3,) m/s², to those of the bodies in [lo, hi)."""
+    """Add an acceleration, (3,) m/s², to the accelerations of the bodies in [lo, hi)."""
     for i in range(lo, hi):
         for k in range(3):
             acceleration[i, k] += uniform[k]

@@ -158,7 +158,7 @@ def _work(mass: FloatArray, before: FloatArray, after: FloatArray, displacement:
 class TotalForce:
     """Accelerates the bodies of a scene by all its forces.
 
-    `losses` are the ledger's entries for forces without a potential. The work of those that do not depend on
+    `losses` are the ledger's entries for forces without a potential. The work of forces that do not depend on
     velocities, `path_works`, is booked step by step.
     """
 

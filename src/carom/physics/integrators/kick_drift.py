@@ -1,4 +1,4 @@
-"""Kernels of kicks, drifts and periodic boxes; those of a few bodies also include drag."""
+"""Kernels of kicks, drifts and periodic boxes; the kernels for few bodies also include drag."""
 
 from __future__ import annotations
 

@@ -158,7 +158,7 @@ def where(condition: bool, then: float, otherwise: float) -> float:
 
 @cache
 def in_lanes(formula: Callable[..., Any]) -> Callable[..., Any]:
-    """Return a formula as a function of lanes: its operators, and those of formulas that it calls, emit code.
+    """Return a formula as a function of lanes: its operators, and the operators of formulas that it calls, emit code.
 
     A formula has no branches that depend on its doubles, except `where`.
     """
@@ -176,7 +176,7 @@ def greater(first: Lanes | float, second: Lanes) -> Lanes:
 
 
 def added_in_order(builder: Any, total: Any, *terms: Lanes) -> Any:
-    """Add all terms of the first lane to a double, then those of the next; the bits depend on this order."""
+    """Add all terms of the first lane to a double, then the terms of the next lane; the bits depend on this order."""
     for k in range(WIDTH):
         for term in terms:
             total = builder.fadd(total, term.lane(k))
@@ -252,7 +252,7 @@ def read_flags(builder: Any, address: Any) -> Mask:
 
 
 def shuffled(builder: Any, a: Any, b: Any, lanes: Sequence[int]) -> Any:
-    """Return a vector of selected lanes of two vectors; those of the second are numbered from `WIDTH` on."""
+    """Return a vector of selected lanes of two vectors; the lanes of the second are numbered from `WIDTH` on."""
     return builder.shuffle_vector(a, b, ir.Constant(ir.VectorType(INDEX, WIDTH), list(lanes)))
 
 

@@ -124,10 +124,10 @@ def extrapolate(
 ) -> tuple[float, float, FloatArray]:
     """Return a refinement, the time (s) for which it keeps the accuracy, and its error.
 
-    The refinement is a power of two, so that steps and frames end together. It is at least that of the last trial run
-    but one, and at most `FARTHEST` times that of the last, ``finest``. The distances of each trial run from the next,
-    ``apart``, are (K,) relative to the size. The coefficient of h^p depends on where in their steps impacts are, so the
-    largest of the latest distances is used, each scaled by the order, which is at most ``highest``.
+    The refinement is a power of two, so that steps and frames end together. It is at least the refinement of the last
+    trial run but one, and at most `FARTHEST` times the last refinement, ``finest``. The distances of each trial run
+    from the next, ``apart``, are (K,) relative to the size. The coefficient of h^p depends on where in their steps
+    impacts are, so the largest of the latest distances is used, each scaled by the order, which is at most ``highest``.
     """
     order = _observed(apart, highest)
     scaled = [each / RATIO ** (order * age) for age, each in enumerate(apart[: -LATEST - 1 : -1])]
@@ -191,7 +191,7 @@ class Twins:
         """Return the accumulated error at all times, (K,), in units of the error of a single step.
 
         An error made in a step grows like the distance G of twins: ∫ G(t - s) ds / G(t) over the length of a step. This
-        is half the number of steps so far for regular motion, and that of the last 1 / λ for chaotic motion.
+        is half the number of steps so far for regular motion, and half the number in the last 1 / λ for chaotic motion.
         """
         before = with_start(self.apart[:-1], began)
         growth = np.log(self.apart / before)

@@ -6,7 +6,7 @@ region, planes, and bodies placed before (Lubachevsky & Stillinger 1990, J. Stat
 bounce, the more slowly they grow: at 1 radius/s they would jam below 0.6. Equal spheres never reach a random close
 packing, 0.64.
 
-With the sum of radii D (1 + k s), the time s of impact of two spheres follows from that of spheres of constant size:
+With the sum of radii D (1 + k s), the time s of impact of two spheres follows from the formula for constant radii:
 
     |x + v s| = D (1 + k s)   ⟺   |x + (v - k x) σ| = D,   s = σ / (1 - k σ)
 

@@ -1,4 +1,4 @@
-"""Tables as Parquet, CSV and Arrow files, by pyarrow: of bodies, and beside it of contacts and of energies.
+"""Tables as Parquet, CSV and Arrow files: bodies, and in files beside it contacts and energies.
 
 Parquet and Arrow have the units in the metadata of their fields, CSV in its header.
 """

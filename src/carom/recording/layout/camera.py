@@ -55,7 +55,7 @@ _SMALL = 400.0  # largest height of the picture, over the median radius, for whi
 _MOST = 20_000  # number of bodies above which only every k-th and the `_LARGEST` largest are measured
 _LARGEST = 1000
 _BLOCK = 256  # spheres that are compared at once
-_MOST_SPHERES = 4000  # stored spheres of all moments; of more, only the outermost in each of many directions are stored
+_MOST_SPHERES = 4000  # of all moments; beyond, only the outermost sphere in each of many directions is stored
 
 _USUAL = np.array([0.75, -1.0, 0.55]) / np.linalg.norm([0.75, -1.0, 0.55])  # towards the eye
 _PREFERENCE = 0.15  # weight of the usual direction if principal axes are similar, as a fraction of the variance
@@ -163,7 +163,7 @@ class CameraFit:
         self.look(np.array([frame.position[: self._bodies] for frame in chosen]) - origin)
 
     def look(self, position: FloatArray, *, inside: bool = True) -> None:
-        """Measure positions (n, 3) or (k, n, 3); those that need not be inside the view only affect its direction."""
+        """Measure positions (n, 3) or (k, n, 3). Positions that may be outside the view affect only its direction."""
         self._take(position.reshape(-1, *position.shape[-2:])[:, self._shown], inside=inside)
 
     @_HUGE
@@ -219,12 +219,12 @@ class CameraFit:
         *,
         narrow: bool = False,  # whether the eye is far away, with a narrow field: equal spheres have equal sizes
         trails: bool = True,  # whether the view may show the paths of few bodies, which should all be inside
-        tips: FloatArray | None = None,  # (k, 3) m, ends of arrows of the first moment; those of few bodies are inside
+        tips: FloatArray | None = None,  # (k, 3) m, ends of arrows of the first moment; inside for few bodies
         moment: bool = False,  # whether the picture shows the first moment alone
         inset: tuple[float, float] = (0.0, 0.0),  # size of a legend in a corner, in widths and heights of the picture
         pictured: bool = False,  # whether the legend may be where bodies are at other moments
     ) -> View:
-        """Return a view of the first moment and, unless bodies would be too small, of all others."""
+        """Return a view of the first moment and, unless bodies would be too small, of all other moments."""
         has_paths = trails and self.is_few
         ends = tips if tips is not None and self.is_few else np.zeros((0, 3))
         alone, now = moment and not has_paths, pictured and not has_paths
@@ -335,7 +335,7 @@ class CameraFit:
 
 @_HUGE
 def _direction(moments: FloatArray, up: FloatArray) -> FloatArray:
-    """Choose the direction to the eye: along the smallest principal axis or, if several are similar, the usual one."""
+    """Choose the direction to the eye: along the smallest principal axis, or the usual one if several are similar."""
     usual = _USUAL @ upright(up)
     count = moments[3, 3]
     mean = moments[:3, 3] / max(count, 1.0)
@@ -374,7 +374,7 @@ def _beside(edge_on: FloatArray, up: FloatArray) -> FloatArray:
 
 
 def _weights(radius: FloatArray) -> FloatArray:
-    """Return the weights of bodies by number and by area, so that a planet counts among 1000 moons; 1 for points."""
+    """Return the weights of bodies, by number and area, so that a planet matters among 1000 moons; 1 for points."""
     area = (radius / max(radius.max(), np.finfo(float).tiny)) ** 2
     return np.asarray(0.5 / len(radius) + 0.5 * area / area.sum() if area.sum() > 0.0 else np.ones(len(radius)))
 

@@ -115,7 +115,7 @@ CORNERS = ((1, 1), (-1, 1), (1, -1), (-1, -1))  # right and up are positive
 def free_corner(
     view: View, aspect: float, inset: tuple[float, float], position: FloatArray, radius: FloatArray
 ) -> tuple[int, int] | None:
-    """Return a corner in which a legend covers no sphere, or None; its size is a fraction of that of the picture."""
+    """Return a corner in which a legend covers no sphere, or None; ``size`` is a fraction of the picture's size."""
     places, sizes = view.on_screen(position), view.radius_on_screen(position, radius)[:, None]
     half, whole = np.array([inset[0] * aspect, inset[1]]), np.array([aspect, 1.0])
     for corner in CORNERS:
@@ -318,7 +318,7 @@ def spatial_view(
     follows: str | None = None,
     theme: str = "dark",
 ) -> rrb.Spatial3DView:
-    """Lay out a 3D view of some entities; the eye follows the given one or, if ``view`` does, all bodies."""
+    """Lay out a 3D view of entities. The eye follows the entity ``follows`` or, if ``view`` says so, all bodies."""
     origin = space(view.distance)
     larger = scale(origin)
     tracked = follows or (paths.BODIES if view.motion is CameraMotion.FOLLOW else None)

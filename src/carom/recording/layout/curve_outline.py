@@ -31,7 +31,7 @@ class CurveOutline:
         return curve
 
     def see(self, time: FloatArray, value: FloatArray) -> None:
-        """Add values that are finite; times (s) follow those added before."""
+        """Add finite values; times (s) are later than all times added before."""
         finite = np.isfinite(value)
         time, value = time[finite], value[finite]
         if len(value):

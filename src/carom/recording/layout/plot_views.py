@@ -45,8 +45,8 @@ def curve_style(legend: str, colour: int, width: float = THIN) -> rr.SeriesLines
 # curve passes behind the legend, the vertical axis is extended on that side. The corner that needs the shortest axis is
 # chosen.
 
-_ROW, _FRAME = 23.0, 14.0  # px, height of a line, and of the frame with its distance from the border; measured
-_LETTER, _DOT = 7.0, 44.0  # px, width of a wide letter, and of the dot with the frame; measured
+_ROW, _FRAME = 23.0, 14.0  # px, measured: height of a line, and of the frame with its distance from the border
+_LETTER, _DOT = 7.0, 44.0  # px, measured: width of a wide letter, and of the dot with the frame
 _PAD = 0.05  # of the range of the values, left free above and below
 _FLAT = 1e-9  # of a value; a smaller range is rounding and is not magnified
 _LARGEST = 0.75  # of the plot's height; a larger legend would leave too little height for the curves
@@ -107,7 +107,7 @@ def _union(curves: Sequence[CurveOutline], *window: float) -> tuple[float, float
     return min(low for low, _ in ranges), max(high for _, high in ranges)
 
 
-_ROUNDING = 1e-12  # of the largest energy, of its scale, or of a radius; a smaller curve shows rounding errors
+_ROUNDING = 1e-12  # of the largest energy, of the energy scale, or of a radius; a smaller curve shows rounding errors
 _SHARES = ("energy/relative_error", "step/relative_overlap")  # series whose unit is such a scale
 _RATE = "step/impact_rate"
 _ABOVE = 1.1  # end of the axis over the largest impulse
@@ -152,7 +152,7 @@ DECADES = "decades"
 
 
 def grows_by_decades(curves: Iterable[CurveOutline]) -> bool:
-    """Return whether the largest of some energies is a thousand times the energies at first or at most moments."""
+    """Return whether the largest energy is a thousand times the energies at first or at most moments."""
     outlines = list(curves)
     largest = max((curve.largest for curve in outlines), default=0.0)
     usual = max((curve.usual for curve in outlines), default=0.0)
@@ -243,7 +243,7 @@ def time_series_view(
 ) -> rrb.TimeSeriesView:
     """Lay out a plot of some entities, with the lines of its legend where they cover no known curve.
 
-    ``styles`` override the recorded styles of the series by path; ``span`` is that of `time_axis`.
+    ``styles`` override the recorded styles of the series by path; for ``span``, see `time_axis`.
     """
     between_axes = Area(max(1.0, area.width - _NUMBERS[0]), max(1.0, area.height - _NUMBERS[1]))
     place = place_legend(legends, curves, between_axes)
@@ -261,7 +261,7 @@ def time_series_view(
 def time_axis(area: Area, span: IntArray | None) -> rrb.TimeAxis:
     """Return an axis of the whole time, or of a ``span`` (2,) ns with space for the number at its end.
 
-    The ends of a span are on one timeline, which suits pictures, where nobody selects another.
+    The ends of a span are on one timeline, which suits pictures, where nobody selects another timeline.
     """
     if span is None:
         return whole_time()

@@ -125,7 +125,7 @@ class _Comparison:
         self._known = self._entities | {entry.entity_path for entry in entries}
 
     def first(self) -> Difference | None:
-        """Return the first difference: that of the earliest step, and there of positions before other data."""
+        """Return the first difference: at the earliest step, and there in positions before other data."""
         both = (entry for run in (self._recorded, self._again) for entry in run.store.entries if not entry.is_static)
         groups = {(entry.entity_path, entry.is_within_steps) for entry in both if entry.rows}
         found = [self._rows(*group) for group in sorted(groups, key=_rank) if group[0] != paths.EVENTS]
@@ -140,7 +140,7 @@ class _Comparison:
         return replace(first, time=self._times.get(first.step, np.nan), name=name)
 
     def _rows(self, path: str, at_impacts: bool) -> Difference | None:
-        """Compare the rows of an entity on the timeline of steps, or those of states at impacts."""
+        """Compare the rows of an entity on the timeline of steps, or the rows of states at impacts."""
         extent = self._extent
         ours, theirs = (self._batches(run, path, at_impacts) for run in (self._recorded, self._again))
         if at_impacts and not extent.same_choice:
@@ -235,7 +235,7 @@ class _Comparison:
         return int(self._steps_of_impacts.get(batch[IMPACT][row].as_py(), self._extent.last))
 
     def _events(self, closing: bool) -> Difference | None:
-        """Compare the events of frames, or those that were logged when the run ended."""
+        """Compare the events of frames, or the events that were logged when the run ended."""
         extent, lists = self._extent, list[list[Told]]()
         for run in (self._recorded, self._again):
             table = run.events()
@@ -319,7 +319,7 @@ def value_difference(step: int, path: str, name: str, recorded: pa.Array, other:
 
 
 def other_bits(one: NDArray[np.generic], two: NDArray[np.generic]) -> BoolArray:
-    """Return a mask of the numbers of two arrays, of one shape and type, whose bits differ."""
+    """Return a mask of the numbers whose bits differ in two arrays of one shape and type."""
     differs = one.view(np.uint8) != two.view(np.uint8)
     return np.asarray(differs.reshape(*one.shape, one.itemsize).any(axis=-1))
 

@@ -143,8 +143,8 @@ def _numbers(column: pa.Array) -> SingleArray:
 class Continuation:
     """The frames of an earlier run up to a step; a resumed run writes them before its own.
 
-    ``reached`` is the exact state at this step, if it is no checkpoint: of a run that repeats the earlier one, and that
-    writes only its own frames.
+    ``reached`` is the exact state at this step, if the recording has no checkpoint there: a run that repeats the
+    earlier run, and writes only the new frames, has computed it.
     """
 
     def __init__(self, recording: Recording, step: int, reached: Checkpoint | None = None) -> None:

@@ -62,7 +62,7 @@ def body_number(recording: RecordedData, body: int | str) -> int:
 
 
 def shown_body(recording: RecordedData, body: int | str) -> int:
-    """Return the number of a body, see `body_number`; raises RecordingError if a clip does not show it, too."""
+    """Return the number of a body, see `body_number`; also raises RecordingError if a clip does not show the body."""
     number, names, shown = body_number(recording, body), recording.bodies.name, recording.shown
     if number not in shown:
         called, others = body_called(number, names[number]), bodies_called(shown, names)
@@ -160,7 +160,7 @@ def _refuse_outside(recording: RecordedData, times: FloatArray, first: float, la
 
 
 def recorded_moments(recording: RecordedData) -> dict[str, float]:
-    """Return the times (s) of the moments of `carom inspect`, such as that of the hardest impact, by their names."""
+    """Return the times (s) of the moments that `carom inspect` lists, such as the hardest impact, by their names."""
     matches = ((re.fullmatch(r"moments\.([^.]+)\.time", key), value) for key, value in recording.closing.items())
     return {match[1]: float(value) for match, value in matches if match}
 
@@ -175,7 +175,7 @@ def end_of_step(recording: RecordedData, step: int) -> float | None:
 def printed_time(recording: RecordedData, time: float, rounding: float) -> float:
     """Return the recorded time (s) nearest to one that was rounded when it was printed; without one, the given time.
 
-    Recorded times are those of frames, and of the moments of `carom inspect`, whose steps may have no frame.
+    Recorded times are the times of frames, and the moments that `carom inspect` lists, whose steps may have no frame.
     """
     known = np.append(_column(recording.fingerprints(), "time"), list(recorded_moments(recording).values()))
     off = np.abs(known - time)

@@ -22,7 +22,7 @@ class Pair:
 
     @property
     def bodies(self) -> tuple[int, ...]:
-        """The numbers of the bodies: of one if it touches a plane."""
+        """The numbers of the two bodies, or of the one body that touches a plane."""
         return (self.i,) if self.j is None else (self.i, self.j)
 
 
@@ -70,7 +70,7 @@ class NamedEvent:
     is_impact: bool = False
 
     def end(self, recording: Recording) -> float:
-        """Return the end (s) of the step of an impact if it has a frame; otherwise the time of the event."""
+        """Return the end (s) of the impact's step if this step has a frame; otherwise the time of the event."""
         end = None if self.step is None else end_of_step(recording, self.step)
         return self.time if end is None else end
 

@@ -96,7 +96,7 @@ def named_contacts(recording: RecordedData, table: pa.Table) -> pa.Table:
 
 
 def of_body(table: pa.Table, body: int | None) -> pa.Table:
-    """Keep the rows of a body; None keeps all."""
+    """Keep the rows of one body, or all rows for None."""
     if body is None:
         return table
     own = (table["i"].to_numpy() == body) | (table["j"].to_numpy() == body)
@@ -171,7 +171,7 @@ def rows_by_frame(recording: RecordedData, first: int, last: int) -> Iterator[tu
 
 
 def closing_speeds(rows: Records, state: Checkpoint, moves: BoolArray | None = None) -> FloatArray:
-    """Return the closing speeds (m/s) of contacts (k,) `CONTACT_ROW`; bodies outside of a mask (n,) are at rest."""
+    """Return the closing speeds (m/s) of contacts, (k,) `CONTACT_ROW`; bodies outside of the mask (n,) are at rest."""
     n, relative = len(state.position), np.zeros((len(rows), 3))
     point, normal = (
         np.stack([rows[name] for name in names], axis=1) for names in (("x", "y", "z"), ("nx", "ny", "nz"))

@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 
 
 class RecordedData(Statics):
-    """What a recording holds, as the other modules of this package read it; `Recording` adds their functions."""
+    """The data of a recording, from which the other modules of this package read; `Recording` adds their functions."""
 
     @property
     @named
@@ -152,7 +152,7 @@ class RecordedData(Statics):
     def bodies(self) -> BodyTable:
         """Names, groups, masses, radii and moments of inertia; ``bodies(at)`` returns their state at a time.
 
-        In a clip of some bodies, the values of all others are NaN.
+        In a clip of selected bodies, the values of all other bodies are NaN.
         """
         self.refuse_overlay()
         stored, n = self._entities.static(paths.STATIC_STATE), int(self.info["bodies"])
@@ -190,7 +190,7 @@ class RecordedData(Statics):
     @cached_property
     @named
     def fixed(self) -> BoolArray:
-        """Mask (n,) of the bodies that another engine never moves; a recording without it has none."""
+        """Mask (n,) of the bodies that another engine never moves; a recording without a mask has no such bodies."""
         n = int(self.info["bodies"])
         stored = self._entities.static(paths.STATIC_STATE).get("fixed", np.zeros(n, np.bool_))
         mask = np.asarray(stored)

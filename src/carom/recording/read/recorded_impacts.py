@@ -1,4 +1,4 @@
-"""The recorded impacts of a run, and the number of those that were not recorded."""
+"""The recorded impacts of a run, and the number of unrecorded ones."""
 
 from __future__ import annotations
 
@@ -46,7 +46,8 @@ class RecordedImpacts:
         """Describe the numbers beside the ``counted`` impacts of the run (None: unknown).
 
         The count lacks impacts at the end of a step whose bodies neither touch nor press afterwards, for example
-        because the impulse of a neighbour separated them. They are recorded or left out like the others.
+        because the impulse of a neighbour separated them. Impacts of planes are recorded or left out like impacts of
+        bodies.
         """
         if self.left_out:
             text = f"{self.recorded} recorded, the largest between frames; {self.left_out} left out"
@@ -100,7 +101,8 @@ def _measured(recording: RecordedData, rows: pa.Table) -> pa.Table:
 def impacts_until(recording: RecordedData, step: int) -> RecordedImpacts:
     """Count the impacts up to a step that has a frame; in a clip, the impacts since its first frame.
 
-    In a clip of some bodies, only recorded impacts count, since the others may belong to bodies outside the clip.
+    In a clip of selected bodies, only recorded impacts are included, since unrecorded ones may belong to bodies outside
+    the clip.
     """
     if not recording.records_contacts or not recording.frames:
         return RecordedImpacts()
@@ -157,7 +159,7 @@ def count_at(recording: RecordedData, step: int) -> int:
 
 
 def sums_between(recording: RecordedData, first: int, last: int) -> ImpactSums | None:
-    """Add up the sums over all impacts after the frame of one step, up to that of another; None if one lacks them."""
+    """Add up the sums over all impacts between the frames of two steps; None if a frame lacks them."""
     found = list[ImpactSums]()
     with reading(recording.path):
         for chunk in recording.chunks(recording.store.frames_of(paths.CONTACTS, first, last)):

@@ -61,7 +61,7 @@ def recorded_scene(recording: RecordedData, overrides: list[str] | None = None) 
 
 
 def materials_of(recording: RecordedData) -> ShownMaterials | None:
-    """Return the materials of a recording; None if it has none, or this version cannot read the scene."""
+    """Return the materials of a recording; None if the scene has none, or this version cannot read the scene."""
     if "material" not in recording.scene_toml:  # reading a scene of many bodies takes seconds
         return None
     try:

@@ -159,7 +159,7 @@ class Recording(RecordedData):
         Returns
         -------
         contacts
-            The columns of `impacts`; forces are impulses over the step. Point and normal are those at the end of the
+            The columns of `impacts`; forces are impulses over the step. Point and normal are given at the end of the
             step or, for a pair that has separated by then, at its hardest impact. Recorded contacts have approach_speed
             and energy_lost only for impacts (null otherwise). They do not include contacts that held after the first
             kick but opened within the step. The metadata of the schema state the ``source``.
@@ -170,8 +170,8 @@ class Recording(RecordedData):
     def checkpoints(self, steps: Iterable[int] | None = None) -> Iterator[Checkpoint]:
         """Yield the exact states at some of :attr:`checkpoint_steps`, by default at all, one by one.
 
-        Chunks of the file contain several states. In ascending order of steps, each chunk is decoded once, which takes
-        a fraction of the time of as many calls of `checkpoint`.
+        Chunks of the file contain several states. Steps in ascending order are fastest: each chunk is decoded once,
+        unlike with as many calls of `checkpoint`.
         """
         with reading(self.path):
             chosen = self.checkpoint_steps if steps is None else steps
@@ -179,11 +179,11 @@ class Recording(RecordedData):
 
     @named
     def moment(self, at: float | None = None) -> float:
-        """Return the time (s) to show: the given one, or that of the hardest impact, the most contacts, or the end.
+        """Return the time (s) to show: the given time, else the hardest impact, the most contacts, or the end.
 
-        A closed run has recorded its hardest impact; otherwise the frames are searched. In a clip of some bodies, the
-        impact of these bodies with the largest impulse counts. Raises RecordingError if there is no frame, or the given
-        time is not in the recording.
+        A closed run has recorded its hardest impact; otherwise the frames are searched. In a clip of selected bodies,
+        the hardest impact is the one with the largest impulse on these bodies. Raises RecordingError if there is no
+        frame, or the given time is not in the recording.
         """
         check_times(at=at)
         return moment(self, at)

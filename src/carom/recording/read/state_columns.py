@@ -72,7 +72,7 @@ UNITS_OF_BODIES = {"mass": "kg", "radius": "m", "inertia": "kg m²"}
 def state_vectors(
     state: State, which: slice | Sequence[int] | IntArray, mass: FloatArray, inertia: FloatArray
 ) -> dict[str, FloatArray]:
-    """Return the quantities of some bodies in a state, given the masses (kg) and moments of inertia (kg m²) of all."""
+    """Return the quantities of selected bodies in a state, given all masses (kg) and moments of inertia (kg m²)."""
     found = ((quantity.name, quantity.of(state, mass, inertia)) for quantity in STATE_QUANTITIES)
     return {name: values[which] for name, values in found if values is not None}
 
@@ -120,7 +120,7 @@ class BodyTrajectories(NamedTuple):
     body: IntArray  # (n,) numbers
     step: IntArray  # (K,)
     time: FloatArray  # (K,) s
-    exact: NDArray[np.bool_]  # (K,) whether the positions are those of the run in float64, and the other values known
+    exact: NDArray[np.bool_]  # (K,) whether positions are in float64, and the other values known
     vectors: VectorsByName  # quantity → (K, n, k), such as velocity, (K, n, 3) m/s; see `STATE_QUANTITIES`
     source: str
 

@@ -1,7 +1,7 @@
 """The static data of a recording: bodies, names, properties, scene and units; and how bodies are stored.
 
 Numbered names are stored by their prefix. Masses, radii, moments of inertia and names of [[bodies]] tables are stored
-once, together with those of all bodies.
+once, in the arrays of all bodies.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ class BodyTable:
     def __call__(self, at: float | None = None) -> pa.Table:
         """Return the state of all bodies at the end of the step that contains a time, in float64.
 
-        By default, the time (s) is that of `Recording.moment`. Raises RecordingError if it is not in the recording, or
+        The default of the time (s) is `Recording.moment`. Raises RecordingError if it is not in the recording, or
         this step has no checkpoint; `carom.rerun` then computes the state.
 
         Returns
@@ -156,7 +156,7 @@ class Statics:
     @cached_property
     @named
     def shown(self) -> Sequence[int]:
-        """Numbers of the bodies that it shows: all bodies, except in a clip of some."""
+        """Numbers of the bodies that the recording shows: all bodies, except in a clip of selected bodies."""
         if "bodies" not in self.clip:
             return range(int(self.info["bodies"]))
         found = [int(body) for body in np.atleast_1d(self.clip["bodies"])]
@@ -167,7 +167,7 @@ class Statics:
     @property
     @named
     def shows_all(self) -> bool:
-        """Whether it shows all bodies of its run; a clip may show only some."""
+        """Whether the recording shows all bodies of its run; a clip may show only selected ones."""
         return len(self.shown) == int(self.info["bodies"])
 
     @property
@@ -194,7 +194,7 @@ class Statics:
             raise RecordingError(f"{self.path} contains several runs and can only be viewed, with `carom view`")
 
     def refuse_some_bodies(self) -> None:
-        """Raise RecordingError if it is a clip of some bodies only."""
+        """Raise RecordingError if the recording is a clip of selected bodies."""
         if not self.shows_all:
             raise RecordingError(f"{self.path} is a clip of selected bodies; use the whole recording")
 

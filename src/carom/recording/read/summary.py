@@ -108,7 +108,7 @@ def _laws(recording: RecordedData) -> dict[str, Any]:
 
 
 def _impacts(recording: RecordedData) -> dict[str, int]:
-    """Count recorded and unrecorded impacts; empty if the scene records none, as in runs of other engines."""
+    """Count recorded and unrecorded impacts; empty if impacts are not recorded, as in runs of other engines."""
     if recording.engine or not recording.records_contacts or not recording.frames:
         return {}
     last = int(recording.fingerprints()["step"][-1].as_py())

@@ -1,4 +1,4 @@
-"""The boundaries of the messages of an .rrd file, so that a writer can stop at the end of one.
+"""The boundaries of the messages in an .rrd file, so that a writer can stop at the end of a message.
 
 A stream header of 12 bytes (``RRF2``, version, options) is followed by messages: kind and length as little-endian
 uint64, then that many bytes. Message kind 0 ends the stream and holds the footer; 32 bytes of stream footer follow it.
@@ -131,7 +131,7 @@ class MessageSplitter:
         self._pending += piece
 
     def pass_on(self, write: Callable[[memoryview], None]) -> bool:
-        """Pass the next whole message to a function, which must not keep its memory; return whether there was one."""
+        """Pass the next whole message to a function, which must copy what it keeps; return whether there was one."""
         length = self._next_length()
         if length is None or length > len(self._pending):
             return False

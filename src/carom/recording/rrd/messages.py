@@ -1,8 +1,8 @@
 """The messages of an .rrd file: chunks of rows and the stores they belong to, decoded and checked.
 
-Rerun's own reader trusts a file. With one wrong byte it may abort the process, or request more memory than there is
-(about one file in sixty with a few changed bytes). Recordings may come from strangers and damaged disks, so carom
-decodes them itself and checks everything before use.
+Rerun's own reader trusts a file. With one wrong byte it may abort the process, or request more memory than exists (one
+file in sixty with a few changed bytes). Recordings may come from strangers and damaged disks, so carom decodes them
+itself and checks everything before use.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ _LEAVES = {
 def record_batch(payload: memoryview, compression: int, size: int, stored: int = 0) -> pa.RecordBatch:
     """Decode one record batch of ``size`` bytes; its compression, as numbered by Rerun, is LZ4 or none.
 
-    ``stored`` is the size of its file (bytes), which bounds that of a batch above `_ROOMY`.
+    ``stored`` is the size of the file (bytes), which bounds the size of a batch above `_ROOMY`.
 
     Raises DamageError if it is incomplete, claims more than its bytes can hold, or has a type that is never written.
     """
@@ -235,7 +235,7 @@ class Entry:
     entity_path: str
     is_static: bool
     rows: int
-    first_step: int | None  # None for static chunks, and those not on the timeline of steps
+    first_step: int | None  # None for static chunks, and for chunks not on the timeline of steps
     last_step: int | None
     offset: int
     length: int

@@ -62,7 +62,7 @@ class PartialCheckpoint(Checkpoint):
 
     @property
     def fingerprint(self) -> int:
-        """A fingerprint of the bodies that exist, which equals that of the frame."""
+        """A fingerprint of the bodies that exist, equal to the fingerprint of the frame."""
         return self.among_present().fingerprint
 
     def among_present(self) -> Checkpoint:

@@ -158,7 +158,7 @@ class Header:
     properties: Mapping[str, Scalar] = field(default_factory=dict)  # versions, command, git, cpu …
     member: SweepMember | None = None  # None for a single run
     engine: str = ""  # name and version of the engine that computed the run; empty for carom
-    uniform_field: FloatArray | None = None  # (3,) m/s², of another engine; None for carom, and if unknown
+    uniform_field: FloatArray | None = None  # (3,) m/s², field of another engine; None for carom, and if unknown
     exact: bool = False  # whether every frame has a checkpoint
     fixed: BoolArray | None = None  # (n,) bodies of another engine that never move; for carom, the scene names them
     drawn_as: str = ""  # the shape of drawn bodies, where it does not follow from their number
@@ -299,7 +299,7 @@ class TimeScale:
         return np.round(shown * 1e9).astype(np.int64)
 
     def within(self, times: FloatArray, ends: FloatArray | None) -> IntArray:
-        """Convert seconds to nanoseconds, each before the frame that ends at ``ends`` (s); see `Index`."""
+        """Convert seconds to nanoseconds, to less than the time of the frame that ends at ``ends`` (s); see `Index`."""
         shown = self.nanoseconds(times)
         return shown if ends is None or not len(ends) else np.minimum(shown, self.nanoseconds(ends) - 1)
 
@@ -310,7 +310,7 @@ class TimeScale:
         impacts: Sequence[int] | IntArray = (),
         ends: FloatArray | None = None,
     ) -> list[rr.TimeColumn]:
-        """Return the time columns of a batch: step, time, number of the impact, or several of these."""
+        """Return the time columns of a batch: steps, times and numbers of impacts, each if given."""
         columns = [rr.TimeColumn(STEP, sequence=steps)] if len(steps) else []
         if len(times):
             shown = self.within(np.asarray(times), ends)
@@ -322,7 +322,7 @@ _VIEWER_UNITS = (("d", 86400.0), ("h", 3600.0), ("min", 60.0), ("s", 1.0))
 
 
 def viewer_time(units: UnitSystem, clock: TimeScale) -> str:
-    """Relate the times that the viewer shows, in s, min, h and d, to those of a scene; empty if they are the same."""
+    """Relate the viewer's times, in s, min, h and d, to the times of a scene; empty if they are the same."""
     if units.is_si and clock.scale == 1.0:
         return ""
     if units.own or units.is_si:

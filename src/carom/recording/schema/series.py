@@ -222,7 +222,7 @@ OF_ENGINES = {
 
 
 def all_series(extensions: Mapping[str, str]) -> tuple[Series, ...]:
-    """Return carom's own series, and those of the installed extensions that a scene uses; see `extensions_of`."""
+    """Return carom's own series, and the series of installed extensions that a scene uses; see `extensions_of`."""
     forces = [name for name in names_of("forces", extensions) if name in registry.installed("forces")]
     others = [name for name in names_of("series", extensions) if name in registry.installed("series")]
     energies = (_energy_of(kind_called(name)) for name in forces)
@@ -230,7 +230,7 @@ def all_series(extensions: Mapping[str, str]) -> tuple[Series, ...]:
 
 
 def all_plots(series: Iterable[Series]) -> tuple[tuple[Plot, ...], ...]:
-    """Return the plots of some series, from left to right; plots of extensions are the last tabs."""
+    """Return the plots that contain the given series, from left to right; plots of extensions are the last tabs."""
     known = {plot for column in PLOTS for plot in column}
     others = dict.fromkeys(each.plot for each in series if each.plot is not None and each.plot not in known)
     return (*PLOTS[:-1], (*PLOTS[-1], *others))

@@ -86,7 +86,7 @@ class BatchContacts:
         return found
 
     def parts(self, each: IntArray) -> Iterator[tuple[FrameContacts, slice, slice]]:
-        """Yield each block, the slice of its frames, and that of an array with ``each`` elements per frame."""
+        """Yield each block, the slice of its frames, and the slice of an array with ``each`` elements per frame."""
         ends = np.concatenate(([0], np.cumsum(each))).tolist()
         for block, frames in zip(self.blocks, self._frames, strict=True):
             yield block, frames, slice(ends[frames.start], ends[frames.stop])
@@ -101,7 +101,7 @@ class BatchContacts:
     def strongest_impacts(self, counts: IntArray) -> tuple[Records, IntArray]:
         """Return the impacts with the largest normal impulses, in order of time, and their indices in each frame.
 
-        ``counts`` is their number in each frame, (frames,). Of equal impulses, the first are selected.
+        ``counts`` is the number of arrows in each frame, (frames,). Of equal impulses, the first are selected.
         """
         return self._strongest([block.impacts for block in self.blocks], self.impacts, counts)
 

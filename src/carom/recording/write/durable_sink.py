@@ -53,7 +53,7 @@ class DiskReserve:
         self._file.close()
 
 
-FLUSH = 60.0  # s, for Rerun's stream to the pipe; a disk that takes longer counts as failed
+FLUSH = 60.0  # s, for Rerun's stream to the pipe; a disk that takes longer has failed
 _SPARE = 32 << 20  # bytes of address space for the last messages, if `ulimit -v` leaves no other; otherwise unused
 _PIPE = 1 << 20  # bytes; a user with many pipes gets smaller ones
 _POLL = 0.001  # s
@@ -100,7 +100,7 @@ class DurableSink:
         os.close(self._entry)
 
     def reserve(self, size: int) -> None:
-        """Reserve this many bytes for closing the file; without space for them, the disk counts as full."""
+        """Reserve this many bytes for closing the file; a disk without space for them is full."""
         if self.full:
             return
         try:
@@ -154,7 +154,7 @@ class DurableSink:
                     self._write_whole(self._piece[:size])
 
     def _write_whole(self, piece: memoryview) -> None:
-        """Write the messages that a piece completes; keep any error, since the pipe must be drained after it, too."""
+        """Write the messages that a piece completes; store any error for later, since the pipe must be drained."""
         try:
             try:
                 self._splitter.add(piece)

@@ -59,8 +59,9 @@ _BEYOND = 0.8  # of a radius: places of these beyond the tip, since a viewer dra
 class BatchEncoder:
     """Converts batches of frames to rows, entity by entity.
 
-    It keeps the state on which rows depend: the origin, the last written phase and dt limit, the arrows' references,
-    the last frame, and the numbers of recorded contacts. ``curves`` are the outlines of the series encoded so far.
+    It has the state on which rows depend: the origin, the last written phase and dt limit, the references of the
+    arrows, the last frame, and the numbers of recorded contacts. ``curves`` are the outlines of the series encoded so
+    far.
     """
 
     def __init__(
@@ -240,10 +241,10 @@ class BatchEncoder:
     def _turning(
         self, index: Index, frames: Sequence[Frame], points: SingleArray, store: FrameStore | None = None
     ) -> Iterable[Rows]:
-        """Return the arrows of what turns bodies: torques of contacts that last, and angular impulses of impacts.
+        """Return the arrows that show what turns bodies: torques of lasting contacts, and angular impulses of impacts.
 
-        Arrows of τ/I and of the changes of spin are beside them. Frames of the run raise the floors of later ones,
-        unlike those at impacts, in which nothing has a torque.
+        Beside them are the arrows of τ/I and of the changes of spin. Frames of the run raise the floors of later
+        frames. Frames at impacts do not, since nothing has a torque there.
         """
         raises = len(index.steps) > 0
         if self.header.has_torque:
@@ -265,7 +266,7 @@ class BatchEncoder:
         *,
         raises: bool,  # whether the frames raise the floors of later ones
     ) -> Rows:
-        """Return arrows of one kind, without those of rounding noise."""
+        """Return arrows of one kind, without arrows of rounding noise."""
         inertia = np.ones(self.header.bodies) if path in (paths.TORQUE, paths.ANGULAR_IMPULSE) else self.header.inertia
         turning, floors = self._above_floor(path, turning, inertia, raises)
         each, body, magnitude = turning.each, turning.body, turning.magnitude
@@ -365,14 +366,14 @@ class BatchEncoder:
             yield Rows(series.path, index, self._scalars(series, values))
 
     def _scalars(self, series: Series, values: FloatArray) -> list[ComponentColumn]:
-        """Return the columns of a series: its values, and those of its plot if the unit differs."""
+        """Return the columns of a series: its values, and the values in the unit of its plot if that unit differs."""
         columns = [plain_column(rr.Scalars.descriptor_scalars(), values)]
         factor = self.header.plot_factor(series.unit)
         in_plot = factor != 1.0 and series.plot is not None
         return [*columns, any_column(IN_PLOT, values / factor)] if in_plot else columns
 
     def _changes(self, path: str, batch: Sequence[Frame], state: Callable[[Frame], str]) -> Iterable[Rows]:
-        """Yield rows only for frames whose state differs from that of the previous frame."""
+        """Yield rows only for frames whose state differs from the state of the previous frame."""
         changed = []
         for frame in batch:
             if self._last_state.get(path) != state(frame):

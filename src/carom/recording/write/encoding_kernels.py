@@ -1,6 +1,6 @@
 """Loops over the bodies and contacts of a batch of frames that convert float64 state to the float32 that is drawn.
 
-They are kernels because NumPy holds the interpreter lock, which the physics needs after each of its own kernels. They
+They are kernels because NumPy holds the interpreter lock, which the physics needs after each of its kernels. They
 process many frames and release the lock. A call takes some microseconds, as long as a frame of ten contacts.
 """
 
@@ -78,7 +78,7 @@ def cast_orientations(orientation: FloatArray, turned: SingleArray) -> None:
 
 @long_kernel
 def list_torques(torques: TorqueList) -> int:
-    """Fill the list, allocated for all bodies, of those with a torque that can be drawn; return its length."""
+    """List the bodies whose torque can be drawn, in an array for all bodies; return the length of the list."""
     torque, each, body, magnitude = torques
     found = 0
     for f in range(torque.shape[0]):
@@ -252,8 +252,8 @@ def pick_strongest(
 ) -> None:
     """Select the rows with the largest normal impulses of each frame, in their order; of equal ones the first.
 
-    ``each`` and ``counts`` (frames,) are the numbers of rows and of rows to select. The indices of the selected rows in
-    their frames are written to ``chosen``, the rows to ``picked``. ``scratch`` is as long as the rows of any frame.
+    ``each`` and ``counts``, (frames,), are the numbers of rows, and of rows to select. The indices of the selected rows
+    in their frames are written to ``chosen``, the rows to ``picked``. ``scratch`` is as long as the rows of any frame.
     """
     begin, found = 0, 0
     for f in range(len(each)):
@@ -278,7 +278,7 @@ def pick_strongest(
 def count_moved(position: FloatArray, before: SingleArray, moved: IntArray) -> None:
     """Count the bodies of each frame, (frames, n, 3), that are drawn at other positions than in the previous frame.
 
-    ``before`` (n, 3), the positions in the previous frame, are overwritten by those in the last.
+    ``before``, (n, 3), are the positions in the previous frame, which the positions of the last frame overwrite.
     """
     for f in range(len(position)):
         moved[f] = 0

@@ -1,6 +1,6 @@
 """Frames at the instants of impacts: bodies, edges and impulses at these times, energies and spins before and after.
 
-These frames lie between two frames of the run, and have no step. Impulses, losses and normals are those of the impacts.
+These frames lie between two frames of the run, and have no step. Impulses, losses and normals belong to the impacts.
 Other changes between the two frames are assumed to be linear in time: energies, spins, orientations.
 """
 
@@ -91,7 +91,7 @@ def instants(
 
 
 def _together(impacts: Records, k: int) -> IntArray:
-    """Return the indices of the impacts at the time of one impact, by pair; of a pair that meets twice, the larger."""
+    """Return the indices of the impacts at the time of one impact, by pair: the larger one if a pair meets twice."""
     same = np.flatnonzero(impacts["time"] == impacts["time"][k])
     same = same[np.argsort(-impacts["normal_impulse"][same], kind="stable")]
     same = np.append(k, same)  # the first of a pair is chosen
@@ -128,7 +128,7 @@ class _Jumps:
 
     def angular_impulse(self, which: IntArray) -> FloatArray:
         """Return the sum of the angular impulses of some impacts on each body, (n, 3) N m s."""
-        found = np.zeros((len(self._after.position) + 1, 3))  # the last is that of planes
+        found = np.zeros((len(self._after.position) + 1, 3))  # the last row is for planes
         np.add.at(found, np.minimum(self._pairs[which], len(found) - 1), self._turns[which])
         return found[:-1]
 

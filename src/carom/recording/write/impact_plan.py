@@ -137,7 +137,7 @@ def _pass_through(
 
 
 FILE_BYTES = 300_000  # layout, styles and footer (docs/recording.md, Size)
-SHARE = 0.22  # of all other data of the file that are counted here; a fifth of the whole file, which has more
+SHARE = 0.22  # of all other data that are counted here: about a fifth of the whole file, which has further data
 _ARROWS, _SCENES = 0.02, 0.04  # of everything else: arrows, and frames at impacts
 _FEW_SCENES = 0.1 * FILE_BYTES  # bytes of frames at impacts that each recording may have
 _HARDER = 1.25  # times the hardest impact with a frame; a harder one gets a frame beyond the budget
@@ -171,7 +171,7 @@ class Kept(NamedTuple):
 
 
 class _Counts(NamedTuple):
-    """Numbers in each frame of a batch, (frames,), and of all bodies."""
+    """Numbers in each frame of a batch, (frames,), and the number of all bodies."""
 
     bodies: int
     moved: IntArray  # bodies drawn at other positions than in the previous frame
@@ -243,7 +243,7 @@ class ImpactPlan:
 
 
 def largest(impacts: Records, count: int) -> IntArray:
-    """Return the indices of the impacts with the largest normal impulses, in order of time; of equal ones the first."""
+    """Return the indices of the impacts with the largest normal impulses, by time; ties go to earlier impacts."""
     if len(impacts) <= count:
         return np.arange(len(impacts))
     return np.sort(np.argsort(-impacts["normal_impulse"], kind="stable")[:count])
@@ -301,8 +301,8 @@ def impact_rows(
 ) -> Rows:
     """Return one row for each of the impacts, (k,) `CONTACT_ROW`, whose numbers in the run, (k,), begin with 1.
 
-    ``references`` are the impulse (N s) and the energy (J) in the middle of their scales, ``origin`` (3,) m is that of
-    the drawing.
+    ``references`` are the impulse (N s) and the energy (J) in the middle of their scales; ``origin``, (3,) m, is the
+    origin of the drawing.
     """
     positions = single(np.stack([impacts["x"], impacts["y"], impacts["z"]], axis=1) - origin)
     friction = np.stack([impacts["friction_x"], impacts["friction_y"], impacts["friction_z"]])

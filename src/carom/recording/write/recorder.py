@@ -42,7 +42,7 @@ _Item = TypeVar("_Item")
 
 
 class BatchQueue(Generic[_Item]):
-    """Holds at most ``capacity`` items. `take` returns ``batch`` items, or all available ones after ``seconds``."""
+    """Holds at most ``capacity`` items. `take` returns ``batch`` items, or all available items after ``seconds``."""
 
     def __init__(self, capacity: int, batch: int, seconds: float) -> None:
         self._capacity = max(capacity, batch)
@@ -244,7 +244,7 @@ class FrameRecorder:
         return self._store
 
     def extend(self, header: Header) -> None:
-        """Add bodies: later frames have the bodies of this header, which begins with those of the previous header."""
+        """Add bodies: later frames have the bodies of this header, which begins with the previous header's bodies."""
         self._extended[header.bodies] = header
         self.bodies = header.bodies
 
@@ -423,7 +423,7 @@ class FrameRecorder:
 
 
 def _new_file(path: Path) -> Path:
-    """Return the file to write for a path: a new one beside an existing recording, in place of that of a killed run."""
+    """Return the file to write for a path: a new file beside an existing recording; a killed run's is replaced."""
     try:
         path = path.resolve()
         if not path.exists():

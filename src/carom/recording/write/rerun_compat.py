@@ -1,8 +1,9 @@
 """Rerun's private interfaces, each with a fallback for versions of Rerun that lack it.
 
-No other module of carom uses them. Without them, recordings are written, read, resumed and shown in the same way; only
-memory, or the layout of a clip, is lost. test_rerun_compat.py tries each interface and each fallback, as a canary for
-new versions of rerun-sdk. 0.41 is the first version whose viewer renders pictures; 0.40 can only record and replay.
+No other module of carom uses them. Without these interfaces, recordings are written, read, resumed and shown in the
+same way; only memory, or the layout of a clip, is lost. test_rerun_compat.py tries each interface and each fallback, as
+a canary for new versions of rerun-sdk. 0.41 is the first version whose viewer renders pictures; 0.40 can only record
+and replay.
 
 The page of `carom view --web` drives the web viewer by the undocumented interface of Rerun's `re_viewer.js`. The slow
 test of tests/display/test_web.py tries it in a browser.

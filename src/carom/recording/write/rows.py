@@ -124,7 +124,7 @@ class Rows:
 
     @property
     def steps(self) -> IntArray:
-        """The steps of the rows; empty if they have none."""
+        """The steps of the rows; empty if the rows are not on the timeline of steps."""
         return self.index.steps
 
     @property

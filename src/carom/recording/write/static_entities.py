@@ -118,7 +118,7 @@ def _surroundings(header: Header, origin: FloatArray, reach: float) -> Iterable[
 
 
 def _wall(path: str, header: Header, mesh: Mesh, origin: FloatArray) -> Static:
-    """Draw a wall by itself; one that rotates has darker sectors, which show it."""
+    """Draw a wall by itself; darker sectors show the rotation of a wall that rotates."""
     motion = header.motions.get(path)
     sector = np.arange(len(mesh.corners)) % SIDES * _SECTORS // SIDES
     shades = np.where(sector % 2 == 0, np.uint32(palette.WHITE), np.uint32(_SHADE))

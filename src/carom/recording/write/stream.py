@@ -76,7 +76,7 @@ class LiveView:
 
 
 BATCH_BYTES = 4_000_000  # a batch costs some milliseconds, whatever its size
-_BODY_BYTES, _FRAME_BYTES = 40, 500  # of a frame for Rerun's encoder: of a body with its arrows, and of the scalars
+_BODY_BYTES, _FRAME_BYTES = 40, 500  # bytes of a frame: for each body with its arrows, and for scalars
 
 # Rerun's encoder keeps 5.7 kB of memory and 1.2 kB of the footer for each message, and a batch has some 60. A long run
 # therefore joins batches, so that their number grows logarithmically with time and size: 28 800 batches make a footer
@@ -191,7 +191,7 @@ class Stream:
             self.payload_bytes += sum(batch.as_arrow_array().nbytes for batch in archetype.as_component_batches())
 
     def send_bodies(self, header: Header, clock: TimeScale, origin: FloatArray, lives: Lives) -> None:
-        """Send the static data of the bodies so far, where bodies come and go; they replace earlier ones."""
+        """Send the static data of all bodies so far, where bodies come and go; they replace the earlier data."""
         self.send_property("carom", {"bodies": header.bodies})
         if header.drawn_as:
             self.send_property("carom", {"drawn_as": header.drawn_as})

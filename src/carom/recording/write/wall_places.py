@@ -1,7 +1,8 @@
 """Where planes and walls that move are: a transform for each of them, at every frame and at impacts.
 
-A drawn plane is infinite, so a displacement along itself shows nothing. A belt that runs for ever would leave the view:
-of the velocities of a plane, only the component along the normal is drawn, but all of an oscillation.
+A drawn plane is infinite, so a displacement along itself shows nothing. A belt that runs for ever would leave the view.
+A plane with a constant velocity is therefore drawn with the component along its normal only; oscillations are drawn
+whole.
 """
 
 from __future__ import annotations
@@ -66,7 +67,7 @@ def piston_rows(header: Header, index: Index, frames: Sequence[Frame]) -> Iterab
 
 
 def wall_rows(walls: Mapping[str, MovingWall], index: Index, origin: FloatArray) -> Iterable[Rows]:
-    """Yield the transform of each wall at the times of an index; ``origin`` is (3,) m, that of the drawing."""
+    """Yield the transform of each wall at the times of an index; ``origin``, (3,) m, is the origin of the drawing."""
     for path, wall in walls.items():
         columns = []
         shift = wall.motion.displacement(index.times, wall.normal)

@@ -173,7 +173,7 @@ def name_until_whole(path: Path) -> Path:
 
 
 def killed_run_of(path: Path) -> Path | None:
-    """Return the file of a run that was killed before it replaced a recording; None without one, or while it runs."""
+    """Return the file of a run that was killed before it replaced a recording; None if no run was, or while it runs."""
     with contextlib.suppress(OSError, RuntimeError):  # RuntimeError: links in a circle
         real = path.resolve()
         lock, left = real.with_name(f".{real.name}.lock"), name_until_whole(real)

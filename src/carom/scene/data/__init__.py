@@ -50,7 +50,7 @@ class DataTable:
     names: Sequence[str]  # names of its columns
     hidden: Sequence[str] = ()  # names of further columns, read only if the scene names them
     unnamed: int = 0  # number of its columns if they have no names
-    paths: bool = False  # whether the names are paths of HDF5; only the last part of a path counts
+    paths: bool = False  # whether the names are paths of HDF5, whose last part is the name of the column
     vectors: Collection[str] = ()  # names of the columns that hold three numbers for each body
     facts: Facts = Facts()  # units and whatever else the file states about its numbers
     law: MotionLaw | None = None  # None if unknown
@@ -74,7 +74,7 @@ class DataFormat(NamedTuple):
 
     called: str  # a file of this format in messages: "an Arrow file"
     open: Callable[[Path, str, int], DataTable]  # opens a path, given its name in messages and the index of a step
-    # times of the steps of a path, ascending, in the units of its numbers; None if the format states none
+    # times of the steps in a file, ascending, in the units of its numbers; None if the format states no times
     times: Callable[[Path, str], Sequence[float]] | None = None
 
 
@@ -99,7 +99,7 @@ def refuse_many_rows(called: str, rows: int) -> None:
 
 
 def refuse_many_columns(called: str, columns: int, each: int = 1) -> None:
-    """Refuse a table with more columns than any table of bodies; ``columns`` counts each column ``each`` times."""
+    """Refuse a table with more columns than any table of bodies has; each of the ``columns`` has ``each`` parts."""
     if columns > each * MOST_COLUMNS:
         raise SceneError(f"{called}: {columns} columns are too many; at most {MOST_COLUMNS}")
 

@@ -320,7 +320,7 @@ def open_gsd(path: Path, called: str, snapshot: int) -> DataTable:
             raise SceneError(f"{called}: frame {frame} has no particles")
         refuse_many_rows(called, int(count[0]))
         refuse_bomb(called, 12 * int(count[0]), path.stat().st_size)
-        # what a frame omits equals that of the first frame, or has its default where their numbers of particles differ
+        # data that a frame omits equal the first frame's, or have their default where the numbers of particles differ
         first = chunk("particles/N", (0,))
         known = (frame, 0) if first is not None and int(first[0]) == int(count[0]) else (frame,)
         arrays: dict[str, Raw] = {

@@ -263,7 +263,7 @@ class _Reader:
         return int(self.kept[place])
 
     def vectors(self, quantity: str) -> FloatArray:
-        """Return (n, 3) vectors; those in a plane have z = 0."""
+        """Return (n, 3) vectors; vectors in a plane have z = 0."""
         columns = self._mapping.get(quantity)
         if columns is None:
             constant = getattr(self._section, quantity, None) or (0.0, 0.0, 0.0)
@@ -332,12 +332,12 @@ class _Reader:
             )
 
     def factor(self, quantity: str, place: int = 0) -> float:
-        """Return the size of the unit of a quantity's column in units of the simulation."""
+        """Return the size of the unit of a column, in units of the simulation."""
         column = self._mapping[quantity][place]
         return column_factor(self._called, column, self._facts, quantity, DIMENSIONS[quantity], self._units)
 
     def _step(self, quantity: str, name: str, array: Raw, dimensions: int, axis: int) -> Raw:
-        """Return a column or, if it has several steps, the chosen one; check its shape."""
+        """Return a column or, if it has several steps, its chosen step; check the shape."""
         if array.ndim == dimensions + 1:
             array = array.take(step_at(self._called, self._section.snapshot, array.shape[axis], whose=name), axis)
         if array.ndim != dimensions or (dimensions == 2 and array.shape[1] != 3):

@@ -20,7 +20,7 @@ from carom.scene.schema.contact import Material
 from carom.scene.units.dimension import TIME
 from carom.scene.units.system import SI, UnitSystem
 
-LARGEST_DATA = 10**11  # bytes; computing their digest takes a minute
+LARGEST_DATA = 10**11  # bytes of a file; its digest then takes a minute
 
 
 class SourcedBodies(NamedTuple):

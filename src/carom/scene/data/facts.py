@@ -65,7 +65,7 @@ class FileBox(NamedTuple):
 class Facts:
     """What a file states about its numbers, beside the names of its columns; empty where it states nothing."""
 
-    units: UnitSystem = SI  # units of the columns that name none; of some dimensions, or of all
+    units: UnitSystem = SI  # units of the columns that state no unit, for some dimensions or for all
     of_columns: Mapping[str, str] = field(default_factory=dict)  # units of single columns, as the file writes them
     frame: str = ""  # directions of the axes, such as "ICRF" or `ECLIPTIC`
     centre: str = ""  # body at the origin
@@ -84,7 +84,7 @@ class Facts:
 
 @dataclass(frozen=True)
 class FileColumn:
-    """A column of a file, by its name; the unit in the name, or that which the file states for it."""
+    """A column of a file: its name, and the unit that stands in the name or that the file states for it."""
 
     name: str  # in the file
     proper: str  # without the unit and, in HDF5, the path
@@ -128,7 +128,7 @@ def plain_name(proper: str) -> str:
 
 
 def columns_of(names: Sequence[str], facts: Facts, paths: bool = False) -> list[FileColumn]:
-    """Return the columns of a file; with ``paths``, only the last part of a name counts."""
+    """Return the columns of a file; with ``paths``, the last part of a path is the name of a column."""
     return [_column(name, facts.of_columns.get(name), paths) for name in names]
 
 
@@ -173,7 +173,7 @@ def _bracketed(name: str) -> str:
 
 
 def _size(text: str) -> Unit | None:
-    """Return the size in SI and the dimension of a unit, or of a number of units as in "1000 km"; None if unknown."""
+    """Return the size in SI and the dimension of a unit, or of a multiple such as "1000 km"; None if unknown."""
     if text[:1].isdigit():
         several = physical(text)
         return several and Unit(several.size, several.unit.exponents)

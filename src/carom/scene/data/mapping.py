@@ -269,7 +269,7 @@ def elements_in(columns: Sequence[FileColumn]) -> dict[str, FileColumn]:
 
 
 def usual_names(names: Sequence[str]) -> int:
-    """Return how many of some names are usual names of columns."""
+    """Return how many of the given names are usual names of columns."""
     columns = columns_of(names, Facts())
     return len({column.name for quantity in QUANTITIES for each in _alike(quantity, columns) for column in each})
 
@@ -310,7 +310,7 @@ def _is_given(section: BodyData, quantity: str) -> bool:
 
 
 def _named(name: str, columns: Sequence[FileColumn], table: DataTable, quantity: str) -> FileColumn:
-    """Return the column that the scene names; a unit that the scene adds to the name counts."""
+    """Return the column that the scene names, with the unit that the scene adds to the name, if any."""
     asked = column_named(name, table.paths)
     exact = [column for column in columns if column.name == name]
     found = exact or [column for column in columns if column.plain == asked.plain]
@@ -345,7 +345,7 @@ def _candidates(section: BodyData, quantity: str, columns: Sequence[FileColumn])
 
 
 def _usual(quantity: str, columns: Sequence[FileColumn]) -> list[tuple[FileColumn, ...]]:
-    """Return the columns that may hold a quantity: single ones and triples; else those with a unit as a suffix."""
+    """Return the columns that may hold a quantity: single ones and triples, else the ones with a unit as a suffix."""
     return _alike(quantity, columns) or _alike(quantity, list(_with_suffix(quantity, columns, brief=False)))
 
 

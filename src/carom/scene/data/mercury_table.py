@@ -1,6 +1,6 @@
 """MercuryDPM's .data files: for each step a line with the number of particles, the time and the box, then particles.
 
-The columns are those that MercuryDPM's DPMBaseXBalls.icc writes: 14 in three dimensions, 8 in two, where angles
+MercuryDPM's DPMBaseXBalls.icc writes these columns: 14 in three dimensions, 8 in two, where angles
 and angular velocities have the opposite sign. LAMMPS uses the same ending; the first line tells the two apart.
 """
 
@@ -62,7 +62,7 @@ def open_either(path: Path, called: str, snapshot: int) -> DataTable:
 
 
 def _first_line(text: str) -> tuple[float, ...] | None:
-    """Return the numbers in the first line of a step; None if it is not one."""
+    """Return the numbers in the first line of a step; None if the line begins no step."""
     words = text.split()
     numbers = [number_in(word) for word in words]
     if len(words) not in _COLUMNS or not words[0].isdecimal():

@@ -183,7 +183,7 @@ def open_mpc(path: Path, called: str, snapshot: int) -> DataTable:
 
 
 def julian_date(packed: str) -> float | None:
-    """Return the Julian date of a packed date, such as K24AH for 17 October 2024; None if it is not one."""
+    """Return the Julian date of a packed date, such as K24AH for 17 October 2024; None for any other text."""
     if len(packed) != len("K24AH") or packed[0] not in _CENTURIES or not packed[1:3].isdecimal():
         return None
     month, day = _DIGITS.find(packed[3]), _DIGITS.find(packed[4])

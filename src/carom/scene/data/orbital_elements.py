@@ -34,7 +34,7 @@ from carom.scene.units.dimension import ANGLE, LENGTH, MASS, TIME, VELOCITY, Dim
 from carom.scene.units.system import UnitSystem
 
 _ANGLES = ("i", "node", "peri", "M")
-_TURNING = ("i", "node", "peri")  # angles that no program counts beyond a turn
+_TURNING = ("i", "node", "peri")  # angles that every program writes within one turn
 _DEGREE = math.pi / 180.0
 _TURN = 2.0 * math.pi * (1.0 + 1e-9)  # radians, with the error of printed digits
 _OF_JPL = {"full_name", "pdes", "spkid"}  # columns that identify a table of JPL's small bodies
@@ -128,8 +128,8 @@ class OrbitTable(DataTable):
     def _unit_of_angles(self) -> str:
         """Return the unit of the angles whose columns name none; empty if there are none.
 
-        It is that of ``orbit.angle``, of the file, or of the scene, and otherwise a degree. Raises SceneError where the
-        values point to the other unit.
+        The unit is stated by ``orbit.angle``, by the file, or by the scene; otherwise it is a degree. Raises SceneError
+        where the values point to the other unit.
         """
         unnamed = [element for element in _ANGLES if element in self._columns and not self._columns[element].unit]
         if not unnamed:
@@ -179,7 +179,7 @@ class OrbitTable(DataTable):
         return column_factor(self.called, self._columns[element], self.facts, element, (dimension,), self._units)
 
     def states(self, mass: FloatArray, kept: IntArray) -> tuple[FloatArray, FloatArray]:
-        """Return the positions and velocities (n, 3) at the epoch, of bodies with masses (n,) in some rows."""
+        """Return positions and velocities (n, 3) at the epoch for selected rows, given the masses (n,)."""
         self._kept = kept
         e = self._element("e")
         beta, q = self._shape(e)

@@ -67,7 +67,7 @@ _AXES = {"pos": "{}", "velocity": "v{}", "vel": "v{}", "omega": "w{}", "orientat
 
 
 def open_dump(path: Path, called: str, snapshot: int) -> DataTable:
-    """Open a dump at one of its steps."""
+    """Open one step of a dump."""
     with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:
         before = _BEFORE.match(content)
         if before is None:

@@ -132,7 +132,7 @@ def axis_of_steps(
 ) -> int:
     """Return the axis of the steps in arrays with several of them, 0 or 1; ask if nothing tells.
 
-    ``dimensions`` has the number of axes of each array of one step.
+    ``dimensions`` has the number of axes that each array of a single step has.
     """
     stacked = [name for name, own in dimensions.items() if raw[name].ndim == own + 1]
     if not stacked:

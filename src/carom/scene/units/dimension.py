@@ -166,7 +166,7 @@ class Unit:
 
     @property
     def dimension(self) -> Dimension | None:
-        """Its dimension, if it is one of the quantities in a scene."""
+        """The dimension of the unit, if quantities of a scene may have it."""
         return OF_EXPONENTS.get(self.exponents)
 
 
@@ -250,7 +250,7 @@ def _written() -> frozenset[str]:
 
 
 def _nearest(name: str, known: Iterable[str]) -> str:
-    """Return the most similar of some names, ignoring case; empty if none is similar."""
+    """Return the known name that is most similar, ignoring case; empty if no name is similar."""
     by_lower: dict[str, list[str]] = {}
     for word in sorted(known):
         by_lower.setdefault(word.lower(), []).append(word)

@@ -107,7 +107,7 @@ class UnitSystem:
         return self.own and not self.given[LENGTH.plain]
 
     def number(self, text: str, dimension: Dimension) -> float:
-        """Read a quantity such as "3 km" as a number of the simulation; raises `UnitError` if it is not one."""
+        """Read a quantity such as "3 km" as a number of the simulation; raises `UnitError` for any other text."""
         if self.dimensionless:
             raise UnitError(f'units = "{WITHOUT}": expected a plain number')
         value = quantity(text, dimension)
@@ -157,7 +157,7 @@ class UnitSystem:
         return f"{self.shown(first, dimension):{form}} to {self.text(last, dimension, form)}"
 
     def unit(self, dimension: Dimension) -> str:
-        """Return the name of the printed unit of a dimension; empty if it has none."""
+        """Return the name of the printed unit of a dimension; empty for pure numbers."""
         return dimension.unit if self.is_si else self._names(dimension)
 
     def labelled(self, label: str, dimension: Dimension) -> str:

@@ -87,7 +87,7 @@ SPHERE = dtype_of(SphereRecord)
 
 
 class Layout(NamedTuple):
-    """The g grids of a step, at most k, beginning with that of the largest bodies."""
+    """The g grids of a step, at most k, beginning with the grid of the largest bodies."""
 
     grids: IntArray  # (1,) g
     grid: RecordArray[GridRecord]  # (k,)
@@ -178,7 +178,7 @@ def _define_grids(
 
     Return whether octaves share grids differently than before; bodies must then be sorted anew.
     """
-    # each octave gets its own grid, or shares that of the next larger one
+    # each octave gets a grid, or shares the grid of the next larger octave
     count, cells, has_changed = 0, 0.0, False
     for L in range(len(octaves)):
         octave = octaves[L]
@@ -191,7 +191,7 @@ def _define_grids(
         layout.grid[count - 1].end = octave.end
     has_changed = has_changed or layout.grids[0] != count
     layout.grids[0] = count
-    # divide the grids into cells; a grid has one bucket per cell, or those of a hash
+    # divide the grids into cells; a grid has one bucket per cell, or the buckets of a hash
     bucket = 0
     for L in range(count):
         grid = layout.grid[L]

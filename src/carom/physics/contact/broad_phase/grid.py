@@ -1,8 +1,9 @@
 """Hierarchical grid: each body searches the nearby cells in the grid of its own octave and in others.
 
 A pair within an octave is found by the body in the earlier cell. A pair of two octaves is found by one of the bodies.
-Either the smaller bodies search the few cells of the larger ones near them, or the larger bodies search the many cells
-that they cover, whichever is fewer cells in all. Gravel on a planet is the first case, power-law radii are the second.
+Either the smaller bodies search the few cells of larger bodies near them, or the larger bodies search the many cells
+that they cover: the choice with fewer cells in all. Gravel on a planet is the first case, power-law radii are the
+second.
 
 Rejected: searching from the smaller bodies always, with each octave in a hashed grid of its own (4 times the time for
 10⁵ radii from 1 to 100).

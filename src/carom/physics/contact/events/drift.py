@@ -56,7 +56,7 @@ if TYPE_CHECKING:
 
 LOG_ROWS = 4096  # largest number of impacts in one call
 MOST_TOUCHING = 16  # contacts per body at one moment, on average
-SINGLE_ROWS = 4  # of the log of bodies that touch, one in so many is for single impacts; groups have the others
+SINGLE_ROWS = 4  # one row in so many, in the log of bodies that touch, is for single impacts, the rest for groups
 GAP_ROUNDING = 16 * 2.0**-53  # of the coordinates and of the sum of radii
 WIDEST = 2.0  # times the radii; up to this width, the contact grids also find neighbours
 # Limits of the largest search radius, in body radii, for `narrow`: it saves time, and the squares are finite.
@@ -349,7 +349,7 @@ def _touching_pairs(T: Trajectories, pairs: IntArray) -> int:
 
 @inline
 def _add(i: int, j: int, count: int, pairs: IntArray) -> int:
-    """Add a pair, unless it is the first one or the buffer is full."""
+    """Add a pair, unless it is the first pair or the buffer is full."""
     if (i == pairs[0, 0] and j == pairs[0, 1]) or count == len(pairs):
         return count
     pairs[count, 0], pairs[count, 1] = i, j

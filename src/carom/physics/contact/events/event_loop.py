@@ -135,7 +135,7 @@ def resolve(neighbours: Neighbours, T: Trajectories, log: RecordArray[ImpactReco
 
 @unowned
 def _go_to_next(neighbours: Neighbours, T: Trajectories) -> int:
-    """Move the bodies of the next impact to it; return the body that predicted it, or -1 if there is none.
+    """Move two bodies to the next impact; return the body that predicted it, or -1 if no impact follows.
 
     A prediction is stale if the partner has had another impact since. A guided wall then comes later (`guided_walls`).
     """
@@ -195,7 +195,7 @@ def _predict_again(i: int, neighbours: Neighbours, T: Trajectories) -> None:
 
 @unowned
 def _predict(lo: int, hi: int, neighbours: Neighbours, T: Trajectories) -> None:
-    """Predict each body's next impact with its neighbours, for [lo, hi), and keep it if it is before the stored one."""
+    """Predict the next impact of each body in [lo, hi) with neighbours; store it if it precedes the stored impact."""
     box, drift = periods(T.box), T.drift[0]
     clock = drift.clock
     span, since_kick = drift.dt - clock, clock - drift.kick
@@ -263,7 +263,7 @@ def _acceleration(i: int, j: int, v: Vector, T: Trajectories) -> Vector:
 
 @unowned
 def _time_on_parabola(i: int, j: int, d: Vector, v: Vector, slow: float, T: Trajectories) -> float:
-    """Return the time (s) until two bodies meet, if the field bends the path of one; infinite if they do not.
+    """Return the time (s) until two bodies meet, where the field bends one path; infinite if they miss each other.
 
     ``d`` (m) and ``v`` (m/s) are the separation and the velocity of j relative to i on their straight lines, and
     ``slow`` (m/s) is the largest closing speed that is not an impact.
@@ -293,7 +293,7 @@ def _time_on_parabola(i: int, j: int, d: Vector, v: Vector, slow: float, T: Traj
 
 @with_field("kind", predict_with_walls, place=3)
 def _predict_with_solids(lo: int, hi: int, T: Trajectories, N: FloatArray) -> None:
-    """Predict the next impact of each body in [lo, hi) with a solid, and keep it if it is before the stored one."""
+    """Predict the next impact of each body in [lo, hi) with a solid; store it if it precedes the stored impact."""
     x, v, a, offset = T.x, T.v, T.a, T.offset
     if len(offset) == 0:
         return
@@ -350,7 +350,8 @@ def _time_to_plane(gap: float, rate: float, bend: float) -> float:
 def collide(i: int, j: int, log: RecordArray[ImpactRecord], row: int, T: Trajectories) -> None:
     """Resolve one impact with the velocities at its time, and write it into a row of the log.
 
-    If its row were the argument, Numba would compare the row's type with those of all other logs, and warn.
+    If a row of the log were the argument, Numba would compare the type of the row with the types of all other logs, and
+    warn.
     """
     entry = log[row]
     v, omega, clock, f = T.v, T.omega, T.drift[0].clock, slowing(T)

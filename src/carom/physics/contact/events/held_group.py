@@ -16,12 +16,12 @@ ratios above 10¹², the matrix of the contacts would lose a light body between 
 Bodies that separate and meet again could also be held infinitely often. Each time, the gap up to which their contacts
 are held doubles, until it covers the whole drift.
 
-Where no contact of the group dissipates (e = 1), its impulses are twice those that end the closing at the present
-time. That reverses the component of √m v that they remove, so the energy is conserved. A light ball between a heavy one
-and a wall then turns the heavy ball round as its remaining impacts would, only earlier, by twice the time in which the
-heavy ball would cover the remaining gap. As soon as an impact has acted on several contacts, the bodies go on with
-single impacts. A body that is exhausted again and again, such as a ball between two walls that nearly touch it, stays
-where it is without closing contacts, and rebounds at the end of the drift.
+Where no contact of the group dissipates (e = 1), the impulses are twice the impulses that end the closing at the
+present time. That reverses the component of √m v that they remove, so the energy is conserved. A light ball between a
+heavy one and a wall then turns the heavy ball round as its remaining impacts would, only earlier, by twice the time in
+which the heavy ball would cover the remaining gap. As soon as an impact has acted on several contacts, the bodies go on
+with single impacts. A body that is exhausted again and again, such as a ball between two walls that nearly touch it,
+stays in its place, closes no contact, and rebounds at the end of the drift.
 
 Rejected: impulses with e = 0 one by one, as numerous as the impacts; leaving an exhausted body out of the drift, so
 that others pass through it.

@@ -3,7 +3,7 @@
 A step of two balls in contact takes a few microseconds in one kernel, and nearly two hundred if Python calls a kernel
 for each of its stages. `KickDriftStepper` therefore leaves the steps before the next frame or check to this module, as
 it leaves steps without contacts to `carom.physics.free_flight`. It makes the step that ends at the frame or check
-itself, since Python needs the contacts of this step. The kernels and the bits are those of single steps.
+itself, since Python needs the contacts of this step. Kernels and bits are the same as in single steps.
 
 Entries of the books are summed here in the same order: the ledger, the numbers of contacts, the deepest overlap. A step
 that Python must process is undone and left to `KickDriftStepper`; `steady_contacts` lists these cases.

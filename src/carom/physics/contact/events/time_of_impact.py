@@ -37,7 +37,7 @@ from carom.physics.jit.decorators import inline, kernel, with_field
 from carom.physics.sheared_box import along_gradient, in_axes
 from carom.physics.vector import Vector, between, nearest_image, vector
 
-CLEARANCE = 1e-6  # of the squared distance, above the rounding of times of impact
+CLEARANCE = 1e-6  # of the squared distance; it is above the rounding of times of impact
 MOST_PASSES = 100
 GAP_TOLERANCE = 2.0**-50  # of the sum of radii; a smaller gap is rounding
 
@@ -227,7 +227,7 @@ def first_of_images(
 
 @kernel
 def _next_image(d: float, v: float, L: float, R: float, leg: float) -> float:
-    """Return the offset of the approaching image from the nearest one; 0 if it stays too far away."""
+    """Return the offset of the approaching image from the nearest image; 0 if the former stays too far away."""
     if v > 0.0:
         return -L if L - d - v * leg <= R else 0.0
     if v < 0.0:

@@ -16,8 +16,8 @@ An impulse J changes w by J/(m f). Without drag, 1/τ is 0, and σ = s.
 The search radius of a body is the displacement within which it can meet only bodies in its list of neighbours.
 
 The event queue is a binary heap of the bodies with a predicted impact, the earliest first. A body is in it at most
-once, with its next impact. An impact of two bodies needs only one entry: that of the body whose impact was predicted
-last. Simultaneous impacts are in the order of their pairs.
+once, with its next impact. An impact of two bodies needs only one entry: the entry of the body whose impact was
+predicted last. Simultaneous impacts are in the order of their pairs.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ MAX_SEARCH_RADIUS = 1e150  # m; its square is finite
 class QueuedRecord(Protocol):
     """A body in the event queue."""
 
-    impact_time: float  # s, of its next impact; infinite if there is none
+    impact_time: float  # s, of the next impact of the body; infinite without one
     partner: int  # the other end of that impact: body j, or n + p for plane p
     queue_place: int  # in the event queue; -1 outside
 
@@ -108,7 +108,7 @@ DRIFT = dtype_of(DriftRecord)
 
 
 class Neighbours(NamedTuple):
-    """The possible partners of each body: those of body i are ``bodies[first[i]:last[i]]``."""
+    """The possible partners of each body; body i has the partners ``bodies[first[i]:last[i]]``."""
 
     first: IntArray  # (n,)
     last: IntArray  # (n,)
@@ -153,8 +153,8 @@ def write_search_radii(
     """Write the search radius of each body for dt, and the bulk velocity; return the largest radius in body radii.
 
     A search radius is the distance that a body covers at its own speed plus the mean speed of all bodies, relative to
-    the centre of mass or to fixed objects. It suffices after most impacts, and one fast body does not widen the radii
-    of others.
+    the centre of mass or to fixed objects. This search suffices after most impacts, and a fast body does not widen the
+    radii of other bodies.
     """
     ux, uy, uz = (0.0, 0.0, 0.0) if anchored else centre_velocity(v, mass)
     drift[0].bulk_x, drift[0].bulk_y, drift[0].bulk_z = ux, uy, uz
@@ -197,7 +197,7 @@ def narrow(pairs: IntArray, scale: float, skin: float, T: Trajectories, near: In
 
     Around the start of its path, a body needs twice the radius that it needs around the middle, and a search finds all
     pairs within the largest one. In a falling heap, two fifths of the pairs remain. Space must not be periodic, and
-    paths must bend with the uniform field alone. ``scale`` and ``skin`` (m) are those of the search.
+    paths must bend with the uniform field alone. ``scale`` and ``skin`` (m) define the distance of the search.
     """
     drift, rows = T.drift[0], 0
     half = 0.5 * drift.dt
@@ -233,7 +233,7 @@ def arrive(i: int, T: Trajectories) -> None:
 
 @unowned
 def release(i: int, T: Trajectories) -> None:
-    """Let an exhausted body go on with single impacts, as many as before."""
+    """Let an exhausted body go on with as many single impacts as before."""
     body = T.body[i]
     body.exhausted, body.released, body.releases = False, body.impacts, body.releases + 1
     body.standoff, body.holds = FIRST_STANDOFF * T.radius[i], 0
@@ -274,7 +274,7 @@ def elapsed(T: Trajectories) -> float:
 
 @unowned
 def slowing(T: Trajectories) -> float:
-    """Return the ratio of velocities at the present time to those of the straight path; 1 without drag."""
+    """Return the ratio of the present velocities to the velocities of the straight path; 1 without drag."""
     drift = T.drift[0]
     return float(1.0 - drift.damping * (drift.clock - drift.kick))
 
@@ -409,7 +409,7 @@ def finish(lo: int, hi: int, T: Trajectories) -> None:
 
 @kernel
 def both_ways(pairs: IntArray, ends: IntArray, others: IntArray) -> None:
-    """List the neighbours of each body; those of i are ``others[ends[i]:ends[i + 1]]``."""
+    """List the neighbours of each body; body i has the neighbours ``others[ends[i]:ends[i + 1]]``."""
     for c in range(len(pairs)):
         ends[pairs[c, 0]] += 1
         ends[pairs[c, 1]] += 1

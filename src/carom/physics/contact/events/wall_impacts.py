@@ -31,7 +31,7 @@ FOCAL_FRACTION = 0.5  # of the focal distance, by which a body may move in a pas
 
 
 def predict_with_walls(lo: int, hi: int, T: Trajectories, surface: FloatArray) -> None:
-    """Predict the next impact of each body in [lo, hi) with planes and walls, if it comes before the stored one."""
+    """Predict the next impact of each body in [lo, hi) with a solid, if it precedes the stored impact."""
     n, drift, behind = len(T.x), T.drift[0], lag(T)
     clock, dt, kick = drift.clock, drift.dt, drift.kick
     span = dt - elapsed(T)

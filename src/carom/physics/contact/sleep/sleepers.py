@@ -44,7 +44,7 @@ if TYPE_CHECKING:
     from carom.physics.contact.pipeline import ContactPipeline
 
 SPIN = 10.0  # allowed surface speed over the speed: nothing brakes a spin about a normal, and it moves no neighbour
-ASLEEP = -1.0  # stored instead of the time for which a body has been slow
+ASLEEP = -1.0  # marks a sleeping body, in place of the time for which it has been slow
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,7 +150,7 @@ class Sleepers(OptionalPart):
         )
 
     def recall(self, memory: ContactCheckpoint) -> None:
-        """Restore the state of a checkpoint; positions must already be those of that step."""
+        """Restore the state of a checkpoint; positions must already be restored to the same step."""
         self.forget()
         if memory.sleep is not None:
             self._calm, self._reference = memory.sleep.calm.copy(), memory.sleep.reference.copy()

@@ -37,7 +37,7 @@ from carom.physics.jit.decorators import inline, unowned
 
 @unowned
 def audit(first: int, end: int, system: ConstraintSystem) -> None:
-    """Book the energies of the impulses of some pieces, for each contact and in total."""
+    """Book the energies of the impulses in some pieces, for each contact and in total."""
     for piece in range(first, end):
         _audit(piece, system)
 
@@ -153,7 +153,7 @@ def _find_islands(system: ConstraintSystem) -> None:
 
 @inline
 def _island_of(c: int, system: ConstraintSystem) -> int:
-    """Return the island of a contact: that of an end that is not fixed."""
+    """Return the island of a contact: the island of an end that is not fixed."""
     i, j = ends_of(system.pairs, c)
     island: int = system.island[i if system.bodies[i].inverse_mass > 0.0 else j]
     return island

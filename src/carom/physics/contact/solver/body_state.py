@@ -99,7 +99,7 @@ def prefetch_ends(bodies: RecordArray[object], pairs: IntArray, c: int) -> None:
 
 @inline
 def prefetch_records(bodies: RecordArray[BodyStateRecord], pairs: IntArray, c: int) -> None:
-    """Prefetch the same lines, and those with the changes in the iteration."""
+    """Prefetch the same lines, and the lines with the changes in the iteration."""
     i, j = ends_of(pairs, from_front(min(len(pairs) - 1, c + AHEAD)))
     prefetch_record(bodies, i, 0)
     prefetch_record(bodies, i, 1)
@@ -140,7 +140,7 @@ def accumulate_impulse(
     ty: float,
     tz: float,
 ) -> None:
-    """Add the changes of velocities by impulses (N s) to those of the iteration."""
+    """Add the changes of velocities by impulses (N s) to the changes of the iteration."""
     accumulate_push(a, b, normal * contact.nx + tx, normal * contact.ny + ty, normal * contact.nz + tz)
     if turns:
         accumulate_turn(contact, a, b, tx, ty, tz)
@@ -185,7 +185,7 @@ def turn(contact: ContactRecord, a: BodyStateRecord, b: BodyStateRecord, tx: flo
 
 @inline
 def accumulate_push(a: BodyStateRecord, b: BodyStateRecord, Jx: float, Jy: float, Jz: float) -> None:
-    """Add the changes of `push` to those of the iteration."""
+    """Add the changes of `push` to the changes of the iteration."""
     mi, mj = a.inverse_mass, b.inverse_mass
     if mi > 0.0:
         a.dvx -= Jx * mi
@@ -202,7 +202,7 @@ def accumulate_push(a: BodyStateRecord, b: BodyStateRecord, Jx: float, Jy: float
 def accumulate_turn(
     contact: ContactRecord, a: BodyStateRecord, b: BodyStateRecord, tx: float, ty: float, tz: float
 ) -> None:
-    """Add the changes of `turn` to those of the iteration."""
+    """Add the changes of `turn` to the changes of the iteration."""
     lx, ly, lz = torque_of(contact, tx, ty, tz)
     si, sj = contact.arm_i * a.inverse_inertia, contact.arm_j * b.inverse_inertia
     if si > 0.0:

@@ -48,9 +48,10 @@ MAX_ITERATIONS = 100  # in a round
 # other: in a drum, 85 iterations leave the overlaps and closing speeds that 8 leave, and no round twice the overlaps.
 MAX_MESHED_ITERATIONS = 8
 MAX_FURTHER_ITERATIONS = 256  # Gauss-Seidel iterations after the last round
-# After these iterations, a contact of a meshed island counts only if it closes faster than its rest speed, where a run
-# would warn. With 8, a heap of 1000 falls 1.2 times as fast, but takes longer to settle. Rejected: to go on while 16
-# iterations halve the violation, 1.3 times as slow; to go on in heaps that hardly move. Both leave the same overlaps.
+# After these iterations, a contact of a meshed island is unsolved only if it closes faster than its rest speed, where a
+# run would warn. With 8, a heap of 1000 falls 1.2 times as fast, but takes longer to settle. Rejected: to go on while
+# 16 iterations halve the violation, 1.3 times as slow; to go on in heaps that hardly move. Both leave the same
+# overlaps.
 MAX_MESHED_FURTHER = 16
 GROWN = 1e6  # growth of the largest impulse in a search; more shows that there is no solution
 MOST_LEFT = 0.5  # fraction of the previous violation; a round that leaves more is the last one
@@ -235,7 +236,7 @@ def _conjugate_gradients(board: IntArray, phases: Phases) -> int:
         if most > 0 and rho > exact and (rho <= settings.solved * first or iterations >= most):
             if exact <= SOLVED * first_exact:
                 break
-            # islands share no moving body, so the search starts anew in those that are to converge
+            # islands share no moving body, so the search starts anew in the islands that are to converge
             settings.ignores_meshed, settings.beta, rho = True, 0.0, exact
         _share_colours(board, phases, CONJUGATE_DIRECTION)
         _share(board, phases, LINE_SEARCH, 0, len(phases.sums), True)
@@ -312,7 +313,7 @@ def _largest_residual(phases: Phases) -> float:
 
 @leading(inner)
 def _residual_norms(phases: Phases) -> tuple[float, float]:
-    """Return r·z of all contacts, and of those that are to converge to rounding."""
+    """Return r·z of all contacts, and of the contacts that are to converge to rounding."""
     norm, exact_norm = 0.0, 0.0
     for k in range(len(phases.piece_results)):
         norm += phases.piece_results[k].residual_norm

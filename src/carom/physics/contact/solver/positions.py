@@ -336,7 +336,7 @@ class _Correction:
         return (i | j) & block.between_bodies
 
     def _push(self, overlap: Lanes, overlaps: Mask) -> Mask:
-        """Push apart those of the overlapping contacts that are at rest; return them.
+        """Push apart the overlapping contacts that are at rest; return them.
 
         Contacts that are not pushed are written with unchanged bits, since a branch for each would often be
         mispredicted. Fixed bodies are not written, since other threads' pieces may share them.

@@ -330,7 +330,7 @@ def _set_impulse(contact: ContactRecord, ratio: float, normal: float, x: float, 
 
 @unowned
 def warm_start(first: int, end: int, system: ConstraintSystem) -> None:
-    """Apply the impulses with which the contacts of some pieces start."""
+    """Apply the impulses with which the contacts in some pieces start."""
     lo, hi = contacts_of(first, end, system)
     pairs, bodies, spins = system.pairs, system.bodies, system.settings[0].spins
     for c in range(lo, hi):

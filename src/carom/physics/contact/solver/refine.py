@@ -79,7 +79,7 @@ DEEP_TOLERANCE = 1e-2  # of the rest speed, for such a contact
 
 @unowned
 def line_search(first: int, end: int, system: ConstraintSystem) -> None:
-    """Sum m p·v + I t·ω, and m p² + I t², over each of some blocks of bodies."""
+    """Sum m p·v + I t·ω, and m p² + I t², over each given block of bodies."""
     for block in range(first, end):
         _sum_up(block, system)
 
@@ -116,7 +116,7 @@ def step_length(piece_results: RecordArray[PieceResultsRecord], sums: RecordArra
 
 @unowned
 def extrapolate(first: int, end: int, system: ConstraintSystem) -> None:
-    """Change the velocities of some blocks of bodies by α p and α t, and clear p and t."""
+    """Change the velocities in some blocks of bodies by α p and α t, and clear p and t."""
     alpha, active = system.settings[0].alpha, system.active
     for k in range(first * BODIES_PER_BLOCK, min(len(active), end * BODIES_PER_BLOCK)):
         repeat_change(system.bodies, from_front(active[k]), alpha)

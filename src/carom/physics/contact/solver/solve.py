@@ -18,8 +18,8 @@ end of the drift: |d n + v dt| ≥ r_i + r_j. With v_t the tangential velocity o
     c dt = gap + R - √(R² - v_t² dt²),   R = r_i + r_j
 
 Without the square root, two spheres that roll about each other would separate along the tangent, and lose their contact
-in every other step. The scheme is RATTLE (Andersen 1983) for contacts. The slip u is that of the middle of the drift,
-u - q (`half_turn`): as the normal turns, a body that spins about it begins to slip.
+in every other step. The scheme is RATTLE (Andersen 1983) for contacts. The slip is taken in the middle of the drift, u
+- q (`half_turn`): as the normal turns, a body that spins about it begins to slip.
 
 Contacts of a colour are solved eight at a time (`solve_block`), with the same bits. Both forms call the same formulas,
 and call the law for each contact separately, so that a law needs no second form.
@@ -149,7 +149,7 @@ def _solve_each(
 ) -> tuple[float, float, float]:
     """Solve the contacts [lo, hi) one by one; return the largest change, the limit of the step, and the slope.
 
-    ``totals`` are those of the previous contacts.
+    ``totals`` are the totals of the previous contacts.
     """
     pairs, bodies = system.pairs, system.bodies
     settings = system.settings[0]
@@ -387,7 +387,7 @@ class _Solution:
         return [gathered(builder, [allowed[axis] for allowed in impulses]) for axis in range(3)]
 
     def totals(self, change: Any, step_limit: Any, slope: Any) -> list[Any]:
-        """Return the largest change, the limit of the step, and the slope, including those of previous contacts."""
+        """Return the largest change, the limit of the step, and the slope; all include the previous contacts."""
         largest, limit = spread(self._builder, change), spread(self._builder, step_limit)
         small = read_doubles(self._builder, self._block.address("small_change", self._block.places[0]))
         matters = self._held & (self._change > small) & (self._change > largest)
@@ -401,7 +401,7 @@ class _Solution:
         return [largest.largest(), self._builder.fneg((-limit).largest()), slope]
 
     def _bias(self, contact: RecordLanes, u: Vector) -> Lanes:
-        """Return the biases c, see `bias_along_arc`; at planes, and without a drift, those along the normal."""
+        """Return the biases c, see `bias_along_arc`; at planes, and without a drift, they are along the normal."""
         builder, block, bias = self._builder, self._block, contact.velocity_bias
         between = block.between_bodies
 

@@ -90,7 +90,7 @@ def first_impact(motion: Motion, solids: Solids, run: ProgressRecord, dt: float,
 def _earlier(
     i: int, j: int, R: float, motion: Motion, solids: Solids, run: ProgressRecord, dt: float, first: float
 ) -> float:
-    """Return the earlier of the first impact so far and that of a pair, and note the pair."""
+    """Return the earlier of two impacts, the first one so far and a pair's first one, and note the pair."""
     v, distance = motion.velocity, R  # m, the sum of R and of the distances that both bodies move
     for k in range(3):
         distance += dt * (abs(v[i, k]) + (abs(v[j, k]) if j < len(v) else 0.0))

@@ -109,7 +109,7 @@ def kick(o: OrbitArrays, x: FloatArray, v: FloatArray, h: float) -> None:
         _mutual(o.place, o.gm, o.acceleration)
     else:
         _mutual_in_lanes(o.place, o.gm, o.acceleration, o.lanes)
-    # from Cartesian accelerations to those of Jacobi coordinates, without those of the Kepler orbits
+    # from Cartesian accelerations to accelerations of Jacobi coordinates, without those of the Kepler orbits
     a, mass_fraction = o.acceleration, o.mass_fraction
     rx, ry, rz = vector(a, 0)  # acceleration of the centre of mass of the bodies before i
     for i in range(1, len(x)):
@@ -125,7 +125,7 @@ def kick(o: OrbitArrays, x: FloatArray, v: FloatArray, h: float) -> None:
 
 @unowned
 def _mutual(place: FloatArray, gm: FloatArray, a: FloatArray) -> None:
-    """Write the accelerations by all pairs except that of the first two bodies, a_i = Σ_j G m_j d_ij / |d_ij|³."""
+    """Write the accelerations by all pairs but the pair of the first two bodies, a_i = Σ_j G m_j d_ij / |d_ij|³."""
     n = len(place)
     for i in range(min(n, 2)):
         write(a, i, 0.0, 0.0, 0.0)

@@ -112,7 +112,7 @@ class MultipoleSums(NamedTuple):
 
 
 class WalkBuffers(NamedTuple):
-    """Workspace of all threads; within a walk, that of one thread, without the first dimension."""
+    """Workspace of all threads; within a walk, the workspace of one thread, without the first dimension."""
 
     far: IntArray  # (threads, ·) boxes that attract as a whole
     near: IntArray  # boxes that attract body by body
@@ -202,8 +202,8 @@ def _decide(
 ) -> tuple[int, int, int]:
     """Decide on the boxes left to box a, from begin to end.
 
-    Return the numbers of boxes that attract as a whole and body by body, and the end of the range left to the halves of
-    a. That range begins at ``end``; its end is -1 if there is no space for it.
+    Return the numbers of boxes that attract as a whole and body by body, and the end of the range that the halves of
+    box a inspect. That range begins at ``end``; its end is -1 if there is no space for it.
     """
     opened, far, near, left = own.opened, own.far, own.near, own.left
     A = boxes[a]
@@ -249,7 +249,7 @@ def _decide(
 
 @unowned
 def _inherit(depth: int, boxes: RecordArray[BoxRecord], a: int, unit: float, own: WalkBuffers) -> None:
-    """Start the local expansion of box a with that of its parent, moved to the centre of a."""
+    """Start the local expansion of box a with its parent's expansion, moved to the centre of a."""
     local, powers = own.local, own.powers
     x, y, z = boxes[a].x, boxes[a].y, boxes[a].z
     for c in range(LOCAL):
@@ -292,7 +292,7 @@ def _add_near(
     own: WalkBuffers,
     sums: MultipoleSums,
 ) -> None:
-    """Add the gravity of near boxes, body by body, to the bodies of box a, after that of its local expansion."""
+    """Add the gravity of near boxes, body by body, to the bodies of box a, after the gravity of its local expansion."""
     boxes, x, m, body, G, eps2 = tree.boxes, tree.x, tree.m, tree.body, law.G, law.eps2
     near, local, lanes, acceleration, potential = own.near, own.local, own.lanes, sums.acceleration, sums.potential
     of_itself = own_potential(eps2)

@@ -5,8 +5,8 @@ up, and `box_walk` decides which boxes attract each other as a whole:
 
     M = Σ m_i      X = Σ m_i x_i / M      r ≥ max |x_i - X|      M_m: see `taylor`
 
-The multipoles of a leaf are summed over its bodies, those of other boxes over their halves. A box of up to `BRANCH`
-bodies has the exact radius r, a larger one the bound that follows from its halves.
+The multipoles of a leaf are summed over its bodies, the multipoles of other boxes over their halves. A box of up to
+`BRANCH` bodies has the exact radius r, a larger one the bound that follows from its halves.
 
 The opening angle determines the error (measured in docs/physics.md). Momentum is conserved to rounding at any opening
 angle. The bits are the same on any processor and number of threads. In a ball, an error of 10⁻⁴ takes half as long as
@@ -232,7 +232,7 @@ class FastMultipoleGravity:
         return potential_energy(self._mass, self._potential) if potential else None
 
     def _expand(self, count: int, ranges: RecordArray[RangeRecord], tree: MultipoleBoxes, unit: float) -> None:
-        """Compute the multipoles of ranges of boxes; a single thread computes those above the branches."""
+        """Compute the multipoles of ranges of boxes; a single thread computes the multipoles above the branches."""
         team = self._team if ranges is self._branches else SOLO
         self._taken[0] = 0
         team.divide(team.size, 1, expand, self._taken, count, ranges, tree, unit, self._powers)

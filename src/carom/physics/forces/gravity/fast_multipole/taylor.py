@@ -41,7 +41,7 @@ AXES: tuple[Index, ...] = ((1, 0, 0), (0, 1, 0), (0, 0, 1))
 
 
 def _indices(order: int) -> list[Index]:
-    """Return the multi-indices up to an order, those of lower orders first."""
+    """Return the multi-indices up to an order, lower orders first."""
     return [(i, j, n - i - j) for n in range(order + 1) for i in range(n, -1, -1) for j in range(n - i, -1, -1)]
 
 
@@ -105,7 +105,7 @@ RAISED = np.array([[_PLACE[_sum(k, axis)] for k in _POLES] for axis in AXES])
 
 
 def _step(n: Index) -> tuple[int, Index, int]:
-    """Return the axis of the last factor of D_n, the index that is lower by one along it, and n_e of that index."""
+    """Return the axis e of the last factor of D_n, the index n that is lower by one along e, and n_e of this index."""
     axis = next((axis for axis in range(3) if n[axis] == 1), int(np.argmax(n)))  # 1 needs no second term
     lower = _difference(n, AXES[axis])
     return axis, lower, lower[axis]
