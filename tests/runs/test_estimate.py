@@ -15,10 +15,14 @@ import carom
 from carom.physics.jit.decorators import leaf
 from carom.physics.space import Space
 from carom.physics.time_step import Timestep
+from carom.plan.features import own_kernels
+from carom.plan.room import resident_memory
 from carom.recording.read.recording import Recording
 from carom.recording.schema.series import contents
-from carom.runs.estimate import MARKS, Estimate, _first_frames, estimate, estimate_steps, flight_seconds
+from carom.runs.estimate import MARKS, RECORDER_BYTES, Estimate, _first_frames, estimate
+from carom.runs.outlook import estimate_steps, flight_seconds
 from carom.runs.run import header_of, recording_space, run
+from carom.runs.stopwatch import TrialClock
 from carom.scene.load import Scene
 from carom.scene.parts import PARTS
 from carom.state.frame import Frame
@@ -45,8 +49,8 @@ def test_the_compilation_of_a_kernel_during_the_measured_steps_is_no_cost_of_the
 ) -> None:
     measured = []
 
-    def first_frames(space: Space) -> list[Frame]:
-        frames = _first_frames(space)
+    def first_frames(space: Space, clock: TrialClock) -> list[Frame]:
+        frames = _first_frames(space, clock)
         measured.append((frames[0].step, frames[-1].fingerprint))
         if len(measured) == 1:  # as the first impact does
             leaf(lambda x: x)(float(len(frames)))
@@ -183,7 +187,7 @@ def test_the_cost_leaves_out_what_the_first_step_loads(monkeypatch: pytest.Monke
 
 
 def test_no_fewer_steps_are_foreseen_than_the_longest_step_allows(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("carom.runs.estimate.LOOK_SECONDS", 0.1)
+    monkeypatch.setattr("carom.runs.outlook.LOOK_SECONDS", 0.1)
     million_years = 3.15576e13
     scene = cloud(10, gravity={"constant": 1e-9}, time={"duration": million_years, "max_dt": 1.0})
     assert estimate_steps(scene, 1e-5).fewest >= 0.999 * million_years
@@ -288,3 +292,33 @@ def test_the_steps_of_a_bundled_scene_are_foreseen_to_a_factor_of_two(name: str)
 def test_the_steps_of_a_large_bundled_scene_are_foreseen_to_a_factor_of_two(name: str, steps: int) -> None:
     found = estimate_steps(Scene.load(name), 1e-2)
     assert 0.5 < found.steps / steps < 2.0
+
+
+def test_the_cost_of_a_run_is_that_of_its_start_its_steps_and_its_frames() -> None:
+    cost = estimate(SCENES["a smooth gas"]).cost
+    parts = cost.start_seconds, cost.step_seconds, cost.frames * cost.frame_seconds
+    assert min(parts) > 0.0 and cost.seconds == pytest.approx(sum(parts), rel=1e-12)
+
+
+def test_the_memory_is_that_of_the_process_and_of_the_frames_that_wait(whole: Estimate) -> None:
+    assert whole.cost.memory > 150e6, "Python, libraries and kernels take some 300 MB"
+    long = cloud(gravity={"constant": 0.0}, record={"every": "step"}, time={"duration": 20.0, "fixed_dt": 1e-3})
+    assert estimate(long).cost.memory - resident_memory() > RECORDER_BYTES + 1e6
+
+
+def test_laws_and_walls_with_kernels_of_their_own_are_named() -> None:
+    assert estimate(SCENES["a smooth gas"]).cost.own_kernels == []
+    assert own_kernels(Scene.load("drum")) == [
+        'contact.law = "rolling_resistance"',
+        "[[wall]] (cylinder, disc)",
+        "moving walls",
+    ]
+    assert own_kernels(Scene.load("shear-cell")) == ["domain.shear"]
+
+
+def test_what_loads_while_a_run_is_tried_is_no_part_of_its_steps() -> None:
+    with TrialClock() as clock:
+        leaf(lambda x: x + 1.0)(1.0)
+        assert clock.kernels.compiled == 1 and clock.kernels.loading >= 0.0
+        assert 0.0 < clock.kernels.compiling <= clock.kernels.seconds
+        assert clock.seconds < clock.all_seconds

@@ -161,22 +161,35 @@ def explain(
     console.print(
         f"\n{basis}:\n"
         f"{_steps(cost, loaded)}\n"
-        f"  about {bytes_text(cost.memory)} of memory for the bodies\n"
-        f"  about {bytes_text(cost.size)} of recording: {counted(cost.frames, 'frame')}, each of which takes "
-        f"{cost.frame_seconds * 1e3:.2g} ms of a thread of its own"
+        f"  about {bytes_text(cost.size)} of recording: {counted(cost.frames, 'frame')} in "
+        f"{duration_text(cost.frames * cost.frame_seconds)} of a thread of its own\n"
+        f"  {duration_text(cost.start_seconds)} to load libraries and kernels, and to close the file\n"
+        f"  in all about {duration_text(cost.seconds)} of computing, and {bytes_text(cost.memory)} of memory"
     )
-    for remark in filter(None, (found.shortfall, found.slow)):
+    for remark in filter(None, (_kernels(cost), found.shortfall, found.slow)):
         console.print(f"\n{remark}")
+
+
+def _kernels(cost: Cost) -> str:
+    """Say which kernels were compiled, or which ones another machine compiles first."""
+    from carom.plan.features import VARIANT_SECONDS
+
+    own = f"kernels of their own: {', '.join(cost.own_kernels)}" if cost.own_kernels else ""
+    if cost.compiled:
+        made = f"{counted(cost.compiled, 'kernel')} compiled just now, once on this machine, in "
+        return "; ".join(filter(None, (made + duration_text(cost.compile_seconds), own)))
+    least, most = VARIANT_SECONDS
+    return f"{own}; a machine that lacks them first compiles them, in {least:g} to {most:g} s" if own else ""
 
 
 def _steps(cost: Cost, scene: Scene) -> str:
     """Describe the number of steps, their limits, and how to make them longer."""
     from carom.physics.diagnostics.run_monitor import remedies_of
 
-    seconds = cost.seconds / cost.steps
+    seconds = cost.step_seconds / cost.steps
     if cost.looked_until >= scene.time.duration:
         named = counted(1, "step") if cost.steps == 1 else f"{count_text(cost.steps)} steps"
-        count = f"  about {named} in {duration_text(cost.seconds)}"
+        count = f"  about {named} in {duration_text(cost.step_seconds)}"
     else:
         fewest, most, steps = (count_text(n) for n in (cost.fewest_steps, cost.most_steps, cost.steps))
         count = (

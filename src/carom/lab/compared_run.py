@@ -68,18 +68,6 @@ class RunStoppedError(ExperimentError):
         super().__init__(f"stopped after {after}, at t = {reached}")
 
 
-class Stopwatch:
-    """Seconds of computing since its start: wall time, or the CPU time of the process while others hold it up."""
-
-    def __init__(self) -> None:
-        self._wall, self._computing = time.perf_counter(), time.process_time()
-
-    @property
-    def seconds(self) -> float:
-        """Seconds since the start."""
-        return min(time.perf_counter() - self._wall, time.process_time() - self._computing)
-
-
 @dataclass(frozen=True, slots=True)
 class RunBound:
     """The bound of a run."""

@@ -32,11 +32,14 @@ from carom.plan.auto import (
 )
 from carom.plan.hierarchy import heaviest, orbits_often
 from carom.plan.interactions import forced_parts
+from carom.scene.contact_laws import DEFAULT_LAW
 from carom.scene.forces import GRAVITY, UNIFORM_FIELD, kinds_of
 from carom.scene.integrators import AUTO
 from carom.scene.load import Scene
 from carom.scene.parts import Part, in_order
 from carom.scene.units.dimension import LENGTH, TIME
+
+VARIANT_SECONDS = 10.0, 40.0  # to compile the kernels of a law, of walls, or of a sheared box (docs/performance.md)
 
 
 @dataclass(frozen=True)
@@ -109,6 +112,21 @@ def require(scene: Scene) -> Requirements:
     forces = {name: explained(part) for name, part in decided["forces"].items()}
     others = {key: explained(part) for key, part in decided.items() if key != "forces"}
     return Requirements(**others, forces=forces)
+
+
+def own_kernels(scene: Scene) -> list[str]:
+    """Return the parts of a scene that have kernels of their own, which a machine may have to compile first.
+
+    Laws, shapes of walls, moving walls and sheared boxes are compiled into the kernels of contacts.
+    """
+    law = scene.contact.law
+    laws = [law] if isinstance(law, str) else law
+    found = [f'contact.law = "{name}"' for name in laws if name != DEFAULT_LAW and scene.contact.enabled]
+    shapes = sorted({wall.shape for wall in scene.wall})
+    found += [f"[[wall]] ({', '.join(shapes)})"] if shapes else []
+    found += ["moving walls"] if scene.translating or any(wall.moves for wall in scene.wall) else []
+    found += ["domain.shear"] if scene.domain.shear else []
+    return found
 
 
 def _by_name(needs: Requirements) -> dict[str, Part]:

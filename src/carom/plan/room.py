@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import shutil
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -22,6 +23,7 @@ LEAST_PER_BODY = 5  # bytes of a frame in the file: positions on a lattice at re
 LEAST_BODIES = (1 << 16) // 12
 
 _UNKNOWN = 2**47  # bytes: the whole address space
+_OWN_MEMORY = Path("/proc/self/statm")  # Linux; the second number is the pages in memory
 _CGROUPS = Path("/sys/fs/cgroup")
 
 
@@ -52,6 +54,18 @@ def refuse_small_memory(scene: Scene) -> None:
             f"{scene.count:.3g} bodies need about {needed / 1e9:.3g} GB of address space, but `ulimit -v` allows "
             f"{limit / 1e9:.3g} GB; raise the limit or lower the count"
         )
+
+
+def resident_memory() -> int:
+    """Return the bytes of memory that this process has now; its largest number so far where that is not known."""
+    import resource  # noqa: PLC0415 - POSIX only
+
+    try:
+        pages = int(_OWN_MEMORY.read_text(encoding="ascii").split()[1])
+        return pages * os.sysconf("SC_PAGE_SIZE")
+    except (OSError, ValueError, IndexError):
+        largest = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+        return largest if sys.platform == "darwin" else 1024 * largest  # macOS counts in bytes, others in kB
 
 
 def usable_memory() -> tuple[int, str]:

@@ -14,8 +14,8 @@ from carom.physics.simulation import StepStatus
 from carom.physics.space import Space
 from carom.plan.auto import ended_bounces, frame_interval, inexact_impacts, largest_step
 from carom.plan.checks import doubts
-from carom.runs.estimate import forewarning
 from carom.runs.outcome import accuracy_text, counts_text, error_text, in_words, overlap_text
+from carom.runs.outlook import forewarning
 from carom.runs.run import Outcome, shortfall_text
 from carom.scene.load import Scene
 from carom.scene.units.dimension import TIME

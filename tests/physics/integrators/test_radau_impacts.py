@@ -22,7 +22,7 @@ from carom.physics.integrators.gauss_radau.radau_step import motion_of
 from carom.physics.schedule import at, every
 from carom.physics.space import Space
 from carom.recording.read.recording import Recording
-from carom.runs.estimate import forewarning
+from carom.runs.outlook import forewarning
 from carom.runs.replay import replay
 from carom.runs.resume import continue_run, resumable_run
 from carom.scene.load import Scene
@@ -88,7 +88,7 @@ def test_a_comet_hits_its_sun_at_the_time_of_kepler_with_the_speed_of_vis_viva()
 
 def test_a_run_whose_steps_become_short_says_so_before_it_starts(monkeypatch: pytest.MonkeyPatch) -> None:
     """The comet slides and rolls on its sun at hundreds of km/s, and moves by half its radius in a step."""
-    monkeypatch.setattr("carom.runs.estimate.FORWARN_SECONDS", 0.3)
+    monkeypatch.setattr("carom.runs.outlook.FORWARN_SECONDS", 0.3)
     scene, impact, speed = comet(after=2.4e7)
     text = forewarning(Space(scene, 1))
     found = re.search(r"about (\S+) steps, .* hours: from t = (\S+) s on, .*limit: velocity.*raise time.cfl", text)

@@ -10,9 +10,9 @@ from __future__ import annotations
 import math
 from dataclasses import astuple
 
-from carom.lab.compared_run import Stopwatch
 from carom.lab.tradeoff.reference import Errors
 from carom.lab.tradeoff.settings_grid import SettingResult
+from carom.runs.stopwatch import Stopwatch
 
 RUNS = 30.0  # times the time of the scene as written, the default
 LEAST = 5.0  # s, the default for short runs

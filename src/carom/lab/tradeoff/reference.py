@@ -19,12 +19,13 @@ from dataclasses import astuple, dataclass, replace
 import numpy as np
 
 from carom.arrays import FloatArray
-from carom.lab.compared_run import Stopwatch, Trajectory, follow, sample_times
+from carom.lab.compared_run import Trajectory, follow, sample_times
 from carom.lab.tradeoff.event_driven_reference import EPS, TIGHTEST, EventDrivenSolution, solve, why_not
 from carom.physics.space import Space
 from carom.physics.vector import minimum_images
 from carom.plan import auto
 from carom.plan.features import require
+from carom.runs.stopwatch import Stopwatch
 from carom.scene.load import Scene
 from carom.scene.units.dimension import LENGTH, TIME
 from carom.scene.wording import counted

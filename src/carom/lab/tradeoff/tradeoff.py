@@ -27,7 +27,6 @@ from carom.lab.compared_run import (
     RunBound,
     RunStoppedError,
     Setting,
-    Stopwatch,
     Trajectory,
     follow,
     sample_times,
@@ -63,6 +62,7 @@ from carom.physics.schedule import at
 from carom.physics.space import Space
 from carom.recording.write.whole_file import output_folder
 from carom.runs.environment import environment
+from carom.runs.stopwatch import Stopwatch
 from carom.scene.load import Scene
 from carom.scene.units.dimension import TIME
 from carom.terminal.printing import finite

@@ -162,6 +162,17 @@ _LAID_OUT_AFTER = (
 )
 
 
+def waiting_frames(bodies: int, queue_size: int | None = None) -> tuple[int, int, int]:
+    """Return how many frames the queue of a recording holds, how many a batch, and how many are in memory at most."""
+    frame_bytes = _BODY_BYTES * bodies + _FRAME_BYTES
+    small = min(_SMALL_FRAMES, _SMALL_BYTES // frame_bytes)
+    room = queue_size or max(1, min(_QUEUE_FRAMES, _QUEUE_BYTES // frame_bytes), small)
+    batch = max(1, min(_BATCH_FRAMES, frames_in_batch(bodies), room // 2))
+    # the memory of a frame is reused once it has left the queue, the batch being written, and `_last`; a frame being
+    # copied already has a place in the queue
+    return room, batch, max(room, batch) + batch + 1
+
+
 class FrameRecorder:
     """Writes one recording.
 
@@ -191,14 +202,9 @@ class FrameRecorder:
         frame_bytes = _BODY_BYTES * header.bodies + _FRAME_BYTES
         self._stream = Stream(self.path, header, file=self._file, batch_bytes=max(BATCH_BYTES, frame_bytes), live=live)
         self._clock = continued.clock if continued else TimeScale.fitting(header.duration, header.shortest_dt_hint)
-        small = min(_SMALL_FRAMES, _SMALL_BYTES // frame_bytes)
-        room = queue_size or max(1, min(_QUEUE_FRAMES, _QUEUE_BYTES // frame_bytes), small)
-        batch = max(1, min(_BATCH_FRAMES, frames_in_batch(header.bodies), room // 2))
+        room, batch, self._slots = waiting_frames(header.bodies, queue_size)
         self._queue: BatchQueue[Frame] = BatchQueue(room, batch, _BATCH_SECONDS if live is None else _LIVE_SECONDS)
         self._store: FrameStore | None = None
-        # a slot is reused once its frame has left the queue, the batch being written, and `_last`; a frame being copied
-        # already has a place in the queue
-        self._slots = max(room, batch) + batch + 1
         self._plan = CheckpointPlan(every_frame=header.exact, steps=checkpoints)
         self._addresses = AddressReserve(header.bodies)
         self._encoder: BatchEncoder | None = None
