@@ -6,8 +6,9 @@ walls that carry friction carry a part of the weight, and the vertical stress at
     σ_zz = ρ g λ (1 - exp(-z/λ)),    λ = R/(2 μ K),
 
 of a cylinder of radius R with friction μ, on which the horizontal stress is K σ_zz. It saturates at ρ g λ, whatever the
-height of the filling. All contacts with the wall are to slide. Vanel & Clément, Eur. Phys. J. B 11, 525 (1999), therefore
-lower the floor slowly; so does this test. Poured spheres alone press on the floor with nearly their whole weight.
+height of the filling. All contacts with the wall are to slide. Vanel & Clément, Eur. Phys. J. B 11, 525 (1999),
+therefore lower the floor slowly; so does this test. Poured spheres alone press on the floor with nearly their whole
+weight.
 Landry, Grest & Plimpton (2003, arXiv cond-mat/0302115) find that packings of spheres follow the law but for a
 hydrostatic layer at their top.
 """

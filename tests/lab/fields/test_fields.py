@@ -18,6 +18,7 @@ from carom.arrays import FloatArray
 from carom.errors import RecordingError
 from carom.lab.fields.field_arrays import Fields
 from carom.lab.statistics import Interval
+from carom.recording.write import impact_plan
 from carom_command import carom as command
 from small_scenes import scene_of
 
@@ -66,9 +67,8 @@ def test_the_vertical_stress_of_a_column_is_the_weight_above_over_the_area(
     assert ends == pytest.approx(2 * COLUMN - 1)
 
 
-@pytest.fixture(scope="module")
-def cloud(tmp_path_factory: pytest.TempPathFactory) -> Recording:
-    """Forty unequal balls in a periodic box, which collide without friction."""
+def cloud_of(path: Path, friction: float) -> Recording:
+    """Record forty unequal balls that collide in a periodic box."""
     group = {
         "count": 40,
         "radius": {"min": 0.3, "max": 0.5},
@@ -80,12 +80,17 @@ def cloud(tmp_path_factory: pytest.TempPathFactory) -> Recording:
         "seed": 2,
         "group": [group],
         "gravity": {"constant": 0.0},
-        "contact": {"restitution": 1.0, "static_friction": 0.0},
+        "contact": {"restitution": 1.0, "static_friction": friction, "kinetic_friction": friction},
         "domain": {"boundary": "periodic", "size": [5.0, 4.0, 6.0]},
         "time": {"duration": 1.0, "fixed_dt": 0.01},
         "record": {"every": "step"},
     }
-    return carom.run(carom.Scene.from_dict(document), tmp_path_factory.mktemp("cloud") / "run.rrd")
+    return carom.run(carom.Scene.from_dict(document), path)
+
+
+@pytest.fixture(scope="module")
+def cloud(tmp_path_factory: pytest.TempPathFactory) -> Recording:
+    return cloud_of(tmp_path_factory.mktemp("cloud") / "run.rrd", 0.0)
 
 
 def integral(found: Fields, values: FloatArray) -> FloatArray:
@@ -121,11 +126,37 @@ def test_the_stress_of_a_gas_is_the_virial_of_its_impacts(cloud: Recording) -> N
     assert again.contact_stress == pytest.approx(found.contact_stress, abs=1e-4 * np.abs(found.contact_stress).max())
 
 
+def test_impacts_without_rows_and_the_friction_of_impacts_count_by_their_sum(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(impact_plan, "SHARE", 0.0)  # of the file; the largest impact of each frame is kept
+    recording = cloud_of(tmp_path / "run.rrd", 0.5)
+    interval = Interval.of(recording, None, None, False, lambda _: None)
+    virial = interval.sums.virial / interval.duration
+    assert interval.impacts_left_out > 0 and np.abs(virial - virial.T).max() > 0.01 * np.abs(virial).max()
+    found, again = (carom.fields(recording, "3r", replay=replay) for replay in (False, True))
+    for each in (found, again):
+        assert integral(each, each.contact_stress) == pytest.approx(virial, abs=10 * SINGLE * np.abs(virial).max())
+    assert [note.partition(" ")[2][:16] for note in found.notes[-2:]] == ["smaller impacts ", "friction of sing"]
+    assert not any("--replay" in note for note in again.notes)
+
+
 def test_the_grid_of_a_box_divides_it_and_states_the_edges_that_do(cloud: Recording) -> None:
     found = carom.fields(cloud, 1.4)
     assert found.shape == (4, 3, 4)
     assert found.cell == pytest.approx([5.0 / 4, 4.0 / 3, 6.0 / 4])
     assert found.origin == pytest.approx([-2.5, -2.0, -3.0])
+
+
+@pytest.mark.parametrize("edge", [0.05, 3.0, 1e90])
+def test_an_open_grid_contains_all_bodies_whole_and_its_faces_are_multiples_of_the_edge(
+    column: Recording, edge: float
+) -> None:
+    found = carom.fields(column, edge)
+    for axis, (low, high) in enumerate([(-0.3, 0.7), (-0.3, 0.7), (0.0, COLUMN)]):
+        faces = found.faces(axis)
+        assert faces[0] <= low + 0.05 and faces[-1] >= high - 0.05  # 0.1 of a radius, where balls overlap walls
+        assert faces[0] / edge == pytest.approx(np.round(faces[0] / edge), abs=1e-9)
 
 
 def test_friction_that_is_read_is_that_of_the_replay_where_bodies_rest(tmp_path: Path) -> None:
@@ -195,6 +226,7 @@ def test_the_command_writes_a_file_and_says_what_it_averaged(cloud: Recording, t
         (("--cell", "wide"), "expected a length above 0"),
         (("--cell", "0"), "expected a length above 0"),
         (("--cell", "-1r"), "expected a length above 0"),
+        (("--cell", "1e300"), "expected a length above 0"),
         (("--cell", "3 kg"), "expected a length above 0"),
         (("--cell", "0.001r"), "at most 2000000 fit"),
         (("--from", "5"), "has no frame from"),

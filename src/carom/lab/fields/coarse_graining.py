@@ -197,14 +197,12 @@ class BodySums:
         return cell
 
 
-def transferred(grid: Grid, branches: Branches) -> FloatArray:
-    """Return Σ ℓ ⊗ J of branch vectors by cell, (cells, 3, 3) J: ℓ is the part of a vector in the cell."""
-    total = np.zeros((grid.count, 3, 3))
+def add_transferred(total: FloatArray, grid: Grid, branches: Branches) -> None:
+    """Add Σ ℓ ⊗ J of branch vectors to sums over cells, (cells, 3, 3) J: ℓ is the part of a vector in the cell."""
     if len(branches.start):
         row, cell, fraction = grid.cut(branches.start, branches.reach, branches.time)
         used, place = np.unique(cell, return_inverse=True)
         reach, impulse = fraction[:, None] * branches.reach[row], branches.impulse[row]
         for a in range(3):
             for b in range(3):
-                total[used, a, b] = np.bincount(place, reach[:, a] * impulse[:, b], len(used))
-    return total
+                total[used, a, b] += np.bincount(place, reach[:, a] * impulse[:, b], len(used))

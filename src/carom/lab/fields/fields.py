@@ -12,7 +12,7 @@ import numpy as np
 
 from carom.arrays import BoolArray, FloatArray
 from carom.errors import RecordingError
-from carom.lab.fields.coarse_graining import BodySums, Branches, Grid, transferred
+from carom.lab.fields.coarse_graining import BodySums, Branches, Grid, add_transferred
 from carom.lab.fields.field_arrays import Fields
 from carom.lab.fields.field_files import refuse, write
 from carom.lab.fields.sources import Pushes, collect
@@ -26,7 +26,7 @@ from carom.scene.wording import counted
 CELL = "5r"  # default edge of a cell, in mean radii
 MOST_CELLS = 2_000_000  # 30 numbers each, 0.5 GB
 _RADII = re.compile(r"\s*([0-9]*\.?[0-9]+(?:[eE][-+]?[0-9]{1,3})?)\s*r\s*")
-_EDGE = 0.01  # of a cell: the overlap of a body with a wall adds no layer of cells
+_OVERLAP = 0.1  # of a radius: a body that overlaps a wall by less adds no layer of cells beyond it
 
 
 def fields(
@@ -98,7 +98,9 @@ def edge_of(interval: Interval, cell: str | float) -> float:
                 edge = units.of_si(nearest_float(quantity(text, LENGTH)), LENGTH)
     except UnitError:
         edge = np.nan
-    if not 0.0 < edge < np.inf:
+    with np.errstate(over="ignore"):
+        volume = np.prod(np.full(3, edge))
+    if not (edge > 0.0 and 0.0 < volume < np.inf):
         raise RecordingError(
             f'cell {text}: expected a length above 0, such as 0.1 or "3 cm", or a number of mean radii, such as {CELL}'
         )
@@ -114,7 +116,7 @@ def grid_of(interval: Interval, edge: float) -> Grid:
         box = np.where([axis == "walls" for axis in scene.domain.axes], scene.domain.size, box)
     low, high = np.full((2, 3), np.nan)
     if np.any(box >= ENDLESS):
-        radius = recording.bodies.radius[interval.moving, None]
+        radius = (1.0 - _OVERLAP) * recording.bodies.radius[interval.moving, None]
         for step in interval.step.tolist():
             position = interval.positions.drawn(step)[interval.moving]
             low = np.fmin(low, np.fmin.reduce(position - radius))
@@ -125,7 +127,7 @@ def grid_of(interval: Interval, edge: float) -> Grid:
             shape[axis] = max(1.0, np.round(box[axis] / edge))
             cells[axis], origin[axis] = box[axis] / shape[axis], -box[axis] / 2.0
         else:
-            first, last = np.floor(low[axis] / edge + _EDGE), np.ceil(high[axis] / edge - _EDGE)
+            first, last = np.floor(low[axis] / edge), np.ceil(high[axis] / edge)
             origin[axis], shape[axis] = first * edge, max(1.0, last - first)
     if not np.prod(shape) <= MOST_CELLS:
         raise RecordingError(
@@ -161,14 +163,23 @@ class FieldSums:
         """Add the lasting contacts of a step, whose impulses balance constant forces for a time (s)."""
         self._knows_contacts = True
         self._elapsed += elapsed
-        self._lasting += transferred(self._grid, self._branches(pushes))
+        add_transferred(self._lasting, self._grid, self._branches(pushes))
         ends = np.concatenate([pushes.i, pushes.j[pushes.j < self._interval.bodies]])
         cell = self._cell_of[ends]
         self._bodies.contacts += np.bincount(cell[cell >= 0], minlength=self._grid.count)
 
     def add_impacts(self, pushes: Pushes) -> None:
         """Add impacts."""
-        self._impacts += transferred(self._grid, self._branches(pushes))
+        add_transferred(self._impacts, self._grid, self._branches(pushes))
+
+    def add_unplaced(self, virial: FloatArray, of: FloatArray) -> None:
+        """Add Σ ℓ ⊗ J, (3, 3) J, of impacts whose places are not known, given that of those added before, (3, 3) J.
+
+        Each cell gets of it what it has of the trace of the others, without parts in fixed bodies.
+        """
+        share = np.trace(self._impacts, axis1=1, axis2=2)
+        if np.trace(of) > 0.0:
+            self._impacts += (share / np.trace(of))[:, None, None] * virial
 
     def _branches(self, pushes: Pushes) -> Branches:
         radius, n, moving = self._interval.recording.bodies.radius, self._interval.bodies, self._interval.moving
@@ -236,8 +247,8 @@ class FieldSums:
             notes.append(left_out)
         if recording.info["has_friction"] and self._impacts.any():
             notes.append(
-                "the friction of impacts is missing, since recordings have only its magnitude; it would not change "
-                "the pressure"
+                "the friction of single impacts is not recorded; their sum is placed where impacts are, and does not "
+                "change the pressure"
             )
         return notes
 
@@ -250,15 +261,13 @@ def _left_out(interval: Interval) -> str:
         return ""
     if not left_out:
         return ""
-    share = ""
+    smaller = f"{counted(left_out, 'smaller impact')} of {left_out + len(rows.step)}"
     try:
         whole = float(np.trace(interval.sums.virial))
     except RecordingError:
-        whole = 0.0
-    if whole > 0.0:
-        part = 1.0 - float((interval.arms(rows.i, rows.j) * rows.impulse).sum()) / whole
-        share = f", which have {100.0 * part:.2g} % of the pressure of all impacts,"
+        return f"{smaller} have no rows and are missing in the stress; --replay has them"
+    part = 1.0 - float((interval.arms(rows.i, rows.j) * rows.impulse).sum()) / whole
     return (
-        f"{counted(left_out, 'smaller impact')} of {left_out + len(rows.step)}{share} have no rows and are missing in "
-        "the stress; --replay has them"
+        f"{smaller} have no rows; their {100.0 * part:.2g} % of the pressure of all impacts are placed where the "
+        "others are, and --replay places each"
     )

@@ -2,11 +2,13 @@
 
 A recording has exact velocities at its checkpoints. There, lasting contacts have their impulses of the whole step; the
 friction has the magnitude of the step, and the direction that it had in the last kick, which is part of the exact
-state. Of impacts, a recording has point, normal and normal impulse, but no direction of their friction.
+state. Of the largest impacts, a recording has point, normal and normal impulse, but no direction of their friction; of
+all impacts, friction included, it has the sum of ℓ ⊗ J.
 """
 
 from __future__ import annotations
 
+from contextlib import suppress
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import numpy as np
@@ -50,6 +52,9 @@ class Collector(Protocol):
     def add_impacts(self, pushes: Pushes) -> None:
         """Add impacts."""
 
+    def add_unplaced(self, virial: FloatArray, of: FloatArray) -> None:
+        """Add Σ ℓ ⊗ J, (3, 3) J, of impacts whose places are not known, given that of those added before, (3, 3) J."""
+
 
 def collect(interval: Interval, collector: Collector) -> None:
     """Give the data of an interval to a collector; raises RecordingError if it has no exact state."""
@@ -84,7 +89,11 @@ def _read(interval: Interval, collector: Collector) -> None:
         return
     whole = interval.arms(rows.i, rows.j)[:, None] * rows.normal
     start = rows.point - recording.bodies.radius[rows.i][:, None] * rows.normal
-    collector.add_impacts(Pushes(rows.i, rows.j, start, whole, rows.impulse[:, None] * rows.normal, rows.time))
+    impulse = rows.impulse[:, None] * rows.normal
+    collector.add_impacts(Pushes(rows.i, rows.j, start, whole, impulse, rows.time))
+    known = np.einsum("ka,kb->ab", whole, impulse)
+    with suppress(RecordingError):  # a recording without sums over all impacts
+        collector.add_unplaced(interval.sums.virial - known, known)
 
 
 def _replay(interval: Interval, collector: Collector) -> None:
