@@ -8,6 +8,8 @@ import shutil
 import subprocess
 from pathlib import Path
 
+import pyarrow as pa
+import pyarrow.csv
 import pyarrow.parquet as pq
 import pytest
 
@@ -190,6 +192,12 @@ def test_a_figure_is_drawn_of_one_column_over_another(swept: Path) -> None:
     assert drawn.returncode == 0, drawn.stderr
     path = swept / "out" / "energy.final-over-contact.restitution.png"
     assert str(path.relative_to(swept)) in drawn.stdout and path.read_bytes().startswith(b"\x89PNG")
+    assert (swept / "out" / f"{path.stem}.pdf").read_bytes().startswith(b"%PDF")
+    points = pa.csv.read_csv(swept / "out" / f"{path.stem}.csv")
+    assert points.column_names == ["contact.restitution", "energy.final", "least", "largest", "runs"]
+    rows = [tuple(row.values()) for row in points.to_pylist()]
+    assert [(x, runs) for x, *_, runs in rows] == [(0.2, 2), (0.8, 2)]
+    assert all(least <= mean <= largest for _, mean, least, largest, _ in rows)
 
 
 @pytest.mark.slow

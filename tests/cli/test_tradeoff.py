@@ -8,6 +8,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pyarrow as pa
+import pyarrow.csv
 import pytest
 
 from carom_command import carom
@@ -32,6 +34,11 @@ def test_the_table_the_document_the_figure_and_the_recording_are_there(tmp_path:
     folder = tmp_path / "recordings" / "tradeoff" / "figure-eight"
     assert json.loads((folder / "tradeoff.json").read_text(encoding="utf-8"))["reference"]["horizon"] == 1.0
     assert (folder / "tradeoff.png").read_bytes().startswith(b"\x89PNG")
+    assert (folder / "tradeoff.svg").read_bytes().startswith(b"<?xml")
+    table = pa.csv.read_csv(folder / "tradeoff.csv")
+    written = json.loads((folder / "tradeoff.json").read_text(encoding="utf-8"))["settings"]
+    assert table["name"].to_pylist() == [entry["name"] for entry in written if entry["errors"]]
+    assert table["energy"].to_pylist() == [entry["errors"]["energy"] for entry in written if entry["errors"]]
     assert (folder / "tradeoff.rrd").exists()
     shown = carom("inspect", str(folder / "tradeoff.rrd"), cwd=tmp_path)
     assert shown.returncode == 0 and "reference, exact; steps 2 times as long; as written" in " ".join(

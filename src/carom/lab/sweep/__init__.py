@@ -294,15 +294,14 @@ def _keys(rows: list[Row], stored: StoredSweep, sort: str | None, columns: str) 
 
 
 def draw(folder: Path, plot: tuple[str, str], conditions: list[str]) -> Path:
-    """Draw a figure into the sweep's folder; return its path."""
+    """Draw a figure into the sweep's folder, and write a table of its points; return its path as pixels."""
     from carom.lab.sweep.sweep_table import chosen, figure, known
 
     x, y = _axes(plot)
     rows, stored = _rows(folder)
-    path = folder / f"{y}-over-{x}.png"
+    base, found = folder / f"{y}-over-{x}", chosen(rows, conditions, None)
     with needing("plot", "carom sweep --plot", "matplotlib"):
-        figure(chosen(rows, conditions, None), known(x, rows), known(y, rows), stored.varied, stored.title, path)
-    return path
+        return figure(found, known(x, rows), known(y, rows), stored.varied, stored.title, base)[0]
 
 
 def serve(folder: Path) -> None:

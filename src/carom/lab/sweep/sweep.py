@@ -14,6 +14,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Protocol
 
+from carom import registry
 from carom.errors import ExperimentError, PhysicsError, RecordingError, SceneError
 from carom.lab.sweep import sweep_table as table
 from carom.lab.sweep.manifest import DONE, FAILED, PENDING, Folder, Manifest, SweepRun, clear, move
@@ -22,6 +23,7 @@ from carom.physics.jit import cores
 from carom.recording.read.recording import Recording
 from carom.recording.schema.header import SweepMember
 from carom.recording.write.whole_file import output_folder
+from carom.registry import ExtensionError
 from carom.runs.environment import Interrupts, versions
 from carom.runs.run import recording_space, simulate, status_of
 from carom.runs.workers import Ended, LocalWorkers, TaskDroppedError, WorkerDiedError, Workers
@@ -129,8 +131,17 @@ def _report(recording: Recording) -> Report:
         "wall_time": recording.closing["wall_time"],
         "fingerprint": f"{last:016x}",
         "size": recording.path.stat().st_size,
-        "results": _results(recording.summary()),
+        "results": _results(recording.summary()) | _granular(recording),
     }
+
+
+def _granular(recording: Recording) -> dict[str, float]:
+    """Return the granular temperature and the stress of the second half of a run, as far as they are known."""
+    try:
+        late_means = registry.imported("carom.lab.statistics.late_means:late_means")
+    except ExtensionError:  # a part that can be removed
+        return {}
+    return {key: finite(value) for key, value in late_means(recording).items()}
 
 
 def _failure(outcome: str, reason: str) -> Report:

@@ -43,13 +43,22 @@ def rows_of(runs: Sequence[SweepRun]) -> list[Row]:
 
 def write(folder: Folder, runs: Sequence[SweepRun]) -> None:
     """Write the table as Parquet and as CSV. Raises OSError if the disk is full."""
-    rows = rows_of(runs)
-    table = pa.table({key: _column([row[key] for row in rows]) for key in rows[0]})
+    table = _table(rows_of(runs))
     parquet, text = io.BytesIO(), io.BytesIO()
     pa.parquet.write_table(table, parquet)
     pa.csv.write_csv(harmless(table), text)
     for path, content in zip(folder.tables, (parquet, text), strict=True):
         put(path, content.getvalue())
+
+
+def write_csv(rows: Sequence[Row], path: Path) -> None:
+    """Write rows with the same keys as a CSV file, which LaTeX and pandas read."""
+    with whole_file(path) as part:
+        pa.csv.write_csv(harmless(_table(rows)), str(part))
+
+
+def _table(rows: Sequence[Row]) -> pa.Table:
+    return pa.table({key: _column([row[key] for row in rows]) for key in rows[0]})
 
 
 def chosen(rows: Sequence[Row], conditions: Sequence[str], sort: str | None) -> list[Row]:
@@ -136,36 +145,46 @@ def _text(value: Any) -> str:
     return value if isinstance(value, str) else json.dumps(value)
 
 
+FIGURES = ".png", ".svg", ".pdf"
 MOST_LINES = 12  # in the legend
 _DECADES = 50.0  # an axis is logarithmic if the ratio of its ends is larger
 
 Points = dict[float, list[float]]  # all y of one x
 
 
-def figure(rows: Sequence[Row], x: str, y: str, varied: Sequence[str], title: str, path: Path) -> None:
-    """Draw ``y`` over ``x`` into a PNG, with a line for each combination of the other varied values.
+def figure(rows: Sequence[Row], x: str, y: str, varied: Sequence[str], title: str, base: Path) -> list[Path]:
+    """Draw ``y`` over ``x``, with a line for each combination of the other varied values; return the files.
 
-    A point is the mean of the runs that differ only in their seeds; the bar is their range. Raises ExperimentError if a
-    column is not numeric, or no run has both.
+    A point is the mean of the runs that differ only in their seeds; the bar is their range. The files are ``base`` with
+    the endings `FIGURES`, and a table of the points with ``.csv``. Raises ExperimentError if a column is not numeric,
+    or no run has both.
     """
     from matplotlib.figure import Figure  # noqa: PLC0415 - an extra
 
     others = [key for key in varied if key not in (x, y, SEED)]
     lines: dict[str, Points] = defaultdict(lambda: defaultdict(list))
+    values_of: dict[str, Row] = {}  # the other varied values of each line
     units = {key: _unit(rows, key) for key in (x, y)}
     for row in rows:
         if row[x] is not None and row[y] is not None:
             label = ", ".join(f"{key} = {row[key]}" for key in others)
+            values_of[label] = {key: row[key] for key in others}
             lines[label][_number(row, x, units[x])].append(_number(row, y, units[y]))
     if not lines:
         raise ExperimentError(f"--plot: no run has both {x} and {y}")
     drawing = Figure(figsize=(7.0, 4.2), dpi=150, layout="constrained")
     axes = drawing.add_subplot()
+    table = list[Row]()
     for label, points in lines.items():
         at = sorted(points)
         means = [math.fsum(points[value]) / len(points[value]) for value in at]
         below = [mean - min(points[value]) for mean, value in zip(means, at, strict=True)]
         above = [max(points[value]) - mean for mean, value in zip(means, at, strict=True)]
+        spans = zip(at, means, (min(points[value]) for value in at), (max(points[value]) for value in at), strict=True)
+        table += [
+            {**values_of[label], x: value, y: mean, "least": least, "largest": largest, "runs": len(points[value])}
+            for value, mean, least, largest in spans
+        ]
         axes.errorbar(at, means, yerr=(below, above), label=label, marker="o", markersize=4, capsize=3, linewidth=1.2)
     axes.set(xlabel=_labelled(x, units[x]), ylabel=_labelled(y, units[y]), title=title)
     axes.grid(visible=True, alpha=0.3)
@@ -176,8 +195,12 @@ def figure(rows: Sequence[Row], x: str, y: str, varied: Sequence[str], title: st
             axes.set(**{f"{axis}scale": "log"})
     if others and len(lines) <= MOST_LINES:
         axes.legend(frameon=False)
-    with whole_file(path) as part:
-        drawing.savefig(part)
+    files = [base.with_name(base.name + ending) for ending in (*FIGURES, ".csv")]  # names of columns have dots
+    for path in files[:-1]:
+        with whole_file(path) as part:
+            drawing.savefig(part)
+    write_csv(table, files[-1])
+    return files
 
 
 def _unit(rows: Sequence[Row], key: str) -> Physical | None:

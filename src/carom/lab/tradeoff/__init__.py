@@ -187,18 +187,20 @@ def ran(measure: Callable[[Teller], object], *, quiet: bool) -> bool:
 
 
 def _draw(study: Study, quiet: bool) -> None:
-    """Write the figure and the recording beside the document; print their paths, or why there is none."""
+    """Write the table, the figure and the recording beside the document; print their paths, or why there is none."""
     from carom.errors import ExperimentError
-    from carom.lab.tradeoff.tradeoff import DOCUMENT, FIGURE, OVERLAY, VECTORS
-    from carom.lab.tradeoff.tradeoff_figure import draw, record
+    from carom.lab.tradeoff.tradeoff import DOCUMENT, FIGURES, OVERLAY, TABLE
+    from carom.lab.tradeoff.tradeoff_figure import draw, record, write_table
 
     if not any(result.complete for result in study.results):
         return
-    said = [str(study.folder / DOCUMENT)]
-    figure, vectors, recording = (study.folder / name for name in (FIGURE, VECTORS, OVERLAY))
+    document, recording = study.document(), study.folder / OVERLAY
+    write_table(document, study.folder / TABLE)
+    said = [str(study.folder / name) for name in (DOCUMENT, TABLE)]
     try:
-        draw(study.document(), figure, vectors, units=study.scene.unit_system)
-        said += [str(figure), str(vectors)]
+        figures = [study.folder / name for name in FIGURES]
+        draw(document, *figures, units=study.scene.unit_system)
+        said += map(str, figures)
     except ExperimentError as error:
         said.append(f"no figure: {error}")
     record(study, recording)

@@ -69,7 +69,8 @@ from carom.terminal.printing import finite
 
 DOCUMENT = "tradeoff.json"
 REFERENCE = "reference.npz"
-FIGURE, VECTORS = "tradeoff.png", "tradeoff.pdf"  # the figure, as pixels and as vectors
+FIGURES = "tradeoff.png", "tradeoff.svg", "tradeoff.pdf"  # the figure, as pixels and as vectors
+TABLE = "tradeoff.csv"
 OVERLAY = "tradeoff.rrd"
 VERSION = 6  # of the document; before, there were no largest errors and no errors at the end
 ADVICE = "start over with --force, or choose another folder with -o"
@@ -129,7 +130,7 @@ class Study:
         limit: float = math.inf,
         bounded: bool = False,
         budget: float | None = math.inf,
-        files: Iterable[str] = (REFERENCE, FIGURE, VECTORS, OVERLAY),
+        files: Iterable[str] = (REFERENCE, *FIGURES, TABLE, OVERLAY),
     ) -> None:
         if scene.domain.shear:
             raise SceneError("domain.shear: errors in a sheared box cannot be measured yet; remove it")

@@ -11,13 +11,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.csv
 
 from carom.display import overlays
 from carom.errors import ExperimentError, install_extra
 from carom.lab.compared_run import AS_WRITTEN
+from carom.lab.tradeoff.reference import NAMES
 from carom.lab.tradeoff.settings_grid import STEPS_WORD, pareto_front
 from carom.lab.tradeoff.tradeoff import Study
 from carom.physics.space import Space
+from carom.recording.export.spreadsheet import harmless
 from carom.recording.write.whole_file import whole_file
 from carom.scene.units.dimension import TIME
 from carom.scene.units.system import SI, UnitSystem
@@ -121,6 +125,19 @@ def draw(document: dict[str, Any], *paths: Path, units: UnitSystem = SI) -> None
         for path in paths:
             with whole_file(path) as part:
                 figure.savefig(part)
+
+
+def write_table(document: dict[str, Any], path: Path) -> None:
+    """Write a CSV file with a row for each measured setting: its cost (s), its steps and its errors, which may be 0.
+
+    What is not known is empty. Times of first contacts are in s.
+    """
+    measured = [entry for entry in document["settings"] if entry["errors"]]
+    columns = {key: [entry[key] for entry in measured] for key in ("name", "engine", "cost", "spread", "steps")}
+    columns |= {error: [entry["errors"].get(error) for entry in measured] for error in NAMES}
+    known = {key: values for key, values in columns.items() if any(value is not None for value in values)}
+    with whole_file(path) as part:
+        pyarrow.csv.write_csv(harmless(pa.table(known)), str(part))
 
 
 def _families(done: list[dict[str, Any]]) -> dict[str, list[dict[str, Any]]]:
