@@ -85,13 +85,13 @@ class ImpactSums(NamedTuple):
     """Sums over all impacts between two frames, recorded one by one or not, and over the bodies in the later frame."""
 
     impacts: float
-    collisions: float  # of single bodies that can move: two in an impact of two, one on a plane
+    collisions: float  # collisions of movable bodies: two in an impact of two bodies, one in an impact on a plane
     speed: float  # m/s, Σ v_n of approach
     speed_square: float  # m²/s², Σ v_n²
     largest_speed: float  # m/s
     path: float  # m, length of the paths of all bodies that can move
     virial_square: float  # J², Σ (ℓ λ_n)²
-    virial: FloatArray  # (3, 3) J, Σ ℓ ⊗ J; ℓ leads from the centre of i to that of j, or to a plane, J acts on j
+    virial: FloatArray  # (3, 3) J, Σ ℓ ⊗ J; ℓ leads from the centre of i to the centre of j or to a plane, J acts on j
     kinetic: FloatArray  # (3, 3) J, Σ m c ⊗ c in each frame, of all bodies that can move, about their centre of mass
     pairs: PairSums
 
@@ -123,5 +123,5 @@ class ImpactSums(NamedTuple):
 
 _TOTALS = ImpactSums._fields.index("virial")
 TENSORS = 2 * 9  # numbers of the virial and of the kinetic tensor, which follow the totals
-SINGLE_SUMS = _TOTALS + TENSORS  # numbers of `ImpactSums.flat` before those of pairs
+SINGLE_SUMS = _TOTALS + TENSORS  # numbers of `ImpactSums.flat` before the sums of pairs
 NO_PAIRS = PairSums(*(np.empty(0, np.int64),) * 2, *(np.empty(0),) * 4)

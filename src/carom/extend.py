@@ -2,8 +2,8 @@
 
 An extension is a package that names its parts in its ``pyproject.toml``, as `carom.registry` describes;
 ``examples/extension`` has parts of most kinds. docs/extending.md says what each name means. Names are imported at their
-first use, so that a command starts as fast as those of carom. carom itself imports each name from where it lives; only
-`laws` and `walls`, which are built like extensions, do not.
+first use, so that a command of a package starts as fast as a command of carom. carom itself imports each name from the
+module that defines it, except in `laws` and `walls`, which are built like extensions.
 """
 
 from __future__ import annotations

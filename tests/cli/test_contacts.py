@@ -116,7 +116,7 @@ def test_statistics_are_printed_as_json_and_as_rows(folder: Path) -> None:
         (("--impacts", "-o", "s.png"), 'the format ".png" is unknown; there are .parquet, .csv'),
         (("--statistics", "--at", "1"), "with --statistics, use --from and --to"),
         (("--statistics", "--impacts"), "give only one of --impacts and --statistics"),
-        (("--statistics", "--body", "1"), "--statistics are those of all bodies; leave --body out"),
+        (("--statistics", "--body", "1"), "--statistics cover all bodies; leave --body out"),
         (("--statistics", "--from", "8"), "has no frame from 8 to inf s"),
         (("--impacts", "--from", "8"), "covers 0 to 2 s; 8 to inf s is outside"),
         (("-o", "nowhere/c.parquet"), "there is no folder nowhere"),

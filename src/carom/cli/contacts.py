@@ -86,7 +86,7 @@ def contacts(
     if impacts and statistics:
         raise RecordingError("give only one of --impacts and --statistics")
     if statistics and bodies:
-        raise RecordingError("--statistics are those of all bodies; leave --body out")
+        raise RecordingError("--statistics cover all bodies; leave --body out")
     given = GivenMoment(at, step, event)
     if (impacts or statistics) and given.option:
         option = "--impacts" if impacts else "--statistics"

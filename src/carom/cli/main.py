@@ -106,7 +106,7 @@ class Command(TyperCommand):
 
     def __init__(self, *arguments: Any, **keywords: Any) -> None:
         super().__init__(*arguments, **keywords)
-        paragraphs = inspect.cleandoc(self.help or "").split("\n\n")  # Typer joins the lines of the first one only
+        paragraphs = inspect.cleandoc(self.help or "").split("\n\n")  # Typer joins the lines of only the first
         self.help = "\n\n".join(paragraph.replace("\n", " ") for paragraph in paragraphs)
 
     def get_params(self, ctx: Any) -> list[Any]:
@@ -352,7 +352,7 @@ def _refuse_usage(error: Any) -> int:
 
 
 class Lossy(io.FileIO):
-    """A stream whose failures never end a command: after the first one, everything written is dropped."""
+    """A stream whose failures never end a command: after the first failure, everything written is dropped."""
 
     def __init__(self, descriptor: int) -> None:
         super().__init__(descriptor, "w", closefd=False)

@@ -181,9 +181,9 @@ def replay(
     force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Run a recording again and check that every frame has the same bits; exit with 1 at the first that differs.
+    """Run a recording again and check that every frame has the same bits; exit with 1 at the first difference.
 
-    With --refine, ask whether shorter steps tell the same story, and exit with 1 if they tell another.
+    With --refine, ask whether shorter steps tell the same story, and exit with 1 if they tell another story.
 
     FILE may be the zip that `carom report` made.
     """
@@ -255,7 +255,7 @@ def _tell(result: Refinement, units: UnitSystem, as_json: bool) -> None:
             say(f"{100.0 * result.compared:.0f}% of the motion was compared; the rest depends on the last bit (chaos).")
         shares = [f"{name} {share:.2g}" for name, share in result.largest.items() if share > 0.0]
         if shares and not result.moved:
-            say(f"Largest differences, as multiples of those allowed: {', '.join(shares)}.")
+            say(f"Largest differences, as multiples of the allowed differences: {', '.join(shares)}.")
         if result.differs is not None:
             say(f"From step {result.differs} on, the run has other bits than its recording; `carom replay` says more.")
         if result.ended:
@@ -298,8 +298,8 @@ def _print(result: Replay, units: UnitSystem) -> None:
 def warmup(scenes: ScenesArgument = None, as_json: JsonOption = False) -> None:
     """Compile the kernels of most scenes now, so that later runs start at once.
 
-    Scenes with a [[wall]], a sheared box, or a contact law other than coulomb need further kernels: name such scenes to
-    compile these, too.
+    Scenes with walls of special shapes, a sheared box, or a contact law other than coulomb need further kernels: name
+    such scenes to compile these, too.
     """
     from dataclasses import asdict
 

@@ -69,7 +69,7 @@ class Trial:
 
 
 def extremes(name: str | None = None) -> dict[str, Path]:
-    """Return the scene files of all extremes, or of the one named, by short name; refuse an unknown name."""
+    """Return the scene files of all extremes, or of one named extreme, by short name; refuse an unknown name."""
     known = {full.removeprefix(f"{EXTREMES}/"): path for full, path in extreme_scenes().items()}
     if name is None:
         return known

@@ -51,7 +51,7 @@ class BodyColours:
         return BodyColours(self.steps, self.times, shown)
 
     def of(self, places: Sequence[int]) -> BodyColours:
-        """Return the colours of some bodies, given by their indices among the shown bodies."""
+        """Return the colours of the bodies at the given indices among the shown bodies."""
         return BodyColours(self.steps, self.times, self.colours[:, list(places)])
 
     def rows(self, header: Header) -> Rows:

@@ -240,7 +240,7 @@ def write_causes(out: Path, recording: Recording, causes: Causes) -> None:
 
 
 def _frames(recording: Recording, causes: Causes) -> tuple[list[int], list[float], SingleArray]:
-    """Return steps, times (s) and drawn positions (k, n, 3) of the frames of the window and the one after it."""
+    """Return steps, times (s) and drawn positions (k, n, 3) of the window's frames and of the next frame."""
     drawn = drawn_paths(recording, range(len(recording.bodies.radius)))
     times = times_of(recording, drawn.steps)
     first = max(0, int(np.searchsorted(times, causes.begin, side="right")) - 1)

@@ -254,7 +254,7 @@ class CloseUp:
         if len(self.bodies) == 2 and widest < self.area.width:
             texts = named
         wanted = [(a.origins + a.along * a.vectors)[: len(a.labels)] for a in labelled]
-        point = 2.0 / self.area.height  # the rows of the legend count as labels that are placed first
+        point = 2.0 / self.area.height  # the rows of the legend are placed first, like labels
         wide, tall = 0.5 * point * self.area.inset[0], 0.5 * point * self.area.inset[1]
         x, top = self.corner[0] * (self.area.aspect - wide), self.corner[1] * (1.0 - tall) + tall
         legend = [(wide, x, top - down) for down in np.arange(0.0, 2.0 * tall, _LABEL_HEIGHT * point).tolist()]
@@ -518,7 +518,7 @@ def _nearest_images(position: FloatArray, box: FloatArray | None) -> FloatArray:
 
 
 def _contact(header: Header, frame: Frame, pair: Pair, position: FloatArray, origin: FloatArray) -> Contact | None:
-    """Find the contact of a pair at (b, 3) m in a step; with planes, the one of the largest impulse."""
+    """Find the contact of a pair at (b, 3) m in a step; among contacts with planes, the largest impulse decides."""
     rows, n = frame.contact_rows, header.bodies
     if rows is None:
         return None

@@ -2,10 +2,10 @@
 
 The viewer is controlled through a port without a password: anybody who connects can read and write files as its user.
 This program, which `Viewer` starts, therefore puts the viewer into a network namespace of its own, where nobody can
-connect, and forwards connections of the same user to it. A connection must begin like HTTP/2, as the SDK's do. A web
-page in the user's browser sends HTTP/1.1, and could otherwise use the port under a name that it makes point there.
-Where the system grants no namespace (other systems than Linux, most containers, Ubuntu's restriction of user
-namespaces) the port is open to all users of the machine, and to such pages, while the viewer runs.
+connect, and forwards connections of the same user to it. A connection must begin like HTTP/2, as connections of Rerun's
+SDK do. A web page in the user's browser sends HTTP/1.1, and could otherwise use the port under a name that it makes
+point there. Where the system grants no namespace (other systems than Linux, most containers, Ubuntu's restriction of
+user namespaces) the port is open to all users of the machine, and to such pages, while the viewer runs.
 
 The program ends the viewer and deletes its temporary folder when the process that started it has ended, even by
 ``kill -9``. It uses the standard library alone and starts within milliseconds.
@@ -52,8 +52,8 @@ Address = tuple[str, int]
 def is_ours(local: Address, remote: Address = ("0.0.0.0", 0), table: FileIO | None = None) -> bool:
     """Return whether the socket at ``local`` is connected to ``remote``, or listens, and belongs to this user.
 
-    A connection that its owner has closed belongs to nobody. Without the table of sockets, no connection counts as this
-    user's. A process that has left the machine's network namespace passes the machine's table.
+    A connection that its owner has closed belongs to nobody. Without the table of sockets, no connection is accepted as
+    this user's. A process that has left the machine's network namespace passes the machine's table.
     """
     try:
         if table is None:
@@ -154,7 +154,7 @@ class Door:
 
 
 def _forward_calls(connection: socket.socket, port: int) -> None:
-    """Forward a connection of HTTP/2 to the viewer or server on a port; close any other."""
+    """Forward an HTTP/2 connection to the viewer or server on a port; close any other connection."""
     begun = b""
     with contextlib.suppress(OSError, RuntimeError):
         while len(begun) < len(_PREFACE) and _PREFACE.startswith(begun):
@@ -182,7 +182,7 @@ def _forward(source: socket.socket, sink: socket.socket) -> None:
 
 
 class _Children:
-    """Child processes, which end with this one. Leaving the context ends them in reverse order."""
+    """Child processes, which end with this process. Leaving the context ends them in reverse order."""
 
     def __init__(self) -> None:
         self._started: list[subprocess.Popen[bytes]] = []

@@ -325,7 +325,7 @@ def _groups(header: Header, colours: ColourArray) -> Iterator[LegendLine]:
     if len(known) <= MOST_NAMED and len(known) == len(names):
         yield from (LegendLine(f"■ {name or f'body {k}'}", known[k], _SPACE, 1) for k, name in enumerate(names))
         return
-    if len(known) != len(names):  # a clip of some bodies
+    if len(known) != len(names):  # a clip of selected bodies
         return
     groups = np.unique(header.group)
     left = 0

@@ -58,9 +58,9 @@ def frame_times(
 ) -> FloatArray:
     """Return the times (s) of recorded frames for ``count`` pictures from start to end (s).
 
-    The pictures are equally spaced in time or, if ``slowed``, closer together around the hardest impacts. The instants
-    of these are among the times. Raises RecordingError if there are fewer than two frames, or the interval is not in
-    the recording.
+    The pictures are equally spaced in time or, if ``slowed``, closer together around the hardest impacts. The exact
+    times of impacts are among the times. Raises RecordingError if there are fewer than two frames, or the interval is
+    not in the recording.
     """
     times = recording.fingerprints()["time"].to_numpy()
     if len(times) < 2:

@@ -39,7 +39,7 @@ BESIDE = WINDOW.area(3 / 5)  # of the bodies beside panels
 
 
 def beside_bodies(name: str, contents: Sequence[str], view: View, panels: rrb.Vertical) -> rrb.Blueprint:
-    """Lay out a 3D view of some entities with a fixed camera, and panels on its right."""
+    """Lay out a 3D view with a fixed camera, and panels on its right."""
     bodies = spatial_view(name, view, contents)
     return paused(rrb.Horizontal(bodies, panels, column_shares=[3, 2]))
 

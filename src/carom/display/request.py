@@ -36,10 +36,10 @@ class Request:
 
     at: float | None = None  # s
     event: str | None = None  # name of an event, whose bodies the close-up view shows
-    bodies: str | None = None  # of the close-up view: two numbers or names with a comma, or one on a plane or wall
+    bodies: str | None = None  # for the close-up view: two numbers or names with a comma, or one for a body on a plane
     plot: str | None = None  # quantities of bodies to plot, such as ``top.z,top.omega``
     colour_by: str | None = None  # property that sets the colours; by default as the scene states
-    edges: str = "impulse"  # what the edges beside the bodies show: "impulse" or "stage", that of the solver
+    edges: str = "impulse"  # what the edges beside the bodies show: "impulse", or the "stage" of the solver
     arrows: str = "one"  # of what turns bodies: "one" with both numbers, or "both" of torque and angular acceleration
 
     def __post_init__(self) -> None:
@@ -75,8 +75,8 @@ class ShownStep:
     time: float  # s, at its end
     position: FloatArray  # (n, 3) m, of the shown bodies, from the recording's origin
     frame: Frame | None = None  # the step, if it was repeated
-    before: Frame | None = None  # the frame before those in `added`
-    added: Sequence[Frame] = ()  # repeated steps: this one, the steps between recorded frames, and the frame after them
+    before: Frame | None = None  # the frame before the frames in `added`
+    added: Sequence[Frame] = ()  # repeated steps: the shown step, the steps between recorded frames, and the next frame
     state: Instant | None = None  # of an instant within the step: energies and spins before and after
     missing: str = ""  # why the step could not be repeated, if the step has no frame
 
@@ -158,7 +158,7 @@ def at_impact(
     """Return the instant of an impact within a repeated step; None if the pair has none before its end.
 
     Its frame holds the positions and contacts of the instant, and its state the quantities that jump there. Of several
-    impacts of the pair, the one nearest in time to ``near`` (s) is chosen, then the fastest. An impact within a
+    impacts of the pair, the impact nearest to the time ``near`` (s) is chosen, then the fastest. An impact within a
     nanosecond of the end of the step is shown at its end.
     """
     frame, n = step.frame, header.bodies

@@ -53,11 +53,11 @@ class Supplement:
     statics: Sequence[Static] = ()
 
     def send(self, address: str, application: str, recording_id: str) -> None:
-        """Send it to the recording of these ids in the viewer at an address."""
+        """Send the supplement to the recording with these ids, in the viewer at an address."""
         self._put(rr.GrpcSink(address), application, recording_id)
 
     def save(self, path: Path, application: str, recording_id: str) -> None:
-        """Write it to a file, which a viewer loads in addition to the recording of these ids."""
+        """Write the supplement to a file, which a viewer loads in addition to the recording with these ids."""
         self._put(rr.FileSink(path), application, recording_id)
 
     def _put(self, sink: rr.GrpcSink | rr.FileSink, application: str, recording_id: str) -> None:
@@ -79,8 +79,9 @@ _POINTS = 1000  # of a smooth path with fewer frames, since integrators of high 
 class Trails:
     """The paths of all bodies of a recording, as pieces from frame to frame.
 
-    Where nothing ever touched, a piece is part of the cubic spline through all frames. ``colours`` (n,) are those of
-    the bodies. A ``repeated`` step between two frames is a point of the paths, too: they lead to where its bodies are.
+    Where nothing ever touched, a piece is part of the cubic spline through all frames. ``colours``, (n,), are the
+    colours of the bodies. A ``repeated`` step between two frames is a point of the paths, too: they lead to where its
+    bodies are.
     """
 
     def __init__(

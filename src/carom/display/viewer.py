@@ -257,7 +257,7 @@ def reason_of(said: str) -> str:
 
 
 def binary() -> str:
-    """Find the viewer of the installed rerun-sdk; one on the PATH may have another version."""
+    """Find the viewer of the installed rerun-sdk; a viewer on the PATH may have another version."""
     spec = importlib.util.find_spec("rerun_cli")
     for folder in (spec.submodule_search_locations or []) if spec else []:
         for name in ("rerun", "rerun.exe"):

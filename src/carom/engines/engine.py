@@ -83,7 +83,7 @@ def problem_of(engine: str, scene: Scene) -> Problem:
     start = place(scene)
     solid_spheres = np.allclose(start.inertia, SPHERE * start.mass * start.radius**2, rtol=1e-12)
     refuse(engine, {"test particles (mass = 0)": not start.mass.all()})
-    refuse(engine, {"moments of inertia other than those of solid spheres": not solid_spheres})
+    refuse(engine, {"moments of inertia that differ from solid spheres": not solid_spheres})
     laws = [Coefficients(*row.tolist()) for row in coefficients.rows]
     return Problem(
         start=start,
@@ -147,7 +147,7 @@ class Engine(Protocol):
         """
 
     def samples_steps(self, scene: Scene) -> bool:
-        """Return whether `follow` samples the ends of steps, as `watch` does."""
+        """Return whether `follow` samples the ends of steps, like `watch`."""
 
     def run(self, scene: Scene, setting: Setting) -> float:
         """Run a scene without sampling; return the seconds that the engine took: CPU time if it uses one thread."""
@@ -324,7 +324,7 @@ class _Walk:
         return COMPLETED
 
     def _record(self) -> None:
-        """Record `FRAMES` frames of the run, the last one, and all frames that violate a law."""
+        """Record `FRAMES` frames of the run, the last frame, and all frames that violate a law."""
         frame, end = self.frame, self._scene.time.duration
         if self.recorder is not None and (frame.time >= min(self._due, self._end) or frame.events):
             self.recorder.put(frame)

@@ -107,7 +107,7 @@ def rows_of_graph(graph: CollisionGraph, position: FloatArray, radius: FloatArra
 
 
 MARGIN = 0.02  # of the smaller radius: engines push bodies apart before they touch
-TOUCH = 1e-3  # of the smaller radius; a smaller gap counts as contact
+TOUCH = 1e-3  # of the smaller radius; bodies with a smaller gap touch
 
 
 @dataclass(frozen=True, slots=True)

@@ -45,7 +45,7 @@ from carom.scene.wording import Names
 
 COMPLETED = "completed"
 CONSTANTS = {"mass": MASS, "radius": LENGTH}  # arrays of a model that must not change without ids
-LONGEST_TURN = 10.0  # s, that a thread waits for another one within `frame`, which may never return
+LONGEST_TURN = 10.0  # s, that a thread waits for another thread within `frame`, which may never return
 
 
 class Recorder:
@@ -213,7 +213,7 @@ class Recorder:
             return None
 
     def finish(self, outcome: str = COMPLETED) -> None:
-        """Close the recording, as leaving the context does. Raises nothing, see `problems`."""
+        """Close the recording, like leaving the context. Raises nothing, see `problems`."""
         with self._turn(threading.get_ident()):
             expect_finish(self, False)
             sink, self._sink = self._sink, None
@@ -290,7 +290,7 @@ class Recorder:
         if state.time == self._time:
             stands = self._units.text(state.time, TIME, "g")
             text = f"{setup.engine}: the time did not advance, it is still {stands}: give the engine's own time."
-            self._unrecorded.add(call, state.time, text, "What changed in no time counts as an error of the engine.")
+            self._unrecorded.add(call, state.time, text, "A change without time is an error of the engine.")
         self._time = state.time
         if setup is self._setup and self._ids is None:
             self._note_changed_constants(call, setup)
@@ -317,7 +317,7 @@ class Recorder:
         return True
 
     def _note_changed_constants(self, call: int, setup: Setup) -> None:
-        """Note a mass or a radius of the model that is not the one at the start any more."""
+        """Note a mass or a radius of the model that has changed since the start."""
         for name, unit in CONSTANTS.items():
             was, now = self._constants[name], np.asarray(getattr(self._source.model, name))
             if now.shape == was.shape and (now != was).any():
@@ -325,7 +325,7 @@ class Recorder:
                 called = Names(setup.names, []).of(body)
                 before, after = (self._units.text(float(values[body]), unit, "g") for values in (was, now))
                 text = f"{setup.engine}: the {name} of {called} changed from {before} to {after}."
-                keeps = f"The recording keeps the first {name}; where bodies change, give each state their ids."
+                keeps = f"The recording keeps the first {name}; if bodies come and go, give ids with each state."
                 self._unrecorded.add(call, self._time, text, keeps)
                 self._constants[name] = now.astype(np.float64)  # a copy; each change is noted once
 

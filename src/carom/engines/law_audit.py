@@ -38,9 +38,9 @@ class Clusters:
 
     label: IntArray  # (n,)
     count: int
-    touched: BoolArray  # (count,) whether any of its bodies may have touched
-    judged: BoolArray  # (count,) whether the laws of all its bodies are known
-    free: BoolArray  # (count,) whether it also touched nothing fixed
+    touched: BoolArray  # (count,) whether any body of the cluster may have touched
+    judged: BoolArray  # (count,) whether the laws of all bodies of the cluster are known
+    free: BoolArray  # (count,) whether the cluster is judged and touched nothing fixed
 
     def sum(self, values: FloatArray) -> FloatArray:
         """Add up values of bodies, (n,) or (n, 3), by cluster."""
@@ -127,12 +127,12 @@ class AuditFinding:
     hardest_pair: tuple[int, int] = (0, 0)
 
 
-UNCHANGED = 1e-3  # of the closing speed; a smaller change does not count as contact
+UNCHANGED = 1e-3  # of the closing speed; bodies that change it by less have not touched
 TUNNELLED = 0.5  # of the closing speed; bodies that pass through each other and keep more of it have not collided
 FOUND = 5e-3  # of the smaller radius; at this depth even a soft contact must exert a force
 STILL = 0.05  # of the typical speed; bodies that touch and are slower may rest in a balance of forces
 AT_LEAST = 1e-2  # of a typical body's momentum or energy; smaller changes are noise
-OFF_AXIS = 0.3  # of an arm: the impulse of a contact is that far from its normal
+OFF_AXIS = 0.3  # of an arm: the distance of a contact's impulse from the normal
 TINY = float(np.finfo(np.float64).tiny)  # replaces a tolerance of 0
 UNSEEN = 4 * float(np.finfo(np.float64).eps)  # of a position, which a motion must change from one frame to the next
 OFTEN, RARELY = 20, 0.05  # impacts that show an engine's habit, and the fraction of exceptions
@@ -164,7 +164,7 @@ class LawAudit:
         self._typical = 0.0  # m/s
         self._fresh = 0  # frames in which two ends begin to overlap
         self._late: list[Fault] = []  # the part in which bodies still close unchanged, unless they are many
-        self._unseen = 0.0  # m/s, too slow to change a position from the previous frame to this one
+        self._unseen = 0.0  # m/s, too slow to change a position between two frames
         self._allowed = 0.0  # J, accumulated error of first-order steps in the uniform field, and of unseen motion
         self.counts: dict[str, int] = {}  # number of frames that violated each law
         self.first: dict[str, Fault] = {}
@@ -360,7 +360,7 @@ class LawAudit:
         members = np.flatnonzero(clusters.label == worst)
         came = "came from nothing" if wrong[worst] > 0.0 else "was lost while nothing touched"
         much = self._units.text(abs(float(wrong[worst])), ENERGY, ".3g")
-        text = f"Energy {came}: {much}, {share[worst]:.2%} of that of {self._called(members)}."
+        text = f"Energy {came}: {much}, {share[worst]:.2%} of the energy of {self._called(members)}."
         ends, amount = tuple(self._ends[members[:MOST_NAMED]].tolist()), float(share[worst])
         yield Fault("energy", *place, amount, text, ends, amount / max(self._tolerances.energy, TINY))
 

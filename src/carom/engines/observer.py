@@ -84,7 +84,7 @@ class Observer:
         self._pull: float | None = None  # J, gravitational energy at the last frame; None without gravity
         self._before: EngineMoment | None = None
         self._began = first.time
-        self._last_time: float | None = None  # s, of the last frame; None before the first one
+        self._last_time: float | None = None  # s, of the last frame; None before the first frame
 
     def continued(self, present: Present, state: State) -> Observer:
         """Return the observer for the bodies that exist from a state on.
@@ -256,7 +256,7 @@ class Observer:
             judged = np.append(self.setup.judged, np.ones(len(self.setup.planes), bool))
             known = judged[contacts.pairs].all(axis=1)
             relative = contacts.overlaps / radius[contacts.pairs].min(axis=1)
-            depth = np.where(known, np.maximum(relative, 0.0), 0.0)  # a small gap counts as contact
+            depth = np.where(known, np.maximum(relative, 0.0), 0.0)  # bodies with a small gap touch
             worst = int(np.argmax(depth))
             deepest, pair = float(depth[worst]), (int(contacts.pairs[worst, 0]), int(contacts.pairs[worst, 1]))
         hardest = seen.hardest_pair

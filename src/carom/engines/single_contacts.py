@@ -2,8 +2,8 @@
 
 Where the bodies that may have touched between two frames form a tree of at most `MOST` contacts, the impulse of each
 contact follows from the momenta: a leaf of the tree has one unknown impulse. The engine may have resolved the contacts
-in any order, at the places of either frame, and the field may have acted before or after them. A law is broken only if
-it is broken for each of these possibilities.
+in any order, at the places of either frame, and the field may have acted before or after them. A law is reported as
+broken only if every possible order and normal breaks it.
 
 At the end of the run, coefficients of restitution are also compared with one another, over all impacts of the same
 materials.
@@ -28,10 +28,10 @@ DAMPED = 2e-3  # of m |v|, the momentum that an engine's damping may take in a f
 RUBBED = 0.02  # of the impulse of a contact, the least friction that is judged, beyond the turn of its normal
 SPUN = 0.1  # of r |J_t|, the error of a torque
 ALIKE = 9  # impacts, slower and faster, that give the expected coefficient of restitution
-FEWEST = 3  # the same, at least
+FEWEST = 3  # fewest impacts with the same materials
 KEPT = 0.25  # of J_n times the gain of speed; friction may dissipate as much as the contact keeps
 MOSTLY = 0.75  # of the impacts of an engine; deviations of the remaining impacts may be faults
-SPREADS = 6.0  # of the deviation that most impacts have: those of PyBullet at planes are as large as their coefficients
+SPREADS = 6.0  # of the deviation of most impacts: in PyBullet at planes, it is as large as the coefficients
 SHALLOW = 1e-3  # of the smaller radius; bodies that overlap less have no elastic energy
 # Least deviation of a coefficient of restitution. Those of soft contacts vary by 0.07 with the phase of a step.
 OFF = 0.1
@@ -112,7 +112,7 @@ class ContactLaws:
             yield impact.unlike(known, self.restitution, "the model says")
 
     def outliers(self) -> Iterator[tuple[IsolatedImpact, Broken]]:
-        """Yield the impacts whose coefficient of restitution differs from others of the same materials and speed.
+        """Yield the impacts whose coefficient of restitution differs from impacts of the same materials and speed.
 
         A faulty coefficient differs from the coefficients of the next slower and the next faster impact, since it may
         depend on the speed.

@@ -78,7 +78,7 @@ class SnapshotWriter:
         self._spare: queue.SimpleQueue[StateMemory] = queue.SimpleQueue()  # reusable memory
         self._error: Exception | None = None  # the error after which the file can no longer be written
         self._last = (0, 0.0)
-        self._frame: Frame  # the last one with bodies
+        self._frame: Frame  # the last frame with bodies
         self._thread = threading.Thread(target=self._run, name="carom-observer", daemon=True)
         self._thread.start()
 
@@ -267,7 +267,7 @@ class Unrecorded:
 
 
 def text_of(error: BaseException) -> str:
-    """Return the text of an error of somebody else's program, whose own method may raise another one."""
+    """Return the text of an error of somebody else's program; to make this text may raise an error, too."""
     try:
         return str(error)
     except Exception as other:

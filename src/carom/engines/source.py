@@ -52,7 +52,7 @@ class Model:
     engine: str  # name and version, such as ``mujoco 4.0.0``
     mass: Any  # (n,) kg; 0 for a test particle
     radius: Any  # (n,) m; 0 for a point mass, which nothing touches
-    inertia: Any = None  # (n,) kg m², by default those of solid spheres
+    inertia: Any = None  # (n,) kg m², by default as for solid spheres
     names: Sequence[str] | None = None  # (n,) of the bodies
     fixed: Any = None  # (n,) whether a body never moves; by default none
     judged: Any = None  # (n,)
@@ -100,7 +100,7 @@ class Source(Protocol):
 
 @runtime_checkable
 class SteppedSource(Protocol):
-    """A source that counts time itself, because its engine does not report it."""
+    """A source that keeps the time itself, because its engine does not report it."""
 
     def stepped(self) -> None:
         """Count a call of `Recorder.frame` after the first, recorded or not."""

@@ -72,7 +72,7 @@ class RunStoppedError(ExperimentError):
 class RunBound:
     """The bound of a run."""
 
-    steps: float = math.inf  # the same on every machine
+    steps: float = math.inf  # limit on steps, which is the same on every machine
     seconds: float = math.inf  # of CPU time
     option: str = "--limit"  # that set the seconds
 
@@ -112,7 +112,7 @@ class Trajectory:
     time: FloatArray  # (K,) s
     position: FloatArray  # (K, n, 3) m
     velocity: FloatArray  # (K, n, 3) m/s
-    pair: IntArray  # (m, 2) bodies that touched, in the order of their first contacts; j - n counts the planes
+    pair: IntArray  # (m, 2) bodies that touched, in the order of their first contacts; j ≥ n is plane j - n
     met: FloatArray  # (m,) s, the time of each pair's first contact
     energy_error: float  # largest |integration error| over the energy scale, or energy added by contacts
     energy_gain: float  # largest rise of the total energy above its previous minimum, over the energy scale
@@ -137,7 +137,7 @@ class Trajectory:
 
     @property
     def digest(self) -> str:
-        """A digest of the steps and states: two runs with the same one are equal, bit for bit."""
+        """A digest of the steps and states: two runs with the same digest are equal, bit for bit."""
         found = hashlib.sha256(str(self.steps).encode())
         for states in (self.position, self.velocity):
             found.update(np.ascontiguousarray(states + 0.0).tobytes())  # + 0 turns -0 into 0
@@ -160,7 +160,7 @@ class Trajectory:
 
 
 def sample_times(scene: Scene) -> FloatArray:
-    """Return the times at which trajectories of a scene are compared, (K,) s; the last one is its duration.
+    """Return the times at which trajectories of a scene are compared, (K,) s, up to and including its duration.
 
     The last fraction is exactly 1, so that no time is rounded past the end of the run. The other times are not round
     numbers: impacts often happen at round times, where a velocity has two values.

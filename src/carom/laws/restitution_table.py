@@ -1,4 +1,4 @@
-"""Restitution by a table: linear between measured speeds, constant beyond the first and the last one.
+"""Restitution by a table: linear between measured speeds, constant below the first and above the last speed.
 
     e(v) = e₀ + Σ_k s_k max(0, v - v_k)
 

@@ -78,7 +78,7 @@ def restitution(p: Any, approach: float, rest_speed: float) -> float:
 
 
 def equivalent_speed(p: Any, approach: float, mass: float, radius: float) -> float:
-    """Return the speed at which the measured spheres rebound as these bodies do."""
+    """Return the speed at which the measured spheres have the restitution of the given bodies."""
     speed: float = approach
     if p.measured_size > 0.0:
         speed *= radius / (mass * mass) / p.measured_size

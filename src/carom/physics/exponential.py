@@ -66,7 +66,7 @@ def log_remainder(y: float) -> float:
 
 @kernel
 def exponential(x: float) -> float:
-    """Return eˣ, infinite above 709.78 and 0 below -745; the bits are those of `carom.scene.portable_math`."""
+    """Return eˣ, infinite above 709.78 and 0 below -745, with the same bits as `carom.scene.portable_math`."""
     if x > OVERFLOWS:
         return math.inf
     if not x >= -VANISHED:

@@ -2,7 +2,7 @@
 
 A step of three bodies takes 80 ns in a kernel, but ten microseconds if Python calls a kernel for each part of it.
 `KickDriftStepper` therefore leaves the steps up to the next frame or check to this module. The same kernels choose dt,
-kick, drift and rotate, so the bits are those of single steps.
+kick, drift and rotate, so the bits are the same as in single steps.
 
 Where bodies can touch, all gaps must stay larger than rounding and than a fall from rest in one step, within which
 `contact.pipeline` searches for contacts. Paths are straight, so two bodies approach each other by at most
@@ -47,7 +47,7 @@ if TYPE_CHECKING:  # `physics.jit.cache` follows this import, too
     from carom.physics.forces.drag import DragLaw
 
 MOST_STEPS = 20_000  # in one call, some milliseconds: `Space.stop` and the progress line wait for its end
-NEAR = 2.0 * TOUCHING  # of the sum of radii; twice the largest gap that counts as a contact
+NEAR = 2.0 * TOUCHING  # of the sum of radii; twice the largest gap of bodies that touch
 ROUNDING = 2.0**-46  # of the coordinates: 64 times their last digit; the search allows for four of these
 GRAIN = 2.0**-50  # of the coordinates, more than the rounding of a drift
 BOX_FRACTION = 0.25  # of the smallest side: distance that bodies may move before they are tested again

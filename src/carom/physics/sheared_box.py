@@ -29,8 +29,8 @@ work of an impact. A packing in the flow is never at rest: the relative velocity
 distance d, changes by its own size within 1/γ. A contact is at rest if it closes at most twice as fast as the
 acceleration γ² d makes it close in a step.
 
-Numba compiles the functions below by the type of the box: an array of sizes, or the record of a sheared box; and by
-that of a contact: with or without w.
+Numba compiles the functions below for each type of the box, an array of sizes or the record of a sheared box, and for
+each type of a contact, with or without w.
 """
 
 from __future__ import annotations
@@ -72,7 +72,7 @@ SHEARED_BOX = dtype_of(ShearedBoxRecord)
 
 
 class ShearedBox:
-    """The images of a sheared box of some size, (3,) m, from step to step."""
+    """The images of a sheared box, from step to step, given the size of the box, (3,) m."""
 
     def __init__(self, shear: Shear, size: FloatArray) -> None:
         self._shear, self._size, (self._flow, self._gradient) = shear, size, shear.axes

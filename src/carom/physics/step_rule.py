@@ -69,7 +69,7 @@ def step_of_pairs(
 
 
 BODIES_PER_BLOCK = 1000  # about 10 µs
-SUPPORTED_FRACTION = 0.5  # smallest fraction of its acceleration that contacts support if a body counts as held
+SUPPORTED_FRACTION = 0.5  # a body is held if contacts support at least this fraction of its acceleration
 END_TOLERANCE = 1e-9  # fraction of a step; a shorter last step is merged into the previous one
 
 CAP, VELOCITY, ACCELERATION, HELD, GRAVITY, GROWTH, FIXED, END = range(8)
@@ -144,7 +144,7 @@ def target(
     """Return the step (s) that the limits allow, before smoothing, and the limit that set it.
 
     ``supported``, (n + p,) m/s², are the accelerations that contacts support; it is empty if there are none. The
-    acceleration that all bodies share, ``field``, (3,) m/s², does not count. ``limits`` has a row for each block of
+    acceleration that all bodies share, ``field``, (3,) m/s², is left out. ``limits`` has a row for each block of
     bodies; the rows are filled here unless they ``are_known``.
     """
     R, (x, v, _, _, m, inverse_mass) = rule[0], bodies

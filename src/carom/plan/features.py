@@ -289,7 +289,7 @@ def _why_accurate(scene: Scene, chosen: str) -> str:
     """Return why an integrator is the cheapest for an accuracy."""
     if chosen == "yoshida4":
         if uses_tree(scene):
-            return "the accuracy, and a tree, whose error gauss-radau15 cannot control"
+            return "the accuracy is requested with a gravity tree, whose error gauss-radau15 cannot control"
         return f"the accuracy, and {scene.count} bodies; gauss-radau15 would sum all pairs several times a step"
     if chosen == "wisdom-holman":
         return "the bodies orbit a dominant one, and it is cheaper than gauss-radau15 at this accuracy"
@@ -328,7 +328,7 @@ def _adaptive_step(scene: Scene) -> Part:
         return Part(name, False, f"time.fixed_dt = {scene.unit_system.text(scene.time.fixed_dt, TIME, 'g')}")
     capped = "" if math.isinf(largest_step(scene)) else ", and max_dt"
     if integrator(scene).hierarchical:
-        return Part(name, True, f"a twentieth of the shortest orbit, or a fiftieth of those of heavy bodies{capped}")
+        return Part(name, True, f"a twentieth of the shortest orbit, or a fiftieth of heavy bodies' orbits{capped}")
     if integrator(scene).controls_error:
         return Part(name, True, f"the integrator's own estimate of its error{capped}")
     limits = ", ".join(_limits(scene))

@@ -170,9 +170,9 @@ def continue_run(
 ) -> Outcome:
     """Resume a run in a space made by `ResumableRun.space`, and record it from its start; see also `simulate`.
 
-    The new recording is called ``NAME.resumed.rrd`` until it is complete. It then replaces ``output``, by default the
-    old recording. If the disk runs full, it keeps that name, and the old recording is unchanged. Raises RecordingError
-    if the recording cannot be written at all, or has changed since it was opened.
+    The new recording is called ``NAME.resumed.rrd`` until it is complete. The finished file then replaces ``output``,
+    by default the old recording. If the disk runs full, it keeps that name, and the old recording is unchanged. Raises
+    RecordingError if the recording cannot be written at all, or has changed since it was opened.
 
     Parameters
     ----------

@@ -91,7 +91,7 @@ def _chosen_by_few() -> list[str]:
 
 
 def _places(model: type[BaseModel], above: str = "") -> dict[str, list[str]]:
-    """Return the dotted paths of all keys of a model and of nested models, by key; 0 stands for any index.
+    """Return the dotted paths of all keys in a model and its nested models, by key; 0 stands for any index.
 
     The keys of contact laws and of shapes of walls are omitted.
     """

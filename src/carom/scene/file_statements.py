@@ -93,7 +93,7 @@ def compare_facts(scene: SceneModel, units: UnitSystem, each_bodies: list[Source
                 refuted.setdefault(index, differs)
             now, then = bodies.facts.time, each_bodies[before].facts.time
             if now is not None and then is not None and not math.isclose(now, then, rel_tol=_SAME_LAW):
-                note = f"its time is {units.text(now, TIME)}, and that of {other} is {units.text(then, TIME)}"
+                note = f"its time is {units.text(now, TIME)}, and the time of {other} is {units.text(then, TIME)}"
                 _add_notes(scene, index, each_bodies, [note])
         box = bodies.facts.box
         if box is None:

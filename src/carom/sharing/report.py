@@ -264,7 +264,7 @@ def _summary(
             command("view", name, "--at", f"{units.shown(moment, TIME):.9g}"),
             "```",
             "",
-            f"The commands are those of carom {version}: `pip install .` in a copy of its repository, with Python 3.11 "
+            f"The commands need carom {version}: `pip install .` in a copy of its repository, with Python 3.11 "
             f"or newer. Without carom, `pip install rerun-sdk` and `rerun {bundle.CLIP}` show the clip; its texts "
             "Legend and About explain what is drawn, and how to read the numbers.",
             "",

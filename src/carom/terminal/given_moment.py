@@ -22,7 +22,7 @@ EventOption = Annotated[str | None, typer.Option("--event", metavar="NAME", help
 
 def at_option(default: str) -> Any:
     """Return the option ``--at`` of a command that takes a moment."""
-    return time_option("--at", f"Simulated time; as carom prints it, it finds its step. Default: {default}.")
+    return time_option("--at", f"Simulated time; a time that carom printed selects its step. Default: {default}.")
 
 
 AtOption = Annotated[

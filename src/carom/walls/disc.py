@@ -30,7 +30,7 @@ class Disc(Section):
     @model_validator(mode="after")
     def _has_a_direction(self) -> Self:
         if not any(self.normal):
-            raise ValueError("normal = [0, 0, 0] has no direction; give that of the disc's axis, such as [0, 0, 1]")
+            raise ValueError("normal = [0, 0, 0] has no direction; give the disc's axis, such as [0, 0, 1]")
         return self
 
 

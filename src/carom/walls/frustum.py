@@ -49,7 +49,7 @@ class Frustum(Section):
     @model_validator(mode="after")
     def _has_a_surface(self) -> Self:
         if not any(self.axis):
-            raise ValueError("axis = [0, 0, 0] has no direction; give that of the cone, such as [0, 0, 1]")
+            raise ValueError("axis = [0, 0, 0] has no direction; give the direction of the cone, such as [0, 0, 1]")
         if self.radius == 0.0 and self.end_radius == 0.0:
             raise ValueError("radius and end_radius are 0; one of them must be more than 0")
         return self

@@ -31,7 +31,7 @@ class Sphere(Section):
     @model_validator(mode="after")
     def _has_a_direction(self) -> Self:
         if not any(self.axis):
-            raise ValueError("axis = [0, 0, 0] has no direction; give that of the rotation, such as [0, 0, 1]")
+            raise ValueError("axis = [0, 0, 0] has no direction; give the direction of the rotation, such as [0, 0, 1]")
         return self
 
 

@@ -100,7 +100,7 @@ def test_positions_that_are_no_numbers_are_refused_by_a_picture(run_file: Path) 
 
 def test_names_of_fewer_bodies_than_there_are_are_refused(run_file: Path) -> None:
     changed(run_file, run_file, "state/bodies", mapped("name", lambda row: row[:-1]), static=True)
-    with pytest.raises(RecordingError, match="names or groups of its bodies are not those of 60 bodies"):
+    with pytest.raises(RecordingError, match="names or groups of its bodies do not fit 60 bodies"):
         Recording.open(run_file).bodies  # noqa: B018 - reads them
 
 

@@ -216,7 +216,7 @@ def test_a_simulationarchive_in_other_units_than_si_needs_a_scene_that_names_uni
     write_rebound(tmp_path / "a.bin", units=("days", "AU", "Msun"))
     said = complaint(tmp_path, "a.bin")
     assert said.endswith(
-        'a.bin: its numbers are in au, day, M_sun, and those of the scene in SI; write units = "au, day, M_sun" at the '
+        'a.bin: its numbers are in au, day, M_sun, and the scene has SI units; write units = "au, day, M_sun" at the '
         'top of the scene, or [units] with length = "au", time = "day", mass = "M_sun"'
     )
     own = 'units = "au, day, M_sun"\ngravity.constant = 0'

@@ -475,9 +475,12 @@ JPL = "full_name,a,e,i,om,w,ma,epoch\n1 Ceres,2.77,0.0785,10.6,80.3,73.4,60.1,24
     ("changed", "said"),
     [
         ({}, ""),
-        ({"frame": "ICRF"}, "its frame of reference is ecliptic of J2000, and that of a.txt is ICRF"),
-        ({"epoch": "2451545.0"}, "its epoch is JD 2460676.5, and that of a.txt is JD 2451545; choose the snapshot"),
-        ({"centre": "Solar System Barycenter (0)"}, "its centre is Sun, and that of a.txt is Solar System Barycenter"),
+        ({"frame": "ICRF"}, "its frame of reference is ecliptic of J2000, but ICRF in a.txt"),
+        (
+            {"epoch": "2451545.0"},
+            "its epoch is JD 2460676.5, and the epoch of a.txt is JD 2451545; choose",
+        ),
+        ({"centre": "Solar System Barycenter (0)"}, "its centre is Sun, but Solar System Barycenter"),
     ],
     ids=["the same", "frame", "epoch", "centre"],
 )
@@ -715,4 +718,4 @@ def test_files_of_a_scene_from_different_times_are_noted(tmp_path: Path) -> None
         (tmp_path / f"{name}.xyz").write_text(f"1\nProperties=pos:R:3 Time={time}\n{time} 0 0\n")
     more = 'mass = 1\nradius = 0.1\n[[bodies]]\nfile = "b.xyz"\nmass = 1\nradius = 0.1'
     notes = scene_of(tmp_path, "a.xyz", more).notes
-    assert "b.xyz: its time is 2.5 s, and that of a.xyz is 1.5 s" in notes[1]
+    assert "b.xyz: its time is 2.5 s, and the time of a.xyz is 1.5 s" in notes[1]

@@ -362,7 +362,7 @@ def write_style(folder: Path) -> None:
 
 
 def _write(path: Path, template: str, title: str, **texts: str) -> None:
-    """Write a page: the frame of all pages around the content of this one."""
+    """Write a page: the frame that all pages share, around the content of one page."""
     frame, content = (
         Template((resources.files(__package__) / "page" / name).read_text(encoding="utf-8"))
         for name in (_FRAME, template)

@@ -171,15 +171,15 @@ class _Point(NamedTuple):
     normal: FloatArray  # (3,) from the first end to the second
     arms: tuple[FloatArray, FloatArray]  # (3,) m, from the centres of the ends
     closing: float  # m/s, before the step
-    impulse: float  # N s, if all substeps are like the last one
-    total: float  # N s, the sum over all substeps, in which some may count twice
+    impulse: float  # N s, if all substeps are like the last substep
+    total: float  # N s, the sum over all substeps, which may include some twice
     friction: FloatArray  # (3,) N, in the last substep
 
 
 class Box3DForces:
     """Reads the forces of contacts between the recorded bodies, and with planes.
 
-    Box3D has the impulses of its last substep, and sums over all substeps, in which a substep may count twice. Neither
+    Box3D has the impulses of its last substep, and sums over all substeps, which may include a substep twice. Neither
     is the impulse of a step with an impact. Among spheres, impulses are therefore fitted to the observed changes of
     normal velocities, as close as possible to the impulses of the last substep. For other shapes and in large piles,
     they are the impulses of the last substep or, in an impact, their sum over the step. Friction is always the friction
@@ -212,7 +212,7 @@ class Box3DForces:
             for contact in found[0 : lib.b3Body_GetContactData(body.id, found, capacity)]:
                 shapes = (contact.shapeIdA, contact.shapeIdB)
                 ends = [self._number.get(lib.b3Shape_GetBody(shape).index1, -1) for shape in shapes]
-                if ends[0] == k or ends[0] < 0:  # otherwise it is reported with the other body, too
+                if ends[0] == k or ends[0] < 0:  # otherwise the contact is reported with the other body, too
                     points += self._points(contact, ends, position[k].astype(np.float64), is_first=ends[0] == k)
         impulses = self._impulses(points, rates.astype(np.float64)) if points else np.empty(0)
         step = self._world.last_dt

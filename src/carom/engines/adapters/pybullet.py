@@ -124,7 +124,7 @@ class ChangingPyBulletSource:
     """The bodies of a physics server while bodies are added and removed; see `pybullet`.
 
     PyBullet reuses the unique ids of bodies. This source therefore marks each body with user data of the key "carom",
-    which PyBullet removes with the body. Planes are those at the start.
+    which PyBullet removes with the body. Planes are recorded as they are at the start.
     """
 
     def __init__(self, time_step: float, gravity: tuple[float, float, float], *others: Any) -> None:

@@ -33,7 +33,7 @@ from carom.scene.units.system import WITHOUT, UnitSystem, units_of_rebound
 
 G_SI = 6.674e-11  # m³ kg⁻¹ s⁻²; REBOUND's own differs in the fifth digit
 READ = ("x", "y", "z", "vx", "vy", "vz")  # the first numbers of a particle in memory
-ROW = np.dtype((np.void, 8 * len(READ)))  # the same, copied as one item: six times as fast as six numbers
+ROW = np.dtype((np.void, 8 * len(READ)))  # a row of READ, copied as one item: six times as fast as six numbers
 
 
 class ReboundSource:

@@ -1,4 +1,4 @@
-"""`carom crosscheck`: the same scene in other engines, and which of them are right."""
+"""`carom crosscheck`: runs a scene in several engines, and judges which engines are right."""
 
 from __future__ import annotations
 

@@ -201,7 +201,7 @@ def _impact_lines(found: ImpactDivergence | None, names: Names, units: UnitSyste
     if found.counts is not None:
         yield f"{found.counts[0]} in A, {found.counts[1]} in B, up to the same time"
     if found.first is None:
-        yield f"all {found.compared} recorded in both are the same" if found.compared else "none recorded in both"
+        yield f"all {found.compared} recorded in both files are the same" if found.compared else "none recorded in both"
     different = [pair for pair in (found.first, found.alone) if pair is not None]
     for pair in sorted(different, key=lambda pair: pair.time):
         yield _called(pair, names, units)

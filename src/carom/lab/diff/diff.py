@@ -40,7 +40,7 @@ from carom.scene.wording import body_called
 
 @dataclass(frozen=True, slots=True)
 class OtherLife:
-    """A body that exists at other times in one recording than in the other, within their common time."""
+    """A body that exists at different times in the two recordings, within their common time."""
 
     body: int
     name: str
@@ -53,7 +53,7 @@ class OtherLife:
 
 
 def other_lives(a: Recording, b: Recording) -> list[OtherLife]:
-    """Return the bodies that do not exist from the same time to the same time in both recordings."""
+    """Return the bodies that come or go at different times in the two recordings."""
     if a.lives is None and b.lives is None:
         return []
     ends = [recording.fingerprints()["time"].to_numpy()[[0, -1]] for recording in (a, b)]
@@ -124,7 +124,7 @@ class ImpactDivergence:
 
     counts: tuple[int, int] | None  # up to the last frame at a common time; None without such a frame
     compared: int  # impacts in both recordings
-    first: ImpactPair | None  # the first of these that differs
+    first: ImpactPair | None  # the first such pair that differs
     alone: ImpactPair | None  # the first impact that only one run has; None if the other run did not record all
 
     @property
@@ -287,7 +287,7 @@ class Diff:
     impacts: ImpactDivergence | None  # None if a recording has none
     first_bits: FirstBits | None = None  # None unless both have the exact states of the first frame that differs
     engines: tuple[str, str] = ("", "")  # engines of the runs; empty for carom
-    lives: Sequence[OtherLife] = ()  # bodies that exist at other times in one run than in the other
+    lives: Sequence[OtherLife] = ()  # bodies that exist at different times in the two runs
     moment: MomentApart | None = None  # None unless one was asked for
 
     @property
@@ -372,7 +372,7 @@ def _scene(recording: Recording) -> dict[str, Any]:
 
 
 def _defaults(a: Recording, b: Recording, differing: Mapping[str, tuple[Any, Any]]) -> dict[str, Any]:
-    """Return the defaults of one scene for keys that only the other one sets."""
+    """Return the defaults of one scene for keys that only the other scene sets."""
     defaults: dict[str, Any] = {}
     for recording, own in ((a, 0), (b, 1)):
         missing = [key for key, values in differing.items() if values[own] is None]

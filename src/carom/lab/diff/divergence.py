@@ -46,7 +46,7 @@ class DistanceCurve:
     differs: BoolArray  # (k,) whether the fingerprints or, without these, the positions differ
     size: float  # m, rms distance of the bodies from their centre
     reach: float  # m, the largest coordinate, to which round-off is relative
-    of_bits: bool = True  # whether fingerprints were compared; those of other engines are not comparable
+    of_bits: bool = True  # whether fingerprints were compared, which is not possible with other engines
 
     @property
     def seen(self) -> BoolArray:
@@ -382,7 +382,7 @@ def first_bits(a: Recording, b: Recording, step: int) -> FirstBits | None:
 
 
 def _first_contact(a: Recording, b: Recording, time: float, bodies: list[int]) -> FirstContact | None:
-    """Among the contacts of some bodies, return the one whose force differs most."""
+    """Among the contacts of the given bodies, return the contact whose force differs most."""
     if not (a.records_contacts and b.records_contacts):
         return None
     forces: list[dict[tuple[int, int], float]] = []

@@ -33,8 +33,8 @@ class Panel(NamedTuple):
 def draw(fields: Fields, path: Path) -> None:
     """Draw the fields into a PNG or SVG, in the units of the scene.
 
-    The picture's plane is the one with most cells, with z upwards if it is one of its axes. Densities and stresses are
-    means over the depth; velocity, temperature and coordination are weighted with mass and number. Raises
+    The picture shows the plane with the most cells; z points upwards if it is an axis of this plane. Densities and
+    stresses are means over the depth; velocity, temperature and coordination are weighted with mass and number. Raises
     ExperimentError if matplotlib is not installed.
     """
     with needing("plot", "a picture of fields", "matplotlib"):

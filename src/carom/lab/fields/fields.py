@@ -232,7 +232,7 @@ class FieldSums:
         largest = float(recording.bodies.radius[interval.moving].max())
         if self._grid.cell.min() < 2.0 * largest:
             notes.append(
-                "cells are smaller than the largest body, whose volume counts in the cell of its centre: the solid "
+                "cells are smaller than the largest body, whose whole volume is in the cell of its centre: the solid "
                 "fraction of single cells may be above 1"
             )
         remedy = "" if recording.engine else "; compute them with --replay"

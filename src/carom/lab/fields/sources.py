@@ -46,7 +46,7 @@ class Collector(Protocol):
     def add_contacts(self, pushes: Pushes, elapsed: float) -> None:
         """Add the lasting contacts of a step, whose impulses balance constant forces for a time (s).
 
-        The bodies of the same moment were added before.
+        The bodies of this moment must have been added before.
         """
 
     def add_impacts(self, pushes: Pushes) -> None:

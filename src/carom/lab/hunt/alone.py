@@ -33,7 +33,7 @@ class Ending:
 
 
 def last_ending(scenes: Sequence[tuple[int, int]]) -> Ending | None:
-    """Run scenes, each given by its seed and number, one after the other; return the end of the last one.
+    """Run scenes, each given by its seed and number, one after the other; return the end of the last scene.
 
     It is None if the scene is refused or abandoned.
     """

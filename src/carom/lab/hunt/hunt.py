@@ -264,7 +264,7 @@ class Hunt:
         except PhysicsError:
             self.tally.stated += 1
             return []
-        except Exception as error:  # an error before the first step counts as well
+        except Exception as error:  # an error before the first step is a failure, too
             return [Finding(ERROR, condition_from(ERROR.condition), index, scene, said_by(error))]
 
     def _moves(self, index: int, document: Document, budget: Budget) -> list[Finding]:

@@ -13,7 +13,7 @@ from carom.lab.hunt.documents import Document, Draw, Scales, decade, direction, 
 
 SPEEDS = (1e-3, 0.1, 1.0, 5.0)  # of the bodies, in units of the scene's speed
 PITCH = (2.01, 2.5)  # radii between neighbours on the lattice
-ROOM = 1.8  # extent of a boundary over that of the bodies
+ROOM = 1.8  # extent of a boundary over the extent of the bodies
 CROSSINGS = 3.0  # times that a body of the scene's speed crosses its radius in a run
 
 

@@ -48,7 +48,7 @@ class Drawn:
 
 
 def drawn(seed: int, index: int) -> Drawn:
-    """Draw a scene; the same numbers give the same scene."""
+    """Draw a scene; equal numbers give equal scenes."""
     draw = RandomDraw(f"{seed} {index}")
     found = _drawn(draw)
     if not found.kind and not any("piston" in plane for plane in found.document.get("plane", [])):

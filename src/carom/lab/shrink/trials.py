@@ -145,8 +145,8 @@ def observe(
 ) -> Observation | None:
     """Run a space from its start and return the observation of its end; None if the run is abandoned after ``steps``.
 
-    ``each`` is called at each frame with the observation so far, and returns whether to continue. The schedule of the
-    frames is by default that of the scene. Raises `OutOfTime` if the budget ends before the run.
+    ``each`` is called at each frame with the observation so far, and returns whether to continue. The default schedule
+    of the frames is the schedule of the scene. Raises `OutOfTime` if the budget ends before the run.
     """
     interval = auto.frame_interval(space.scene)
     schedule = schedule or (Every(interval) if steps is None else EveryUpTo(interval, steps))
@@ -288,7 +288,7 @@ class Judges:
     def first(
         self, documents: Sequence[Document], condition: Condition, steps: int, check: Callable[[], None]
     ) -> int | None:
-        """Return the number of the first candidate that shows a failure within some steps; None if none does.
+        """Return the number of the first candidate that shows a failure within the steps; None if no candidate does.
 
         ``check`` is called several times a second; its exceptions end the work. Raises ExperimentError if the workers
         die.

@@ -250,7 +250,11 @@ def _by_arrays(scene: Scene) -> str:
     given = Scene.from_arrays(**arrays, name=list(start.name), **kept)
     here, there = FinalState.of(Space(scene, threads=1)), FinalState.of(Space(given, threads=1))
     same = (here.step, here.time, bool(here.error)) == (there.step, there.time, bool(there.error))
-    return "" if same and np.array_equal(here.position, there.position) else "the bits differ from those of arrays"
+    return (
+        ""
+        if same and np.array_equal(here.position, there.position)
+        else "the bits differ if bodies are given as arrays"
+    )
 
 
 def _by_image(scene: Scene, image_of: Callable[[Space], Image]) -> str:

@@ -4,7 +4,7 @@ A body's path is the polyline through its positions in the frames and at its imp
 periodic box and follows curved paths in a field. At an impact, the centre is one radius from the contact point.
 Histograms contain only complete paths, so they lack some long paths, which the ends of the interval cut off. The means
 have no such error: they are the time and the length of all paths, divided by the number of impacts
-(docs/statistics.md). Means and totals are those of `ImpactSums`.
+(docs/statistics.md). Means and totals come from `ImpactSums`.
 
 In a Maxwellian gas, the normal velocity at impacts has Rayleigh's distribution, v exp(-v²/2s²)/s²: the relative
 velocity along the normal is Gaussian, and fast pairs meet more often (Chapman & Cowling).
@@ -192,11 +192,11 @@ def measure_velocities(interval: Interval) -> Statistic:
     if not np.nan_to_num(weighted).any():
         raise RecordingError("all bodies are at rest")
     temperature = np.nanmean(weighted * weighted, axis=(1, 2))  # J, of each state
-    of_axes, note = np.nanmean(weighted * weighted, axis=1).mean(axis=0), ""  # each state counts alike
+    of_axes, note = np.nanmean(weighted * weighted, axis=1).mean(axis=0), ""  # each state has the same weight
     kinetic = interval.kinetic
     if kinetic is not None and interval.recording.lives is None:  # else the number of bodies changes
         of_axes = kinetic.diagonal() / len(mass)
-        note = "temperatures without a group are those of all frames, all else is that of the exact states"
+        note = "temperatures without a group come from all frames, everything else from the exact states"
     mean = float(of_axes.mean())
     count = np.count_nonzero(there)
     states = list(zip(weighted, there, strict=True))

@@ -5,8 +5,8 @@ contacts. They are removed with their contacts, repeatedly, until none is left. 
 without friction have Z = 6, and 3 contacts per body if contacts with walls are counted once, too (O'Hern et al., Phys.
 Rev. E 68, 011306, 2003). Fabric: F = ⟨n ⊗ n⟩ over contacts, with trace 1 (Satake 1982).
 
-Chains are those of Peters, Muthuswamy, Wibowo & Tordesillas, Phys. Rev. E 72, 041307 (2005): the stress of a body is σ
-= Σ r f n ⊗ n over its contacts, divided by its volume; a body belongs to a chain if its largest principal stress is
+Chains are defined by Peters, Muthuswamy, Wibowo & Tordesillas, Phys. Rev. E 72, 041307 (2005): the stress of a body is
+σ = Σ r f n ⊗ n over its contacts, divided by its volume; a body belongs to a chain if its largest principal stress is
 above the mean, and two such bodies are linked if they touch along the principal direction of both, to 45°. A chain has
 at least three bodies.
 

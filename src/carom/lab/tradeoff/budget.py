@@ -1,8 +1,8 @@
 """The time that a study may take, and which settings are worth timing: the ones that may be on the front.
 
-A setting is left out before its first run if its steps are shorter than those of a setting that errs by rounding alone.
-A setting is not timed if another setting is as accurate and clearly cheaper. Timings are repeated where the front is
-uncertain.
+A setting is left out before its first run if its steps are shorter than the steps of a setting that errs by rounding
+alone. A setting is not timed if another setting is as accurate and clearly cheaper. Timings are repeated where the
+front is uncertain.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ PRECISION = 0.05  # of a median
 TIMINGS = 3  # of each setting that may be on the front
 MOST_TIMINGS = 60  # of a short run
 ALONE = 0.3  # relative noise that a single timing may have: 0.26 was measured for runs of some milliseconds
-CHEAPER = 3.0  # the estimated cost of an untimed setting over that of a rival; estimates err by less than this
-ROUNDING = 1e-11  # an error below this one is the rounding of a long run, which shorter steps do not reduce
+CHEAPER = 3.0  # the estimated cost of an untimed setting over the cost of a rival; estimates err by less
+ROUNDING = 1e-11  # a smaller error is the rounding of a long run, which shorter steps do not reduce
 
 
 class StudyBudget:

@@ -39,14 +39,14 @@ class Errors:
     position: float  # rms over bodies and samples up to the horizon, over the size of the system
     velocity: float  # rms over bodies and samples, over the speed of the system
     impact: float  # s, rms over the pairs that met before the horizon, of the time of their first contact
-    missed: float  # number of these pairs that had no contact by then; in `impact` they count as met at the horizon
+    missed: float  # number of pairs that had no contact by then; for `impact`, they meet at the horizon
     energy: float  # largest |integration error| over the energy scale, from the ledger
     energy_gain: float  # largest rise of the total energy above its lowest so far, over the scale
     momentum: float  # largest error of the momentum over its scale
     angular_momentum: float
     overlap: float  # deepest overlap over the smaller radius
     sinking: float  # error of the mean overlap of contacts late in the run; NaN if nothing can rest
-    impacts: float  # | number of impacts / that of the reference - 1 |
+    impacts: float  # | number of impacts / number of the reference's impacts - 1 |
     size: float  # rms error over all samples of the rms radius, over the reference's
     dispersion: float  # error of the rms speed about the centre
     # of the errors above that are compared at samples: the largest, and that at the end of the scene
@@ -191,7 +191,7 @@ class Reference:
     trajectory: Trajectory
     scale: ErrorScale
     kind: str  # "exact" or "refined"
-    fineness: float  # step of the scene over that of the reference; infinite if it is exact
+    fineness: float  # step of the scene over the step of the reference; infinite if the reference is exact
     samples: int  # number of samples up to the horizon, at which positions are compared
     whole: bool  # whether it reaches the end of the scene
     uncertainty: Errors  # the larger errors of the checks, in the measures of settings; at least rounding

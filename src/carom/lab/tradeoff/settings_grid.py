@@ -4,8 +4,9 @@ A setting is on the front if no other setting beats it in both cost and error. E
 are noisy, so each is an interval. A setting is beaten if another setting has no larger error and a cost interval that
 lies entirely below. A setting is on the front if the cost intervals of all settings with no larger error lie entirely
 above its own. Otherwise it is undecided. If the intervals of two measurements overlap for each setting, no setting is
-on the front in one and beaten in the other. A front of medians would change with every measurement of settings with
-equal costs. Unequal errors that differ by less than the uncertainty of the reference are not distinguished.
+on the front in one measurement and beaten in the other. A front of medians would change with every measurement of
+settings with equal costs. Unequal errors that differ by less than the uncertainty of the reference are not
+distinguished.
 """
 
 from __future__ import annotations
@@ -255,7 +256,7 @@ def _longer(step: float) -> str:
 
 
 def scales_steps(scene: Scene) -> bool:
-    """Return whether a factor on the limits of the step is one on every step.
+    """Return whether a factor on the limits of the step scales every step.
 
     It is not if the integrator chooses its steps by its own error, or if bodies held by contacts have an automatic
     limit of their own, for which there is no key.
@@ -285,7 +286,7 @@ class SettingResult:
     spent: float = 0.0  # s of CPU time at which the run was stopped
     followed: float = 0.0  # s, the time of the run that measured the errors; 0 if it is not known
     digest: str = ""  # of its trajectory
-    same_as: str = ""  # the name of an earlier setting with the same run, bit for bit, whose costs are these
+    same_as: str = ""  # the name of an earlier setting with the same run, bit for bit, and therefore the same costs
 
     @property
     def cost(self) -> float:

@@ -467,11 +467,11 @@ class Study:
                 return
 
     def _join(self, result: SettingResult, other: SettingResult) -> None:
-        """Let a setting share the costs of another one with the same run."""
+        """Let a setting share the costs of another setting with the same run."""
         result.same_as, result.costs = other.setting.name, other.costs
 
     def _cost(self, result: SettingResult) -> float:
-        """Run a setting once without recording; return its time in s, including that of a look-ahead.
+        """Run a setting once without recording; return its time in s, including the time of a look-ahead.
 
         On one thread that is CPU time, which other programs on the machine hardly change.
         """

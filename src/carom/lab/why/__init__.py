@@ -170,7 +170,7 @@ def _print(answer: Answer, names: Names, units: UnitSystem, file: Path, oldest: 
         say(line)
     say(f"From t = {units.text(answer.begin, TIME, '.9g')} on, {answer.source}.")
     if answer.engine:
-        also = ", without that of its uniform field," if answer.knows_field else ""
+        also = ", without the part of its uniform field," if answer.knows_field else ""
         say(f"{_OF_ENGINE}{also} is due to forces, or to contacts that the engine does not report.")
     if answer.begin_step > oldest:
         say("Earlier causes were not examined; --from 0 goes back to the beginning.")

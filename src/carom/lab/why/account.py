@@ -20,7 +20,7 @@ class Cause:
     A stop is like an impact, but of a contact that closed no faster than its rest speed (docs/physics.md, 9).
     """
 
-    partner: int  # the other end; numbers from n on are planes and walls
+    partner: int  # the end that touches the body; numbers from n on are planes and walls
     holds: bool  # whether it is a contact at rest
     first: float  # s
     last: float  # s; equal to `first` for an impact
@@ -65,7 +65,7 @@ class Cause:
 class Account:
     """The sources of a body's velocity since the beginning of a window.
 
-    velocity = start_velocity + by_contacts + by_forces, up to rounding. Shares are those of `Cone`: start_share +
+    velocity = start_velocity + by_contacts + by_forces, up to rounding. Shares are defined by `Cone`: start_share +
     forces_share + Σ share of the causes = 1.
     """
 
@@ -109,7 +109,7 @@ class Account:
         return sorted(self.causes, key=lambda cause: -(cause.size if self.rests else cause.share))
 
     def share_of(self, *kinds: str) -> float:
-        """Return the share of the velocity from causes of these kinds."""
+        """Return the share of the velocity that causes of the given kinds contribute."""
         return sum(cause.share for cause in self.causes if cause.kind in kinds)
 
     def take(
@@ -129,7 +129,7 @@ class Account:
         it so far. ``kicks`` are the body's changes of velocity by forces, (3,) m/s each. ``impacts`` and ``contacts``
         are the `CONTACT_ROW` of the step, but the beginning of a step has no contacts.
         """
-        self._lost, self._before = {}, step.before_step  # losses of all contacts less those of impacts
+        self._lost, self._before = {}, step.before_step  # losses of all contacts less the losses of impacts
         for some, sign in ((contacts, 1.0), (impacts, -1.0)) if len(contacts) else ():
             for row in some[_acts_on(self.body, some)]:
                 self._lost[self._other(row)] = self._lost.get(self._other(row), 0.0) + sign * _loss(row)

@@ -11,7 +11,7 @@ body itself carries all of it. Going back in time, the share that a body carries
   the magnitudes of their components along e, |v⁻·e| : |J₁·e|/m : |J₂·e|/m … If the impacts stop the body, the whole
   magnitudes count.
 
-A sum over many short steps converges, so shares depend on the step no more than the motion does. Impacts of other
+A sum over many short steps converges, so shares depend on the step as little as the motion. Impacts of other
 engines last for some steps, so their shares are divided like the shares of forces. A share contributed by forces has
 reached its cause. A share that reaches a contact is divided between the two ends, in proportion to their speeds along
 the impulse before the impact: these speeds cause the impulse. If several bodies touch in an instant, a share may also
@@ -384,7 +384,7 @@ def components(vectors: FloatArray, along: FloatArray) -> FloatArray:
 
 
 def _groups(keys: FloatArray | IntArray) -> list[slice]:
-    """Return the runs of equal keys, the last one first."""
+    """Return the runs of equal keys, last run first."""
     begins = [0, *(1 + np.flatnonzero(np.diff(keys))).tolist(), len(keys)]
     return [slice(*ends) for ends in pairwise(begins) if len(keys)][::-1]
 

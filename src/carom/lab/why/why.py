@@ -115,7 +115,7 @@ def why(
 
 
 def answer_from(question: Question, histories: Iterable[History], mass: FloatArray) -> Answer:
-    """Answer a question from windows, the latest first; the first one contains the moment. Masses are (n,) kg."""
+    """Answer a question from windows, latest first; the first window contains the moment. Masses are (n,) kg."""
     windows = iter(histories)
     back = _Backwards(question, next(windows), mass)
     for history in windows:

@@ -277,7 +277,7 @@ class ImpactStore:
         """Return the impacts in order of time, at most `MOST_IMPACTS`."""
         if self._count > MOST_IMPACTS:
             self._leave_out()
-        if len(self._pieces) < 2:  # to join them takes 7 µs, of 60 of a frame of few bodies
+        if len(self._pieces) < 2:  # to join them takes 7 of the 60 µs for a frame of few bodies
             return self._pieces[0] if self._pieces else NO_ROWS
         return joined(self._pieces, CONTACT_ROW)
 
@@ -289,7 +289,7 @@ class ImpactStore:
         self._pieces, self._count = [picked(rows, kept)], len(kept)
 
 
-# The kernels below unpack their tuples once: passing a tuple to an inlined function counts references to all its
+# The kernels below unpack their tuples once: to pass a tuple to an inlined function, Numba counts references to all its
 # arrays, which takes 400 ns a row.
 
 
@@ -327,7 +327,7 @@ def _merge(
     """Write a row for each pair that was held, met in the drift, touches or exerted an impulse; return their number.
 
     ``impacts`` are rows of impacts during the drift, sorted by pair, the hardest of each pair first. Rows that do not
-    fit are counted, and overwrite the last one.
+    fit are counted, and overwrite the last row.
     """
     held_pairs, held_place, held_contacts, terms = held
     pairs, place, contacts, states, recorded = resolved

@@ -50,8 +50,8 @@ def height_above(normal: FloatArray, offset: FloatArray, plane: int, x: float, y
 def are_near(dx: float, dy: float, dz: float, radii: float, box: Vector, scale: float, skin: float) -> bool:
     """Return whether two spheres are no farther apart than ``radii scale + skin``; all searches use this test.
 
-    ``radii`` is the sum of the radii, (dx, dy, dz) points from one centre to the other, and a box is that of `sizes`;
-    all are in m.
+    ``radii`` is the sum of the radii, (dx, dy, dz) points from one centre to the other, and a box is the result of
+    `sizes`; all are in m.
     """
     dx, dy, dz = nearest_image(dx, dy, dz, box)
     limit = radii * scale + skin

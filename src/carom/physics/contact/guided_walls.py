@@ -6,12 +6,13 @@ N, and the effective mass of friction does not contain M,
 
     Δu = J·N / M,    K_n = 1/m + 1/M,    K_t = 1/m + ρ²/I
 
-The correction of overlaps moves it, too. Its load and its motion are a part of the model that can be removed, such as
-that of a piston (`piston_motion`): the part returns a `solids.GuidedPlane` for a scene, whose motion extends
-`WallTranslation`. Records of bodies have the fields of a guide only in scenes with such a plane; see `moving_walls`.
+The correction of overlaps moves it, too. Its load and its motion are an optional part, such as the piston's
+(`piston_motion`): the part returns a `solids.GuidedPlane` for a scene, whose motion extends `WallTranslation`. Records
+of bodies have the fields of a guide only in scenes with such a plane; see `moving_walls`.
 
-**Impacts during a drift.** As for bodies, the velocity u of the drift is that of the middle of the step, and the path
-bends with the acceleration a between contacts. A time τ into a drift of dt, such a plane is displaced along N by
+**Impacts during a drift.** As for bodies, the velocity u of the drift is the velocity in the middle of the step, and
+the path bends with the acceleration a between contacts. A time τ into a drift of dt, such a plane is displaced along N
+by
 
     r(τ) = r₀ + u τ - ½ a τ (dt - τ)
 
@@ -96,7 +97,7 @@ def along_guide(body: object, Jx: float, Jy: float, Jz: float) -> Vector:
 
 @with_field("axis_x", lambda Kn, a, b: Kn if b.axis_x == b.axis_y == b.axis_z == 0.0 else a.inverse_mass, place=2)
 def tangent_inverse_mass(Kn: float, a: object, b: object) -> float:
-    """Return the inverse effective mass (1/kg) of a tangential impulse without spins, given that of a normal one."""
+    """Return the inverse effective mass (1/kg) of a tangential impulse without spins, given the normal one's."""
     return Kn
 
 

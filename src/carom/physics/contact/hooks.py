@@ -46,7 +46,7 @@ class PresentStep:
     before: float = 0.0  # s, the time at which it begins
     time: float = 0.0  # s, the time at which it ends
     dt: float = 0.0  # s
-    drift: float = 0.0  # s, the present drift; steps of some integrators have several
+    drift: float = 0.0  # s, the present drift; some integrators have several drifts in a step
     kick: float = 0.0  # s, the kick before the drift; after the first kick, the contacts of the last step are held
     booked: float = 0.0  # s, the part of the drift for which the work of the forces is booked by then
     last_kick: float = 0.0  # s, the kick after it
@@ -111,7 +111,7 @@ class OptionalPart:
         return np.inf
 
     def is_busy(self) -> bool:
-        """Whether the next step differs from one without this part, or the last one did."""
+        """Whether the next or the last step differs from a step without this part."""
         return False
 
     def support(self, by_solver: FloatArray) -> FloatArray:
@@ -165,14 +165,14 @@ class OptionalPart:
         """Move what is not a body to the end of the step, and bodies to where they can be."""
 
     def search(self, step: PresentStep, others: Callable[[PresentStep], IntArray]) -> IntArray:
-        """Return the pairs that are contacts, (m, 2), among those that the search of ``others`` returns."""
+        """Return the pairs that are contacts, (m, 2), among the pairs that the search of ``others`` returns."""
         return others(step)
 
     def restarted(self) -> None:
         """Keep records of held contacts: the solver will overwrite them."""
 
     def load(self, dt: float) -> None:
-        """Raise the speeds up to which contacts count as at rest in a step of dt seconds."""
+        """Raise the speeds up to which contacts are at rest in a step of dt seconds."""
 
     def corrected(self, step: PresentStep) -> None:
         """Note that overlaps are corrected."""

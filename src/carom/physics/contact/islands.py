@@ -1,11 +1,11 @@
 """Load speeds: how fast a contact at rest may close in a step, whatever its direction.
 
 A contact at rest closes no faster than the acceleration of gravity can make it in one step. The bodies of an island
-share its load, so the largest acceleration of the whole island counts: in the middle of a pile nothing accelerates, but
-the load is greatest. An island is a connected component of the collision graph without fixed ends; other islands have
-no influence. The uniform field is subtracted, since it accelerates all bodies alike, unless something is fixed and does
-not fall. Without gravity, the speed is 0, and every contact is an impact. The rest speed of a
-contact, its restitution threshold, is at most its load speed (`loads`).
+share its load, so the largest acceleration of the whole island decides: in the middle of a pile nothing accelerates,
+but the load is greatest. An island is a connected component of the collision graph without fixed ends; other islands
+have no influence. The uniform field is subtracted, since it accelerates all bodies alike, unless something is fixed and
+does not fall. Without gravity, the speed is 0, and every contact is an impact. The rest speed of a contact, its
+restitution threshold, is at most its load speed (`loads`).
 
 Islands are found by union-find: each island is a tree whose root is its lowest body (Galler & Fischer 1964).
 """
@@ -145,7 +145,7 @@ IslandTables = tuple[IntArray, FloatArray, BoolArray]
 
 @unowned
 def write_load_speeds(system: ConstraintSystem, field: FloatArray, dt: float, tables: IslandTables) -> bool:
-    """Write the load speed of each contact as `Islands` does."""
+    """Write the load speed of each contact; see `Islands`."""
     pairs, active, inverse_mass = system.pairs, system.active, system.inverse_mass
     parent, largest, flags = tables
     flags[UNEQUAL] = flags[PRESSES] = False

@@ -13,8 +13,8 @@ carry in the direction of the normal: in a pile, where nothing accelerates, a bo
 back by the others. Marbles side by side on a floor carry a load, but none along their common normal, so they bounce at
 any speed.
 
-The rest speed is `PER_STEP` A dt, and at most the load speed of the island (`islands`): no load makes a body faster
-than the largest acceleration does.
+The rest speed is `PER_STEP` A dt, and at most the load speed of the island (`islands`): no load accelerates a body more
+than the largest acceleration.
 """
 
 from __future__ import annotations

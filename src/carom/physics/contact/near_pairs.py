@@ -7,7 +7,7 @@ next step, and a pile would never come to rest: 300 bodies kept 5 × 10⁻⁴ of
 A list of pairs avoids most searches (Verlet 1967). It is made anew only when bodies have moved far enough, and contains
 all pairs within the search distance, and pairs farther apart by at most a margin. Two bodies that have each moved by at
 most d since then have come closer by at most 2d. As long as 2d is within the margin, the list holds all pairs within
-the search distance. The listed pairs pass the same exact test, in the same order, so the result equals that of a
+the search distance. The listed pairs pass the same exact test, in the same order, so the result equals the result of a
 search. A search for shorter distances has the difference as a margin, too: a step whose drift searches farther finds
 its contacts in the same list, however fast bodies are.
 
@@ -42,7 +42,7 @@ from carom.physics.vector import between, is_periodic, minimum_image, sizes, vec
 from carom.scene.schema import ContactSettings
 from carom.scene.start import HalfSpaces
 
-ROUNDING = 4  # units in the last place of the largest coordinate; a smaller gap counts as a contact
+ROUNDING = 4  # units in the last place of the largest coordinate; pairs with a smaller gap touch
 LARGEST_SKIN = 0.1  # of the smallest radius
 MIN_BODIES_PER_TASK = 4000  # about 10 µs of work
 SQUARE, COORDINATE = range(2)  # indices into the array of largest values

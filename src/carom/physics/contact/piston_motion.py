@@ -140,7 +140,7 @@ class PistonMotion(WallTranslation):
         self._write()
 
     def push(self, distance: float) -> None:
-        """Move the piston by a distance along its normal (m), as the correction of overlaps does."""
+        """Move the piston by a distance along its normal (m), for the correction of overlaps."""
         self.state[0] += distance
         self._write()
 

@@ -5,7 +5,7 @@ plane. The same may happen to a body with more impacts than a drift resolves, or
 moves away from a much larger one. If the centre of a body was in front of a plane when the step began and is now behind
 it, the body is moved back along the straight line between both positions, to where it first touches a plane. The region
 in front of all planes is convex, so this position is in front of each of them, also in a corner. The impact follows at
-the end of the step, like any other.
+the end of the step, like any other impact.
 
 The potential of the body changes by -m a·Δx, which is booked as stabilisation, as for a position correction.
 """

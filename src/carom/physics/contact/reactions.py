@@ -77,10 +77,10 @@ class ImpactTurns:
     def take_from(
         self, torque: FloatArray, angular_acceleration: FloatArray, dt: float, spin: FloatArray, inertia: FloatArray
     ) -> None:
-        """Leave only the torques of contacts that last in those of a step of dt s, which has the impacts, in place.
+        """Remove the torques of the impacts from the torques of a step of dt s, in place; contacts that last remain.
 
-        The remaining change of a body's spin is 0 within the rounding of its impacts. ``spin``, (n, 3) rad/s, is
-        that after the step.
+        The remaining change of a body's spin is 0 within the rounding of its impacts. ``spin``, (n, 3) rad/s, is the
+        spin after the step.
         """
         struck = np.flatnonzero(self.count)
         whole = dt * torque[struck]

@@ -42,7 +42,7 @@ class ContactSnapshot:
     graph: CollisionGraph
     approach: FloatArray  # (m,) m/s, closing speed before the impulses; the largest of several
     rest_speed: FloatArray  # (m,) m/s, closing speed up to which a contact is at rest
-    impacts: int  # number of contacts that closed faster; a pair may count more than once
+    impacts: int  # number of contacts that closed faster; a pair may be among them more than once
     _order: IntArray | None = None  # (l,) order of contacts and impacts by pair; None without impacts
     _first: IntArray | None = None  # (m,) index of each pair's first entry in that order
 
@@ -146,7 +146,7 @@ class SnapshotSource:
         self._impacts = NO_IMPACTS
 
     def set_step(self, contacts: OrderedContacts, idle: IdleContacts | None, impacts: Impacts, dt: float) -> None:
-        """Set the contacts at the end of a step of dt s, those of no solver, and the impacts during the drift."""
+        """Set the contacts at the end of a step of dt s, contacts without a solver, and the impacts of the drift."""
         self._contacts, self._idle, self._impacts, self._dt = contacts, idle, impacts, dt
         self._snapshot = None
 

@@ -49,7 +49,7 @@ class ContactStatistics(NamedTuple):
     work: FloatArray  # (k, 3) J, the ledger, summed over blocks of contacts
     contacts: int
     impacts: int  # every impact during the drift; at the end of the step, contacts faster than the rest speed
-    struck: float  # J, Σ ½ μ v_n² of these impacts
+    struck: float  # J, Σ ½ μ v_n² of the counted impacts
     hardest: float  # J, energy of the hardest impact; 0 without impacts
     hardest_pair: tuple[int, int]  # ends of the hardest impact, the first of equally hard ones
     deepest: float  # overlap / smaller radius
@@ -100,7 +100,7 @@ class ContactStatistics(NamedTuple):
         states: RecordArray[ContactStateRecord],
         inverse_mass: FloatArray,
     ) -> ContactStatistics:
-        """Add the impacts during the drift of a step; a pair counts as one contact, with its hardest impact.
+        """Add the impacts during the drift of a step; a pair is one contact, with its hardest impact.
 
         These statistics describe the contacts at the end of the step, whose arrays are as in `ConstraintSystem`.
         """

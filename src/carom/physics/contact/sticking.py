@@ -33,7 +33,7 @@ class SlidingContacts(NamedTuple):
 
 
 def time_to_stick(held: SlidingContacts, ends: Ends, dt: float, tolerance: float) -> float:
-    """Return the time (s) until a contact stops to slide, roll or twist; infinite if none does.
+    """Return the time (s) until a contact stops sliding, rolling or twisting; infinite if no contact stops.
 
     Parameters
     ----------

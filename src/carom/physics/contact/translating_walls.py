@@ -173,7 +173,7 @@ class WallTranslation:
         return np.inf
 
     def push(self, distance: float) -> None:
-        """Move the wall that contacts move by a distance along its normal (m), as the correction of overlaps does."""
+        """Move the wall that contacts move by a distance along its normal (m), for the correction of overlaps."""
 
     def settle(self) -> float:
         """Note the velocity that contacts give a wall in the step; return the wall's work on the bodies in J."""

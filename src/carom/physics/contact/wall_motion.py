@@ -104,7 +104,7 @@ class MovingWalls(OptionalPart):
             self._translation.arrive(step.time)
 
     def corrected(self, step: PresentStep) -> None:
-        """Push a guided wall as far as the correction of overlaps did."""
+        """Push a guided wall by the distance of the correction of overlaps."""
         if self._translation:
             self._translation.push(step.pushed)
 

@@ -55,9 +55,9 @@ WRONG = (
 
 # Fraction of the energy of an impact, ½ μ v_n². Both sides follow from one closing speed, so they differ by rounding.
 ROUNDED = 1e-9
-# Fraction of the magnitudes of the works of both kicks of a step, which cancel for friction that holds. The remainder
-# is of the order of the angle by which normals and loads turn in a step, at most 0.2. A work of first order in the step
-# does not cancel at all.
+# Fraction of the magnitudes of the works in both kicks of a step; these works cancel for friction that holds. The
+# remainder is of the order of the angle by which normals and loads turn in a step, at most 0.2. A work of first order
+# in the step does not cancel at all.
 CANCELLED = 0.25
 LARGEST_TURN = 0.2  # of a normal in a step; islands that turn further are not judged
 ALIKE = 0.1  # of the length of a kick; with drag, both kicks of a step differ, and the works cancel nevertheless

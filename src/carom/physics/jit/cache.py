@@ -291,7 +291,7 @@ def _may_be_compiled(file: Path) -> bool:
 def imports_of(file: Path, package: str) -> tuple[Path, ...]:
     """Return the files of a package and of carom that a file may import.
 
-    ``from carom import registry`` counts as an import of the module only: `carom` itself imports nearly everything.
+    ``from carom import registry`` is an import of the module only: `carom` itself imports nearly everything.
     """
     text, among = _text(file), (package, "carom")
     files = {_file_of(name, among) for line in _IMPORT.findall(text) for name in re.findall(r"[\w.]+", line)}

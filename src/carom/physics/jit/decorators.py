@@ -63,8 +63,8 @@ def unowned(function: Function) -> Function:
     """Compile a function like `inner` that neither creates nor stores arrays, without counting references to them.
 
     Kernels that it calls must not create arrays either: if they are not yet compiled, Numba compiles them without
-    counts, too. The counts are atomic. In a short function that passes on the arrays of a tuple, they take most of the
-    time.
+    counts, too. The counts of references are atomic. In a short function that passes on the arrays of a tuple, they
+    take most of the time.
     """
     return _compiled(function, no_cpython_wrapper=True, _nrt=False)
 
@@ -72,7 +72,7 @@ def unowned(function: Function) -> Function:
 def borrowing(function: Function) -> Function:
     """Compile a function like `unowned` that Python calls, too. It releases the interpreter lock.
 
-    Without the counts, it is called faster and compiled in less time.
+    Without counts of references, a kernel is called faster and compiled in less time.
     """
     return _compiled(function, nogil=True, _nrt=False)
 

@@ -96,7 +96,7 @@ def layout_digest(record: Any) -> str:
 
 
 def _number_functions() -> None:
-    """Begin to number the functions that this process compiles where no other process does."""
+    """Begin to number the functions that this process compiles from a number that no other process uses."""
     bytecode.FunctionIdentity._unique_ids = itertools.count(int.from_bytes(os.urandom(RANDOM_BYTES), "little"))
 
 

@@ -42,13 +42,13 @@ class Code:
         return self.element_of(self.kinds[name], self.values[name], *indices)
 
     def element_of(self, kind: Any, array: Any, *indices: Any) -> Any:
-        """Return the address of an element of an array of some type."""
+        """Return the address of an element of an array, given the array's type."""
         places = [WORD(index) if isinstance(index, int) else index for index in indices]
         view = self.context.make_array(kind)(self.context, self.builder, array)
         return cgutils.get_item_pointer(self.context, self.builder, kind, view, places)
 
     def length_of(self, kind: Any, array: Any) -> Any:
-        """Return the number of rows of an array of some type."""
+        """Return the number of rows of an array, given the array's type."""
         return self.builder.extract_value(self.context.make_array(kind)(self.context, self.builder, array).shape, 0)
 
     def load(self, address: Any, offset: int = 0) -> Any:

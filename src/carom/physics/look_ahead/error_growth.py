@@ -27,7 +27,7 @@ TRIED = 3  # required comparisons: one or two may be small by chance (see above)
 LATEST = 4  # number of latest comparisons in use
 # sufficient fraction of the longest time for which the accuracy can be kept, unless that is the whole run
 NEARLY = 0.95
-FALLING = 0.82  # largest ratio between successive distances that still counts as a reduction
+FALLING = 0.82  # largest ratio between successive distances that is a reduction
 APART = 1e-2  # of the size; above it, twins no longer diverge exponentially
 EPS = float(np.finfo(np.float64).eps)
 MOST_GROWTH = 600.0  # of the logarithm of the distance, so that the distance stays finite

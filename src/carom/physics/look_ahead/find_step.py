@@ -80,7 +80,7 @@ SAMPLES_OF_ORBITS = 16  # samples, each of which takes a corrector and its inver
 MARGIN = 3.0  # expected error over the extrapolated one; with 2, an event in a step exceeded it by a factor of 1.4
 MOST_IDLE = 5  # successive trial runs with shorter steps that hardly change the distance, see `stays`
 # Consecutive comparisons that show that shorter steps would hardly extend a promise; one of them may be chance.
-# Comparisons do not count while no promise is kept, since the steps may be too long to judge.
+# Comparisons are ignored while no promise is kept, since the steps may be too long to judge.
 MOST_ENOUGH = 2
 # initial displacement of the twin, relative to the size of the system; larger than the rounding of many steps
 DISPLACEMENT = 1e-11

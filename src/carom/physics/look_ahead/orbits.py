@@ -25,8 +25,8 @@ from carom.scene.start import InitialBodies
 ROUGH = 1e-3  # smallest accuracy for coarse steps; refinements of at least 0.63 resolve the innermost orbit
 COMPARED_ROUGHLY = (0.7, 0.85)  # refinements; between them and 1, the error falls faster than the second order
 COMPARED = (1.0, 1.2)
-# Factor on the extrapolated error. In single systems, the error is up to 9 times that of a second-order term, because
-# it has terms of higher order and either sign.
+# Factor on the extrapolated error. In single systems, the error is up to 9 times a second-order term, because it has
+# terms of higher order and either sign.
 UNEVEN = 4.0
 CHEAP = (0.7, 1.0, 2.0)  # refinements that cost less than gauss-radau15
 STEPS_AT_ONCE = 1000  # steps between two checks of the budget

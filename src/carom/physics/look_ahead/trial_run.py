@@ -1,9 +1,9 @@
 """A trial run, which advances only as far as positions are requested and its share of the budget lasts.
 
-The budget counts work, not time, so a promise has the same bits on any machine. Work is in nominal seconds: the steps,
-iterations, held contacts and impacts of the trial runs, times their costs measured on one core of docs/performance.md.
-On another or a busy machine the actual time is longer, but the trial runs end at the same step. A budget of actual time
-would give a scene different steps on fast and slow machines.
+The budget is an amount of work, not of time, so a promise has the same bits on any machine. Work is in nominal seconds:
+the steps, iterations, held contacts and impacts of the trial runs, times their costs measured on one core of
+docs/performance.md. On another or a busy machine the actual time is longer, but the trial runs end at the same step. A
+budget of actual time would give a scene different steps on fast and slow machines.
 """
 
 from __future__ import annotations

@@ -110,7 +110,7 @@ def _arrange(
         scale = math.sqrt(3.0 * n / float(np.sum(square)))
         for axis in "xyz":
             own[f"v{axis}"] *= scale
-        # list the neighbours of each sphere; those of i are ``others[ends[i]:ends[i + 1]]``
+        # list the neighbours of each sphere; sphere i has ``others[ends[i]:ends[i + 1]]``
         reach = sphere["radius"] + span * sphere["growth"] + sphere["skin"]
         pairs = HierarchicalGrid(reach, box).pairs(np.stack([sphere[axis] for axis in "xyz"], axis=1))
         pairs = pairs[pairs[:, 0] < n]

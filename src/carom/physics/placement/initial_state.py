@@ -322,7 +322,7 @@ def refuse_overflow(start: InitialBodies) -> None:
 
 
 def refuse_overlaps(scene: Scene, start: InitialBodies, box: FloatArray | None) -> None:
-    """Refuse overlapping bodies; overlaps due to positions rounded to seven digits count as touching."""
+    """Refuse overlapping bodies; bodies that overlap because positions were rounded to seven digits touch."""
     pairs = overlapping_pairs(start.position, start.radius, box)
     if len(pairs) == 0:
         return

@@ -27,7 +27,7 @@ ROUNDING = 1e-12  # of the size of a region
 
 
 class Arrange(Protocol):
-    """Finds centres at which the spheres of some groups overlap nothing."""
+    """Finds centres at which the spheres of groups overlap nothing."""
 
     def __call__(
         self,
@@ -51,7 +51,7 @@ class Arrangement(NamedTuple):
     """An arrangement of groups, listed in `carom.registry` under its name in scenes."""
 
     arrange: Arrange
-    fullest: Callable[[FloatArray], float]  # largest packing of spheres of some radii, (n,); inf if unknown
+    fullest: Callable[[FloatArray], float]  # largest packing of spheres with given radii, (n,); inf if unknown
     limit: str = ""  # beginning of the message that names this packing
 
 

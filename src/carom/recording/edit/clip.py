@@ -188,7 +188,7 @@ def clip(
     bodies: Sequence[int] | None = None,
     exact: bool = True,
 ) -> Clip:
-    """Cut the frames of an interval of simulated time out of a recording.
+    """Cut the frames between two simulated times out of a recording.
 
     Both times (s) are included. An existing file is replaced when the clip is complete. ``bodies`` are the numbers of
     the bodies to show; None shows all. Exact states and fingerprints describe all bodies, so a clip of a few bodies can

@@ -61,7 +61,7 @@ class Place:
 
 
 def place_legend(legends: Sequence[str], curves: Sequence[CurveOutline], plot: Area) -> Place:
-    """Choose the corner of a legend, given its lines, and the range of the axis of a plot of this area."""
+    """Choose the corner of a legend with these lines, and the range of the axis, for a plot with this area."""
     low, high = _union(curves)
     if not high >= low:
         return Place(rrb.Corner2D.LeftTop, None)

@@ -159,7 +159,7 @@ class RecordedData(Statics):
         n = len(self.shown) if self.is_partial else n
         names, groups = decode_names(stored), np.asarray(stored["group"])
         if len(names) != n or groups.shape != (n,) or groups.dtype != np.int64:
-            raise DamageError(f"names or groups of its bodies are not those of {n} bodies")
+            raise DamageError(f"names or groups of its bodies do not fit {n} bodies")
         sizes = {name: np.asarray(stored[name]) for name in ("mass", "radius", "inertia")}
         for name, array in sizes.items():
             if array.shape != (n,) or array.dtype != np.float64 or not np.all((array >= 0.0) & np.isfinite(array)):

@@ -298,7 +298,7 @@ def decode_names(stored: Stored) -> Sequence[str]:
     counts, firsts = np.asarray(stored[_COUNT]), np.asarray(stored.get(_FIRST))
     whole = (len(texts),)
     if any(array.shape != whole or array.dtype != np.int64 or np.any(array < 0) for array in (counts, firsts)):
-        raise DamageError("names of its bodies do not have one number each")
+        raise DamageError("the names of its bodies do not have one number each")
     parts, own = list[Sequence[str]](), list[str]()
     for text, count, first in zip(texts, counts.tolist(), firsts.tolist(), strict=True):
         if count == 0:

@@ -46,7 +46,7 @@ def about_document(header: Header, clock: TimeScale) -> str:
         f"This file is a recording by {carom}, a flight recorder for colliding spheres. It has {header.bodies} rigid "
         f"{'sphere' if header.bodies == 1 else 'spheres'}, with their contacts, impacts and energies. {source}\n",
         "## Look at it\n",
-        "- In Rerun alone: `rerun FILE.rrd`. Click a line of Events to go there; the hardest impact has one. Rerun's "
+        "- In Rerun alone: `rerun FILE.rrd`. Click a line of Events to go to its time. Rerun's "
         "layouts cannot place the cursor of time, so the file opens at its beginning.",
         "- With carom: `pip install .` in a copy of its repository, then `carom view FILE.rrd`, which pauses at the "
         f"most telling moment and draws a close-up, `carom inspect`, `carom contacts`, `carom export`{replayed}",

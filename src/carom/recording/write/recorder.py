@@ -35,8 +35,8 @@ from carom.recording.write.whole_file import name_until_whole
 from carom.state.frame import Frame
 
 # A bounded queue from the physics thread to the recorder, read in batches. The reader sleeps until a batch is full or
-# due. `queue.Queue` would wake the reader for every frame, to take the interpreter lock from the physics. That costs a
-# tenth of the time of a run of 1000 bodies (benchmarks/recording.py).
+# due. `queue.Queue` would wake the reader for every frame, to take the interpreter lock from the physics. Waiting for
+# the lock costs a tenth of the time of a run with 1000 bodies (benchmarks/recording.py).
 
 _Item = TypeVar("_Item")
 

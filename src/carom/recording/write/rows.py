@@ -100,7 +100,7 @@ class Index(NamedTuple):
     steps: IntArray  # empty for rows within a step, and for rows on the timeline of impacts only
     times: FloatArray  # s
     impacts: IntArray = NO_STEPS  # numbers of impacts, where the rows are on their timeline
-    # s, for rows within a step: times of the next frames, before whose nanosecond the rows must lie
+    # s, for rows within a step: times of the next frames; each row must lie at least a nanosecond before its frame
     ends: FloatArray = NO_TIMES
 
     @classmethod

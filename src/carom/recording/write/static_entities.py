@@ -30,7 +30,7 @@ _THICKNESS = {  # of arrows, in median body radii; of two parallel ones, the sho
 }
 _EDGE_POINTS = 2.5  # width of a contact's line in points of the screen
 _TRANSLUCENT = 0x8A93A638  # walls in front of bodies
-_SECTORS, _SHADE = 16, 0x505050FF  # of walls that rotate
+_SECTORS, _SHADE = 16, 0x505050FF  # sectors and colour of their shade, on walls that rotate
 _PLANE_REACH = 1.5  # half-width of a plane's grid, in units of `reach`
 _MESH_RINGS = 8  # from pole to pole; enough for one sphere among thousands to look round
 

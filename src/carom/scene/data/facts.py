@@ -30,7 +30,7 @@ _OVER = re.compile(r"([^/]+?)\s*/\s*\(?([^()]+?)\)?")  # "x/m" and "v/(m/s)", as
 _INDEX = re.compile(r"[\s_:.\[(-]+([012])[\])]?\Z")  # of a component: "Points:0", "v_2", "velocity[1]"
 _SEPARATORS = re.compile(r"[\s_.:-]+")
 _NO_UNIT = ("", "1", "-", "none", "dimensionless", "unitless")  # texts in the place of a unit
-# Units at the end of a name, and their spellings. Others are words, too: "radius_in" is an inner radius.
+# Units at the end of a name, and their spellings. Other abbreviations are also words: "radius_in" is an inner radius.
 _SUFFIXES = {
     **{name: name for name in ("m", "cm", "mm", "um", "nm", "km", "au", "AU", "pc", "kpc", "Mpc", "kg", "g")},
     **{name: name for name in ("s", "sec", "ms", "us", "ns", "day", "days", "yr", "kyr", "Myr", "Gyr")},
@@ -244,7 +244,7 @@ def refuse_other_units(called: str, facts: Facts, units: UnitSystem, read: Itera
     other = next((each for each in read if not units.agrees(its, each)), None)
     if other is not None:
         named = ", ".join(f'{each.plain} = "{its.given[each.plain]}"' for each in OWN)
-        scene = "those of the scene in SI" if units.is_si else f"the scene has {other.name} in {units.unit(other)}"
+        scene = "the scene has SI units" if units.is_si else f"the scene has {other.name} in {units.unit(other)}"
         raise SceneError(
             f"{called}: its numbers are in {its.named}, and {scene}; write units = "
             f'"{its.named}" at the top of the scene, or [units] with {named}'
@@ -258,10 +258,10 @@ def contradiction(facts: Facts, other_called: str, other: Facts) -> str:
         ("centre", facts.centre, other.centre, "write both relative to one body (for Horizons, CENTER)"),
     ):
         if mine and its and mine.casefold() != its.casefold():
-            return f"its {what} is {mine}, and that of {other_called} is {its}; {remedy}"
+            return f"its {what} is {mine}, but {its} in {other_called}; {remedy}"
     if facts.epoch is not None and other.epoch is not None and abs(facts.epoch - other.epoch) > _SAME_EPOCH:
         return (
-            f"its epoch is JD {facts.epoch:.10g}, and that of {other_called} is JD {other.epoch:.10g}; choose the "
+            f"its epoch is JD {facts.epoch:.10g}, and the epoch of {other_called} is JD {other.epoch:.10g}; choose the "
             f"snapshot of that epoch, or move orbital elements to it with orbit = {{ …, epoch = {other.epoch:.10g} }}"
         )
     return ""

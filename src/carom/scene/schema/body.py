@@ -41,7 +41,7 @@ class Matter(Section):
     inertia_factor: Positive | None = Field(
         None,
         le=2 / 3,
-        description="moment of inertia over m r²; by default 2/5, that of a solid sphere; 2/3 for a thin shell",
+        description="moment of inertia over m r²; by default 2/5, as for a solid sphere; 2/3 for a thin shell",
     )
     material: str | None = Field(
         None, description="name of a [[material]], which may define the density and the inertia_factor"
@@ -130,7 +130,7 @@ class KeplerianOrbits(Section):
         "default that of the file",
     )
     angle: Literal["deg", "rad"] | None = Field(
-        None, description="unit of the angles; by default that of the file or of [units], else degrees"
+        None, description="unit of the angles; by default the unit of the file or of [units], else degrees"
     )
 
     @model_validator(mode="after")
@@ -149,7 +149,7 @@ class Missing(Section):
     )
     density: Annotated[Positive, DENSITY] | None = Field(None, description="kg/m³, of bodies without a density")
     leave_out: Annotated[bool, Field(strict=True)] = Field(
-        False, description="true: leave out the rows without a position, such as those of bodies that have merged"
+        False, description="true: leave out rows without a position, such as rows of bodies that have merged"
     )
 
 
@@ -182,7 +182,7 @@ class BodyData(Matter):
         "positions",
     )
     origin: Annotated[Vector, LENGTH] | None = Field(
-        None, description="m, [x, y, z] in the file of the point that is the origin of the scene"
+        None, description="m, the point [x, y, z] of the file that becomes the origin of the scene"
     )
     radius: Annotated[Positive, LENGTH] | None = Field(
         None, description="m, of all bodies, instead of a column; more than 0"

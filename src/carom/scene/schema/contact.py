@@ -149,14 +149,14 @@ class Surface(Section):
     """Coefficients of the contact law, each of which may be missing."""
 
     restitution: AnyReal | None = Field(
-        None, ge=0, le=1, description="rebound speed over approach speed, from 0 to 1; by default that of [contact]"
+        None, ge=0, le=1, description="rebound speed over approach speed, from 0 to 1; by default as in [contact]"
     )
     static_friction: Friction | None = Field(
-        None, description="Coulomb coefficient of a sticking contact; by default that of [contact]"
+        None, description="Coulomb coefficient of a sticking contact; by default as in [contact]"
     )
     kinetic_friction: Friction | None = Field(
         None,
-        description="Coulomb coefficient of a sliding contact, at most static_friction; by default that of [contact]",
+        description="Coulomb coefficient of a sliding contact, at most static_friction; by default as in [contact]",
     )
 
     @model_validator(mode="after")
@@ -278,7 +278,7 @@ class ContactSettings(Section):
     )
     solver: Literal["lasting", "staged"] = Field(
         "lasting",
-        description="solver of resting contacts: with impulses that start from those of the previous step (lasting) "
+        description="solver of resting contacts: with impulses that start from the previous step (lasting) "
         "or from 0 (staged)",
     )
     colouring: Literal["contacts", "bodies"] = Field(

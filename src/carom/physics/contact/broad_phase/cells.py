@@ -213,7 +213,7 @@ def _define_grids(
         else:
             bucket += int(cells)
         grid.end_bucket = bucket
-    # for each two grids, the bodies of one search the other
+    # for each two grids, the bodies of one grid search the other grid
     for large in range(count):
         layout.into[large, large] = True
         upper = layout.grid[large]

@@ -327,7 +327,7 @@ def resolve_touching(T: Trajectories, pairs: IntArray, log: RecordArray[ImpactRe
 
 @inline
 def _touching_pairs(T: Trajectories, pairs: IntArray) -> int:
-    """Write the other touching pairs after the first one; return the number of all touching pairs."""
+    """Write the other touching pairs after the first pair; return the number of all touching pairs."""
     x, radius, offset, surface, n = T.x, T.radius, T.offset, T.surface, len(T.x)
     count = min(1, len(pairs))
     for i in range(n if count > 0 else 0):

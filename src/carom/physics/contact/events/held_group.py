@@ -90,7 +90,7 @@ def hold_group(
 ) -> tuple[int, int]:
     """Hold the contacts of a meeting pair and of its group; one of the bodies of the pair is exhausted.
 
-    At least `MOST_CONTACTS` rows of the log, from ``row`` on, are free. The bodies of the pair, and those whose
+    At least `MOST_CONTACTS` rows of the log, from ``row`` on, are free. The bodies of the pair, and all bodies whose
     velocities change, are written to ``held``, (MOST_BODIES,). Return their number, and the first free row.
     """
     group = Group(
@@ -111,7 +111,7 @@ def hold_group(
         waits = waits or (body.exhausted and body.releases == MOST_RELEASES)
     for k in range(bodies):
         guided = guided or group.body[k] >= len(T.x)
-    waits = waits and elastic and T.drift[0].clock < T.drift[0].dt  # with the rebound, until the end of the drift
+    waits = waits and elastic and T.drift[0].clock < T.drift[0].dt  # the rebound waits until the end of the drift
     if waits and guided:  # the wall would move on without it
         waits = elastic = False
     if elastic:
@@ -366,7 +366,7 @@ def _normal_velocity(c: int, group: Group) -> float:
 def _project(
     c: int, count: int, scale: float, group: Group, Q: FloatArray, R: FloatArray, weight: FloatArray, z: FloatArray
 ) -> float:
-    """Write to ``z`` the component of a contact's direction orthogonal to those of ``count`` held contacts.
+    """Write to ``z`` the component of a contact's direction that is orthogonal to all ``count`` held directions.
 
     Return the square of its length. The components along the held directions are written to a column of ``R``, and the
     rates at which the held impulses fall as the impulse of the contact rises to ``weight``.

@@ -69,7 +69,7 @@ class SteadyBuffers(NamedTuple):
     """Copies of the state at the beginning of a step, and workspaces."""
 
     saved: Words  # the words of `SteadyContacts.words` at the beginning of the step
-    spins: FloatArray  # (n, 3) rad/s, the last of these; no rows where nothing spins
+    spins: FloatArray  # (n, 3) rad/s; no rows where nothing spins
     held: RecordArray[ContactRecord]  # (m,) the contacts as held, before the positions change
     held_words: IntArray  # the words of ``held``
     parent: IntArray  # (n + p,)

@@ -358,7 +358,7 @@ def rest_speed(i: int, j: int, normal: Vector, T: Trajectories) -> float:
 
 @unowned
 def contact_geometry(i: int, j: int, T: Trajectories) -> tuple[float, float, float, float, float]:
-    """Return the normal from i to j, and both lever arms in m, as `geometry.update_geometry` does.
+    """Return the normal from i to j, and both lever arms in m; see `geometry.update_geometry`.
 
     At a plane, the arm is the height of the centre, which equals the radius when the body meets it.
     """

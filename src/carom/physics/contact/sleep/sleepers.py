@@ -230,9 +230,9 @@ class Sleepers(OptionalPart):
         """Wake the islands that are disturbed, or near awake bodies, given all near pairs.
 
         The first kick and the step take ``kick`` and ``dt`` s. Return the impulses with which the next kick starts,
-        which are those in ``cache`` and of the woken contacts, and the energy -½ m (a h)² that contacts removed after
-        the first kick, (k, 3) J, by term. The energy audit books the same energy for bodies at rest, and the opposite
-        after the last kick.
+        from ``cache`` and from the woken contacts, and the energy -½ m (a h)² that contacts removed after the first
+        kick, (k, 3) J, by term. The energy audit books the same energy for bodies at rest, and the opposite after the
+        last kick.
         """
         disturbed = self._disturbed(pairs) if self._count else np.zeros(0, dtype=np.bool_)
         if not disturbed.any():

@@ -65,7 +65,7 @@ class Block:
         return field_of(self.code.context, self.builder, self._kind, self._system, name)
 
     def count(self, name: str) -> Any:
-        """Return the number of rows of an array of the system."""
+        """Return the number of rows of a system's array."""
         return self.code.length_of(self.kind_of(name), self._array(name))
 
     @property
@@ -74,7 +74,7 @@ class Block:
         return self.builder.sub(self.count("bodies"), self.count("surface"))
 
     def address(self, name: str, *indices: Any) -> Any:
-        """Return the address of an element of an array of the system."""
+        """Return the address of an element of a system's array."""
         return self.code.element_of(self.kind_of(name), self._array(name), *indices)
 
     def setting(self, name: str) -> Lanes:
@@ -110,7 +110,7 @@ class Block:
         return [RecordLanes(self.builder, kind, end, lines) for end in addresses]
 
     def fetch_bodies_ahead(self, name: str, lines: Sequence[int]) -> None:
-        """Prefetch lines of the records of the bodies of a later block."""
+        """Prefetch cache lines of the bodies in a later block."""
         last = self.builder.sub(self.count("pairs"), WORD(WIDTH))
         ahead = self.builder.add(self.places[0], WORD(AHEAD))
         for end in self._ends_from(self.builder.select(self.builder.icmp_signed("<", ahead, last), ahead, last)):

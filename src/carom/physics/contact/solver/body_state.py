@@ -1,6 +1,6 @@
 """Velocities of the bodies in contact, as records of two cache lines each.
 
-Only bodies that touch something are copied, since few of 10⁶ bodies in flight do.
+Only bodies that touch something are copied: of 10⁶ bodies in flight, few touch.
 
 Velocities at a contact are relative: body j minus body i.
 

@@ -138,7 +138,7 @@ class ContactSolver:
         keep
             `contacts` of an earlier step, not to be overwritten.
         rounding
-            m, rounding of the coordinates; a gap up to this counts as a contact.
+            m, rounding of the coordinates; a pair with a gap up to this touches.
         """
         if order is not self.order:
             self._active = active_bodies(order.pairs, len(self._bodies.ends.velocity))
@@ -262,7 +262,7 @@ class ContactSolver:
         return presses
 
     def find_pressing(self) -> None:
-        """Compute the accelerations by which walls press bodies, where nothing else does."""
+        """Compute the accelerations by which walls press bodies, where nothing else presses them."""
         ends, system, lift = self._bodies.ends, self._system, self._planes.largest_acceleration
         if self._planes.press_alone:
             self.pressing[:] = ends.acceleration

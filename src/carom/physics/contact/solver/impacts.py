@@ -52,7 +52,7 @@ CONVERGED = 1e-9  # of the largest change of a velocity in the first iteration; 
 
 @unowned
 def resolve_impacts(first: int, end: int, system: ConstraintSystem) -> None:
-    """Resolve the impacts of some pieces once; record the largest change of a velocity.
+    """Resolve the impacts in some pieces once; record the largest change of a velocity.
 
     The first iteration also records each closing speed, the fastest one, and whether a contact is at rest. A later
     iteration raises the closing speed if an impulse from a neighbour has made the contact close faster.

@@ -63,7 +63,7 @@ from carom.physics.jit.instructions import AHEAD, prefetch_record
 from carom.physics.jit.team import Team
 from carom.physics.vector import vector
 
-TOUCHING = 1e-9  # of the sum of radii; a smaller gap counts as a contact, since iterations and rounding leave such gaps
+TOUCHING = 1e-9  # of the sum of radii; pairs with a smaller gap touch: iterations and rounding leave such gaps
 CACHED_CONTACTS = 64  # contacts whose records fit into the first-level cache
 
 LOADED = 1e-5  # weight, in the scale of convergence, of the velocity change by the warm-start impulse;

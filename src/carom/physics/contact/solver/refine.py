@@ -13,8 +13,8 @@ Written as sums over bodies, whose velocities and spins s changes by p and t:
 A ball squeezed between two that are 10⁹ times heavier then sinks by less than 10⁻¹¹ of its radius. Without the search,
 it sinks by 0.1 radii at a mass ratio of 10² (docs/physics.md, section 9).
 
-**Conjugate gradients.** After the iterations it is usually known which contacts carry a load, and which of these stick.
-For these contacts the conditions of `solve` become equations,
+**Conjugate gradients.** After the iterations it is usually known which contacts carry a load, and which loaded contacts
+stick. For these contacts the conditions of `solve` become equations,
 
     v_n + c = 0,    u = 0        or  A s = -(v + c),  A = G M⁻¹ Gᵀ,
 
@@ -151,7 +151,7 @@ def repeat_change(code: Code, bodies: Any, body: Any, alpha: Any) -> None:
 
 @unowned
 def measure_violation(first: int, end: int, system: ConstraintSystem) -> None:
-    """Compute by how much the worst contact of each piece exceeds its tolerance, in m/s; 0 if none does."""
+    """Compute by how much the worst contact of each piece exceeds its tolerance, in m/s; 0 within it."""
     for piece in range(first, end):
         system.piece_results[piece].residual = _violation(piece, system)
 
@@ -267,7 +267,7 @@ def _is_left(results: PieceResultsRecord, system: ConstraintSystem) -> bool:
 def begin_search(lo: int, hi: int, system: ConstraintSystem) -> bool:
     """Determine the free impulses: λ_n of contacts that carry a load or close, and λ_t of contacts that stick.
 
-    Return whether the search goes on for some of these contacts when it leaves meshed islands.
+    Return whether the search goes on for one of the contacts when it leaves meshed islands.
     """
     spins, drift = system.settings[0].spins, system.settings[0].drift
     count, places, is_exact = body_count(system), system.places, False

@@ -1,15 +1,15 @@
 """Projected Gauss-Seidel: the impulses of resting contacts.
 
-A resting contact exerts a force, so its impulses belong to both kicks of a step, like those of any other force. After
+A resting contact exerts a force, so its impulses belong to both kicks of a step, as for any other force. After
 each kick of length h, iterations over the contacts find the impulses λ of all contacts such that
 
     v_n + c ≥ 0,   λ_n ≥ 0,   λ_n (v_n + c) = 0                                    (Signorini)
     |λ_t| ≤ μ_s λ_n where the contact sticks, λ_t = -μ_k λ_n u/|u| where it slides      (Coulomb)
 
 (Moreau 1988; Jean 1999; Catto 2005 calls them sequential impulses). The *totals* are clamped, not the increments, so
-later iterations can reduce impulses that earlier ones made too large. The totals start from those of the previous kick,
-scaled by the ratio of the kicks' lengths (`warm_start`), so a pile at rest needs one iteration. A line search follows
-each iteration (`line_search`).
+later iterations can reduce impulses that earlier ones made too large. The totals start from the totals of the previous
+kick, scaled by the ratio of the kicks' lengths (`warm_start`), so a pile at rest needs one iteration. A line search
+follows each iteration (`line_search`).
 
 After the last kick, touching contacts must not close (c = 0; c < 0 with Baumgarte's bias), and an open contact may
 close its gap in the next step (c = gap/dt). After the first kick, bodies may close by c dt, so that they touch at the
@@ -110,14 +110,14 @@ KINDS = (
 
 @unowned
 def solve_turning(first: int, end: int, system: ConstraintSystem) -> None:
-    """Solve the contacts of some pieces once, with friction and spin."""
+    """Solve the contacts in some pieces once, with friction and spin."""
     for piece in range(first, end):
         solve(piece, system, (1,))
 
 
 @unowned
 def solve_straight(first: int, end: int, system: ConstraintSystem) -> None:
-    """Solve the contacts of some pieces once, without friction."""
+    """Solve the contacts in some pieces once, without friction."""
     for piece in range(first, end):
         solve(piece, system, ())
 

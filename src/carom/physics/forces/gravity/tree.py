@@ -12,8 +12,8 @@ With d = X - x, R² = d² + ε²:
     a = G [ (M/R³ + (5/2 dᵀQd/R² - tr Q/2)/R⁵) d - Q d/R⁵ ]
     φ = -G [ M/R + (1/2 dᵀQd/R² - tr Q/6)/R³ ]
 
-a is -∇φ, for any softening ε. Without quadrupoles, Q = 0. The opening angle θ determines the error (measured in
-docs/physics.md), and that of the total momentum, because the two forces of a pair are not opposite.
+a is -∇φ, for any softening ε. Without quadrupoles, Q = 0. The opening angle θ determines the error of the forces
+(measured in docs/physics.md), and the error of the total momentum, because the two forces of a pair are not opposite.
 
 The bodies of a group are in the SIMD lanes, and boxes and bodies are added one after another, so the bits depend
 neither on the SIMD width nor on the threads. Threads take the next piece of work until none is left, so all of them end

@@ -94,7 +94,7 @@ def diverge(
 ) -> tuple[FollowedOrbits, FloatArray]:
     """Integrate the bodies of a scene without contacts, and their twins; return the orbits, and the twins' distances.
 
-    The rms distances, (K,) m, are those at ascending times (s). Beyond the first that is ``enough`` (m), both results
+    The rms distances, (K,) m, are given at ascending times (s). Beyond the first that is ``enough`` (m), both results
     are infinite.
 
     Parameters

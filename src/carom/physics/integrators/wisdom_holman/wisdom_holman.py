@@ -15,7 +15,7 @@ The half drifts of successive steps are joined. For masses ε relative to the do
 A corrector undoes the terms in ε (`orbit_steps`); errors in ε² h² remain.
 
 The step is the shortest period over `STEPS_PER_ORBIT`, or over `STEPS_OF_HEAVY` for bodies above `HEAVY`. The period is
-that of a circular motion with the angular speed at the pericentre (Wisdom 2015). When two bodies pass within
+the period of a circular motion with the angular speed at the pericentre (Wisdom 2015). When two bodies pass within
 `HILL_RADII` of their Hill radii, or one comes so close to the dominant body that the step no longer resolves its
 motion, the state before that step is passed to `GaussRadau15`, which integrates all bodies until they are far apart
 again.

@@ -7,7 +7,7 @@ n_x! n_y! n_z!. For a box B with the centre of mass X_B, and a target at u from 
     L_k = Σ_m D_{k+m}(X_A - X_B) M_m                     |k| + |m| ≤ p        (local expansion)
     Σ_j m_j ψ = Σ_k L_k u^k / k!                         a = G ∇, φ = -G times this sum
 
-The same pairs (k, m) appear in the force of B on A and in that of A on B, so the two are opposite up to rounding
+The same pairs (k, m) appear in the force of B on A and in the force of A on B, so the two are opposite up to rounding
 (Dehnen, 2002). M_m = 0 for |m| = 1, because X_B is the centre of mass; a row of multipoles holds X_B there.
 
 D_n follows from ψ^{(s)} = (-1)^s (2s-1)!! (d² + ε²)^{-s-1/2} by D^{(s)}_{n+e} = d_e D^{(s+1)}_n + n_e D^{(s+1)}_{n-e}
