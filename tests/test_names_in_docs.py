@@ -58,6 +58,14 @@ def test_a_concept_has_one_line_that_says_where_it_is() -> None:
     assert not [row for row in rows if len(row) > LINE], "split it into two concepts"
 
 
+def test_reading_paths_are_short() -> None:
+    page = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
+    rows = page.partition("## Reading paths")[2].partition("\n\nA step")[0].splitlines()[4:]
+    step, frame, why = rows[:3], rows[3:4], rows[4:]
+    counts = [sum(len(re.findall(r"\w+\.py`", row)) for row in part) for part in (step, frame, why)]
+    assert counts == [10, 7, 5], "what counts is the length of the reading path"
+
+
 @pytest.mark.parametrize("page", PAGES, ids=lambda path: path.name)
 def test_a_page_shows_only_commands_that_exist(page: Path) -> None:
     shown = re.findall(r"```sh\n(.*?)```", page.read_text(encoding="utf-8"), flags=re.DOTALL)
