@@ -21,7 +21,7 @@ JUMP = 170  # step in which a free body gains speed from nothing: energy and mom
 
 
 class Faulty:
-    """A body in free flight, and two at rest that overlap by 6 %, 1.2 times the tolerance; or all without a fault."""
+    """A body in free flight, and two at rest that overlap by 6 %, 1.2 times a tolerance; or all without a fault."""
 
     model = carom.record.Model(engine="mine 1", mass=np.ones(3), radius=np.full(3, 0.1), names=["comet", "a", "b"])
 
@@ -39,7 +39,7 @@ class Faulty:
 
 def recorded(path: Path, faulty: bool) -> Path:
     source = Faulty(faulty)
-    with carom.record.Recorder(source, path) as recorder:
+    with carom.record.Recorder(source, path, tolerances=carom.record.Tolerances(overlap=0.05)) as recorder:
         for source.step in range(1, STEPS):
             recorder.frame()
     return path

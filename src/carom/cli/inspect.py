@@ -171,6 +171,8 @@ def _contacts(summary: dict[str, Any]) -> Iterator[Row]:
         texts.append("deepest overlap: lost, since part of the file is missing")
     elif deepest := overlap_text(contacts["max_overlap"]):
         texts.append(deepest + (" in these frames" if contacts["summed_over"] == "frames" else ""))
+    if parted := summary.get("parted"):
+        texts.append(f"parting overlapping bodies added up to {parted:.2%} of their energy in a step")
     yield "contacts", texts
 
 

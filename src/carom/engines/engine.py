@@ -240,6 +240,7 @@ def engines_called(names: Iterable[str]) -> list[Engine]:
 ROUNDING = 1e-9  # of the duration, by which the sum of the steps may fall short
 COMPLETED = "completed"
 MOST_SEEN = 20_000  # steps examined where nothing can touch
+MOST_OVERLAP = 0.05  # of the smaller radius, beyond which an overlap tells engines apart
 FRAMES = 600  # frames of a recording, in addition to the frames that violate a law
 
 
@@ -267,7 +268,8 @@ def watch(
     """
     first = simulation.source.state()
     setup = setup_of(simulation.source.model, first)
-    walk = _Walk(simulation, scene, Observer(setup, first, Tolerances(), scene.unit_system), times)
+    observer = Observer(setup, first, Tolerances(overlap=MOST_OVERLAP), scene.unit_system)
+    walk = _Walk(simulation, scene, observer, times)
     if path is None:
         outcome = walk.run(first, limit)
         if outcome != COMPLETED:

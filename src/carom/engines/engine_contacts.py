@@ -173,7 +173,9 @@ class Proximity:
         setup, dt = self._setup, now.time - before.time
         moved = now.position - before.position
         drift = np.median(moved, axis=0)
-        speed = np.maximum(lengths(now.velocity - np.median(now.velocity, axis=0)) * dt, lengths(moved - drift))
+        speed = lengths(moved - drift)
+        for velocity in (before.velocity, now.velocity):  # engines may stop a body before it touches
+            speed = np.maximum(speed, lengths(velocity - np.median(velocity, axis=0)) * dt)
         parts = [self._bodies(before, now, speed)] if self._grid else []
         parts += [self._plane(k, before, now, speed) for k in range(len(setup.planes))] if setup.collides else []
         if not parts:

@@ -18,59 +18,20 @@ from dataclasses import dataclass, field, fields
 
 import numpy as np
 
-from carom.arrays import BoolArray, FloatArray, IntArray
-from carom.engines.engine_contacts import MARGIN, EngineMoment, Near, cross, lengths
-from carom.engines.single_contacts import SHALLOW, Broken, ContactLaws
+from carom.arrays import FloatArray, IntArray
+from carom.engines.clusters import Clusters, clusters_of
+from carom.engines.elastic_energy import TINY, ElasticEnergy, reduced_masses
+from carom.engines.engine_contacts import EngineMoment, Near, cross, lengths
+from carom.engines.missed_impacts import TUNNELLED, MissedImpacts, Unresolved
+from carom.engines.single_contacts import Broken, ContactLaws
 from carom.engines.source import Setup
 from carom.errors import RecordingError
 from carom.event import Event
-from carom.physics.contact.islands import number_sets
 from carom.recording.schema.header import LARGEST
 from carom.scene.units.dimension import ENERGY, VELOCITY
 from carom.scene.units.system import SI, UnitSystem
 from carom.scene.wording import Names, bodies_called
 from carom.state.energies import Energy
-
-
-@dataclass(frozen=True, slots=True)
-class Clusters:
-    """Sets of bodies that touched nothing outside their set between two moments."""
-
-    label: IntArray  # (n,)
-    count: int
-    touched: BoolArray  # (count,) whether any body of the cluster may have touched
-    judged: BoolArray  # (count,) whether the laws of all bodies of the cluster are known
-    free: BoolArray  # (count,) whether the cluster is judged and touched nothing fixed
-
-    def sum(self, values: FloatArray) -> FloatArray:
-        """Add up values of bodies, (n,) or (n, 3), by cluster."""
-        if values.ndim == 1:
-            return np.asarray(np.bincount(self.label, values, self.count), dtype=np.float64)
-        return np.stack([np.bincount(self.label, column, self.count) for column in values.T], axis=1)
-
-
-def clusters_of(setup: Setup, near: Near, *, whole: bool) -> Clusters:
-    """Divide the bodies into clusters, or put all into one if ``whole``, as for bodies that attract each other."""
-    n = len(setup)
-    anchored = np.zeros(n, bool)
-    i, j = near.pairs.T
-    plane = j >= n
-    anchored[i[plane]] = True
-    i, j = i[~plane], j[~plane]
-    loose = ~(setup.fixed[i] | setup.fixed[j])
-    anchored[i[setup.fixed[j]]] = True
-    anchored[j[setup.fixed[i]]] = True
-    touched = np.zeros(n, bool)
-    touched[near.pairs[near.pairs < n]] = True
-    if whole:
-        label, count = np.zeros(n, dtype=np.int64), 1
-        anchored |= setup.fixed.any()
-    else:
-        label = np.empty(n, dtype=np.int64)
-        count = number_sets(i[loose], j[loose], label)
-    strange = np.bincount(label, ~setup.judged, count) > 0
-    held = np.bincount(label, anchored | setup.fixed, count) > 0
-    return Clusters(label, count, np.bincount(label, touched, count) > 0, ~strange, ~strange & ~held)
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,7 +42,7 @@ class Tolerances:
     drift: float = 1e-2  # of the energy scale, since the start
     momentum: float = 1e-3  # of Σ m |v| of the cluster
     angular_momentum: float = 1e-3  # of Σ (m |x| |v| + I |ω|) of the cluster
-    overlap: float = 0.05  # of the smaller radius
+    overlap: float = np.inf  # of the smaller radius; by default an accuracy of the engine, which breaks no law
     restitution: float = 0.02  # of a coefficient of restitution
     friction: float = 0.2  # of the work of friction, whose sign may be wrong
 
@@ -127,15 +88,10 @@ class AuditFinding:
     hardest_pair: tuple[int, int] = (0, 0)
 
 
-UNCHANGED = 1e-3  # of the closing speed; bodies that change it by less have not touched
-TUNNELLED = 0.5  # of the closing speed; bodies that pass through each other and keep more of it have not collided
-FOUND = 5e-3  # of the smaller radius; at this depth even a soft contact must exert a force
 STILL = 0.05  # of the typical speed; bodies that touch and are slower may rest in a balance of forces
 AT_LEAST = 1e-2  # of a typical body's momentum or energy; smaller changes are noise
 OFF_AXIS = 0.3  # of an arm: the distance of a contact's impulse from the normal
-TINY = float(np.finfo(np.float64).tiny)  # replaces a tolerance of 0
 UNSEEN = 4 * float(np.finfo(np.float64).eps)  # of a position, which a motion must change from one frame to the next
-OFTEN, RARELY = 20, 0.05  # impacts that show an engine's habit, and the fraction of exceptions
 TURNED = 0.05  # of a rotation in a frame, which engines integrate to first order
 ROUNDED = 1e-5  # rad, of orientations in single precision
 MOST_TURN = 0.5  # rad; engines limit or approximate larger rotations in a step
@@ -160,12 +116,12 @@ class LawAudit:
         self._names = names
         self._units = units
         self._laws = ContactLaws(setup, tolerances.restitution, tolerances.friction)
-        self._owed = np.zeros(len(setup))  # J, absorbed from each body by contacts since it was last free
+        self._elastic = ElasticEnergy(setup)
         self._typical = 0.0  # m/s
-        self._fresh = 0  # frames in which two ends begin to overlap
-        self._late: list[Fault] = []  # the part in which bodies still close unchanged, unless they are many
+        self._missed = MissedImpacts(setup)
+        self._parted = 0.0  # largest part of a cluster's energy that came from parting overlapping bodies in a frame
         self._unseen = 0.0  # m/s, too slow to change a position between two frames
-        self._allowed = 0.0  # J, accumulated error of first-order steps in the uniform field, and of unseen motion
+        self._allowed = 0.0  # J, errors of first-order steps in the field, of unseen motion, and of parting overlaps
         self.counts: dict[str, int] = {}  # number of frames that violated each law
         self.first: dict[str, Fault] = {}
         self.worst: dict[str, float] = {}  # largest violation over tolerance of each law
@@ -180,7 +136,9 @@ class LawAudit:
         gravity.
         """
         found = AuditFinding()
-        relative = now.velocity - self._setup.mass @ now.velocity / self._setup.mass.sum()
+        anchored = len(self._setup.planes) > 0 or bool(self._setup.fixed.any())
+        bulk = 0.0 if anchored else self._setup.mass @ now.velocity / self._setup.mass.sum()
+        relative = now.velocity - bulk
         self._typical = max(self._typical, float(np.sqrt(np.mean(np.einsum("ij,ij->i", relative, relative)))))
         dt = now.time - before.time
         self._unseen = UNSEEN * float(np.abs(now.position).max()) / dt if dt > 0.0 else 0.0
@@ -188,7 +146,7 @@ class LawAudit:
         place = step, now.time
         faults = [
             *self._momenta(place, before, now, near, clusters),
-            *self._energy(place, before, now, clusters, potentials, found),
+            *self._energy(place, before, now, near, clusters, potentials, found),
             *self._contacts(place, before, now, near, found),
             *self._rotations(place, before, now, near),
         ]
@@ -198,8 +156,8 @@ class LawAudit:
     def drifted(self, step: int, time: float, energy: Energy) -> Fault | None:
         """Judge the energy that the judged bodies gained or lost outside of contacts since the start."""
         error = energy.integration_error
-        relative = energy.relative(error)
-        if abs(error) <= self._allowed or abs(relative) <= self._tolerances.drift or "energy" in self.first:
+        relative = energy.relative(float(np.sign(error)) * max(abs(error) - self._allowed, 0.0))
+        if abs(relative) <= self._tolerances.drift or "energy" in self.first:
             return None
         way = "risen" if error > 0.0 else "fallen"
         text = f"Energy has {way} by {abs(relative):.2%} of its scale since the start, and no contact explains it."
@@ -209,11 +167,13 @@ class LawAudit:
     def closing(self) -> Iterator[tuple[str, str | int | float]]:
         """Yield the first fault of each law and the number of frames with one, under the dotted keys of `outcome`.
 
-        The number of judged bodies comes first, unless all were judged.
+        Before them come the number of judged bodies, unless all were judged, and the energy added by parting overlaps.
         """
         self.conclude()
         if not self._setup.judged.all():
             yield "audit.judged", int(np.count_nonzero(self._setup.judged))
+        if self._parted > self._tolerances.energy:
+            yield "audit.parted", self._parted
         for law, first in self.first.items():
             found: dict[str, str | int | float]
             found = {"frames": self.counts[law], "step": first.step, "time": first.time, "text": first.text}
@@ -227,6 +187,8 @@ class LawAudit:
         self.worst = earlier.worst
         self._typical, self._allowed = earlier._typical, earlier._allowed
         self._laws.go_on(earlier._laws)
+        self._missed.go_on(earlier._missed)
+        self._parted = earlier._parted
 
     def note(self, fault: Fault) -> bool:
         """Count a fault, also of another check; return whether it is among the first of its law."""
@@ -280,6 +242,12 @@ class LawAudit:
         off = lengths(np.where(many[:, None], l1 - l0, change))
         off -= np.where(many, sum(clusters.sum(lengths(way)) for way in ways), 0.0)
         off -= size * self._unseen + clusters.sum(deep * lengths(kicks))
+        # and an engine that parts bodies moves them without a change of speed
+        parted = lengths(now.position - before.position - 0.5 * dt * (before.velocity + now.velocity))
+        reach = np.zeros(n)
+        for end in near.pairs[bodies].T:
+            np.maximum.at(reach, end, -near.gap_before[bodies])
+        off -= clusters.sum(m * speed * np.minimum(parted, reach))
         tolerance = self._tolerances.angular_momentum
         yield from self._worst("angular-momentum", place, clusters, off, scale, tolerance)
 
@@ -324,6 +292,7 @@ class LawAudit:
         place: tuple[int, float],
         before: EngineMoment,
         now: EngineMoment,
+        near: Near,
         clusters: Clusters,
         potentials: tuple[float, float] | None,
         found: AuditFinding,
@@ -345,14 +314,19 @@ class LawAudit:
         # the energy error of a first-order step in a uniform field, and of unseen motion
         rounding = mass * (strength * strength * dt * dt + self._unseen**2)
         self._allowed += float(rounding.sum())
-        owed = clusters.sum(self._owed)
-        back = np.where(clusters.touched, np.clip(change, 0.0, owed), 0.0)
+        owed = clusters.sum(self._elastic.owed)
+        credit = self._elastic.credit(near, clusters)
+        back = np.where(clusters.touched, np.clip(change, 0.0, credit * owed), 0.0)
         taken = np.where(clusters.touched, np.maximum(-change, 0.0), 0.0)
         found.taken = float((taken - back)[clusters.judged].sum())
         found.unjudged = -float(change[~clusters.judged].sum())
-        self._book(clusters, taken, back, owed)
+        self._elastic.book(clusters, near, owed + taken - back / credit)
         wrong = np.where(clusters.touched, np.maximum(change, 0.0) - back, change)
-        excess = np.where(clusters.judged, np.abs(wrong) - rounding, 0.0)
+        parted = np.minimum(np.maximum(wrong, 0.0), self._elastic.by_parting(before, now, near, clusters))
+        self._allowed += float(parted[clusters.judged].sum())
+        parts = np.where(clusters.judged & (scale > 0.0), parted / np.where(scale > 0.0, scale, 1.0), 0.0)
+        self._parted = max(self._parted, float(parts.max()))
+        excess = np.where(clusters.judged, np.abs(wrong) - parted - rounding, 0.0)
         share = np.where(scale > 0.0, excess / np.where(scale > 0.0, scale, 1.0), 0.0)
         worst = int(np.argmax(share))
         if share[worst] <= self._tolerances.energy:
@@ -363,13 +337,6 @@ class LawAudit:
         text = f"Energy {came}: {much}, {share[worst]:.2%} of the energy of {self._called(members)}."
         ends, amount = tuple(self._ends[members[:MOST_NAMED]].tolist()), float(share[worst])
         yield Fault("energy", *place, amount, text, ends, amount / max(self._tolerances.energy, TINY))
-
-    def _book(self, clusters: Clusters, taken: FloatArray, back: FloatArray, owed: FloatArray) -> None:
-        """Divide the energy absorbed by contacts among each cluster's bodies; without contacts, nothing is owed."""
-        label = clusters.label
-        members = np.bincount(label, minlength=clusters.count)
-        left = np.where(owed > 0.0, 1.0 - back / np.where(owed > 0.0, owed, 1.0), 0.0)
-        self._owed = np.where(clusters.touched[label], self._owed * left[label] + (taken / members)[label], 0.0)
 
     def _rotations(
         self, place: tuple[int, float], before: EngineMoment, now: EngineMoment, near: Near
@@ -406,13 +373,19 @@ class LawAudit:
         dt = now.time - before.time
         n, setup = len(self._setup), self._setup
         judged = np.append(setup.judged, np.ones(len(setup.planes), bool))
-        known = judged[near.pairs].all(axis=1)
+        known = np.asarray(judged[near.pairs].all(axis=1))
         depth = np.where(known, -near.gap_now / near.small, 0.0)
         deepest = int(np.argmax(depth))
         if depth[deepest] > self._tolerances.overlap:
-            text = f"{self._pair(near, deepest)} overlap by {depth[deepest]:.1%} of the smaller radius."
+            pair = int(near.pairs[deepest, 0]), int(near.pairs[deepest, 1])
+            text = f"{self._pair(pair)} overlap by {depth[deepest]:.1%} of the smaller radius."
             ends, overlap = tuple(self._ends[near.pairs[deepest]].tolist()), max(self._tolerances.overlap, TINY)
             yield Fault("overlap", *place, float(depth[deepest]), text, ends, float(depth[deepest]) / overlap)
+        for inside in self._missed.contained(place, near, depth):
+            text = f"{self._pair(inside.ends)} overlap by {inside.depth:.1%} of the smaller radius, "
+            text = f"{text}and {inside.frames} frames did not part them."
+            ends = tuple(self._ends[list(inside.ends)].tolist())
+            yield Fault("overlap", inside.step, inside.time, inside.depth, text, ends, inside.depth)
         still = STILL * self._typical + 2.0 * float(np.sqrt(setup.gravity @ setup.gravity)) * dt
         at = near.directions_of_touch()
         plane = near.pairs[:, 1] >= n
@@ -421,33 +394,8 @@ class LawAudit:
         push = np.where(plane, normal @ setup.gravity * dt, 0.0)
         closing = -np.einsum("ij,ij->i", near.relative_before, normal)
         after = -np.einsum("ij,ij->i", near.relative_now, normal) - push
-        overlapped = near.gap_before < -SHALLOW * near.small
-        ignored = (near.gap_before < -FOUND * near.small) & (closing > still) & (after > (1.0 - UNCHANGED) * closing)
-        inside = np.einsum("ij,ij->i", near.now, normal) < 0.0
-        passed = np.where(plane, inside, (near.gap_now >= -SHALLOW * near.small) | inside)
-        through = near.passed_deep() & ~overlapped & passed & (closing > still) & (after > TUNNELLED * closing)
-        fresh = known & (near.gap_before > 0.0) & (near.gap_now < -SHALLOW * near.small) & (closing > still)
-        adjacent = near.pairs[np.minimum(near.gap_before, near.gap_now) <= MARGIN * near.small]
-        others = np.bincount(adjacent.ravel(), minlength=n + len(setup.planes)) - 1
-        others[n:] = 0
-        # a contact of one of the bodies may have closed it again
-        late = fresh & (after > (1.0 - UNCHANGED) * closing) & (others[near.pairs] == 0).all(axis=1)
-        self._fresh += int(np.count_nonzero(fresh))
-        if self._fresh < OFTEN or self._is_prompt(len(self._late)):
-            for row in np.flatnonzero(late & ~through).tolist():
-                speed = self._units.text(float(closing[row]), VELOCITY, ".3g")
-                text = f"Missed impact: {self._pair(near, row)} closed at {speed} and overlap, but not yet parted."
-                ends, excess = tuple(self._ends[near.pairs[row]].tolist()), float(closing[row]) / still
-                self._late.append(Fault("missed-impact", *place, float(closing[row]), text, ends, excess))
-        missed = np.flatnonzero(known & (ignored | through))
-        if len(missed):
-            worst = int(missed[np.argmax(closing[missed])])
-            how = "passed through each other" if through[worst] else "touch, and this step did not separate them"
-            speed = self._units.text(float(closing[worst]), VELOCITY, ".3g")
-            text = f"Missed impact: {self._pair(near, worst)} {how}, closing at {speed}."
-            ends = tuple(self._ends[near.pairs[worst]].tolist())
-            excess = float(closing[worst]) / still if still > 0.0 else np.inf
-            yield Fault("missed-impact", *place, float(closing[worst]), text, ends, excess)
+        speeds = closing, after
+        yield from map(self._missed_impact, self._missed.see(place, near, known, speeds, still))
         met = (near.gap_before > 0.0) & ((near.gap_now <= 0.0) | (after < TUNNELLED * closing))
         met &= near.gap_before <= closing * dt  # otherwise another body reversed them
         struck = met & known & (closing > still)
@@ -476,32 +424,33 @@ class LawAudit:
         text = f"{called[0].upper()}{called[1:]} {broken.what}."
         return Fault(broken.law, *place, broken.excess, text, ends, broken.excess)
 
-    def _is_prompt(self, late: int) -> bool:
-        """Return whether an engine resolves nearly all impacts in the step in which the bodies meet."""
-        return self._fresh >= OFTEN and late <= RARELY * self._fresh
+    def _missed_impact(self, impact: Unresolved) -> Fault:
+        how = f"touch, and {impact.steps} steps did not separate them"
+        how = "touch, and this step did not separate them" if impact.steps == 1 else how
+        how = "passed through each other" if impact.passed else how
+        speed = self._units.text(impact.speed, VELOCITY, ".3g")
+        text = f"Missed impact: {self._pair(impact.ends)} {how}, closing at {speed}."
+        ends = tuple(self._ends[list(impact.ends)].tolist())
+        return Fault("missed-impact", impact.step, impact.time, impact.speed, text, ends, impact.excess)
 
     def conclude(self) -> None:
         """Judge what only the whole run shows: impacts unlike all others."""
-        if self._is_prompt(len(self._late)):
-            for fault in self._late:
-                self.note(fault)
-        self._late = []
+        for late in self._missed.unusual():
+            self.note(self._missed_impact(late))
         for impact, broken in sorted(self._laws.outliers(), key=lambda found: found[0].step):
             self.note(self._fault((impact.step, impact.time), broken))
         self._laws.impacts = []
 
     def _impacts(self, near: Near, closing: FloatArray, found: AuditFinding) -> None:
         """Book the impacts, given their closing speeds in m/s; 0 for other pairs."""
-        inverse = np.append(np.where(self._setup.fixed, 0.0, 1.0 / self._setup.mass), np.zeros(len(self._setup.planes)))
-        weight = inverse[near.pairs].sum(axis=1)
-        struck = np.where(weight > 0.0, 0.5 * closing**2 / np.where(weight > 0.0, weight, 1.0), 0.0)
+        struck = 0.5 * closing**2 * reduced_masses(self._setup, near)
         found.struck, found.impacts = float(struck.sum()), int(np.count_nonzero(struck))
         hardest = int(np.argmax(struck))
         found.hardest = float(struck[hardest])
         found.hardest_pair = int(near.pairs[hardest, 0]), int(near.pairs[hardest, 1])
 
-    def _pair(self, near: Near, row: int) -> str:
-        text = self._names.pair(self._ends[near.pairs[row]].tolist())
+    def _pair(self, ends: tuple[int, int]) -> str:
+        text = self._names.pair(self._ends[list(ends)].tolist())
         return text[0].upper() + text[1:]
 
     def _called(self, bodies: IntArray) -> str:

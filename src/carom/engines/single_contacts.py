@@ -19,6 +19,7 @@ import numpy as np
 
 from carom.arrays import BoolArray, FloatArray, IntArray
 from carom.engines.engine_contacts import MARGIN, EngineMoment, Near, cross, lengths
+from carom.engines.missed_impacts import SHALLOW
 from carom.engines.source import Setup
 from carom.physics.contact.islands import number_sets
 
@@ -32,7 +33,6 @@ FEWEST = 3  # fewest impacts with the same materials
 KEPT = 0.25  # of J_n times the gain of speed; friction may dissipate as much as the contact keeps
 MOSTLY = 0.75  # of the impacts of an engine; deviations of the remaining impacts may be faults
 SPREADS = 6.0  # of the deviation of most impacts: in PyBullet at planes, it is as large as the coefficients
-SHALLOW = 1e-3  # of the smaller radius; bodies that overlap less have no elastic energy
 # Least deviation of a coefficient of restitution. Those of soft contacts vary by 0.07 with the phase of a step.
 OFF = 0.1
 OVER = 0.05  # of the speed of an impact; bodies that change their velocities more in the next frame still touch

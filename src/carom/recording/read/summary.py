@@ -94,6 +94,7 @@ def _of_engine(recording: RecordedData) -> dict[str, Any]:
         **lives,
         "contact_forces": recording.records_contacts,
         "judged": int(judged),
+        "parted": float(recording.closing.get("audit.parted", 0.0)),
         "laws": _laws(recording),
     }
 

@@ -131,7 +131,7 @@ PROPERTIES: dict[str, list[Property]] = {
         *_rows(WHOLE, "laws.*.step laws.*.frames"),
         *_rows(NUMBER, "sim_time wall_time energy.* momentum.* angular_momentum.* accuracy.* profile.*"),
         *_rows(NUMBER, "contacts.max_overlap moments.*.value moments.*.time laws.*.time laws.*.excess"),
-        *_rows(NUMBER, "expect.*.limit expect.*.measured"),
+        *_rows(NUMBER, "expect.*.limit expect.*.measured audit.parted"),
         *_rows(NUMBERS, "moments.*.bodies moments.*.planes laws.*.bodies"),
         *_rows(FLAG, "expect.*.met expect.*.judged"),
     ],

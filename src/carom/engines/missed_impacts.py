@@ -1,0 +1,161 @@
+"""Impacts that an engine missed: bodies that passed through each other, or closed unchanged for longer than is usual.
+
+Engines that find contacts at the start of a step resolve each impact one step after the bodies meet; others take more
+steps for some. An impact counts as missed only where it took longer than this engine's impacts do, or where nothing
+separates the bodies at all.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from carom.arrays import BoolArray, FloatArray
+from carom.engines.engine_contacts import MARGIN, Near
+from carom.engines.source import Setup
+
+UNCHANGED = 1e-3  # of the closing speed; a smaller change does not count as contact
+TUNNELLED = 0.5  # of the closing speed; bodies that pass through each other and keep more of it have not collided
+FOUND = 5e-3  # of the smaller radius; at this depth even a soft contact must exert a force
+SHALLOW = 1e-3  # of the smaller radius; bodies that overlap less have no elastic energy
+OFTEN, RARELY = 20, 0.05  # impacts that show an engine's habit, and the fraction of exceptions
+MOSTLY = 0.5  # of an engine's impacts, which take the usual number of steps
+# Steps in which overlapping bodies may close unchanged. Box3D, which finds some pairs late, takes at most 4 in 30 runs.
+LONGEST = 6
+STUCK = 20  # frames in which one body may contain the centre of another; soft contacts of MuJoCo part within 16
+
+
+@dataclass(slots=True)
+class Unresolved:
+    """An impact that the steps so far have not resolved."""
+
+    step: int  # the first one
+    time: float  # s
+    ends: tuple[int, int]
+    speed: float  # m/s, closing
+    excess: float  # speed over that of slow contacts
+    relative: FloatArray  # (3,) m/s, velocity of the second end relative to the first
+    steps: int = 1  # in which the overlapping ends closed unchanged
+    pushed: bool = False  # another contact may have closed it again
+    passed: bool = False
+
+
+@dataclass(slots=True)
+class Inside:
+    """Two ends of which one contains the other's centre."""
+
+    step: int  # the first one
+    time: float  # s
+    ends: tuple[int, int]
+    frames: int
+    depth: float  # of the smaller radius
+
+
+class MissedImpacts:
+    """Follows the impacts of one set of bodies from the frame in which they meet to the one that separates them."""
+
+    def __init__(self, setup: Setup) -> None:
+        self._setup = setup
+        self._open: dict[int, Unresolved] = {}
+        self._inside: dict[int, Inside] = {}
+        self._resolved: dict[int, int] = {}  # number of impacts that took so many steps
+        self._late: list[Unresolved] = []
+
+    def see(
+        self,
+        place: tuple[int, float],  # step, and time in s
+        near: Near,
+        known: BoolArray,  # (k,) whether both ends are judged
+        speeds: tuple[FloatArray, FloatArray],  # (k,) m/s, closing in both frames
+        still: float,  # m/s, of slow contacts
+    ) -> Iterator[Unresolved]:
+        """Yield the impacts that are missed for certain."""
+        closing, after = speeds
+        n, ends = len(self._setup), len(self._setup) + len(self._setup.planes)
+        hits = known & (closing > still)
+        unchanged = hits & (after > (1.0 - UNCHANGED) * closing)
+        overlap = near.gap_now < -SHALLOW * near.small
+        fresh = hits & (near.gap_before > 0.0) & (overlap | (near.gap_now <= 0.0) | (after < TUNNELLED * closing))
+        through = near.passed_deep() & (near.gap_before >= -SHALLOW * near.small) & hits & (after > TUNNELLED * closing)
+        plane = near.pairs[:, 1] >= n  # whose contact may throw a body back from the other side
+        beyond = np.einsum("ij,ij->i", near.now, near.directions_of_touch()) < 0.0
+        through &= ~plane & (beyond | ~overlap)
+        late = unchanged & overlap & (fresh | (near.gap_before < -FOUND * near.small))
+        adjacent = near.pairs[np.minimum(near.gap_before, near.gap_now) <= MARGIN * near.small]
+        others = np.bincount(adjacent.ravel(), minlength=ends) - 1
+        others[n:] = 0
+        pushed = np.asarray((others[near.pairs] > 0).any(axis=1))
+        keys = near.pairs[:, 0] * ends + near.pairs[:, 1]
+        rows = np.flatnonzero(fresh | late | through | np.isin(keys, list(self._open)))
+        before, self._open = self._open, {}
+        for row in rows.tolist():
+            key = int(keys[row])
+            impact = before.pop(key, None)
+            if through[row]:
+                yield self._begun(place, near, row, closing, still, passed=True)
+            elif impact is None and not late[row]:
+                self._count(0)
+            elif impact is None:
+                self._open[key] = self._begun(place, near, row, closing, still)
+                self._open[key].pushed = bool(pushed[row])
+            elif unchanged[row] and overlap[row]:
+                impact.steps += 1
+                impact.pushed |= bool(pushed[row])
+                self._open[key] = impact
+                if impact.steps == LONGEST:
+                    yield impact
+            else:
+                change = near.relative_now[row] - impact.relative
+                gone = not plane[row] and impact.steps > 1 and bool(closing[row] <= still or not overlap[row])
+                impact.passed = gone and float(np.sqrt(change @ change)) <= UNCHANGED * impact.speed
+                if impact.passed and impact.steps < LONGEST:
+                    yield impact
+                self._resolve(impact)
+        for impact in before.values():
+            self._resolve(impact)
+
+    def contained(self, place: tuple[int, float], near: Near, depth: FloatArray) -> Iterator[Inside]:
+        """Yield the ends of which one has contained the other's centre for `STUCK` frames, given relative overlaps."""
+        ends = len(self._setup) + len(self._setup.planes)
+        before, self._inside = self._inside, {}
+        for row in np.flatnonzero(depth > 1.0).tolist():
+            i, j = (int(end) for end in near.pairs[row])
+            found = before.get(i * ends + j) or Inside(*place, (i, j), 0, 0.0)
+            found.frames += 1
+            found.depth = max(found.depth, float(depth[row]))
+            self._inside[i * ends + j] = found
+            if found.frames == STUCK:
+                yield found
+
+    def unusual(self) -> Iterator[Unresolved]:
+        """Yield the impacts that took more steps than is usual; none where an engine has no such habit."""
+        count = sum(self._resolved.values())
+        usual, later = 0, count - self._resolved.get(0, 0)  # steps, and the impacts that took more
+        while later > RARELY * count:
+            usual += 1
+            later -= self._resolved.get(usual, 0)
+        if count >= OFTEN and self._resolved.get(usual, 0) >= MOSTLY * count:
+            yield from (impact for impact in self._late if impact.steps > usual and not impact.pushed)
+        self._late = []
+
+    def go_on(self, earlier: MissedImpacts) -> None:
+        """Keep the habit of the same engine with other bodies."""
+        self._resolved = earlier._resolved
+
+    def _begun(
+        self, place: tuple[int, float], near: Near, row: int, closing: FloatArray, still: float, *, passed: bool = False
+    ) -> Unresolved:
+        speed = float(closing[row])
+        ends = int(near.pairs[row, 0]), int(near.pairs[row, 1])
+        excess = speed / still if still > 0.0 else np.inf
+        return Unresolved(*place, ends, speed, excess, near.relative_before[row], passed=passed)
+
+    def _count(self, steps: int) -> None:
+        self._resolved[steps] = self._resolved.get(steps, 0) + 1
+
+    def _resolve(self, impact: Unresolved) -> None:
+        self._count(impact.steps)
+        if impact.steps < LONGEST and not impact.passed:  # otherwise it was reported
+            self._late.append(impact)
