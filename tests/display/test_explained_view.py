@@ -187,7 +187,7 @@ def test_a_picture_of_one_view_has_a_legend_of_what_this_view_shows(view: str, b
         "path so far": ["bodies"],
         "impact: size": ["bodies"],
         "impulse of friction": ["graph"],
-        "angular impulse": ["graph"],
+        "angular impulse": ["graph", "close-up"],
         "impulse on each body": ["close-up"],
     }.items():
         assert (text in lines) == (view in views), text

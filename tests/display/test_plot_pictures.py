@@ -13,7 +13,7 @@ from carom.display.picture import render
 from carom.display.request import Request
 from carom.recording.layout.canvas import Area
 from carom.recording.layout.plot_views import place_legend
-from carom.recording.read.recorded_scene import recorded_curves
+from carom.recording.read.recorded_scene import header_of_recording, recorded_curves
 from carom.recording.read.recording import Recording
 from carom.recording.schema.palette import LINES, PLOT_GROUNDS
 from carom.recording.write.recorder import FrameRecorder
@@ -66,9 +66,10 @@ def test_the_legend_covers_no_curve(energy: tuple[str, Path, Pixels]) -> None:
     _, path, pixels = energy
     curves = recorded_curves(Recording.open(path))
     shown = [curves[f"energy/{name}"] for name in LEGENDS]
-    place = place_legend([f"{name} (J)" for name in LEGENDS], shown, Area(SIZE[0] - 60.0, SIZE[1] - 18.0))
+    lines = [header_of_recording(Recording.open(path)).title, "t = 7.4 s", *(f"{name} (J)" for name in LEGENDS)]
+    place = place_legend(lines, shown, Area(SIZE[0] - 60.0, SIZE[1] - 18.0))
     right, bottom = "Right" in place.corner.name, "Bottom" in place.corner.name
-    wide, tall = 7 * len("gravitational (J)") + 44, 23 * len(LEGENDS) + 14  # px, as in plot_views.py
+    wide, tall = 7 * max(map(len, lines)) + 44, 23 * len(lines) + 14  # px, as in plot_views.py
     height = SIZE[1] - 18  # without the times below the plot
     rows = slice(height - tall, height) if bottom else slice(0, tall)
     # on the left the numbers of the axis come first: they are as wide as they are

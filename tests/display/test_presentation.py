@@ -10,7 +10,7 @@ import pytest
 import carom
 from carom.contact_table import CONTACT_ROW
 from carom.display import close_up, request
-from carom.display.presentation import _steps, asked, presentation
+from carom.display.presentation import Presentation, _steps, asked, presentation
 from carom.display.request import Request, pair_of_step
 from carom.display.supplement import Trails
 from carom.errors import RecordingError
@@ -18,6 +18,7 @@ from carom.recording.edit.clip import clip
 from carom.recording.layout import TRAILS
 from carom.recording.layout.camera import CameraFit
 from carom.recording.layout.canvas import LEGEND, Area, CameraMotion, Canvas, LensView, View, views_of
+from carom.recording.read.frame_rows import RecordedRows
 from carom.recording.read.named_events import NamedEvent, Pair, named_event, named_pair, pair_of_extreme
 from carom.recording.read.recorded_scene import header_of_recording
 from carom.recording.read.recording import Recording
@@ -214,15 +215,57 @@ def test_the_close_up_of_an_impact_states_spins_and_angular_impulses_by_name(gla
     for name in ("body 0", "body 1"):
         assert f"{name}: spin 0 before, {spin:.3g} rad/s after" in texts
         assert f"{name}: angular impulse {angular:.3g} N m s" in texts
+    # equal masses share the velocity along the normal by (1 ± e)/2, and friction along the tangent
+    normal, push = np.array([np.sqrt(0.75), 0.5, 0.0]), impact["tangential_impulse"] / 0.17
+    tangent = np.array([0.5, -np.sqrt(0.75), 0.0])
+    after = 0.95 * np.sqrt(0.75) * normal + push * tangent
+    speeds = {"body 0": (1.0, np.linalg.norm([1.0, 0.0, 0.0] - after)), "body 1": (0.0, np.linalg.norm(after))}
+    lines = " ".join(legend_texts(asked(glancing, Request(event="impact:1"))))
+    for name, (first, last) in speeds.items():
+        assert f"{name}, speed {first:.3g} before, {last:.3g} m/s after" in lines
     whole = np.hypot(impact["normal_impulse"], impact["tangential_impulse"])
     assert f"{whole:.3g} N s with friction" in texts, "the arrow is the sum of both, unlike the normal one in tables"
+
+
+def legend_texts(shown: Presentation) -> list[str]:
+    legend: Any = dict(shown.supplement.statics)[LEGEND]
+    return [" ".join(text.strip("\xa0\xad").split()) for text in legend.labels.as_arrow_array().to_pylist()]
+
+
+def test_a_picture_of_a_close_up_has_its_numbers_in_the_legend_and_no_label_on_its_arrows(glancing: Recording) -> None:
+    shown = asked(glancing, Request(event="impact:1"), Canvas(800, 500, framed=False, rendered=True), "close-up")
+    assert not rows_of(close_up.LABELS, list(shown.supplement.rows))
+    lines = legend_texts(shown)
+    text = " ".join(lines)
+    assert lines.index("■ body 0") < lines.index("■ body 1") and text.count("speed") == 2
+    assert text.count("angular impulse") == 2 and text.count("spin 0 before") == 2 and "→ spin" in text
+    assert "→ normal, " in text and "→ impulse on each body, " in text
+
+
+def test_arrows_of_impulses_point_out_of_planes(tmp_path: Path) -> None:
+    """The floor pushes the ball up and, since it slides along x, friction pushes it back."""
+    ball = {"position": [0.0, 0.0, 0.5], "velocity": [3.0, 0.0, 0.0], "radius": 0.5}
+    scene = scene_of(
+        [ball],
+        gravity={"constant": 0.0, "uniform": [0.0, 0.0, -10.0]},
+        contact={"kinetic_friction": 0.3, "static_friction": 0.3},
+        plane=[{"normal": [0.0, 0.0, 1.0]}],
+        time={"duration": 0.02, "fixed_dt": 0.01},
+        record={"every": "step"},
+    )
+    rows = RecordedRows(carom.run(scene, tmp_path / "slide.rrd"))
+    normal, friction = (
+        rows.at(path, 2)[0].batch["Arrows3D:vectors"][0].values.to_pylist()[0]
+        for path in (paths.FORCE_NORMAL, paths.FORCE_FRICTION)
+    )
+    assert normal[2] > 0.0 and friction[0] < 0.0
 
 
 def test_the_close_up_of_a_lasting_contact_states_no_approach_speed(tmp_path: Path) -> None:
     """What a force adds to the speed within a step is no motion: the ball rolls, 5/7 g sin 30° fast."""
     recording = carom.run(Scene.load("incline", ["time.duration=0.1"]), tmp_path / "slope.rrd")
     rows = list(asked(recording, Request(at=0.1, bodies="rolling"), only="close-up").supplement.rows)
-    (texts,) = values_of(close_up.LABELS, "labels", rows)[:1]
+    texts = values_of(close_up.LABELS, "labels", rows)[0]
     normal, friction = 9.81 * np.sqrt(0.75), 2.0 / 7.0 * 9.81 * 0.5
     assert texts[0] == "normal"
     assert texts[1].startswith(f"{np.hypot(normal, friction):.3g} N with friction, ")

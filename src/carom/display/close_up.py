@@ -114,6 +114,7 @@ class CloseUp:
     contact: Contact | None  # None if they do not touch in this step, or its contacts are unknown
     spin: FloatArray | None  # (b, 3) rad/s; at an instant, after the impact
     spin_before: FloatArray | None  # (b, 3) rad/s, before the impact of an instant
+    velocity: FloatArray | None  # (1, b, 3) m/s or, before and after the impact of an instant, (2, b, 3)
     middle: FloatArray  # (3,) m, of the bodies as they are drawn
     paths: DrawnPaths | None
     times: FloatArray  # (frames,) s, of the paths
@@ -232,20 +233,13 @@ class CloseUp:
     def _arrows(self, contact: Contact, header: Header) -> Iterable[Rows]:
         """Draw edge, normal, impulse and spins at the step, with labels; clear them at the next frame."""
         yield from self._once(EDGE, rr.LineStrips3D.columns(strips=[single(contact.edge)]), 1)
-        small = float(header.radius[list(self.bodies)].min())
-        label = "normal"
-        if contact.force is None and contact.approach_speed > 0.0:  # bodies in lasting contact do not approach
-            label += f", {header.units.text(contact.approach_speed, dimension.VELOCITY, '.3g')}"
-        labelled = [
-            _Arrows(NORMAL, contact.point[None], _NORMAL * small * contact.normal[None], [label], 0.5),
-            self._impulses(contact, header),
-            self._spins(small, header.units),
-        ]
+        labelled = self._labelled(contact, header)
         for arrows in labelled:
             if arrows.path and len(arrows.vectors):
                 columns = rr.Arrows3D.columns(vectors=single(arrows.vectors), origins=single(arrows.origins))
                 yield from self._once(arrows.path, columns, len(arrows.vectors))
-        labelled.append(self._angular_impulses(contact, header))
+        if self.legend.entries:  # it has the numbers
+            return
         # with two bodies, a label begins with the name of its body if there is space
         texts = [text for arrows in labelled for text in arrows.labels]
         owners = [arrows.bodies[k] if arrows.bodies else -1 for arrows in labelled for k in range(len(arrows.labels))]
@@ -254,12 +248,62 @@ class CloseUp:
         if len(self.bodies) == 2 and widest < self.area.width:
             texts = named
         wanted = [(a.origins + a.along * a.vectors)[: len(a.labels)] for a in labelled]
-        point = 2.0 / self.area.height  # the rows of the legend are placed first, like labels
-        wide, tall = 0.5 * point * self.area.inset[0], 0.5 * point * self.area.inset[1]
-        x, top = self.corner[0] * (self.area.aspect - wide), self.corner[1] * (1.0 - tall) + tall
-        legend = [(wide, x, top - down) for down in np.arange(0.0, 2.0 * tall, _LABEL_HEIGHT * point).tolist()]
-        places = single(_apart(np.concatenate(wanted), texts, self.eye, self.area, legend))
+        places = single(_apart(np.concatenate(wanted), texts, self.eye, self.area))
         yield from self._once(LABELS, rr.Points3D.columns(positions=places, labels=texts), len(texts))
+
+    def _labelled(self, contact: Contact, header: Header) -> list[_Arrows]:
+        """Return normal, impulses, spins and angular impulses, with their numbers."""
+        small = float(header.radius[list(self.bodies)].min())
+        label = "normal"
+        if contact.force is None and contact.approach_speed > 0.0:  # bodies in lasting contact do not approach
+            label += f", {header.units.text(contact.approach_speed, dimension.VELOCITY, '.3g')}"
+        return [
+            _Arrows(NORMAL, contact.point[None], _NORMAL * small * contact.normal[None], [label], 0.5),
+            self._impulses(contact, header),
+            self._spins(small, header.units),
+            self._angular_impulses(contact, header),
+        ]
+
+    def _speeds(self) -> list[str]:
+        """Return a text for each body: its speed or, at an impact, its speeds before and after."""
+        if self.velocity is None:
+            return []
+        speeds = np.linalg.norm(self.velocity, axis=2)
+        speeds[speeds <= _ROUNDING * speeds.max(initial=0.0)] = 0.0
+        texts = [self.header.units.text(speed, dimension.VELOCITY, ".3g") for speed in speeds[-1].tolist()]
+        if len(speeds) == 1:
+            return [f"speed {text}" for text in texts]
+        first = [self.header.units.shown(speed, dimension.VELOCITY) for speed in speeds[0].tolist()]
+        return [f"speed {one:.3g} before, {last} after" for one, last in zip(first, texts, strict=True)]
+
+    def speed_lines(self) -> list[LegendLine]:
+        """Return the lines about velocities of a legend beside all views."""
+        ink = palette.INKS[self.area.theme]
+        return [LegendLine(f"{name}, {text}", ink) for name, text in zip(self.called, self._speeds(), strict=False)]
+
+    def _explained(self, clock: MovieClock | str, theme: str) -> Legend:
+        """Return the legend of the view alone: each body with its numbers, and the arrows with theirs."""
+        colours = [palette.INKS[theme]] * len(self.bodies)
+        colours = colours if self.colours.fixed is None else [int(each) for each in self.colours.fixed]
+        arrows = [] if self.contact is None else self._labelled(self.contact, self.header)
+        speeds, entries = self._speeds(), list[LegendLine]()
+        for place, (name, colour) in enumerate(zip(self.called, colours, strict=True)):
+            own = [a.labels[a.bodies.index(place)] for a in arrows if a.labels and place in a.bodies]
+            entries.append(LegendLine(f"■ {name}", colour))
+            entries += [LegendLine(f"    {text}", colour) for text in (*speeds[place : place + 1], *own)]
+        if self.contact is None:
+            return Legend(entries, theme).titled(self.header.title, clock)
+        normal, impulse, spin, _ = arrows
+        entries += [
+            LegendLine("— line of centres", palette.VERMILION),
+            LegendLine(f"→ {normal.labels[0]}", palette.INKS[theme]),
+        ]
+        if impulse.labels:
+            text = f"→ impulse on each body, {impulse.labels[0]}"
+            entries.append(LegendLine(text, palette.ARROWS[paths.FORCE_NORMAL]))
+        if spin.labels:
+            entries.append(LegendLine("→ spin", palette.SPIN))
+        return Legend(entries, theme).titled(self.header.title, clock)
 
     def _impulses(self, contact: Contact, header: Header) -> _Arrows:
         """Return the impulse on each body from its centre; if one is many times larger, only on the smaller."""
@@ -365,7 +409,9 @@ def close_up(
             near = (1.0 + _TOUCHING) * float(header.radius[places].sum())
             instant = None if float(np.linalg.norm(other - at_end[0])) <= near else instant
     drawn = instant or step
-    frame, spin, spin_before = drawn.frame, None, None
+    frame, spin, spin_before, velocity = drawn.frame, None, None, drawn.velocities
+    if velocity is None and frame is not None:
+        velocity = frame.velocity[None, list(bodies)]
     if drawn.state is not None:
         spin_before, spin = (None, None) if drawn.state.spins is None else drawn.state.spins
     elif frame is not None and frame.angular_velocity is not None:
@@ -385,33 +431,15 @@ def close_up(
         tip = contact.point + _NORMAL * header.radius[places].min() * contact.normal
         ends = tip[None] if ends is None else np.concatenate([ends, tip[None]])
     colours = _told_apart(colours, area.theme)
-    entries = list[LegendLine]()
-    if explained and colours.fixed is not None:
-        entries += [LegendLine(f"■ {name}", int(own)) for name, own in zip(short, colours.fixed, strict=True)]
-    if explained and contact is not None:
-        ink, impulse = palette.INKS[area.theme], palette.ARROWS[paths.FORCE_NORMAL]
-        entries += [LegendLine("— line of centres", palette.VERMILION), LegendLine("→ normal", ink)]
-        entries += [LegendLine("→ impulse on each body", impulse)] if np.any(contact.impulse) else []
-        entries += [LegendLine("→ spin", palette.SPIN)] if spin is not None and np.any(spin) else []
-    words = Legend(entries, area.theme)
-    if explained:
-        words = words.titled(header.title, clock)
-    words = words.wrapped(area)
-    area = replace(area, inset=words.size)
     sizes, around = header.radius[places], ends if ends is not None else np.zeros((0, 3))
-    eye = _fit(sizes, seen, contact).view(area.aspect, narrow=area.rendered, tips=ends, inset=area.inset_share)
     shown, radii = np.concatenate([seen, around]), np.pad(_ROOM * sizes, (0, len(around)))
-    poses: list[View] = []
-    if isinstance(clock, MovieClock) and found is not None:
-        eye = replace(eye, motion=CameraMotion.FOLLOW)
-        which = np.maximum(np.searchsorted(times, clock.times, side="right") - 1, 0)
-        paths_then = _nearest_images(found.position[which].astype(np.float64), header.cell(drawn.time))
-        half = 0.5 * eye.height() * min(1.0, area.aspect) - float(sizes.max())
-        middle = seen.mean(axis=0)
-        poses = [replace(eye, target=eye.target + _followed(each, half) - middle) for each in paths_then]
-    return CloseUp(
+
+    def eye_of(area: Area) -> View:
+        return _fit(sizes, seen, contact).view(area.aspect, narrow=area.rendered, tips=ends, inset=area.inset_share)
+
+    made = CloseUp(
         header=header,
-        poses=poses,
+        poses=(),
         names=names,
         called=short,
         bodies=tuple(places),
@@ -421,17 +449,33 @@ def close_up(
         contact=contact,
         spin=spin,
         spin_before=spin_before,
+        velocity=velocity,
         middle=seen.mean(axis=0),
         paths=found,
         times=times,
         origin=recording.origin,
         cell=header.cell,
-        eye=eye,
+        eye=eye_of(area),
         colours=colours,
         area=area,
-        legend=words,
-        corner=free_corner(eye, area.aspect, area.inset_share, shown, radii) or CORNERS[0],
+        legend=Legend([], area.theme),
+        corner=CORNERS[0],
     )
+    if explained:
+        words = made._explained(clock, area.theme).wrapped(area)
+        area = replace(area, inset=words.size)
+        eye = eye_of(area)
+        corner = free_corner(eye, area.aspect, area.inset_share, shown, radii) or CORNERS[0]
+        made = replace(made, eye=eye, area=area, legend=words, corner=corner)
+    if not isinstance(clock, MovieClock) or found is None:
+        return made
+    eye = replace(made.eye, motion=CameraMotion.FOLLOW)
+    which = np.maximum(np.searchsorted(times, clock.times, side="right") - 1, 0)
+    paths_then = _nearest_images(found.position[which].astype(np.float64), header.cell(drawn.time))
+    half = 0.5 * eye.height() * min(1.0, area.aspect) - float(sizes.max())
+    middle = seen.mean(axis=0)
+    poses = [replace(eye, target=eye.target + _followed(each, half) - middle) for each in paths_then]
+    return replace(made, eye=eye, poses=poses)
 
 
 def _told_apart(colours: BodyColours, theme: str) -> BodyColours:
@@ -472,11 +516,11 @@ def _impulse_radii(radius: FloatArray) -> FloatArray:
 _Placed = tuple[float, float, float]  # half width of a label, and its place, in half heights of the view
 
 
-def _apart(places: FloatArray, texts: list[str], eye: View, area: Area, placed: Iterable[_Placed] = ()) -> FloatArray:
+def _apart(places: FloatArray, texts: list[str], eye: View, area: Area) -> FloatArray:
     """Move labels, (k, 3) m, into the view; move a label up or down if it would cover an earlier one."""
     point = 2.0 / area.height  # half heights of the view
     onto = eye.on_screen(places)
-    moved, drawn = onto.copy(), [*placed]
+    moved, drawn = onto.copy(), list[_Placed]()
     for k, text in enumerate(texts):
         wide, tall, low = np.array([_LETTER_WIDTH * (len(text) + 2) / 2, _LABEL_HEIGHT, _BELOW]) * point
         side = max(0.0, area.aspect - wide)

@@ -8,6 +8,7 @@ from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack
+from dataclasses import replace
 from itertools import cycle
 
 import numpy as np
@@ -15,11 +16,12 @@ import numpy as np
 from carom.arrays import FloatArray
 from carom.display.body_colours import body_colours, change_with_time, redrawn_for, trail_colours
 from carom.display.legend import LegendContents, MovieClock, drawn_during, impact_marks, legend
+from carom.display.letters import drawable
 from carom.display.margins import margins
 from carom.display.picture import headless, stable_picture, window_of
 from carom.display.presentation import asked, uniform_field
 from carom.display.request import Request
-from carom.display.staging import Staging, decades, impact_strip, whole_span
+from carom.display.staging import Staging, caption, decades, impact_strip, whole_span
 from carom.display.supplement import Supplement
 from carom.display.viewer import Viewer
 from carom.errors import RecordingError
@@ -290,6 +292,9 @@ def _layout(
     )
     some = np.concatenate(positions[:: max(1, len(positions) // _LOOKS)])
     radius = np.resize(header.radius, len(some))
+    if view == "energy" and drawable(header.title):
+        ((row, static),) = caption([header.title], theme, float(times[0]))
+        strip, bands, added = [*strip, row], [*bands, static], replace(added, caption=[header.title])
     parts = (laid_out, staging.camera, canvas, view, added, words, field, some, radius)
     placed = margins(*parts, poses=lambda eye: staging.poses(eye, positions), times=np.array(times))
     statics = [*bands, *styles, *staging.statics(), *arrow_styles(header, theme), *placed.statics]

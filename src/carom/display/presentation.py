@@ -11,6 +11,7 @@ from carom.arrays import FloatArray
 from carom.display.body_colours import body_colours, change_with_time, recorded_colours, redrawn_for, trail_colours
 from carom.display.close_up import close_up
 from carom.display.legend import LegendContents, MovieClock, drawn_at, drawn_during, impact_marks, legend
+from carom.display.letters import drawable
 from carom.display.margins import margins
 from carom.display.request import (
     Request,
@@ -20,7 +21,7 @@ from carom.display.request import (
     pair_of_step,
     shown_step,
 )
-from carom.display.staging import Staging, decades, impact_strip, names_that_fit, whole_span
+from carom.display.staging import Staging, caption, decades, impact_strip, names_that_fit, whole_span
 from carom.display.supplement import BodyPlots, Supplement, asked_quantities, body_series
 from carom.errors import RecordingError, SceneError
 from carom.recording.layout import (
@@ -51,6 +52,7 @@ from carom.recording.write.static_entities import arrow_styles
 from carom.scene.forces import UNIFORM_FIELD
 from carom.scene.units.dimension import TIME
 
+_PLOTS = ("energy", PLOT)  # views that are plots
 _ONCE = (paths.EVENTS, paths.FINGERPRINT, paths.MOMENTUM, paths.IMPACTS)  # not sent for repeated steps
 
 
@@ -209,6 +211,7 @@ def presentation(
     elif canvas.rendered:
         contents = drawn_during(recording, laid_out)
     contents |= LegendContents(impacts=len(marks) > 0, trails=has_trails)
+    span = whole_span(recording)
     field, spins = uniform_field(recording, header), None if close is None else close.spin
     area = bodies_area(laid_out, canvas, only, close is not None)
     plain = staging.camera.view(area.aspect, narrow=area.rendered)
@@ -223,6 +226,8 @@ def presentation(
         both_arrows=both_arrows,
         theme=canvas.theme,
     )
+    if close is not None:
+        words = replace(words, entries=[*words.entries, *close.speed_lines()])
     words = words.titled(header.title, written) if canvas.rendered else words
     added = Additions(
         *(close, has_trails, recoloured, by_stage, both_arrows, plots, words),
@@ -230,6 +235,12 @@ def presentation(
         marks=marks,
     )
     added = replace(added, tips=_arrow_tips(header, recording.origin, paused, references, hidden_arrows(header, added)))
+    if canvas.rendered and only in _PLOTS:
+        title = [*([header.title] if drawable(header.title) else []), written]
+        for row, static in caption(title, canvas.theme, span[0]):
+            rows, statics = [*rows, row], [*statics, static]
+        drawn_plots = None if plots is None else replace(plots, caption=title, span=clock.nanoseconds(span))
+        added = replace(added, caption=title, plots=drawn_plots)
     past = np.zeros((0, 3)) if staging.trails is None else staging.trails.until(moment)
     visible, radius = np.concatenate([paused.position, past]), np.pad(header.radius, (0, len(past)))
     placed = margins(laid_out, staging.camera, canvas, only, added, words, field, visible, radius)
@@ -246,7 +257,7 @@ def presentation(
         viewer_time=viewer_time(header.units, clock),
         struck=bool(strip),
         decades=logarithms,
-        span=clock.nanoseconds(whole_span(recording)) if canvas.rendered else None,
+        span=clock.nanoseconds(span) if canvas.rendered else None,
     )
     layout = blueprint(header, staging.camera, curves, canvas, only, added)
     if close is not None:

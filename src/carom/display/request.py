@@ -21,7 +21,7 @@ from carom.recording.read.recorded_contacts import rows_of_engine
 from carom.recording.read.recording import Recording
 from carom.recording.schema.header import Header, TimeScale
 from carom.recording.timelines import STEP
-from carom.recording.write.impact_frames import Instant, instants
+from carom.recording.write.impact_frames import Instant, instants, velocities_at
 from carom.runs.window import Window
 from carom.state.frame import CollisionGraph, Frame
 
@@ -78,6 +78,7 @@ class ShownStep:
     before: Frame | None = None  # the frame before the frames in `added`
     added: Sequence[Frame] = ()  # repeated steps: the shown step, the steps between recorded frames, and the next frame
     state: Instant | None = None  # of an instant within the step: energies and spins before and after
+    velocities: FloatArray | None = None  # (2, b, 3) m/s, of the bodies of an instant before and after it
     missing: str = ""  # why the step could not be repeated, if the step has no frame
 
 
@@ -177,7 +178,8 @@ def at_impact(
     k = own[np.lexsort((-impacts["approach_speed"][own], off))[:1]]
     (state,) = instants(header, before, frame, impacts, k, np.ones(1, np.int64))
     position = np.asarray(state.frame.position - origin)
-    return ShownStep(step.step, state.frame.time, position, state.frame, step.before, step.added, state=state)
+    shown = ShownStep(step.step, state.frame.time, position, state.frame, step.before, step.added, state=state)
+    return replace(shown, velocities=velocities_at(header, before, frame, impacts, int(k[0]), state.bodies))
 
 
 def _row_of(step: int, steps: IntArray) -> int | None:

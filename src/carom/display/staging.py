@@ -20,7 +20,7 @@ from carom.recording.layout.camera import CameraFit
 from carom.recording.layout.canvas import Area, CameraMotion, LensView, View, views_of
 from carom.recording.layout.curve_outline import CurveOutline, Curves
 from carom.recording.layout.drawing import line_radii, shape, single
-from carom.recording.layout.plot_views import DECADES, curve_style, grows_by_decades, shown_series
+from carom.recording.layout.plot_views import CAPTION, DECADES, curve_style, grows_by_decades, shown_series
 from carom.recording.read.frame_rows import RecordedPositions
 from carom.recording.read.recorded_impacts import impacts_by_number
 from carom.recording.read.recording import Recording
@@ -164,6 +164,17 @@ def decades(recording: Recording, header: Header, curves: Curves) -> tuple[Curve
         rows.append(Rows(path, index, list(rr.Scalars.columns(scalars=values))))
         statics.append((path, curve_style(each.name_in(header), each.colour, each.width)))
     return outlines, rows, statics
+
+
+def caption(lines: Sequence[str], theme: str, time: float) -> Iterator[tuple[Rows, Static]]:
+    """Yield the title of a plot that fills a picture, which has no title bar: the first lines of its legend.
+
+    Each is the name of a series without a value, at a time (s) in the plot, whose dot has the colour of the ground.
+    """
+    for line, text in enumerate(lines):
+        path = f"{CAPTION}/{line}"
+        nothing = Rows(path, Index.within_step(time), list(rr.Scalars.columns(scalars=[np.nan])))
+        yield nothing, (path, rr.SeriesLines(names=text, colors=palette.PLOT_GROUNDS[theme]))
 
 
 def whole_span(recording: Recording) -> Sequence[float]:

@@ -293,7 +293,9 @@ class BodyPlots:
     series: Sequence[BodySeries]
     system: UnitSystem = SI  # of the recording
     colours: Mapping[int, int] = field(default_factory=dict)  # of the bodies, if they are constant in time
-    alone: bool = False  # whether a plot fills the picture, which then has no title, since the legend suffices
+    alone: bool = False  # whether a plot fills the picture
+    caption: Sequence[str] = ()  # its title then, lines of the legend
+    span: IntArray | None = None  # (2,) ns, of the axis of a picture
 
     @property
     def units(self) -> list[str]:
@@ -340,6 +342,8 @@ class BodyPlots:
             legends if self.alone or len(legends) > 1 else [],
             curves,
             area,
+            span=self.span,
+            caption=self.caption,
         )
 
     def _legend(self, series: BodySeries) -> str:

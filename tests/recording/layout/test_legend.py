@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from carom.recording.layout.canvas import Area
 from carom.recording.layout.curve_outline import CurveOutline
-from carom.recording.layout.plot_views import place_legend, time_beside_legend
+from carom.recording.layout.plot_views import place_legend, time_axis, time_beside_legend
 
 FloatArray = NDArray[np.float64]
 
@@ -88,3 +88,24 @@ def test_a_long_legend_stands_right_of_the_last_point() -> None:
     shown = view.as_arrow_array().to_pylist()[0]
     last = shown["end"] if isinstance(shown["end"], int) else next(iter(shown["end"].values()))
     assert 10_000_000_000 * 1.1 < last < 10_000_000_000 * 1.3  # 28 letters of 7 px, and a dot, of 1600 px
+
+
+@pytest.mark.parametrize(
+    ("length", "width", "until"),
+    [
+        (0.8e9, 320.0, 1e9),  # ten ticks would have 40 points each, and no label
+        (0.8e9, 1600.0, 0.8e9),  # 200 points each
+        (0.3e9, 320.0, 0.3e9),  # 107 points each; no second within twice the length
+        (40e9, 320.0, 40e9),  # 80 points for ten seconds
+        (41e9, 320.0, 60e9),
+        (3000e9, 320.0, 3600e9),
+        (3.7e9, 320.0, 3.7e9),
+    ],
+)
+def test_a_time_axis_of_a_picture_has_a_second_label(length: float, width: float, until: float) -> None:
+    area = Area(width + 60.0 + 28.0, 200.0)  # with the numbers beside the plot and the last one below it
+    shown = time_axis(area, np.array([0, int(length)])).view_range
+    assert shown is not None
+    ends = shown.as_arrow_array().to_pylist()[0]
+    last = ends["end"] if isinstance(ends["end"], int) else next(iter(ends["end"].values()))
+    assert last == pytest.approx(until * (1.0 + 28.0 / width), rel=1e-6)

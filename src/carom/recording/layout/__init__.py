@@ -356,7 +356,7 @@ def _single(
         case "plot":
             raise RecordingError("there are no bodies to plot")
         case _:
-            return energy_view(header, curves, canvas.area(), added.span)
+            return energy_view(header, curves, canvas.area(), added)
 
 
 def _states(area: Area, added: Additions) -> rrb.View:

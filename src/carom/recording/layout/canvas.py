@@ -221,6 +221,7 @@ class Additions:
     tips: FloatArray | None = None  # (k, 3) m, of the arrows that are drawn at the moment
     marks: FloatArray | None = None  # (k, 3) m, around the points of impacts that are drawn
     inset: tuple[float, float] = (0.0, 0.0)  # points, width and height of the legend inside a single view
+    caption: Sequence[str] = ()  # title of a plot that fills the picture
     viewer_time: str = ""  # how the viewer's times are related to the scene's unit of time, if they are not the same
     span: IntArray | None = None  # (2,) ns, first and last time of plots that nobody will zoom
 

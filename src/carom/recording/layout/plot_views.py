@@ -169,10 +169,14 @@ def _decades(header: Header, curves: Curves, area: Area, span: IntArray | None) 
     return time_series_view(title, paths_of, legends, list(curves.values()), area, span=span)
 
 
-def energy_view(header: Header, curves: Curves | None, area: Area, span: IntArray | None = None) -> rrb.View:
-    """Lay out the plot of the energies alone in an area of this size, without a title; the legend states the unit."""
+def energy_view(header: Header, curves: Curves | None, area: Area, added: Additions) -> rrb.View:
+    """Lay out the plot of the energies alone in an area of this size; the legend states title and unit."""
     plot = PLOTS[0][0]
-    return _laid_out(header, plot, shown_series(header, plot, curves), curves, area, span, named=True)
+    series = shown_series(header, plot, curves)
+    return _laid_out(header, plot, series, curves, area, added.span, named=True, caption=added.caption)
+
+
+CAPTION = "caption"  # entities of the title of a plot; the viewer sorts the lines of a legend by entity
 
 
 def shown_series(header: Header, plot: Plot, curves: Curves | None = None) -> list[Series]:
@@ -220,6 +224,7 @@ def _laid_out(
     span: IntArray | None,
     *,
     named: bool,  # whether it has a legend
+    caption: Sequence[str] = (),
 ) -> rrb.TimeSeriesView:
     """Lay out a plot of some series."""
     factor, entities = header.plot_factor(plot.unit), [each.path for each in series]
@@ -229,7 +234,7 @@ def _laid_out(
     if factor != 1.0:
         style = rr.SeriesLines.from_fields().visualizer(mappings=taken_from({"Scalars:scalars": IN_PLOT}))
         styles |= dict.fromkeys(entities, style)
-    return time_series_view(plot.name_in(header), entities, texts, known, area, styles, span)
+    return time_series_view(plot.name_in(header), entities, texts, known, area, styles, span, caption)
 
 
 def time_series_view(
@@ -240,11 +245,14 @@ def time_series_view(
     area: Area,
     styles: Mapping[EntityPathLike, VisualizerLike] = MappingProxyType({}),
     span: IntArray | None = None,
+    caption: Sequence[str] = (),
 ) -> rrb.TimeSeriesView:
     """Lay out a plot of some entities, with the lines of its legend where they cover no known curve.
 
-    ``styles`` override the recorded styles of the series by path; for ``span``, see `time_axis`.
+    ``styles`` override the recorded styles of the series by path; for ``span``, see `time_axis`. The legend begins with
+    the lines of a ``caption``.
     """
+    entities, legends = [*(f"{CAPTION}/{line}" for line in range(len(caption))), *entities], [*caption, *legends]
     between_axes = Area(max(1.0, area.width - _NUMBERS[0]), max(1.0, area.height - _NUMBERS[1]))
     place = place_legend(legends, curves, between_axes)
     return rrb.TimeSeriesView(
@@ -266,7 +274,27 @@ def time_axis(area: Area, span: IntArray | None) -> rrb.TimeAxis:
     if span is None:
         return whole_time()
     start, end = span.tolist()
-    return _axis(start, end + int((end - start) * _NUMBER / max(_NUMBER, area.width - _NUMBERS[0] - _NUMBER)))
+    width = max(_NUMBER, area.width - _NUMBERS[0] - _NUMBER)
+    end = start + _labelled(end - start, width)
+    return _axis(start, end + int((end - start) * _NUMBER / width))
+
+
+_SECOND = 10**9  # ns
+# ns, distances of the times that Rerun 0.41 writes below a plot
+_TICKS: tuple[int, ...] = (
+    *(_SECOND // 10**k for k in range(9, 0, -1)),
+    *(_SECOND * each for each in (1, 10, 60, 600, 3600, 43_200, 86_400)),
+)
+_TICK_WIDTH = 80.0  # points, smallest distance at which it writes them; measured
+_LONGER = 2.0  # an axis is not made longer by more than this factor
+
+
+def _labelled(length: int, width: float) -> int:
+    """Return the length (ns) of an axis of some width (points), longer if the viewer would label only its start."""
+    shown = [tick for tick in _TICKS if width * tick >= _TICK_WIDTH * length]
+    if not shown or shown[0] <= length or shown[0] > _LONGER * length:
+        return length
+    return shown[0]
 
 
 def whole_time() -> rrb.TimeAxis:

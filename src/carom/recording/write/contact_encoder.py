@@ -161,11 +161,14 @@ def force_rows(
     drawn: IntArray,
     longest: float,
     origin: FloatArray,
+    bodies: int,
     friction: bool,
     floors: FloatArray,
     columns: Sequence[ComponentColumn] = (),
 ) -> Iterable[Rows]:
     """Draw the normal impulses and, with friction, the friction impulses on body j as arrows at the contact point.
+
+    Where j is a plane or a wall, numbers from ``bodies`` on, they are those on body i: normals point out of surfaces.
 
     In each frame, (frames,), the ``drawn`` contacts with the largest normal impulses have arrows, shorter than
     ``longest`` (m). ``middle`` is the middle of the frame's scale (N s); impulses below its floor (N s) have arrows
@@ -181,7 +184,7 @@ def force_rows(
         if path == FORCE_FRICTION and not friction:
             continue
         size = np.sqrt(np.einsum("ki,ki->k", impulse, impulse))
-        arrows = _drawn(impulse, size, middle, longest, floors)
+        arrows = _drawn(np.where(rows["j"][:, None] < bodies, impulse, -impulse), size, middle, longest, floors)
         found = [
             vector_column(rr.Arrows3D.descriptor_vectors(), arrows, drawn),
             vector_column(rr.Arrows3D.descriptor_origins(), at, drawn),
@@ -260,7 +263,7 @@ class ContactEncoder:
         # written even without arrows, to clear the contacts of the previous frame
         yield from force_rows(
             *(index, self._contacts, self._middle, kept.arrows, longest),
-            *(self._origin, header.has_friction, floors, [any_column(FLOOR, floors)]),
+            *(self._origin, header.bodies, header.has_friction, floors, [any_column(FLOOR, floors)]),
         )
         self._recorded += len(impacts)
         if len(impacts):

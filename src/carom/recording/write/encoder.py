@@ -178,7 +178,8 @@ class BatchEncoder:
         yield Rows(paths.CONTACTS, index, [*edges, *contact_columns(contacts, middle, self.header.radius)])
         longest = arrow_length(self.header, paths.FORCE_NORMAL)
         rubs, floors = self.header.has_friction, self._floors.alone(contacts.largest())
-        yield from force_rows(index, contacts, middle, contacts.contacts, longest, self.origin, rubs, floors)
+        drawn = contacts.contacts, longest, self.origin, self.header.bodies
+        yield from force_rows(index, contacts, middle, *drawn, rubs, floors)
         twice = Index(NO_STEPS, np.repeat(index.times, 2), np.repeat(numbers, 2), np.repeat(ends, 2))
         energies = np.concatenate([one.energies for one in found])
         for series in self._recorded:

@@ -116,7 +116,8 @@ class _Jumps:
         self._pairs = _pairs(impacts)
         self._before, self._after = before, frame
         spins = before.angular_velocity is not None and frame.angular_velocity is not None
-        self._turns = _turns(header, before, frame, impacts)
+        self._turns = turns_of(impacts)  # (k, 2, 3) N m s, of both ends
+        self._turns[_still(header, before, frame, self._pairs)] = 0.0
         self._kicks = None  # (k, 2, 3) rad/s, changes of both spins
         if spins:
             self._kicks = self._turns / np.append(header.inertia, 1.0)[_ends(header, self._pairs)][:, :, None]
@@ -144,17 +145,23 @@ class _Jumps:
         """Return the spins of bodies before and after an impact and all others at its time, (2, b, 3) rad/s."""
         if self._kicks is None:
             return None
-        time = self._time[k]
-        pasts = (self._time < time, self._time <= time)
-        return np.array([[self._spin(int(body), past, time) for body in bodies] for past in pasts])
-
-    def _spin(self, body: int, past: BoolArray, time: float) -> FloatArray:
-        assert self._kicks is not None
         assert self._before.angular_velocity is not None and self._after.angular_velocity is not None
-        own = self._pairs == body  # (k, 2)
-        last = self._after.angular_velocity[body] - self._kicks[own].sum(axis=0)
-        smooth = _between(self._part(time), self._before.angular_velocity[body], last)
-        return np.asarray(smooth + self._kicks[own & past[:, None]].sum(axis=0))
+        return self._sides(k, bodies, self._before.angular_velocity, self._after.angular_velocity, self._kicks)
+
+    def velocities(self, k: int, bodies: IntArray, pushes: FloatArray) -> FloatArray:
+        """Return the velocities before and after, (2, b, 3) m/s, given the changes of both, (k, 2, 3) m/s."""
+        return self._sides(k, bodies, self._before.velocity, self._after.velocity, pushes)
+
+    def _sides(self, k: int, bodies: IntArray, first: FloatArray, last: FloatArray, kicks: FloatArray) -> FloatArray:
+        """Return vectors of bodies before and after an impact and all others at its time, (2, b, 3)."""
+        time = self._time[k]
+        found = np.empty((2, len(bodies), 3))
+        for place, body in enumerate(bodies.tolist()):
+            own = self._pairs == body  # (k, 2)
+            smooth = _between(self._part(time), first[body], last[body] - kicks[own].sum(axis=0))
+            for side, past in enumerate((self._time < time, self._time <= time)):
+                found[side, place] = smooth + kicks[own & past[:, None]].sum(axis=0)
+        return found
 
     def _gains(self, header: Header) -> FloatArray:
         """Return the increase of the rotational energy in each impact, (k,) J."""
@@ -193,12 +200,24 @@ def turns_of(impacts: Records) -> FloatArray:
     return turning_impulses(*(columns(impacts, each) for each in names))
 
 
-def _turns(header: Header, before: Frame | Checkpoint, frame: Frame, impacts: Records) -> FloatArray:
-    """Return the angular impulses of each impact, (k, 2, 3) N m s; zero for planes and fixed bodies."""
-    turns = turns_of(impacts)
+def velocities_at(
+    header: Header, before: Frame | Checkpoint, frame: Frame, impacts: Records, k: int, bodies: IntArray
+) -> FloatArray:
+    """Return the velocities of bodies before and after the k-th impact between two frames, (2, b, 3) m/s."""
+    names = ("nx", "ny", "nz"), ("friction_x", "friction_y", "friction_z")
+    normal, friction = (columns(impacts, each) for each in names)
+    impulse = impacts["normal_impulse"][:, None] * normal + friction  # on the second body
+    pairs = _pairs(impacts)
+    mass = np.append(header.mass, np.inf)[_ends(header, pairs)]
+    mass[(mass == 0.0) | _still(header, before, frame, pairs)] = np.inf
+    pushes = np.stack([-impulse, impulse], axis=1) / mass[:, :, None]
+    return _Jumps(header, before, frame, impacts).velocities(k, bodies, pushes)
+
+
+def _still(header: Header, before: Frame | Checkpoint, frame: Frame, pairs: IntArray) -> BoolArray:
+    """Return which ends (k, 2) of pairs are planes or bodies that do not move between two frames."""
     still = np.all((before.position == frame.position) & (before.velocity == 0.0) & (frame.velocity == 0.0), axis=1)
-    turns[np.append(still, True)[_ends(header, _pairs(impacts))]] = 0.0
-    return turns
+    return np.asarray(np.append(still, True)[_ends(header, pairs)])
 
 
 def _ends(header: Header, pairs: IntArray) -> IntArray:

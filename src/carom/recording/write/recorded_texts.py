@@ -23,8 +23,8 @@ _ARROWS = {  # by entity: what its arrows show, and the unit of their magnitudes
     paths.ANGULAR_ACCELERATION: ("angular accelerations by these torques", "rad/s²"),
     paths.ANGULAR_IMPULSE: ("angular impulses of impacts", "N m s"),
     paths.SPIN_CHANGE: ("changes of spin by these impacts", "rad/s"),
-    paths.FORCE_NORMAL: ("normal impulses on the second body", "N s"),
-    paths.FORCE_FRICTION: ("impulses of friction on the second body", "N s"),
+    paths.FORCE_NORMAL: ("normal impulses on the second body, or on a body out of a plane or wall", "N s"),
+    paths.FORCE_FRICTION: ("impulses of friction on the same body", "N s"),
 }
 _READ = """```python
 from rerun.chunk import RrdReader
@@ -290,7 +290,7 @@ def _impulse_legend(header: Header) -> list[str]:
         "u = s / (1 + s), s = (J / m_ref)^(1/3), from dark purple (u = 0) over red (1/3) and orange (2/3) to pale "
         "yellow (1). Chains of wide lines carry the load. m_ref is the median of the frame.",
         "- The contacts of the largest impulses have arrows at the contact point: the normal impulse on the second "
-        f"body (yellow){friction}, {longest} · u long.",
+        f"body, or out of a plane or wall (yellow){friction}, {longest} · u long.",
     ]
     if header.engine:
         return [*lines, "- An impulse is the force that the engine reports, times the time since the frame before."]
