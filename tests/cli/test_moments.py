@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import Any
 
@@ -83,6 +84,17 @@ def test_a_printed_time_finds_the_step_that_it_names(uneven: Recording, form: st
     for time in uneven.fingerprints()["time"].to_pylist()[::97]:
         assert moment(uneven.units.text(time, TIME, form)).time(uneven) == time
         assert moment(f"{time:{form}}").time(uneven) == time
+
+
+def test_a_clip_between_printed_times_begins_and_ends_with_their_frames(uneven: Recording, tmp_path: Path) -> None:
+    """Rounded down or up, the typed times alone would exclude the last frame or the first."""
+    times = uneven.fingerprints()["time"].to_pylist()
+    for first, last in ((1000, 1003), (1001, 1004), (1002, 1007)):
+        span = (f"{times[step]:.6g}" for step in (first, last))
+        asked = [word for pair in zip(("--from", "--to"), span, strict=True) for word in pair]
+        done = carom("clip", str(uneven.path), *asked, "-o", f"{first}.rrd", "--json", cwd=tmp_path)
+        made = json.loads(done.stdout)
+        assert (made["first_step"], made["last_step"]) == (first, last)
 
 
 def test_a_time_within_a_step_stays_that_time(uneven: Recording) -> None:

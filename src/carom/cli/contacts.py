@@ -9,14 +9,13 @@ import typer
 
 from carom.scene.units.dimension import ANGULAR_IMPULSE, ENERGY, FORCE, IMPULSE, TIME, VELOCITY, Dimension
 from carom.scene.wording import counted
-from carom.terminal.given_moment import AtOption, EventOption, GivenMoment, StepOption
+from carom.terminal.given_moment import AtOption, EventOption, GivenMoment, StepOption, typed_time_or_none
 from carom.terminal.options import (
     ForceOption,
     JsonOption,
     OptionalTime,
     RecordingArgument,
     output_option,
-    simulated_or_none,
     time_option,
 )
 from carom.terminal.printing import say, say_json
@@ -106,7 +105,7 @@ def contacts(
                 f"{recording.path} was recorded from {recording.engine}: its frames have the forces of contacts, but "
                 "it has no impacts; leave --impacts out, and select a frame with --at"
             )
-        start, end = (simulated_or_none(time, recording.units) for time in (start, end))
+        start, end = (typed_time_or_none(recording, time) for time in (start, end))
         if statistics:
             _measure(recording, start, end, again, as_json, as_csv, output)
             return

@@ -10,7 +10,7 @@ import typer
 from carom import registry
 from carom.scene.units.dimension import TIME
 from carom.scene.wording import counted
-from carom.terminal.given_moment import AtOption, EventOption, GivenMoment, StepOption, at_option
+from carom.terminal.given_moment import AtOption, EventOption, GivenMoment, StepOption, at_option, typed_time_or_none
 from carom.terminal.options import (
     ForceOption,
     JsonOption,
@@ -58,7 +58,8 @@ def clip(
     with opened(file) as source:
         recording = Recording.open(source)
         units, names = recording.units, recording.bodies.name
-        interval = _interval(units, *(simulated_or_none(time, units) for time in (start, end, around, window)))
+        first, last, middle = (typed_time_or_none(recording, time) for time in (start, end, around))
+        interval = _interval(units, first, last, middle, simulated_or_none(window, units))
         refuse_itself(path, file)
         refuse_output(path, force)
         kept = None if bodies is None else [body_number(recording, body) for body in split_at_commas(bodies, names)]

@@ -14,6 +14,7 @@ import typer
 from carom.scene.units.dimension import TIME
 from carom.scene.wording import command
 from carom.terminal.compilation import NO_CACHE, announce_compilation, start_on_a_new_installation
+from carom.terminal.given_moment import typed_time
 from carom.terminal.options import (
     ForceOption,
     JsonOption,
@@ -26,7 +27,6 @@ from carom.terminal.options import (
     ThreadsOption,
     output_option,
     recording_option,
-    simulated,
     simulated_or_none,
     time_option,
 )
@@ -207,7 +207,7 @@ def replay(
         with opened(file) as path:
             recording = Recording.open(path)
             units = recording.units
-            start, stop = simulated(begin, units), simulated(end, units)
+            start, stop = (typed_time(recording, time) for time in (begin, end))
             if stop < start:
                 before, after = units.text(stop, TIME, "g"), units.text(start, TIME, "g")
                 raise typer.BadParameter(f"{before} is before --from {after}", param_hint="--to")

@@ -12,7 +12,7 @@ import typer
 
 from carom.scene.units.dimension import TIME
 from carom.scene.wording import counted
-from carom.terminal.given_moment import AtOption, EventOption, GivenMoment, StepOption
+from carom.terminal.given_moment import AtOption, EventOption, GivenMoment, StepOption, typed_time_or_none
 from carom.terminal.options import (
     ForceOption,
     JsonOption,
@@ -21,7 +21,6 @@ from carom.terminal.options import (
     RecordingsArgument,
     output_option,
     seconds,
-    simulated_or_none,
     time_option,
 )
 from carom.terminal.printing import bytes_text, duration_text, note, say, say_json
@@ -323,7 +322,7 @@ def movie(
         from carom.display.movie_file import require_encoder, write_movie
 
     recording = Recording.open(file)
-    first, last = (simulated_or_none(time, recording.units) for time in (start, end))
+    first, last = (typed_time_or_none(recording, time) for time in (start, end))
     times = frame_times(recording, first, last, max(2, round(length * rate)), slowed=slow)
     with claimed_output(path, force):
         require_encoder(path)

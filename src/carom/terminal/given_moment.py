@@ -30,6 +30,25 @@ AtOption = Annotated[
 ]  # the moment of `Recording.moment`
 
 
+def typed_time_or_none(recording: Recording, given: float | None) -> float | None:
+    """Return `typed_time`; None stays None."""
+    return None if given is None else typed_time(recording, given)
+
+
+def typed_time(recording: Recording, given: float) -> float:
+    """Return the time (s) of a recording for a time that was typed.
+
+    It is the nearest end of a recorded step, or the nearest moment of `carom inspect`, that is printed with the same
+    digits; without one, the time as typed.
+    """
+    time = simulated(given, recording.units)
+    if isinstance(given, TypedTime):
+        from carom.recording.read.lookup import printed_time
+
+        return printed_time(recording, time, given.rounding * abs(time))
+    return time
+
+
 @dataclass(frozen=True, slots=True)
 class GivenMoment:
     """The options of a command that select a moment. Raises RecordingError if there are several."""
@@ -56,23 +75,12 @@ class GivenMoment:
         return next(iter(self._given), None)
 
     def time(self, recording: Recording, watch: Callable[[StepStatus], None] | None = None) -> float | None:
-        """Return the time (s) of ``--at`` or ``--step``; None without either. ``watch`` is called in a rerun.
-
-        A time finds the nearest end of a recorded step, or the nearest moment of `carom inspect`, that is printed with
-        the same digits.
-        """
+        """Return the time (s) of ``--at`` or ``--step``; None without either. ``watch`` is called in a rerun."""
         if self.step is not None:
             from carom.runs.recomputed import time_of_step
 
             return time_of_step(recording, self.step, watch)
-        if self.at is None:
-            return None
-        time = simulated(self.at, recording.units)
-        if isinstance(self.at, TypedTime):
-            from carom.recording.read.lookup import printed_time
-
-            return printed_time(recording, time, self.at.rounding * abs(time))
-        return time
+        return typed_time_or_none(recording, self.at)
 
     def end(self, recording: Recording, watch: Callable[[StepStatus], None] | None = None) -> float | None:
         """Return the given time, or the time (s) of an event: the end of its step if that has a frame."""
