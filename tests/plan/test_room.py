@@ -100,3 +100,12 @@ def test_a_recording_that_cannot_fit_on_the_disk_does_not_begin(tmp_path: Path) 
     few = crowd(LEAST_BODIES - 1, record={"every": "step"}, time={"duration": 0.1 * steps, "fixed_dt": 0.1})
     refuse_small_disk(few, tmp_path)  # frames may repeat one another
     assert json.dumps([str(path) for path in tmp_path.iterdir()]) == "[]"
+
+
+def test_an_estimate_needs_more_than_a_run_and_is_refused_for_its_own_sake(monkeypatch: pytest.MonkeyPatch) -> None:
+    scene = crowd(100_000)
+    a_run = 100_000 * (room.BYTES_PER_BODY + room.RECORDED_BYTES_PER_BODY)
+    monkeypatch.setattr(room, "_group_limits", lambda: iter([round(1.1 * a_run)]))
+    refuse_small_memory(scene)
+    with pytest.raises(SceneError, match=r"1e\+05 bodies can run, but a trial run needs about .* GB of memory"):
+        estimate(scene)

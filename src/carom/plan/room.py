@@ -12,7 +12,9 @@ from carom.errors import RecordingError, SceneError
 from carom.plan.auto import frame_interval, gravity_method, integrator, step_limits
 from carom.scene.load import Scene
 
-BYTES_PER_BODY = 700  # state, workspace, queued frames and the initial state; measured at 10⁵ bodies and rounded up
+BYTES_PER_BODY = 700  # state, workspace and the initial state; measured at 10⁵ bodies and rounded up
+RECORDED_BYTES_PER_BODY = 2000  # frames that wait or are encoded: runs of 2 × 10⁵ bodies that record each step
+TRIALS = 1.4  # memory of an estimate, which holds several runs at once, over that of a run; measured on the same scene
 ADDRESSES_OF_LIBRARIES = 1_100_000_000  # bytes that a run of two bodies maps, mostly libraries
 ADDRESSES_PER_BODY = 4000  # bytes mapped by a run that records every step: with 2400, 4 × 10⁵ bodies abort
 GRAVITY_BYTES_PER_BODY = {"none": 0, "direct": 550, "tree": 130, "fast-multipole": 280}  # 16 slabs of sums; boxes
@@ -32,19 +34,21 @@ def memory_estimate(scene: Scene) -> int:
     return scene.count * (BYTES_PER_BODY + GRAVITY_BYTES_PER_BODY[gravity_method(scene)])
 
 
-def refuse_small_memory(scene: Scene) -> None:
+def refuse_small_memory(scene: Scene, runs: float = 1.0) -> None:
     """Refuse a scene that exceeds the memory, or the limit of ``ulimit -v``, at which Rerun and OpenBLAS abort.
 
-    Everything that places bodies calls this first. Raises SceneError.
+    Everything that places bodies calls this first; ``runs`` are those that it holds at once. Raises SceneError.
     """
     import resource  # noqa: PLC0415 - POSIX only
 
-    needed, counts = memory_estimate(scene), [group.count for group in scene.group]
+    needed = memory_estimate(scene) + RECORDED_BYTES_PER_BODY * scene.count
+    counts = [group.count for group in scene.group]
     memory, owner = usable_memory()
-    if needed > memory:
+    if runs * needed > memory:
+        what, size = ("need", needed) if needed > memory else ("can run, but a trial run needs", runs * needed)
         raise SceneError(
-            f"{scene.count:.3g} bodies need about {needed / 1e9:.3g} GB of memory, but {owner} "
-            f"{memory / 1e9:.3g} GB; lower the count",
+            f"{scene.count:.3g} bodies {what} about {size / 1e9:.3g} GB of memory, but {owner} {memory / 1e9:.3g} GB; "
+            "lower the count",
             ("group", counts.index(max(counts)), "count") if counts else (),
         )
     limit, _ = resource.getrlimit(resource.RLIMIT_AS)

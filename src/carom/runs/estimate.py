@@ -21,7 +21,7 @@ from carom.physics.space import Space
 from carom.physics.step import WARM_UP_STEPS
 from carom.plan.auto import auto_interval, frame_interval
 from carom.plan.features import Requirements, own_kernels
-from carom.plan.room import memory_estimate, resident_memory
+from carom.plan.room import TRIALS, memory_estimate, refuse_small_memory, resident_memory
 from carom.private_folder import temporary_folder
 from carom.recording.schema.header import Header, TimeScale
 from carom.recording.schema.series import contents
@@ -35,6 +35,7 @@ from carom.runs.run import header_of, kept_accuracy, recording_space, shortfall_
 from carom.runs.stopwatch import TrialClock
 from carom.scene.forces import FORCES
 from carom.scene.load import Scene
+from carom.scene.scene_model import naming_places
 from carom.state.frame import Frame
 
 TRIAL_SECONDS = 0.1
@@ -129,6 +130,8 @@ def estimate(scene: Scene, watch_look_ahead: Watcher | None = None) -> Estimate:
 
     For ``watch_look_ahead`` see `Space`. Raises SceneError or PhysicsError if the scene cannot run.
     """
+    with naming_places(scene):
+        refuse_small_memory(scene, TRIALS)
     libraries = min(time.process_time(), LIBRARIES)
     with TrialClock() as clock:
         bodies = place(scene)

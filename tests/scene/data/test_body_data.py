@@ -530,11 +530,11 @@ def write_arrow(path: Path, column: pa.Array, **options: Any) -> None:
 
 
 def nulls(path: Path) -> None:
-    write_arrow(path, pa.nulls(ALIKE))
+    write_arrow(path, pa.nulls(table.FREE_ROWS))
 
 
 def runs(path: Path) -> None:
-    write_arrow(path, pa.RunEndEncodedArray.from_arrays(pa.array([ALIKE], pa.int32()), pa.array([1.0])))
+    write_arrow(path, pa.RunEndEncodedArray.from_arrays(pa.array([table.FREE_ROWS], pa.int32()), pa.array([1.0])))
 
 
 def squeezed(path: Path) -> None:
@@ -611,8 +611,12 @@ def test_names_in_a_dictionary_are_not_repeated_without_bound(tmp_path: Path, mo
     words = pa.DictionaryArray.from_arrays(pa.array([0, 0, 0], pa.int8()), pa.array(["a" * 1000]))
     write_feather(tmp_path / "a.feather", name=words)
     assert scene_of(tmp_path, "a.feather").data[0].name == 3 * ["a" * 1000]
-    monkeypatch.setattr(table, "MOST_BYTES", 2500)
-    assert "column name has 3000 bytes, which are too many" in complaint(tmp_path, "a.feather")
+    many = pa.concat_tables(400 * [pyarrow.feather.read_table(tmp_path / "a.feather")]).combine_chunks()
+    monkeypatch.setattr(table, "ROOMY", 200_000)
+    pyarrow.feather.write_feather(many, tmp_path / "a.feather")
+    pq.write_table(many, tmp_path / "a.parquet")
+    for file in ("a.feather", "a.parquet"):
+        assert "bytes would take 1200000 bytes of memory" in complaint(tmp_path, file)
 
 
 @pytest.mark.parametrize("case", cases(FILES))
@@ -633,6 +637,11 @@ def test_a_table_of_too_many_rows_is_refused_before_it_is_read(tmp_path: Path, m
     for file in ("a.parquet", "a.feather", "a.npz", "a.csv"):
         WRITERS[file](tmp_path / file)
         assert "3 rows are too many; at most 2" in complaint(tmp_path, file)
+    monkeypatch.undo()
+    monkeypatch.setattr(table, "FREE_ROWS", 2)
+    monkeypatch.setattr(table, "LEAST_ROW", 10_000)
+    for file in ("a.parquet", "a.feather", "a.npz", "a.csv"):
+        assert "3 rows in" in (said := complaint(tmp_path, file)) and "which is less than 10000 each" in said
 
 
 @pytest.mark.parametrize(("file", "package"), [("a.h5", "h5py"), ("a.bin", "rebound")])

@@ -21,9 +21,11 @@ from carom.scene.wording import suggestion
 MOST_ROWS = 50_000_000  # a run takes 1 kB per body
 MOST_BYTES = 100 * MOST_ROWS  # of one column as an array
 MOST_COLUMNS = 10_000
-ROOMY = 200_000_000  # bytes to which any file may decompress, such as 3 million identical bodies
+ROOMY = 250_000_000  # bytes to which the columns of any file may decompress
 NUMBER = 8  # bytes of a number in memory
-MOST_TIMES = 32  # largest ratio of the decompressed size to the size of the file; distinct positions hardly compress
+MOST_TIMES = 12  # largest ratio of the decompressed size to the size of the file; distinct positions hardly compress
+FREE_ROWS = 2_000_000  # in a file of any size; a body takes 170 bytes until it is placed, and up to 210 from a text
+LEAST_ROW = 10  # bytes of the file for each body beyond; three coordinates in single precision take 12
 
 _FORTRAN = re.compile(r"([+-]?\d*\.?\d*)[dD]?([+-]?\d+)")  # 1.0D-01, or 1.0-101 where the exponent has three digits
 _LONGEST_NUMBER = 60  # characters
@@ -92,10 +94,15 @@ class Arrays(DataTable):
         return {name: self._arrays[name] for name in names}
 
 
-def refuse_many_rows(called: str, rows: int) -> None:
-    """Refuse a table before much memory is allocated for it."""
+def refuse_many_rows(called: str, rows: int, stored: int) -> None:
+    """Refuse a table of a file of ``stored`` bytes before memory is allocated for it."""
     if rows > MOST_ROWS:
         raise SceneError(f"{called}: {rows} rows are too many; at most {MOST_ROWS}")
+    if rows > max(FREE_ROWS, stored // LEAST_ROW):
+        raise SceneError(
+            f"{called}: {rows} rows in {stored} bytes, which is less than {LEAST_ROW} each: it is damaged, or a "
+            f"decompression bomb; files of up to {FREE_ROWS} rows may be as small"
+        )
 
 
 def refuse_many_columns(called: str, columns: int, each: int = 1) -> None:

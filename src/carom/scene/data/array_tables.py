@@ -132,7 +132,7 @@ class _Datasets(_NamedArrays):
     def _array(self, name: str, dataset: Any) -> Raw:
         if dataset.external or dataset.is_virtual:
             raise SceneError(f"{self.called}: dataset {name} is stored in another file, which is not read")
-        refuse_many_rows(self.called, max(dataset.shape, default=0))
+        refuse_many_rows(self.called, max(dataset.shape, default=0), self._path.stat().st_size)
         refuse_large(self.called, f"column {name}", _most_values(dataset) * dataset.dtype.itemsize)
         return np.asarray(dataset[()])
 
@@ -159,7 +159,7 @@ class _Snapshot(_Datasets):
                 f"{called}: one of the {files} files of a snapshot; join them, or write the snapshot to one file"
             )
         counts = [int(count) for count in np.ravel(header["NumPart_ThisFile"])]
-        refuse_many_rows(called, sum(counts))
+        refuse_many_rows(called, sum(counts), path.stat().st_size)
         masses = [float(mass) for mass in np.ravel(header.get("MassTable", 0.0))]
         masses += [0.0] * (len(counts) - len(masses))
         self._counts = {kind: count for kind, count in enumerate(counts) if count > 0}
@@ -283,7 +283,7 @@ class _Archive(_NamedArrays):
             size = math.prod(shape) * kind.itemsize
             if size != info.file_size - member.tell():
                 raise SceneError(f"{self.called}: array {name} is damaged: it claims to have {size} bytes")
-            refuse_many_rows(self.called, max(shape, default=0))
+            refuse_many_rows(self.called, max(shape, default=0), self._path.stat().st_size)
             refuse_large(self.called, f"column {name}", size)
         with archive.open(info) as member:
             return np.asarray(npy.read_array(member, allow_pickle=False, max_header_size=_LARGEST_HEADER))
@@ -318,8 +318,7 @@ def open_gsd(path: Path, called: str, snapshot: int) -> DataTable:
         count = chunk("particles/N")
         if count is None:
             raise SceneError(f"{called}: frame {frame} has no particles")
-        refuse_many_rows(called, int(count[0]))
-        refuse_bomb(called, 12 * int(count[0]), path.stat().st_size)
+        refuse_many_rows(called, int(count[0]), path.stat().st_size)
         # data that a frame omits equal the first frame's, or have their default where the numbers of particles differ
         first = chunk("particles/N", (0,))
         known = (frame, 0) if first is not None and int(first[0]) == int(count[0]) else (frame,)

@@ -45,6 +45,7 @@ _UNIT_KEYS = (b"unit", b"units")  # in the metadata of a field
 _PARQUET_END = 8  # bytes at the end: the length of the footer, and a mark
 _FOOTER_HEAD = 32  # first bytes of a footer, which contain the number of its elements
 _FOOTER = re.compile(rb"\x15[\x80-\xff]*[\x00-\x7f]\x19\xfc([\x80-\xff]*[\x00-\x7f])", re.S)  # of 15 or more elements
+_BLOCK = 1 << 20  # bytes of a file that are read at a time
 _ELEMENTS = 4  # largest number of elements of a schema for a column; a list has three
 _Read = Callable[[list[str], Sequence[str]], pa.Table]
 
@@ -64,14 +65,16 @@ def open_csv(path: Path, called: str, snapshot: int) -> DataTable:
 def open_parquet(path: Path, called: str, snapshot: int) -> DataTable:
     """Open a Parquet file."""
     refuse_many_columns(called, _columns_of_parquet(path), _ELEMENTS)
-    file = pq.ParquetFile(path, memory_map=True)
-    refuse_many_rows(called, file.metadata.num_rows)
+    stored, schema = path.stat().st_size, pq.read_schema(path, memory_map=True)
+    texts = [each.name for each in schema if pa.types.is_string(each.type) or pa.types.is_large_string(each.type)]
+    file = pq.ParquetFile(path, memory_map=True, read_dictionary=texts)  # a text that many rows repeat is stored once
+    refuse_many_rows(called, file.metadata.num_rows, stored)
 
     def read(wanted: list[str], _: Sequence[str]) -> pa.Table:
-        refuse_bomb(called, _claimed(file.metadata, set(wanted)), path.stat().st_size)
+        refuse_bomb(called, _claimed(file.metadata, set(wanted)), stored)
         return file.read(columns=wanted)
 
-    return _ArrowTable(called, file.schema_arrow.names, read, file.schema_arrow)
+    return _ArrowTable(called, schema.names, read, stored, schema)
 
 
 def _columns_of_parquet(path: Path) -> int:
@@ -124,7 +127,7 @@ def open_arrow(path: Path, called: str, snapshot: int) -> DataTable:
         batches, rows = list[pa.RecordBatch](), 0
         for batch in reader:
             rows += batch.num_rows
-            refuse_many_rows(called, rows)
+            refuse_many_rows(called, rows, stored)
             batch.validate(full=True)
             batches.append(batch)
         table = pa.Table.from_batches(batches, reader.schema)
@@ -136,7 +139,7 @@ def open_arrow(path: Path, called: str, snapshot: int) -> DataTable:
                 raise SceneError(f"{called}: column {printable(name)} is of type {kind}; write numbers or text")
         return table.select(wanted)
 
-    return _ArrowTable(called, reader.schema.names, read, reader.schema)
+    return _ArrowTable(called, reader.schema.names, read, stored, reader.schema)
 
 
 def _stores_each_row(kind: pa.DataType) -> bool:
@@ -158,11 +161,20 @@ def _unit_of(column: pa.Field) -> str:
     return next((metadata[key].decode("utf-8", "replace") for key in _UNIT_KEYS if key in metadata), "")
 
 
+def _lines_in(path: Path) -> int:
+    """Return the number of lines of a file, or more where a quoted value has several."""
+    with path.open("rb") as file:
+        counts = [(block.count(b"\n"), block.count(b"\r")) for block in iter(lambda: file.read(_BLOCK), b"")]
+    return max(map(sum, zip(*counts, strict=True)), default=0)
+
+
 class _ArrowTable(DataTable):
     """Columns of an Arrow table."""
 
-    def __init__(self, called: str, names: Sequence[str], read: _Read, schema: pa.Schema | None = None) -> None:
-        self.called = called
+    def __init__(
+        self, called: str, names: Sequence[str], read: _Read, stored: int, schema: pa.Schema | None = None
+    ) -> None:
+        self.called, self._stored = called, stored  # size of the file in bytes
         self.names = list(names)
         self._read = read
         if schema is not None:
@@ -184,7 +196,7 @@ class _ArrowTable(DataTable):
         if pa.types.is_dictionary(kind):
             if pa.types.is_string(kind.value_type) or pa.types.is_large_string(kind.value_type):
                 lengths = (pc.max(pc.binary_length(chunk.dictionary)).as_py() or 0 for chunk in column.chunks)
-                refuse_large(self.called, f"column {name}", len(column) * max(lengths, default=0))
+                refuse_bomb(self.called, len(column) * max(lengths, default=0), self._stored)
             column, kind = column.cast(kind.value_type), kind.value_type
         if _is_list(kind):
             lengths = pc.fill_null(pc.list_value_length(column), 0).to_numpy()
@@ -207,7 +219,7 @@ class _TextTable(_ArrowTable):
     def __init__(self, path: Path, called: str) -> None:
         self._path = path
         self._dialect = dialect_of(path, called)
-        super().__init__(called, self._dialect.names, self._read_text)
+        super().__init__(called, self._dialect.names, self._read_text, path.stat().st_size)
         self.facts = facts_in_comments(path)
         self.notes = (self._dialect.note,) if self._dialect.note else ()
         self.unnamed = 0 if self.names else self._dialect.columns
@@ -220,6 +232,11 @@ class _TextTable(_ArrowTable):
 
     def _read_text(self, wanted: list[str], texts: Sequence[str]) -> pa.Table:
         rows = self._dialect.rows
+        refuse_many_rows(
+            self.called,
+            _lines_in(self._path) - self._dialect.skipped if rows is None else rows.count(b"\n"),
+            self._stored,
+        )
         source = self._path if rows is None else pa.BufferReader(rows)
         skipped, separator = (self._dialect.skipped, self._dialect.separator) if rows is None else (0, ",")
         options = pyarrow.csv.ReadOptions(column_names=self.names, skip_rows=skipped)
@@ -234,7 +251,6 @@ class _TextTable(_ArrowTable):
                 with self._path.open(encoding="utf-8-sig", errors="surrogateescape", newline="") as file:
                     rewritten(TextLines(file), self._dialect, False, skipped, self.called)
             raise
-        refuse_many_rows(self.called, table.num_rows)
         for text in texts:
             # 5 for 5.0 in a column of whole numbers, which pandas writes as floats if one is missing
             column = table[text]

@@ -6,6 +6,7 @@ and angular velocities have the opposite sign. LAMMPS uses the same ending; the 
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple, TextIO
@@ -72,7 +73,7 @@ def _first_line(text: str) -> tuple[float, ...] | None:
 
 def _steps(file: TextIO, called: str) -> Iterator[_Step]:
     """Find the steps; raises SceneError if one is incomplete."""
-    line = 1
+    line, stored = 1, os.fstat(file.fileno()).st_size
     while (text := file.readline(_LONGEST)).strip():
         numbers = _first_line(text)
         if numbers is None:
@@ -81,7 +82,7 @@ def _steps(file: TextIO, called: str) -> Iterator[_Step]:
                 "box of a step of MercuryDPM are needed"
             )
         count = int(numbers[0])
-        refuse_many_rows(called, count)
+        refuse_many_rows(called, count, stored)
         step = _Step(file.tell(), line + 1, count, numbers[1:])
         there = next((k for k in range(count) if not file.readline(_LONGEST)), count)
         if there < count:

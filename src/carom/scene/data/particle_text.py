@@ -103,7 +103,7 @@ class _Dump(DataTable):
         count = "".join(items.get("NUMBER OF ATOMS", [])[:1]).strip()
         if not count.isdecimal():
             raise SceneError(f'{called}: the step from line {line} on has no "ITEM: NUMBER OF ATOMS"')
-        refuse_many_rows(called, int(count))
+        refuse_many_rows(called, int(count), len(text))
         names, _, rows_text = body.partition("\n")
         self._written = names.split()
         rows = rows_text.splitlines()
@@ -198,7 +198,7 @@ def open_data(path: Path, called: str, snapshot: int) -> DataTable:
         raise SceneError(f'{called}: it begins with "ITEM:" like a dump of LAMMPS, not a data file; name it *.dump')
     if stated is None:
         raise SceneError(f'{called}: no line such as "100 atoms" in its header, which a data file of LAMMPS has')
-    refuse_many_rows(called, int(stated[1]))
+    refuse_many_rows(called, int(stated[1]), len(content))
     if (lines := content.count(b"\n")) > _LINES * (int(stated[1]) + _HEADER_LINES):
         raise SceneError(f"{called}: {lines} lines are too many for {int(stated[1])} stated atoms: it is damaged")
     sections = _sections(content.decode("utf-8", "surrogateescape").splitlines())
@@ -273,7 +273,7 @@ def open_xyz(path: Path, called: str, snapshot: int) -> DataTable:
     """Open an XYZ file at one of its steps."""
     with path.open(encoding="utf-8", errors="surrogateescape", newline="\n") as file:
         places = list[tuple[int, int, int]]()  # of each step: offset, line, number of rows
-        line = 1
+        line, stored = 1, path.stat().st_size
         while True:
             offset = file.tell()
             first = file.readline(_LONGEST)
@@ -284,7 +284,7 @@ def open_xyz(path: Path, called: str, snapshot: int) -> DataTable:
                     f"{called}: line {line} is {printable(first.strip())}, but the number of rows is needed"
                 )
             count = int(first)
-            refuse_many_rows(called, count)
+            refuse_many_rows(called, count, stored)
             places.append((offset, line, count))
             lines = count + 1
             skipped = next((k for k in range(lines) if not file.readline(_LONGEST)), lines)

@@ -64,7 +64,7 @@ def open_rebound(path: Path, called: str, snapshot: int) -> DataTable:
         raise SceneError(f'{called}: its boundary is "{printable(str(simulation.boundary))}", which carom lacks')
     if simulation.boundary == "open":
         notes.append('boundary = "open": REBOUND removes bodies that leave its box, but carom keeps them')
-    refuse_many_rows(called, simulation.N)
+    refuse_many_rows(called, simulation.N, path.stat().st_size)
     if simulation.N_var:
         notes.append(f"{counted(simulation.N_var, 'variational particle')} not used")
     particles = len(simulation.particles)  # without variational particles, which N includes before version 5

@@ -7,6 +7,7 @@ reads neither POLYDATA nor .vtp.
 from __future__ import annotations
 
 import base64
+import itertools
 import mmap
 import re
 import zlib
@@ -66,7 +67,7 @@ class _Reader:
     def __init__(self, called: str, content: mmap.mmap) -> None:
         self.called = called
         self._content = content
-        self._place = 0
+        self._place, self.size = 0, len(content)
         self.binary = False
 
     def line(self) -> str:
@@ -100,13 +101,11 @@ class _Reader:
             values = np.frombuffer(self._content[self._place : self._place + size], number)
             self._place += size
             return values.astype(number.newbyteorder("="))
-        texts = list[str]()
-        while len(texts) < count:
-            words = self.words()
-            if not words:
-                raise SceneError(f"{self.called}: {len(texts)} of {count} values; the file ends early")
-            texts += words
-        return np.array(texts[:count], np.float64)
+        lines = iter(self.words, [])
+        values = np.fromiter(itertools.islice((float(word) for words in lines for word in words), count), np.float64)
+        if len(values) < count:
+            raise SceneError(f"{self.called}: {len(values)} of {count} values; the file ends early")
+        return values
 
 
 def _arrays(reader: _Reader) -> dict[str, Raw]:
@@ -119,7 +118,7 @@ def _arrays(reader: _Reader) -> dict[str, Raw]:
         return int(word)
 
     def add(name: str, kind: str, width: int, rows: int) -> None:
-        refuse_many_rows(reader.called, rows)
+        refuse_many_rows(reader.called, rows, reader.size)
         if kind.lower() == "string":  # names of points, a line each
             for _ in range(rows * width):
                 reader.line()
@@ -212,7 +211,12 @@ def open_vtp(path: Path, called: str, snapshot: int) -> DataTable:
         *(called, stored, order, header, bool(compressor)),
         *(content[found.end() :] if found else b"", found is not None and found[1] == b"raw"),
     )
-    pieces = [_piece(blocks, piece) for piece in root.iter("Piece") if piece.get("NumberOfPoints") != "0"]
+    found_pieces = [_announced(blocks, piece) for piece in root.iter("Piece") if piece.get("NumberOfPoints") != "0"]
+    refuse_many_rows(called, sum(piece.rows for piece in found_pieces), stored)
+    # arrays may share their data: together, they could become far larger than the file
+    claimed = sum(piece.rows * each.width * each.kind.itemsize for piece in found_pieces for each in piece.arrays)
+    refuse_bomb(called, claimed, stored)
+    pieces = [_piece(blocks, piece) for piece in found_pieces]
     if not pieces:
         raise SceneError(f"{called}: it has no points")
     names = [name for name in pieces[0] if all(name in piece for piece in pieces)]
@@ -220,13 +224,28 @@ def open_vtp(path: Path, called: str, snapshot: int) -> DataTable:
     return Arrays(arrays, called)
 
 
-def _piece(blocks: _Blocks, piece: ElementTree.Element) -> dict[str, Raw]:
-    """Read the points of a piece, and their arrays."""
+class _Announced(NamedTuple):
+    """An array of a piece, before its numbers are read."""
+
+    name: str
+    element: ElementTree.Element
+    kind: np.dtype[np.generic]
+    width: int
+
+
+class _Piece(NamedTuple):
+    """A piece, before its numbers are read."""
+
+    rows: int
+    arrays: list[_Announced]
+
+
+def _announced(blocks: _Blocks, piece: ElementTree.Element) -> _Piece:
+    """Return the arrays of the points of a piece."""
     rows = piece.get("NumberOfPoints", "")
     if not rows.isdecimal() or len(rows) > _DIGITS:
         raise SceneError(f"{blocks.called}: NumberOfPoints is {printable(rows)}, not a number")
-    refuse_many_rows(blocks.called, int(rows))
-    arrays = dict[str, Raw]()
+    arrays = list[_Announced]()
     for section in ("Points", "PointData"):
         for element in piece.iterfind(f"{section}/DataArray"):
             name = "points" if section == "Points" else element.get("Name", "")
@@ -234,11 +253,19 @@ def _piece(blocks: _Blocks, piece: ElementTree.Element) -> dict[str, Raw]:
             if element.get("type") not in _ATTRIBUTES or not width.isdecimal() or len(width) > _DIGITS_OF_WIDTH:
                 continue  # an array of texts
             kind = np.dtype(blocks.order + _ATTRIBUTES[element.get("type", "")])
-            size = int(rows) * int(width)
-            values = _values(blocks, element, kind, size)
-            if len(values) != size:
-                raise SceneError(f"{blocks.called}: {printable(name)} has {len(values)} values, but {size} are needed")
-            arrays[name] = values if int(width) == 1 else values.reshape(int(rows), int(width))
+            arrays.append(_Announced(name, element, kind, int(width)))
+    return _Piece(int(rows), arrays)
+
+
+def _piece(blocks: _Blocks, piece: _Piece) -> dict[str, Raw]:
+    """Read the points of a piece, and their arrays."""
+    arrays = dict[str, Raw]()
+    for name, element, kind, width in piece.arrays:
+        size = piece.rows * width
+        values = _values(blocks, element, kind, size)
+        if len(values) != size:
+            raise SceneError(f"{blocks.called}: {printable(name)} has {len(values)} values, but {size} are needed")
+        arrays[name] = values if width == 1 else values.reshape(piece.rows, width)
     if "points" not in arrays:
         raise SceneError(f"{blocks.called}: a piece has no Points")
     return arrays
@@ -247,7 +274,10 @@ def _piece(blocks: _Blocks, piece: ElementTree.Element) -> dict[str, Raw]:
 def _values(blocks: _Blocks, element: ElementTree.Element, kind: np.dtype[np.generic], count: int) -> Raw:
     text = (element.text or "").strip()
     if element.get("format") == "ascii":
-        return np.array(text.split(), kind.newbyteorder("="))
+        number: type[float] | type[int] = float if kind.kind == "f" else int
+        # one number more than announced shows that there are too many
+        few = itertools.islice((number(word[0]) for word in re.finditer(r"\S+", text)), count + 1)
+        return np.fromiter(few, kind.newbyteorder("="))
     place = element.get("offset", "0")
     if element.get("format") != "appended":
         data, raw = text.encode(), False
@@ -257,7 +287,6 @@ def _values(blocks: _Blocks, element: ElementTree.Element, kind: np.dtype[np.gen
         raise SceneError(
             f"{blocks.called}: the offset {printable(place)} is beyond the appended data; the file ends early"
         )
-    refuse_bomb(blocks.called, count * kind.itemsize, blocks.stored)
     content = _unpacked(blocks, data, raw, count * kind.itemsize)
     whole = len(content) - len(content) % kind.itemsize  # bytes of complete numbers, also in a truncated file
     return np.frombuffer(content[:whole], kind).astype(kind.newbyteorder("="))
