@@ -61,7 +61,7 @@ def columns(message: bytes) -> int:
 
 
 def unpacked_bytes(claimed: Claims, body: memoryview) -> int:
-    """Return the size in memory (bytes) of the buffers of a batch; a compressed one begins with its size.
+    """Return the size in memory (bytes) of a batch's buffers; a compressed buffer begins with its size.
 
     Raises ValueError if a buffer is not in the body.
     """

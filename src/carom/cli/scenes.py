@@ -171,7 +171,7 @@ def explain(
 
 
 def _kernels(cost: Cost) -> str:
-    """Say which kernels were compiled, or which ones another machine compiles first."""
+    """Say which kernels were compiled, or which kernels another machine compiles first."""
     from carom.plan.features import VARIANT_SECONDS
 
     own = f"kernels of their own: {', '.join(cost.own_kernels)}" if cost.own_kernels else ""

@@ -1,4 +1,4 @@
-"""Rerun's catalogue of many recordings: a table of their properties, each row a link that opens one.
+"""Rerun's catalogue of many recordings: a table of their properties, with a link in each row that opens the recording.
 
 Needs `carom[catalog]`.
 """

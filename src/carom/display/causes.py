@@ -1,6 +1,6 @@
 """Writes the causes of an event for the viewer: bodies, contacts as edges coloured by impulse, and a graph of both.
 
-These bodies have their own colours, and the others are faded. An edge stays at the position of its last impulse, so
+These bodies keep their colours; all other bodies are faded. An edge stays at the position of its last impulse, so
 that it marks the place of an impact while the bodies move on.
 
 The graph has bodies in rows, from the first cause down to the bodies in question, connected by impulses. Rerun's own
@@ -261,7 +261,7 @@ def _bodies(
     larger: float = 1.0,
     named: bool = False,
 ) -> None:
-    """Draw some bodies; ``colours`` are of all."""
+    """Draw some bodies; ``colours`` are the colours of all bodies."""
     if not len(bodies):
         return
     names = [recording.bodies.name[body] or f"body {body}" for body in bodies]

@@ -1,7 +1,7 @@
 """The close-up view: the two bodies of a contact with normal, impulse and spins; all other bodies are faint.
 
 The entities of a close-up are not in the file; the viewer gets them in a `Supplement`. The bodies move through all
-frames, and the camera follows them. Edge and arrows belong to one step.
+frames, and the camera follows them. The edge and the arrows show one step.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ _THICK, _THIN = 0.07, 0.04  # radii of arrows, in radii of the smaller body
 _REACH = 3.0  # distance of an eye that follows points, over half the diagonal of the box around them (Rerun 0.41)
 _LABEL_HEIGHT, _LETTER_WIDTH = 25.0, 7.2  # points, with the margin of the label
 _BELOW = 32.0  # points, from the place of a label to its lower edge
-_ROUNDING = 1e-9  # of the faster spin; a slower one is rounding
+_ROUNDING = 1e-9  # of the faster spin; a spin below is rounding
 _TOUCHING = 1e-9  # of a radius; a smaller gap is rounding
 _FADED = {"dark": 0x3C4250FF, "light": 0xC4C8D0FF}  # wires of other bodies
 _ALIKE = 0.08  # two shades have one hue if their shares of red, green and blue differ by at most this
@@ -76,7 +76,7 @@ class Contact:
     """The contact of the two bodies in the step that is shown."""
 
     point: FloatArray  # (3,) m from the recording's origin
-    normal: FloatArray  # (3,) from i to j, or out of a plane or wall, as the impulse on the body
+    normal: FloatArray  # (3,) from i to j, or out of a plane or wall, like the impulse on the body
     approach_speed: float  # m/s
     impulse: FloatArray  # (3,) N s, on j
     force: float | None  # N, the impulse over the step; None for an impact
@@ -346,7 +346,7 @@ class CloseUp:
         return _Arrows("", self.position, np.zeros_like(self.position), texts, bodies=range(len(texts)))
 
     def _once(self, path: str, columns: rr.ComponentColumnList, count: int) -> Iterable[Rows]:
-        """Yield a row at the step or at the instant, and then an empty one, which clears it."""
+        """Yield a row at the step or at the instant, and then an empty row, which clears it."""
         if self.instant is not None:
             empty = Index(np.array([self.step.step]), np.array([self.step.time]))
             parts = columns.partition([count, 0])

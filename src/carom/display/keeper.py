@@ -135,7 +135,7 @@ class Door:
         self.address: Address = self._listener.getsockname()
 
     def knows_us(self) -> bool:
-        """Return whether it recognises a connection of this user; some sandboxes have no complete table."""
+        """Return whether the table recognises a connection of this user; in some sandboxes it is incomplete."""
         with socket.create_connection(self.address) as ours, self._listener.accept()[0]:
             return is_ours(ours.getsockname(), self.address, self._table)
 
@@ -238,7 +238,7 @@ def _start_screen(children: _Children, size: str, folder: Path, environment: dic
 
 
 def _wait_for(children: _Children, port: int) -> None:
-    """Wait until the viewer listens; exit if it ends before, or does not within `_START`."""
+    """Wait until the viewer listens; exit if it ends first, or does not listen within `_START`."""
     end = time.monotonic() + _START
     while True:
         with contextlib.suppress(ConnectionRefusedError), socket.create_connection((HOST, port)):

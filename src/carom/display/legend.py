@@ -1,8 +1,8 @@
 """The legend of the 3D views: the meaning of each colour, arrow and edge, and the scale of the arrows.
 
-It has a label for each entry in the colour that it explains, and names only what is drawn. Beside several views the
-legend is a separate view; in a picture of a single view it is in a corner. A recording does not hold it: the viewer
-gets it in a `Supplement`.
+Each entry is a label in the colour that it explains; only drawn things have entries. Beside several views the
+legend is a separate view; in a picture of a single view it is in a corner. The legend is not in the recording: the
+viewer gets it in a `Supplement`.
 """
 
 from __future__ import annotations
@@ -421,7 +421,7 @@ def _arrows(
 
 _AROUND = np.array([v for v in product((-1.0, 0.0, 1.0), repeat=3) if any(v)])
 _AROUND /= np.linalg.norm(_AROUND, axis=1)[:, None]
-_ROUNDING = 1e-9  # of the largest normal impulse; friction below it is rounding, and not drawn
+_ROUNDING = 1e-9  # of the largest normal impulse; smaller friction is rounding, and not drawn
 
 
 def drawn_during(recording: Recording, header: Header) -> LegendContents:

@@ -52,8 +52,8 @@ def margins(
 ) -> Margins:
     """Place legend, axes and the arrow of a uniform ``field`` (3,) m/s².
 
-    They cover as little as possible of what is ``drawn``: points (k, 3) m with radii (k,) m. In a movie whose camera
-    moves, they move with its ``poses`` at some ``times`` (s).
+    Things in the margins cover as little as possible of the ``drawn`` points, (k, 3) m, with radii (k,) m. In a movie
+    whose camera moves, they move with its ``poses`` at some ``times`` (s).
     """
     area = bodies_area(header, canvas, only, added.close is not None)
     own = words.of(only, area) if canvas.rendered and only != ALL else replace(words, entries=[])

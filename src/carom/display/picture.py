@@ -180,8 +180,9 @@ def headless(recording: Recording, size: tuple[int, int], theme: str) -> Iterato
     """Start a viewer of this size (pixels) for a recording, without a screen; end it when the context is left.
 
     Rerun 0.41 reads its theme only from its settings file, which its headless mode ignores. That mode does not use the
-    system's fonts, either, and ends at a character that Rerun's own font lacks. A viewer with a window, on a virtual
-    screen, does both. Raises RecordingError if there is no Vulkan driver, or no Xvfb where one is needed.
+    system's fonts, either, and ends at a character that Rerun's own font lacks. A viewer with a window on a virtual
+    screen supports themes and pictures. Raises RecordingError if there is no Vulkan driver, or no Xvfb where one is
+    needed.
     """
     window = ("--window-size", f"{size[0]}x{size[1]}")
     if theme == "dark" and has_all_glyphs(recording):

@@ -1,6 +1,7 @@
 """The request for a view of a recording: a moment or an event, bodies, plots and colours.
 
-`ShownStep` is the step that contains the moment. It is repeated if it has no frame, or for data that frames lack.
+`ShownStep` is the step that contains the moment. The step is computed again if it has no frame, or for data that frames
+lack.
 """
 
 from __future__ import annotations
@@ -63,7 +64,7 @@ Watcher = Callable[[StepStatus], None]
 
 PATIENCE = 60.0  # s of repeated steps, for a step without a frame
 IMPATIENCE = 10.0  # s of repeated steps, for a step with a frame
-_MOST_BYTES = 50_000_000  # of the frames between two recorded ones
+_MOST_BYTES = 50_000_000  # bytes of the frames between two recorded frames
 _BODY_BYTES = 300  # of a frame
 
 

@@ -208,7 +208,7 @@ def axes_and_field(
     reach = np.array([_LETTER * (len(pull) + 1) / area.height, _LENGTH])  # half of the label and of the arrow
 
     def placed(middle: float, extent: FloatArray, start: float) -> FloatArray:
-        aside = np.zeros(2)  # by how far the legend displaces it on each side
+        aside = np.zeros(2)  # how far the legend moves the axes on each side
         if legend is not None and legend[1] * start > 0.0:
             aside[int(legend[0] > 0)] = -2.0 * legend[1] * area.inset_share[1]
         sides = [np.array([x * 0.72 * area.aspect, middle + down]) for x, down in zip((-1.0, 1.0), aside, strict=True)]

@@ -159,10 +159,10 @@ class Quantity:
     name: str
     unit: str
     vector: str  # vector of the state
-    axis: int | None  # its component; None for its length
+    axis: int | None  # the component of the vector; None for its length
 
     def of(self, vectors: FloatArray) -> FloatArray:
-        """Compute it from the vectors of all frames, (k, 3)."""
+        """Compute the curve from the vectors of all frames, (k, 3)."""
         return vectors[:, self.axis] if self.axis is not None else np.sqrt(np.einsum("ki,ki->k", vectors, vectors))
 
 

@@ -17,7 +17,7 @@ from carom.state.frame import CollisionGraph, empty_graph
 
 
 def whole_numbers(engine: str, name: str, values: Any) -> IntArray:
-    """Return values as whole numbers. RecordingError if one has a fraction, which a cast would cut off in silence."""
+    """Return values as whole numbers. Raises RecordingError if one value has a fraction, which a cast would drop."""
     given = np.asarray(values)
     with np.errstate(invalid="ignore"):
         found = given.astype(np.int64) if given.dtype.kind in "iuf" else np.empty(0, np.int64)

@@ -183,7 +183,7 @@ class Recorder:
 
     @contextmanager
     def _turn(self, thread: int) -> Iterator[None]:
-        """Wait until no other thread uses the recorder; no longer than `LONGEST_TURN` for one that never ends."""
+        """Wait until no other thread uses the recorder, but at most `LONGEST_TURN`: a thread may never end."""
         taken = self._owner != thread and self._lock.acquire(timeout=LONGEST_TURN)
         before, self._owner = self._owner, thread
         try:
@@ -417,7 +417,7 @@ class Recorder:
 
 
 def _is_empty(state: State) -> bool:
-    """Return whether a state of a run in which bodies come and go has none."""
+    """Return whether a state has no bodies, in a run in which bodies come and go."""
     return isinstance(state, State) and state.ids is not None and np.size(state.ids) == 0
 
 

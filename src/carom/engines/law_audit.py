@@ -191,7 +191,7 @@ class LawAudit:
         self._parted = earlier._parted
 
     def note(self, fault: Fault) -> bool:
-        """Count a fault, also of another check; return whether it is among the first of its law."""
+        """Count a fault, which may come from another check; return whether it is among the first faults of its law."""
         if fault.law not in self.first or fault.step < self.first[fault.law].step:
             self.first[fault.law] = fault
         self.worst[fault.law] = max(self.worst.get(fault.law, 0.0), fault.excess)
@@ -434,7 +434,7 @@ class LawAudit:
         return Fault("missed-impact", impact.step, impact.time, impact.speed, text, ends, impact.excess)
 
     def conclude(self) -> None:
-        """Judge what only the whole run shows: impacts unlike all others."""
+        """Judge impacts that differ from all other impacts of the run, at its end."""
         for late in self._missed.unusual():
             self.note(self._missed_impact(late))
         for impact, broken in sorted(self._laws.outliers(), key=lambda found: found[0].step):

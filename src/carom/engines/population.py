@@ -80,7 +80,7 @@ class Population:
         return self.present
 
     def _number(self, state: State, ids: IntArray, sizes: FloatArray) -> IntArray:
-        """Return the numbers of the bodies of a state; add the new ones."""
+        """Return the numbers of the bodies in a state; new bodies are added."""
         whole = self.whole
         before = dict(zip(self._ids.tolist(), self.present.numbers.tolist(), strict=True))
         numbers = np.array([before.get(identity, -1) for identity in ids.tolist()], dtype=np.int64)
@@ -133,7 +133,7 @@ def ids_of(engine: str, ids: Any, count: int) -> IntArray:
 
 
 def _same(sizes: FloatArray, known: FloatArray) -> BoolArray:
-    """Return a mask of the sizes that are not given or equal the known ones."""
+    """Return a mask of the sizes that are not given, or that equal the known sizes."""
     return np.asarray(np.isnan(sizes) | (sizes == known))
 
 

@@ -66,7 +66,7 @@ class IsolatedImpact:
         return abs(self.restitution - usual) - self.uncertainty
 
     def unlike(self, usual: float, allowed: float, source: str) -> Broken:
-        """Return the law that it broke: another coefficient of restitution is expected."""
+        """Return the broken law: another coefficient of restitution is expected."""
         what = f"rebound with a coefficient of restitution of {self.restitution:.3g}; {source} {usual:.3g}"
         return Broken(RESTITUTION, self.differs(usual) / allowed, self.ends, what)
 
@@ -231,7 +231,7 @@ class _Tree:
         return sum(body in self._ends[k] for k in contacts)
 
     def judge(self, laws: ContactLaws, step: int, time: float, slow: float) -> list[Broken]:
-        """Return the laws that these contacts broke, and note the impact of an isolated one."""
+        """Return the laws that these contacts broke, and note the impact of an isolated contact."""
         found = [broken for k in range(len(self._rows)) for broken in self._contact(k, laws, slow)]
         if len(self._rows) == 1 and not found and (impact := self._impact(step, time, slow)) is not None:
             found += laws.note(impact)
@@ -283,7 +283,7 @@ class _Tree:
             return
         if abs(min(along)) <= threshold:
             return
-        touched = self._near.gap_before[row] <= 0.0  # its elastic energy may return
+        touched = self._near.gap_before[row] <= 0.0  # elastic energy of the contact may return
         ratios, works, whole = [], [], []
         swing = self._depth[k] * sum(self._rolled[b] for b in (i, j) if b >= 0) / self._dt
         for normals in self._normals:

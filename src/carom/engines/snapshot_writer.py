@@ -260,7 +260,7 @@ class Unrecorded:
             sys.stderr.flush()
 
     def total(self, step: int, time: float) -> list[Event]:
-        """Return the event that counts the problems, if there are more than texts."""
+        """Return the event with the number of problems, if this number exceeds the stored texts."""
         if self.count <= len(self.texts):
             return []
         return [Event(step, time, "WARN", f"{counted(self.count, 'problem')} of recording in all.", KIND)]

@@ -301,7 +301,7 @@ class StateMemory:
 
     @classmethod
     def like(cls, state: State) -> StateMemory:
-        """Return memory in float64 for states with the same arrays as a first one."""
+        """Return memory in float64 for states with the same arrays as a given state."""
         there = [name for name in _WIDTHS if getattr(state, name) is not None]
         shapes = [np.shape(getattr(state, name)) for name in there]
         ends = np.cumsum([0, *(int(np.prod(shape)) for shape in shapes)])
@@ -318,7 +318,7 @@ class StateMemory:
                 values = getattr(state, name)
                 setattr(own, name, None if values is None else np.array(values))
             count = np.shape(state.position)[:1]
-            if count and count != own.position.shape[:1]:  # fit the memory to their number
+            if count and count != own.position.shape[:1]:  # fit the memory to the number of bodies
                 there = [name for name in _WIDTHS if getattr(own, name) is not None]
                 other = StateMemory.like(State(own.time, **{name: np.empty((*count, _WIDTHS[name])) for name in there}))
                 self.block = other.block
@@ -343,7 +343,7 @@ class StateMemory:
             return False
         if self.block.size == 0:
             return True
-        # both are NaN if a number is NaN, and fail; Python floats are compared, since LARGEST exceeds float32
+        # fails if a number is NaN; Python floats are compared, since LARGEST exceeds float32
         return float(_LEAST(self.block, None)) >= -LARGEST and float(_MOST(self.block, None)) <= LARGEST
 
 

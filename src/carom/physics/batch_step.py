@@ -165,7 +165,7 @@ class BatchStepper:
         return batch
 
     def _hold(self, holder: KickDriftStepper, goal: Goal) -> bool:
-        """Take a step with the holder. Its steps end at pauses, because it has no solution within a step."""
+        """Take a step with the holder. The holder's steps end at pauses, because it has no solution within a step."""
         contact, clock = self._world.contact, self._world.clock
         self._took_last = False
         if isinstance(goal.schedule, Pause):

@@ -1,4 +1,4 @@
-"""Steps of an accuracy up to the end of its promise, and ordinary ones from there on."""
+"""Steps of an accuracy up to the end of its promise, and ordinary steps from there on."""
 
 from __future__ import annotations
 

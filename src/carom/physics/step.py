@@ -26,8 +26,8 @@ from carom.state.checkpoint import Checkpoint
 
 WARM_UP_STEPS = 3
 STICKING = "friction"  # the limit of a step that ends where a contact stops sliding or rolling
-# Of the step: the first one in contact, whose friction is not known. A contact that sticks within it makes an error
-# that is smaller than usual by the square.
+# Fraction of a step: the length of the first step in contact, whose friction is not known. A contact that sticks within
+# it makes an error that is smaller than usual by the square.
 FIRST_IN_CONTACT = 1.0 / 64.0
 
 

@@ -121,7 +121,7 @@ def pressing_wall(scene: Scene) -> str:
     """Return the kind of wall that presses without any other force; empty if there is none.
 
     A body that moves along a curved wall with the speed v is pressed by m v²/f, with the radius of curvature f. Bounces
-    that dissipate end there, and on a wall that accelerates. Elastic ones never end; each is an impact.
+    that dissipate end there, and on a wall that accelerates. Elastic bounces never end; each is an impact.
     """
     kinds = kinds_of_contacts(scene)
     if "restitution" not in functions_of(scene.contact.laws) and all(e.coefficients.restitution == 1 for e in kinds):

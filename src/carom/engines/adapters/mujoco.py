@@ -1,6 +1,6 @@
 """MuJoCo: its recorder, and the engine that `crosscheck` compares: rigid bodies with soft contacts.
 
-The recorder audits free spheres. It only draws bodies with other joints or shapes.
+The recorder audits free spheres. Bodies with other joints or shapes are drawn, but not judged.
 
 MuJoCo has no coefficient of restitution. A contact is a damped spring. Its stiffness and damping follow from the
 scene's coefficient of restitution and a bounce of `BOUNCE` steps.

@@ -1,7 +1,7 @@
 """PyBullet: its recorder, and the engine that `crosscheck` compares.
 
 PyBullet moves rigid bodies by impulses with one coefficient of friction, in double precision. The recorder audits
-spheres. It only draws bodies with joints or other shapes.
+spheres. Bodies with joints or other shapes are drawn, but not judged.
 
 PyBullet multiplies the coefficients of two bodies. Bodies therefore get the square root of the scene's coefficients,
 and a plane the values for which the product equals its own. The damping that PyBullet has by default is switched off.
@@ -185,8 +185,8 @@ def pybullet(
 ) -> PyBulletSource | ChangingPyBulletSource:
     """Return the source of a physics server; see `PyBulletSource`.
 
-    ``changing`` says whether bodies are added or removed while it is recorded. They are then marked with user data,
-    "carom".
+    ``changing`` says whether bodies are added or removed while it is recorded. With ``changing``, carom marks the
+    bodies with user data, "carom".
     """
     kind = ChangingPyBulletSource if changing else PyBulletSource
     return kind(time_step, gravity, client, steps_per_frame, contacts)

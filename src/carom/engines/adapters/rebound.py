@@ -158,8 +158,8 @@ class ChangingReboundSource:
 def rebound(simulation: Any, radius: float | None = None, *, changing: bool = False) -> Source:
     """Return the source of a rebound.Simulation; see `ReboundSource`.
 
-    ``changing`` says whether particles merge, come or go while it is recorded. They are then numbered in their field
-    ``ap``.
+    ``changing`` says whether particles merge, come or go while it is recorded. With ``changing``, carom numbers the
+    particles in their field ``ap``.
     """
     return ChangingReboundSource(simulation, radius) if changing else ReboundSource(simulation, radius)
 

@@ -58,7 +58,7 @@ def draw(check: Crosscheck, path: Path) -> None:
 
 
 def _draw_runs(ax: Any, check: Crosscheck, reference: Reference, runs: list[SettingResult]) -> None:
-    """Draw the distance of each run from the reference; later lines are thinner, so that earlier ones are visible."""
+    """Draw the distance of each run from the reference; later lines are thinner, so that earlier lines are visible."""
     units = check.scene.unit_system
     colours = colours_of([*(engine.name for engine in check.engines), *(run.setting.engine for run in runs)])
     seen: dict[str, int] = {}

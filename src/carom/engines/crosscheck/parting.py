@@ -75,8 +75,8 @@ def parting_of(
 
     The run has steps of ``dt`` s. ``broken`` has the times (s) and laws of the frames that violate one, in order, and
     ``numbered`` the impacts of carom's own run. These are the impacts whose outcomes are compared, unless the reference
-    is exact and has its own. First contacts would not do: a pair that touches at the start has no impact then, but
-    later ones.
+    is exact and has its own. First contacts do not suffice: a pair that touches at the start has no impact then, but
+    may have impacts later.
     """
     best = reference.trajectory.until(reference.samples)
     apart, _ = reference.scale.apart(run.until(reference.samples), best)
@@ -111,8 +111,8 @@ def _first_other_outcome(
     """Return the first of ``before`` impacts with another outcome in a run; None without impacts.
 
     The velocities of its bodies are compared at the last sample before their next impacts. If the next impacts follow
-    before a soft contact may have ended, their outcomes must differ, too. If no velocity differs, return the last
-    impact: the run diverges by a delayed impact, or in the flight after it.
+    before a soft contact may have ended, the outcomes of these impacts must differ, too. If no velocity differs, return
+    the last impact: the run diverges by a delayed impact, or in the flight after it.
     """
     best = reference.trajectory
     count, bodies = min(len(run), reference.samples), best.position.shape[1]

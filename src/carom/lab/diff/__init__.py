@@ -42,8 +42,8 @@ def diff_command(
 ) -> None:
     """Compare two recordings: where they differ first, and whether chaos explains it. Exit with 1 if they differ.
 
-    Impacts of the same bodies are compared in their order. A moment, which is one of A, adds the bodies that are
-    furthest apart then.
+    Impacts of the same bodies are compared in their order. A moment of A adds a list of the bodies that are farthest
+    apart at that moment.
     """
     from dataclasses import replace
 

@@ -218,7 +218,7 @@ def _alone(
     found: list[ImpactPair] = []
     for own, other in ((0, 1), (1, 0)):
         if int(tables[other].schema.metadata[b"left_out"]):
-            continue  # it may have happened without being recorded
+            continue  # the impact may have happened without being recorded
         inside = (times[own] > begin) & (times[own] <= end)
         inside[rows[own]] = False
         if inside.any():
@@ -288,7 +288,7 @@ class Diff:
     first_bits: FirstBits | None = None  # None unless both have the exact states of the first frame that differs
     engines: tuple[str, str] = ("", "")  # engines of the runs; empty for carom
     lives: Sequence[OtherLife] = ()  # bodies that exist at different times in the two runs
-    moment: MomentApart | None = None  # None unless one was asked for
+    moment: MomentApart | None = None  # None unless a moment was given
 
     @property
     def same(self) -> bool:
@@ -342,7 +342,7 @@ def diff(a: Recording, b: Recording, moment: float | None = None) -> Diff:
 
 
 def overlay(a: Recording, b: Recording, found: Diff, out: Path) -> None:
-    """Write both into one recording for the viewer. Raises RecordingError if it cannot be written."""
+    """Write both runs into one recording for the viewer. Raises RecordingError if it cannot be written."""
     matched = FrameAlignment(a, b)
     text = f"{found.verdict.text[0].upper()}{found.verdict.text[1:]}."
     curve = found.curve

@@ -40,7 +40,7 @@ def draw(fields: Fields, path: Path) -> None:
     with needing("plot", "a picture of fields", "matplotlib"):
         import matplotlib as mpl  # noqa: PLC0415 - an extra
         from matplotlib.figure import Figure  # noqa: PLC0415
-    depth = min(range(3), key=lambda axis: (fields.shape[axis], (1, 0, 2)[axis]))  # of equal ones y
+    depth = min(range(3), key=lambda axis: (fields.shape[axis], (1, 0, 2)[axis]))  # of equal axes, y
     across, up = (axis for axis in range(3) if axis != depth)
     panels = [panel for panel in _panels(fields, depth, across, up) if np.isfinite(panel.values).any()]
     width, height = (fields.shape[axis] * fields.cell[axis] for axis in (across, up))

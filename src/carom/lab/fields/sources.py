@@ -159,7 +159,7 @@ def _joined(
 
 
 def _directions(state: Checkpoint, i: IntArray, j: IntArray, bodies: int) -> FloatArray:
-    """Return the directions of friction on j in the last kick, (k, 3); 0 where the contact had none."""
+    """Return the directions of friction on j in the last kick, (k, 3); 0 where the contact had no friction."""
     found = np.zeros((len(i), 3))
     held = state.contacts
     if held is None:

@@ -77,7 +77,7 @@ class ForkStart:
 def start_of(branch: Branch) -> ForkStart:
     """Return the state at the end of the step that contains the time of the fork.
 
-    It refuses recordings that cannot be run again, and overrides that change what a checkpoint holds.
+    Recordings that cannot be run again are refused, and overrides that change properties in a checkpoint.
     """
     recording = Recording.open(branch.path)
     recording.refuse_overlay()

@@ -268,7 +268,7 @@ class Hunt:
             return [Finding(ERROR, condition_from(ERROR.condition), index, scene, said_by(error))]
 
     def _moves(self, index: int, document: Document, budget: Budget) -> list[Finding]:
-        """Compare a scene with default steps with shorter ones."""
+        """Compare a scene at default steps with shorter steps."""
         changed = by_default(document)
         if changed is None:
             return []
@@ -277,12 +277,12 @@ class Hunt:
         except SceneError:
             return []
         if require(scene).contact.modelled and auto.timing(scene) == "end-of-step":
-            return []  # its stated error is of first order
+            return []  # the method's stated error is of first order
         said = moved_by_shorter_steps(scene, STEPS, lambda status: budget.check())
         return [Finding(REFINED, condition_from(REFINED.condition), index, scene, said)] if said else []
 
     def _leaks(self, index: int, scene: Scene, seen: Observation, budget: Budget) -> list[Finding]:
-        """Compare a run with one in a new process."""
+        """Compare a run with the same run in a new process."""
         here = Ending(seen.space.step, seen.space.fingerprint(), seen.error)
         said = difference(self.seed, index, here, self._ran, budget)
         return [Finding(ALONE, None, index, scene, said)] if said else []

@@ -30,7 +30,7 @@ _BODIES = re.compile(r'(?:body N(?: "[^"]*")?(?:, | and )?|N more)+')
 
 
 def condition_from(text: str | None) -> Condition:
-    """Read a condition; raises ExperimentError if the text is none.
+    """Read a condition; raises ExperimentError if the text is not a condition.
 
     None means any error or missed promise. Otherwise the text is ``expect`` or ``expect.NAME`` (a missed promise),
     ``impact of A and B``, ``warning KIND``, ``PhysicsError``, ``crash`` (any other error), ``not finite``, ``overlap at
@@ -181,7 +181,7 @@ class Met(Condition):
         return replace(self, pair=self._pair(seen))
 
     def holds(self, seen: Observation) -> bool:
-        """Return whether they met."""
+        """Return whether the bodies met."""
         return not seen.error and (self.pair or self._pair(seen)) in seen.touches.pairs
 
     def said(self, seen: Observation) -> str:

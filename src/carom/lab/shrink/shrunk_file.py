@@ -90,7 +90,7 @@ def _mark(key: str, before: tuple[int, int], state: str) -> str:
 
 
 def write(path: Path, text: str) -> None:
-    """Replace a file atomically, so that an interrupt leaves a whole one. Raises RecordingError if that fails."""
+    """Replace a file atomically, so that an interrupt leaves a whole file. Raises RecordingError if that fails."""
     try:
         write_whole(path, text)
     except OSError as error:

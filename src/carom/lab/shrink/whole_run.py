@@ -232,7 +232,7 @@ def applies(name: str, scene: Scene) -> bool:
         case "steps":
             return scene.time.fixed_dt is not None and not needs.contact.modelled
         case "arrays":
-            # with a group, the step follows from its smallest possible radius; with arrays, from the actual one
+            # with a group, the step follows from its smallest possible radius; with arrays, from the smallest radius
             draws = any(group.radius.min < group.radius.max for group in scene.group)
             return not (draws or scene.material or scene.unit_system.converts)
         case "boost" if scene.plane or scene.anchored:

@@ -95,7 +95,7 @@ def paths_of(interval: Interval) -> Paths:
     radius = interval.recording.bodies.radius
     box = np.zeros(3) if interval.box is None else interval.box
     since = np.zeros(n)  # m, the path of each body since its last impact
-    last = np.full(n, -np.inf)  # s, the time of that impact
+    last = np.full(n, -np.inf)  # s, the time of each body's last impact
     total, times, lengths = 0.0, [np.empty(0)], [np.empty(0)]
     bounds = np.searchsorted(impacts.step, interval.step, side="right")
     before = interval.positions.drawn(int(interval.step[0]))

@@ -91,7 +91,7 @@ class Statistics(NamedTuple):
         return pa.Table.from_pylist(rows, pa.schema(zip(columns, kinds, strict=True)))
 
     def _rows(self, name: str) -> Iterator[tuple[Any, ...]]:
-        """Yield the rows of one kind."""
+        """Yield the rows of one kind of statistic."""
         kind, units = self.kinds[name], self.units
         singles = [(key, "", value) for key, value in kind.values.items()]
         for row in kind.rows:
@@ -109,7 +109,7 @@ class Statistics(NamedTuple):
                 yield name, key, "", low, high, value, None, unit
 
     def print(self) -> None:
-        """Print them for people, in the units of the scene."""
+        """Print the statistics for people, in the units of the scene."""
         interval = self.interval
         frames = counted(len(interval.step), "frame")
         say(f"{interval.recording.title}: {counted(interval.bodies, 'body')}, {interval.text}, {frames}")

@@ -308,8 +308,8 @@ def serve(folder: Path) -> None:
     """Serve a sweep's recordings to the viewer until the user closes it or presses Ctrl-C.
 
     Rerun's server has no password. Before libraries start threads, this process and its viewer therefore move into a
-    network namespace that other users of the machine cannot reach. Without a screen, a port of the machine leads the
-    user's own viewers there.
+    network namespace that other users of the machine cannot reach. Without a screen, the user's own viewers reach the
+    table through a port of the machine.
     """
     from carom.display import keeper
 

@@ -127,7 +127,7 @@ def put(path: Path, content: str | bytes) -> None:
 
 
 def put_copy(path: Path, source: Path) -> None:
-    """Copy a file atomically, unless a copy is there."""
+    """Copy a file atomically, unless the copy exists."""
     known, found = source.stat(), path.stat() if path.exists() else None
     if found is not None and (found.st_size, found.st_mtime_ns) == (known.st_size, known.st_mtime_ns):
         return
@@ -149,7 +149,7 @@ def move(path: Path, to: Path) -> None:
 
 
 def _inside(name: str) -> str:
-    """Return the path of a file below the sweep's folder. ValueError if it leads elsewhere."""
+    """Return the path of a file below the sweep's folder. Raises ValueError if the path leads out of the folder."""
     path = Path(name)
     if name and (path.is_absolute() or ".." in path.parts or path == Path() or "\0" in name):
         raise ValueError(f"{name[:80]!r} is no file below the folder of the sweep")
@@ -157,7 +157,7 @@ def _inside(name: str) -> str:
 
 
 def _plain(name: str) -> str:
-    """Return the name of a run. ValueError if it is no name of a file."""
+    """Return the name of a run. Raises ValueError if the text is not the name of a file."""
     if Path(name).name != name or name in ("", ".", "..") or "\0" in name:
         raise ValueError(f"{name[:80]!r} is no name of a run")
     return name

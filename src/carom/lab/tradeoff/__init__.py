@@ -263,8 +263,8 @@ def _legend(noise: float) -> str:
             "costs is unknown."
         )
     return (
-        "[bold]●[/bold] No other setting is as accurate and as cheap. ? Another one may be, but the times or the "
-        "reference are not certain enough to tell. Without a mark: another one is. Costs are medians, known to half "
+        "[bold]●[/bold] No other setting is as accurate and as cheap. ? Another setting may be, but the times "
+        "or the reference are too uncertain. Without a mark: another setting is. Costs are medians, known to half "
         f"their range, or to {noise:.0%} where that is more."
     )
 

@@ -351,7 +351,7 @@ class _Solver:
         for pair in np.flatnonzero(np.abs(self._gaps(state)) <= self._near):
             rate = self._closing(state, int(pair))
             if rate <= self._rate_noise(state, int(pair), self._tolerance):
-                continue  # it stays in touch; `_pressed` checks for a force that presses
+                continue  # the pair stays in touch; `_pressed` checks for a force that presses
             opening = self._gap_acceleration(state, int(pair))
             if opening >= 0.0:
                 continue

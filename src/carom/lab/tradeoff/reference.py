@@ -75,7 +75,7 @@ def phrase(error: str) -> str:
     return f"{error} (rms)" if error in OVER_TIME else PHRASES.get(error, error)
 
 
-PHRASES = {  # of errors whose names say too little
+PHRASES = {  # descriptions of errors whose names say too little
     "impact": "time of first contact",
     "missed": "first contacts missed",
     "impacts": "number of impacts",
@@ -295,7 +295,7 @@ def _exact(scene: Scene, threads: int | None, budget: float, tell: Teller) -> tu
 
 
 def _undetermined(scene: Scene, best: EventDrivenSolution, checks: list[Trajectory]) -> str:
-    """Say at which simultaneous impacts the solution depends on their order; empty if at none."""
+    """Say at which simultaneous impacts the order decides the solution; empty if it never decides."""
     scale = scale_of(scene, best.trajectory)
     for check in checks:
         _, apart = scale.apart(best.trajectory, check)

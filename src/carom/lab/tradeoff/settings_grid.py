@@ -295,10 +295,10 @@ class SettingResult:
 
     @property
     def spread(self) -> float:
-        """Half the 95 % interval of the median cost over the median; 0 for a single one.
+        """Half the 95 % interval of the median cost, over the median; 0 for a single cost.
 
-        The interval lies between two of the sorted costs, equally far from both ends. It is the whole range of up to
-        eight costs; of fewer than six, this range is less certain.
+        The interval lies between two of the sorted costs, equally far from both ends. The interval is the whole range
+        of up to eight costs; for fewer than six costs, it is less certain.
         """
         if not self.costs:
             return 0.0
@@ -308,7 +308,7 @@ class SettingResult:
 
     @property
     def complete(self) -> bool:
-        """Whether it has both an error and a cost."""
+        """Whether the setting has both an error and a cost."""
         return bool(self.costs) and self.errors is not None
 
 

@@ -108,7 +108,7 @@ def draw(document: dict[str, Any], *paths: Path, units: UnitSystem = SI) -> None
             title += f"\npositions are compared up to t = {units.text(reference['horizon'], TIME)}"
         figure.suptitle(title, fontsize=10)
         ends = [f"{_short(e)}: {e['reason']}" for e in document["settings"] if e["status"] in ("stopped", "failed")]
-        words = "filled: no other is as accurate and as cheap; ring: cannot be told; faint: another one is"
+        words = "filled: no other setting is as accurate and as cheap; ring: undecided; faint: another setting is"
         noise = f"costs with their uncertainty, {document['noise']:.1%} or more; lines join steps of a setting"
         figure.legend(
             handles=[

@@ -58,8 +58,8 @@ def why_command(
 ) -> None:
     """Explain why a body moves as it does (--body), or why two bodies touch (--event): the chain of causes, backwards.
 
-    The steps before the moment are run again, so any recording will do; one of another engine needs the forces of its
-    contacts. FILE may be the zip of `carom report`.
+    The steps before the moment are run again, so any recording suffices; a recording of another engine needs the forces
+    of its contacts. FILE may be the zip of `carom report`.
     """
     from carom.lab.why.history import question_of
     from carom.lab.why.why import why as answer_to

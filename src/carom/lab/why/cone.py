@@ -377,7 +377,7 @@ def directions(after: FloatArray, before: FloatArray, total: FloatArray) -> Floa
 
 
 def components(vectors: FloatArray, along: FloatArray) -> FloatArray:
-    """Return the sizes of components of vectors along directions, (k, 3) each; whole sizes where these are zeros."""
+    """Return the sizes of components of vectors along directions, (k, 3) each; whole sizes for directions of zeros."""
     whole = np.sqrt((vectors * vectors).sum(axis=1))
     result: FloatArray = np.where(along.any(axis=1), np.abs((vectors * along).sum(axis=1)), whole)
     return result
@@ -412,7 +412,7 @@ class Link:
     """An impact that gave a body its velocity, or in which an end at rest turned the body round."""
 
     step: int
-    instant: int  # within the step; impacts of one instant act together
+    instant: int  # number within the step; impacts of one instant act together
     time: float  # s
     body: int
     by: int  # numbers from n on are planes and walls

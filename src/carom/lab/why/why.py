@@ -232,7 +232,7 @@ def _moment(question: Question, history: History) -> tuple[Step, Records, list[F
         return last, last.impulses, last.kicks, last.impulses[:0]
     place = bisect_left(history.steps, question.time - tolerance(question.time), key=lambda step: step.time)
     near = history.steps[max(0, place - 1) : place + 2]
-    # the nearest impulse between the two ends; of two equally near ones, the impact
+    # the nearest impulse between the two ends; an impact precedes an equally near impulse
     found: list[tuple[float, bool, int, int]] = []
     for number, each in enumerate(near):
         rows = each.impulses

@@ -113,7 +113,7 @@ class ConstraintSystem(NamedTuple):
     offset: FloatArray  # (p,) m
     bodies: RecordArray[BodyStateRecord]  # (n + p,)
     pushed: RecordArray[PushedBodyRecord]  # (n + p,)
-    pushed_in: IntArray  # (n + p,) iteration in which the position correction last moved each; `NEVER` if none did
+    pushed_in: IntArray  # (n + p,) iteration in which the position correction last moved each end, or `NEVER`
     materials: RecordArray[Coefficients]  # (k,) MATERIAL, by `law.material_index`
     places: IntArray  # (n + p, 2) for `law.material_index`; no rows where all bodies have one material
     island: IntArray  # (n + p,) workspace, the root of each body's island

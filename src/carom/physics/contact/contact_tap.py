@@ -52,7 +52,7 @@ from carom.state.frame import empty_graph
 if TYPE_CHECKING:
     from carom.physics.contact.pipeline import ContactPipeline
 
-MOST_IMPACTS = 100_000  # stored between two frames, 15 MB; of more, the largest are stored and the others counted
+MOST_IMPACTS = 100_000  # impacts stored between two frames, 15 MB; beyond, the largest are stored, and all are counted
 
 
 class Impulses(NamedTuple):

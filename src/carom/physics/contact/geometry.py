@@ -22,7 +22,7 @@ from carom.physics.sheared_box import nearest_in_drift, set_image_velocity
 from carom.physics.vector import Vector, between, nearest_image, vector
 
 # Arguments of kernels that belong together. Where Python calls a kernel in each step, they are plain tuples: Numba
-# takes 5 µs for a named tuple, 0.5 µs for a plain one. With named ones, a step of `heap` took 1.09 times as long.
+# takes 5 µs for a named tuple, 0.5 µs for a plain one. With named tuples, a step of `heap` took 1.09 times as long.
 Shapes = tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]
 """Positions (n, 3) m and radii (n,) m; box, as in `ConstraintSystem`; normals (p, 3) and offsets (p,) m of planes."""
 

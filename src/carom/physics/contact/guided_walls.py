@@ -1,12 +1,12 @@
 """Guided walls: planes with one degree of freedom, which contacts move.
 
-Such a plane has a mass M and moves along its normal N only. It has a row among the ends of contacts with the inverse
-mass 1/M, so the contact solver moves it like a body. Only two things differ: it takes the component of an impulse along
-N, and the effective mass of friction does not contain M,
+Such a plane has a mass M and moves along its normal N only. A guided wall has a row among the ends of contacts, with
+the inverse mass 1/M, so the contact solver moves it like a body. Only two things differ from a body: an impulse changes
+its velocity along N only, and the effective mass of friction does not contain M,
 
     Δu = J·N / M,    K_n = 1/m + 1/M,    K_t = 1/m + ρ²/I
 
-The correction of overlaps moves it, too. Its load and its motion are an optional part, such as the piston's
+The correction of overlaps moves the wall, too. Its load and its motion are an optional part, such as the piston's
 (`piston_motion`): the part returns a `solids.GuidedPlane` for a scene, whose motion extends `WallTranslation`. Records
 of bodies have the fields of a guide only in scenes with such a plane; see `moving_walls`.
 
@@ -30,7 +30,7 @@ from carom.arrays import FloatArray
 from carom.physics.jit.decorators import inline, with_field
 from carom.physics.vector import Vector
 
-GUIDE = (  # of a solid in a drift; zeros for one that contacts do not move
+GUIDE = (  # of a solid in a drift; zeros if contacts do not move the solid
     "guide_start",  # m, r₀
     "guide_speed",  # m/s, u
     "guide_bend",  # m/s², a; 0 if contacts hold the wall, so that its path is straight

@@ -51,7 +51,7 @@ class PresentStep:
     booked: float = 0.0  # s, the part of the drift for which the work of the forces is booked by then
     last_kick: float = 0.0  # s, the kick after it
     path: DampedPath = STRAIGHT
-    against: FloatArray | None = None  # (n + p, 3) m/s²: contacts hold against these, not the bodies' accelerations
+    against: FloatArray | None = None  # (n + p, 3) m/s², against which contacts hold; None: the bodies' accelerations
     impacts: Impacts = NO_IMPACTS  # of the drift
     audit: KickAudit | None = None
     pushed: float = 0.0  # m, by which the correction of overlaps moved a solid along its normal
@@ -156,7 +156,7 @@ class OptionalPart:
         """Begin a drift."""
 
     def move(self, step: PresentStep) -> None:
-        """Move the bodies; without a part that does, they move along straight lines."""
+        """Move the bodies; without a part with this hook, they move along straight lines."""
 
     def struck(self, step: PresentStep) -> None:
         """Note impacts during the drift."""

@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 MESHED = 1.5  # contacts per body of a meshed island; a column or an arch has about one, a heap two to three
 MOST_EXACT = 1024  # contacts; smaller islands converge in every step
 
-UNEQUAL, PRESSES = range(2)  # flags: accelerations of bodies differ; some contact has a rest speed
+UNEQUAL, PRESSES = range(2)  # flags: accelerations of bodies differ; a contact has a rest speed
 
 
 class Islands:
@@ -170,7 +170,7 @@ def _stand_alone(
 ) -> None:
     """Make each body an island; note in ``flags`` whether accelerations differ.
 
-    If they do not, islands need not be joined.
+    If accelerations are equal, islands need not be joined.
     """
     parent, largest, flags = tables
     first = -1.0

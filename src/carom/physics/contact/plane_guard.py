@@ -1,4 +1,4 @@
-"""The guard of planes, which lets no body pass through one within a step.
+"""The guard of planes: no body passes through a plane within a step.
 
 Planes are tested at the positions at the end of a drift. A body that drifts farther than its radius may end behind a
 plane. The same may happen to a body with more impacts than a drift resolves, or to a body that a position correction

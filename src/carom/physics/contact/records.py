@@ -125,7 +125,7 @@ class ContactStateRecord(Protocol):
     push_x: float  # m, Σ δ n of the position corrections
     push_y: float
     push_z: float
-    push_fraction: float  # of the overlap, removed by one position correction
+    push_fraction: float  # fraction of the overlap that one position correction removes
     apart: bool  # whether the contact was detected with a gap
     biased: bool  # whether Baumgarte's bias makes it separate
     slides: bool  # whether it slid in the last iterations and may not stick again
@@ -275,7 +275,7 @@ class SettingsRecord(Protocol):
     """Settings of the phases, and values that they share."""
 
     independent: int  # number of leading colours whose contacts share no moving body
-    iteration: int  # number of iterations before this one
+    iteration: int  # number of iterations before the present one
     dt: float  # s, the step for which the rest speeds were found; before a drift, the previous one
     drift: float  # s, the coming drift; 0 after the last kick
     booked: float  # s, the part of the drift for which the work of the forces is already booked
@@ -293,7 +293,7 @@ class SettingsRecord(Protocol):
     refines: bool  # whether conjugate gradients follow the iterations
     keeps_iterating: bool  # whether iterations follow conjugate gradients that did not converge
     spares_meshed: bool  # whether these iterations ignore the contacts of meshed islands
-    ignores_meshed: bool  # whether they do so now
+    ignores_meshed: bool  # whether contacts of meshed islands are ignored now
     slides_meshed: bool  # whether contacts of meshed islands that have slid keep sliding in all iterations
     is_lenient: bool  # whether contacts of meshed islands may close by their rest speed
     slides_above: float  # contacts with a larger `enough` that have slid since the kick keep sliding

@@ -38,7 +38,7 @@ class MovingWalls(OptionalPart):
             guided, smallest = solids.guided, float(bodies.radius.min())
             self._translation = guided.motion(*moving, smallest) if guided else WallTranslation(*moving)
         self._velocity = NO_VELOCITIES  # (p, 3) m/s, of solids that translate, at which their work is computed
-        self._work = 0.0  # J, of moving walls on bodies in the step
+        self._work = 0.0  # J, work of moving walls on bodies in the step
         self.entries = (ENTRY,) if solids.moves else ()
 
     def forget(self) -> None:

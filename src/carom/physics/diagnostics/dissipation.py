@@ -280,7 +280,7 @@ def _what(Jn: float, friction: Vector, material: Coefficients) -> int:
     """Return what a contact with these impulses (N s) does."""
     if not Jn > 0.0:
         return _IDLE
-    if exerts_torque(material):  # its work on spins is booked as friction
+    if exerts_torque(material):  # work of the torque on spins is booked as friction
         return _OTHER
     return _OTHER if slides(material, Jn, friction[0], friction[1], friction[2]) else _STUCK
 
@@ -305,7 +305,7 @@ def judge_impacts(
 ) -> bool:
     """Compare the loss of each impact with the loss that its closing speed requires; return whether one is wrong.
 
-    ``tolerance`` has the error of each that is not wrong, or of all, relative to ½ μ v_n².
+    ``tolerance``, of each impact or of all, is the error that is not wrong, relative to ½ μ v_n².
     The impulses of a group that is held act at one time, and their energies have a meaning only together.
     """
     rows, places, inverse_mass, bodies, walls_move, _ = ends
@@ -395,7 +395,7 @@ def judge_contacts(
         (i, j), c = ends_of(pairs, k), place[k]
         contact, state = contacts[c], states[c]
         while b < len(held_pairs) and comes_before(held_pairs[b, 0], held_pairs[b, 1], i, j):
-            if held[b].did != _IDLE:  # its second kick is missing
+            if held[b].did != _IDLE:  # the second kick of the contact is missing
                 _exclude(held_pairs[b, 0], held_pairs[b, 1], inverse_mass, island, is_judged)
             b += 1
         material = rows[material_index(i, j, bodies, places)]

@@ -74,8 +74,8 @@ class Suspects:
 class EnergyMonitor:
     """Checks the energy; warns of a rise, and of an integration error that makes the run useless.
 
-    A rise is relative to the lowest energy since the last warning, so that any rate of checks detects a slow rise. It
-    is reported if it exceeds the ``tolerance`` times the energy scale. The integrator determines the remedy.
+    A rise is relative to the lowest energy since the last warning, so that any rate of checks detects a slow rise. A
+    rise is reported if it exceeds the ``tolerance`` times the energy scale. The integrator determines the remedy.
     """
 
     def __init__(self, tolerance: float, names: Names, integrator: Integrator, units: UnitSystem = SI) -> None:

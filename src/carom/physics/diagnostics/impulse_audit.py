@@ -60,7 +60,7 @@ class ImpulseAudit:
         self._fastest = max(self._fastest, _largest(change), _largest(self._bodies.velocity))
 
     def finish(self, ledger: Ledger) -> tuple[float, tuple[int, ...]]:
-        """Return the largest error, and its body if it belongs to one.
+        """Return the largest error, and the body to which it belongs, if any.
 
         Errors of velocities, and of spins times the radius, are relative to the largest speed in the step. The largest
         speed includes the summed magnitudes of a body's kicks, and of its impulses over its mass: impulses in a heavy

@@ -118,12 +118,12 @@ def remembered(energy: float, impacts: float) -> float:
     return energy + (impacts - energy / STEPS_REMEMBERED)
 
 
-CRAWL = 5.0  # ratio to the number of steps expected from the first one
+CRAWL = 5.0  # ratio to the number of steps that the first step foretells
 MIN_STEPS = 50_000  # a shorter run would end before a warning is useful
 
 REMEDY = {  # the key that allows longer steps, by the limit that sets them
     "acceleration": "time.target_dx",
-    "held": "time.target_dx, to more than 1 % of the smallest radius",  # held bodies have it where it is automatic
+    "held": "time.target_dx, to more than 1 % of the smallest radius",  # the automatic value for held bodies
     "velocity": "time.cfl",
     "pull": "time.pull_fraction",
     "cap": "time.max_dt",

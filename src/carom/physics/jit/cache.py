@@ -53,7 +53,7 @@ _VERSIONS = (numba.__version__, llvmlite.__version__, np.__version__, sys.versio
 def cache_of(function: Callable[..., Any]) -> KernelCache | None:
     """Return the cache of a kernel; None if there is no folder for it, or its sources cannot be read.
 
-    A function within another one depends on more than its sources, such as the arguments of the outer one.
+    A function within another function depends on more than its sources, such as the arguments of the outer function.
     """
     if MISSING or function.__closure__:
         return None
@@ -71,8 +71,9 @@ def cache_of(function: Callable[..., Any]) -> KernelCache | None:
 def folder_of(package: Path) -> Path | None:
     """Return the folder for the compiled kernels of a package; None if none is writable.
 
-    It is the first of: below ``NUMBA_CACHE_DIR``; beside the sources, with their byte code; in the user's cache; in the
-    system's temporary folder. All but the second must belong to the user, and nobody else may have write access.
+    The folder is the first writable one: below ``NUMBA_CACHE_DIR``; beside the sources, with their byte code; in the
+    user's cache; in the system's temporary folder. All but the second must belong to the user, and nobody else may have
+    write access.
     """
     name = f"{package.name}-{xxhash.xxh3_64_hexdigest(str(package).encode())}"
     chosen = config.CACHE_DIR

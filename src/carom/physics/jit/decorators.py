@@ -210,7 +210,7 @@ class Compilations(event.Listener):  # type: ignore[misc] # untyped, like all of
         event.unregister("numba:compile", self)
 
     def on_start(self, event: object) -> None:
-        """Count one, and call back at the first."""
+        """Count a compilation, and call back at the first."""
         self.count += 1
         if self.count == 1:
             self._at_first()
@@ -280,8 +280,8 @@ def with_field(name: str, chosen: Callable[..., Any], place: int = 0) -> Callabl
 def identity_of(*functions: Callable[..., Any]) -> str:
     """Return a text that changes with the sources of functions, for use in the name of a type.
 
-    A function within another one, or one whose sources cannot be read, depends on more than its text. Its address is
-    then part of the name, so that `KernelCache` stores no kernel with it.
+    A function within another function, or a function whose sources cannot be read, depends on more than its text. Its
+    address is then part of the name, so that `KernelCache` stores no kernel with it.
     """
     whole = xxhash.xxh3_64()
     for function in functions:

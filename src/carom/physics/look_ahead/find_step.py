@@ -1,6 +1,7 @@
 """Finds the step that keeps an accuracy, by trial runs of the scene with longer steps.
 
-A run with steps of length h has the error e(t). It differs from a run of the same scene with steps of h/q by D(t), and
+A run with steps of length h has the error e(t). A run differs from a run of the same scene with steps of h/q by D(t),
+and
 
     e(t) of the finer run = D(t) / (q^p - 1),     e(t) with steps s times shorter = e(t) / s^p
 

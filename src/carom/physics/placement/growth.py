@@ -202,7 +202,7 @@ class FlightSpace(NamedTuple):
     ends: IntArray  # (n + 1,) the neighbours of sphere i are ``others[ends[i]:ends[i + 1]]``
     others: IntArray
     box: FloatArray  # (3,) m; zeros in open space
-    images: int  # beside the nearest one that can be met, on either side, in a box of a few radii
+    images: int  # further images on either side that a body can meet, in a box of a few radii
 
 
 @long_kernel

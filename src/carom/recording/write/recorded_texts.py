@@ -298,8 +298,8 @@ def _impulse_legend(header: Header) -> list[str]:
         *lines,
         "- Points are impacts, each where the two touched: as large as the impulse (m_ref is `impacts` in the "
         "property `arrows`), as bright as "
-        f"the energy lost (m_ref{' in' if joules else ''}{joules} is `impacts.energy`). On the timeline `impact` one "
-        "steps from each to the next.",
+        f"the energy lost (m_ref{' in' if joules else ''}{joules} is `impacts.energy`). On the timeline "
+        "`impact`, each step is the next impact.",
     ]
 
 

@@ -1,10 +1,10 @@
 """Bodies sorted into the cells of grids, one grid for each octave of radius.
 
 The cells of an octave are as wide as its largest body, so its bodies touch only bodies in neighbouring cells. An octave
-whose bodies would hardly ever share a cell uses the grid of the next larger one. If a grid has few more cells than
-bodies, its cells are numbered row by row, and neighbours in space are neighbours in memory. If it would have many more,
-its cells are widened or hashed. The cost of a small cluster in a huge empty space then depends on its bodies, not on
-its extent.
+whose bodies would hardly ever share a cell uses the grid of the next larger octave. If a grid has few more cells than
+bodies, its cells are numbered row by row, and neighbours in space are neighbours in memory. If a grid would have many
+more cells than bodies, its cells are widened or hashed. The cost of a small cluster in a huge empty space then depends
+on its bodies, not on its extent.
 
 Visiting a row of cells costs as much as testing some bodies. Where most cells are empty, they are therefore broader
 across the rows and shorter along them, which makes fewer rows (10⁵ radii from 1 to 100: 10.7 instead of 13.2 ms). In

@@ -1,4 +1,4 @@
-"""Hierarchical grid: each body searches the nearby cells in the grid of its own octave and in others.
+"""Hierarchical grid: each body searches the nearby cells in the grid of its own octave and in other grids.
 
 A pair within an octave is found by the body in the earlier cell. A pair of two octaves is found by one of the bodies.
 Either the smaller bodies search the few cells of larger bodies near them, or the larger bodies search the many cells
@@ -262,7 +262,7 @@ def sort_pairs(rows: int, buffer: IntArray, counts: IntArray) -> int:
 
 @kernel
 def _sort_by(end: int, rows: int, pairs: IntArray, ordered: IntArray, counts: IntArray) -> int:
-    """Sort stably by one of the ends, without unused rows; return the number of pairs."""
+    """Sort stably by one end of the pairs, without unused rows; return the number of pairs."""
     for i in range(len(counts)):
         counts[i] = 0
     for c in range(rows):

@@ -366,7 +366,7 @@ def collide(i: int, j: int, log: RecordArray[ImpactRecord], row: int, T: Traject
     e = restitution_of_impact(material, -vn, slow, Kn, ri, rj)
     Jn = max(0.0, rebound(e, vn)) / Kn
     entry.restitution_loss, entry.stabilisation_gain = normal_loss(Jn, vn, Kn), 0.0
-    if max(T.load_speed[i], T.load_speed[j]) > 0.0:  # a force may press them together
+    if max(T.load_speed[i], T.load_speed[j]) > 0.0:  # a force may press the bodies together
         landing = _landing_velocity(i, j, nx, ny, nz, ax * nx + ay * ny + az * nz, T)
         if landing > max(vn, -e * vn):
             Jn = (landing - vn) / Kn
@@ -422,8 +422,8 @@ def collide(i: int, j: int, log: RecordArray[ImpactRecord], row: int, T: Traject
 def _landing_velocity(i: int, j: int, nx: float, ny: float, nz: float, an: float, T: Trajectories) -> float:
     """Return the normal velocity in m/s at which two bodies must separate to touch again only at the end of the drift.
 
-    It is -infinity unless their relative acceleration ``an`` in m/s² presses them together. Bodies that separate more
-    slowly would overlap at the end: the force keeps acting, and nothing holds them until then.
+    The result is -infinity unless the relative acceleration ``an`` in m/s² presses the bodies together. Bodies that
+    separate more slowly would overlap at the end: the force keeps acting, and nothing holds them until then.
     """
     if not an < 0.0:
         return -np.inf

@@ -247,7 +247,7 @@ def _is_near(i: int, j: int, T: Trajectories) -> bool:
 
 @inline
 def _place(i: int, bodies: int, group: Group) -> int:
-    """Return the place of a body in the group; -1 if it is not in it."""
+    """Return the place of a body in the group; -1 if the body is outside the group."""
     for k in range(bodies):
         if group.body[k] == i:
             return k
@@ -368,8 +368,8 @@ def _project(
 ) -> float:
     """Write to ``z`` the component of a contact's direction that is orthogonal to all ``count`` held directions.
 
-    Return the square of its length. The components along the held directions are written to a column of ``R``, and the
-    rates at which the held impulses fall as the impulse of the contact rises to ``weight``.
+    Return the square of the length of this component. The components along the held directions are written to a column
+    of ``R``, and the rates at which the held impulses fall as the impulse of the contact rises to ``weight``.
     """
     z[:] = 0.0
     for end in range(2):
@@ -411,7 +411,7 @@ def _extend(count: int, square: float, Q: FloatArray, R: FloatArray, weight: Flo
 
 @inner
 def _rebound(k: int, waits: bool, group: Group, T: Trajectories) -> None:
-    """Add to a body's velocity without closing contacts as much again as it has lost; if it ``waits``, later."""
+    """Give a body without closing contacts the velocity that it has lost a second time; if it ``waits``, later."""
     x, y, z = vector(T.v, group.body[k])
     x, y, z = group.v[k, 0] - x, group.v[k, 1] - y, group.v[k, 2] - z
     if not waits:

@@ -1,7 +1,8 @@
 """Time of impact of two bodies on straight paths.
 
 Let d and v be the separation and the velocity of j relative to i, and R = r_i + r_j. Bodies that close, d·v < 0, are
-nearest at t_c = -d·v/v², where their separation is p = d + v t_c. They touch before that if |p| < R:
+nearest at t_c = -d·v/v², where their separation is p = d + v t_c. The bodies touch before the closest approach if |p| <
+R:
 
     τ = t_c - √((R² - p²)/v²)
 

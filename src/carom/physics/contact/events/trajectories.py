@@ -15,8 +15,8 @@ An impulse J changes w by J/(m f). Without drag, 1/τ is 0, and σ = s.
 
 The search radius of a body is the displacement within which it can meet only bodies in its list of neighbours.
 
-The event queue is a binary heap of the bodies with a predicted impact, the earliest first. A body is in it at most
-once, with its next impact. An impact of two bodies needs only one entry: the entry of the body whose impact was
+The event queue is a binary heap of the bodies with a predicted impact, the earliest first. A body is in the queue at
+most once, with its next impact. An impact of two bodies needs only one entry: the entry of the body whose impact was
 predicted last. Simultaneous impacts are in the order of their pairs.
 """
 
@@ -44,7 +44,7 @@ from carom.scene.rest_speed import PER_STEP
 from carom.scene.schema import Coefficients
 
 FIRST_STANDOFF = 1e-9  # of the radius, the standoff of a body that is exhausted for the first time
-MOST_HOLDS = 100  # of an exhausted body in a drift; its standoff then exceeds every gap, so only others can meet it
+MOST_HOLDS = 100  # of an exhausted body in a drift; its standoff then exceeds every gap, so it meets only other bodies
 MAX_SEARCH_RADIUS = 1e150  # m; its square is finite
 
 
@@ -436,7 +436,7 @@ def is_sooner(i: int, j: int, body: RecordArray[QueuedRecord]) -> bool:
 
 @unowned
 def put(i: int, size: int, queue: IntArray, body: RecordArray[QueuedRecord]) -> int:
-    """Update the place of body i in a queue after its next impact has changed, or remove it if there is none.
+    """Update the place of body i in a queue after its next impact has changed; without an impact, remove the body.
 
     Return the number of queued bodies, which was ``size``.
     """

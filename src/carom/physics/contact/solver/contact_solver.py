@@ -45,8 +45,9 @@ from carom.scene.schema.contact import Sweeps
 from carom.scene.start import HalfSpaces
 
 # Fraction of r·z at the start of a round of conjugate gradients at which its iterations end, by `contact.sweeps`; with
-# other values none follow. After a round, contacts are released, so a more exact solution is one of other equations. In
-# a falling heap of 1000 (benchmarks/heap.py), 0.3 takes a fifth of the iterations of 10⁻³ and leaves the same overlaps.
+# other values none follow. After a round, contacts are released, so a more exact solution would solve other equations.
+# In a falling heap of 1000 (benchmarks/heap.py), 0.3 takes a fifth of the iterations of 10⁻³ and leaves the same
+# overlaps.
 SOLVED_BY_SWEEPS: dict[Sweeps | int, float] = {"auto": 0.3, "converged": SOLVED, "as-needed": SOLVED}
 AS_NEEDED: tuple[Sweeps, ...] = ("as-needed", "quick")  # values with which small changes end the iterations
 CONTACTS_PER_BODY = 8  # contacts per body of an island, about the most

@@ -64,7 +64,7 @@ class Phases(NamedTuple):
     addresses: IntArray  # of the code, by phase
     doer: int  # address of the function that processes a piece of a task
     task: int  # address of the task: a phase's code and the system, see `lay_out`
-    edges: IntArray  # these and the following as in `ConstraintSystem`
+    edges: IntArray  # this and the following fields as in `ConstraintSystem`
     piece_results: RecordArray[PieceResultsRecord]
     sums: RecordArray[BlockSumsRecord]
     settings: RecordArray[SettingsRecord]

@@ -12,8 +12,9 @@ This is `contact.stabilisation = "split"`. With `"baumgarte"`, the pipeline inst
 Only resting contacts are pushed. Bodies in an impact separate by their rebound, and pushing them would take tangential
 energy from a gas at every collision.
 
-The ledger books the change of the energy. For the scaling it is exact, at the velocities after the first kick. For the
-potential it is the work against gravity at the new positions, which has an error of (δ/d)² of the pair's potential.
+The ledger books the change of the energy. For the scaling, the booked energy is exact, at the velocities after the
+first kick. For the potential, it is the work against gravity at the new positions, with an error of (δ/d)² of the
+pair's potential.
 
 Rejected: the mean of the forces at the start and the end of the step, of the next order. In the collapse of 500
 boulders, both have errors of 10⁻⁶ of the energy scale.
@@ -92,8 +93,8 @@ def correct_positions(first: int, end: int, system: ConstraintSystem) -> None:
     """Push the resting contacts of some pieces apart once; record whether an overlap needs another iteration.
 
     Here a contact is at rest if it separates no faster than a tenth of the rest speed, or approaches without a rebound.
-    Later iterations visit only contacts with an end that the previous iteration pushed. The others have not changed
-    since they needed no push: they do not overlap, or are not at rest.
+    Later iterations visit only contacts with an end that the previous iteration pushed. All other contacts have not
+    changed since they needed no push: they do not overlap, or are not at rest.
     """
     n = body_count(system)
     for piece in range(first, end):

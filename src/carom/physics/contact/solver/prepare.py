@@ -195,7 +195,7 @@ PlacedContacts = tuple[IntArray, IntArray, RecordArray[ContactRecord]]
 
 @dataclass(slots=True)
 class ImpulseCache:
-    """The impulses of all contacts in the last kick, with which the next one starts."""
+    """The impulses of all contacts in the last kick, with which the next kick starts."""
 
     pairs: IntArray  # (m, 2), sorted
     place: IntArray  # (m,) index of each contact's record

@@ -228,7 +228,7 @@ def _longest_side(ax: float, bx: float, ay: float, by: float, az: float, bz: flo
     if bz - az > high - low:
         axis, low, high = 2, az, bz
     middle = low + 0.5 * (high - low)
-    return axis, middle if middle > low else high  # between neighbouring numbers, the higher one separates them
+    return axis, middle if middle > low else high  # of neighbouring numbers, the higher number separates them
 
 
 @long_kernel

@@ -64,7 +64,7 @@ class TwinRule(NamedTuple):
     """Conditions under which the comparison of orbits with their twins ends; see `diverge`."""
 
     max_dt: float  # s
-    enough: float  # m, distance at which it ends
+    enough: float  # m, distance from the orbit at which the twin ends
     iterations: int
 
 

@@ -144,7 +144,7 @@ class WisdomHolman:
         no_field, none_fixed = np.zeros(3), np.zeros(0, np.int64)
         self._radau = GaussRadau15(motion_of(position, velocity, gm, none_fixed, no_field, 0.0), max_dt, None)
         self._phase = ANEW
-        self._by_radau = False  # whether it took the last step
+        self._by_radau = False  # whether Gauss–Radau integration took the last step
         self.encounters = 0  # how often Gauss–Radau integration took over
 
     @property

@@ -6,7 +6,7 @@ A walk begins with the pair of the whole tree and itself, and decides on each pa
    `FEW_PAIRS` pairs of bodies, which are as fast.
 2. Otherwise, if they have at most `MANY_PAIRS` pairs of bodies, or are both leaves, their bodies attract each other one
    by one.
-3. Otherwise, the one with the larger radius is halved.
+3. Otherwise, the box with the larger radius is halved.
 
 These decisions do not depend on which of the two boxes is A. The forces on both are therefore opposite, exactly for
 single pairs of bodies and up to rounding for boxes, and momentum is conserved.
