@@ -40,7 +40,7 @@ _CAMERA = (
     "Keep the camera still, follow the centre of the bodies, or orbit it once. Default: still with a plane, a wall or "
     "a field; otherwise follow bodies that move away."
 )
-_SLOW = "Slow down around the hardest impacts, or show equal times in equal times."
+_SLOW = "Slow down around the hardest impacts, or show the whole movie at one pace."
 _PICTURE = "Picture to write. Default: FILE.png, or FILE-picture.png if another command wrote FILE.png."
 _PAGE = "Folder to write. Default: FILE-page, beside FILE; of several recordings, recordings-page."
 SMALLEST, LARGEST = 100, 8192  # pixels; textures of software renderers end at 8192
