@@ -230,6 +230,7 @@ def test_the_command_writes_a_file_and_says_what_it_averaged(cloud: Recording, t
         (("--cell", "3 kg"), "expected a length above 0"),
         (("--cell", "0.001r"), "at most 2000000 fit"),
         (("--from", "5"), "has no frame from"),
+        (("--from", "0.8", "--to", "0.2"), "from 0.8 to 0.2 s: the end is before the start"),
         (("-o", "f.vtu"), 'the format ".vtu" is unknown'),
         (("--from", "0.005", "--to", "0.015"), "has no exact velocities from"),
     ],

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 
 INK, FAINT = "#1b2a3a", "#8a94a0"
 PANEL = 3.3  # inches, the longer side of a panel
+FLAT = 4  # cells along x and y for each along z, from which on a grid is drawn from above
 MOST_ARROWS = 14  # along a side
 _PLAIN = Dimension("number", "", (0, 0, 0, 0), "3")
 
@@ -33,14 +34,15 @@ class Panel(NamedTuple):
 def draw(fields: Fields, path: Path) -> None:
     """Draw the fields into a PNG or SVG, in the units of the scene.
 
-    The picture shows the plane with the most cells; z points upwards if it is an axis of this plane. Densities and
+    The picture is a view from the side, with z upwards, or of a flat grid, such as a table, from above. Densities and
     stresses are means over the depth; velocity, temperature and coordination are weighted with mass and number. Raises
     ExperimentError if matplotlib is not installed.
     """
     with needing("plot", "a picture of fields", "matplotlib"):
         import matplotlib as mpl  # noqa: PLC0415 - an extra
         from matplotlib.figure import Figure  # noqa: PLC0415
-    depth = min(range(3), key=lambda axis: (fields.shape[axis], (1, 0, 2)[axis]))  # of equal axes, y
+    x, y, z = fields.shape
+    depth = 2 if FLAT * z <= min(x, y) else int(x >= y)
     across, up = (axis for axis in range(3) if axis != depth)
     panels = [panel for panel in _panels(fields, depth, across, up) if np.isfinite(panel.values).any()]
     width, height = (fields.shape[axis] * fields.cell[axis] for axis in (across, up))

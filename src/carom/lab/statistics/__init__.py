@@ -95,6 +95,9 @@ class Interval:
         recording.refuse_some_bodies()
         recording.require_frames()
         first, last = -np.inf if start is None else start, np.inf if end is None else end
+        if first > last:
+            asked = recording.units.span(first, last, TIME, "g")
+            raise RecordingError(f"from {asked}: the end is before the start")
         frames = recording.fingerprints()
         time = frames["time"].to_numpy()
         inside = (time >= first - tolerance(first)) & (time <= last + tolerance(last))
