@@ -9,13 +9,13 @@ import typer
 
 from carom.scene.units.dimension import LENGTH, TIME
 from carom.scene.wording import counted
+from carom.terminal.given_moment import typed_time_or_none
 from carom.terminal.options import (
     ForceOption,
     JsonOption,
     OptionalTime,
     RecordingArgument,
     output_option,
-    simulated_or_none,
     time_option,
 )
 from carom.terminal.printing import say, say_json
@@ -50,7 +50,7 @@ def fields_command(
         recording = Recording.open(path)
         recording.refuse_overlay()
         units = recording.units
-        interval = (simulated_or_none(time, units) for time in (start, end))
+        interval = (typed_time_or_none(recording, time) for time in (start, end))
         with replaying(recording) as watch:
             found = fields(recording, cell, *interval, replay=again, output=output, force=force, watch=watch)
     if as_json:
