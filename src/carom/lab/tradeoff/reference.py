@@ -1,5 +1,7 @@
 """The reference against which settings of a scene are measured: an exact solution, or the scene with smaller steps.
 
+A ball on planes has closed forms (`ball_on_planes.py`); both checks start displaced by rounding errors.
+
 A few bodies in open space are solved exactly (`event_driven_reference.py`). Two further solutions are checks. Both
 start displaced by rounding errors, which shows how fast chaos separates the runs; one has a tolerance ten times looser.
 Other scenes are run with smaller and smaller steps, each half of the previous one. Without forces, flights are exact
@@ -20,7 +22,9 @@ import numpy as np
 
 from carom.arrays import FloatArray
 from carom.lab.compared_run import Trajectory, follow, sample_times
+from carom.lab.tradeoff.ball_on_planes import solve_ball, why_no_ball
 from carom.lab.tradeoff.event_driven_reference import EPS, TIGHTEST, EventDrivenSolution, solve, why_not
+from carom.physics.placement import place
 from carom.physics.space import Space
 from carom.physics.vector import minimum_images
 from carom.plan import auto
@@ -223,7 +227,11 @@ def make_reference(
     """
     tell = tell or (lambda text: None)
     reason = why_not(scene)
-    if not reason:
+    if not why_no_ball(scene):
+        ball, reason = _ball(scene, tell)
+        if ball is not None:
+            return ball
+    elif not reason:
         reference, reason = _exact(scene, threads, budget, tell)
         if reference is not None:
             return reference
@@ -271,6 +279,18 @@ def scale_of(scene: Scene, trajectory: Trajectory) -> ErrorScale:
     """Return the scale of a reference of a scene."""
     box = None if scene.domain.period is None else np.array(scene.domain.period)
     return ErrorScale.of(trajectory, box)
+
+
+def _ball(scene: Scene, tell: Teller) -> tuple[Reference | None, str]:
+    """Return the exact reference of a ball and planes, with checks displaced by rounding; or the reason for none."""
+    times, start = sample_times(scene), place(scene)
+    tell("reference: exact, closed forms of a ball on planes")
+    best = solve_ball(scene, start, times)
+    if best.ended:
+        return None, best.ended
+    checks = [solve_ball(scene, start, times, nudge=nudge).trajectory for nudge in (1, -1)]
+    text = f"exact: closed forms of a ball on planes, {counted(best.impacts, 'impact')}"
+    return _reference(scene, best.trajectory, checks, kind="exact", fineness=math.inf, whole=True, text=text), ""
 
 
 def _exact(scene: Scene, threads: int | None, budget: float, tell: Teller) -> tuple[Reference | None, str]:
