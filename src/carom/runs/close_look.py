@@ -2,12 +2,15 @@
 
 A step treats the load of a contact as acting at one instant. If an impact, or the end of sliding, lies within the step,
 velocities differ by up to 2 J/m along the contact's normal, with J the impulse of the load in a step, and by 2 a dt
-along the acceleration a of the forces. Bodies that met pass this on, and friction passes a share of it on to other
-directions. Loads allow nothing where no contact began, ended or changed its mode, and nothing across their normals: a
-ball that rolls follows its path, and a slow impact along a floor bounces, whatever the floor carries.
+along the acceleration a of the forces. An impact passes on the part of such a load along its own normal. Bodies that
+met pass this on, and friction passes a share of it on to other directions. Loads allow nothing where no contact began,
+ended or changed its mode, and nothing across their normals: a ball that rolls follows its path, and a slow impact along
+a floor bounces, whatever the floor carries.
 
 If several contacts acted, physics does not fix how they share impulses, nor the order of impacts at one moment. Bodies
-that touched then count as equal in both runs if they have the same energy.
+that touched then count as equal in both runs if they keep the same share of the energy that they had. Plastic impacts
+of a heavy ball may end all of its motion, and leave a light one with a millionth of the energy: the order of the
+impacts decides how much.
 """
 
 from __future__ import annotations
@@ -20,7 +23,7 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from carom.arrays import FloatArray, IntArray, Records
+from carom.arrays import BoolArray, FloatArray, IntArray, Records
 from carom.contact_table import IMPACT_MODE, NO_ROWS
 from carom.physics.schedule import every
 from carom.physics.space import Space
@@ -30,7 +33,9 @@ from carom.state.frame import Frame
 LASTS = 4  # steps: a contact that presses for so long carries a load; what stops a slow impact is gone sooner
 LOOK_AFTER = LASTS + 1.0  # steps, for the loads of contacts after an interval
 RETURNS = 2.0  # steps: a longer bounce, which takes 2 v/a, may not be ended at rest by a step
-SHARED = 5e-2  # of the kinetic energy of bodies that touch: runs that differ by less may have shared impulses otherwise
+SHARED = 5e-2  # of the kinetic energy of bodies that touch, before or after: runs that differ by less may have shared
+# impulses otherwise
+TURNED = 0.1  # rad, or of the size: change of a torque that resists rolling in a step, which ends or reverses rolling
 SURFACE = 2.5  # m r²/I of a ball: friction changes the speed of its surface so much more than its velocity
 
 Pair = tuple[int, int]  # of bodies and, from n on, planes and walls
@@ -52,6 +57,7 @@ class RunInterval:
     pressed: dict[Pair, float]  # N s, the largest impulse in a step of each contact that was no impact
     changed: set[int]  # bodies with an impact, or with a contact that began, ended or changed its mode
     loads: dict[int, list[Load]]  # by body
+    depth: dict[int, float]  # m, the deepest overlap of each body, which corrections may end sooner or later
     friction: float  # the largest ratio of a tangential to a normal impulse
 
     @property
@@ -69,6 +75,7 @@ class Touching:
     changes: bool  # whether a contact began, ended or changed its mode, or bodies met
     loads: list[Load]
     last_impact: float  # s; -infinity without an impact
+    depth: float  # m, of the deepest overlap
     friction: float
 
     def excess(self, vector: FloatArray, share: float = 1.0) -> float:
@@ -109,16 +116,17 @@ class CloseLook:
                 changes=any(bodies & each.changed for each in both),
                 loads=[load for each in both for body in bodies for load in each.loads.get(body, [])],
                 last_impact=max(hit, default=-math.inf),
+                depth=max((each.depth.get(body, 0.0) for each in both for body in bodies), default=0.0),
                 friction=max(each.friction for each in both),
             )
         return self._known[label]
 
-    def may_share_otherwise(self, touching: Touching, frame: Frame, refined: Frame) -> bool:
+    def may_share_otherwise(self, touching: Touching, before: Frame, frame: Frame, refined: Frame) -> bool:
         """Return whether several contacts acted and left the same energy, but for what loads allow."""
         if touching.contacts < 2:
             return False
-        kinetic = [self._kinetic(touching, one) for one in (frame, refined)]
-        return abs(kinetic[0] - kinetic[1]) <= SHARED * max(kinetic)
+        had, kept, refined_kept = (self._kinetic(touching, one) for one in (before, frame, refined))
+        return abs(kept - refined_kept) <= SHARED * max(had, kept, refined_kept)
 
     def _kinetic(self, touching: Touching, frame: Frame) -> float:
         """Return the kinetic energy (J) of bodies that touched, without what loads and friction allow."""
@@ -172,35 +180,52 @@ def _rubbed(loads: list[Load], friction: float) -> float:
     return friction * max((load.speed for load in loads if load.rubs), default=0.0)
 
 
-def look_closely(space: Space, frame: Frame, end: float, dt: float, start: InitialBodies) -> RunInterval:
-    """Repeat the steps from a frame to a time (s), and some ``dt`` (s) beyond, in a space that records contacts."""
+def look_closely(space: Space, frame: Frame, begin: float, end: float, dt: float, start: InitialBodies) -> RunInterval:
+    """Repeat the steps from a frame to the end (s) of an interval, and look at its contacts.
+
+    The space records contacts. Steps before the beginning (s) of the interval, and some of ``dt`` (s) beyond its end,
+    show which contacts last and what they carry.
+    """
     space.restore(frame.checkpoint)
     n, free, mass = len(start.mass), ~np.asarray(start.fixed), start.mass
     impacts, friction, first = [NO_ROWS], 0.0, space.step
     changed: set[int] = set()
     pressed: dict[Pair, float] = {}
+    depth: dict[int, float] = {}
+    rolls: dict[Pair, FloatArray] = {}  # m, the angular impulse over the normal one, against rolling and twisting
     held: dict[Pair, tuple[float, FloatArray]] = {}  # N s, and the normal of contacts that last
     lasting: dict[Pair, list[float]] = {}  # N s, impulses of the last steps
     pulled, modes = dict[int, Load](), set[tuple[int, int, int]]()
     for one in space.run(until=end + LOOK_AFTER * dt, schedule=every(0.0)):
         if one.step == first:  # a state that is restored has no table
             continue
-        if one.impacts is not None:
+        inside = one.time > begin
+        if one.impacts is not None and inside:
             impacts.append(one.impacts[one.impacts["time"] <= end])
         rows = NO_ROWS if one.contact_rows is None else one.contact_rows
+        for row in rows if inside else NO_ROWS:
+            bodies = [body for body in (int(row["i"]), int(row["j"])) if body < n]
+            overlap = float(sum(start.radius[body] for body in bodies) - row["arm_i"] - row["arm_j"])
+            for body in bodies:
+                depth[body] = max(depth.get(body, 0.0), overlap)
         rows = rows[(rows["mode"] != IMPACT_MODE) & (rows["normal_impulse"] > 0.0)]
         seen = set(zip(rows["i"].tolist(), rows["j"].tolist(), rows["mode"].tolist(), strict=True))
-        if one.step > first + 1 and one.time <= end + dt:
+        if one.step > first + 1 and inside and one.time <= end + dt:
             changed |= {body for i, j, _ in modes ^ seen for body in (i, j)}
-        modes, before, lasting = seen, lasting, {}
+        modes, before, rolled, lasting, rolls = seen, lasting, rolls, {}, {}
         for row in rows:
             ends, impulse = (int(row["i"]), int(row["j"])), float(row["normal_impulse"])
-            if one.time <= end + dt:
+            rolls[ends] = np.array([row["angular_x"], row["angular_y"], row["angular_z"]]) / impulse
+            if ends in rolled and inside and one.time <= end + dt and _turned(rolled[ends], rolls[ends]):
+                changed |= set(ends)
+            if inside and one.time <= end + dt:
                 pressed[ends] = max(pressed.get(ends, 0.0), impulse)
             lasting[ends] = [*before.get(ends, []), impulse][-LASTS:]
             least = min(lasting[ends]) if len(lasting[ends]) == LASTS else 0.0
             if least > held.get(ends, (0.0, None))[0]:
                 held[ends] = least, np.array([row["nx"], row["ny"], row["nz"]])
+        if not inside:
+            continue
         friction = max(friction, _largest_friction(rows))
         pull = np.sqrt((one.acceleration**2).sum(axis=1)) * one.dt
         known = np.array([pulled[body].speed if body in pulled else 0.0 for body in range(n)])
@@ -213,8 +238,33 @@ def look_closely(space: Space, frame: Frame, end: float, dt: float, start: Initi
         for body in ends:
             if body < n and free[body]:
                 loads.setdefault(body, []).append(Load(normal, impulse / float(mass[body]), rubs=True))
+    for row in found:
+        _load_of_impact(row, loads, mass, free)
     changed |= set(found["i"].tolist()) | set(found["j"].tolist())
-    return RunInterval(found, pressed, changed, loads, max(friction, _largest_friction(found)))
+    return RunInterval(found, pressed, changed, loads, depth, max(friction, _largest_friction(found)))
+
+
+def _load_of_impact(row: np.void, loads: dict[int, list[Load]], mass: FloatArray, free: BoolArray) -> None:
+    """Add what an impact makes of the support of its bodies, to the loads of both.
+
+    The closing speed of a body that rests on something contains half of the impulse of its support in a step, along the
+    normal of the impact (docs/physics.md, section 9).
+    """
+    ends = [end for end in (int(row["i"]), int(row["j"])) if end < len(mass) and free[end]]
+    normal = np.array([row["nx"], row["ny"], row["nz"]])
+    support = 0.5 * sum(
+        load.speed * abs(float(load.direction @ normal)) for end in ends for load in loads.get(end, []) if load.rubs
+    )
+    if support > 0.0:
+        reduced = 1.0 / sum(1.0 / float(mass[end]) for end in ends)
+        for end in ends:
+            loads.setdefault(end, []).append(Load(normal, support * reduced / float(mass[end]), rubs=True))
+
+
+def _turned(before: FloatArray, now: FloatArray) -> bool:
+    """Return whether the resistance to rolling or twisting has another direction, or does what ends the rotation."""
+    change = now - before
+    return bool(change @ change > (TURNED * TURNED) * max(before @ before, now @ now))
 
 
 def _largest_friction(rows: Records) -> float:

@@ -21,6 +21,7 @@ from __future__ import annotations
 
 import math
 import time as clock
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -28,6 +29,7 @@ import numpy as np
 
 from carom.arrays import BoolArray, FloatArray
 from carom.errors import RecordingError
+from carom.physics.contact.solver.solve import HOLD_CONVERGED
 from carom.physics.placement import place
 from carom.physics.schedule import Schedule, at, every
 from carom.physics.simulation import StepStatus
@@ -37,7 +39,7 @@ from carom.plan.auto import integrator
 from carom.recording.read.lookup import interval, tolerance
 from carom.recording.read.recorded_scene import recorded_scene, start_of
 from carom.recording.read.recording import Recording
-from carom.runs.close_look import SURFACE, CloseLook, look_closely
+from carom.runs.close_look import LASTS, SURFACE, CloseLook, look_closely
 from carom.runs.window import checkpoint_before
 from carom.scene.load import Scene
 from carom.scene.start import InitialBodies, names_of_solids
@@ -72,7 +74,7 @@ TRIAL_SECONDS = 1.0  # after stepping so long, the remaining time is estimated
 CALLED = {"position": "distance covered", "velocity": "velocity", "spin": "speed of the surface"}
 MOST_IMPACTS = 3  # that a message lists
 
-CORRECTED = -1  # the place of the corrections of positions among the entries of the ledger
+FRICTION, FORCES, CORRECTED = 1, 2, -1  # places among the entries of the ledger: see `_entries`
 
 Impacts = tuple[tuple[str, float], ...]  # the names of both ends, and the closing speed in m/s
 Consent = Callable[[float], bool]  # remaining time (s) → whether to continue
@@ -323,10 +325,12 @@ class _Comparison:
         self._seen = self._bodies_seen = 0
         self._entries: tuple[str, ...] = ()
         self._differences: list[FloatArray] = []  # of the entries, for each interval, J
-        self._displaced = 0.0  # J, largest work of the forces over the differences of the positions
+        self._displaced = 0.0  # J, largest work of the forces over the differences of the positions in this window
+        self._displaced_before = 0.0  # J, the sum of these over the windows before
         self._kinetic = 0.0  # J, the largest so far
         self._certain = 0.0  # fraction of the kinetic energy in bodies that could be compared at the last instant
         self._opened: Frame | None = None
+        self._past: deque[Frame] = deque(maxlen=2 * LASTS)  # of the run, the last ones
         self._waiting: tuple[Frame, Frame] | None = None  # frames of both runs before impacts near the last instant
 
     @property
@@ -343,6 +347,7 @@ class _Comparison:
             return
         if frame.step == before.step:
             return
+        self._past.append(before)
         if self._opened is not None:
             self._open(before, (frame.time - before.time) / (frame.step - before.step))
         assert self._fine is not None and self._last_fine is not None and self._last_twin is not None
@@ -376,13 +381,13 @@ class _Comparison:
         work, and contacts take out what corrections of positions put in.
         """
         certain, self._certain = self._certain, self._certain_share(frame)
+        taken, refined = _booked(before, frame), _booked(fine_before, fine)
         allowed = SUDDEN * max(self._kinetic_of(before).sum(), self._kinetic_of(frame).sum())
         allowed = max(allowed, (CHAOTIC if self.shared else LEDGER) * self._kinetic)
-        taken, refined = _booked(before, frame), _booked(fine_before, fine)
-        displaced = self._moved_energy(frame, fine)
+        displaced = self._moved_energy(before, frame, fine)
         self._displaced = max(self._displaced, displaced)
         allowed += displaced + abs(taken[CORRECTED]) + abs(refined[CORRECTED])
-        differ = self._differences[-1]
+        differ = _without_what_slips(self._differences[-1])
         doubt = 10.0 * np.minimum(np.abs(of_twin), np.abs(differ - of_twin))
         differ = np.where(np.abs(differ) > allowed + doubt, differ, 0.0)
         if certain < 1.0 - CHAOTIC or not differ.any():
@@ -393,15 +398,19 @@ class _Comparison:
         for space, one in zip(spaces, (frame, fine), strict=True):
             space.restore(one.checkpoint)
             later.append(_reached(space, after))
-        lasting = _booked(fine_before, later[1]) - _booked(before, later[0])
+        lasting = _without_what_slips(_booked(fine_before, later[1]) - _booked(before, later[0]))
         for k in np.flatnonzero(np.minimum(np.abs(differ), np.abs(lasting)) > allowed).tolist():
-            values = float(taken[k]), float(refined[k]), abs(float(refined[k]) - float(taken[k])), float(allowed)
+            values = float(taken[k]), float(refined[k]), abs(float(differ[k])), float(allowed)
             self._add(Moved(self._entries[k], before.time, frame.time, (), "", *values, "J"))
 
-    def _moved_energy(self, frame: Frame, fine: Frame) -> float:
-        """Return the work (J) of the forces over the differences of the positions."""
+    def _moved_energy(self, before: Frame, frame: Frame, fine: Frame) -> float:
+        """Return the work (J) of the forces over the differences of the positions, and over what contacts still close.
+
+        Contacts at rest close by up to `HOLD_CONVERGED` of the velocity that a force causes in a step.
+        """
         force = self._mass[:, np.newaxis] * frame.acceleration
         work = np.abs((force * self._between(fine.position, frame.position)).sum(axis=1))
+        work += HOLD_CONVERGED * frame.dt * (frame.time - before.time) * (force * frame.acceleration).sum(axis=1)
         return float(work[self._free].sum())
 
     def _kinetic_of(self, frame: Frame) -> FloatArray:
@@ -420,7 +429,8 @@ class _Comparison:
         """Judge the entries of the ledger, over all intervals.
 
         A heavy body whose overlap is corrected by a part in a million of its radius may gain more than a thousandth of
-        the kinetic energies, so the work over the differences of the positions is allowed, too.
+        the kinetic energies, so the work over the differences of the positions is allowed, too. Each window begins
+        without a difference, so the sum over the windows is allowed.
         """
         if len(self._differences) < FEWEST_INTERVALS or self.last is None:
             return
@@ -428,7 +438,9 @@ class _Comparison:
         _, totals = _entries(self.last.energy)
         taken = abs(self.last.energy.ledger.restitution) + abs(self.last.energy.ledger.friction)
         regular = self.compared > REGULAR and not self.shared
-        allowed = (LEDGER if regular else CHAOTIC) * max(self._kinetic, taken) + self._displaced
+        allowed = (
+            (LEDGER if regular else CHAOTIC) * max(self._kinetic, taken) + self._displaced_before + self._displaced
+        )
         for k, name in enumerate(self._entries):
             total, error = float(rows[:, k].sum()), float(rows[:, k].std() * math.sqrt(len(rows)))
             self._note(f"ledger: {name}", abs(total), allowed)
@@ -440,6 +452,8 @@ class _Comparison:
         """Begin a window at a frame of the run, whose steps are about dt seconds long."""
         self._opened = self._waiting = None
         self.windows += 1
+        self._displaced_before += self._displaced
+        self._displaced = 0.0
         checkpoint = frame.checkpoint
         reach = max(float(np.abs(frame.position).max()), float(self._radius.max()))
         self._apart = EPS * reach
@@ -521,7 +535,7 @@ class _Comparison:
                 done |= touching.bodies
                 continue
             lacks = look.lacks_a_bounce(touching, fine)
-            if not lacks and look.may_share_otherwise(touching, frame, fine):
+            if not lacks and look.may_share_otherwise(touching, before, frame, fine):
                 self.shared += 1
                 done |= touching.bodies
                 continue
@@ -532,6 +546,8 @@ class _Comparison:
                 if name == "spin":
                     by, rubbed = float(np.sqrt((vectors[body] ** 2).sum())), SURFACE * rubbed
                 allowed = (ROUGH if rubbed > 0.0 else 1.0) * float(least[body] * growth[body]) + rubbed
+                if name == "position":
+                    allowed += touching.depth
                 self._note(name, by, allowed)
                 if by > allowed or lacks:
                     values = self._size(name, body, frame), self._size(name, body, fine), by, allowed
@@ -545,9 +561,12 @@ class _Comparison:
         return bool(guilty) or not waits
 
     def _look_closely(self, before: Frame, frame: Frame, fine_before: Frame) -> CloseLook:
-        """Repeat both runs between two instants, with their contacts."""
-        states = zip(self._close_spaces(frame.dt), (before, fine_before), strict=True)
-        run, refined = (look_closely(space, one, frame.time, frame.dt, self._maker.start) for space, one in states)
+        """Repeat both runs between two instants, with their contacts; loads of the run began some steps before."""
+        since = next((one for one in reversed(self._past) if one.step <= before.step - LASTS), before)
+        states = zip(self._close_spaces(frame.dt), (since, fine_before), strict=True)
+        run, refined = (
+            look_closely(space, one, before.time, frame.time, frame.dt, self._maker.start) for space, one in states
+        )
         return CloseLook(run, refined, self._maker.start)
 
     def _close_spaces(self, dt: float) -> tuple[Space, Space]:
@@ -591,6 +610,21 @@ class _Comparison:
 def _booked(before: Frame, frame: Frame) -> FloatArray:
     """Return what the entries of the ledger received between two frames, in joules."""
     return _entries(frame.energy)[1] - _entries(before.energy)[1]
+
+
+def _without_what_slips(differ: FloatArray) -> FloatArray:
+    """Return differences of the entries without what a wall or a flow gives to a contact that slips.
+
+    Friction takes it out at once, so both entries follow the load of that contact, which many contacts may share
+    otherwise, and no energy is left.
+    """
+    rest = differ.copy()
+    for k in range(FORCES, CORRECTED % len(rest)):
+        if rest[k] * rest[FRICTION] < 0.0:
+            passed = math.copysign(min(abs(rest[k]), abs(rest[FRICTION])), rest[FRICTION])
+            rest[FRICTION] -= passed
+            rest[k] += passed
+    return rest
 
 
 def _entries(energy: Energy) -> tuple[tuple[str, ...], FloatArray]:
