@@ -51,6 +51,7 @@ def explained(seed: int, answer: dict[str, Any]) -> str:
     return f"{answer}\n{again}\n{json.dumps(hostile_scenes.drawn(seed, answer['index']))}"
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_hostile_scenes_run_or_are_refused_with_a_reason(seed: int) -> None:
     answers = judged(seed, 30)  # `make hunt` judges more

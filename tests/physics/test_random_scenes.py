@@ -207,6 +207,7 @@ def test_the_bound_on_rounding_counts_the_forces_that_kick_a_first_step_of_euler
     Auditor(scene_from(document)).run()
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 @settings(max_examples=1_000, deadline=None, suppress_health_check=list(HealthCheck))
 @given(documents())

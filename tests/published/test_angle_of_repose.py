@@ -133,6 +133,7 @@ def test_a_sphere_on_an_incline_begins_to_roll_where_the_slope_is_the_rolling_fr
     assert space.frame().velocity[0, 0] == pytest.approx(expected, abs=1e-7)
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_a_heap_is_as_steep_as_measured_and_steeper_with_more_rolling_friction() -> None:
     # 3 degrees are a tenth, for a fit with five exponents. Heaps of one kind differ by a standard deviation of 3.3

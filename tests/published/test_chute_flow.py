@@ -33,6 +33,7 @@ def flow(degrees: float, times: FloatArray) -> tuple[FloatArray, FloatArray]:
     return np.array(speeds), np.array([speed[~upper].mean(), speed[upper].mean()])
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_spheres_on_a_rough_chute_stop_flow_steadily_or_accelerate_by_its_angle() -> None:
     stopped, _ = flow(18.0, np.array([2.0]))

@@ -87,6 +87,7 @@ def test_a_ball_rolls_to_rest_in_the_distance_that_its_rolling_friction_gives() 
     assert abs(frame.velocity[0, 0]) < 1e-12
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_a_gas_of_viscoelastic_spheres_cools_with_the_exponent_five_thirds() -> None:
     # T^{-1/p} is a straight line in time. Seeds scatter by 0.05 about 1.68; a constant coefficient gives 2.00 ± 0.01.

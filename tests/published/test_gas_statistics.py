@@ -61,6 +61,7 @@ def test_an_elastic_gas_is_maxwellian_with_the_pressure_and_contact_value_of_car
     assert ratio == pytest.approx(1 + 4 * PACKING * CONTACT_VALUE, rel=0.01)
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_a_cooling_gas_has_the_fourth_cumulant_of_van_noije_and_ernst(tmp_path: Path) -> None:
     # 1372 spheres, from 4 to 10 collisions of each, in a box of 4 mean free paths, too small for vortices. 0.023: three

@@ -55,6 +55,7 @@ def boltzmann(restitution: float) -> FloatArray:
     return np.asarray(rows[rows[:, 0] > 25.0, 1])
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_rough_spheres_share_their_energy_as_boltzmanns_equation_says() -> None:
     # Runs begin without spin and with equal temperatures, in turn; collisions 25 to 75 of a sphere are averaged. 2.6 %:

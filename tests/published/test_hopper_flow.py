@@ -38,6 +38,7 @@ def flow(diameter: float, seed: int) -> float:
     return float(np.polyfit(times, left, 1)[0])
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_the_flow_out_of_a_hopper_grows_as_beverloo_measured() -> None:
     # Runs scatter by 4 %, the mean of two by 3 %, and with it the exponent by 0.1; k ± 0.1 changes it by 0.1. 0.3 is

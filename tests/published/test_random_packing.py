@@ -14,6 +14,7 @@ import pytest
 from poured_packing import contacts_of_a_body, packing_fraction, pour
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_spheres_without_friction_fill_0_64_and_touch_six_others() -> None:
     # The midst holds 400 spheres: with margins of 2 to 3.5 diameters, 0.632 to 0.640. 3 n contacts in all, with the

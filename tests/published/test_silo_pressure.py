@@ -62,6 +62,7 @@ def profile(recording: carom.Recording, start: float, end: float) -> tuple[Float
     return stress[filled], above[filled]
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_the_pressure_at_the_bottom_of_a_silo_saturates_as_janssen_found(tmp_path: Path) -> None:
     recording = silo(tmp_path / "run.rrd")

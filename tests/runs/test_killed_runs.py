@@ -63,6 +63,7 @@ def test_a_run_killed_within_its_last_batch_and_its_repaired_copy_are_not_called
     check(killed, range(len(killed[1]) - 70, len(killed[1]), 25), tmp_path)
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_a_run_killed_after_any_message_and_its_repaired_copy_are_not_called_altered(
     killed: tuple[Path, list[int]], tmp_path: Path

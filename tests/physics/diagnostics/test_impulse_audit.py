@@ -45,6 +45,7 @@ def test_walls_piles_drag_and_periodic_boxes_are_accounted_for(name: str) -> Non
     check(name, AS_WRITTEN)
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 @pytest.mark.parametrize("name", sorted(STORED))
 def test_by_the_methods_beyond_golden_tests_impulses_and_forces_are_all_that_changes_velocities(name: str) -> None:

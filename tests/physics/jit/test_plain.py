@@ -19,19 +19,20 @@ from carom.physics.jit.vectors import WIDTH
 
 # Contacts in colours, at rest and in flight, by every method; direct sums, trees and orbits. No other scene has more.
 SCENES = ("golden/heap", "golden/orbits", "golden/planets")
+FIRST = SCENES[0]  # of contacts, whose kernels are the most
 ROOT = Path(__file__).parents[3]
 
 
-@pytest.mark.slow  # it compiles all kernels of these scenes
-def test_plain_kernels_have_the_stored_bits(tmp_path: Path) -> None:
+@pytest.mark.slow  # it compiles all kernels of a scene
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=[] if name == FIRST else [pytest.mark.nightly]) for name in SCENES]
+)
+def test_plain_kernels_have_the_stored_bits(name: str, tmp_path: Path) -> None:
     # No optimisation of the compiler moves a bit: with few of them it takes a fraction of the time.
     quick = {"NUMBA_OPT": "1", "NUMBA_CACHE_DIR": str(tmp_path)}
-    tests = [
-        f"tests/golden/test_golden.py::test_the_bits_of_a_scene_are_the_stored_ones_by_every_method[{name}]"
-        for name in SCENES
-    ]
+    test = f"tests/golden/test_golden.py::test_the_bits_of_a_scene_are_the_stored_ones_by_every_method[{name}]"
     done = subprocess.run(
-        [sys.executable, "-m", "pytest", "-q", "-n", "0", "-p", "no:cacheprovider", *tests],
+        [sys.executable, "-m", "pytest", "-q", "-n", "0", "-p", "no:cacheprovider", test],
         env=os.environ | quick | {"CAROM_PLAIN": "1"},
         cwd=ROOT,
         capture_output=True,

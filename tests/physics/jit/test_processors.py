@@ -43,6 +43,7 @@ def fingerprints(threads: int, environment: dict[str, str] | None = None) -> lis
     return done.stdout.split()
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_a_cloud_ends_with_the_same_bits_on_any_processor_and_number_of_threads(
     other_processor: OtherProcessor,

@@ -134,6 +134,7 @@ def test_rows_that_take_no_bytes_of_the_file_are_refused() -> None:
         record_batch(memoryview(packed), LZ4, len(payload))
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_no_small_recording_takes_half_a_gigabyte() -> None:
     """The command that takes most, on a file whose states unpack 200 times. `make hunt` tries all."""
