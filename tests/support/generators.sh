@@ -1,6 +1,8 @@
 #!/usr/bin/env bash
 # Two minutes of a hunt, and of tests that draw what they try: damaged, altered and hostile files and scenes, signals, and
-# files that unpack to far more than they have, with a new seed. It exits with 1 if anything is found, printed with its seed. GitHub runs it every night, and `.ci/run` does not.
+# files that unpack to far more than they have, with a new seed. It exits with 1 if anything is found, printed with its
+# seed. GitHub runs it every night, and `.ci/run` does not. CAROM_LONG=1 makes it hours: 100 kills, 60 scenes in both
+# forms of kernels, half an hour of one run, a recording above 2^31 bytes.
 set -uo pipefail
 cd "$(dirname "$0")/../.."
 seed=${CAROM_SEED:-$RANDOM$RANDOM}
@@ -20,7 +22,16 @@ scenes=$(${limit:+$limit -k 10 40} python tests/support/hostile_scenes.py "$seed
 echo "$(grep -c '"faults"' <<<"$scenes") hostile scenes; repeat one with: python tests/support/hostile_scenes.py $seed INDEX 1"
 if grep '"faults": \[[^]]' <<<"$scenes"; then found=1; fi
 
-for each in "signals_everywhere.py $seed 20" "interrupted_programs.py $seed 8" "inflated_recordings.py $scratch state-"; do
+tries=("signals_everywhere.py $seed 20" "interrupted_programs.py $seed 8" "inflated_recordings.py $scratch state-"
+    "inflated_data.py $scratch" "endurance.py odd $seed 1")
+if [ -n "${CAROM_LONG:-}" ]; then
+    limit=
+    tries+=("endurance.py kills $seed 100" "endurance.py forms $seed 60" "endurance.py soak $seed ${CAROM_SOAK:-1800}"
+        "endurance.py large $seed 2147483649")
+else
+    tries+=("endurance.py kills $seed 10" "endurance.py forms $seed 10" "endurance.py soak $seed ${CAROM_SOAK:-60}")
+fi
+for each in "${tries[@]}"; do
     answers=$(${limit:+$limit -k 10 180} python tests/support/$each)
     code=$?
     ((code == 0 || code == 124)) || found=1

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import fcntl
 import json
 import os
 from collections.abc import Iterator
@@ -105,6 +106,16 @@ def test_two_sweeps_at_once_do_not_share_a_folder(tmp_path: Path) -> None:
         Folder(folder.root).claimed(),
     ):
         pass
+
+
+def test_a_sweep_runs_on_a_file_system_without_locks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: object) -> None:
+        raise OSError(errno.ENOLCK, os.strerror(errno.ENOLCK))
+
+    folder = begin(tmp_path).folder
+    monkeypatch.setattr(fcntl, "flock", refuse)
+    with folder.claimed(), pytest.raises(ValueError, match="its own"):
+        raise ValueError("its own")
 
 
 def test_clearing_a_folder_leaves_what_others_put_there(tmp_path: Path) -> None:

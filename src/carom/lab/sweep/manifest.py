@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import errno
-import fcntl
 import json
 import os
 import re
@@ -21,7 +20,7 @@ from pydantic import AfterValidator, BaseModel, Field, ValidationError
 from carom.errors import ExperimentError
 from carom.lab.sweep.plan import Plan, SweepPoint
 from carom.recording.write.durable_sink import DiskReserve
-from carom.recording.write.whole_file import is_link_of_another, new_name, output_folder
+from carom.recording.write.whole_file import is_link_of_another, lock, new_name, output_folder
 from carom.runs.environment import versions
 from carom.scene.scene_file import DEEPEST, is_too_deep
 
@@ -103,12 +102,13 @@ class Folder:
         except OSError as error:
             raise ExperimentError(f"{self._lock}: cannot be opened: {error.strerror}; choose another folder") from None
         try:
-            fcntl.flock(claim, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            try:
+                lock(claim)
+            except BlockingIOError:
+                raise ExperimentError(
+                    f"{self.root}: another sweep is running in this folder; wait for it, or end it"
+                ) from None
             yield
-        except BlockingIOError:
-            raise ExperimentError(
-                f"{self.root}: another sweep is running in this folder; wait for it, or end it"
-            ) from None
         finally:
             os.close(claim)
 

@@ -151,16 +151,24 @@ class Claim:
         os.close(self._descriptor)
 
 
+def lock(descriptor: int) -> None:
+    """Lock a file, if its file system has locks. Raises BlockingIOError if another process has the lock."""
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError as error:
+        if error.errno not in _NO_LOCKS:
+            raise
+
+
 def _locked(path: Path) -> int:
     """Open and lock a file, and check that it still exists. Raises BlockingIOError if another process has the lock."""
     while True:
         descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o666)
         try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError as error:
-            if error.errno not in _NO_LOCKS:
-                os.close(descriptor)
-                raise
+            lock(descriptor)
+        except OSError:
+            os.close(descriptor)
+            raise
         with contextlib.suppress(FileNotFoundError):
             if os.path.samestat(os.fstat(descriptor), path.stat()):
                 return descriptor

@@ -1,0 +1,216 @@
+"""What takes long or needs a strange machine: kills under load, a soak, both forms of kernels, no locks, 2³¹ bytes.
+
+    python endurance.py KIND SEED AMOUNT
+
+prints a line of JSON for each attempt, and exits with 1 after a fault. `KINDS` says what the amount counts.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import random
+import shlex
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from carom.errors import RecordingError
+from carom.recording.edit.repair import repair
+from carom.recording.read.recording import Recording
+from carom.runs.replay import replay
+from signals_everywhere import COMMANDS, SCENE
+
+Attempt = dict[str, Any]
+CAROM = (sys.executable, "-m", "carom")
+LATEST = 8.0  # s after the start of a command on a busy machine, by which it is killed
+GROWTH = 64_000_000  # bytes by which a soak may grow in its second half: the footer, of 1 kB a message, and its frames
+MANY = "[[group]]\ncount = 200000\nradius = 0.01\nvelocity = {{ dispersion = 0.1 }}\n[gravity]\nconstant = 0.0\n"
+MANY += '[contact]\nenabled = false\n[time]\nfixed_dt = 0.01\nduration = {}\n[record]\nevery = "step"\n'
+BYTES_PER_FRAME = 2_500_000  # at least, of these bodies
+# Python's standard library as on a file system without locks, by a clock that goes back an hour with each question
+ODD = """
+import errno, fcntl, itertools, sys, time
+
+def refused(*_): raise OSError(errno.ENOLCK, "No locks available")
+
+fcntl.flock = fcntl.lockf = refused
+now, back = time.time, itertools.count()
+time.time = lambda: now() - 3600.0 * next(back)
+from carom.__main__ import main
+sys.exit(main())
+"""
+PLAIN = """
+import json, sys
+from carom.lab.hunt.alone import last_ending
+
+seed, first, count = map(int, sys.argv[1:])
+for index in range(first, first + count):
+    end = last_ending([(seed, index)])
+    print(json.dumps(None if end is None else [end.step, end.fingerprint, end.error]), flush=True)
+"""
+
+
+def say(command: str, folder: Path, start: tuple[str, ...] = CAROM, **environment: str) -> tuple[int, str]:
+    """Run a command; return its exit code and what it said."""
+    done = subprocess.run(
+        [*start, *shlex.split(command)],
+        cwd=folder,
+        env=os.environ | environment,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        check=False,
+    )
+    return done.returncode, done.stdout
+
+
+def fault_of(path: Path, folder: Path) -> str:
+    """Return what is wrong with a recording whose command was killed, and with its repaired copy."""
+    try:
+        repair(path, folder / "fixed.rrd")
+        for each in filter(Path.exists, (path, folder / "fixed.rrd")):  # a whole one is not written again
+            if (recording := Recording.open(each)).frames and not (result := replay(recording)).same:
+                return f"{each.name}: {result.difference}"
+    except RecordingError as error:
+        known = ("nothing", "checkpoint", "first frame")
+        return "" if any(word in str(error) for word in known) else f"{path.name}: {error}"
+    finally:
+        (folder / "fixed.rrd").unlink(missing_ok=True)
+    return ""
+
+
+def kills(rng: random.Random, folder: Path, amount: int) -> Iterator[Attempt]:
+    """Kill commands that write, at any moment, while two others keep the processors busy."""
+    code, said = say(f"run {SCENE.format(0.2)}", folder)
+    assert code == 0, said
+    content = (folder / "made.rrd").read_bytes()
+    for name, size in (("run.rrd", len(content)), ("cut.rrd", 2 * len(content) // 3)):
+        (folder / name).write_bytes(content[:size])
+    repair(folder / "cut.rrd", folder / "part.rrd")
+    busy = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(2)]
+    try:
+        for _ in range(amount):
+            command = rng.choice([each for each in COMMANDS if "made.rrd" in each]).replace("repair part", "repair cut")
+            wait = rng.uniform(0.0, LATEST)
+            was_there = rng.random() < 0.5
+            if was_there:
+                (folder / "made.rrd").write_bytes(content)
+            with subprocess.Popen(
+                [*CAROM, *shlex.split(command)],
+                cwd=folder,
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.DEVNULL,
+                start_new_session=True,
+            ) as child:
+                time.sleep(wait)
+                if ended := child.poll() is None:
+                    os.killpg(child.pid, signal.SIGKILL)
+            found = [each for each in folder.iterdir() if "made" in each.name and each.stat().st_size]
+            faults = [fault for each in found if each.read_bytes() != content and (fault := fault_of(each, folder))]
+            if was_there and not (folder / "made.rrd").exists():
+                faults.append("the earlier recording is gone")
+            for path in folder.iterdir():
+                if path.name not in ("run.rrd", "part.rrd", "cut.rrd") and path.is_file():
+                    path.unlink()
+            yield {"command": command, "wait": wait, "killed": ended, "left": len(found), "faults": faults}
+    finally:
+        for each in busy:
+            each.kill()
+            each.wait()
+
+
+def soak(rng: random.Random, folder: Path, amount: int) -> Iterator[Attempt]:
+    """Let a run record every step for so many seconds; its memory must not grow by more than `GROWTH`."""
+    command = "run two-spheres -o made.rrd --set time.duration=1e9 --set time.fixed_dt=0.001 --set record.every=0.01"
+    sizes, began = list[int](), time.monotonic()
+    with subprocess.Popen(
+        [*CAROM, *shlex.split(command)], cwd=folder, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
+    ) as child:
+        while time.monotonic() - began < amount and child.poll() is None:
+            time.sleep(min(1.0, amount / 50))
+            pages = Path(f"/proc/{child.pid}/statm").read_text(encoding="ascii").split()[1]
+            sizes.append(int(pages) * os.sysconf("SC_PAGE_SIZE"))
+        child.send_signal(signal.SIGINT)
+        _, said = child.communicate()
+    early, late = max(sizes[: len(sizes) // 2]), max(sizes)
+    faults = [] if late - early <= GROWTH else [f"{late - early} bytes more"]
+    if not Recording.open(folder / "made.rrd").finished:
+        faults.append(f"no footer: {said[-300:]}")
+    size = (folder / "made.rrd").stat().st_size
+    yield {"seconds": amount, "MB": [early // 10**6, late // 10**6], "file": size, "faults": faults}
+
+
+def forms(rng: random.Random, folder: Path, amount: int) -> Iterator[Attempt]:
+    """Run random scenes with plain and with optimised kernels, which must give the same bits."""
+    seed = rng.randrange(2**31)
+    start, which = (sys.executable, "-c", PLAIN), f"{seed} 0 {amount}"
+    # no optimisation of the compiler moves a bit: with few of them it takes a fraction of the time
+    quick = {"NUMBA_OPT": "1", "NUMBA_CACHE_DIR": str(folder / "kernels"), "CAROM_PLAIN": "1"}
+    (code, plain), (other, fast) = say(which, folder, start, **quick), say(which, folder, start)
+    ends = [text.splitlines() for text in (plain, fast)]
+    if code or other or any(len(each) != amount for each in ends):
+        yield {"seed": seed, "faults": [(plain + fast)[-600:]]}
+        return
+    for index, (one, two) in enumerate(zip(*ends, strict=True)):
+        yield {"seed": seed, "index": index, "end": two, "faults": [] if one == two else [f"plain: {one}"]}
+
+
+def odd(rng: random.Random, folder: Path, amount: int) -> Iterator[Attempt]:
+    """Run commands without file locks, by a clock that goes back, on files of the future."""
+    start = (sys.executable, "-c", ODD)
+    commands = [f"run {SCENE.format(0.05)}", "replay made.rrd", "resume made.rrd -o more.rrd --force --until 0.1"]
+    commands += ["clip made.rrd --from 0 --to 0.02 -o part.rrd --force", "repair made.rrd -o fixed.rrd --force"]
+    commands += ["sweep two-spheres --vary seed=1,2 --set time.duration=0.05 -o sweep --force", "explain two-spheres"]
+    for _ in range(amount):
+        for command in commands:
+            code, said = say(command, folder, start)
+            refused = code == 2 and "lock" in said and "Traceback" not in said
+            faults = [] if (code == 0 or refused) and "Traceback" not in said else [said[-400:]]
+            yield {"command": command, "code": code, "faults": faults, "said": said[-200:] if refused else ""}
+        for path in folder.rglob("*"):
+            os.utime(path, (2**32, 2**32))
+
+
+def large(rng: random.Random, folder: Path, amount: int) -> Iterator[Attempt]:
+    """Record, read, clip, cut, repair and replay a recording of at least so many bytes, such as 2³¹ + 1."""
+    frames = amount // BYTES_PER_FRAME + 2
+    (folder / "many.toml").write_text(MANY.format(0.01 * frames), encoding="ascii")
+    commands = [
+        "run many.toml -o made.rrd",
+        "inspect made.rrd",
+        f"clip made.rrd --from {0.01 * frames - 0.05:g} -o end.rrd",
+    ]
+    commands += ["inspect end.rrd", "repair cut.rrd -o fixed.rrd", "inspect fixed.rrd", "replay fixed.rrd --to 0.5"]
+    for command in commands:
+        began = time.monotonic()
+        if command.startswith("repair"):
+            os.truncate(folder / "made.rrd", (folder / "made.rrd").stat().st_size - 1000)
+            (folder / "made.rrd").rename(folder / "cut.rrd")
+        code, said = say(command, folder)
+        size = max(path.stat().st_size for path in folder.glob("*.rrd"))
+        faults = [] if code == 0 and "Traceback" not in said else [said[-400:]]
+        faults += [f"only {size} bytes"] if size < amount else []
+        yield {"command": command, "bytes": size, "s": round(time.monotonic() - began), "faults": faults}
+
+
+KINDS = {"kills": kills, "soak": soak, "forms": forms, "odd": odd, "large": large}  # attempts, s, scenes, rounds, bytes
+
+
+def main(kind: str, seed: str, amount: int) -> int:
+    """Make attempts of a kind; return the number of faults."""
+    faults = 0
+    with tempfile.TemporaryDirectory() as folder:
+        for found in KINDS[kind](random.Random(seed), Path(folder), amount):
+            faults += bool(found["faults"])
+            print(json.dumps(found), flush=True)  # noqa: T201
+    return faults
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1], sys.argv[2], int(sys.argv[3])) > 0)
