@@ -90,21 +90,23 @@ def test_an_overlap_is_an_accuracy_of_the_engine_unless_a_centre_stays_behind_a_
     assert shown.exit_code == named and f"deepest overlap {100 * depth:.3g}%" in shown.stdout
 
 
-def dropped(engine: str) -> tuple[carom.record.Source, Callable[[], None]]:
-    """Drop eight balls of one stack, of restitution 1 where the engine has it, onto a plane."""
+def dropped(engine: str, restitution: float) -> tuple[carom.record.Source, Callable[[], None]]:
+    """Drop eight balls of one stack onto a plane."""
     n, rng, dt = 8, np.random.default_rng(7), 1.0 / 240.0
     places = [(*rng.uniform(-0.05, 0.05, 2), 0.2 + 0.25 * k) for k in range(n)]
     if engine == "pybullet":
         pybullet = pytest.importorskip("pybullet")
-        pybullet.connect(pybullet.DIRECT)
-        pybullet.setGravity(0.0, 0.0, -9.81)
-        shape = pybullet.createCollisionShape(pybullet.GEOM_SPHERE, radius=0.1)
-        plane = pybullet.createCollisionShape(pybullet.GEOM_PLANE)
-        bodies = [pybullet.createMultiBody(0.0, plane)]
-        bodies += [pybullet.createMultiBody(1.0, shape, basePosition=place) for place in places]
-        for body in bodies:
-            pybullet.changeDynamics(body, -1, restitution=1.0, linearDamping=0.0, angularDamping=0.0)
-        return carom.record.pybullet(dt, (0.0, 0.0, -9.81), contacts=False), pybullet.stepSimulation
+        client = pybullet.connect(pybullet.DIRECT)
+        pybullet.setGravity(0.0, 0.0, -9.81, physicsClientId=client)
+        shape = pybullet.createCollisionShape(pybullet.GEOM_SPHERE, radius=0.1, physicsClientId=client)
+        plane = pybullet.createCollisionShape(pybullet.GEOM_PLANE, physicsClientId=client)
+        damped = 0.0 if restitution == 1.0 else 0.04  # its default
+        for mass, form, place in ((0.0, plane, (0.0, 0.0, 0.0)), *((1.0, shape, place) for place in places)):
+            body = pybullet.createMultiBody(mass, form, basePosition=place, physicsClientId=client)
+            law = {"restitution": restitution, "linearDamping": damped, "angularDamping": damped}
+            pybullet.changeDynamics(body, -1, physicsClientId=client, **law)
+        source = carom.record.pybullet(dt, (0.0, 0.0, -9.81), client, contacts=False)
+        return source, lambda: pybullet.stepSimulation(client)
     if engine == "mujoco":
         mujoco = pytest.importorskip("mujoco")
         balls = "".join(
@@ -125,9 +127,11 @@ def dropped(engine: str) -> tuple[carom.record.Source, Callable[[], None]]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("engine", ["pybullet", "mujoco", "box3d"])
-def test_a_healthy_engine_is_not_accused(engine: str, tmp_path: Path) -> None:
-    source, step = dropped(engine)
+@pytest.mark.parametrize(
+    ("engine", "restitution"), [("pybullet", 1.0), ("pybullet", 0.64), ("mujoco", 0.4), ("box3d", 0.8)]
+)
+def test_a_healthy_engine_is_not_accused(engine: str, restitution: float, tmp_path: Path) -> None:
+    source, step = dropped(engine, restitution)
     with carom.record.Recorder(source, tmp_path / "run.rrd") as recorder:
         for _ in range(300):
             step()
@@ -136,4 +140,52 @@ def test_a_healthy_engine_is_not_accused(engine: str, tmp_path: Path) -> None:
     done = CliRunner().invoke(app, ["inspect", str(tmp_path / "run.rrd"), "--check"])
     assert done.exit_code == 0
     # PyBullet turns a part of each overlap into speed, which restitution 1 does not hide
-    assert ("parting overlapping bodies added" in done.stdout) == (engine == "pybullet")
+    assert ("parting overlapping bodies added" in done.stdout) == (restitution == 1.0)
+    # its default damping is c (1 + |v|)
+    damped = "free bodies lose speed at one common rate, 0.04 + 0.04 × speed; laws are judged beyond it"
+    assert (damped in " ".join(done.stdout.split())) == (restitution == 0.64)
+
+
+class Falling:
+    """Balls that fall with a damping, a constant push or both, in steps that are exact to first order."""
+
+    def __init__(self, damping: float, push: float, tells: bool) -> None:
+        self.damping, self.push, self.tells, self.step = damping, push, tells, 0
+        self.x, self.v = np.array([[k, 0.0, 20.0] for k in range(3)]), np.array([[0.0, k + 1.0, 5.0] for k in range(3)])
+        self.force = np.zeros((3, 3))
+        self.model = carom.record.Model(engine="mine 1", mass=[1.0, 2.0, 3.0], radius=[RADIUS] * 3, gravity=(0, 0, -10))
+
+    def advance(self) -> None:
+        self.force[1, 0] = self.push
+        acceleration = (
+            np.array([0.0, 0.0, -10.0]) - self.damping * self.v + self.force / np.array([[1.0], [2.0], [3.0]])
+        )
+        self.x = self.x + DT * self.v + 0.5 * DT**2 * acceleration
+        self.v = self.v + DT * acceleration
+        self.step += 1
+
+    def state(self) -> carom.record.State:
+        spin = np.zeros((3, 3))
+        force = self.force if self.tells else None
+        return carom.record.State(self.step * DT, self.x, self.v, angular_velocity=spin, force=force)
+
+
+@pytest.mark.parametrize(
+    ("damping", "push", "tells", "broken"),
+    [(0.5, 0.0, False, False), (0.0, 4.0, True, False), (0.0, 4.0, False, True), (0.5, 4.0, True, False)],
+)
+def test_laws_are_judged_beyond_damping_and_beyond_forces_that_the_engine_was_told(
+    damping: float, push: float, tells: bool, broken: bool, tmp_path: Path
+) -> None:
+    source, path = Falling(damping, push, tells), tmp_path / "run.rrd"
+    with carom.record.Recorder(source, path) as recorder:
+        for _ in range(40):
+            source.advance()
+            recorder.frame()
+    named = {fault.law for fault in recorder.faults if broken or fault.step > 2}  # two frames show the damping
+    assert named == ({"momentum", "energy"} if broken else set())
+    summary = carom.Recording.open(path).summary()
+    assert summary["forces"].get("damping", {"rate": 0.0})["rate"] == pytest.approx(damping, rel=1e-3)
+    # the exact work of the damping, or of the push on body 1, within the first order of a step
+    gained = summary["energy"]["final"] - summary["energy"]["initial"]
+    assert broken or summary["forces"]["work"] == pytest.approx(gained, rel=0.05)

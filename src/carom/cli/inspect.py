@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from carom.event import Event
-from carom.scene.units.dimension import TIME
+from carom.scene.units.dimension import LENGTH, TIME
 from carom.scene.wording import command, counted, in_one_line
 from carom.terminal.options import JsonOption, RecordingArgument
 from carom.terminal.printing import materials_table, mention_killed_run, say, say_json, warning_lines
@@ -177,13 +177,20 @@ def _contacts(summary: dict[str, Any]) -> Iterator[Row]:
 
 
 def _judgements(summary: dict[str, Any], units: UnitSystem) -> Iterator[Row]:
-    """Describe the kept and missed accuracy and promises, and the violated laws."""
+    """Describe the kept and missed accuracy and promises, the measured damping, and the violated laws."""
     from carom.runs.outcome import accuracy_text, judged_promise
 
     if summary["accuracy"]:
         yield "accuracy", accuracy_text(summary["accuracy"], units)
     for name, verdict in summary["expect"].items():
         yield "promise", f"{name} {judged_promise(verdict)}"
+    forces = summary.get("forces", {})
+    second, metre = units.shown(1.0, TIME), units.shown(1.0, LENGTH)
+    for name, what, length in (("damping", "speed", metre), ("angular_damping", "spin", 1.0)):
+        if law := forces.get(name):
+            more = f" + {law['by_speed'] / length:.3g} × {what}" if law["by_speed"] else ""
+            rate = f"{law['rate'] / second:.3g}{more}"
+            yield "damping", f"free bodies lose {what} at one common rate, {rate}; laws are judged beyond it"
     for law, broken in summary.get("laws", {}).items():
         first = f"first at step {broken['step']}, t = {units.text(broken['time'], TIME)}"
         yield "law broken", f"{law.replace('-', ' ')}, {first}; in {counted(broken['frames'], 'frame')}"

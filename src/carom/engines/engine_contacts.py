@@ -119,6 +119,15 @@ class EngineMoment:
     velocity: FloatArray  # (n, 3) m/s
     spin: FloatArray  # (n, 3) rad/s; (0, 3) where unknown
     orientation: FloatArray  # (n, 4) xyzw; (0, 4) where unknown
+    force: FloatArray  # (n, 3) N, and N m, in the step up to here; (0, 3) where none is known
+    torque: FloatArray
+
+    def kinetic(self, setup: Setup) -> FloatArray:
+        """Return the kinetic energy of every body, (n,) J."""
+        energy = 0.5 * setup.mass * np.einsum("ij,ij->i", self.velocity, self.velocity)
+        if len(self.spin):
+            energy = energy + 0.5 * setup.inertia * np.einsum("ij,ij->i", self.spin, self.spin)
+        return np.asarray(energy, dtype=np.float64)
 
 
 @dataclass(frozen=True, slots=True)

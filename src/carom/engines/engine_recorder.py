@@ -339,7 +339,7 @@ class Recorder:
         array_of(setup.engine, "time", time_of(first), ())
         n = len(setup)
         array_of(setup.engine, "velocity", first.velocity, (n, 3))
-        for name, width in (("orientation", 4), ("angular_velocity", 3)):
+        for name, width in (("orientation", 4), ("angular_velocity", 3), ("force", 3), ("torque", 3)):
             if getattr(first, name) is not None:
                 array_of(setup.engine, name, getattr(first, name), (n, width))
         if first.orientation is not None:

@@ -22,6 +22,7 @@ from carom.arrays import FloatArray, IntArray
 from carom.engines.clusters import Clusters, clusters_of
 from carom.engines.elastic_energy import TINY, ElasticEnergy, reduced_masses
 from carom.engines.engine_contacts import EngineMoment, Near, cross, lengths
+from carom.engines.known_forces import KnownForces
 from carom.engines.missed_impacts import TUNNELLED, MissedImpacts, Unresolved
 from carom.engines.single_contacts import Broken, ContactLaws
 from carom.engines.source import Setup
@@ -81,6 +82,7 @@ class AuditFinding:
 
     faults: list[Fault] = field(default_factory=list)
     taken: float = 0.0  # J, absorbed by contacts; negative where contacts returned energy
+    forced: float = 0.0  # J, work of damping and of forces that the engine was told
     unjudged: float = 0.0  # J, lost by clusters with unjudged bodies
     struck: float = 0.0  # J, Σ ½ μ v_n² of the contacts whose velocity reversed
     impacts: int = 0  # number of these contacts
@@ -117,6 +119,7 @@ class LawAudit:
         self._units = units
         self._laws = ContactLaws(setup, tolerances.restitution, tolerances.friction)
         self._elastic = ElasticEnergy(setup)
+        self._forces = KnownForces(setup)
         self._typical = 0.0  # m/s
         self._missed = MissedImpacts(setup)
         self._parted = 0.0  # largest part of a cluster's energy that came from parting overlapping bodies in a frame
@@ -141,6 +144,9 @@ class LawAudit:
         relative = now.velocity - bulk
         self._typical = max(self._typical, float(np.sqrt(np.mean(np.einsum("ij,ij->i", relative, relative)))))
         dt = now.time - before.time
+        done = self._forces.work
+        before = self._forces.applied(before, now, near)
+        found.forced = self._forces.work - done
         self._unseen = UNSEEN * float(np.abs(now.position).max()) / dt if dt > 0.0 else 0.0
         clusters = clusters_of(self._setup, near, whole=potentials is not None)
         place = step, now.time
@@ -172,6 +178,11 @@ class LawAudit:
         self.conclude()
         if not self._setup.judged.all():
             yield "audit.judged", int(np.count_nonzero(self._setup.judged))
+        if self._forces.work:
+            yield "audit.forced", self._forces.work
+        for name, damping in zip(("damping", "angular_damping"), self._forces.measured, strict=True):
+            if any(damping.told):
+                yield from zip((f"audit.{name}.rate", f"audit.{name}.by_speed"), damping.told, strict=True)
         if self._parted > self._tolerances.energy:
             yield "audit.parted", self._parted
         for law, first in self.first.items():
@@ -188,6 +199,7 @@ class LawAudit:
         self._typical, self._allowed = earlier._typical, earlier._allowed
         self._laws.go_on(earlier._laws)
         self._missed.go_on(earlier._missed)
+        self._forces.go_on(earlier._forces)
         self._parted = earlier._parted
 
     def note(self, fault: Fault) -> bool:
@@ -300,7 +312,7 @@ class LawAudit:
         """Compare the energy of every cluster with known laws; book the energy absorbed by contacts."""
         setup, g = self._setup, self._setup.gravity
         dt, strength = now.time - before.time, float(np.sqrt(g @ g))
-        kinetic = [self._kinetic(moment) for moment in (before, now)]
+        kinetic = [moment.kinetic(setup) for moment in (before, now)]
         lifted = -setup.mass * ((now.position - before.position) @ g)
         lifted[setup.fixed] = 0.0
         change = clusters.sum(kinetic[1] - kinetic[0] + lifted)
@@ -357,13 +369,6 @@ class LawAudit:
             text = f"{text[0].upper()}{text[1:]}{off[worst]:.3g} rad. Spins are expected in the frame of the world."
             yield Fault("spin", *place, float(excess[worst]), text, (end,), float(excess[worst]))
 
-    def _kinetic(self, moment: EngineMoment) -> FloatArray:
-        """Return the kinetic energy of every body, (n,) J."""
-        energy = 0.5 * self._setup.mass * np.einsum("ij,ij->i", moment.velocity, moment.velocity)
-        if len(moment.spin):
-            energy = energy + 0.5 * self._setup.inertia * np.einsum("ij,ij->i", moment.spin, moment.spin)
-        return np.asarray(energy, dtype=np.float64)
-
     def _contacts(
         self, place: tuple[int, float], before: EngineMoment, now: EngineMoment, near: Near, found: AuditFinding
     ) -> Iterator[Fault]:
@@ -395,7 +400,7 @@ class LawAudit:
         closing = -np.einsum("ij,ij->i", near.relative_before, normal)
         after = -np.einsum("ij,ij->i", near.relative_now, normal) - push
         speeds = closing, after
-        yield from map(self._missed_impact, self._missed.see(place, near, known, speeds, still))
+        yield from map(self._missed_impact, self._missed.see((*place, dt), near, known, speeds, still))
         met = (near.gap_before > 0.0) & ((near.gap_now <= 0.0) | (after < TUNNELLED * closing))
         met &= near.gap_before <= closing * dt  # otherwise another body reversed them
         struck = met & known & (closing > still)

@@ -21,6 +21,7 @@ TUNNELLED = 0.5  # of the closing speed; bodies that pass through each other and
 FOUND = 5e-3  # of the smaller radius; at this depth even a soft contact must exert a force
 SHALLOW = 1e-3  # of the smaller radius; bodies that overlap less have no elastic energy
 OFTEN, RARELY = 20, 0.05  # impacts that show an engine's habit, and the fraction of exceptions
+ALIKE, FEWEST = 0.5, 4  # of a speed, above which impacts are compared, and their least number
 MOSTLY = 0.5  # of an engine's impacts, which take the usual number of steps
 # Steps in which overlapping bodies may close unchanged. Box3D, which finds some pairs late, takes at most 4 in 30 runs.
 LONGEST = 6
@@ -58,14 +59,15 @@ class MissedImpacts:
 
     def __init__(self, setup: Setup) -> None:
         self._setup = setup
+        self._touched = np.zeros(len(setup) + len(setup.planes), bool)  # ends that touched in the previous frame
         self._open: dict[int, Unresolved] = {}
         self._inside: dict[int, Inside] = {}
-        self._resolved: dict[int, int] = {}  # number of impacts that took so many steps
+        self._resolved: list[tuple[float, int]] = []  # m/s and steps that each impact took
         self._late: list[Unresolved] = []
 
     def see(
         self,
-        place: tuple[int, float],  # step, and time in s
+        place: tuple[int, float, float],  # step, time and length of the step in s
         near: Near,
         known: BoolArray,  # (k,) whether both ends are judged
         speeds: tuple[FloatArray, FloatArray],  # (k,) m/s, closing in both frames
@@ -77,7 +79,9 @@ class MissedImpacts:
         hits = known & (closing > still)
         unchanged = hits & (after > (1.0 - UNCHANGED) * closing)
         overlap = near.gap_now < -SHALLOW * near.small
-        fresh = hits & (near.gap_before > 0.0) & (overlap | (near.gap_now <= 0.0) | (after < TUNNELLED * closing))
+        swept = (after < TUNNELLED * closing) & (near.gap_before <= closing * place[2])
+        met = overlap | (near.gap_now <= 0.0) | swept
+        fresh = hits & (near.gap_before > 0.0) & met  # another body may have reversed those that did not meet
         through = near.passed_deep() & (near.gap_before >= -SHALLOW * near.small) & hits & (after > TUNNELLED * closing)
         plane = near.pairs[:, 1] >= n  # whose contact may throw a body back from the other side
         beyond = np.einsum("ij,ij->i", near.now, near.directions_of_touch()) < 0.0
@@ -86,7 +90,11 @@ class MissedImpacts:
         adjacent = near.pairs[np.minimum(near.gap_before, near.gap_now) <= MARGIN * near.small]
         others = np.bincount(adjacent.ravel(), minlength=ends) - 1
         others[n:] = 0
-        pushed = np.asarray((others[near.pairs] > 0).any(axis=1))
+        # so may one in the step before: engines look for pairs with the velocities at its start
+        pushed = np.asarray((others[near.pairs] > 0).any(axis=1)) | self._touched[near.pairs].any(axis=1)
+        reached = np.minimum(near.gap_before - np.maximum(closing, 0.0) * place[2], near.gap_now) <= MARGIN * near.small
+        self._touched = np.bincount(near.pairs[reached & hits & ~unchanged].ravel(), minlength=ends) > 0
+        self._touched[n:] = False
         keys = near.pairs[:, 0] * ends + near.pairs[:, 1]
         rows = np.flatnonzero(fresh | late | through | np.isin(keys, list(self._open)))
         before, self._open = self._open, {}
@@ -94,11 +102,12 @@ class MissedImpacts:
             key = int(keys[row])
             impact = before.pop(key, None)
             if through[row]:
-                yield self._begun(place, near, row, closing, still, passed=True)
+                yield self._begun(place[:2], near, row, closing, still, passed=True)
             elif impact is None and not late[row]:
-                self._count(0)
+                if not pushed[row]:
+                    self._resolved.append((float(closing[row]), 0))
             elif impact is None:
-                self._open[key] = self._begun(place, near, row, closing, still)
+                self._open[key] = self._begun(place[:2], near, row, closing, still)
                 self._open[key].pushed = bool(pushed[row])
             elif unchanged[row] and overlap[row]:
                 impact.steps += 1
@@ -130,15 +139,25 @@ class MissedImpacts:
                 yield found
 
     def unusual(self) -> Iterator[Unresolved]:
-        """Yield the impacts that took more steps than is usual; none where an engine has no such habit."""
-        count = sum(self._resolved.values())
-        usual, later = 0, count - self._resolved.get(0, 0)  # steps, and the impacts that took more
-        while later > RARELY * count:
-            usual += 1
-            later -= self._resolved.get(usual, 0)
-        if count >= OFTEN and self._resolved.get(usual, 0) >= MOSTLY * count:
-            yield from (impact for impact in self._late if impact.steps > usual and not impact.pushed)
+        """Yield the impacts that took more steps than is usual; none where an engine has no such habit.
+
+        Engines that find contacts within a margin resolve slow impacts earlier than fast ones, so that an impact is
+        also compared with those that are not much slower alone.
+        """
+        speed, steps = np.array(self._resolved, dtype=np.float64).reshape(-1, 2).T
+        for impact in self._late:
+            fast = steps[speed >= ALIKE * impact.speed]
+            if len(steps) >= OFTEN and not impact.pushed and self._rare(impact, steps) and self._rare(impact, fast):
+                yield impact
         self._late = []
+
+    @staticmethod
+    def _rare(impact: Unresolved, steps: FloatArray) -> bool:
+        """Return whether an impact took more steps than the usual number of at least half of the given impacts."""
+        usual = 0
+        while np.count_nonzero(steps > usual) > max(RARELY * len(steps), 1.0):
+            usual += 1
+        return impact.steps > usual and bool(np.count_nonzero(steps == usual) >= max(MOSTLY * len(steps), FEWEST))
 
     def go_on(self, earlier: MissedImpacts) -> None:
         """Keep the habit of the same engine with other bodies."""
@@ -152,10 +171,8 @@ class MissedImpacts:
         excess = speed / still if still > 0.0 else np.inf
         return Unresolved(*place, ends, speed, excess, near.relative_before[row], passed=passed)
 
-    def _count(self, steps: int) -> None:
-        self._resolved[steps] = self._resolved.get(steps, 0) + 1
-
     def _resolve(self, impact: Unresolved) -> None:
-        self._count(impact.steps)
+        if not impact.pushed:
+            self._resolved.append((impact.speed, impact.steps))
         if impact.steps < LONGEST and not impact.passed:  # otherwise it was reported
             self._late.append(impact)

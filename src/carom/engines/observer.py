@@ -118,12 +118,13 @@ class Observer:
             bodies.velocity.copy(),
             bodies.angular_velocity.copy(),
             bodies.orientation.copy() if self.setup.turns else np.empty((0, 4)),
+            *(np.empty((0, 3)) if given is None else np.array(given) for given in (state.force, state.torque)),
         )
         dt_known = self._last_time is not None
         dt = 0.0 if self._last_time is None else now.time - self._last_time
         potentials, pull = self._potentials()
         seen, contacts, rows = self._judge(step, before or now, now, state.contacts, pull)
-        self._ledger = Ledger(restitution=self._ledger.restitution + seen.taken + seen.unjudged)
+        self._ledger = Ledger(restitution=self._ledger.restitution + seen.taken + seen.unjudged - seen.forced)
         motion = TotalMotion.of(self.bodies)
         energy = self._energies.balance(motion, potentials, self._ledger, roundings=step)
         baseline = self._energies.baseline

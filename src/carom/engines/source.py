@@ -65,6 +65,8 @@ class Model:
     restitution: float | None = None  # of all contacts, for the audit; None: unknown
     time_step: float = 0.0  # s, the shortest step to expect; 0 if unknown
     units: str = ""  # of all numbers, as in `Recorder`; empty for SI
+    damping: float | None = None  # 1/s, the rates at which velocities and spins of all bodies decrease; None: unknown,
+    angular_damping: float | None = None  # and measured where all free bodies have the same
     every: int = 1  # calls of `Recorder.frame` per recorded frame, by default; above 1 for states that are slow to copy
 
 
@@ -85,6 +87,9 @@ class State:
     names: Any = None  # (n,) with ids, as in `Model`, or empty; names and flags are read only for new bodies
     fixed: Any = None
     judged: Any = None
+    # applied forces, drag and compensation of gravity in the step up to this state: all but the uniform field, contacts
+    force: Any = None  # and `Model.damping`; (n, 3) N, in the first state, too, or None
+    torque: Any = None  # (n, 3) N m, in the world frame
 
 
 class Source(Protocol):
@@ -126,6 +131,8 @@ class Setup:
     restitution: float | None
     touches: BoolArray  # (n,), False for points
     time_step: float
+    damping: float | None  # 1/s; None where unknown
+    angular_damping: float | None
     spins: bool
     turns: bool  # whether orientations are known
     forces: bool  # whether contacts have forces
@@ -183,6 +190,10 @@ def setup_of(model: Model, first: State) -> Setup:
         restitution=None if model.restitution is None else _not_negative(engine, "restitution", model.restitution),
         touches=touches,
         time_step=_not_negative(engine, "time_step", model.time_step),
+        damping=None if model.damping is None else _not_negative(engine, "damping", model.damping),
+        angular_damping=None
+        if model.angular_damping is None
+        else _not_negative(engine, "angular_damping", model.angular_damping),
         spins=first.angular_velocity is not None,
         turns=first.orientation is not None,
         forces=collides and has_forces(first.contacts),
@@ -281,7 +292,7 @@ def _planes(engine: str, planes: Sequence[Plane]) -> HalfSpaces:
 
 
 _LEAST, _MOST = np.minimum.reduce, np.maximum.reduce  # the methods `min` and `max` would call Python code
-_WIDTHS = {"position": 3, "velocity": 3, "orientation": 4, "angular_velocity": 3}
+_WIDTHS = {"position": 3, "velocity": 3, "orientation": 4, "angular_velocity": 3, "force": 3, "torque": 3}
 
 
 _Floats = NDArray[np.floating[Any]]

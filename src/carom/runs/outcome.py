@@ -272,8 +272,11 @@ def energy_texts(summary: dict[str, Any], units: UnitSystem) -> list[str]:
     texts, worst = [f"{first} at first, {last} at last"], error_text(energy["max_error"])
     if not summary["scene"].get("engine"):
         return [*texts, f"integration error at most {worst} of the energy scale"]
-    if summary["contacts"]["total"] or energy["change_in_contact"]:
-        change = units.text(energy["change_in_contact"], ENERGY, "+.4g")
+    work = summary["forces"].get("work", 0.0)
+    if work:
+        texts.append(f"{units.text(work, ENERGY, '+.4g')} by damping and by forces that the engine was told")
+    if summary["contacts"]["total"] or energy["change_in_contact"] != work:
+        change = units.text(energy["change_in_contact"] - work, ENERGY, "+.4g")
         unjudged = " or are not judged" if summary["judged"] < summary["bodies"] else ""
         texts.append(
             f"{change} while bodies touched{unjudged}: by contacts and errors of the engine, not distinguished"

@@ -66,9 +66,13 @@ class MuJoCoSource:
         end_of_body[moving] = np.arange(len(moving))
         self._end_of = end_of_body[owner]
         self._end_of[np.concatenate((still, planes))] = len(moving) + np.arange(len(still) + len(planes))
-        self._forces, self._wrench = contacts, np.empty(6)
+        self._contacts, self._wrench = contacts, np.empty(6)
+        # velocities of free joints are in the frame of the world, and spins in that of the body
+        self._free = np.flatnonzero(free)
+        self._freedoms = model.jnt_dofadr[self._joint[self._free]][:, None] + np.arange(6)
         self._velocity = np.empty(6)
         n = len(moving) + len(still)
+        self._force, self._torque = np.zeros((n, 3)), np.zeros((n, 3))
         self._position, self._speed, self._spin = np.zeros((n, 3)), np.zeros((n, 3)), np.zeros((n, 3))
         self._turn = np.zeros((n, 4))
         self._turn[:, 3] = 1.0
@@ -114,8 +118,21 @@ class MuJoCoSource:
             for row, body in enumerate(self._moving):
                 package.mj_objectVelocity(model, data, package.mjtObj.mjOBJ_BODY, int(body), self._velocity, 0)
                 self._spin[row], self._speed[row] = self._velocity[:3], self._velocity[3:]  # of the centre of mass
-        forces = self.forces() if self._forces else None
-        return State(data.time, self._position, self._speed, self._turn, self._spin, forces)
+        self._read_forces()
+        forces = self.forces() if self._contacts else None
+        state = State(data.time, self._position, self._speed, self._turn, self._spin, forces)
+        state.force, state.torque = self._force, self._torque
+        return state
+
+    def _read_forces(self) -> None:
+        """Read what acted on free spheres in the last step: applied forces, the medium, compensation of gravity."""
+        data, free = self._data, self._free
+        given = (data.qfrc_applied + data.qfrc_passive)[self._freedoms]
+        applied = data.xfrc_applied[self._moving[free]]
+        self._force[free] = given[:, :3] + applied[:, :3]
+        axis, w = self._turn[free, :3], self._turn[free, 3:]
+        twice = 2.0 * np.cross(axis, given[:, 3:])
+        self._torque[free] = given[:, 3:] + w * twice + np.cross(axis, twice) + applied[:, 3:]
 
     def forces(self) -> Records:
         """Return the contacts of the last step with their forces, (m,) `CONTACT`, between bodies and planes."""

@@ -95,8 +95,16 @@ def _of_engine(recording: RecordedData) -> dict[str, Any]:
         "contact_forces": recording.records_contacts,
         "judged": int(judged),
         "parted": float(recording.closing.get("audit.parted", 0.0)),
+        "forces": {} if recording.clip else _forces(recording),
         "laws": _laws(recording),
     }
+
+
+def _forces(recording: RecordedData) -> dict[str, Any]:
+    """Describe what laws were judged beyond: the work (J) of known forces, and a common damping (1/s, 1/m or 1/rad)."""
+    found = _below(recording.closing, "audit")
+    dampings: dict[str, Any] = {name: found[name] for name in ("damping", "angular_damping") if name in found}
+    return {"work": float(found.get("forced", 0.0)), **dampings}
 
 
 def _laws(recording: RecordedData) -> dict[str, Any]:

@@ -1,0 +1,106 @@
+"""Forces that an engine was told, and a damping that all free bodies show: laws are judged beyond them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from carom.arrays import BoolArray, FloatArray
+from carom.engines.elastic_energy import TINY
+from carom.engines.engine_contacts import EngineMoment, Near, lengths
+from carom.engines.source import Setup
+
+ALIKE = 0.02  # of a rate, by which the rates of free bodies may differ from the common law
+SEVERAL = 6  # losses, of several bodies or frames, that agree on a law
+RECENT = 60  # losses that are compared
+LEAST = 1e-6  # of a speed in a frame; a smaller loss is rounding
+MOVING = 0.05  # of the largest speed; the rates of slower bodies are not measured
+BESIDE = 0.05  # of the change of a velocity, which is not along it; damping is
+
+
+@dataclass(slots=True)
+class CommonDamping:
+    """The rate at which free bodies lose speed or spin, as far as they have it in common: ``rate + by_speed |v|``.
+
+    PyBullet's own damping has both terms, with the same coefficient.
+    """
+
+    rate: float = 0.0  # 1/s
+    by_speed: float = 0.0  # 1/m, or 1/rad for spins
+    told: tuple[float, float] = (0.0, 0.0)  # the last law that was found
+    losses: FloatArray = field(default_factory=lambda: np.empty((0, 2)))  # speeds and rates of the last free bodies
+
+    def at(self, speed: FloatArray) -> FloatArray:
+        """Return the rates (n, 1) in 1/s at speeds (n,)."""
+        return np.asarray((self.rate + self.by_speed * speed)[:, None])
+
+    def learn(self, start: FloatArray, change: FloatArray, free: BoolArray, dt: float, other: CommonDamping) -> None:
+        """Compare the changes (n, 3) of the velocities of free bodies with those before, and with another damping."""
+        speed = lengths(start)
+        chosen = free & (speed > MOVING * speed.max())
+        if not chosen.any():
+            return
+        speed, change, start = speed[chosen], change[chosen], start[chosen]
+        rate = -np.einsum("ij,ij->i", change, start) / np.maximum(speed**2 * dt, TINY)
+        beside = lengths(change + (rate * dt)[:, None] * start) > BESIDE * lengths(change)
+        if beside.any() or not (rate * dt > LEAST).all():  # another force, or none
+            self.losses = self.losses[:0]
+            if float(np.median(np.abs(rate))) * dt <= LEAST:
+                self.rate = self.by_speed = 0.0
+            return
+        self.losses = np.concatenate((self.losses, np.stack((speed, rate), axis=1)))[-RECENT:]
+        speed, rate = self.losses.T
+        laws = [np.array([other.rate, other.by_speed])]
+        if len(self.losses) >= SEVERAL:
+            straight = np.linalg.lstsq(np.stack((np.ones_like(speed), speed), axis=1), rate, rcond=None)[0]
+            laws += [np.array([rate.mean(), 0.0]), straight]
+        for law in laws:
+            if (np.abs(law[0] + law[1] * speed - rate) <= ALIKE * rate).all():
+                self.rate, self.by_speed = self.told = (float(law[0]), float(law[1]))
+                return
+        if len(self.losses) < SEVERAL:
+            return
+        self.losses = self.losses[-len(change) :]
+
+
+class KnownForces:
+    """The changes of velocities that are due neither to the uniform field nor to contacts."""
+
+    def __init__(self, setup: Setup) -> None:
+        self._setup = setup
+        self.measured = CommonDamping(), CommonDamping()  # of velocities and of spins
+        self.work = 0.0  # J, on judged bodies
+
+    def applied(self, before: EngineMoment, now: EngineMoment, near: Near) -> EngineMoment:
+        """Return the earlier moment with the velocities that these forces would give its bodies until now."""
+        setup, dt = self._setup, now.time - before.time
+        if not dt > 0.0:
+            return before
+        free = setup.judged & ~setup.fixed
+        moving = ~setup.fixed[:, None]
+        free[near.pairs[near.pairs < len(free)]] = False
+        push = setup.gravity * dt * moving
+        velocity, spin = before.velocity, before.spin
+        if len(now.force):
+            velocity = velocity + now.force / setup.mass[:, None] * dt * moving
+        if setup.damping is None:
+            self.measured[0].learn(before.velocity, now.velocity - push - velocity, free, dt, self.measured[1])
+        linear = self.measured[0] if setup.damping is None else CommonDamping(setup.damping)
+        velocity = velocity - linear.at(lengths(before.velocity)) * dt * before.velocity * moving
+        if len(spin):
+            if len(now.torque):
+                spin = spin + now.torque / setup.inertia[:, None] * dt * moving
+            if setup.angular_damping is None:
+                self.measured[1].learn(before.spin, now.spin - spin, free, dt, self.measured[0])
+            angular = self.measured[1] if setup.angular_damping is None else CommonDamping(setup.angular_damping)
+            spin = spin - angular.at(lengths(before.spin)) * dt * before.spin * moving
+        if np.array_equal(velocity, before.velocity) and np.array_equal(spin, before.spin):
+            return before
+        moment = replace(before, velocity=velocity, spin=spin)
+        self.work += float((moment.kinetic(setup) - before.kinetic(setup))[setup.judged].sum())
+        return moment
+
+    def go_on(self, earlier: KnownForces) -> None:
+        """Keep what is known of the same engine, with other bodies."""
+        self.measured, self.work = earlier.measured, earlier.work
