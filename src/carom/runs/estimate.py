@@ -13,6 +13,7 @@ import numpy as np
 
 from carom.physics.diagnostics.run_monitor import Profile
 from carom.physics.forces.gravity import gravity_of
+from carom.physics.jit.kernel_watch import KernelWatch
 from carom.physics.jit.team import Team
 from carom.physics.look_ahead.trial_run import Watcher
 from carom.physics.placement import place
@@ -314,8 +315,9 @@ def probe(path: Path, header: Header, frames: Sequence[Frame]) -> dict[str, Take
             raw[rows.path] += rows.bytes
             compressed[rows.path] += rows.compressed_bytes
         began = time.process_time()  # all threads: Rerun has its own
-        sizes, profile = _send(batch, stream, BatchEncoder(header, origin), clock)
-        computing = time.process_time() - began
+        with KernelWatch(time.process_time) as kernels:
+            sizes, profile = _send(batch, stream, BatchEncoder(header, origin), clock)
+        computing = time.process_time() - began - kernels.seconds
     finally:
         stream.close()
     wall = profile.seconds()
