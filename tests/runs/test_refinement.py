@@ -119,6 +119,54 @@ def test_a_heavy_ball_that_a_correction_lifts_by_a_hundred_millionth_is_no_fault
     assert result.same
 
 
+def test_what_sweeps_leave_to_a_heavy_ball_on_a_light_one_is_no_fault() -> None:
+    """Found by a hunt: contacts still close by 1e-8 of g dt, which is 3e-12 J of the heavy ball."""
+    result = refine(
+        scene_of(
+            [
+                {"position": [0.0, 0.0, 18.0], "radius": 18.0, "mass": 0.01},
+                {"position": [0.0, 0.0, 92.0], "radius": 56.0},
+            ],
+            time={"duration": 0.11},
+            gravity={"constant": 0.0, "uniform": [0.0, 0.0, -0.56]},
+            contact={"static_friction": 0.0, "stabilisation": "none", "restitution": 0.0},
+            plane=[{}],
+        ),
+        threads=1,
+    )
+    assert result.same
+
+
+def test_a_ball_whose_rolling_turns_or_ends_within_a_step_is_no_fault() -> None:
+    """The torque that resists rolling lags behind the axis that turns, an error of first order."""
+    for speed, turn in ((0.3, 0.0), (0.3, -9.0)):
+        result = refine(
+            scene_of(
+                [
+                    {
+                        "position": [0.0, 0.0, 0.1],
+                        "velocity": [speed, 0.0, 0.0],
+                        "angular_velocity": [3.0, turn, 2.0],
+                        "radius": 0.1,
+                    }
+                ],
+                time={"duration": 0.6},
+                gravity={"constant": 0.0, "uniform": [0.0, 0.0, -9.81]},
+                contact={
+                    "restitution": 0.0,
+                    "static_friction": 0.3,
+                    "kinetic_friction": 0.3,
+                    "law": "rolling_resistance",
+                    "rolling_resistance": {"rolling_friction": 0.1, "twisting_friction": 0.1},
+                },
+                plane=[{}],
+            ),
+            threads=1,
+            instants=FEW,
+        )
+        assert result.same, [moved.text() for moved in result.moved]
+
+
 def test_a_part_of_a_recording_is_compared_from_the_checkpoint_before(tmp_path: Path) -> None:
     recording = carom.run(late(fixed_dt=0.25), tmp_path / "late.rrd", threads=1)
     assert not refine(recording, 4.0, 0.0, 2.0, threads=1).same

@@ -35,7 +35,7 @@ LOOK_AFTER = LASTS + 1.0  # steps, for the loads of contacts after an interval
 RETURNS = 2.0  # steps: a longer bounce, which takes 2 v/a, may not be ended at rest by a step
 SHARED = 5e-2  # of the kinetic energy of bodies that touch, before or after: runs that differ by less may have shared
 # impulses otherwise
-TURNED = 0.1  # rad, or of the size: change of a torque that resists rolling in a step, which ends or reverses rolling
+TURNED = 0.01  # rad, or of the size: change in a step of a torque that resists rolling, whose error is of first order
 SURFACE = 2.5  # m r²/I of a ball: friction changes the speed of its surface so much more than its velocity
 
 Pair = tuple[int, int]  # of bodies and, from n on, planes and walls
@@ -262,7 +262,7 @@ def _load_of_impact(row: np.void, loads: dict[int, list[Load]], mass: FloatArray
 
 
 def _turned(before: FloatArray, now: FloatArray) -> bool:
-    """Return whether the resistance to rolling or twisting has another direction, or does what ends the rotation."""
+    """Return whether the resistance to rolling or twisting has another direction, or ends the rotation."""
     change = now - before
     return bool(change @ change > (TURNED * TURNED) * max(before @ before, now @ now))
 
