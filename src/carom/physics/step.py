@@ -12,8 +12,8 @@ from carom.physics.contact.pipeline import ContactPipeline
 from carom.physics.contact.reactions import NO_SUPPORT
 from carom.physics.diagnostics.bookkeeper import Bookkeeper
 from carom.physics.diagnostics.run_monitor import refuse_infinities, refuse_many_crossings
+from carom.physics.few_bodies import FewBodies, Flight, can_fly
 from carom.physics.forces.force import Potentials
-from carom.physics.free_flight import Flight, FreeFlight, can_fly
 from carom.physics.integrators.kick_drift import MIN_BODIES_PER_TASK, advance, wrap_rows
 from carom.physics.jit.team import Team
 from carom.physics.rotation import rotate
@@ -48,7 +48,7 @@ class KickDriftStepper:
         self._hooks, self._now = world.hooks, world.step
         self._kicks = world.needs.accelerates and not world.hooks.kick_before
         self._wraps = world.is_periodic and not world.hooks.wrap
-        self._flight = FreeFlight(world, timestep) if asked is None and can_fly(world) else None
+        self._flight = FewBodies(world, timestep) if asked is None and can_fly(world) else None
         # the accuracy that contacts which stick within a step must keep; None without one
         self._sticks_within = world.scene.time.accuracy if world.scene.promise and world.contact else None
         self._is_first = False  # whether contacts carry no impulses yet

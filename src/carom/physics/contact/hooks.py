@@ -83,7 +83,7 @@ class OptionalPart:
     """An optional part of the model. It overrides the hooks that it needs."""
 
     entries: tuple[str, ...] = ()  # of the ledger, with the sign of a loss
-    needs_every_step = True  # whether also steps in which nothing touches cannot be left to `free_flight`
+    needs_every_step = True  # whether also steps in which nothing touches cannot be left to `few_bodies`
 
     # Between steps
 

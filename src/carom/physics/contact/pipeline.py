@@ -237,11 +237,18 @@ class ContactPipeline:
 
     @property
     def is_steady(self) -> bool:
-        """Whether the contacts of the last step are held as the next one begins, and nothing else happened in it."""
+        """Whether the contacts of the last step are held as the next one begins, or carry no impulses.
+
+        False if anything else happened in the last step.
+        """
         held, statistics = self.impulses, self.statistics
-        are_held = held.contacts is self.solver.contacts and held.place is self.contacts.order.place and held.kick > 0.0
+        if self.is_at_rest:
+            are_kept = held.contacts is self.solver.contacts and held.place is self.contacts.order.place
+            are_kept = are_kept and held.kick > 0.0
+        else:
+            are_kept = len(held.pairs) == 0
         happened = self._is_busy or len(self.impacts) or statistics.impacts or self.contacts.overflows
-        return self.is_at_rest and are_held and statistics.contacts > 0 and not happened
+        return are_kept and statistics.contacts > 0 and not happened
 
     @property
     def last_kick(self) -> float:
@@ -250,7 +257,8 @@ class ContactPipeline:
 
     def add_steady_steps(self, kick: float, dt: float, sweeps: int) -> None:
         """Account for steps with the same contacts, given the kick and the length of the last step, in s."""
-        self.impulses = ImpulseCache(self.contacts.pairs, self.contacts.order.place, self.solver.contacts, kick)
+        if kick > 0.0:
+            self.impulses = ImpulseCache(self.contacts.pairs, self.contacts.order.place, self.solver.contacts, kick)
         self._dt, self.sweeps = dt, sweeps
         self.ledger_apart, self.impacts = NO_ENTRIES, NO_IMPACTS
         self.snapshots.set_step(self.contacts, None, NO_IMPACTS, dt)

@@ -268,7 +268,7 @@ class Bookkeeper:
         return time >= self.kept_until if ends_early else time > self.kept_until
 
     def steady_totals(self) -> dict[str, float]:
-        """Return the totals that steps with the same contacts change, by the fields of `STEADY_TOTALS`."""
+        """Return the totals that steps with the same contacts change, by the fields of `TOTALS`."""
         ledger, extremes = self.audit.ledger, self.extremes
         assert extremes.contacts and extremes.overlap, "a step with contacts has been booked"
         return {

@@ -67,13 +67,20 @@ def unchanged(argument: Any) -> Any:
     return argument
 
 
-@instruction(unchanged, returns=lambda known: Located(known["fields"]))
+def _located(known: dict[str, Any]) -> Any:
+    fields = known["fields"]
+    return Located(fields) if hasattr(fields, "fields") else fields
+
+
+@instruction(unchanged, returns=_located)
 def by_address(code: Code, fields: Any) -> Any:
-    """Return a named tuple as a located one, valid until the caller returns.
+    """Return a named tuple as a located one, valid until the caller returns; an empty tuple as it is.
 
     An empty piece of assembly hides where the address comes from. Without it, LLVM might read fields, which nobody
     writes, before they are stored.
     """
+    if not hasattr(code.kinds["fields"], "fields"):
+        return fields
     builder = code.builder
     place = builder.bitcast(cgutils.alloca_once_value(builder, fields), BYTES)
     return builder.asm(ir.FunctionType(BYTES, [BYTES]), "", "=r,0,~{memory}", [place], side_effect=True)

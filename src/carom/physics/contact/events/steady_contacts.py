@@ -1,10 +1,13 @@
-"""The contacts of a step in one kernel, as long as they are the contacts of the previous step.
+"""The stages of contacts in the kernel of few bodies, as long as the contacts are those of the previous step.
 
 `ContactPipeline` calls some forty kernels a step. With few bodies, that takes a hundred times as long as the kernels
 themselves. The functions here call the same kernels in the same order without Python in between, so the bits are the
-same. They return False if Python must process the step: it has other pairs than the previous step, an impact, a body
-behind a plane, a deep overlap, a contact that still closes, or a number that is not finite. `steady_steps` then undoes
-the step.
+same. They are the forms of the functions of `carom.physics.open_gaps` for contacts that rest, slide or roll, and for
+contacts that carry no impulses because no force presses them together.
+
+They return False if Python must process the step: it has other pairs than the previous step, an impact, a body behind a
+plane, a deep overlap, a contact that still closes, a force that begins or ceases to press contacts together, or a
+number that is not finite.
 """
 
 from __future__ import annotations
@@ -27,6 +30,7 @@ from carom.physics.contact.near_pairs import LARGEST_SKIN
 from carom.physics.contact.near_pairs import ROUNDING as MOST_ROUNDED
 from carom.physics.contact.pipeline import ContactPipeline
 from carom.physics.contact.plane_guard import mark_behind
+from carom.physics.contact.reactions import add_support, write_torques
 from carom.physics.contact.records import ContactRecord
 from carom.physics.contact.solver.body_state import gather, scatter
 from carom.physics.contact.solver.impacts import CONVERGED, check_closing
@@ -40,15 +44,31 @@ from carom.physics.contact.solver.positions import (
 )
 from carom.physics.contact.solver.prepare import TOUCHING, begin_contacts, carry_each, mark_pressed
 from carom.physics.contact.statistics import BLOCK_COUNTS, DEEP_OVERLAP, BlockCountsRecord, count_block
-from carom.physics.integrators.kick_drift import DampedPath
+from carom.physics.integrators.kick_drift import DampedPath, DampedStep
 from carom.physics.jit.decorators import inline, unowned
 from carom.physics.jit.team import ALONE
-from carom.physics.vector import between, sizes, vector
+from carom.physics.open_gaps import (
+    KeptState,
+    MovedState,
+    Room,
+    Totals,
+    can_drift,
+    conclude,
+    copy_records,
+    find,
+    hold,
+    resolve,
+    rotate,
+    with_contacts,
+    write_support,
+)
+from carom.physics.rotation import rotate_one
+from carom.physics.vector import between, is_periodic, sizes, vector
 
 MOST_CONTACTS = CONTACTS_PER_BLOCK  # more contacts would be counted in several blocks
 
 
-Words = tuple[IntArray, ...]  # six, see `SteadyContacts.words`
+Words = tuple[IntArray, ...]  # five, see `SteadyContacts.words`
 
 
 class SteadyRules(NamedTuple):
@@ -58,6 +78,8 @@ class SteadyRules(NamedTuple):
     addresses: IntArray
     kind: int
     most_sweeps: int
+    lasts: bool  # whether contacts can be at rest
+    loads: bool  # whether a force can press contacts together
     pushes: bool  # whether overlaps are corrected
     bends: bool  # whether a uniform field bends the paths of bodies
     anchored: bool  # whether something is fixed
@@ -66,10 +88,10 @@ class SteadyRules(NamedTuple):
 
 
 class SteadyBuffers(NamedTuple):
-    """Copies of the state at the beginning of a step, and workspaces."""
+    """Copies of the records at the beginning of a step, and workspaces."""
 
     saved: Words  # the words of `SteadyContacts.words` at the beginning of the step
-    spins: FloatArray  # (n, 3) rad/s; no rows where nothing spins
+    spins: FloatArray  # (n, 3) rad/s, the last of these; no rows where nothing spins
     held: RecordArray[ContactRecord]  # (m,) the contacts as held, before the positions change
     held_words: IntArray  # the words of ``held``
     parent: IntArray  # (n + p,)
@@ -92,14 +114,18 @@ class SteadyContacts(NamedTuple):
     place: IntArray  # (m,) index of each contact's record
     counts: IntArray  # (n + p,) contacts of each body and plane
     normals: FloatArray  # (m, 3) before the position correction
-    words: Words  # of `CONTACT`, `CONTACT_STATE` and `RECORDED` records, of the normals, orientations and spins
+    words: Words  # of `CONTACT`, `CONTACT_STATE` and `RECORDED` records, of the normals and spins
+    supported: FloatArray  # (n + p,) m/s², accelerations that contacts support; empty if no step depends on them
+    spins: FloatArray  # (n, 3) rad/s; no rows where nothing spins
     mass: FloatArray  # (n,) kg
     inertia: FloatArray  # (n,) kg m²
     torque: FloatArray  # (n, 3) N m; no rows where none are modelled
     angular_acceleration: FloatArray  # (n, 3) rad/s²; no rows where no torques are modelled
 
     @classmethod
-    def of(cls, contact: ContactPipeline, bodies: Bodies, against: FloatArray | None) -> SteadyContacts:
+    def of(
+        cls, contact: ContactPipeline, bodies: Bodies, against: FloatArray | None, supported: FloatArray
+    ) -> SteadyContacts:
         """Gather the contacts of the last step, and memory for the next ones.
 
         ``against`` are the accelerations against which contacts are held before the drift, (n + p, 3) m/s² (default:
@@ -110,14 +136,16 @@ class SteadyContacts(NamedTuple):
         system, normals, n = solver.system, solver.found_normals, len(bodies)
         ends, most = len(system.inverse_mass), n * (n - 1) // 2
         held, first = aligned_empty(len(normals), system.contacts.dtype), np.empty(n, dtype=np.int64)
-        spins = np.empty_like(bodies.angular_velocity)
         records = tuple(map(words, (system.contacts, system.states, system.recorded)))
-        numbers = tuple(map(_words_of, (normals, bodies.orientation, bodies.angular_velocity)))
+        numbers = (*records, _words_of(normals), _words_of(bodies.angular_velocity))
+        spins = np.empty_like(bodies.angular_velocity)
         rules = SteadyRules(
             board=ALONE,
             addresses=solver.code.addresses,
             kind=solver.code.kind,
             most_sweeps=contact.most_sweeps,
+            lasts=contact.lasts,
+            loads=contact.needs.resting.modelled,
             pushes=settings.stabilisation == "split",
             bends=bool(event_drift.bending.any()),
             anchored=event_drift.anchored,
@@ -125,7 +153,7 @@ class SteadyContacts(NamedTuple):
             field=event_drift.field,
         )
         buffers = SteadyBuffers(
-            saved=(*map(np.empty_like, (*records, *numbers[:2])), _words_of(spins)),
+            saved=(*map(np.empty_like, numbers[:-1]), _words_of(spins)),
             spins=spins,
             held=held,
             held_words=words(held),
@@ -137,11 +165,17 @@ class SteadyContacts(NamedTuple):
             later=Neighbours(first, first.copy(), np.empty(most, dtype=np.int64)),
         )
         placed = contact.contacts.pairs, contact.contacts.order.place, solver.counts, normals
-        moments = bodies.mass, bodies.inertia, bodies.torque, bodies.angular_acceleration
+        moments = (
+            supported,
+            bodies.angular_velocity,
+            bodies.mass,
+            bodies.inertia,
+            bodies.torque,
+            bodies.angular_acceleration,
+        )
         holding = system if against is None else system._replace(acceleration=against)
         event_drift.bend_by(1.0)
-        trajectories, saved = event_drift.trajectories, (*records, *numbers)
-        return cls(system, holding, trajectories, rules, buffers, *placed, saved, *moments)
+        return cls(system, holding, event_drift.trajectories, rules, buffers, *placed, numbers, *moments)
 
 
 def _words_of(numbers: FloatArray) -> IntArray:
@@ -149,21 +183,58 @@ def _words_of(numbers: FloatArray) -> IntArray:
     return numbers.reshape(-1).view(np.int64)
 
 
-@inline
-def copy_contacts(contacts: SteadyContacts, back: bool) -> None:
-    """Copy records, normals, orientations and spins as a step begins into the buffers, or back."""
+@with_contacts(write_support)
+def _write_support(contacts: SteadyContacts, totals: Totals) -> None:
+    supported = contacts.supported
+    if len(supported) > 0:
+        supported[:] = 0.0
+        if totals[0].last_kick > 0.0:
+            touching = contacts.pairs, contacts.place, contacts.system.contacts, contacts.system.inverse_mass
+            add_support(*touching, totals[0].last_kick, supported)
+
+
+@with_contacts(copy_records)
+def _copy_records(contacts: SteadyContacts, back: bool) -> None:
     for k in range(len(contacts.words)):
         if back:
-            copy_words(contacts.buffers.saved[k], contacts.words[k])
+            _copy_words(contacts.buffers.saved[k], contacts.words[k])
         else:
-            copy_words(contacts.words[k], contacts.buffers.saved[k])
+            _copy_words(contacts.words[k], contacts.buffers.saved[k])
 
 
 @unowned
-def copy_words(words: IntArray, to: IntArray) -> None:
+def _copy_words(words: IntArray, to: IntArray) -> None:
     """Copy words; NumPy's assignment would check for overlapping memory."""
     for k in range(len(words)):
         to[k] = words[k]
+
+
+@with_contacts(hold)
+def _hold_contacts(contacts: SteadyContacts, totals: Totals, damped: DampedStep) -> bool:
+    T = totals[0]
+    T.held_restitution = T.held_friction = T.held_stabilisation = 0.0
+    if T.last_kick == 0.0:
+        _release(contacts)
+        return True
+    if not min(damped.held_kick, damped.last_kick) > 0.0:
+        return False
+    hold_steady(contacts, damped.held_kick, T.last_kick, T.last_dt, damped.length, damped.booked)
+    for piece in range(len(contacts.system.piece_results)):
+        found = contacts.system.piece_results[piece]
+        T.held_restitution += found.restitution_loss
+        T.held_friction += found.friction_loss
+        T.held_stabilisation += found.stabilisation_gain
+    return True
+
+
+@unowned
+def _release(contacts: SteadyContacts) -> None:
+    """Begin a step whose contacts carry no impulses."""
+    system = contacts.system
+    if contacts.rules.lasts:
+        for i in range(len(system.pressed)):
+            system.pressed[i] = False
+        clear_loads(system.active, system.loads)
 
 
 @unowned
@@ -181,12 +252,49 @@ def hold_steady(
     add_loads(system.pairs, system.contacts, system.inverse_mass, kick, system.loads)
 
 
+@with_contacts(can_drift)
+def _can_drift(
+    contacts: SteadyContacts,
+    totals: Totals,
+    damped: DampedStep,
+    moved: MovedState,
+    kept: KeptState,
+    field: float,
+    drift: float,
+    room: Room,
+) -> tuple[bool, Room]:
+    crosses = is_periodic(kept.box) and _crosses(moved.velocity, kept.box, drift)
+    if damped.path.strength != 1.0 or crosses or not _are_finite(moved.position, moved.velocity):
+        return False, room
+    return drift_steady(contacts, damped.path, drift, totals[0].last_kick > 0.0), room
+
+
+@inline
+def _are_finite(position: FloatArray, velocity: FloatArray) -> bool:
+    rest = 0.0
+    for i in range(len(position)):
+        for k in range(3):
+            x, v = position[i, k], velocity[i, k]
+            rest += (x - x) + (v - v)  # 0, or not a number
+    return rest == 0.0
+
+
+@inline
+def _crosses(velocity: FloatArray, box: FloatArray, dt: float) -> bool:
+    """Return whether a body crosses a whole box in dt s; single steps refuse many crossings."""
+    for i in range(len(velocity)):
+        for k in range(3):
+            if abs(velocity[i, k]) * dt >= box[k]:
+                return True
+    return False
+
+
 @unowned
-def drift_steady(contacts: SteadyContacts, path: DampedPath, dt: float) -> bool:
-    """Predict the impacts of a drift of dt s; return whether there are none."""
+def drift_steady(contacts: SteadyContacts, path: DampedPath, dt: float, holds: bool) -> bool:
+    """Predict the impacts of a drift of dt s; return whether there are none. ``holds``: whether contacts are held."""
     T, rules, system = contacts.trajectories, contacts.rules, contacts.system
     n, later, near = len(T.x), contacts.buffers.later, contacts.buffers.near
-    scale, skin, _ = _margins(T.x, T.radius, system.acceleration, rules.field, dt)
+    scale, skin, _ = _margins(T.x, T.radius, system.acceleration, rules, dt)
     farthest = write_search_radii(T.v[:n], contacts.mass, T.radius[:n], rules.anchored, dt, T.body, T.drift)
     is_wide, widened = farthest > WIDEST - 1.0, scale
     if not is_wide:
@@ -207,8 +315,10 @@ def drift_steady(contacts: SteadyContacts, path: DampedPath, dt: float) -> bool:
         later.last[i] = m
     bends = rules.bends and (path.damping > 0.0 or path.kick == 0.5 * dt)
     begin(T, dt, path.kick, path.damping, bends, system.pressed)
-    straighten(contacts.pairs, contacts.place, system.contacts, T)
-    island_load_speeds(near[:m], T, scale, skin, system.acceleration, rules.field, dt)
+    if holds:
+        straighten(contacts.pairs, contacts.place, system.contacts, T)
+    if rules.loads:
+        island_load_speeds(near[:m], T, scale, skin, system.acceleration, rules.field, dt)
     predict(0, n, later, T)
     first = np.inf
     for i in range(n):
@@ -216,25 +326,33 @@ def drift_steady(contacts: SteadyContacts, path: DampedPath, dt: float) -> bool:
     return first == np.inf
 
 
+@with_contacts(find)
+def _find(contacts: SteadyContacts, totals: Totals, dt: float) -> bool:
+    T = contacts.trajectories
+    return _are_finite(T.x, T.v) and find_steady(contacts, T.x, T.radius[: len(T.x)], dt, totals[0].last_kick > 0.0)
+
+
 @unowned
-def find_steady(contacts: SteadyContacts, x: FloatArray, radius: FloatArray, dt: float) -> bool:
+def find_steady(contacts: SteadyContacts, x: FloatArray, radius: FloatArray, dt: float, holds: bool) -> bool:
     """Set up the contacts after the drift of a step of dt s, and correct overlaps; see `ContactPipeline.find`."""
     system, rules, buffers, m = contacts.system, contacts.rules, contacts.buffers, len(contacts.pairs)
-    scale, skin, rounding = _margins(x, radius, system.acceleration, rules.field, dt)
+    scale, skin, rounding = _margins(x, radius, system.acceleration, rules, dt)
     if _is_behind(contacts, x) or not _are_same(contacts, x, radius, scale, skin):
         return False
     settings = system.settings[0]
-    settings.islands_known = False
-    copy_words(contacts.words[0], buffers.held_words)
+    settings.islands_known, settings.impacts_only = False, holds or rounding > 0.0
+    _copy_words(contacts.words[0], buffers.held_words)
     recorded = contacts.words[2]
     for k in range(len(recorded)):
         recorded[k] = 0
     shapes = x, radius, system.box, system.surface, system.offset
     begin_contacts(0, m, system.pairs, shapes, system.contacts, system.states, rounding, contacts.normals)
-    if not write_load_speeds(system, rules.field, dt, (buffers.parent, buffers.largest, buffers.flags)):
-        return False
-    pressed = system.velocity, system.acceleration, system.loads, dt
-    write_rest_speeds(0, m, system.pairs, system.contacts, pressed, system.load_speed, system.states)
+    if rules.loads:
+        presses = write_load_speeds(system, rules.field, dt, (buffers.parent, buffers.largest, buffers.flags))
+        if rules.lasts and presses != holds:
+            return False
+        pressed = system.velocity, system.acceleration, system.loads, dt
+        write_rest_speeds(0, m, system.pairs, system.contacts, pressed, system.load_speed, system.states)
     if rules.pushes:
         b, v, pushed, pushed_in = len(system.active), system.velocity, system.pushed, system.pushed_in
         find_push_fractions(0, m, system.pairs, contacts.counts, system.states)
@@ -244,26 +362,36 @@ def find_steady(contacts: SteadyContacts, x: FloatArray, radius: FloatArray, dt:
     return not _is_behind(contacts, x)
 
 
+@with_contacts(resolve)
+def _resolve(contacts: SteadyContacts, totals: Totals, damped: DampedStep) -> bool:
+    T, x = totals[0], contacts.trajectories.x
+    holds = T.last_kick > 0.0
+    is_done, T.sweeps = resolve_steady(contacts, x, contacts.trajectories.radius[: len(x)], damped, holds)
+    T.last_kick, T.last_dt = damped.last_kick if holds else 0.0, damped.length
+    return is_done
+
+
 @unowned
 def resolve_steady(
-    contacts: SteadyContacts, x: FloatArray, radius: FloatArray, first_kick: float, kick: float, dt: float
+    contacts: SteadyContacts, x: FloatArray, radius: FloatArray, damped: DampedStep, holds: bool
 ) -> tuple[bool, int]:
-    """Resolve the contacts after the last kick, with all times in s; see `ContactPipeline.resolve`.
+    """Resolve the contacts after the last kick of a step; see `ContactPipeline.resolve`.
 
     Return whether the step is complete without Python, and the number of iterations.
     """
-    system, rules, m = contacts.system, contacts.rules, len(contacts.pairs)
+    system, rules, m, dt = contacts.system, contacts.rules, len(contacts.pairs), damped.length
     shapes = x, radius, system.box, system.surface, system.offset
     update_geometry(0, m, system.pairs, shapes, system.contacts, system.states)
     if rules.pushes:
         audit_corrections(0, m, system.pairs, system.acceleration, system.inverse_mass, system.states)
     settings = system.settings[0]
-    settings.bias_rate, settings.impacts_only = 0.0, True
+    settings.bias_rate = 0.0
     sweeps = _lead(system, rules, contacts.trajectories.inverse_inertia, IMPACTS)
-    if not (settings.any_rests or sweeps == rules.most_sweeps):
-        return False, sweeps
-    carry_each(0, m, contacts.buffers.held, kick / first_kick, system.contacts)
-    sweeps = max(sweeps, _hold(contacts, system, (dt, kick, 0.0)))
+    if holds:
+        if not (settings.any_rests or sweeps == rules.most_sweeps):
+            return False, sweeps
+        carry_each(0, m, contacts.buffers.held, damped.last_kick / damped.held_kick, system.contacts)
+        sweeps = max(sweeps, _hold(contacts, system, (dt, damped.last_kick, 0.0)))
     if sweeps >= rules.most_sweeps:
         closing, negligible = contacts.buffers.flags, CONVERGED * settings.fastest
         closing[0] = False
@@ -277,6 +405,32 @@ def resolve_steady(
     counts, ends = contacts.buffers.counts, (system.inverse_mass, contacts.trajectories.radius)
     count_block(0, 1, system.pairs, system.contacts, system.states, *ends, counts)
     return counts[0].contacts > 0.0 and counts[0].deepest <= rules.deepest, sweeps
+
+
+@with_contacts(rotate)
+def _rotate(contacts: SteadyContacts, orientation: FloatArray, spins: FloatArray, dt: float) -> None:
+    for i in range(len(orientation)):
+        rotate_one(i, orientation, contacts.buffers.spins, dt)
+
+
+@with_contacts(conclude)
+def _conclude(contacts: SteadyContacts, totals: Totals, dt: float, step: int, time: float) -> None:
+    T, counts, torques = totals[0], contacts.buffers.counts[0], (contacts.torque, contacts.angular_acceleration)
+    turning = contacts.buffers.spins, contacts.spins, contacts.inertia
+    write_torques(0, len(contacts.torque), *turning, dt, *torques)
+    T.restitution += T.held_restitution
+    T.friction += T.held_friction
+    T.stabilisation += T.held_stabilisation
+    T.restitution += counts.restitution_loss
+    T.friction += counts.friction_loss
+    T.stabilisation += counts.stabilisation_gain
+    touching = int(counts.contacts)
+    T.contacts += touching
+    if touching > T.most:
+        T.most, T.most_step, T.most_time = touching, step, time
+    if not counts.deepest <= T.deepest:
+        T.deepest, T.deepest_step, T.deepest_time = counts.deepest, step, time
+        T.deepest_i, T.deepest_j = int(counts.deepest_i), int(counts.deepest_j)
 
 
 @inline
@@ -299,17 +453,22 @@ def _lead(system: ConstraintSystem, rules: SteadyRules, inverse_inertia: FloatAr
 
 @unowned
 def _margins(
-    x: FloatArray, radius: FloatArray, acceleration: FloatArray, field: FloatArray, dt: float
+    x: FloatArray, radius: FloatArray, acceleration: FloatArray, rules: SteadyRules, dt: float
 ) -> tuple[float, float, float]:
     """Return scale, skin and rounding in m of a step of dt s; see `NearPairs.margins`."""
+    if not rules.lasts:
+        return 1.0, 0.0, 0.0
     square, coordinate, smallest = 0.0, 0.0, np.inf
     for i in range(len(x)):
-        square = max(square, excess_square(acceleration, field, i))
+        square = max(square, excess_square(acceleration, rules.field, i))
         smallest = min(smallest, radius[i])
         for k in range(3):
             coordinate = max(coordinate, abs(x[i, k]))
+    fall = np.sqrt(square) * dt * dt
+    if fall == 0.0:  # all contacts are impacts
+        return 1.0, 0.0, 0.0
     rounding = MOST_ROUNDED * np.spacing(coordinate)
-    return 1.0 + TOUCHING, rounding + min(np.sqrt(square) * dt * dt, LARGEST_SKIN * smallest), rounding
+    return 1.0 + TOUCHING, rounding + min(fall, LARGEST_SKIN * smallest), rounding
 
 
 @inline

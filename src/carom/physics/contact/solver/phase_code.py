@@ -82,10 +82,9 @@ class PhaseCode:
         self._spins = spins
         self._ready: set[int] = set()
 
-    @property
-    def is_complete(self) -> bool:
-        """Whether the phases of all jobs are compiled."""
-        return len(self._ready) == len(PHASES)
+    def is_ready(self, jobs: Iterable[int]) -> bool:
+        """Return whether the phases of some jobs are compiled."""
+        return self._ready.issuperset(jobs)
 
     def require(self, job: int, system: ConstraintSystem) -> None:
         """Compile or load the phases of a job, unless they are ready."""

@@ -1,14 +1,13 @@
 """Many steps of few bodies in one kernel, as long as no event needs Python.
 
-A step of three bodies takes 80 ns in a kernel, but ten microseconds if Python calls a kernel for each part of it.
-`KickDriftStepper` therefore leaves the steps up to the next frame or check to this module. The same kernels choose dt,
-kick, drift and rotate, so the bits are the same as in single steps.
+A step of three bodies takes 80 ns in a kernel, but ten microseconds if Python calls a kernel for each part of it, and
+nearly two hundred with contacts. `KickDriftStepper` therefore leaves the steps up to the next frame or check to this
+kernel, in one of two forms: while nothing touches, its stages of contacts are the gaps of `open_gaps`; while the same
+contacts last, the stages of `contact.events.steady_contacts`. The same kernels as in single steps choose dt, rotate,
+kick, drift and resolve, in the same order, so the bits are the same as in single steps.
 
-Where bodies can touch, all gaps must stay larger than rounding and than a fall from rest in one step, within which
-`contact.pipeline` searches for contacts. Paths are straight, so two bodies approach each other by at most
-|v_j - v_i| dt; with drag, v is the mean velocity of the drift. All pairs and planes are tested
-again only after the bodies may have moved by half the smallest gap. A step with a possible contact is undone and left
-to `KickDriftStepper`, and so is a step too short to change the clock.
+A step that Python must process is undone and left to `KickDriftStepper`: one in which something may begin to touch,
+or in which contacts change. So is a step too short to change the clock.
 """
 
 from __future__ import annotations
@@ -19,9 +18,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 import numpy as np
 
 from carom.arrays import FloatArray, RecordArray, dtype_of
-from carom.physics.contact.geometry import height_above
 from carom.physics.contact.reactions import NO_SUPPORT
-from carom.physics.contact.solver.prepare import TOUCHING
 from carom.physics.diagnostics.run_monitor import remembered
 from carom.physics.forces.field import add
 from carom.physics.forces.gravity.direct import MAX_IN_ONE_BLOCK, sum_few
@@ -33,25 +30,37 @@ from carom.physics.integrators.kick_drift import (
     damped_step,
     kick_after_drift,
     kick_before_drift,
+    measure_hold,
     wrap_rows,
 )
+from carom.physics.jit.by_address import by_address
 from carom.physics.jit.decorators import borrowing, entry_of, inline, unowned
-from carom.physics.rotation import rotate_one
+from carom.physics.open_gaps import (
+    TOTALS,
+    UNTESTED,
+    KeptState,
+    MovedState,
+    Totals,
+    can_drift,
+    conclude,
+    copy_records,
+    find,
+    hold,
+    resolve,
+    rotate,
+    write_support,
+)
 from carom.physics.step_rule import END, FIXED, LIMIT_NAMES, LimitsRecord, RuleRecord, smooth_and_cut, target
 from carom.physics.time_step import Timestep
-from carom.physics.vector import is_periodic, minimum_image, square, write
+from carom.physics.vector import is_periodic, write
 from carom.physics.world import World
 from carom.plan.auto import integrator
 
-if TYPE_CHECKING:  # `physics.jit.cache` follows this import, too
+if TYPE_CHECKING:  # `physics.jit.cache` follows these imports, too
+    from carom.physics.contact.events.steady_contacts import SteadyContacts
     from carom.physics.forces.drag import DragLaw
 
 MOST_STEPS = 20_000  # in one call, some milliseconds: `Space.stop` and the progress line wait for its end
-NEAR = 2.0 * TOUCHING  # of the sum of radii; twice the largest gap of bodies that touch
-ROUNDING = 2.0**-46  # of the coordinates: 64 times their last digit; the search allows for four of these
-GRAIN = 2.0**-50  # of the coordinates, more than the rounding of a drift
-BOX_FRACTION = 0.25  # of the smallest side: distance that bodies may move before they are tested again
-FAR = 1e150  # m, the smallest gap where there are no pairs
 
 
 class PlanRecord(Protocol):
@@ -89,31 +98,8 @@ class FlightClock(NamedTuple):
     until: float  # s; a step that reaches it is the last
     most: int  # steps
     average: float  # s, the moving average of the step
-    impact_energy: float  # J, the energy of recent impacts
+    step: int  # number of the last step
     stops_before: bool  # whether the step that reaches `until` is left out, for a schedule that reads the state before
-
-
-class MovedState(NamedTuple):
-    """The state that the steps update."""
-
-    position: FloatArray  # (n, 3) m
-    velocity: FloatArray  # (n, 3) m/s
-    acceleration: FloatArray  # (n, 3) m/s²
-    orientation: FloatArray  # (n, 4) xyzw; no rows where nothing rotates
-    angular_velocity: FloatArray  # (n, 3) rad/s; no rows where nothing rotates
-
-
-class KeptState(NamedTuple):
-    """The constants of the steps."""
-
-    radius: FloatArray  # (n,) m
-    mass: FloatArray  # (n,) kg
-    inverse_mass: FloatArray  # (n + p,) 1/kg
-    supported: FloatArray  # empty, since no contact supports an acceleration
-    field: FloatArray  # (3,) m/s², the uniform field if it accelerates all bodies alike; otherwise zeros
-    box: FloatArray  # (3,) m, zeros in open space
-    normal: FloatArray  # (p, 3) of the planes
-    offset: FloatArray  # (p,) m
 
 
 class FlightBuffers(NamedTuple):
@@ -135,7 +121,7 @@ class Flight(NamedTuple):
     impact_energy: float  # J, the energy of recent impacts, see `Activity`, before the last step
 
 
-class FreeFlight:
+class FewBodies:
     """Takes the steps of a world in which nothing touches; `arguments` are the kernel's, except for the clock."""
 
     def __init__(self, world: World, timestep: Timestep) -> None:
@@ -151,17 +137,19 @@ class FreeFlight:
         plan["ends_with_forces"], plan["touches"] = chosen.ends_with_forces, world.contact is not None
         plan["field"] = np.sqrt((world.forces.uniform**2).sum())
         turning = bodies.orientation, bodies.angular_velocity
+        moved = MovedState(bodies.position, bodies.velocity, bodies.acceleration, *turning)
         self.arguments = (
             FlightLaws(plans, np.array(chosen.substeps), forces.uniform, timestep.rule, forces.others, forces.damping),
-            MovedState(bodies.position, bodies.velocity, bodies.acceleration, *turning),
+            moved,
             KeptState(
                 *(bodies.radius, bodies.mass, bodies.ends.inverse_mass, NO_SUPPORT, timestep.field),
                 *(world.box, planes.normal, planes.offset),
             ),
             FlightBuffers(timestep.buffer(bodies), np.empty(len(bodies)), np.empty((3, len(bodies), 3))),
         )
-        clock = FlightClock(0.0, 0.0, 0.0, 0, 0.0, 0.0, False)
-        self._fly: Callable[..., tuple[Any, ...]] = entry_of(_fly, clock, *self.arguments)
+        self._totals = np.zeros(1, TOTALS)
+        clock = FlightClock(0.0, 0.0, 0.0, 0, 0.0, 0, False)
+        self._fly: Callable[..., tuple[Any, ...]] = entry_of(take_steps, clock, *self.arguments, (), self._totals)
 
     def take(
         self,
@@ -178,10 +166,11 @@ class FreeFlight:
         Times are in s. The last step is cut to end at ``end``, but not at ``until``. With ``stops_before``, the step
         that reaches ``until`` or ``end`` is not taken. ``impact_energy`` (J) is the energy of recent impacts.
         """
-        timestep = self._timestep
-        clock = FlightClock(time, end, until, min(most, MOST_STEPS), timestep.previous, impact_energy, stops_before)
-        steps, before, time, dt, limit, timestep.previous, impact_energy = self._fly(clock, *self.arguments)
-        return Flight(steps, before, time, dt, LIMIT_NAMES[limit], impact_energy)
+        timestep, totals = self._timestep, self._totals
+        clock = FlightClock(time, end, until, min(most, MOST_STEPS), timestep.previous, 0, stops_before)
+        totals["impact_energy"] = impact_energy
+        steps, before, time, dt, limit, timestep.previous = self._fly(clock, *self.arguments, (), totals)
+        return Flight(steps, before, time, dt, LIMIT_NAMES[limit], float(totals["impact_energy"][0]))
 
 
 def can_fly(world: World) -> bool:
@@ -196,63 +185,80 @@ def can_fly(world: World) -> bool:
 
 
 @borrowing
-def _fly(
-    clock: FlightClock, laws: FlightLaws, moved: MovedState, kept: KeptState, buffers: FlightBuffers
-) -> tuple[int, float, float, float, int, float, float]:
-    """Take steps; return their number, the times before and after the last, its length and limit, and the averages."""
-    time, end, until, most, average, impact_energy, stops_before = clock
+def take_steps(
+    clock: FlightClock,
+    laws: FlightLaws,
+    moved: MovedState,
+    kept: KeptState,
+    buffers: FlightBuffers,
+    contacts: SteadyContacts | tuple[()],
+    totals: Totals,
+) -> tuple[int, float, float, float, int, float]:
+    """Take steps; return their number, the times before and after the last, its length and limit, and the average.
+
+    ``contacts`` are those of all steps; with an empty tuple, nothing touches.
+    """
+    contacts = by_address(contacts)
+    time, end, until, most, average, number, stops_before = clock
     substeps, box, saved = laws.substeps, kept.box, buffers.saved
     position, velocity, acceleration, orientation, angular_velocity = moved
-    P, n, last = laws.plan[0], len(position), len(substeps) - 1
+    P, T, n, last = laws.plan[0], totals[0], len(position), len(substeps) - 1
     kicked = KickedBodies(position, velocity, acceleration, kept.mass, kept.inverse_mass)
     before, dt, limit, steps = time, P.fixed_dt, FIXED, 0
-    slack, gone, grain = 0.0, 0.0, 0.0  # m: the smallest gap at the last test, and how far bodies may have moved since
+    energy, holds, room = T.impact_energy, T.last_kick > 0.0, UNTESTED
     while steps < most and limit != END and (time < until or steps == 0):
-        length, why, following = choose_step(laws, moved, kept, buffers, average, end - time)
+        write_support(contacts, totals)
+        length, why, following = _choose_step(laws, moved, kept, buffers, average, end - time)
         after = end if why == END else time + length
         if not after > time or (stops_before and (why == END or after >= until)):
             break
         if P.touches:
-            copy_state(position, velocity, acceleration, saved[0], saved[1], saved[2])
-        is_free = True
+            _copy_state(position, velocity, acceleration, saved[0], saved[1], saved[2])
+            copy_records(contacts, False)
+        is_done = True
         for s in range(len(substeps)):
             first_kick, drift, last_kick = substeps[s, 0] * length, substeps[s, 1] * length, substeps[s, 2] * length
             damped = damped_step(laws.damping, length, first_kick, last_kick)
-            strength = damped.path.strength
             if P.accelerates and first_kick != 0.0:
-                kick_before_drift(laws.damping, kicked, damped, False)
+                kick_before_drift(laws.damping, kicked, damped, holds)
             if P.touches:
-                fastest, largest = _fastest(velocity, acceleration)
-                skin = (largest + P.field) * strength * length * length
-                if not 2.0 * (gone + fastest * abs(drift) + grain) + skin < slack:
-                    slack, grain = _smallest_gap(position, velocity, kept, abs(drift), skin)
-                    gone = 0.0
-                    is_free = slack > 0.0
-                    if not is_free:
-                        break
-                gone += fastest * abs(drift) + grain
+                is_done = hold(contacts, totals, damped)
+                if holds:
+                    measure_hold(laws.damping, kicked, damped)
+                if is_done:
+                    is_done, room = can_drift(contacts, totals, damped, moved, kept, P.field, drift, room)
+                if not is_done:
+                    break
             advance(0, n, position, velocity, drift)
+            is_done = find(contacts, totals, length)
+            if not is_done:
+                break
             if is_periodic(box):
                 wrap_rows(0, n, position, box)
             if P.accelerates and (s < last or P.ends_with_forces):
-                sum_accelerations(laws, moved, kept, buffers)
+                _sum_accelerations(laws, moved, kept, buffers)
             if P.accelerates and last_kick != 0.0:
                 kick_after_drift(laws.damping, kicked, damped)
-                book_exchange(laws.damping)
-        if not is_free:
-            copy_state(saved[0], saved[1], saved[2], position, velocity, acceleration)
+            is_done = resolve(contacts, totals, damped)
+            if not is_done:
+                break
+            book_exchange(laws.damping)
+        if not is_done:
+            _copy_state(saved[0], saved[1], saved[2], position, velocity, acceleration)
+            copy_records(contacts, True)
             break
-        for i in range(len(orientation)):
-            rotate_one(i, orientation, angular_velocity, length)
-        if steps > 0:
-            impact_energy = remembered(impact_energy, 0.0)
+        rotate(contacts, orientation, angular_velocity, length)
         before, time, dt, limit, average = time, after, length, why, following
+        if steps > 0:
+            energy = remembered(energy, 0.0)
         steps += 1
-    return steps, before, time, dt, limit, average, impact_energy
+        conclude(contacts, totals, length, number + steps, time)
+    T.impact_energy = energy
+    return steps, before, time, dt, limit, average
 
 
 @inline
-def choose_step(
+def _choose_step(
     laws: FlightLaws, moved: MovedState, kept: KeptState, buffers: FlightBuffers, average: float, remaining: float
 ) -> tuple[float, int, float]:
     """Choose a step, given the time left; return its length, its limit, and the new average. All times in s."""
@@ -267,7 +273,7 @@ def choose_step(
 
 
 @inline
-def sum_accelerations(laws: FlightLaws, moved: MovedState, kept: KeptState, buffers: FlightBuffers) -> None:
+def _sum_accelerations(laws: FlightLaws, moved: MovedState, kept: KeptState, buffers: FlightBuffers) -> None:
     """Write the accelerations at the present positions."""
     P, acceleration, n = laws.plan[0], moved.acceleration, len(moved.position)
     if P.attracts:
@@ -284,60 +290,10 @@ def sum_accelerations(laws: FlightLaws, moved: MovedState, kept: KeptState, buff
 
 
 @unowned
-def copy_state(
+def _copy_state(
     x: FloatArray, v: FloatArray, a: FloatArray, to_x: FloatArray, to_v: FloatArray, to_a: FloatArray
 ) -> None:
     """Copy positions, velocities and accelerations, (n, 3) each."""
     for i in range(len(x)):
         for k in range(3):
             to_x[i, k], to_v[i, k], to_a[i, k] = x[i, k], v[i, k], a[i, k]
-
-
-@unowned
-def _fastest(velocity: FloatArray, acceleration: FloatArray) -> tuple[float, float]:
-    """Return the largest speed (m/s) and acceleration (m/s²); NaN if any is not finite."""
-    v2_max, a2_max, rest = 0.0, 0.0, 0.0
-    for i in range(len(velocity)):
-        v2, a2 = square(velocity, i), square(acceleration, i)
-        v2_max, a2_max = max(v2_max, v2), max(a2_max, a2)
-        rest += (v2 - v2) + (a2 - a2)  # 0 or NaN
-    return np.sqrt(v2_max) + rest, np.sqrt(a2_max)
-
-
-@unowned
-def _smallest_gap(x: FloatArray, v: FloatArray, kept: KeptState, dt: float, skin: float) -> tuple[float, float]:
-    """Return the smallest gap (m), 0 if one may close to the skin in a drift of dt s, and the rounding of a drift."""
-    radius, inverse_mass, box, normal, offset = kept.radius, kept.inverse_mass, kept.box, kept.normal, kept.offset
-    size = 0.0  # m, of the coordinates
-    for i in range(len(x)):
-        size = max(size, radius[i], abs(x[i, 0]), abs(x[i, 1]), abs(x[i, 2]))
-    for p in range(len(offset)):
-        size = max(size, abs(offset[p]))
-    smallest = BOX_FRACTION * min(box[0], box[1], box[2]) if is_periodic(box) else FAR
-    for i in range(len(x)):
-        for j in range(i + 1, len(x)):
-            if inverse_mass[i] == 0.0 and inverse_mass[j] == 0.0:
-                continue
-            d2, u2 = 0.0, 0.0
-            for k in range(3):
-                d, u = x[j, k] - x[i, k], v[j, k] - v[i, k]
-                if box[k] > 0.0:
-                    d = minimum_image(d, box[k])
-                d2 += d * d
-                u2 += u * u
-            gap = np.sqrt(d2) - (radius[i] + radius[j]) * (1.0 + NEAR) - ROUNDING * size
-            if not gap > np.sqrt(u2) * dt + skin:
-                return 0.0, 0.0
-            smallest = min(smallest, gap)
-        for p in range(len(offset)):
-            if inverse_mass[i] == 0.0:
-                continue
-            rise = 0.0
-            for k in range(3):
-                rise += normal[p, k] * v[i, k]
-            height = height_above(normal, offset, p, x[i, 0], x[i, 1], x[i, 2])
-            gap = height - radius[i] * (1.0 + NEAR) - ROUNDING * size
-            if not gap > abs(rise) * dt + skin:
-                return 0.0, 0.0
-            smallest = min(smallest, gap)
-    return smallest, GRAIN * (size + smallest)
