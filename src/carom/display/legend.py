@@ -283,7 +283,8 @@ def legend(
     if field is not None and np.any(field):
         size = header.units.text(float(np.linalg.norm(field)), dimension.ACCELERATION, ".4g")
         lines.append(LegendLine(f"→ gravity, {size}", palette.FIELD))
-    lines += [LegendLine(text, palette.GREY, (BODIES,)) for text in motion_texts(header) if drawable(text)]
+    ink = palette.INKS[theme]
+    lines += [LegendLine(text, ink, (BODIES,)) for text in motion_texts(header) if drawable(text)]
     if viewer_time:
         lines.append(LegendLine(f"time: {viewer_time}", palette.GREY))
     return Legend(lines, theme)

@@ -18,6 +18,7 @@ from carom.display.body_colours import body_colours, change_with_time, redrawn_f
 from carom.display.legend import LegendContents, MovieClock, drawn_during, impact_marks, legend
 from carom.display.letters import drawable
 from carom.display.margins import margins
+from carom.display.motion_marks import motion_marks
 from carom.display.picture import headless, stable_picture, window_of
 from carom.display.presentation import asked, uniform_field
 from carom.display.request import Request
@@ -298,6 +299,7 @@ def _layout(
     parts = (laid_out, staging.camera, canvas, view, added, words, field, some, radius)
     placed = margins(*parts, poses=lambda eye: staging.poses(eye, positions), times=np.array(times))
     statics = [*bands, *styles, *staging.statics(), *arrow_styles(header, theme), *placed.statics]
+    statics += motion_marks(header, recording.origin, placed.view, placed.area, float(times[0]))
     layout = blueprint(header, staging.camera, curves, canvas, view, placed.added)
     drawn = [
         *strip,

@@ -13,6 +13,7 @@ from carom.display.close_up import close_up
 from carom.display.legend import LegendContents, MovieClock, drawn_at, drawn_during, impact_marks, legend
 from carom.display.letters import drawable
 from carom.display.margins import margins
+from carom.display.motion_marks import motion_marks
 from carom.display.request import (
     Request,
     ShownStep,
@@ -245,6 +246,7 @@ def presentation(
     visible, radius = np.concatenate([paused.position, past]), np.pad(header.radius, (0, len(past)))
     placed = margins(laid_out, staging.camera, canvas, only, added, words, field, visible, radius)
     statics += placed.statics
+    statics += motion_marks(header, recording.origin, placed.view, placed.area, paused.time)
     statics += arrow_styles(header, canvas.theme)
     impulses, strip, bands = impact_strip(recording)
     curves |= impulses

@@ -30,6 +30,7 @@ _THICKNESS = {  # of arrows, in median body radii; of two parallel ones, the sho
 }
 _EDGE_POINTS = 2.5  # width of a contact's line in points of the screen
 _TRANSLUCENT = 0x8A93A638  # walls in front of bodies
+_POINT = 1e-9  # of the extent of a wall; a shorter border is a point, such as a pole
 _SECTORS, _SHADE = 16, 0x505050FF  # sectors and colour of their shade, on walls that rotate
 _PLANE_REACH = 1.5  # half-width of a plane's grid, in units of `reach`
 _MESH_RINGS = 8  # from pole to pole; enough for one sphere among thousands to look round
@@ -115,6 +116,24 @@ def _surroundings(header: Header, origin: FloatArray, reach: float) -> Iterable[
             albedo_factor=_TRANSLUCENT,
         )
         yield paths.SHAPES, together
+        rims = [_rims(mesh) - origin for mesh in meshes]
+        entities = [f"{paths.MOVING}/wall-{k}" for k in range(len(rims))] if header.drives else []
+        for path, lines in ((paths.SHAPES, np.concatenate(rims)), *zip(entities, rims, strict=False)):
+            if len(lines):
+                yield path, rr.LineStrips3D(single(lines), colors=palette.GREY, radii=rr.Radius.ui_points(1.0))
+
+
+def _rims(mesh: Mesh) -> FloatArray:
+    """Return the lines (k, 2, 3) m at the borders of a surface, which make a cup out of a translucent sheet."""
+    a, b, c = mesh.triangles.T
+    edges, triangles = np.unique(
+        np.sort(np.concatenate([np.stack(ends, axis=1) for ends in ((a, b), (b, c), (c, a))]), axis=1),
+        axis=0,
+        return_counts=True,
+    )
+    ends = mesh.corners[edges[triangles == 1]]
+    lengths = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
+    return np.asarray(ends[lengths > _POINT * float(np.ptp(mesh.corners, axis=0).max())])
 
 
 def _wall(path: str, header: Header, mesh: Mesh, origin: FloatArray) -> Static:
