@@ -29,7 +29,8 @@ from signals_everywhere import COMMANDS, SCENE
 Attempt = dict[str, Any]
 CAROM = (sys.executable, "-m", "carom")
 LATEST = 8.0  # s after the start of a command on a busy machine, by which it is killed
-GROWTH = 64_000_000  # bytes by which a soak may grow in its second half: the footer, of 1 kB a message, and its frames
+WARM = 20.0  # s, at most half of a soak, in which a run loads its kernels and fills its buffers
+GROWTH = 64_000_000  # bytes by which it may grow from then on: the footer, of 1 kB a message, and its frames
 MANY = "[[group]]\ncount = 200000\nradius = 0.01\nvelocity = {{ dispersion = 0.1 }}\n[gravity]\nconstant = 0.0\n"
 MANY += '[contact]\nenabled = false\n[time]\nfixed_dt = 0.01\nduration = {}\n[record]\nevery = "step"\n'
 BYTES_PER_FRAME = 2_500_000  # at least, of these bodies
@@ -128,17 +129,17 @@ def kills(rng: random.Random, folder: Path, amount: int) -> Iterator[Attempt]:
 def soak(rng: random.Random, folder: Path, amount: int) -> Iterator[Attempt]:
     """Let a run record every step for so many seconds; its memory must not grow by more than `GROWTH`."""
     command = "run two-spheres -o made.rrd --set time.duration=1e9 --set time.fixed_dt=0.001 --set record.every=0.01"
-    sizes, began = list[int](), time.monotonic()
+    sizes, began, every = list[int](), time.monotonic(), min(1.0, amount / 50)
     with subprocess.Popen(
         [*CAROM, *shlex.split(command)], cwd=folder, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
     ) as child:
         while time.monotonic() - began < amount and child.poll() is None:
-            time.sleep(min(1.0, amount / 50))
+            time.sleep(every)
             pages = Path(f"/proc/{child.pid}/statm").read_text(encoding="ascii").split()[1]
             sizes.append(int(pages) * os.sysconf("SC_PAGE_SIZE"))
         child.send_signal(signal.SIGINT)
         _, said = child.communicate()
-    early, late = max(sizes[: len(sizes) // 2]), max(sizes)
+    early, late = max(sizes[: 1 + int(min(WARM, amount / 2) / every)]), max(sizes)
     faults = [] if late - early <= GROWTH else [f"{late - early} bytes more"]
     if not Recording.open(folder / "made.rrd").finished:
         faults.append(f"no footer: {said[-300:]}")

@@ -141,7 +141,10 @@ def _granular(recording: Recording) -> dict[str, float]:
         late_means = registry.imported("carom.lab.statistics.late_means:late_means")
     except ExtensionError:  # a part that can be removed
         return {}
-    return {key: finite(value) for key, value in late_means(recording).items()}
+    try:
+        return {key: finite(value) for key, value in late_means(recording).items()}
+    except RecordingError:  # the states of a run that failed may not be finite
+        return {}
 
 
 def _failure(outcome: str, reason: str) -> Report:
