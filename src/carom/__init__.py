@@ -17,7 +17,6 @@ import sys
 from typing import TYPE_CHECKING, Any
 
 from carom.held_signals import signals_held
-from carom.state.frame import Frame as Frame
 
 if TYPE_CHECKING:
     from carom import errors as errors
@@ -32,9 +31,9 @@ if TYPE_CHECKING:
     from carom.runs.run import run as run
     from carom.runs.window import rerun as rerun
     from carom.scene.load import Scene as Scene
+    from carom.state.frame import Frame as Frame
 
     __version__: str
-
 
 __all__ = ["Frame", "Recording", "Scene", "Space", "__version__", "errors", "record"]
 __all__ += ["fields", "replay", "rerun", "resume", "run", "show", "view"]

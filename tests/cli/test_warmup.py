@@ -12,6 +12,7 @@ from carom.runs.warmup import warm_up
 from carom.scene.load import Scene
 
 
+@pytest.mark.nightly
 @pytest.mark.slow  # it compiles the kernels of a wall that bodies move
 def test_a_scene_given_to_a_warmup_has_nothing_left_to_compile(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("carom.runs.warmup.SCENES", {})  # only what the scene itself needs

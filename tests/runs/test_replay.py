@@ -43,11 +43,11 @@ REPLAYED = {
     "two-spheres": 0.5,
 }
 QUICK = ("figure-eight", "two-spheres")
+MARKS = {name: [] if name in QUICK else [pytest.mark.slow] for name in REPLAYED}
+MARKS["drum"].append(pytest.mark.nightly)  # a minute
 
 
-@pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=[] if name in QUICK else [pytest.mark.slow]) for name in REPLAYED]
-)
+@pytest.mark.parametrize("name", [pytest.param(name, marks=MARKS[name]) for name in REPLAYED])
 def test_a_bundled_scene_replays_with_the_same_bits_on_any_number_of_threads(name: str, tmp_path: Path) -> None:
     scene = Scene.load(name)
     scene = Scene.load(name, [f"time.duration={REPLAYED[name] * scene.time.duration}"])

@@ -15,7 +15,7 @@ from carom.terminal.console import LINE_EVERY, LiveLine, bar
 
 # Numbers of kernels that `kernels_ready` counts at the end of the bundled scenes; `test_compilation_progress.py`
 # compares the numbers.
-POINTS = 15  # without contacts: figure-eight
+POINTS = 11  # without contacts: figure-eight
 IMPACTS = 117  # two-spheres
 FORCES = 145  # forces press contacts together: heap
 LEAST = 5  # kernels, after which their rate is a rate
