@@ -43,6 +43,7 @@ def test_the_arc_of_a_drum_turns_in_its_sense_at_the_end_nearer_to_the_eye(sense
     assert np.hypot(place[0], place[2]) > 2.0, "outside of the wall"
 
 
+@pytest.mark.slow  # it compiles kernels that no cheaper test needs
 def test_a_shaken_floor_has_arrows_both_ways_on_it_and_inside_the_picture() -> None:
     floor = {"plane": [{"point": [0, 0, 0.2], "motion": {"amplitude": [0, 0, 0.1], "frequency": 3.0}}]}
     origins, vectors = marks(floor, origin=np.array([0.0, 0.0, 0.5]))

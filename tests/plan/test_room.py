@@ -37,6 +37,7 @@ def test_a_thousand_million_bodies_are_refused_at_once_by_whatever_places_them(u
     assert time.process_time() - began < 1.0
 
 
+@pytest.mark.slow  # a process of its own for each answer
 def test_explain_refuses_what_run_refuses_and_takes_no_memory_for_it(tmp_path: Path) -> None:
     (tmp_path / "scene.toml").write_text("[[group]]\ncount = 1000000000\nradius = 0.5\n", encoding="utf-8")
     ends = []

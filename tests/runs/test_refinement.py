@@ -137,6 +137,7 @@ def test_what_sweeps_leave_to_a_heavy_ball_on_a_light_one_is_no_fault() -> None:
     assert result.same
 
 
+@pytest.mark.slow  # it compiles kernels that no cheaper test needs
 def test_a_ball_whose_rolling_turns_or_ends_within_a_step_is_no_fault() -> None:
     """The torque that resists rolling lags behind the axis that turns, an error of first order."""
     for speed, turn in ((0.3, 0.0), (0.3, -9.0)):
