@@ -21,7 +21,8 @@ from pathlib import Path
 from typing import Any
 
 from carom import registry
-from carom.lab.tradeoff.tradeoff_figure import COLOURS, LEAST, styled
+from carom.lab.figure_style import styled
+from carom.lab.tradeoff.tradeoff_figure import COLOURS, LEAST
 
 ROOT = Path(__file__).parent.parent
 FOLDER = ROOT / "recordings" / "front"

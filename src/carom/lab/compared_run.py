@@ -12,7 +12,7 @@ import hashlib
 import json
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any, Self
@@ -126,6 +126,39 @@ class Trajectory:
     # only in exact references: both ends of every impact, (k, 2), and its time, (k,) s
     struck: IntArray = field(default_factory=lambda: np.empty((0, 2), np.int64))
     struck_at: FloatArray = field(default_factory=lambda: np.empty(0))
+
+    @classmethod
+    def exact(
+        cls,
+        time: FloatArray,
+        position: FloatArray,
+        velocity: FloatArray,
+        met: Mapping[tuple[int, int], float],
+        impacts: int,
+        **struck: Any,
+    ) -> Trajectory:
+        """Return the trajectory of an exact reference: without steps, overlaps and measured errors.
+
+        ``met`` is the time (s) of the first contact of each pair, ``position`` and ``velocity`` are (K, n, 3), and
+        ``struck`` may have ``struck`` and ``struck_at``.
+        """
+        return cls(
+            time=time[: len(position)],
+            position=position,
+            velocity=velocity,
+            pair=np.array(list(met), dtype=np.int64).reshape(-1, 2),
+            met=np.array(list(met.values())),
+            energy_error=np.nan,
+            energy_gain=np.nan,
+            momentum_error=np.nan,
+            angular_momentum_error=np.nan,
+            overlap=0.0,
+            sinking=0.0,
+            impacts=impacts,
+            steps=0,
+            frames=0,
+            **struck,
+        )
 
     def __len__(self) -> int:
         return len(self.time)

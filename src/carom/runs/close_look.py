@@ -23,7 +23,7 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from carom.arrays import BoolArray, FloatArray, IntArray, Records
+from carom.arrays import FloatArray, IntArray, Records
 from carom.contact_table import IMPACT_MODE, NO_ROWS
 from carom.physics.schedule import every
 from carom.physics.space import Space
@@ -57,7 +57,7 @@ class RunInterval:
     pressed: dict[Pair, float]  # N s, the largest impulse in a step of each contact that was no impact
     changed: set[int]  # bodies with an impact, or with a contact that began, ended or changed its mode
     loads: dict[int, list[Load]]  # by body
-    depth: dict[int, float]  # m, the deepest overlap of each body, which corrections may end sooner or later
+    depth: FloatArray  # (n,) m, the deepest overlap of each body, which corrections may end sooner or later
     friction: float  # the largest ratio of a tangential to a normal impulse
 
     @property
@@ -116,7 +116,7 @@ class CloseLook:
                 changes=any(bodies & each.changed for each in both),
                 loads=[load for each in both for body in bodies for load in each.loads.get(body, [])],
                 last_impact=max(hit, default=-math.inf),
-                depth=max((each.depth.get(body, 0.0) for each in both for body in bodies), default=0.0),
+                depth=max(float(each.depth[body]) for each in both for body in bodies),
                 friction=max(each.friction for each in both),
             )
         return self._known[label]
@@ -150,7 +150,7 @@ class CloseLook:
             if ends in bounced or not touching.bodies & set(ends) or self.run.pressed.get(ends, 0.0) <= 0.0:
                 continue
             approach = float(row["approach_speed"])
-            if 0.5 * self._reduced_mass(ends) * approach * approach <= SHARED * energy:
+            if 0.5 * _reduced_mass(ends, self.start) * approach * approach <= SHARED * energy:
                 continue  # no more than what contacts may share otherwise
             normal = np.array([row["nx"], row["ny"], row["nz"]])
             returned = 0.0  # m/s, by loads along the normal and by friction, in a step
@@ -162,10 +162,15 @@ class CloseLook:
                 return True
         return False
 
-    def _reduced_mass(self, ends: Pair) -> float:
-        """Return the reduced mass (kg) of a pair; planes, walls and fixed bodies are immovable."""
-        n, start = len(self.start.mass), self.start
-        return 1.0 / sum(1.0 / float(start.mass[end]) for end in ends if end < n and not start.fixed[end])
+
+def _reduced_mass(ends: Pair, start: InitialBodies) -> float:
+    """Return the reduced mass (kg) of a pair; planes, walls and fixed bodies are immovable."""
+    return 1.0 / sum(1.0 / float(start.mass[end]) for end in _movable(ends, start))
+
+
+def _movable(ends: Pair, start: InitialBodies) -> list[int]:
+    """Return the ends of a contact that are neither planes, walls nor fixed bodies."""
+    return [end for end in ends if end < len(start.mass) and not start.fixed[end]]
 
 
 def _beyond(vector: FloatArray, loads: list[Load], share: float) -> float:
@@ -191,7 +196,7 @@ def look_closely(space: Space, frame: Frame, begin: float, end: float, dt: float
     impacts, friction, first = [NO_ROWS], 0.0, space.step
     changed: set[int] = set()
     pressed: dict[Pair, float] = {}
-    depth: dict[int, float] = {}
+    depth = np.zeros(n)
     rolls: dict[Pair, FloatArray] = {}  # m, the angular impulse over the normal one, against rolling and twisting
     held: dict[Pair, tuple[float, FloatArray]] = {}  # N s, and the normal of contacts that last
     lasting: dict[Pair, list[float]] = {}  # N s, impulses of the last steps
@@ -200,25 +205,23 @@ def look_closely(space: Space, frame: Frame, begin: float, end: float, dt: float
         if one.step == first:  # a state that is restored has no table
             continue
         inside = one.time > begin
+        counts = inside and one.time <= end + dt
         if one.impacts is not None and inside:
             impacts.append(one.impacts[one.impacts["time"] <= end])
         rows = NO_ROWS if one.contact_rows is None else one.contact_rows
-        for row in rows if inside else NO_ROWS:
-            bodies = [body for body in (int(row["i"]), int(row["j"])) if body < n]
-            overlap = float(sum(start.radius[body] for body in bodies) - row["arm_i"] - row["arm_j"])
-            for body in bodies:
-                depth[body] = max(depth.get(body, 0.0), overlap)
+        if inside:
+            _deepen(depth, rows, start.radius)
         rows = rows[(rows["mode"] != IMPACT_MODE) & (rows["normal_impulse"] > 0.0)]
         seen = set(zip(rows["i"].tolist(), rows["j"].tolist(), rows["mode"].tolist(), strict=True))
-        if one.step > first + 1 and inside and one.time <= end + dt:
+        if one.step > first + 1 and counts:
             changed |= {body for i, j, _ in modes ^ seen for body in (i, j)}
         modes, before, rolled, lasting, rolls = seen, lasting, rolls, {}, {}
         for row in rows:
             ends, impulse = (int(row["i"]), int(row["j"])), float(row["normal_impulse"])
             rolls[ends] = np.array([row["angular_x"], row["angular_y"], row["angular_z"]]) / impulse
-            if ends in rolled and inside and one.time <= end + dt and _turned(rolled[ends], rolls[ends]):
+            if counts and ends in rolled and _turned(rolled[ends], rolls[ends]):
                 changed |= set(ends)
-            if inside and one.time <= end + dt:
+            if counts:
                 pressed[ends] = max(pressed.get(ends, 0.0), impulse)
             lasting[ends] = [*before.get(ends, []), impulse][-LASTS:]
             least = min(lasting[ends]) if len(lasting[ends]) == LASTS else 0.0
@@ -235,30 +238,39 @@ def look_closely(space: Space, frame: Frame, begin: float, end: float, dt: float
     found = np.concatenate(impacts)
     loads: dict[int, list[Load]] = {body: [load] for body, load in pulled.items()}
     for ends, (impulse, normal) in held.items():
-        for body in ends:
-            if body < n and free[body]:
-                loads.setdefault(body, []).append(Load(normal, impulse / float(mass[body]), rubs=True))
+        for body in _movable(ends, start):
+            loads.setdefault(body, []).append(Load(normal, impulse / float(mass[body]), rubs=True))
     for row in found:
-        _load_of_impact(row, loads, mass, free)
+        _load_of_impact(row, loads, start)
     changed |= set(found["i"].tolist()) | set(found["j"].tolist())
     return RunInterval(found, pressed, changed, loads, depth, max(friction, _largest_friction(found)))
 
 
-def _load_of_impact(row: np.void, loads: dict[int, list[Load]], mass: FloatArray, free: BoolArray) -> None:
+def _load_of_impact(row: np.void, loads: dict[int, list[Load]], start: InitialBodies) -> None:
     """Add what an impact makes of the support of its bodies, to the loads of both.
 
     The closing speed of a body that rests on something contains half of the impulse of its support in a step, along the
     normal of the impact (docs/physics.md, section 9).
     """
-    ends = [end for end in (int(row["i"]), int(row["j"])) if end < len(mass) and free[end]]
+    ends = int(row["i"]), int(row["j"])
     normal = np.array([row["nx"], row["ny"], row["nz"]])
     support = 0.5 * sum(
         load.speed * abs(float(load.direction @ normal)) for end in ends for load in loads.get(end, []) if load.rubs
     )
     if support > 0.0:
-        reduced = 1.0 / sum(1.0 / float(mass[end]) for end in ends)
-        for end in ends:
-            loads.setdefault(end, []).append(Load(normal, support * reduced / float(mass[end]), rubs=True))
+        reduced = _reduced_mass(ends, start)
+        for end in _movable(ends, start):
+            loads.setdefault(end, []).append(Load(normal, support * reduced / float(start.mass[end]), rubs=True))
+
+
+def _deepen(depth: FloatArray, rows: Records, radius: FloatArray) -> None:
+    """Raise the depths (n,) m of bodies to those of their overlaps in the rows of contacts."""
+    reach = np.append(radius, 0.0)  # the arm of a plane or wall is 0
+    ends = np.minimum(np.stack((rows["i"], rows["j"])), len(radius))
+    overlap = reach[ends].sum(axis=0) - rows["arm_i"] - rows["arm_j"]
+    for end in ends:
+        moves = end < len(radius)
+        np.maximum.at(depth, end[moves], overlap[moves])
 
 
 def _turned(before: FloatArray, now: FloatArray) -> bool:

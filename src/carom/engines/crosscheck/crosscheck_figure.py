@@ -11,9 +11,10 @@ import numpy as np
 from carom.engines.crosscheck.crosscheck import Crosscheck
 from carom.engines.crosscheck.parting import PARTED
 from carom.errors import ExperimentError
+from carom.lab.figure_style import FAINT, styled
 from carom.lab.tradeoff.reference import Reference
 from carom.lab.tradeoff.settings_grid import SettingResult
-from carom.lab.tradeoff.tradeoff_figure import FAINT, LEAST, styled
+from carom.lab.tradeoff.tradeoff_figure import LEAST
 from carom.recording.write.whole_file import whole_file
 from carom.scene.units.dimension import TIME
 

@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from carom.arrays import FloatArray
-from carom.errors import needing
 from carom.lab.fields.field_arrays import Fields
+from carom.lab.figure_style import FAINT, TEXT_IN_SVG, sheet, styled
 from carom.scene.units.dimension import ENERGY, LENGTH, PRESSURE, TIME, VELOCITY, Dimension
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-INK, FAINT = "#1b2a3a", "#8a94a0"
+COLUMNS = 3
 PANEL = 3.3  # inches, the longer side of a panel
 FLAT = 4  # cells along x and y for each along z, from which on a grid is drawn from above
 MOST_ARROWS = 14  # along a side
@@ -38,27 +38,18 @@ def draw(fields: Fields, path: Path) -> None:
     stresses are means over the depth; velocity, temperature and coordination are weighted with mass and number. Raises
     ExperimentError if matplotlib is not installed.
     """
-    with needing("plot", "a picture of fields", "matplotlib"):
-        import matplotlib as mpl  # noqa: PLC0415 - an extra
-        from matplotlib.figure import Figure  # noqa: PLC0415
+    style = styled(8, "a picture of fields", **TEXT_IN_SVG)
     x, y, z = fields.shape
     depth = 2 if FLAT * z <= min(x, y) else int(x >= y)
     across, up = (axis for axis in range(3) if axis != depth)
     panels = [panel for panel in _panels(fields, depth, across, up) if np.isfinite(panel.values).any()]
     width, height = (fields.shape[axis] * fields.cell[axis] for axis in (across, up))
     longer = max(width, height)
-    columns = 3
-    rows = -(-len(panels) // columns)
     size = PANEL * max(width / longer, 0.45) + 1.2, PANEL * max(height / longer, 0.3) + 0.9
-    colours = {"axes.edgecolor": FAINT, "text.color": INK, "axes.labelcolor": INK}
-    style: Any = {"font.size": 8, "svg.fonttype": "none"} | colours
-    with mpl.rc_context(style):
-        figure = Figure(figsize=(size[0] * columns, size[1] * rows + 0.4), layout="constrained", dpi=150)
-        places = figure.subplots(rows, columns, squeeze=False).ravel()
-        for axes, panel in zip(places, panels, strict=False):
+    with style:
+        figure, places = sheet(len(panels), COLUMNS, size)
+        for axes, panel in zip(places, panels, strict=True):
             _show(axes, panel, fields, across, up)
-        for axes in places[len(panels) :]:
-            axes.set_visible(False)
         span = fields.units.span(fields.start, fields.end, TIME)
         figure.suptitle(f"{fields.title}, mean of {span} and over {'xyz'[depth]}", fontsize=10)
         figure.savefig(path, format=path.suffix[1:])

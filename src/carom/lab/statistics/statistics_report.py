@@ -10,7 +10,8 @@ import numpy as np
 import pyarrow as pa
 from rich.table import Table
 
-from carom.errors import RecordingError, needing
+from carom.errors import RecordingError
+from carom.lab.figure_style import FAINT, TEXT_IN_SVG, sheet, styled
 from carom.lab.statistics import Histogram, Interval, MeasuredValue, Statistic, Watcher
 from carom.lab.statistics.motion_statistics import (
     measure_free_paths,
@@ -42,7 +43,7 @@ MOST_ROWS = 12  # in a printed table
 COLUMNS = 3
 FEWEST_BINS = 3  # in a panel; a histogram with fewer bins shows no shape
 PANEL = 3.5, 2.7  # inches
-INK, FAINT, MEASURED, THEORY = "#1b2a3a", "#8a94a0", "#0072b2", "#d55e00"
+MEASURED, THEORY = "#0072b2", "#d55e00"
 
 
 class Statistics(NamedTuple):
@@ -163,25 +164,16 @@ def draw(statistics: Statistics, path: Path) -> None:
 
     Raises RecordingError if there is no histogram, ExperimentError if matplotlib is not installed.
     """
-    with needing("plot", "a figure", "matplotlib"):
-        import matplotlib as mpl  # noqa: PLC0415 - an extra
-        from matplotlib.figure import Figure  # noqa: PLC0415
+    style = styled(8, **TEXT_IN_SVG)
     known = [histogram for kind in statistics.kinds.values() for histogram in kind.histograms.values()]
     histograms = [histogram for histogram in known if len(histogram.values) >= FEWEST_BINS]
     if not histograms:
         raise RecordingError("there are too few impacts and contacts for a figure")
     interval = statistics.interval
-    columns = min(COLUMNS, len(histograms))
-    rows = -(-len(histograms) // columns)
-    colours = {"axes.edgecolor": FAINT, "text.color": INK, "axes.labelcolor": INK}
-    style: Any = {"font.size": 8, "svg.fonttype": "none"} | colours
-    with mpl.rc_context(style):
-        figure = Figure(figsize=(PANEL[0] * columns, PANEL[1] * rows + 0.4), layout="constrained", dpi=150)
-        panels = figure.subplots(rows, columns, squeeze=False).ravel()
-        for axes, histogram in zip(panels, histograms, strict=False):
+    with style:
+        figure, panels = sheet(len(histograms), min(COLUMNS, len(histograms)), PANEL)
+        for axes, histogram in zip(panels, histograms, strict=True):
             _panel(axes, histogram, statistics.units)
-        for axes in panels[len(histograms) :]:
-            axes.set_visible(False)
         figure.suptitle(f"{interval.recording.title}, {interval.text}", fontsize=10)
         with whole_file(path) as part:
             figure.savefig(part)

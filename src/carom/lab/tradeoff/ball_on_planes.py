@@ -161,22 +161,9 @@ class _Ball:
             else:
                 self._follow(_Path(self.x, self.v, self._acceleration(), self.rate), end)
         position, velocity = (np.array([sample[k] for sample in self.samples]).reshape(-1, 1, 3) for k in (0, 1))
-        trajectory = Trajectory(
-            time=self.times[: len(position)],
-            position=position,
-            velocity=velocity,
-            pair=np.array([(0, 1 + k) for k in self.met], dtype=np.int64).reshape(-1, 2),
-            met=np.array(list(self.met.values())),
-            energy_error=np.nan,
-            energy_gain=np.nan,
-            momentum_error=np.nan,
-            angular_momentum_error=np.nan,
-            overlap=0.0,
-            sinking=0.0,
-            impacts=0 if self.settles else self.impacts,  # infinitely many are not compared
-            steps=0,
-            frames=0,
-        )
+        met = {(0, 1 + k): time for k, time in self.met.items()}
+        impacts = 0 if self.settles else self.impacts  # infinitely many are not compared
+        trajectory = Trajectory.exact(self.times, position, velocity, met, impacts)
         return BallSolution(trajectory, self.impacts, self.ended)
 
     def _gap(self, plane: int) -> float:

@@ -138,21 +138,12 @@ class _Solver:
             touching = self._advance(end, longest)
         position, velocity = self._position, self._velocity
         shape = (len(position), self._n, 3)
-        trajectory = Trajectory(
-            time=self._times[: len(position)],
-            position=np.array(position).reshape(shape),
-            velocity=np.array(velocity).reshape(shape),
-            pair=np.array(list(self._met), dtype=np.int64).reshape(-1, 2),
-            met=np.array(list(self._met.values())),
-            energy_error=np.nan,
-            energy_gain=np.nan,
-            momentum_error=np.nan,
-            angular_momentum_error=np.nan,
-            overlap=0.0,
-            sinking=0.0,
-            impacts=len(self._struck),
-            steps=0,
-            frames=0,
+        trajectory = Trajectory.exact(
+            self._times,
+            np.array(position).reshape(shape),
+            np.array(velocity).reshape(shape),
+            self._met,
+            len(self._struck),
             struck=np.array(self._ends, dtype=np.int64).reshape(-1, 2),
             struck_at=np.array(self._struck),
         )

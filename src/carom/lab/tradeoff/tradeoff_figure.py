@@ -6,7 +6,6 @@ the trajectories of the settings over the reference.
 
 from __future__ import annotations
 
-from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -15,8 +14,9 @@ import pyarrow as pa
 import pyarrow.csv
 
 from carom.display import overlays
-from carom.errors import ExperimentError, install_extra
+from carom.errors import ExperimentError
 from carom.lab.compared_run import AS_WRITTEN
+from carom.lab.figure_style import FAINT, styled
 from carom.lab.tradeoff.reference import NAMES
 from carom.lab.tradeoff.settings_grid import STEPS_WORD, pareto_front
 from carom.lab.tradeoff.tradeoff import Study
@@ -43,7 +43,6 @@ MOST_PANELS = 6
 OF_THE_RUN_ALONE = ("energy", "energy_gain", "overlap", "sinking")  # errors that need no reference
 LEAST = 1e-14  # rounding; smaller errors are drawn as zeros
 ZERO_BELOW = 4.0  # factor between the least error drawn and the line of the zeros below it
-INK, FAINT = "#1b2a3a", "#8a94a0"
 COLOURS = ("#d55e00", "#0072b2", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#1b2a3a", "#a0522d")  # of families
 OWN, OTHERS = ("o", "s", "^"), ("D", "v", "P")  # markers of carom's families in turn, and of other engines'
 MOST_LABELLED = 100.0  # largest ratio of costs at which 2 and 5 of each decade are labelled
@@ -55,21 +54,6 @@ class Look(NamedTuple):
 
     colour: str
     marker: str
-
-
-def styled(size: float) -> AbstractContextManager[None]:
-    """Return the drawing context of carom's figures, with a font size in points.
-
-    Raises ExperimentError if matplotlib is not there.
-    """
-    try:
-        import matplotlib as mpl  # noqa: PLC0415 - an extra
-    except ImportError:
-        raise ExperimentError(f"a figure needs matplotlib: {install_extra('plot')}") from None
-    context: AbstractContextManager[None] = mpl.rc_context(
-        {"font.size": size, "axes.edgecolor": FAINT, "text.color": INK, "axes.labelcolor": INK}
-    )
-    return context
 
 
 def draw(document: dict[str, Any], *paths: Path, units: UnitSystem = SI) -> None:
