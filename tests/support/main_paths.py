@@ -38,7 +38,7 @@ PATHS: dict[str, list[tuple[int, str, str]]] = {  # by command: exit code, what 
     "picture": [(2, "mesa-vulkan-drivers", "run.rrd -o run.png")],
     "movie": [(2, "pip install 'imageio-ffmpeg>=", "run.rrd -o run.mp4")],
     "inspect": [(0, "completed", "run.rrd")],
-    "fields": [(0, "", "run.rrd --cell 1 -o run.npz"), (2, "pip install 'matplotlib>=", "run.rrd --cell 1 -o run.svg")],
+    "fields": [(0, "", "run.rrd --cell 1 -o fields.npz"), (2, "pip install 'matplotlib>=", "run.rrd --cell 1 -o fields.svg")],
     "contacts": [(0, "", "run.rrd --impacts"), (0, "", "run.rrd --impacts -o impacts.parquet")],
     "why": [(0, "", "run.rrd --event impact")],
     "replay": [(0, "", "run.rrd")],
