@@ -38,7 +38,10 @@ PATHS: dict[str, list[tuple[int, str, str]]] = {  # by command: exit code, what 
     "picture": [(2, "mesa-vulkan-drivers", "run.rrd -o run.png")],
     "movie": [(2, "pip install 'imageio-ffmpeg>=", "run.rrd -o run.mp4")],
     "inspect": [(0, "completed", "run.rrd")],
-    "fields": [(0, "", "run.rrd --cell 1 -o fields.npz"), (2, "pip install 'matplotlib>=", "run.rrd --cell 1 -o fields.svg")],
+    "fields": [
+        (0, "", "run.rrd --cell 1 -o fields.npz"),
+        (2, "pip install 'matplotlib>=", "run.rrd --cell 1 -o fields.svg"),
+    ],
     "contacts": [(0, "", "run.rrd --impacts"), (0, "", "run.rrd --impacts -o impacts.parquet")],
     "why": [(0, "", "run.rrd --event impact")],
     "replay": [(0, "", "run.rrd")],
@@ -93,9 +96,11 @@ def kernels() -> set[str]:
 
 
 def fault_of_warmup(folder: Path, environment: dict[str, str]) -> str:
-    """Return what `carom warmup` has left to compile, or nothing; few other scenes have run in this environment."""
+    """Return what `carom warmup` leaves to compile, or nothing; few other scenes have run in this environment."""
     import carom
 
+    if fault := fault_of("warmup", PATHS["warmup"][0], folder, environment):
+        return fault
     cached = {path.name.split("-")[0] for path in Path(carom.__file__).parent.rglob("*.nbc")}
     needed = kernels() - OF_PACKAGES - OF_WALLS - OF_SHEAR - PLAIN
     if left := needed - cached:
@@ -135,7 +140,7 @@ def fault_of(command: str, path: tuple[int, str, str], folder: Path, environment
 
 
 def main() -> None:
-    """Run all paths: the first command alone, then two commands at a time."""
+    """Run all paths: the first command, ``warmup``, so that each kernel is compiled once, then two at a time."""
     environment = without_screen_and_driver()
     with tempfile.TemporaryDirectory() as name, ThreadPoolExecutor(2) as threads:
         folder = Path(name)
@@ -143,8 +148,9 @@ def main() -> None:
         def fault_in(command: str) -> str:
             return next(filter(None, (fault_of(command, path, folder, environment) for path in PATHS[command])), "")
 
-        faults = [fault_in(FIRST), *threads.map(fault_in, (name for name in PATHS if name != FIRST))]
-        if fault := next(filter(None, faults), "") or fault_of_warmup(folder, environment):
+        fault = fault_in(FIRST) or fault_of_warmup(folder, environment)
+        others = (name for name in PATHS if name not in (FIRST, "warmup"))
+        if fault := fault or next(filter(None, threads.map(fault_in, others)), ""):
             sys.exit(fault)
     print(f"{sum(map(len, PATHS.values()))} paths of {len(PATHS)} commands")  # noqa: T201
 

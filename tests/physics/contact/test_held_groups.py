@@ -183,6 +183,27 @@ def test_a_heavy_elastic_ball_that_presses_a_light_one_against_a_wall_returns(ra
     assert space.state.position[1, 0] == pytest.approx(3.0 - 3.374 + 10.0, abs=2.0 / np.sqrt(ratio) + 1e-4)
 
 
+def test_a_group_with_an_elastic_contact_loses_its_energy_at_the_other_contact() -> None:
+    # A light ball rattles between two heavy ones, on one side without loss, until its contacts are held.
+    bodies = [
+        {"position": [x, 0.0, 0.0], "velocity": [v, 0.0, 0.0], "radius": 1.0, "mass": mass, "material": material}
+        for x, v, mass, material in ((-2.5, 1.0, 1e6, "hard"), (0.0, 0.0, 1.0, "hard"), (2.5, -1.0, 1e6, "soft"))
+    ]
+    space = ended(
+        {
+            "body": bodies,
+            "material": [{"name": "hard", "restitution": 1.0}, {"name": "soft", "restitution": 0.5}],
+            "pair": [{"materials": ["hard", "soft"], "restitution": 0.5}],
+            "contact": {"static_friction": 0.0},
+            "gravity": {"constant": 0.0},
+            "time": {"fixed_dt": 1.0, "duration": 1.0},
+        }
+    )
+    assert space.extremes.impacts > 100, "the light ball is exhausted"
+    assert space.ledger.restitution > 0.99e6, "of 10⁶ J"
+    assert space.extremes.dissipation_error is None, "no elastic contact has lost energy"
+
+
 @pytest.mark.parametrize("spread", [0, 3, 8])  # decades of the masses
 def test_impulses_of_a_group_push_where_contacts_close_and_only_there(spread: int) -> None:
     rng = np.random.default_rng(spread)

@@ -429,9 +429,10 @@ def _rebound(k: int, waits: bool, group: Group, T: Trajectories) -> None:
 def _log(contacts: int, elastic: bool, T: Trajectories, group: Group, log: RecordArray[ImpactRecord], row: int) -> int:
     """Log the contacts that had an impulse, with the mean of the speeds before and after it; return the next row.
 
-    Summed over the group, -λ (v_n + v_n')/2 is the energy lost.
+    Summed over the group, -λ (v_n + v_n')/2 is the energy lost. In the limit of infinitely many impacts, contacts that
+    dissipate lose all of it.
     """
-    clock, f = T.drift[0].clock, slowing(T)
+    clock, f, first = T.drift[0].clock, slowing(T), row
     for c in range(contacts):
         Jn = f * group.impulse[c]
         if not Jn > 0.0:
@@ -460,4 +461,24 @@ def _log(contacts: int, elastic: bool, T: Trajectories, group: Group, log: Recor
             entry.x, entry.y, entry.z = nearest_in_drift(entry.x, entry.y, entry.z, T.box, clock)
         entry.vix, entry.viy, entry.viz = velocity(i, T)
         entry.vjx, entry.vjy, entry.vjz = velocity(j, T)
+    if not elastic:
+        _book_at_contacts_that_dissipate(log[first:row], T)
     return row
+
+
+@inner
+def _book_at_contacts_that_dissipate(entries: RecordArray[ImpactRecord], T: Trajectories) -> None:
+    """Book what a group lost at elastic contacts at the other contacts, in proportion to their impulses."""
+    lost, impulse = 0.0, 0.0
+    for entry in entries:
+        if dissipates(T.materials[material_index(entry.i, entry.j, len(T.x), T.places)]):
+            impulse += entry.normal_impulse
+        else:
+            lost += entry.restitution_loss
+    if lost == 0.0 or impulse == 0.0:
+        return
+    for entry in entries:
+        if dissipates(T.materials[material_index(entry.i, entry.j, len(T.x), T.places)]):
+            entry.restitution_loss += lost * (entry.normal_impulse / impulse)
+        else:
+            entry.restitution_loss = 0.0
