@@ -19,8 +19,9 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 
-from carom.cli.contacts import _json, _print
-from carom.cli.inspect import _moments, _overview, _profile
+from carom.cli.contacts import _json
+from carom.cli.contacts import _parts as contact_parts
+from carom.cli.inspect import _parts
 from carom.display.movie import _layout, frame_times
 from carom.display.presentation import asked
 from carom.display.request import Request
@@ -34,7 +35,7 @@ from carom.recording.rrd.messages import RECORDING, decode
 from carom.runs.outcome import description
 from carom.runs.replay import replay
 from carom.sharing import report
-from carom.terminal.console import Terminal
+from carom.terminal.answers import print_parts
 from damage_bytes import SLOWEST, attempt, mended, peak, read_all, tell
 from edited_recordings import assembled, messages_of, repacked, stream, with_column, without_column
 
@@ -94,12 +95,8 @@ def shown(path: Path) -> None:
     summary, units = recording.summary(), recording.units
     summary["description"] = description(recording.scene_toml)
     json.dumps(summary)
-    with Path(os.devnull).open("w") as nowhere:
-        terminal = Terminal(file=nowhere)
-        terminal.print(_overview(summary, units))
-        for line in _moments(summary, path, units):
-            terminal.print(line)
-        terminal.print(_profile(summary["profile"]))
+    with Path(os.devnull).open("w") as nowhere, contextlib.redirect_stdout(nowhere):
+        print_parts(_parts(summary, path, units))
 
 
 def listed(path: Path, impacts: bool) -> None:
@@ -108,7 +105,7 @@ def listed(path: Path, impacts: bool) -> None:
     table = recording.impacts() if impacts else recording.contacts()
     with Path(os.devnull).open("w") as nowhere, contextlib.redirect_stdout(nowhere):
         _json(recording, table)
-        _print(recording, table, impacts)
+        print_parts(contact_parts(recording, table, None if impacts else 0.0))
 
 
 def pictured(path: Path) -> None:

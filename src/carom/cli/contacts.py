@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from operator import itemgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from carom.scene.units.dimension import ANGULAR_IMPULSE, ENERGY, FORCE, IMPULSE, TIME, VELOCITY, Dimension
+from carom.scene.units.dimension import ANGULAR_IMPULSE, ENERGY, FORCE, IMPULSE, TIME, VELOCITY
 from carom.scene.wording import counted
+from carom.terminal.answers import CommandAnswer, ShownColumn, ShownTable
 from carom.terminal.given_moment import AtOption, EventOption, GivenMoment, StepOption, typed_time_or_none
 from carom.terminal.options import (
     ForceOption,
@@ -18,26 +21,26 @@ from carom.terminal.options import (
     output_option,
     time_option,
 )
-from carom.terminal.printing import say, say_json
+from carom.terminal.printing import say
 
 if TYPE_CHECKING:
     import pyarrow as pa
 
     from carom.recording.read.recording import Recording
-    from carom.scene.units.system import UnitSystem
+    from carom.terminal.answers import Part
 
 MOST_ROWS = 40  # printed in the table
 _ROUNDING = 1e-9  # of the normal impulse, or of the work of that impulse at the approach speed
 FORMATS = (".parquet", ".csv")  # of files
 FIGURES = (".png", ".svg")  # of statistics
 
-_MEASURED = (
-    ("approach_speed", "approach", VELOCITY),
-    ("normal_impulse", "normal", IMPULSE),
-    ("tangential_impulse", "friction", IMPULSE),
-    ("energy_lost", "lost", ENERGY),
-)
-_FORCES = (("normal_force", "normal", FORCE), ("tangential_force", "friction", FORCE))
+_MEASURED = {  # heading and dimension of a column of the table
+    "approach_speed": ("approach", VELOCITY),
+    "normal_impulse": ("normal", IMPULSE),
+    "tangential_impulse": ("friction", IMPULSE),
+    "energy_lost": ("lost", ENERGY),
+}
+_FORCES = {"normal_force": ("normal", FORCE), "tangential_force": ("friction", FORCE)}
 
 
 _BODY = "Only contacts of this body. Two --body options: only contacts between these two."
@@ -117,10 +120,9 @@ def contacts(
             say(f"{output} written: {counted(table.num_rows, 'row')}, {_source(table)}.")
         elif as_csv:
             say(_csv_text(named_contacts(recording, table)))
-        elif as_json:
-            say_json(_json(recording, table))
         else:
-            _print(recording, table, None if impacts else recording.moment(at))
+            parts = _parts(recording, table, None if impacts else recording.moment(at))
+            CommandAnswer(_json(recording, table), parts).say(as_json)
 
 
 def _table(
@@ -181,10 +183,8 @@ def _measure(
         say(f"{output} written: {counted(table.num_rows, 'row')}.")
     elif as_csv:
         say(_csv_text(statistics.table()))
-    elif as_json:
-        say_json(statistics.document())
     else:
-        statistics.print()
+        statistics.answer().say(as_json)
 
 
 def _hardest(recording: Recording, bodies: list[int]) -> OptionalTime:
@@ -250,12 +250,9 @@ def _source(table: pa.Table) -> str:
     return f"{about[b'source'].decode()}{more}"
 
 
-def _print(recording: Recording, table: pa.Table, at: OptionalTime) -> None:
-    """Print the contacts of the step that contains a time (s), or impacts if no time is given."""
-    from rich.table import Table
-
+def _parts(recording: Recording, table: pa.Table, at: OptionalTime) -> Iterator[Part]:
+    """Describe the contacts of the step that contains a time (s), or impacts if no time is given."""
     from carom.recording.read.lookup import names_of
-    from carom.terminal.console import print_whole
 
     names = names_of(recording)
     count, units, moment = counted(table.num_rows, "impact" if at is None else "contact"), recording.units, ""
@@ -264,33 +261,30 @@ def _print(recording: Recording, table: pa.Table, at: OptionalTime) -> None:
     note = "" if at is None or table.num_rows else _in_next_step(recording, at)
     if table["approach_speed"].null_count and not recording.engine:
         note = "; empty cells were not recorded, compute them with --replay"
-    say(f"{count}{moment}, {_source(table)}{note}")
+    yield f"{count}{moment}, {_source(table)}{note}"
     if table.num_rows == 0:
         return
-    shown = Table(box=None, padding=(0, 1), header_style="bold")
-    shown.add_column(units.labelled("t", TIME), justify="right", no_wrap=True)
-    shown.add_column("step", justify="right", no_wrap=True)
-    for heading in ("between", "mode"):
-        shown.add_column(heading, no_wrap=True)
-    measured = [*_MEASURED, *(_FORCES if table["normal_force"].null_count < table.num_rows else ())]
-    for _, label, dimension in measured:
-        shown.add_column(units.labelled(label, dimension), justify="right", no_wrap=True)
-    spins = False  # whether a contact exerts an angular impulse that is more than rounding of its impulse
+    measured = _MEASURED | (_FORCES if table["normal_force"].null_count < table.num_rows else {})
+    columns = [
+        ShownColumn("t", itemgetter("time"), TIME, ".9g"),
+        ShownColumn("step", itemgetter("step")),
+        ShownColumn("between", lambda row: names.pair((row["i"], row["j"])), left=True),
+        ShownColumn("mode", itemgetter("mode"), left=True),
+        *(ShownColumn(label, itemgetter(name), dimension) for name, (label, dimension) in measured.items()),
+    ]
     if not table["angular_impulse_i"].null_count:
         normal, tangential = (table[f"{name}_impulse"].to_numpy() for name in ("normal", "tangential"))
-        spins = bool((tangential > _ROUNDING * normal).any())
-    if spins:
-        shown.add_column(units.labelled("angular", ANGULAR_IMPULSE), justify="right", no_wrap=True)
-    for row in map(_without_rounding, table.slice(0, MOST_ROWS).to_pylist()):
-        pair = names.pair((row["i"], row["j"]))
-        values = [_number(row[name], dimension, units) for name, _, dimension in measured]
-        if spins:
-            both = (_number(row[f"angular_impulse_{end}"], ANGULAR_IMPULSE, units) for end in "ij")
-            values.append(", ".join(dict.fromkeys(text for text in both if text)))
-        shown.add_row(f"{units.shown(row['time'], TIME):.9g}", str(row["step"]), pair, row["mode"], *values)
-    print_whole(shown)
+        if (tangential > _ROUNDING * normal).any():  # an angular impulse is more than rounding of the impulse
+            ends = [ShownColumn("", itemgetter(f"angular_impulse_{end}"), ANGULAR_IMPULSE) for end in "ij"]
+
+            def both(row: dict[str, Any]) -> str:
+                return ", ".join(dict.fromkeys(filter(None, (end.cell(row, units) for end in ends))))
+
+            columns.append(ShownColumn("angular", both, ANGULAR_IMPULSE))
+    rows = map(_without_rounding, table.slice(0, MOST_ROWS).to_pylist())
+    yield ShownTable(columns, rows, units, indent=True)
     if table.num_rows > MOST_ROWS:
-        say(f"… and {table.num_rows - MOST_ROWS} more; for all rows, use --csv, --json or -o FILE.parquet.")
+        yield f"… and {table.num_rows - MOST_ROWS} more; for all rows, use --csv, --json or -o FILE.parquet."
 
 
 def _without_rounding(row: dict[str, Any]) -> dict[str, Any]:
@@ -318,7 +312,3 @@ def _in_next_step(recording: Recording, at: float) -> str:
         return ""
     when = f"{recording.units.shown(at, TIME):.9g}"
     return f"; {counted(len(later), 'impact')} at this time in step {later[0]}: see --impacts --from {when} --to {when}"
-
-
-def _number(value: float | None, dimension: Dimension, units: UnitSystem) -> str:
-    return "" if value is None else f"{units.shown(value, dimension):.4g}"

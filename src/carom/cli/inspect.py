@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -12,12 +13,11 @@ import typer
 from carom.event import Event
 from carom.scene.units.dimension import LENGTH, TIME
 from carom.scene.wording import command, counted, in_one_line
+from carom.terminal.answers import CommandAnswer, Part, ShownColumn, ShownFacts, ShownTable, materials_table
 from carom.terminal.options import JsonOption, RecordingArgument
-from carom.terminal.printing import materials_table, mention_killed_run, say, say_json, warning_lines
+from carom.terminal.printing import mention_killed_run, say, warning_lines
 
 if TYPE_CHECKING:
-    from rich.table import Table
-
     from carom.scene.units.system import UnitSystem
 
 NOT_RECORDED = "not recorded, or lost"
@@ -52,10 +52,8 @@ def inspect(
             refuse_missing_extensions(recording)
             summary = recording.summary() | {"description": description(recording.scene_toml)}
     broken = summary.get("laws", {}) if check and not is_overlay else {}
-    if as_json:
-        say_json(summary)
-    else:
-        _print(summary, file, units, is_overlay)
+    parts = _overlay_parts(summary, file) if is_overlay else _parts(summary, file, units)
+    CommandAnswer(summary, parts).say(as_json)
     for name, law in broken.items():
         at = f"step {law['step']}, t = {units.text(law['time'], TIME)}"
         say(f"carom: {file}: the law {name} is broken, first at {at}: {in_one_line(str(law['text']))}", err=True)
@@ -63,49 +61,28 @@ def inspect(
         raise typer.Exit(1)
 
 
-def _print(summary: dict[str, Any], file: Path, units: UnitSystem, is_overlay: bool) -> None:
-    """Print the summary of a recording, or of a file that compares runs."""
-    from carom.terminal.console import Terminal
+def _overlay_parts(summary: dict[str, Any], file: Path) -> Iterator[Part]:
+    """Describe a file that compares runs."""
+    yield ShownFacts((name, str(text)) for name, text in (*summary.items(), ("next", command("view", file))))
 
-    console = Terminal(soft_wrap=True)
-    if is_overlay:
-        table = _grid()
-        for name, text in (*summary.items(), ("next", command("view", file))):
-            table.add_row(name, str(text))
-        console.print(table)
-        return
-    console.print(_overview(summary, units))
-    console.print()
+
+def _parts(summary: dict[str, Any], file: Path, units: UnitSystem) -> Iterator[Part]:
+    """Describe a recording."""
+    versions = [("versions", ", ".join(f"{name} {version}" for name, version in summary["versions"].items()))]
+    rows = (_run(summary, units), _conservation(summary, units), _contacts(summary), _judgements(summary, units))
+    yield ShownFacts(chain(*rows, versions))
+    yield ""
     if "materials" in summary:
-        console.print(materials_table(summary["materials"]))
-        console.print()
+        yield materials_table(summary["materials"])
+        yield ""
     if summary["warnings"]:
-        console.print(f"Warnings: {len(summary['warnings'])}")
-        warnings = [Event(**warning) for warning in summary["warnings"]]
-        for line in warning_lines(warnings, units, in_full=True):
-            console.print(line)
-        console.print()
-    for line in _moments(summary, file, units):
-        console.print(line)
+        yield f"Warnings: {len(summary['warnings'])}"
+        yield from warning_lines([Event(**warning) for warning in summary["warnings"]], units, in_full=True)
+        yield ""
+    yield from _moments(summary, file, units)
     if summary["profile"]:
-        console.print()
-        console.print(_profile(summary["profile"]))
-
-
-def _grid() -> Table:
-    from rich.table import Table
-
-    return Table.grid(padding=(0, 2))
-
-
-def _overview(summary: dict[str, Any], units: UnitSystem) -> Table:
-    table = _grid()
-    for rows in (_run(summary, units), _conservation(summary, units), _contacts(summary), _judgements(summary, units)):
-        for name, texts in rows:
-            for k, text in enumerate([texts] if isinstance(texts, str) else texts):
-                table.add_row("" if k else name, text)
-    table.add_row("versions", ", ".join(f"{name} {version}" for name, version in summary["versions"].items()))
-    return table
+        yield ""
+        yield _profile(summary["profile"])
 
 
 def _run(summary: dict[str, Any], units: UnitSystem) -> Iterator[Row]:
@@ -214,12 +191,12 @@ def _moments(summary: dict[str, Any], file: Path, units: UnitSystem) -> Iterator
         yield "    " + command("replay", file, "--from", f"{begin:.6g}", "--to", f"{end:.6g}", "--every", "step")
 
 
-def _profile(profile: dict[str, float]) -> Table:
+def _profile(profile: dict[str, float]) -> ShownTable:
     """Show the computing time by part of a step."""
-    table, whole = _grid(), sum(profile.values())
-    for justify in ("left", "right", "right"):
-        table.add_column(justify=justify)
-    table.add_row("time of the steps", f"{whole:.3f} s", "")
-    for part, seconds in sorted(profile.items(), key=lambda item: -item[1]):
-        table.add_row(f"  {part}", f"{seconds:.3f} s", f"{seconds / whole:.0%}" if whole else "")
-    return table
+    whole = sum(profile.values())
+    columns = (
+        ShownColumn("time of the steps", lambda row: f"  {row[0]}", left=True),
+        ShownColumn(f"{whole:.3f} s", lambda row: f"{row[1]:.3f} s"),
+        ShownColumn("", lambda row: f"{row[1] / whole:.0%}" if whole else ""),
+    )
+    return ShownTable(columns, sorted(profile.items(), key=lambda item: -item[1]))

@@ -9,8 +9,9 @@ import typer
 
 from carom.scene.units.dimension import TIME
 from carom.scene.wording import command, counted
+from carom.terminal.answers import materials_table, print_parts
 from carom.terminal.options import ForceOption, JsonOption, SceneArgument, SetOption
-from carom.terminal.printing import bytes_text, count_text, duration_text, materials_table, say_json, simulated_text
+from carom.terminal.printing import bytes_text, count_text, duration_text, say_json, simulated_text
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -149,7 +150,7 @@ def explain(
     console.print(shown)
     if materials:
         console.print()
-        console.print(materials_table(materials.described))
+        print_parts([materials_table(materials.described)])
     console.print()
     console.print(_entities(found.entities))
     if loaded.time.fixed_dt is not None:

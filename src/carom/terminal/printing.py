@@ -10,7 +10,7 @@ import shlex
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import typer
 
@@ -19,12 +19,8 @@ from carom.scene.units.dimension import TIME
 from carom.scene.units.system import UnitSystem
 from carom.scene.wording import command, escaped
 
-if TYPE_CHECKING:
-    from rich.table import Table
-
 MINUTE, HOUR, DAY, YEAR = 60.0, 3600.0, 86400.0, 365.25 * 86400.0  # s
 SHOWN = 3  # warnings of a kind; the recording has all of them
-COLOUR = "colour by material"  # used where `colour_by` is "material"; bodies usually have the colour of their group
 
 
 @dataclass
@@ -121,22 +117,3 @@ def warning_lines(warnings: Sequence[Event], units: UnitSystem, *, in_full: bool
             last = events[-1]
             ago = f"the last at step {last.step}, t = {units.text(last.time, TIME)}"
             yield f"… and {len(events) - SHOWN} similar ones, {ago}"
-
-
-def materials_table(materials: list[dict[str, Any]]) -> Table:
-    """Show the coefficients of each kind of contact, given `ShownMaterials.described`."""
-    from rich.table import Table
-
-    table = Table(box=None, pad_edge=False)
-    for header in ("material", "bodies", COLOUR, "on", "e", "μs", "μk"):
-        table.add_column(header, justify="left" if header in ("material", COLOUR, "on") else "right")
-    listed: set[str] = set()
-    for material in materials:
-        first = (material["name"], str(material["bodies"]), material["colour"])
-        for other, coefficients in material["contacts"].items():
-            if other in listed:  # listed with the other material
-                continue
-            table.add_row(*first, other, *(f"{value:.4g}" for value in coefficients.values()))
-            first = ("", "", "")
-        listed.add(material["name"])
-    return table

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import pyarrow as pa
-from rich.table import Table
 
 from carom.errors import RecordingError
 from carom.lab.figure_style import FAINT, TEXT_IN_SVG, sheet, styled
@@ -24,8 +23,7 @@ from carom.recording.read.recording import Recording
 from carom.recording.write.whole_file import whole_file
 from carom.scene.units.system import UnitSystem
 from carom.scene.wording import counted
-from carom.terminal.console import print_whole
-from carom.terminal.printing import say
+from carom.terminal.answers import CommandAnswer, Part, ShownColumn, ShownFacts, ShownTable
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -109,38 +107,31 @@ class Statistics(NamedTuple):
             for low, high, value in zip(edges[:-1], edges[1:], histogram.values.tolist(), strict=True):
                 yield name, key, "", low, high, value, None, unit
 
-    def print(self) -> None:
-        """Print the statistics for people, in the units of the scene."""
+    def answer(self) -> CommandAnswer:
+        """Return them for programs, and for people in the units of the scene."""
+        return CommandAnswer(self.document(), self._parts())
+
+    def _parts(self) -> Iterator[Part]:
         interval = self.interval
         frames = counted(len(interval.step), "frame")
-        say(f"{interval.recording.title}: {counted(interval.bodies, 'body')}, {interval.text}, {frames}")
+        yield f"{interval.recording.title}: {counted(interval.bodies, 'body')}, {interval.text}, {frames}"
         for name, kind in self.kinds.items():
-            say(f"\n{KINDS[name][0]}")
+            yield f"\n{KINDS[name][0]}"
             if kind.missing:
-                say(f"  not measured: {kind.missing}")
+                yield f"  not measured: {kind.missing}"
                 continue
-            shown = Table(box=None, padding=(0, 1), show_header=False)
-            shown.add_column(no_wrap=True)
-            shown.add_column(no_wrap=True)
-            for measured in kind.values.values():
-                shown.add_row(f" {measured.label}", text(measured, self.units))
-            print_whole(shown)
+            yield ShownFacts(((each.label, text(each, self.units)) for each in kind.values.values()), whole=True)
             if kind.rows:
-                shown = Table(box=None, padding=(0, 1), header_style="bold")
-                for key, value in kind.rows[0].items():
-                    if isinstance(value, MeasuredValue):
-                        label = self.units.labelled(value.label, value.dimension)
-                        shown.add_column(label, justify="right", no_wrap=True)
-                    else:
-                        shown.add_column(key, no_wrap=True)
-                for row in kind.rows[:MOST_ROWS]:
-                    shown.add_row(*(self._cell(value) for value in row.values()))
-                print_whole(shown)
+                columns = [self._column(key, value) for key, value in kind.rows[0].items()]
+                yield ShownTable(columns, kind.rows[:MOST_ROWS], self.units, indent=True)
             if kind.note:
-                say(f"  {kind.note}")
+                yield f"  {kind.note}"
 
-    def _cell(self, value: Any) -> str:
-        return text(value, self.units, unit=False) if isinstance(value, MeasuredValue) else str(value)
+    def _column(self, key: str, first: Any) -> ShownColumn:
+        """Return a column of a table of a statistic, given its first value."""
+        if isinstance(first, MeasuredValue):
+            return ShownColumn(first.label, lambda row: text(row[key], self.units, unit=False), first.dimension)
+        return ShownColumn(key, lambda row: row[key], left=True)
 
 
 def text(measured: MeasuredValue, units: UnitSystem, *, unit: bool = True) -> str:
