@@ -372,7 +372,7 @@ class Forecast:
     """The content of the drawing."""
 
     title: str
-    text: str  # paragraphs
+    text: str  # Markdown
     time: FloatArray  # (k,) s
     position: FloatArray  # (k, n, 3) m
     spread: FloatArray  # (k, n) m
@@ -398,7 +398,7 @@ def write_forecast(out: Path, recording: Recording, forecast: Forecast) -> None:
     camera.look(shown)
     application = f"carom-{paths.SCHEMA_VERSION}-{uuid.uuid4().hex[:12]}"
     with Writer(out, application, str(uuid.uuid4())) as writer:
-        markdown = "\n\n".join([f"# {literal(forecast.title)}", *map(literal, forecast.text.split("\n\n"))])
+        markdown = f"# {literal(forecast.title)}\n\n{forecast.text}"
         clock = begin(writer, _FORK, markdown, recording, forecast.title, {"b": "fork", "verdict": forecast.title})
         index = clock.columns(steps, forecast.time.tolist())
         writer.log(_BODIES, _spheres(radius, None, list(recording.bodies.name), FillMode.Solid))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -10,16 +10,13 @@ import typer
 
 from carom.scene.units.dimension import ENERGY, FORCE, IMPULSE, LENGTH, TIME, VELOCITY
 from carom.scene.wording import bodies_called, command, counted
+from carom.terminal.answers import CommandAnswer, Part, ShownColumn, ShownFacts, ShownTable, Strong
 from carom.terminal.given_moment import EventOption, GivenMoment, StepOption, at_option
 from carom.terminal.options import ForceOption, JsonOption, OptionalTime, not_a_folder, recording_option
-from carom.terminal.printing import say_json
 
 if TYPE_CHECKING:
-    from rich.table import Table
-
     from carom.lab.diff.diff import Diff, ImpactDivergence, ImpactPair, MomentApart
     from carom.lab.diff.divergence import FirstBits
-    from carom.recording.read.recording import Recording
     from carom.scene.units.system import UnitSystem
     from carom.scene.wording import Names
 
@@ -68,10 +65,8 @@ def diff_command(
         if output is not None:
             overlay(*recordings, found, output)
         names = names_of(max(recordings, key=lambda recording: len(recording.bodies.name)))
-        if as_json:
-            say_json(_document(found, names, recordings[0].units))
-        else:
-            _print(found, names, recordings, output)
+        units = recordings[0].units
+        CommandAnswer(_document(found, names, units), _parts(found, names, units, output)).say(as_json)
     if not found.same:
         raise typer.Exit(1)
 
@@ -130,49 +125,46 @@ def _impacts_document(found: ImpactDivergence, names: Names) -> dict[str, Any]:
     }
 
 
-def _print(found: Diff, names: Names, recordings: tuple[Recording, Recording], output: Path | None) -> None:
-    from carom.terminal.console import Terminal
-
-    console, units = Terminal(soft_wrap=True), recordings[0].units
-    console.print(_overview(found, names, units))
+def _parts(found: Diff, names: Names, units: UnitSystem, output: Path | None) -> Iterator[Part]:
+    yield ShownFacts(
+        (
+            ("A", f"{found.paths[0]}, {counted(found.frames[0], 'frame')}"),
+            ("B", f"{found.paths[1]}, {counted(found.frames[1], 'frame')}"),
+            ("scene", _scene_lines(found)),
+            ("environment", _key_lines(found.environment, {})),
+            ("in common", f"{counted(len(found.curve.step), 'frame')}, matched by {found.matched_by}"),
+            ("moment", () if found.moment is None else _moment_lines(found.moment, names, units)),
+            ("first bits", () if found.first_bits is None else _bits_lines(found.first_bits, names, units)),
+            ("impacts", _impact_lines(found.impacts, names, units)),
+            ("bodies", _first_lines([life.text(units) for life in found.lives], "")),
+        )
+    )
+    yield ""
     if not found.same:
-        console.print()
-        console.print(_curve(found, units))
-    console.print()
-    console.print(f"{found.verdict.text[0].upper()}{found.verdict.text[1:]}.", style="bold")
+        yield _curve(found, units)
+        yield ""
+    yield Strong(f"{found.verdict.text[0].upper()}{found.verdict.text[1:]}.")
     if output is not None:
-        console.print(f"{output} written, with both recordings overlaid; {command('view', output)}")
+        yield f"{output} written, with both recordings overlaid; {command('view', output)}"
 
 
-def _overview(found: Diff, names: Names, units: UnitSystem) -> Table:
-    from rich.table import Table
+def _scene_lines(found: Diff) -> Iterator[str]:
+    if any(found.engines):
+        recorded = zip("AB", found.engines, strict=True)
+        known = [f"{which} was recorded from {engine}" for which, engine in recorded if engine]
+        yield f"not compared: {', '.join(known)}"
+    if found.scene or not any(found.engines):
+        yield from _key_lines(found.scene, found.defaults)
 
-    table = Table.grid(padding=(0, 2))
-    table.add_row("A", f"{found.paths[0]}, {counted(found.frames[0], 'frame')}")
-    table.add_row("B", f"{found.paths[1]}, {counted(found.frames[1], 'frame')}")
-    for name, differing in (("scene", found.scene), ("environment", found.environment)):
-        if name == "scene" and any(found.engines):
-            recorded = zip("AB", found.engines, strict=True)
-            known = [f"{which} was recorded from {engine}" for which, engine in recorded if engine]
-            table.add_row(name, f"not compared: {', '.join(known)}")
-        elif not differing:
-            table.add_row(name, "the same")
-        for k, (key, (one, other)) in enumerate(list(differing.items())[:KEYS]):
-            default = found.defaults.get(key) if name == "scene" else None
-            in_a, in_b = _short(one, default), _short(other, default)
-            table.add_row("" if k else name, f"{key}: {in_a} in A, {in_b} in B")
-        if len(differing) > KEYS:
-            table.add_row("", f"… and {len(differing) - KEYS} more keys")
-    table.add_row("in common", f"{counted(len(found.curve.step), 'frame')}, matched by {found.matched_by}")
-    bits = () if found.first_bits is None else _bits_lines(found.first_bits, names, units)
-    moment = () if found.moment is None else _moment_lines(found.moment, names, units)
-    lives = [life.text(units) for life in found.lives[:KEYS]]
-    lives += [f"… and {len(found.lives) - KEYS} more"] if len(found.lives) > KEYS else []
-    impacts = _impact_lines(found.impacts, names, units)
-    for name, lines in (("moment", moment), ("first bits", bits), ("impacts", impacts), ("bodies", lives)):
-        for k, line in enumerate(lines):
-            table.add_row("" if k else name, line)
-    return table
+
+def _key_lines(differing: Mapping[str, tuple[Any, Any]], defaults: Mapping[str, Any]) -> list[str]:
+    """Describe the values of keys in A and B."""
+    values = {key: [_short(value, defaults.get(key)) for value in both] for key, both in differing.items()}
+    return _first_lines([f"{key}: {a} in A, {b} in B" for key, (a, b) in values.items()], " keys") or ["the same"]
+
+
+def _first_lines(lines: list[str], noun: str) -> list[str]:
+    return lines[:KEYS] + ([f"… and {len(lines) - KEYS} more{noun}"] if len(lines) > KEYS else [])
 
 
 def _bits_lines(found: FirstBits, names: Names, units: UnitSystem) -> Iterator[str]:
@@ -227,24 +219,23 @@ def _called(pair: ImpactPair, names: Names, units: UnitSystem) -> str:
     return f"first different: impact {number}, {what}: {by}"
 
 
-def _curve(found: Diff, units: UnitSystem) -> Table:
+def _curve(found: Diff, units: UnitSystem) -> ShownTable:
     """Show some frames from the first difference on."""
     import numpy as np
-    from rich.table import Table
 
     curve, first = found.curve, found.verdict.first or 0
-    measured = (("t", TIME), ("rms distance", LENGTH), ("energy, B - A", ENERGY))
-    table = Table("step", *(units.labelled(*each) for each in measured), box=None, pad_edge=False)
-    for column in table.columns:
-        column.justify = "right"
-    chosen = np.unique(np.linspace(first, len(curve.step) - 1, ROWS).astype(int))
-    for k in chosen:
-        seen = curve.rms[k] > curve.floor[k]
-        limit = max(curve.floor[k], curve.rms[k])
-        rms = f"{units.shown(curve.rms[k], LENGTH):.2e}" if seen else f"below {units.shown(limit, LENGTH):.0e}"
-        time, energy = units.shown(curve.time[k], TIME), units.shown(curve.energy[k], ENERGY)
-        table.add_row(str(curve.step[k]), f"{time:.9g}", rms, f"{energy:+.2e}")
-    return table
+
+    def apart(k: int) -> float | str:
+        rms, floor = curve.rms[k], curve.floor[k]
+        return rms if rms > floor else f"below {units.shown(max(floor, rms), LENGTH):.0e}"
+
+    columns = (
+        ShownColumn("step", lambda k: curve.step[k]),
+        ShownColumn("t", lambda k: curve.time[k], TIME, ".9g"),
+        ShownColumn("rms distance", apart, LENGTH, ".2e"),
+        ShownColumn("energy, B - A", lambda k: curve.energy[k], ENERGY, "+.2e"),
+    )
+    return ShownTable(columns, np.unique(np.linspace(first, len(curve.step) - 1, ROWS).astype(int)), units)
 
 
 def _short(value: Any, default: Any = None) -> str:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from carom.scene.wording import command
+from carom.terminal.answers import CommandAnswer, markdown
 from carom.terminal.console import LiveLine, bar, replaying
 from carom.terminal.given_moment import EventOption, GivenMoment, StepOption, at_option
 from carom.terminal.options import (
@@ -19,7 +20,6 @@ from carom.terminal.options import (
     SetOption,
     recording_option,
 )
-from carom.terminal.printing import say, say_json
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -101,11 +101,7 @@ def fork_command(
         else:
             document, lines = _many(start, branch, target, seeds, ulps, outcome, times or DEFAULT_TIMES, when)
             early = False
-    if as_json:
-        say_json(document)
-    else:
-        for line in [*lines, f"{target} written; {command('view', target)}"]:
-            say(line)
+    CommandAnswer(document, [*lines, f"{target} written; {command('view', target)}"]).say(as_json)
     if early:
         raise typer.Exit(1)
 
@@ -180,7 +176,7 @@ def _many(
             moment = inevitable(lambda time: (hit == came for hit in draw(time)), begin, end)
     document = _document(start, found, outcome, moment)
     lines = list(_lines(start, found, outcome, moment))
-    write_ensemble(start, found, "\n\n".join(lines), target)
+    write_ensemble(start, found, markdown(lines), target)
     return document, lines
 
 

@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from carom.scene.wording import command, counted
+from carom.terminal.answers import CommandAnswer
 from carom.terminal.options import ForceOption, JsonOption, SetOption, work_time
-from carom.terminal.printing import note, say, say_json
+from carom.terminal.printing import note
 
 if TYPE_CHECKING:
     from carom.lab.shrink.reducer import Reducer, ReducerProgress, Reduction
@@ -95,10 +96,8 @@ def shrink_command(
     key = key_of(given[0].toml, asked.text)
     known = None if force else earlier(path, key)
     if known and known.finished:
-        if as_json:
-            say_json({"file": str(path), "condition": asked.text, "minimal": True, "before": known.before})
-        else:
-            say(f"{path} is already the smallest scene; search again with --force.")
+        document = {"file": str(path), "condition": asked.text, "minimal": True, "before": known.before}
+        CommandAnswer(document, [f"{path} is already the smallest scene; search again with --force."]).say(as_json)
         return
     if while_command is not None and workers is None:
         workers = 1  # concurrent commands might interfere
@@ -113,10 +112,8 @@ def shrink_command(
     for override in overrides or []:
         words += ["--set", override]
     result = _reduced(reducer, *given, path, key, command(*words), quiet=as_json)
-    if as_json:
-        say_json(asdict(result) | {"file": str(path), "condition": asked.text, "minimal": result.minimal})
-    else:
-        _print(result, path)
+    document = asdict(result) | {"file": str(path), "condition": asked.text, "minimal": result.minimal}
+    CommandAnswer(document, _lines(result, path)).say(as_json)
 
 
 def _reduced(
@@ -175,15 +172,15 @@ def _line(progress: ReducerProgress) -> str:
     )
 
 
-def _print(result: Reduction, path: Path) -> None:
+def _lines(result: Reduction, path: Path) -> Iterator[str]:
     bodies, steps = result.before
     left = f"{result.bodies} of {counted(bodies, 'body')} and {result.steps} of {counted(steps, 'step')} are left"
     if result.steps > steps:  # steps may change with fewer bodies
         left = (
             f"{result.bodies} of {counted(bodies, 'body')} are left, and {counted(steps, 'step')} became {result.steps}"
         )
-    say(f"{left}: {result.said}")
+    yield f"{left}: {result.said}"
     if result.stopped:
-        say(f"Not finished: {result.stopped}. Run the same command to continue.")
+        yield f"Not finished: {result.stopped}. Run the same command to continue."
     effort = f"{counted(result.candidates, 'candidate')}, {result.kept} kept, in {result.seconds:.3g} s"
-    say(f"Written to {path} after {effort}; {command('run', path)}")
+    yield f"Written to {path} after {effort}; {command('run', path)}"

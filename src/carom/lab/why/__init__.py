@@ -10,7 +10,8 @@ import numpy as np
 import typer
 
 from carom.scene.units.dimension import ENERGY, IMPULSE, TIME, VELOCITY
-from carom.scene.wording import command, counted, literal
+from carom.scene.wording import command, counted
+from carom.terminal.answers import CommandAnswer, Part, ShownColumn, ShownTable, Strong, markdown
 from carom.terminal.given_moment import EventOption, GivenMoment, StepOption, at_option
 from carom.terminal.options import (
     ForceOption,
@@ -21,7 +22,6 @@ from carom.terminal.options import (
     simulated_or_none,
     time_option,
 )
-from carom.terminal.printing import say, say_json
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -81,14 +81,12 @@ def why_command(
             question = question_of(recording, body, given.time(recording, watch), event)
             answer = answer_to(recording, question, simulated_or_none(start, units), watch)
         names = names_of(recording)
+        parts = list(_parts(answer, names, units, next(iter(recording.checkpoint_times))))
+        further = [_look(answer, names, units, file)]
         if output is not None:
-            _write(output, recording, answer, _markdown(answer, names, units))
-        if as_json:
-            say_json(_document(answer, names, units))
-        else:
-            _print(answer, names, units, file, next(iter(recording.checkpoint_times)))
-            if output is not None:
-                say(f"{output} written; {command('view', output)}")
+            _write(output, recording, answer, markdown(parts))
+            further.append(f"{output} written; {command('view', output)}")
+        CommandAnswer(_document(answer, names, units), [*parts, *filter(None, further)]).say(as_json)
 
 
 def _document(answer: Answer, names: Names, units: UnitSystem) -> dict[str, Any]:
@@ -149,37 +147,41 @@ def _account_document(account: Account, names: Names, knows_field: bool) -> dict
     }
 
 
-def _print(answer: Answer, names: Names, units: UnitSystem, file: Path, oldest: int) -> None:
-    """Print an answer; ``oldest`` is the step of the recording's first checkpoint."""
+def _parts(answer: Answer, names: Names, units: UnitSystem, oldest: int) -> Iterator[Part]:
+    """Describe an answer; ``oldest`` is the step of the recording's first checkpoint."""
     from carom.recording.read.lookup import tolerance
-    from carom.terminal.console import Terminal
 
-    console = Terminal(soft_wrap=True)
-    console.print(answer.question.text, style="bold")
+    yield Strong(answer.question.text)
     if answer.question.ends is None and abs(answer.time - answer.question.time) > tolerance(answer.question.time):
         where = "between two exact states" if answer.engine else "within a step"
         which = "the nearest one that is recorded" if answer.engine else "its end"
-        say(f"That is {where}; the answer is about {which}, t = {units.text(answer.time, TIME, '.9g')}.")
+        yield f"That is {where}; the answer is about {which}, t = {units.text(answer.time, TIME, '.9g')}."
     for account in answer.accounts:
-        say("")
-        for line in _summary(account, answer, names, units):
-            say(line)
-        _print_causes(account, names, units)
-    say("")
-    for line in _behind(answer, names, units):
-        say(line)
-    say(f"From t = {units.text(answer.begin, TIME, '.9g')} on, {answer.source}.")
+        yield ""
+        yield from _summary(account, answer, names, units)
+        if account.causes:
+            yield _causes(account, names, units)
+        if len(account.causes) > MOST_CAUSES:
+            yield f"  … and {len(account.causes) - MOST_CAUSES} more; for all, use --json."
+    yield ""
+    yield from _behind(answer, names, units)
+    yield f"From t = {units.text(answer.begin, TIME, '.9g')} on, {answer.source}."
     if answer.engine:
         also = ", without the part of its uniform field," if answer.knows_field else ""
-        say(f"{_OF_ENGINE}{also} is due to forces, or to contacts that the engine does not report.")
+        yield f"{_OF_ENGINE}{also} is due to forces, or to contacts that the engine does not report."
     if answer.begin_step > oldest:
-        say("Earlier causes were not examined; --from 0 goes back to the beginning.")
+        yield "Earlier causes were not examined; --from 0 goes back to the beginning."
+
+
+def _look(answer: Answer, names: Names, units: UnitSystem, file: Path) -> str:
+    """Return the command that shows the largest cause; empty without causes."""
     causes = [(cause, account.body) for account in answer.accounts for cause in account.causes]
-    if causes:
-        cause, body = max(causes, key=lambda each: each[0].share)
-        low, high = sorted((body, cause.partner))
-        pair = ("--bodies", f"{low},{high}") if high < len(names.bodies) else ()
-        say(f"Look: {command('view', file, '--at', f'{units.shown(cause.moment, TIME):.9g}', *pair)}")
+    if not causes:
+        return ""
+    cause, body = max(causes, key=lambda each: each[0].share)
+    low, high = sorted((body, cause.partner))
+    pair = ("--bodies", f"{low},{high}") if high < len(names.bodies) else ()
+    return f"Look: {command('view', file, '--at', f'{units.shown(cause.moment, TIME):.9g}', *pair)}"
 
 
 def _summary(account: Account, answer: Answer, names: Names, units: UnitSystem) -> Iterator[str]:
@@ -210,48 +212,19 @@ def _speed(velocity: FloatArray, units: UnitSystem) -> str:
     return f"{(x * x + y * y + z * z) ** 0.5:.4g}{unit} ({x:.3g}, {y:.3g}, {z:.3g})"
 
 
-def _print_causes(account: Account, names: Names, units: UnitSystem) -> None:
-    from rich.table import Table
-
-    from carom.terminal.console import print_whole
-
-    if not account.causes:
-        return
-    table = Table(box=None, padding=(0, 1), header_style="bold")
-    table.add_column(units.labelled("look at t", TIME), justify="right", no_wrap=True)
-    for column in ("with", "kind"):
-        table.add_column(column, no_wrap=True)
-    knows_losses = all(cause.energy_lost is not None for cause in account.causes)
-    measured = (("impulse", IMPULSE), ("work", ENERGY), *([("lost", ENERGY)] if knows_losses else []))
-    for column in (*(units.labelled(*each) for each in measured), *([] if account.rests else ["of the speed"])):
-        table.add_column(column, justify="right", no_wrap=True)
-    for cause in account.largest[:MOST_CAUSES]:
-        impulse, work = units.shown(cause.size, IMPULSE), units.shown(cause.work, ENERGY)
-        numbers = [f"{impulse:.4g}", f"{work:+.4g}"]
-        if cause.energy_lost is not None:
-            numbers.append(f"{units.shown(cause.energy_lost, ENERGY):.4g}")
-        numbers += [] if account.rests else [_share(cause)]
-        time = f"{units.shown(cause.moment, TIME):.9g}"
-        table.add_row(time, names.of(cause.partner), _kind(cause, units), *numbers)
-    print_whole(table)
-    if len(account.causes) > MOST_CAUSES:
-        say(f"  … and {len(account.causes) - MOST_CAUSES} more; for all, use --json.")
-
-
-def _markdown(answer: Answer, names: Names, units: UnitSystem) -> str:
-    """Write the answer for the viewer."""
-    lines = [f"## {literal(answer.question.text)}", ""]
-    for account in answer.accounts:
-        lines += [f"{literal(line)}  " for line in _summary(account, answer, names, units)]
-        lines.append("")
-        for cause in account.largest[:MOST_EDGES]:
-            lines.append(
-                f"- {'' if account.rests else f'{_share(cause)}: '}{_kind(cause, units)}, "
-                f"{literal(names.of(cause.partner))}, {units.text(cause.size, IMPULSE, '.3g')}, "
-                f"t = {units.text(cause.moment, TIME, '.9g')}"
-            )
-        lines.append("")
-    return "\n".join([*lines, *(f"{literal(line)}  " for line in _behind(answer, names, units))])
+def _causes(account: Account, names: Names, units: UnitSystem) -> ShownTable:
+    columns = [
+        ShownColumn("look at t", lambda cause: cause.moment, TIME, ".9g"),
+        ShownColumn("with", lambda cause: names.of(cause.partner), left=True),
+        ShownColumn("kind", lambda cause: _kind(cause, units), left=True),
+        ShownColumn("impulse", lambda cause: cause.size, IMPULSE),
+        ShownColumn("work", lambda cause: cause.work, ENERGY, "+.4g"),
+    ]
+    if all(cause.energy_lost is not None for cause in account.causes):
+        columns.append(ShownColumn("lost", lambda cause: cause.energy_lost, ENERGY))
+    if not account.rests:
+        columns.append(ShownColumn("of the speed", _share))
+    return ShownTable(columns, account.largest[:MOST_CAUSES], units, indent=True)
 
 
 def _share(cause: Cause) -> str:
