@@ -11,14 +11,14 @@ import pytest
 
 from carom.errors import ExperimentError, PhysicsError, RecordingError, SceneError
 from carom.lab import compared_run as trajectory
-from carom.lab import tradeoff as trade
 from carom.lab.compared_run import Setting
-from carom.lab.tradeoff import _legend, say_equal_runs, show_tables, table_of, tradeoff
+from carom.lab.tradeoff import _legend, notes_on_rows, table_of, tradeoff
 from carom.lab.tradeoff.settings_grid import SettingResult, default_settings, vary
 from carom.lab.tradeoff.tradeoff import Study
 from carom.lab.tradeoff.tradeoff_figure import draw, record
 from carom.recording.read.recording import Recording
 from carom.scene.load import Scene
+from carom.terminal.answers import print_parts
 from small_scenes import cloud, pair
 
 
@@ -174,7 +174,7 @@ def test_what_the_budget_cannot_pay_is_left_out_and_measured_by_the_next_command
     )
     document = json.loads((tmp_path / "tradeoff.json").read_text(encoding="utf-8"))
     assert document["left_out"] == study.left_out and document["budget"] == 0.0
-    assert table_of(study).row_count == 1
+    assert len(table_of(study).cells()) == 1
     later = Study(eight(), tmp_path, threads=1)
     later.measure(settings, None, said.append)
     assert all(result.complete for result in later.results) and not later.left_out
@@ -370,24 +370,23 @@ def test_a_factor_on_the_step_names_the_limits_where_it_is_not_one_on_every_step
     assert adaptive.name == "max_dt × 2"
 
 
-@pytest.mark.parametrize("width", [320, 80])
+@pytest.mark.parametrize("narrow", [False, True])
 def test_a_terminal_of_any_width_shows_every_error_in_whole_cells(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, width: int
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, narrow: bool
 ) -> None:
-    monkeypatch.setattr(trade, "PIPE_WIDTH", width)
     study, _ = measured(eight(), tmp_path, "step=1,2")
     capsys.readouterr()
-    show_tables(study)
+    for name, value in (("TTY_COMPATIBLE", str(int(narrow))), ("TERM", "dumb")):  # 80 characters, without colours
+        monkeypatch.setenv(name, value)
+    print_parts([table_of(study)])
     shown = capsys.readouterr().out
-    assert "…" not in shown and max(map(len, shown.splitlines())) <= width
-    assert (shown.count("steps 2 times as long") > 1) == (width == 80), "further tables"
+    assert "…" not in shown and not (narrow and max(map(len, shown.splitlines())) > 80)
+    assert (shown.count("steps 2 times as long") > 1) == narrow, "further tables"
     assert study.results[1].errors is not None
     assert all(f"{getattr(study.results[1].errors, name):.1e}" in shown for name in ("position", "velocity", "energy"))
 
 
-def test_settings_with_the_same_run_are_timed_once_and_share_a_row(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_settings_with_the_same_run_are_timed_once_and_share_a_row(tmp_path: Path) -> None:
     # a fixed step is not averaged
     study, said = measured(eight(), tmp_path, "time.smoothing=0.5,1", "step=1,2", repeats=2)
     assert [result.same_as for result in study.results] == [
@@ -399,9 +398,8 @@ def test_settings_with_the_same_run_are_timed_once_and_share_a_row(
     assert sum("cost" in text for text in said) == 2 * 2
     assert [len(result.costs) for result in study.results] == [2] * 4
     assert list(study.marks("energy")) == ["smoothing = 0.5", "smoothing = 0.5, steps 2 times as long"]
-    assert table_of(study).row_count == 2
-    say_equal_runs(study)
-    assert "The same run as smoothing = 0.5: smoothing = 1." in capsys.readouterr().out
+    assert len(table_of(study).cells()) == 2
+    assert "The same run as smoothing = 0.5: smoothing = 1." in notes_on_rows(study)
     again, _ = measured(eight(), tmp_path, "time.smoothing=0.5,1", "step=1,2", repeats=3)
     assert [len(result.costs) for result in again.results] == [3] * 4
     assert again.results[3].costs is again.results[1].costs

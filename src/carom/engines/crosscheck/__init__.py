@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -11,16 +12,14 @@ import typer
 
 from carom.scene.units.dimension import TIME
 from carom.scene.wording import command
+from carom.terminal.answers import CommandAnswer, Part, ShownColumn, ShownTable
 from carom.terminal.options import JsonOption, SetOption, ThreadsOption, bundled, output_option
-from carom.terminal.printing import say, say_json
+from carom.terminal.printing import say
 
 if TYPE_CHECKING:
-    from rich.table import Table
-
     from carom.engines.crosscheck.crosscheck import Crosscheck, Teller
     from carom.scene.load import Scene
     from carom.scene.units.system import UnitSystem
-    from carom.terminal.console import Terminal
 
 
 SEVERAL_LIMIT = 30.0  # s, of each run and reference, if there are several scenes
@@ -95,109 +94,107 @@ def crosscheck_command(
     documents = {name: check.document() for name, check in checks.items() if check.results}
     for check in checks.values():
         _draw(check, quiet=as_json or several)
-    if as_json:
-        said = {"scenes": documents, "refused": refused} if several else next(iter(documents.values()), {})
-        say_json(said)
-    elif several:
-        _show_several(documents, loaded, refused, parent)
-    elif documents:
-        name, document = next(iter(documents.items()))
-        _show(document, loaded[name].unit_system, checks[name].folder)
+    if several:
+        answer = CommandAnswer(
+            {"scenes": documents, "refused": refused}, _parts_of_several(documents, loaded, refused, parent)
+        )
+    else:
+        (name,) = checks
+        parts = _parts(documents[name], loaded[name].unit_system, checks[name].folder) if documents else ()
+        answer = CommandAnswer(documents.get(name, {}), parts)
+    answer.say(as_json)
     if not finished:
         say(STOPPED, err=True)
         raise typer.Exit(1)
 
 
-def _show_several(
+def _parts_of_several(
     documents: dict[str, dict[str, Any]], scenes: dict[str, Scene], refused: dict[str, str], folder: Path
-) -> None:
-    """Print one table of all scenes with their subjects, and the scenes that no engine can represent."""
-    from rich import box
-    from rich.table import Table
+) -> Iterator[Part]:
+    """Show one table of all scenes with their subjects, and the scenes that no engine can represent."""
 
-    console = _console()
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
-    for heading in ("scene", "run", "cost / s", "criteria", "diverges from the reference at", "laws broken"):
-        table.add_column(heading, justify="right" if heading == "cost / s" else "left")
-    for name, document in documents.items():
-        for number, run in enumerate(document["runs"]):
-            cost = "" if run["cost"] is None else f"{run['cost']:.3g}"
-            laws = ", ".join(run.get("laws", {})) or "none"
-            parting = _parting(run, document["reference"], scenes[name].unit_system)
-            cells = ("" if number else name, run["name"], cost, _criteria(run), parting, laws)
-            table.add_row(*cells, end_section=run is document["runs"][-1])
-    console.print(table)
+    def parting(row: tuple[str, int, dict[str, Any]]) -> str:
+        name, _, run = row
+        return _parting(run, documents[name]["reference"], scenes[name].unit_system)
+
+    columns = [
+        ShownColumn("scene", lambda row: "" if row[1] else row[0], left=True),
+        ShownColumn("run", lambda row: row[2]["name"], left=True),
+        ShownColumn("cost / s", lambda row: _cost(row[2])),
+        ShownColumn("criteria", lambda row: _criteria(row[2]), left=True),
+        ShownColumn("diverges from the reference at", parting, left=True),
+        ShownColumn("laws broken", lambda row: ", ".join(row[2].get("laws", {})) or "none", left=True),
+    ]
+    rows = [(name, k, run) for name, document in documents.items() for k, run in enumerate(document["runs"])]
+    yield ShownTable(columns, rows, keys=2)
     for name in documents:
         if link := re.match(r"# From (https://\S+)", scenes[name].toml):  # the bug report that the scene was made from
-            console.print(f"{name}: {scenes[name].title} ({link[1]})", soft_wrap=True)
+            yield f"{name}: {scenes[name].title} ({link[1]})"
     for name, reason in refused.items():
-        console.print(f"{name}: {reason}", soft_wrap=True)
+        yield f"{name}: {reason}"
     versions = dict.fromkeys(each for document in documents.values() for each in document["versions"].values())
-    console.print(f"Versions: {', '.join(versions)}.", soft_wrap=True)
+    yield f"Versions: {', '.join(versions)}."
     count = sum(1 for document in documents.values() if document["runs"])
     without = f"{len(refused)} cannot be represented by any of the engines"
-    console.print(f"{count} scenes; {without}. Figures and recordings: {folder}/SCENE.", soft_wrap=True)
+    yield f"{count} scenes; {without}. Figures and recordings: {folder}/SCENE."
 
 
-def _console() -> Terminal:
-    from carom.lab.tradeoff import PIPE_WIDTH
-    from carom.terminal.console import Terminal
-
-    return Terminal(piped=PIPE_WIDTH)
-
-
-def _show(document: dict[str, Any], units: UnitSystem, folder: Path) -> None:
+def _parts(document: dict[str, Any], units: UnitSystem, folder: Path) -> Iterator[Part]:
     from carom.engines.crosscheck.crosscheck import OWN
 
-    console = _console()
-    console.print(_table(document, units))
     reference = document["reference"]
+    yield _table(document, units)
     if reference is not None:
-        console.print(
+        yield (
             f"Reference, {reference['text']}; positions are compared {_extent(reference, units)}. "
-            "A run diverges when its distance from the reference exceeds a hundredth of the size.",
-            soft_wrap=True,
+            "A run diverges when its distance from the reference exceeds a hundredth of the size."
         )
     partings = [run["parting"] for run in document["runs"] if run.get("parting")]
     if number := next((each["impact"] for each in partings if each["impact"]), None):
         where = command("view", folder / f"{OWN.name}.rrd", "--event", f"impact:{number}")
-        console.print(f"The impacts listed are the first with different outcomes, numbered as in carom's run: {where}")
-    console.print(f"Versions: {', '.join(document['versions'].values())}.", soft_wrap=True)
+        yield f"The impacts listed are the first with different outcomes, numbered as in carom's run: {where}"
+    yield f"Versions: {', '.join(document['versions'].values())}."
     for engine, notes in document["notes"].items():
         if notes:
-            console.print(f"{engine}: {'; '.join(notes)}.", soft_wrap=True)
+            yield f"{engine}: {'; '.join(notes)}."
     for run in document["runs"]:
         if run["reason"]:
-            console.print(f"{run['name']}: {run['status']}: {run['reason']}", soft_wrap=True)
+            yield f"{run['name']}: {run['status']}: {run['reason']}"
         for broken in run.get("laws", {}).values():
             times = "" if broken["frames"] == 1 else f" In {broken['frames']} frames."
             at = units.text(broken["time"], TIME)
-            text = f"{run['name']}, step {broken['step']}, t = {at}: {broken['text']}{times}"
-            console.print(text, soft_wrap=True)
+            yield f"{run['name']}, step {broken['step']}, t = {at}: {broken['text']}{times}"
 
 
-def _table(document: dict[str, Any], units: UnitSystem) -> Table:
-    from rich import box
-    from rich.table import Table
-
-    table, reference = Table(box=box.SIMPLE_HEAD, pad_edge=False), document["reference"]
+def _table(document: dict[str, Any], units: UnitSystem) -> ShownTable:
+    reference = document["reference"]
     compared = "" if reference is None or reference["complete"] else f" {_extent(reference, units)}"
-    table.add_column("run")
-    for heading in ("cost / s", "±", "steps", f"position{compared}", "overlap", "energy change", "criteria"):
-        table.add_column(heading, justify="right")
-    for heading in ("diverges from the reference at", "laws broken there"):
-        table.add_column(heading)
-    for run in document["runs"]:
-        errors = run["errors"] or {}
-        cost = (f"{run['cost']:.3g}", f"{run['spread']:.0%}") if run["cost"] is not None else ("", "")
-        known = (errors.get(name) for name in ("position", "overlap"))
-        numbers = ["" if value is None else f"{value:.1e}" if value else "0" for value in known]
-        numbers.append(_energy(run.get("energy") or {}))
-        parting = run.get("parting")
-        laws = "" if parting is None else ", ".join(parting["laws"]) or "none"
-        cells = (run["name"], *cost, str(run["steps"]), *numbers, _criteria(run), _parting(run, reference, units), laws)
-        table.add_row(*cells)
-    return table
+
+    def laws(run: dict[str, Any]) -> str:
+        return "" if run.get("parting") is None else ", ".join(run["parting"]["laws"]) or "none"
+
+    columns = [
+        ShownColumn("run", lambda run: run["name"], left=True),
+        ShownColumn("cost / s", _cost),
+        ShownColumn("±", lambda run: None if run["cost"] is None else f"{run['spread']:.0%}"),
+        ShownColumn("steps", lambda run: run["steps"]),
+        ShownColumn(f"position{compared}", lambda run: _error(run, "position")),
+        ShownColumn("overlap", lambda run: _error(run, "overlap")),
+        ShownColumn("energy change", lambda run: _energy(run.get("energy") or {})),
+        ShownColumn("criteria", _criteria),
+        ShownColumn("diverges from the reference at", lambda run: _parting(run, reference, units), left=True),
+        ShownColumn("laws broken there", laws, left=True),
+    ]
+    return ShownTable(columns, document["runs"], keys=1)
+
+
+def _cost(run: dict[str, Any]) -> str:
+    return "" if run["cost"] is None else f"{run['cost']:.3g}"
+
+
+def _error(run: dict[str, Any], name: str) -> str:
+    value = (run["errors"] or {}).get(name)
+    return "" if value is None else f"{value:.1e}" if value else "0"
 
 
 def _criteria(run: dict[str, Any]) -> str:

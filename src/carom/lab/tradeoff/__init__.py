@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
+from functools import partial
 from pathlib import Path
 from textwrap import fill
 from typing import TYPE_CHECKING, Annotated
@@ -12,18 +13,16 @@ import typer
 
 from carom.scene.units.dimension import TIME
 from carom.scene.wording import command
+from carom.terminal.answers import CommandAnswer, Part, ShownColumn, ShownTable, Strong
 from carom.terminal.options import SceneArgument, SetOption, ThreadsOption
-from carom.terminal.printing import say, say_json
+from carom.terminal.printing import say
 
 if TYPE_CHECKING:
-    from rich.table import Table
-
     from carom.lab.compared_run import Setting
     from carom.lab.tradeoff.reference import Teller
     from carom.lab.tradeoff.settings_grid import SettingResult
     from carom.lab.tradeoff.tradeoff import Study
     from carom.lab.tradeoff.tune import Tuning
-    from carom.scene.units.system import UnitSystem
 
 VaryOption = Annotated[
     list[str] | None,
@@ -91,7 +90,6 @@ COSTS = "cost / s", "known to", "steps", "mean step / written"  # columns of the
 UNBROKEN_SLASH = "\N{NO-BREAK SPACE}/\N{NO-BREAK SPACE}"  # before a unit
 HEADING = 10  # characters of a line of a heading: about as many as a value has
 MARKS = {"front": "●", "near": "?"}  # of an error in the table; see `_legend`
-PIPE_WIDTH = 320  # characters of the table where the output is not a terminal
 ADVICE = "start over with --new-study, or choose another folder with --study"
 
 
@@ -124,10 +122,7 @@ def tradeoff_command(
     wanted += [setting for engine in others for setting in engine.settings(study.scene)]
     chooses = settings is None
     finished = ran(lambda tell: study.measure(wanted, repeats, tell, chooses=chooses), quiet=as_json)
-    if as_json:
-        say_json(study.document())
-    else:
-        _show(study)
+    CommandAnswer(study.document(), _parts(study)).say(as_json)
     _draw(study, quiet=as_json)
     if not finished:
         say(STOPPED, err=True)
@@ -208,114 +203,84 @@ def _draw(study: Study, quiet: bool) -> None:
         say("  ".join([*said, command("view", recording)]))
 
 
-def _show(study: Study) -> None:
-    from rich.markup import escape
-
-    from carom.terminal.console import Terminal
-
-    show_tables(study)
-    console = Terminal(markup=True, piped=PIPE_WIDTH)
+def _parts(study: Study) -> Iterator[Part]:
+    yield table_of(study)
     reference = study.reference
     if reference is None:
         return
-    console.print(f"Reference, {escape(reference.text)}.", soft_wrap=True)
+    yield f"Reference, {reference.text}."
     end, horizon, units = study.scene.time.duration, reference.horizon, study.scene.unit_system
-    console.print(
+    yield (
         f"Positions are compared up to t = {units.text(horizon, TIME)} of {units.text(end, TIME)}. Until then, the "
         f"reference is certain to {study.floor('position'):.1e} of the size and {study.floor('velocity'):.1e} of the "
-        "speed.",
-        soft_wrap=True,
+        "speed."
     )
-    console.print(_legend(study.noise), soft_wrap=True)
+    yield _legend(study.noise)
     left_out = study.left_out
     for result in study.results:
         if result.reason and result.setting.name not in left_out:
             status = "" if result.status == "stopped" else f"{result.status}: "
-            console.print(f"{escape(result.setting.name)}: {status}{escape(result.reason)}", soft_wrap=True)
-    say_equal_runs(study)
-    say_left_out(left_out)
+            yield f"{result.setting.name}: {status}{result.reason}"
+    yield from notes_on_rows(study)
 
 
-def say_equal_runs(study: Study) -> None:
-    """Name the settings that share a row of the table."""
+def notes_on_rows(study: Study) -> Iterator[str]:
+    """Name the settings that share a row of the table, and those that were left out or not timed, by reason."""
     equal: dict[str, list[str]] = {}
     for result in study.results:
         if result.same_as:
             equal.setdefault(result.same_as, []).append(result.setting.name)
     for name, others in equal.items():
-        say(f"The same run as {name}: {'; '.join(others)}.")
-
-
-def say_left_out(left_out: Mapping[str, str]) -> None:
-    """Name the settings that were left out or not timed, by reason."""
+        yield f"The same run as {name}: {'; '.join(others)}."
     by_reason: dict[str, list[str]] = {}
-    for name, reason in left_out.items():
+    for name, reason in study.left_out.items():
         by_reason.setdefault(reason, []).append(name)
     for reason, names in by_reason.items():
         more = "; the same command continues" if reason.startswith(SPENT) else ""
-        say(f"Left out, since {reason}: {'; '.join(names)}{more}.")
+        yield f"Left out, since {reason}: {'; '.join(names)}{more}."
 
 
 def _legend(noise: float) -> str:
     if not noise:
         return (
-            "[bold]●[/bold] No other setting is as accurate and cheaper. Each was timed once, so the noise of the "
-            "costs is unknown."
+            "● No other setting is as accurate and cheaper. Each was timed once, so the noise of the costs is unknown."
         )
     return (
-        "[bold]●[/bold] No other setting is as accurate and as cheap. ? Another setting may be, but the times "
-        "or the reference are too uncertain. Without a mark: another setting is. Costs are medians, known to half "
-        f"their range, or to {noise:.0%} where that is more."
+        "● No other setting is as accurate and as cheap. ? Another setting may be, but the times or the reference are "
+        "too uncertain. Without a mark: another setting is. Costs are medians, known to half their range, or to "
+        f"{noise:.0%} where that is more."
     )
 
 
-def show_tables(study: Study, errors: Collection[str] = SHOWN) -> None:
-    """Print the table of a study; on a narrow terminal, errors that do not fit are in further tables below it."""
-    from carom.lab.tradeoff.reference import NAMES
-    from carom.terminal.console import WIDEST, Terminal
-
-    console = Terminal(markup=True, piped=PIPE_WIDTH)
-    widest, parts = console.options.update(width=WIDEST), [list[str]()]
-    for error in (name for name in NAMES if name in errors):
-        longer = table_of(study, [*parts[-1], error], costs=len(parts) == 1)
-        alone = len(parts) > 1 and not parts[-1]
-        if not alone and console.measure(longer, options=widest).maximum > console.width:
-            parts.append([])
-        parts[-1].append(error)
-    for k, part in enumerate(parts):
-        console.print(table_of(study, part, costs=k == 0))
-
-
-def table_of(study: Study, errors: Collection[str] = SHOWN, *, costs: bool = True) -> Table:
+def table_of(study: Study, errors: Collection[str] = SHOWN) -> ShownTable:
     """Make the table of a study, cheapest setting first, with the columns of the costs and one for each given error."""
-    from rich import box
-    from rich.markup import escape
-    from rich.table import Table
-
     from carom.lab.compared_run import AS_WRITTEN
     from carom.lab.tradeoff.reference import NAMES
 
     measured = [r for r in study.results if r.errors is not None]
     done = sorted((r for r in measured if not r.same_as), key=lambda r: (math.isnan(r.cost), r.cost))
+    failed = [r for r in study.results if r.errors is None and r.status != "left out"]
     written = next((r.steps for r in measured if r.setting == AS_WRITTEN), 0)
     shown = [e for e in NAMES if e in errors and any(not math.isnan(getattr(r.errors, e)) for r in done)]
-    marks = {error: study.marks(error) for error in shown}
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
-    table.add_column("setting", no_wrap=True)
-    for heading in (*(COSTS if costs else ()), *(_heading(study, error) for error in shown)):
+
+    def cost(result: SettingResult) -> str:
+        return result.status if result.errors is None else f"{result.cost:.3g}" if result.costs else ""
+
+    def steps(result: SettingResult) -> str:
+        return "" if result.errors is None and result.status != "stopped" else str(result.steps)
+
+    def step(result: SettingResult) -> str:
+        return f"{written / result.steps:.3g}" if result.errors and written and result.steps else ""
+
+    def column(heading: str, value: Callable[[SettingResult], str]) -> ShownColumn:
         in_lines = fill(heading.replace(" / ", UNBROKEN_SLASH), HEADING, break_long_words=False)
-        table.add_column(in_lines, no_wrap=True, justify="right")
-    for result in done:
-        name = result.setting.name
-        cells = [_cell(result, error, marks[error].get(name, ""), study.scene.unit_system) for error in shown]
-        step = f"{written / result.steps:.3g}" if written and result.steps else ""
-        cost = f"{result.cost:.3g}" if result.costs else "", _certainty(result), str(result.steps), step
-        table.add_row(escape(name), *(cost if costs else ()), *cells)
-    for result in study.results if costs else ():
-        if result.errors is None and result.status != "left out":
-            steps = str(result.steps) if result.status == "stopped" else ""
-            table.add_row(escape(result.setting.name), result.status, "", steps)
-    return table
+        return ShownColumn(in_lines, value)
+
+    columns = [ShownColumn("setting", lambda result: result.setting.name, left=True)]
+    columns += map(column, COSTS, (cost, _certainty, steps, step))
+    for error in shown:
+        columns.append(column(_heading(study, error), partial(_cell, study, error, study.marks(error))))
+    return ShownTable(columns, [*done, *failed], keys=1)
 
 
 def _certainty(result: SettingResult) -> str:
@@ -339,14 +304,14 @@ def _heading(study: Study, error: str) -> str:
     return heading
 
 
-def _cell(result: SettingResult, error: str, mark: str, units: UnitSystem) -> str:
-    value = getattr(result.errors, error)
-    value = units.shown(value, TIME) if error == "impact" else value
-    if math.isnan(value):
+def _cell(study: Study, error: str, marks: Mapping[str, str], result: SettingResult) -> str:
+    if result.errors is None or math.isnan(value := getattr(result.errors, error)):
         return ""
+    value = study.scene.unit_system.shown(value, TIME) if error == "impact" else value
     text = f"{value:.0f}" if error == "missed" else f"{value:.1e}" if value else "0"
+    mark = marks.get(result.setting.name, "")
     text += f" {MARKS.get(mark, ' ')}"
-    return f"[bold]{text}[/bold]" if mark == "front" else text
+    return Strong(text) if mark == "front" else text
 
 
 def tune_command(
@@ -403,23 +368,18 @@ def tune_command(
     study, settings = opened(scene, vary, folder, overrides, threads, new_study, limit, budget, ADVICE)
     found: list[Tuning] = []
     finished = ran(lambda tell: found.append(tuned(study, asked, repeats, tell, settings)), quiet=as_json)
-    if not as_json:
-        show_tables(study, asked)
+    table = table_of(study, asked)
     if not finished:
-        if as_json:
-            say_json(stopped(study, asked))
+        CommandAnswer(stopped(study, asked), [table]).say(as_json)
         say(STOPPED, err=True)
         raise typer.Exit(1)
     (tuning,) = found
+    lines = [*notes_on_rows(study)]
     if tuning.best is not None:
         write(tuning, path)
-    if as_json:
-        say_json(tuning.document() | {"file": str(path) if tuning.best else None})
-    else:
-        say_equal_runs(study)
-        say_left_out(study.left_out)
-    if tuning.best is not None and not as_json:
-        say("\n".join([*_tuning_lines(tuning), f"Written to {path}. The measurements stay in {study.folder}."]))
+        lines += [*_tuning_lines(tuning), f"Written to {path}. The measurements stay in {study.folder}."]
+    document = tuning.document() | {"file": str(path) if tuning.best else None}
+    CommandAnswer(document, [table, *lines]).say(as_json)
     if tuning.best is None:
         said = f"none of the {len(tuning.tried)} settings tried keeps {', '.join(error or [])}: {tuning.why_none()}"
         say(f"carom: {said}", err=True)
