@@ -149,11 +149,17 @@ def test_versions_of_packages_with_extensions_are_compared_as_caroms_own_are() -
     assert of_extensions(used) == {"carom-example": "0.1.0", "cups": "2.0"}
 
 
-def test_the_page_of_data_files_lists_each_format_and_the_help_names_only_some_of_them() -> None:
-    formats = {f".{name}" for name in registry.HOUSE["data_formats"]}
-    page = (Path(__file__).parents[1] / "docs" / "data.md").read_text(encoding="utf-8")
-    table = page.partition("| ending | what is read |\n|---|---|\n")[2].partition("\n\n")[0]
+@pytest.mark.parametrize(
+    ("kind", "page", "heading"),
+    [("data_formats", "data.md", "what is read"), ("export_formats", "sharing.md", "content")],
+)
+def test_the_table_of_the_docs_lists_each_format(kind: str, page: str, heading: str) -> None:
+    text = (Path(__file__).parents[1] / "docs" / page).read_text(encoding="utf-8")
+    table = text.partition(f"| ending | {heading} |\n|---|---|\n")[2].partition("\n\n")[0]
     endings = [ending for row in table.splitlines() for ending in re.findall(r"`(\.\w+)`", row.split("|")[1])]
-    assert set(endings) == formats
+    assert set(endings) == {f".{name}" for name in registry.HOUSE[kind]}
+
+
+def test_the_help_of_data_files_names_only_formats() -> None:
     named = re.findall(r"\.[a-z0-9]+\b", (BodyData.model_fields["file"].description or "").partition(" or another")[0])
-    assert named and set(named) <= formats
+    assert named and {name[1:] for name in named} <= set(registry.HOUSE["data_formats"])

@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from carom.recording.edit.bundle import opened as opened
     from carom.recording.export import Snapshot as Snapshot
     from carom.recording.export import StepFiles as StepFiles
+    from carom.recording.export import TableFiles as TableFiles
     from carom.recording.read.lookup import body_number as body_number
     from carom.recording.read.lookup import names_of as names_of
     from carom.recording.schema.palette import LINES as LINES
@@ -102,7 +103,7 @@ _NAMES = {  # of each module
     "carom.physics.exponential": "exponential logarithm power",
     "carom.physics.jit.decorators": "kernel",
     "carom.recording.edit.bundle": "opened",
-    "carom.recording.export": "Snapshot StepFiles",
+    "carom.recording.export": "Snapshot StepFiles TableFiles",
     "carom.recording.read.lookup": "body_number names_of",
     "carom.recording.schema.palette": "LINES",
     "carom.recording.schema.series": "Plot Sample Series",

@@ -105,9 +105,9 @@ HOUSE: Mapping[str, Mapping[str, str]] = {  # carom's own parts: kind â†’ name â
         "rebound": "carom.scene.data.rebound_archive:REBOUND",
     },
     "export_formats": {
-        "parquet": "carom.recording.export.table_files:write_parquet",
-        "csv": "carom.recording.export.table_files:write_csv",
-        "arrow": "carom.recording.export.table_files:write_arrow",
+        "parquet": "carom.recording.export.table_files:PARQUET",
+        "csv": "carom.recording.export.table_files:CSV",
+        "arrow": "carom.recording.export.table_files:ARROW",
         "npz": "carom.recording.export.npz:write_npz",
         "extxyz": "carom.recording.export.extended_xyz:write_extended_xyz",
         "vtk": "carom.recording.export.vtk:VTK",

@@ -49,12 +49,23 @@ class StepFiles:
 
 
 CONTACTS, ENERGIES = "contacts", "energies"  # tables beside that of the bodies
-TABLES = (".parquet", ".csv", ".arrow")  # formats with several tables, each a file
+
+
+@dataclass(frozen=True, slots=True)
+class TableFiles:
+    """A format with several tables: bodies, and beside its file a file for contacts and a file for energies."""
+
+    write: Callable[[Path, Snapshot, Iterator[Snapshot]], None]
+
+    def __call__(self, path: Path, first: Snapshot, others: Iterator[Snapshot]) -> None:
+        """Write all steps."""
+        self.write(path, first, others)
 
 
 def others_of(path: Path) -> list[Path]:
     """Return the files of the other tables beside that of the bodies."""
-    return [beside(path, part) for part in (CONTACTS, ENERGIES)] if path.suffix in TABLES else []
+    has_others = isinstance(registry.load("export_formats", path.suffix[1:]), TableFiles)
+    return [beside(path, part) for part in (CONTACTS, ENERGIES)] if has_others else []
 
 
 def beside(path: Path, part: str) -> Path:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -14,24 +15,9 @@ import pyarrow as pa
 import pyarrow.csv as pc
 import pyarrow.parquet as pq
 
-from carom.recording.export import CONTACTS, ENERGIES, Snapshot, beside
+from carom.recording.export import CONTACTS, ENERGIES, Snapshot, TableFiles, beside
 from carom.recording.export.spreadsheet import in_csv
 from carom.recording.read.state_columns import state_table, with_units
-
-
-def write_parquet(path: Path, first: Snapshot, others: Iterator[Snapshot]) -> None:
-    """Write Parquet files, with a row group for each step."""
-    _write(pq.ParquetWriter, path, first, others)
-
-
-def write_arrow(path: Path, first: Snapshot, others: Iterator[Snapshot]) -> None:
-    """Write Arrow files (Feather), with a record batch for each step."""
-    _write(pa.ipc.new_file, path, first, others)
-
-
-def write_csv(path: Path, first: Snapshot, others: Iterator[Snapshot]) -> None:
-    """Write CSV files with a header; numbers keep all their digits."""
-    _write(pc.CSVWriter, path, first, others, in_csv)
 
 
 def _write(
@@ -52,6 +38,11 @@ def _write(
                 if file not in writers:
                     writers[file] = stack.enter_context(writer_of(file, shown.schema))
                 writers[file].write_table(shown)
+
+
+PARQUET = TableFiles(partial(_write, pq.ParquetWriter))  # with a row group for each step
+ARROW = TableFiles(partial(_write, pa.ipc.new_file))  # Feather, with a record batch for each step
+CSV = TableFiles(partial(_write, pc.CSVWriter, shaped=in_csv))  # numbers keep all their digits
 
 
 def table_of(snapshot: Snapshot) -> pa.Table:
