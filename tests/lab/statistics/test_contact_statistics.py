@@ -10,8 +10,9 @@ import pytest
 
 import carom
 from carom import Recording
-from carom.lab.statistics import Histogram, Interval, Statistic
+from carom.lab.statistics import Interval
 from carom.lab.statistics.motion_statistics import measure_impacts, measure_stress
+from carom.lab.statistics.statistic import Histogram, Statistic
 from carom.lab.statistics.statistics_report import Statistics, draw
 from carom.lab.statistics.structure_statistics import (
     chains_of,

@@ -33,7 +33,8 @@ import numpy as np
 
 from carom.arrays import FloatArray
 from carom.errors import RecordingError
-from carom.lab.statistics import Histogram, Interval, MeasuredValue, NothingThereError, Statistic
+from carom.lab.statistics import Interval, NothingThereError
+from carom.lab.statistics.statistic import Histogram, MeasuredValue, Statistic
 from carom.physics.vector import minimum_images
 from carom.scene.units.dimension import ENERGY, LENGTH, RATE, TIME, VELOCITY, Dimension
 

@@ -11,13 +11,14 @@ import pyarrow as pa
 
 from carom.errors import RecordingError
 from carom.lab.figure_style import FAINT, TEXT_IN_SVG, sheet, styled
-from carom.lab.statistics import Histogram, Interval, MeasuredValue, Statistic, Watcher
+from carom.lab.statistics import Interval, Watcher
 from carom.lab.statistics.motion_statistics import (
     measure_free_paths,
     measure_impacts,
     measure_stress,
     measure_velocities,
 )
+from carom.lab.statistics.statistic import Histogram, MeasuredValue, Statistic
 from carom.lab.statistics.structure_statistics import measure_forces, measure_network, measure_pair_correlation
 from carom.recording.read.recording import Recording
 from carom.recording.write.whole_file import whole_file

@@ -31,7 +31,8 @@ from scipy.spatial import cKDTree
 
 from carom.arrays import BoolArray, FloatArray, IntArray
 from carom.errors import RecordingError
-from carom.lab.statistics import Histogram, Interval, MeasuredValue, Statistic
+from carom.lab.statistics import Interval
+from carom.lab.statistics.statistic import Histogram, MeasuredValue, Statistic
 from carom.scene.units.dimension import FORCE
 
 HOLDING = {False: 4, True: 2}  # smallest number of contacts that hold a sphere, without and with friction
