@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Iterator
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -11,9 +12,10 @@ import typer
 
 from carom.errors import needing
 from carom.scene.wording import command
+from carom.terminal.answers import CommandAnswer, ShownColumn, ShownTable, Strong
 from carom.terminal.console import LiveLine, bar
 from carom.terminal.options import SetOption, bundled
-from carom.terminal.printing import duration_text, say_json
+from carom.terminal.printing import duration_text
 
 if TYPE_CHECKING:
     from carom.lab.sweep.manifest import StoredSweep, SweepRun
@@ -175,12 +177,10 @@ def sweep_command(
     if scene is None:
         assert table is not None
         figure = draw(table, plot, conditions or []) if plot is not None else None
-        if as_json:
-            print_json(table, conditions or [], sort, columns)
-        elif figure is not None:
+        if figure is not None and not as_json:
             typer.echo(f"{figure} written.")
         else:
-            show(table, conditions or [], sort, columns)
+            _table(table, conditions or [], sort, columns).say(as_json)
         return
 
     from carom.lab.sweep.plan import plan
@@ -208,80 +208,66 @@ def _tell(ending: SweepEnding, folder: Path, figure: Path | None, as_json: bool)
     """Describe how a sweep ended."""
     if ending.untabled:
         typer.echo(f"carom: {ending.untabled}", err=True)
-    if as_json:
-        document = {
-            "ok": ending.ok,
-            "runs": len(ending.manifest.asked),
-            "found": ending.found,
-            "failed": [run.name for run in ending.failed],
-            "missed": [run.name for run in ending.missed],
-            "left": ending.left,
-            "stopped": ending.stopped,
-            "units": ending.manifest.plan.units,
-            "folder": str(ending.manifest.folder.root),
-            "figure": str(figure) if figure else None,
-            "entries": [asdict(run) for run in ending.manifest.asked],
-        }
-        say_json(document)
-        return
     runs = ending.manifest.asked
-    done = len(runs) - len(ending.failed) - ending.left
-    there = f", {ending.found} of them before" if ending.found else ""
-    typer.echo(f"{done} of {len(runs)} runs done{there}; {folder / 'manifest.json'}")
-    for what, count in (("failed", len(ending.failed)), ("missed a promise", len(ending.missed))):
-        if count:
-            typer.echo(f"{count} {what}")
-    if figure is not None:
-        typer.echo(f"{figure} written.")
-    if ending.left:
+    document = {
+        "ok": ending.ok,
+        "runs": len(runs),
+        "found": ending.found,
+        "failed": [run.name for run in ending.failed],
+        "missed": [run.name for run in ending.missed],
+        "left": ending.left,
+        "stopped": ending.stopped,
+        "units": ending.manifest.plan.units,
+        "folder": str(ending.manifest.folder.root),
+        "figure": str(figure) if figure else None,
+        "entries": [asdict(run) for run in runs],
+    }
+    if ending.left and not as_json:
         why = f"{ending.stopped}: " if ending.stopped else ""
         typer.echo(f"carom: {why}{ending.left} runs remain; run the same command again to continue", err=True)
-    typer.echo(f"next: {command('sweep', '--table', folder)}")
+    CommandAnswer(document, _lines(ending, folder, figure)).say(as_json)
 
 
-PIPE_WIDTH = 160  # characters of the table where the output is not a terminal
+def _lines(ending: SweepEnding, folder: Path, figure: Path | None) -> Iterator[str]:
+    runs = len(ending.manifest.asked)
+    there = f", {ending.found} of them before" if ending.found else ""
+    yield f"{runs - len(ending.failed) - ending.left} of {runs} runs done{there}; {folder / 'manifest.json'}"
+    for what, count in (("failed", len(ending.failed)), ("missed a promise", len(ending.missed))):
+        if count:
+            yield f"{count} {what}"
+    if figure is not None:
+        yield f"{figure} written."
+    yield f"next: {command('sweep', '--table', folder)}"
+
+
 SHOWN = ("energy.final", "energy.max_error", "contacts.total", "contacts.max_overlap", "wall_time")
 
 
-def show(folder: Path, conditions: list[str], sort: str | None, columns: str | None) -> None:
-    """Print the table of a sweep."""
-    from rich import box
-    from rich.markup import escape
-    from rich.table import Table
-
+def _table(folder: Path, conditions: list[str], sort: str | None, columns: str | None) -> CommandAnswer:
+    """Return the table of a sweep; the document has all columns, or only the chosen ones."""
     from carom.lab.sweep.sweep_table import chosen
-    from carom.terminal.console import Terminal
 
     rows, stored = _rows(folder)
     keys = _keys(rows, stored, sort, columns or ",".join(key for key in SHOWN if key in rows[0]))
     found = chosen(rows, conditions, sort)
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
-    for key in keys:
-        numeric = all(isinstance(row[key], (int, float)) for row in rows if row[key] is not None)
-        table.add_column(key, justify="right" if numeric else "left", overflow="fold")
-    for row in found:
-        values = ["" if row[key] is None else row[key] for key in keys]
-        cells = [f"{value:.6g}" if isinstance(value, float) else str(value) for value in values]
-        table.add_row(*map(escape, cells), style=None if row["status"] == "done" else "red")
-    console = Terminal(markup=True, piped=PIPE_WIDTH)
-    console.print(escape(stored.title))
-    console.print(table)
+    kept = [{key: row[key] for key in keys} for row in found] if columns else found
+    document = {"title": stored.title, "units": stored.units, "varied": stored.varied, "rows": kept}
+    shown = ShownTable([_column(key, rows) for key in keys], found, keys=max(1, len(stored.varied)))
     counts = f"{len(found)} of {len(rows)} runs" if len(found) < len(rows) else f"{len(rows)} runs"
     units = f"; units of the results: {stored.units}, wall_time in s" if stored.units else ""
     files = f"recordings in {folder / 'runs'}, all columns in {folder / 'table.csv'}"
-    console.print(f"{counts}{units}; {files}", soft_wrap=True)
+    return CommandAnswer(document, [stored.title, shown, f"{counts}{units}; {files}"])
 
 
-def print_json(folder: Path, conditions: list[str], sort: str | None, columns: str | None) -> None:
-    """Print the rows of a sweep as JSON, with all columns or only with the chosen ones."""
-    from carom.lab.sweep.sweep_table import chosen
+def _column(key: str, rows: list[Row]) -> ShownColumn:
+    """Return a column of the table, in which runs that are not done stand out."""
 
-    rows, stored = _rows(folder)
-    found = chosen(rows, conditions, sort)
-    if columns:
-        keys = _keys(rows, stored, sort, columns)
-        found = [{key: row[key] for key in keys} for row in found]
-    say_json({"title": stored.title, "units": stored.units, "varied": stored.varied, "rows": found})
+    def cell(row: Row) -> str | None:
+        value = f"{row[key]:.6g}" if isinstance(row[key], float) else None if row[key] is None else str(row[key])
+        return Strong(value) if value and row["status"] != "done" else value
+
+    numeric = all(isinstance(row[key], (int, float)) for row in rows if row[key] is not None)
+    return ShownColumn(key, cell, left=not numeric)
 
 
 def _keys(rows: list[Row], stored: StoredSweep, sort: str | None, columns: str) -> list[str]:
