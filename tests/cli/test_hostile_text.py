@@ -16,13 +16,14 @@ from rich.text import Text
 
 from carom import run as carom_run
 from carom.recording.export.spreadsheet import harmless
+from carom.recording.read.recording import Recording
 from carom.recording.rrd.framing import CHUNK
 from carom.recording.rrd.messages import decode
 from carom.scene.load import Scene
 from carom.scene.wording import escaped
 from carom.terminal.console import Terminal
 from carom_command import carom
-from edited_recordings import changed, mapped, messages_of
+from edited_recordings import changed, mapped, messages_of, without_column
 
 MARKUP = "![x](http://evil.example/p.png) <b>x</b> [y](javascript:alert(1)) `z` http://evil.example\n# w \u202e\u061c"
 UNSAFE = "\x1b]0;owned\x07[/red] [bold]x[/] \x9b2J \u202egnp.exe \r\b"
@@ -65,6 +66,9 @@ def test_no_text_of_a_recording_breaks_or_steers_a_command(entity: str, componen
         done = carom(*command, cwd=folder)
         assert done.returncode == 0 and "Traceback" not in done.stderr, done.stderr
         assert not set("\x1b\x07\x9b\u202e\b") & set(done.stdout + done.stderr)
+    shown = Recording.open(odd)
+    for text in (repr(shown), shown._repr_html_()):
+        assert not set("\x1b\x07\x9b\u202e\b") & set(text), "in a notebook"
     if component == "title":
         assert "[/red] [bold]x[/]" in carom("inspect", odd.name, cwd=folder).stdout
         assert json.loads(carom("inspect", odd.name, "--json", cwd=folder).stdout)["scene"]["title"] == UNSAFE
@@ -89,6 +93,12 @@ def test_a_scene_of_any_keys_is_compared_or_refused(text: str, said: str, run_fi
     done = carom("diff", run_file.name, odd.name, cwd=run_file.parent)
     assert said in done.stdout + done.stderr and "Traceback" not in done.stderr
     assert len(done.stdout.splitlines()) < 100
+
+
+def test_a_notebook_shows_why_a_recording_cannot_be_read(run_file: Path) -> None:
+    odd = run_file.with_name("odd.rrd")
+    changed(run_file, odd, "__properties/outcome", lambda batch: without_column(batch, "outcome"), static=True)
+    assert "its property outcome has no outcome" in repr(Recording.open(odd))
 
 
 def test_every_text_in_markdown_is_literal_in_what_carom_writes_for_the_viewer(tmp_path: Path) -> None:

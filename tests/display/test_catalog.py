@@ -19,6 +19,7 @@ from carom.physics.space import Space
 from carom.recording.schema.header import SweepMember
 from carom.runs.run import simulate
 from needs import PICTURES
+from page_requests import requests_of_pages
 from small_scenes import pair
 
 pytest.importorskip("datafusion")
@@ -144,11 +145,12 @@ def test_without_a_screen_only_calls_of_the_user_reach_the_server(tmp_path: Path
             dataset = CatalogClient(server).get_dataset(tmp_path.name)
             assert str(dataset.id) == entry and len(dataset.segment_ids()) == 1
             port = int(server.rpartition(":")[2])
-            for host in (f"127.0.0.1:{port}", "rebound.example"):
+            for request in requests_of_pages(port)[::9]:
                 with socket.create_connection(("127.0.0.1", port), timeout=10) as page:
-                    page.sendall(f"POST / HTTP/1.1\r\nHost: {host}\r\n\r\n".encode())
+                    with contextlib.suppress(ConnectionError):
+                        page.sendall(request)
                     with contextlib.suppress(ConnectionResetError):
-                        assert page.recv(1) == b""
+                        assert page.recv(1) == b"", request
             serving.send_signal(signal.SIGINT)
             assert serving.wait(60) == 0
         finally:

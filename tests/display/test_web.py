@@ -7,6 +7,7 @@ import gzip
 import html
 import http.client
 import mmap
+import re
 import socket
 import subprocess
 import time
@@ -35,6 +36,7 @@ from carom.recording.read.recording import Recording
 from carom.scene.load import Scene
 from needs import BROWSER
 from other_user import as_root, run_as_nobody
+from page_requests import requests_of_pages
 
 if TYPE_CHECKING:
     from playwright.sync_api import Page
@@ -185,7 +187,18 @@ def test_where_users_cannot_be_told_apart_a_private_file_leads_to_the_link(
     assert not file.exists()
 
 
-def test_a_page_of_another_name_that_leads_here_is_refused(link: str) -> None:
+def test_a_page_of_another_name_that_leads_here_is_refused(unfinished: Hosted) -> None:
+    link = unfinished.link
+    parts = urlsplit(link)
+    port, ours = parts.port or 0, re.compile(rb"Host: (evil@)?(127\.0\.0\.1|localhost)(:\d+)?\r", re.IGNORECASE)
+    for path in ("/", parts.path):
+        for request in requests_of_pages(port, path)[::3]:
+            with socket.create_connection(("127.0.0.1", port), timeout=60) as connection:
+                connection.sendall(request)
+                connection.shutdown(socket.SHUT_WR)
+                with contextlib.suppress(ConnectionResetError):
+                    if connection.recv(12) == b"HTTP/1.1 200":
+                        assert path == parts.path and ours.search(request), request
     assert answer(link, web.PAGE, "evil.example")[0] == 403
     assert answer(link, web.PAGE, "localhost:8000")[0] == 200
 

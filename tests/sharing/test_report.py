@@ -112,6 +112,7 @@ def test_texts_of_a_recording_neither_format_a_report_nor_steer_a_terminal(
         mapped("command", lambda row: [f"{HOSTILE}\n# owned\n```"]),
         static=True,
     )
+    changed(odd, odd, "__properties/run", mapped("version.carom", lambda row: ["$(touch owned)"]), static=True)
     made = report(Recording.open(odd), tmp_path / "odd.zip")
     with zipfile.ZipFile(made.path) as packed:
         text = packed.read("README.md").decode()
@@ -128,6 +129,7 @@ def test_texts_of_a_recording_neither_format_a_report_nor_steer_a_terminal(
     )
     *_, line = [span.content for span in spans if span.type == "code_inline"]  # after the ways to open the clip
     assert line == command_of_a_file(f"{HOSTILE}\n# owned\n```"), "one quoted word"
+    assert "The commands need the version of carom that recorded it" in text, "no version that is none"
 
 
 def test_a_run_that_gained_energy_is_about_that(tmp_path: Path) -> None:

@@ -29,8 +29,9 @@ from signals_everywhere import COMMANDS, SCENE
 Attempt = dict[str, Any]
 CAROM = (sys.executable, "-m", "carom")
 LATEST = 8.0  # s after the start of a command on a busy machine, by which it is killed
-WARM = 20.0  # s, at most half of a soak, in which a run loads its kernels and fills its buffers
-GROWTH = 64_000_000  # bytes by which it may grow from then on: the footer, of 1 kB a message, and its frames
+# Bytes by which a soak may grow in its second half: batches are joined, so that twice the data are at most ln 2 / 0.004
+# = 173 batches more (docs/recording.md, "Long runs") of 60 messages, for each of which Rerun keeps 6 kB.
+GROWTH = 64_000_000
 MANY = "[[group]]\ncount = 200000\nradius = 0.01\nvelocity = {{ dispersion = 0.1 }}\n[gravity]\nconstant = 0.0\n"
 MANY += '[contact]\nenabled = false\n[time]\nfixed_dt = 0.01\nduration = {}\n[record]\nevery = "step"\n'
 BYTES_PER_FRAME = 2_500_000  # at least, of these bodies
@@ -127,7 +128,7 @@ def kills(rng: random.Random, folder: Path, amount: int) -> Iterator[Attempt]:
 
 
 def soak(rng: random.Random, folder: Path, amount: int) -> Iterator[Attempt]:
-    """Let a run record every step for so many seconds; its memory must not grow by more than `GROWTH`."""
+    """Let a run record for so many seconds; in the second half its memory must not grow by more than `GROWTH`."""
     command = "run two-spheres -o made.rrd --set time.duration=1e9 --set time.fixed_dt=0.001 --set record.every=0.01"
     sizes, began, every = list[int](), time.monotonic(), min(1.0, amount / 50)
     with subprocess.Popen(
@@ -139,27 +140,39 @@ def soak(rng: random.Random, folder: Path, amount: int) -> Iterator[Attempt]:
             sizes.append(int(pages) * os.sysconf("SC_PAGE_SIZE"))
         child.send_signal(signal.SIGINT)
         _, said = child.communicate()
-    early, late = max(sizes[: 1 + int(min(WARM, amount / 2) / every)]), max(sizes)
+    half = len(sizes) // 2
+    early, late = max(sizes[:half]), max(sizes[half:])
     faults = [] if late - early <= GROWTH else [f"{late - early} bytes more"]
-    if not Recording.open(folder / "made.rrd").finished:
+    recording = Recording.open(folder / "made.rrd")
+    if not recording.finished:
         faults.append(f"no footer: {said[-300:]}")
-    size = (folder / "made.rrd").stat().st_size
-    yield {"seconds": amount, "MB": [early // 10**6, late // 10**6], "file": size, "faults": faults}
+    size, megabytes = (folder / "made.rrd").stat().st_size, [each // 10**6 for each in (early, late)]
+    yield {"seconds": amount, "MB": megabytes, "frames": recording.frames, "file": size, "faults": faults}
 
 
 def forms(rng: random.Random, folder: Path, amount: int) -> Iterator[Attempt]:
     """Run random scenes with plain and with optimised kernels, which must give the same bits."""
     seed = rng.randrange(2**31)
-    start, which = (sys.executable, "-c", PLAIN), f"{seed} 0 {amount}"
+    start, which = (sys.executable, "-c", PLAIN), (str(seed), "0", str(amount))
     # no optimisation of the compiler moves a bit: with few of them it takes a fraction of the time
     quick = {"NUMBA_OPT": "1", "NUMBA_CACHE_DIR": str(folder / "kernels"), "CAROM_PLAIN": "1"}
-    (code, plain), (other, fast) = say(which, folder, start, **quick), say(which, folder, start)
-    ends = [text.splitlines() for text in (plain, fast)]
-    if code or other or any(len(each) != amount for each in ends):
-        yield {"seed": seed, "faults": [(plain + fast)[-600:]]}
+    code, fast = say(shlex.join(which), folder, start)
+    ends = fast.splitlines()
+    if code or len(ends) != amount:
+        yield {"seed": seed, "faults": [fast[-600:]]}
         return
-    for index, (one, two) in enumerate(zip(*ends, strict=True)):
-        yield {"seed": seed, "index": index, "end": two, "faults": [] if one == two else [f"plain: {one}"]}
+    with subprocess.Popen(
+        [*start, *which],
+        cwd=folder,
+        env=os.environ | quick,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+    ) as child:
+        assert child.stdout is not None
+        for index, end in enumerate(ends):  # each as soon as it is there: the first ones compile for minutes
+            plain = child.stdout.readline().strip()
+            yield {"seed": seed, "index": index, "end": end, "faults": [] if plain == end else [f"plain: {plain}"]}
 
 
 def odd(rng: random.Random, folder: Path, amount: int) -> Iterator[Attempt]:

@@ -23,7 +23,7 @@ echo "$(grep -c '"faults"' <<<"$scenes") hostile scenes; repeat one with: python
 if grep '"faults": \[[^]]' <<<"$scenes"; then found=1; fi
 
 tries=("signals_everywhere.py $seed 20" "interrupted_programs.py $seed 8" "inflated_recordings.py $scratch state-"
-    "inflated_data.py $scratch" "endurance.py odd $seed 2")
+    "inflated_data.py $scratch" "hostile_texts.py $seed 2" "endurance.py odd $seed 2")
 if [ -n "${CAROM_LONG:-}" ]; then
     limit=
     tries+=("endurance.py kills $seed 100" "endurance.py forms $seed 60" "endurance.py soak $seed ${CAROM_SOAK:-1800}"

@@ -25,7 +25,7 @@ import tomlkit
 import tomlkit.exceptions
 
 from carom.errors import SceneError
-from carom.scene.wording import command
+from carom.scene.wording import command, escaped
 
 PACKAGE = Path(__file__).parents[1]
 CROSSCHECK = "crosscheck"  # the folder of scenes from bug reports of other engines
@@ -191,8 +191,8 @@ def value_text(value: Any) -> str:
 
 
 def _string(text: str) -> str:
-    """Quote text: TOML escapes the same characters as JSON, and DEL."""
-    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
+    """Quote text: TOML escapes the same characters as JSON, and DEL; others would steer a terminal that prints them."""
+    return escaped(json.dumps(text, ensure_ascii=False))
 
 
 _NUMBER = re.compile(r"[+-]?(\.[0-9]+|[0-9]+\.)([eE][+-]?[0-9]+)?")  # a number as people write it, but not valid TOML

@@ -34,7 +34,7 @@ from carom.runs.outcome import (
     value_shown,
 )
 from carom.runs.replay import replay
-from carom.scene.extensions import stamped
+from carom.scene.extensions import RELEASE, stamped
 from carom.scene.units.dimension import ENERGY, TIME
 from carom.scene.units.system import UnitSystem
 from carom.scene.wording import command, counted, in_one_line, literal
@@ -246,7 +246,8 @@ def _summary(
     span = units.span(times[0], times[-1], TIME, ".9g")
     repeat = f"{command('replay', name)}    # are the bits the same on your machine?"
     lines = description(recording.scene_toml).splitlines()
-    version = literal(str(recording.versions.get("carom", "")))
+    version = recording.versions.get("carom", "")
+    writer = f"carom {version}" if RELEASE.fullmatch(version) else "the version of carom that recorded it"
     return "\n".join(
         [
             f"# {literal(recording.title)}",
@@ -264,7 +265,7 @@ def _summary(
             command("view", name, "--at", f"{units.shown(moment, TIME):.9g}"),
             "```",
             "",
-            f"The commands need carom {version}: `pip install .` in a copy of its repository, with Python 3.11 "
+            f"The commands need {writer}: `pip install .` in a copy of its repository, with Python 3.11 "
             f"or newer. Without carom, `pip install rerun-sdk` and `rerun {bundle.CLIP}` show the clip; its texts "
             "Legend and About explain what is drawn, and how to read the numbers.",
             "",

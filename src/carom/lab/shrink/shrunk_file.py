@@ -15,7 +15,7 @@ from carom.lab.shrink.literal import BODIES, Document
 from carom.lab.shrink.reducer import Reduction, Stage
 from carom.recording.write.whole_file import write_whole
 from carom.runs.environment import versions
-from carom.scene.wording import counted
+from carom.scene.wording import counted, escaped
 
 _MARK = re.compile(
     r"^# shrink ([0-9a-f]{12}) of (\d{1,9}) bodies and (\d{1,9}) steps, (unfinished|minimal)$", re.MULTILINE
@@ -101,7 +101,10 @@ WIDTH = 110  # characters of a comment
 
 
 def commented(document: Document, comments: list[str]) -> str:
-    """Return the text of a scene with comments above it, each a paragraph, and one line for each body."""
+    """Return the text of a scene with comments above it, each a paragraph, and one line for each body.
+
+    Control characters in its texts are escapes, as in `toml_text`.
+    """
     written = tomlkit.document()
     for paragraph in comments:
         for line in textwrap.wrap(paragraph, WIDTH, break_long_words=False, break_on_hyphens=False):
@@ -123,4 +126,4 @@ def commented(document: Document, comments: list[str]) -> str:
             for name, inner in value.items():
                 table.add(name, inner)
             written.add(key, table)
-    return tomlkit.dumps(written)
+    return escaped(tomlkit.dumps(written))

@@ -26,7 +26,7 @@ from carom.recording.rrd.messages import RECORDING, Store
 from carom.recording.schema import paths
 from carom.recording.schema.header import schema_version
 from carom.scene.extensions import RELEASE
-from carom.scene.wording import counted
+from carom.scene.wording import counted, in_one_line
 from carom.state.checkpoint import Checkpoint
 
 
@@ -198,9 +198,13 @@ class Recording(RecordedData):
         return bodies_at(self, at)
 
     def __repr__(self) -> str:
-        """Return the path, the numbers of bodies and frames, and the outcome of the run."""
-        bodies = counted(int(self.info["bodies"]), "body")
-        return f"<Recording {self.path}: {bodies}, {counted(self.frames, 'frame')}, {self.outcome}>"
+        """Return the path, the numbers of bodies and frames, and the outcome of the run, or why they cannot be read."""
+        try:
+            bodies = counted(int(self.info["bodies"]), "body")
+            text = f"{self.path}: {bodies}, {counted(self.frames, 'frame')}, {self.outcome}"
+        except RecordingError as error:
+            text = str(error)
+        return f"<Recording {in_one_line(text)}>"
 
     def _repr_html_(self) -> str:
         """Return the summary as a table, for notebooks."""
