@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from pathlib import Path
 from typing import Any
 
@@ -14,10 +15,8 @@ from carom.plan import interactions
 from carom.plan.auto import (
     TREES,
     cfl,
-    ended_bounces,
     frame_interval,
     gravity_method,
-    inexact_impacts,
     integrator,
     largest_step,
     pull_fraction,
@@ -27,6 +26,7 @@ from carom.plan.auto import (
 )
 from carom.plan.checks import refuse_impossible
 from carom.plan.features import require
+from carom.plan.known_errors import ended_bounces, inexact_impacts, inexact_orbits
 from carom.scene.forces import FORCES, ForceKind
 from carom.scene.load import Scene
 from carom.scene.parts import OWN_FORCES, PARTS
@@ -199,6 +199,43 @@ def test_many_bodies_that_orbit_a_dominant_one_are_integrated_like_few() -> None
     assert integrator(ring(120, 2e30)).name == "gauss-radau15"
     assert integrator(ring(220, 2e30)).name == "leapfrog"  # each impact restarts all of them
     assert integrator(ring(120, 1e21)).name == "leapfrog"  # the centre is not dominant
+
+
+def circles(count: int, **time: Any) -> Scene:
+    """Points on circles about a dominant one, with G = 1; the innermost completes 20 revolutions."""
+    bodies: list[dict[str, Any]] = [{"mass": 1.0, "radius": 1e-3}]
+    for k in range(count - 1):
+        r, angle = 1.0 + 0.01 * k, 2.4 * k
+        x, y, v = math.cos(angle), math.sin(angle), 1.0 / math.sqrt(r)
+        place = {"position": [r * x, r * y, 0.0], "velocity": [-v * y, v * x, 0.0]}
+        bodies.append({"mass": 1e-12, "radius": 1e-6} | place)
+    rule = {"duration": 40.0 * math.pi} | time
+    return Scene.from_dict({"body": bodies, "gravity": {"constant": 1.0}, "contact": {"enabled": False}, "time": rule})
+
+
+def test_hundreds_of_points_that_orbit_a_dominant_one_far_apart_are_integrated_to_rounding() -> None:
+    assert integrator(circles(150)).name == "gauss-radau15"
+    assert integrator(circles(1001)).name == "leapfrog"
+    assert integrator(circles(150, pull_fraction=0.02)).name == "leapfrog", "the scene sets the step"
+
+
+@pytest.mark.parametrize("steps", [300.0, 1000.0])
+def test_orbits_lag_as_the_note_says(steps: float) -> None:
+    scene = circles(12, integrator="leapfrog", fixed_dt=2.0 * math.pi / steps)
+    said = re.search(r"by about (\S+) rad in 20 revolutions", inexact_orbits(scene))
+    assert said
+    space = Space(scene, threads=1)
+    for _ in space.run():
+        pass
+    sun, innermost = space.state.position[:2]
+    lag = -math.atan2(innermost[1] - sun[1], innermost[0] - sun[0])  # it began on the x axis
+    assert float(said[1]) == pytest.approx(lag, rel=0.5), "the note has one digit"
+    assert lag == pytest.approx(40.0 * math.pi * (2.0 * math.pi / steps) ** 2 / 3.0, rel=0.01), "the next order is dt⁴"
+
+
+def test_no_note_says_that_orbits_lag_where_they_do_not() -> None:
+    assert inexact_orbits(circles(150)) == ""
+    assert inexact_orbits(circles(12, integrator="leapfrog", fixed_dt=1e-3)) == ""
 
 
 def test_the_longest_step_leaves_a_run_a_million_steps() -> None:

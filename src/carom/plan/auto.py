@@ -7,14 +7,11 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 from carom.plan import interactions
-from carom.plan.hierarchy import FEWEST_ORBITS, far_apart, orbits_often
+from carom.plan.hierarchy import FEWEST_ORBITS, MOST_APART, far_apart, orbits_often
 from carom.plan.interactions import forced_parts
-from carom.scene.forces import MOST_RELAXATIONS
 from carom.scene.integrators import AUTO, INTEGRATORS, Integrator, integrator_called
 from carom.scene.load import Scene
 from carom.scene.matter import body_mass, made_of, mean_mass
-from carom.scene.rest_speed import PER_STEP
-from carom.scene.units.dimension import TIME, VELOCITY
 
 FRAMES = 600  # of an "auto" recording: enough to scrub through smoothly, few enough to open at once
 FEWEST_FRAMES = 50
@@ -42,7 +39,9 @@ SMOOTHING = 0.2  # weight of the new step in the moving average, where contacts 
 LATE_CFL = 0.5  # if impacts are resolved at the end of the step
 FREE_CFL = 1.0  # with exact times of impact and without forces, where shorter steps gain nothing
 
-EXACT_IMPACT = 1e-9  # largest relative error of the approach speed of an exact impact
+
+ORBITS_UP_TO = 1000  # bodies far apart about a dominant one, without contacts; from 300 to 900, gauss-radau15 takes 0.6
+# times the time of leapfrog on circles, one to three times with encounters, at a thousandth of its error or less
 
 BOUNCES_UP_TO = 200  # bouncing bodies; gauss-radau15 restarts all bodies at each impact (docs/trade.md)
 
@@ -99,73 +98,7 @@ def why_late(scene: Scene) -> str:
     return f"a step of {chosen.name} is more than one drift"
 
 
-def inexact_impacts(scene: Scene) -> str:
-    """Describe the error of an impact of two bodies that touch nothing else; empty if it is exact.
-
-    The impulse follows exactly from the approach speed, which a force that varies within the step changes. With
-    self-gravity, the relative error is about a dt²/r, below rounding for small and fast bodies.
-    """
-    chosen = integrator(scene)
-    if not interactions.contact(scene).modelled or chosen.ends_steps_at_impacts or scene.time.accuracy is not None:
-        return ""
-    if why_late(scene):
-        return f"impacts are detected up to a step late, with an overlap: {why_late(scene)}"
-    second_order = "approach speeds of impacts are accurate to second order in the step"
-    if force := interactions.further(scene):
-        return f"{force} changes during a step: {second_order}"
-    if scene.domain.boundary == "periodic" and scene.anchored and interactions.pushing(scene):
-        return f"paths are straight within a step in a periodic box: with fixed bodies, {second_order}"
-    if scene.drag and (scene.time.fixed_dt or largest_step(scene)) > MOST_RELAXATIONS * scene.drag.relaxation_time:
-        longest = scene.unit_system.text(MOST_RELAXATIONS * scene.drag.relaxation_time, TIME, "g")
-        return (
-            f"steps may exceed {MOST_RELAXATIONS:g} relaxation times of the drag, and impacts in such steps are "
-            f"accurate only to first order; set time.max_dt = {longest} for exact impacts"
-        )
-    if not interactions.gravity(scene).modelled:
-        return ""
-    error = _error_by_gravity(scene)
-    if error <= EXACT_IMPACT:
-        return ""
-    keeps = "; time.accuracy keeps the error smaller" if scene.count <= BOUNCES_UP_TO else ""
-    return f"self-gravity changes during a step: approach speeds of impacts err by up to about {error:.0e}{keeps}"
-
-
-def ended_bounces(scene: Scene) -> str:
-    """Return a sentence about bounces that become resting contacts; empty if there are none."""
-    contact = interactions.contact(scene)
-    bounces = interactions.restitution(scene, contact).modelled and not integrator(scene).ends_steps_at_impacts
-    if not (bounces and interactions.resting(scene, contact).modelled):
-        return ""
-    field, limit = math.hypot(*scene.gravity.uniform), ""
-    if field > 0.0:
-        limits = step_limits(scene)
-        reach = max(limits.target_dx or 0.0, limits.held_dx or 0.0)
-        longest = scene.time.fixed_dt or min(limits.max_dt, math.sqrt(2.0 * reach / field) if reach else math.inf)
-        limit = f", here at most {scene.unit_system.text(PER_STEP * field * longest, VELOCITY, '.2g')}"
-    return (
-        "bounces shorter than about one step end at rest: bodies that are pressed together rebound only if they "
-        f"approach faster than {PER_STEP:g} × the pressing acceleration × the step{limit}"
-    )
-
-
-def _error_by_gravity(scene: Scene) -> float:
-    """Estimate the relative error of an approach speed by self-gravity in a step.
-
-    The acceleration a at a contact is at most G M / r², with M twice the largest mass. The velocity limit allows at
-    most a step of κ r/v, and the acceleration limit a step in which a body falls by Δx from rest.
-    """
-    r, slowest = smallest_radius(scene), _largest_speed(scene)
-    # of each body, and the mean mass of each group
-    masses = [body_mass(made_of(scene, body)) for body in scene.body]
-    masses += [mean_mass(made_of(scene, group)) for group in scene.group]
-    a = 2.0 * scene.gravity.constant * max(masses + [float(columns.mass.max()) for columns in scene.data]) / (r * r)
-    by_fall = 2.0 * (target_dx(scene) or math.inf) / r  # a dt² / r
-    by_speed = (cfl(scene) or math.inf) ** 2 * a * r / slowest**2 if slowest > 0.0 else math.inf
-    step = scene.time.fixed_dt or largest_step(scene)
-    return min(by_fall, by_speed, a * step * step / r)
-
-
-def _largest_speed(scene: Scene) -> float:
+def largest_speed(scene: Scene) -> float:
     """Return the largest relative speed (m/s) of two bodies at the start; 0 if all have the same velocity."""
     velocities = [body.velocity for body in scene.body] + [group.velocity.mean for group in scene.group]
     for columns in scene.data:
@@ -187,7 +120,7 @@ def most_steps(scene: Scene, first: float) -> float:
     depths += [mean_mass(made_of(scene, group)) / group.radius.min for group in scene.group]
     depths += [float((columns.mass / columns.radius).max()) for columns in scene.data]
     pull = 2.0 * scene.gravity.constant * max(depths) if interactions.gravity(scene).modelled else 0.0
-    speed = math.hypot(_largest_speed(scene), math.sqrt(pull))
+    speed = math.hypot(largest_speed(scene), math.sqrt(pull))
     return duration * max(1.0 / first, speed / (limit * smallest_radius(scene)))
 
 
@@ -199,7 +132,7 @@ def integrator(scene: Scene) -> Integrator:
         promised = scene.promise.integrator if scene.promise else None
         return INTEGRATORS[promised or _accurate(scene)]
     if not _is_smooth(scene):
-        return INTEGRATORS["gauss-radau15" if _meets_seldom(scene) else "leapfrog"]
+        return INTEGRATORS["gauss-radau15" if _meets_seldom(scene) or _orbits_apart(scene) else "leapfrog"]
     if _leaves_step_free(scene) and not scene.forces.given and orbits_often(scene) >= FEWEST_ORBITS:
         return INTEGRATORS["wisdom-holman"]
     return INTEGRATORS["gauss-radau15" if _leaves_step_free(scene) else "yoshida4"]
@@ -218,6 +151,14 @@ def _meets_seldom(scene: Scene) -> bool:
     as_usual = scene.contact.timing == "auto" and scene.contact.sleep is None
     drifts = interactions.moves_relatively(scene)  # bodies that start at rest fall towards each other
     return alone and as_usual and drifts and _leaves_step_free(scene) and far_apart(scene)
+
+
+def _orbits_apart(scene: Scene) -> bool:
+    """Return whether many bodies, none of which can touch, orbit a dominant one far from each other."""
+    if interactions.contact(scene).modelled or interactions.damping(scene) or not _leaves_step_free(scene):
+        return False
+    many = MOST_APART < scene.count <= ORBITS_UP_TO
+    return many and interactions.gravity(scene).modelled and not scene.forces.given and far_apart(scene)
 
 
 def _accurate(scene: Scene) -> str:

@@ -95,17 +95,30 @@ def why_no_hierarchy(scene: Scene) -> str:
 
 def orbits_often(scene: Scene, hill_radii: float = HILL_RADII_APART) -> float:
     """Return the number of revolutions of the innermost body about a dominant one; 0 if orbits are too close."""
-    if scene.group or not 3 <= scene.count <= MOST_BODIES:
+    if scene.count > MOST_BODIES:
         return 0.0
-    if contact(scene).modelled or damping(scene) or why_no_hierarchy(scene):
-        return 0.0
-    orbits = _orbits(scene)
-    if orbits is None or not all(
+    orbits = _orbits_about_dominant(scene)
+    apart = all(
         outer.pericentre - inner.apocentre > hill_radii * max(inner.hill, outer.hill)
         for inner, outer in itertools.pairwise(orbits)
-    ):
-        return 0.0
-    return scene.time.duration / min(orbit.period for orbit in orbits)
+    )
+    return _revolutions(scene, orbits) if apart else 0.0
+
+
+def revolutions(scene: Scene) -> float:
+    """Return the number of revolutions of the innermost body about a dominant one; 0 without such orbits."""
+    return _revolutions(scene, _orbits_about_dominant(scene))
+
+
+def _revolutions(scene: Scene, orbits: list[Orbit]) -> float:
+    return scene.time.duration / min((orbit.period for orbit in orbits), default=math.inf)
+
+
+def _orbits_about_dominant(scene: Scene) -> list[Orbit]:
+    """Return the orbits about a dominant body, ordered by pericentre; none where anything but gravity acts."""
+    if scene.group or scene.count < 3 or contact(scene).modelled or damping(scene) or why_no_hierarchy(scene):
+        return []
+    return _orbits(scene) or []
 
 
 def _orbits(scene: Scene) -> list[Orbit] | None:

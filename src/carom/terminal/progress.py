@@ -12,8 +12,9 @@ from rich.text import Text
 from carom.physics.look_ahead.trial_run import Watcher, WorkBudget
 from carom.physics.simulation import StepStatus
 from carom.physics.space import Space
-from carom.plan.auto import ended_bounces, frame_interval, inexact_impacts, largest_step
+from carom.plan.auto import frame_interval, largest_step
 from carom.plan.checks import doubts
+from carom.plan.known_errors import ended_bounces, inexact_impacts, inexact_orbits
 from carom.runs.outcome import accuracy_text, counts_text, error_text, in_words, overlap_text
 from carom.runs.outlook import forewarning
 from carom.runs.run import Outcome, shortfall_text
@@ -133,7 +134,7 @@ class RunProgress(LiveLine):
 
 
 def notes_on(scene: Scene) -> list[str]:
-    """Return notes before a run: about files, test particles, impacts, and probable mistakes."""
+    """Return notes before a run: about files, test particles, impacts, orbits, and probable mistakes."""
     notes = [note for notes in scene.notes for note in notes]
     if count := scene.test_particles:
         are = "is a test particle" if count == 1 else "are test particles"
@@ -141,7 +142,8 @@ def notes_on(scene: Scene) -> list[str]:
             f"{count} of {counted(scene.count, 'body')} {are} (mass 0): attracted, but not attracting; the checks of "
             "energy and momentum do not cover them"
         )
-    return [*notes, *filter(None, (inexact_impacts(scene), ended_bounces(scene))), *doubts(scene)]
+    errors = inexact_impacts(scene), ended_bounces(scene), inexact_orbits(scene)
+    return [*notes, *filter(None, errors), *doubts(scene)]
 
 
 def preparing(scene: Scene, beside: LiveLine) -> Patience:

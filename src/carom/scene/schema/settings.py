@@ -120,8 +120,9 @@ class Time(Section):
     )
     integrator: IntegratorName = Field(
         AUTO,
-        description=f"{described()}; auto is Gauss–Radau where up to 100 bodies attract each other and cannot touch, "
-        "or up to 32 start far apart, up to 200 if they orbit a dominant one; Wisdom–Holman where bodies that cannot "
+        description=f"{described()}; auto is Gauss–Radau where up to 100 bodies attract each other and cannot touch "
+        "(up to 1000 if they orbit a dominant one far apart), or up to 32 start far apart (up to 200 if they orbit a "
+        "dominant one); Wisdom–Holman where bodies that cannot "
         "touch orbit a dominant one 1000 times or more on separate orbits; Yoshida's where they cannot touch and the "
         "scene sets its step; otherwise leapfrog",
     )

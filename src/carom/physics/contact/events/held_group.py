@@ -462,23 +462,23 @@ def _log(contacts: int, elastic: bool, T: Trajectories, group: Group, log: Recor
         entry.vix, entry.viy, entry.viz = velocity(i, T)
         entry.vjx, entry.vjy, entry.vjz = velocity(j, T)
     if not elastic:
-        _book_at_contacts_that_dissipate(log[first:row], T)
+        _book_where_energy_is_lost(first, row, T, log)
     return row
 
 
 @inner
-def _book_at_contacts_that_dissipate(entries: RecordArray[ImpactRecord], T: Trajectories) -> None:
-    """Book what a group lost at elastic contacts at the other contacts, in proportion to their impulses."""
-    lost, impulse = 0.0, 0.0
-    for entry in entries:
-        if dissipates(T.materials[material_index(entry.i, entry.j, len(T.x), T.places)]):
-            impulse += entry.normal_impulse
+def _book_where_energy_is_lost(first: int, last: int, T: Trajectories, log: RecordArray[ImpactRecord]) -> None:
+    """Book what the rows [first, last) lost at elastic contacts at the others, in proportion to their impulses."""
+    lost, impulse, n = 0.0, 0.0, len(T.x)
+    for row in range(first, last):
+        if dissipates(T.materials[material_index(log[row].i, log[row].j, n, T.places)]):
+            impulse += log[row].normal_impulse
         else:
-            lost += entry.restitution_loss
+            lost += log[row].restitution_loss
     if lost == 0.0 or impulse == 0.0:
         return
-    for entry in entries:
-        if dissipates(T.materials[material_index(entry.i, entry.j, len(T.x), T.places)]):
-            entry.restitution_loss += lost * (entry.normal_impulse / impulse)
+    for row in range(first, last):
+        if dissipates(T.materials[material_index(log[row].i, log[row].j, n, T.places)]):
+            log[row].restitution_loss += lost * (log[row].normal_impulse / impulse)
         else:
-            entry.restitution_loss = 0.0
+            log[row].restitution_loss = 0.0
