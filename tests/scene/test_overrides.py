@@ -10,7 +10,8 @@ import pytest
 import carom
 from carom.errors import SceneError
 from carom.runs.replay import replay
-from carom.scene.load import OldNameWarning, Scene
+from carom.scene.load import Scene
+from carom.scene.overrides import OldNameWarning
 from carom_command import carom as command
 
 BODY = "[[body]]\nradius = 1.0\n"
@@ -31,7 +32,7 @@ def test_a_file_with_the_old_name_is_the_same_scene_and_says_where_it_stands(tmp
 
 @pytest.mark.parametrize("text", [BODY, OLD.replace("7", "9"), NEW.replace("7", "9")])
 @pytest.mark.parametrize("name", ["log_freq", "check_every"])
-@pytest.mark.filterwarnings("ignore::carom.scene.load.OldNameWarning")
+@pytest.mark.filterwarnings("ignore::carom.scene.overrides.OldNameWarning")
 def test_an_override_by_either_name_replaces_what_the_file_says_by_either(name: str, text: str, tmp_path: Path) -> None:
     scene = Scene.load(write(tmp_path, text), [f"record.{name}=7"])
     assert scene.record.check_every == 7

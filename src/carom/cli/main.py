@@ -282,7 +282,7 @@ def _say_warnings_once() -> None:
 
     def say_once(message: Warning | str, category: type[Warning], *place: Any, **more: Any) -> None:
         from carom.errors import DroppedRunWarning
-        from carom.scene.load import OldNameWarning
+        from carom.scene.overrides import OldNameWarning
         from carom.terminal.printing import say
 
         if not issubclass(category, OldNameWarning | DroppedRunWarning):

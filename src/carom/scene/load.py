@@ -1,7 +1,4 @@
-"""Scenes from TOML, from dictionaries and from arrays, with errors that name file, line and key.
-
-Also overrides of keys, as in ``--set key=value``, and keys that were renamed.
-"""
+"""Scenes from TOML, from dictionaries and from arrays, with errors that name file, line and key."""
 
 from __future__ import annotations
 
@@ -9,7 +6,7 @@ import copy
 import re
 import tomllib
 import warnings
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from os import PathLike
 from pathlib import Path
@@ -31,9 +28,10 @@ from carom.scene.data.body_sources import (
     Wanted,
 )
 from carom.scene.data.orbital_elements import Centre
-from carom.scene.explanation import explain, hint, is_known, not_a_quantity, with_words, written_path
+from carom.scene.explanation import explain, is_known, not_a_quantity, with_words, written_path
 from carom.scene.file_statements import LAW, compare_facts, take_over_laws
 from carom.scene.matter import body_mass, made_of, material_called
+from carom.scene.overrides import OldNameWarning, apply_override, apply_overrides, old_names
 from carom.scene.scene_file import (
     DEEPEST,
     LARGEST_FILE,
@@ -41,16 +39,13 @@ from carom.scene.scene_file import (
     KeyPlaces,
     is_too_deep,
     line_of_long_key,
-    parse_value,
     read_text,
     scene_path,
     toml_text,
 )
 from carom.scene.scene_model import SceneModel, know_installed_parts
-from carom.scene.schema import Time
 from carom.scene.schema.body import BodyData
 from carom.scene.schema.contact import Material
-from carom.scene.schema.promise import ABOUT_THE_END
 from carom.scene.units.system import UnitSystem
 from carom.scene.wording import suggestion
 
@@ -166,16 +161,9 @@ def load_scene(source: str | Path, overrides: list[str]) -> Scene:
     path = scene_path(source)
     text = read_text(path)
     scene = scene_from_text(text, str(path), overrides, DataFiles(path.parent))
-    places, data = KeyPlaces(str(path), text, {}), None
-    for old, new in RENAMED.items():
-        advice = f"{'.'.join(old)} is now called {'.'.join(new)}; the old name still works"
-        if old[-1] in text:
-            data = data or _parse(text, str(path))
-            if old[-1] in data.get(old[0], {}):
-                warnings.warn(f"{places.of(old)}{advice}", OldNameWarning, stacklevel=3)
-        for override in overrides:
-            if key_path(override) == old:
-                warnings.warn(f"the override {override}: {advice}", OldNameWarning, stacklevel=3)
+    places = KeyPlaces(str(path), text, {})
+    for said in old_names(text, lambda: _parse(text, str(path)), places, overrides):
+        warnings.warn(said, OldNameWarning, stacklevel=3)
     return scene
 
 
@@ -206,16 +194,7 @@ def scene_from_text(
     if not overrides:
         return _validate(data, text, KeyPlaces(source, text, {}), bodies)
     document: Any = tomlkit.parse(text) if len(text) <= _COMMENTED else copy.deepcopy(data)
-    overridden: dict[KeyPath, str] = {}
-    for override in overrides:
-        path = apply_override(document, override)
-        other = other_name(path)
-        if other in overridden:
-            both = f"the overrides {overridden[other]} and {override}"
-            raise SceneError(f"{both} are two names of one key; give one of them")
-        overridden[path] = override
-        forget_digest(document, path)
-    keep_promised_duration(document, data, overridden)
+    overridden = apply_overrides(document, data, overrides)
     effective = tomlkit.dumps(document) if len(text) <= _COMMENTED else _written(document)
     return _validate(_parse(effective, source), effective, KeyPlaces(source, text, overridden), bodies)
 
@@ -454,84 +433,3 @@ def _scene(
         units,
     )
     return scene_from_dict({**data, "bodies": [*kept, section]}, held)
-
-
-RENAMED = {("record", "log_freq"): ("record", "check_every")}  # section and key: old name to new name
-
-
-class OldNameWarning(FutureWarning):
-    """A scene uses the old name of a key."""
-
-
-def other_name(path: KeyPath) -> KeyPath | None:
-    """Return the new name of an old key, or the old name of a new key; None for any other key."""
-    pairs: list[tuple[KeyPath, KeyPath]] = [*RENAMED.items()]
-    return next((other for old, new in pairs for one, other in ((old, new), (new, old)) if one == path), None)
-
-
-TEXTS = ("title", "description", "name")  # keys that may be empty; for other keys, an empty value removes the key
-_INDEX = re.compile(r"[0-9]{1,9}")
-
-
-def apply_override(document: Any, override: str) -> KeyPath:
-    """Set one key of a document, keeping its comments; return its path."""
-    dotted, separator, text = override.partition("=")
-    keys = key_path(override)
-    if not separator or not all(key != "" for key in keys):
-        raise SceneError(f"the override {override}: expected key=value, such as contact.restitution=0.8")
-    if len(keys) > DEEPEST:
-        raise SceneError(f"the override {override[:80]} …: a key of more than {DEEPEST} parts")
-    node: Any = document
-    for depth, key in enumerate(keys[:-1]):
-        try:
-            if isinstance(key, str) and key not in node:
-                node[key] = tomlkit.table()
-            node = node[key]
-        except (KeyError, IndexError, TypeError):
-            where = ".".join(map(str, keys[: depth + 1]))
-            unknown = hint(keys[:1]) if keys[0] not in Scene.model_fields else ""
-            raise SceneError(f"the override {override}: there is no {where} in the scene{unknown}") from None
-        if not isinstance(node, (dict, list)):
-            where = ".".join(map(str, keys[: depth + 1]))
-            raise SceneError(f"the override {override}: {where} is a value, not a section")
-    try:
-        if not text.strip() and keys[-1] not in TEXTS:
-            node.pop(keys[-1])
-        else:
-            node[keys[-1]] = parse_value(text.strip())
-        if other := other_name(keys):
-            node.pop(other[-1], None)
-    except (KeyError, IndexError, TypeError, ValueError):
-        raise SceneError(f"the override {override}: there is no {dotted.strip()} in the scene") from None
-    return keys
-
-
-def key_path(override: str) -> KeyPath:
-    """Return the path of the key that an override sets."""
-    dotted = override.partition("=")[0].strip()
-    return tuple(int(key) if _INDEX.fullmatch(key) else key for key in dotted.split("."))
-
-
-def forget_digest(document: Any, path: KeyPath) -> None:
-    """Remove the digest and count of the previous file if an override names another file of bodies."""
-    if len(path) > 2 and path[0] == "bodies" and path[2] in ("file", "snapshot", "snapshot_time"):
-        for key in ("count", *(("sha256",) if path[2] == "file" else ())):
-            document["bodies"][path[1]].pop(key, None)
-
-
-def keep_promised_duration(document: Any, before: dict[str, Any], overridden: Collection[KeyPath]) -> None:
-    """If an override changes the duration, store the original one, to which promises about the end refer."""
-    expect, duration = before.get("expect"), _duration(before)
-    if ("expect",) in overridden or not isinstance(expect, dict) or "duration" in document["expect"]:
-        return
-    promises = {("expect", name) for name in ABOUT_THE_END if name in expect}
-    if promises.difference(overridden) and duration is not None and duration != _duration(document):
-        document["expect"]["duration"] = duration
-
-
-def _duration(document: Any) -> float | str | None:
-    """Return the duration as written; None if it is neither a number nor a text."""
-    time = document.get("time", {})
-    default = f"{Time().duration!r} s" if isinstance(document.get("units"), dict) else Time().duration
-    duration = time.get("duration", default) if isinstance(time, dict) else None
-    return duration if isinstance(duration, int | float | str) else None
