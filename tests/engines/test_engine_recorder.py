@@ -905,8 +905,21 @@ def odd_text(toy: Any) -> None:
     raise SilentError
 
 
+def steering_text(toy: Any) -> None:
+    raise ValueError("\ud83d\x1b[2J\n" * 10**5)  # no UTF-8, an order to a terminal, and much of both
+
+
 def complex_positions(toy: Any) -> carom.record.State:
     return carom.record.State(toy.time, toy.position + 1j, toy.velocity, angular_velocity=toy.spin)
+
+
+def masked_positions(toy: Any) -> carom.record.State:
+    hidden = np.ma.masked_less(toy.position, 1.0)
+    return carom.record.State(toy.time, hidden, toy.velocity, angular_velocity=toy.spin)
+
+
+def dates(toy: Any) -> carom.record.State:
+    return carom.record.State(toy.time, toy.position, np.zeros((3, 3), "M8[s]"), angular_velocity=toy.spin)
 
 
 def half_contacts(toy: Any) -> carom.record.State:
@@ -923,7 +936,10 @@ def endless_time(toy: Any) -> carom.record.State:
     ("state", "said"),
     [
         (odd_text, "SilentError: its text cannot be made (RuntimeError)"),
+        (steering_text, r"ValueError: \ud83d\u001b[2J \ud83d"),
         (complex_positions, "position has complex numbers"),
+        (masked_positions, "position has masked values"),
+        (dates, "velocity has values of the type datetime64[s]"),
         (half_contacts, "contacts must be whole numbers"),
         (endless_time, "it must be a number"),
     ],
@@ -940,7 +956,7 @@ def test_a_state_of_no_use_costs_a_note_and_neither_the_run_nor_a_digit(
                 toy.__dict__["state"] = lambda: state(toy)
             assert recorder.frame()
     (problem,) = recorder.problems
-    assert said in problem
+    assert said in problem and len(problem) < 10_000 and "\x1b" not in problem
     recording = Recording.open(tmp_path / "toy.rrd")
     assert recording.frames == (7 if state is half_contacts else 6)  # contacts are then computed from distances
     assert recording.outcome == "completed"
@@ -953,7 +969,7 @@ def test_an_exception_without_a_text_leaves_the_context_as_it_is_and_a_whole_fil
     assert "its text cannot be made" in Recording.open(tmp_path / "toy.rrd").outcome
 
 
-@pytest.mark.parametrize("mass", [[10**400, 1.0, 1.0], np.array([1.0, 1j, 1.0])])
+@pytest.mark.parametrize("mass", [[10**400, 1.0, 1.0], np.array([1.0, 1j, 1.0]), np.zeros(3, "m8[s]")])
 def test_numbers_that_are_none_of_a_body_are_refused_in_a_sentence(mass: Any, tmp_path: Path) -> None:
     toy = Toy()
     toy.model = replace(toy.model, mass=mass)
@@ -962,6 +978,17 @@ def test_numbers_that_are_none_of_a_body_are_refused_in_a_sentence(mass: Any, tm
     with pytest.raises(RecordingError, match="expected the time that the run will reach"):
         carom.record.Recorder(Toy(), tmp_path / "toy.rrd", duration=10**400)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_texts_of_a_program_that_no_file_can_hold_cost_no_frame(tmp_path: Path) -> None:
+    odd, toy = "\ud83d\x1b[2J\0\n", Toy()
+    toy.model = replace(toy.model, engine=odd, names=[odd, "b", odd])
+    with carom.record.Recorder(toy, tmp_path / "toy.rrd", title=odd) as recorder:
+        toy.step()
+        recorder.frame()
+    recording = Recording.open(tmp_path / "toy.rrd")
+    assert recorder.problems == [] and recording.frames == 2 and recording.finished
+    assert recording.bodies.name[0] == "\\ud83d\x1b[2J\0\n"
 
 
 def test_frames_of_two_threads_and_of_a_state_that_records_itself_make_a_file_that_can_be_read(tmp_path: Path) -> None:

@@ -218,6 +218,8 @@ KINDS = {"kills": kills, "soak": soak, "forms": forms, "odd": odd, "large": larg
 
 def main(kind: str, seed: str, amount: int) -> int:
     """Make attempts of a kind; return the number of faults."""
+    # a shell that starts us in the background has us ignore the interrupt key, and commands would inherit that
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     faults = 0
     with tempfile.TemporaryDirectory() as folder:
         for found in KINDS[kind](random.Random(seed), Path(folder), amount):

@@ -32,6 +32,7 @@ from carom.engines.source import (
     array_of,
     refuse_no_rotation,
     setup_of,
+    text_from,
     time_of,
 )
 from carom.errors import RecordingError
@@ -133,7 +134,7 @@ class Recorder:
         self._source, self._exact, self._force = source, exact, force
         self._read: Callable[[StateMemory], None] = lambda snapshot: snapshot.take(source.state())
         self._stepped = source.stepped if isinstance(source, SteppedSource) else None
-        self._title, self._duration = title, duration
+        self._title, self._duration = "" if title is None else text_from(title), duration
         self._tolerances = tolerances or Tolerances()
         self._calls = 0
         self._time = -np.inf

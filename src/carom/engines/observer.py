@@ -34,7 +34,7 @@ from carom.scene.forces import GRAVITY, UNIFORM_FIELD
 from carom.scene.schema.settings import called
 from carom.scene.start import InitialBodies
 from carom.scene.units.system import SI, UnitSystem
-from carom.scene.wording import Names
+from carom.scene.wording import Names, in_one_line
 from carom.state.books import NOTHING, Books, Extreme, Extremes, MonitorState, PaceTally
 from carom.state.energies import Energy, Ledger
 from carom.state.frame import CollisionGraph, Frame
@@ -290,7 +290,7 @@ def header_of_source(
     return Header(
         title=called(title),
         description=f"Recorded from {setup.engine}, which carom cannot rerun.",
-        scene_toml=f"# Recorded from {setup.engine}: there is no carom scene.\n",
+        scene_toml=f"# Recorded from {in_one_line(setup.engine)}: there is no carom scene.\n",
         seed=0,
         run_id=run_id,
         names=setup.names,

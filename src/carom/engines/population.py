@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from carom.arrays import BoolArray, FloatArray, IntArray, Records
-from carom.engines.source import MASSLESS, SPHERE, Model, Setup, State, array_of, flags_of
+from carom.engines.source import MASSLESS, SPHERE, Model, Setup, State, array_of, flags_of, text_from
 from carom.errors import RecordingError
 from carom.recording.write.partial_frames import PartialFrame
 from carom.scene.wording import Names, SomeNames
@@ -95,7 +95,7 @@ class Population:
         for row in new.tolist():
             identity = int(ids[row])
             count = self._bodies_of_id[identity] = self._bodies_of_id.get(identity, 0) + 1
-            name = ("" if state.names is None else str(state.names[row])) or f"body {len(names)}"
+            name = ("" if state.names is None else text_from(state.names[row])) or f"body {len(names)}"
             if count > 1 and identity in before:
                 name = f"{whole.names[before[identity]].partition(_AGAIN)[0]}{_AGAIN}{count})"
             names.append(name)

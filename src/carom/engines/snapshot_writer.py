@@ -30,7 +30,7 @@ from carom.recording.write.whole_file import claimed_output
 from carom.runs.environment import environment
 from carom.runs.outcome import ONCE_A_STEP, closing_of
 from carom.scene.load import Scene
-from carom.scene.wording import counted
+from carom.scene.wording import counted, in_one_line
 from carom.state.frame import Frame
 
 WAITING_BYTES = 32_000_000  # bytes of states that wait for the writer
@@ -40,6 +40,7 @@ BATCH = 8  # states in a batch: waking a thread costs as much as copying a state
 PATIENCE = 0.02  # s, after which a smaller batch is sent
 KIND = "not-recorded"  # of the events
 MOST_TEXTS = 20  # further texts are only counted
+MOST_OF_A_TEXT = 1000  # characters of an error's text
 
 
 class SnapshotWriter:
@@ -267,9 +268,9 @@ class Unrecorded:
 
 
 def text_of(error: BaseException) -> str:
-    """Return the text of an error of somebody else's program; to make this text may raise an error, too."""
+    """Return the text of an error of somebody else's program, in one line; to make it may raise an error, too."""
     try:
-        return str(error)
+        return in_one_line(str(error)[:MOST_OF_A_TEXT])
     except Exception as other:
         return f"its text cannot be made ({type(other).__name__})"
 

@@ -148,9 +148,9 @@ def has_forces(contacts: Any) -> bool:
 
 def setup_of(model: Model, first: State) -> Setup:
     """Check a model and its first state, and complete missing arrays. RecordingError names a wrong array and body."""
-    engine = model.engine
-    if not isinstance(engine, str) or not engine:
-        raise RecordingError(f'engine is {engine!r}; it must be a name, such as "mine 1.0"')
+    if not isinstance(model.engine, str) or not model.engine:
+        raise RecordingError(f'engine is {model.engine!r}; it must be a name, such as "mine 1.0"')
+    engine = text_from(model.engine)
     mass = _column(engine, "mass", model.mass)
     n = len(mass)
     if n == 0:
@@ -165,7 +165,7 @@ def setup_of(model: Model, first: State) -> Setup:
     heavy = np.where(mass > 0.0, mass, MASSLESS * mass.max())
     inertia = SPHERE * heavy * drawn**2 if model.inertia is None else _column(engine, "inertia", model.inertia, n)
     inertia = np.where(inertia > 0.0, inertia, SPHERE * heavy * drawn**2)
-    names = [f"body {k}" for k in range(n)] if model.names is None else [str(name) for name in model.names]
+    names = [f"body {k}" for k in range(n)] if model.names is None else [*map(text_from, model.names)]
     if len(names) != n:
         raise RecordingError(f"{engine}: names has {len(names)} entries for {n} bodies")
     box = np.zeros(3) if model.box is None else array_of(engine, "box", model.box, (3,))
@@ -229,18 +229,30 @@ def refuse_no_rotation(engine: str, orientation: FloatArray) -> None:
         raise RecordingError(f"{engine}: {wrong_one}; it must be a quaternion of length 1, xyzw")
 
 
+def text_from(value: Any) -> str:
+    """Return a program's value as a text that a file can hold: half characters, which UTF-8 lacks, as escapes."""
+    return str(value).encode("utf-8", "backslashreplace").decode("utf-8")
+
+
 def _numbers(engine: str, name: str, values: Any) -> FloatArray:
     """Return an array of float64; RecordingError if these are no numbers."""
     try:
-        if _is_complex(values):  # whose imaginary parts NumPy would drop
-            raise TypeError("its numbers are complex")
+        if unfit := _unfit(values):
+            raise TypeError(f"it has {unfit}")
         return np.array(values, dtype=np.float64)
     except (TypeError, ValueError, OverflowError) as error:
         raise RecordingError(f"{engine}: {name} is no array of numbers: {error}") from None
 
 
-def _is_complex(values: Any) -> bool:
-    return getattr(getattr(values, "dtype", None), "kind", "") == "c"
+def _unfit(values: Any) -> str:
+    """Name what an array has that NumPy would turn into numbers without a word; empty if there is nothing."""
+    kind = getattr(getattr(values, "dtype", None), "kind", "f")
+    if kind == "c":  # the imaginary parts would be dropped
+        return "complex numbers"
+    if kind not in "fiubO":
+        return f"values of the type {values.dtype}"
+    # what a mask hides would be taken for a number
+    return "masked values" if isinstance(values, np.ma.MaskedArray) and np.ma.is_masked(values) else ""
 
 
 def _column(engine: str, name: str, values: Any, n: int | None = None) -> FloatArray:
@@ -285,7 +297,7 @@ def _planes(engine: str, planes: Sequence[Plane]) -> HalfSpaces:
     if not np.all(length > 0.0):
         raise RecordingError(f"{engine}: the normal of a plane has length 0")
     return HalfSpaces(
-        name=[plane.name or f"plane {k}" for k, plane in enumerate(planes)],
+        name=[text_from(plane.name or f"plane {k}") for k, plane in enumerate(planes)],
         normal=normal / length[:, None],
         offset=array_of(engine, "the offsets of the planes", [plane.offset for plane in planes], (count,)),
     )
@@ -342,8 +354,8 @@ class StateMemory:
                 if np.shape(values) != view.shape:  # otherwise NumPy would broadcast the rows
                     changed = f"{name} has the shape {np.shape(values)}, but had {view.shape}"
                     raise RecordingError(f"{changed}; where bodies come and go, give each state their ids")
-                if _is_complex(values):
-                    raise RecordingError(f"{name} has complex numbers")
+                if unfit := _unfit(values):
+                    raise RecordingError(f"{name} has {unfit}")
                 view[:] = values
         own.contacts = None if state.contacts is None else np.array(state.contacts)
 
