@@ -22,7 +22,7 @@ from functools import cache
 from pathlib import Path
 
 PREFIX = "carom-"
-MARK = "made-by-carom"  # in each locked folder; a folder without it is never removed
+MARK = "made-by-carom"  # in each locked folder; a folder without this file is never removed
 _above: list[Path] = []  # the folder of the parent process
 _guard = threading.Lock()
 _made: dict[int, tuple[Path, int]] = {}  # by process: its folder, and the descriptor that locks it

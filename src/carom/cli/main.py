@@ -141,7 +141,7 @@ class _Commands(Mapping[str, Any]):
 
 
 class CommandGroup(TyperGroup):
-    """`carom` itself, with its own commands and those of installed packages."""
+    """`carom` itself, with its own commands and the commands of installed packages."""
 
     def __init__(self, **keywords: Any) -> None:
         super().__init__(**keywords)

@@ -232,7 +232,7 @@ class Observation:
 
     @cached_property
     def summary(self) -> dict[str, Any]:
-        """The numbers that `carom inspect --json` prints, except the ones about the file."""
+        """The numbers that `carom inspect --json` prints, except the numbers about the file."""
         space = self.space
         # nest entries by the dots in their keys
         properties = closing_summary(space, space.named_extremes(), self.verdicts)

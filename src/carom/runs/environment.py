@@ -182,7 +182,7 @@ def _changes(repository: _Repository, commit: str) -> str:
 
 AFTER_CALLBACK = 0.05  # s; llvmlite's callbacks for each kernel take microseconds
 LONGEST_IMPORT = 10.0  # s, for which a signal waits for an import; the longest takes a second
-SAME_PRESS = 0.3  # s within which interrupts count once: wrappers such as `uv run` forward that of the terminal
+SAME_PRESS = 0.3  # s within which interrupts count once: wrappers such as `uv run` forward the terminal's interrupt
 
 _ARENA_MAX, _TRIM_THRESHOLD, _MMAP_THRESHOLD = -8, -1, -3  # glibc's <malloc.h>
 _KEPT = 512 << 20  # bytes of free memory to keep

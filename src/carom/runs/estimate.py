@@ -199,7 +199,7 @@ def _bytes_of(frame: Frame) -> int:
 
 
 def _measured_steps(space: Space, clock: TrialClock) -> tuple[list[Frame], float, float]:
-    """Run the first steps; return their last frames, the seconds so far without kernels, and those of a step."""
+    """Run the first steps; return their last frames, the seconds so far without kernels, and the seconds of a step."""
     # a few steps first, so that what the first one loads is not measured
     start = space.frame().checkpoint
     for step in range(1, LOADING_STEPS + 1):
@@ -214,7 +214,7 @@ def _measured_steps(space: Space, clock: TrialClock) -> tuple[list[Frame], float
         few = _first_frames(space, clock)
         if clock.kernels.seconds == kernels:
             return few, building, (clock.seconds - began) / space.step
-        # repeat, since the profile includes the loading of kernels, such as those of the first impact
+        # repeat, since the profile includes the loading of kernels, such as the kernels of the first impact
 
 
 def _first_frames(space: Space, clock: TrialClock) -> list[Frame]:

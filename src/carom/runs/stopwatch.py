@@ -20,7 +20,7 @@ class Stopwatch:
 
 
 class TrialClock:
-    """Seconds of computing while it is active, apart from those in which kernels are loaded or compiled."""
+    """Seconds of computing while it is active, without the seconds in which kernels are loaded or compiled."""
 
     def __init__(self) -> None:
         self._watch = Stopwatch()

@@ -32,10 +32,9 @@ def geometric_means(one: Numbers, other: Numbers) -> Numbers:
 class ContactLaw:
     """A contact law: the impulses that a contact exerts.
 
-    carom compiles its functions with Numba, like those of a `carom.extend.BodyForce`. The first argument of each
-    function is a record of the coefficients of the two materials: the coefficients of Coulomb's law (``restitution``,
-    ``static_friction``, ``kinetic_friction``) and those in the law's section. None selects the function of Coulomb's
-    law.
+    carom compiles its functions with Numba, as in `carom.extend.BodyForce`. The first argument of each function is a
+    record of the coefficients of the two materials: the coefficients of Coulomb's law (``restitution``,
+    ``static_friction``, ``kinetic_friction``) and of the law's section. None selects the function of Coulomb's law.
 
     An angular impulse acts on body j, and the opposite one on body i. The function receives the angular impulse that
     would end the relative rotation, and returns the exerted one. The exerted impulse must not be larger, since a

@@ -86,7 +86,7 @@ def _meant(keys: list[str]) -> str:
 
 
 def _chosen_by_few() -> list[str]:
-    """Return the names of all shapes of walls and of all contact laws, of which a scene needs few."""
+    """Return the names of all shapes of walls and of all contact laws; a scene uses few of these names."""
     return [*registry.names("walls"), *registry.names("contact_laws")]
 
 

@@ -61,8 +61,8 @@ A scene is a TOML file. This page lists all its sections and keys; it is generat
 those marked as needed, and a scene needs a body.
 
 If a key has a dimension, a number is in the SI unit, and a text may have another unit, such as `"3 km"`
-([units.md](units.md)). Editors that understand JSON schemas, such as those with Taplo or Even Better TOML, complete and
-check scenes. Write the schema with `carom scenes --schema > scene.schema.json`, and begin a scene with the line
+([units.md](units.md)). Editors that understand JSON schemas, such as editors with Taplo or Even Better TOML, complete
+and check scenes. Write the schema with `carom scenes --schema > scene.schema.json`, and begin a scene with the line
 `#:schema ./scene.schema.json`.
 """
 

@@ -19,7 +19,7 @@ def numbers_of(section: Any) -> Mapping[str, float]:
 class BodyForce:
     """A force on each body that depends on its position.
 
-    Its energy is that of its potential. Without a potential, the ledger has an entry for its work.
+    Its energy is the energy of its potential. Without a potential, the ledger has an entry for its work.
 
     carom compiles both functions with Numba: they may use only sums, products, quotients and `math.sqrt` of numbers,
     and call only functions decorated by `carom.extend.kernel`. ``p`` is a record of the parameters.
@@ -27,7 +27,7 @@ class BodyForce:
 
     section: type[Any]  # in the scene: a `carom.extend.Section` whose docstring says "[forces.NAME]: what it is"
     acceleration: Callable[..., tuple[float, float, float]]  # (x, y, z, p) → m/s²
-    potential: Callable[..., float] | None = None  # (x, y, z, p) → J/kg, of a body of 1 kg; without it, work is booked
+    potential: Callable[..., float] | None = None  # (x, y, z, p) → J/kg, of a body of 1 kg; else work is booked
     parameters: Callable[[Any], Mapping[str, float]] = numbers_of  # the fields of p, from its section, in SI units
     legend: str = ""  # legend of its energy; by default its name
     meaning: str = ""  # meaning of its energy, for `carom inspect`

@@ -121,7 +121,7 @@ class HalfSpaces:
         return np.asarray(heights + position[:, 1:2] * N[:, 1] + position[:, 2:] * N[:, 2])
 
     def advanced(self, start: FloatArray, crossed: BoolArray) -> FloatArray:
-        """Return the starts (k, 3) m of paths in the present frames of the solids that they cross, (k, p)."""
+        """Return the starts of paths, (k, 3) m, in the present frames of the solids that the paths cross, (k, p)."""
         return start
 
     def heights_before(self, position: FloatArray) -> FloatArray:

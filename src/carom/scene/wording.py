@@ -166,7 +166,7 @@ class NumberedNames(_LazyNames):
 
 @dataclass(eq=False)
 class SomeNames(_LazyNames):
-    """Names of which only some are known; a number stands for each unknown name."""
+    """Names that are partly known; a number stands for each unknown name."""
 
     prefix: str
     length: int

@@ -99,7 +99,7 @@ def kernels_ready() -> int:
 
 
 def _kernels_of(module: str) -> list[Any]:
-    """Return the kernels that a module of carom names, except the ones that are inlined into others."""
+    """Return the kernels that a module of carom names, except kernels that are inlined into others."""
     if not module.startswith("carom."):
         return []
     return [each for each in list(vars(sys.modules[module]).values()) if _is_kernel(each)]

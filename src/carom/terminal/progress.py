@@ -175,7 +175,7 @@ def _fewer_frames(scene: Scene, outcome: Outcome) -> str:
     limit = scene.unit_system.text(interval, TIME, ".3g" if automatic else "g")
     if automatic:
         long = f"frames are recorded at ends of steps, which were long; time.max_dt = {limit} gives more frames"
-        # steps shorter than the interval, such as those of a close encounter
+        # steps shorter than the interval, such as steps in a close encounter
         without = outcome.steps + 1 - outcome.frames
         if 0 < without <= FEW_STEPS:
             long += f', and record.every = "step" the {counted(without, "short step")} between them'

@@ -256,7 +256,7 @@ class MomentApart:
     time: float  # s
     rms: float  # m, of the distances between counterparts
     energy: float  # J, second minus first
-    bodies: tuple[int, ...]  # the ones farthest apart, the farthest first; none if all positions are the same
+    bodies: tuple[int, ...]  # bodies that are farthest apart, the farthest first; none if all positions are the same
     apart: tuple[float, ...]  # m
 
 

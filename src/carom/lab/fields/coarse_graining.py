@@ -104,7 +104,7 @@ class Grid:
 
 
 def _crossings(first: FloatArray, reach: FloatArray) -> list[FloatArray]:
-    """Return where lines from ``first`` cross whole numbers, as parts of their reach; 1 in place of a crossing less."""
+    """Return where lines cross whole numbers, as fractions of their reach; lines with fewer crossings have ones."""
     low = np.floor(np.minimum(first, first + reach)) + 1.0
     most = int(np.max(np.ceil(np.maximum(first, first + reach)) - low, initial=0.0))
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -168,8 +168,8 @@ class BodySums:
     ) -> IntArray:
         """Add bodies at a time (s), given (n, 3) m, (n, 3) m/s, (n,) kg and (n,) m; return the cells of all.
 
-        Sums of squares are about the mean, and those of two moments are joined as by Chan, Golub & LeVeque (1983): a
-        temperature is never lost in the rounding of a common velocity.
+        Sums of squares are about the mean, and the sums of two moments are joined as in Chan, Golub & LeVeque (1983):
+        the rounding of a common velocity does not change a temperature.
         """
         cell = self.grid.cells(position, np.full(len(position), time))
         used, place = np.unique(cell, return_inverse=True)

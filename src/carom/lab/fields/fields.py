@@ -42,8 +42,8 @@ def fields(
 ) -> Fields:
     """Average the bodies and contacts of a recording in the cells of a grid, over an interval.
 
-    Nothing is simulated unless ``replay`` is given: bodies and lasting contacts are those of exact states, at most 64
-    of them, and impacts are those that have rows. The attribute ``notes`` of the result says what is missing.
+    Nothing is simulated unless ``replay`` is given: bodies and lasting contacts come from at most 64 exact states, and
+    only impacts with rows of their own count. The attribute ``notes`` of the result says what is missing.
 
     Parameters
     ----------
@@ -152,7 +152,7 @@ class FieldSums:
         self._knows_contacts = False
 
     def add_bodies(self, position: FloatArray, velocity: FloatArray, there: BoolArray, time: float) -> None:
-        """Add all bodies, (n, 3) m and m/s, of which some exist, (n,), at a time (s)."""
+        """Add the bodies, (n, 3) m and m/s, that exist, by a mask (n,), at a time (s)."""
         kept, bodies = self._interval.moving & there, self._interval.recording.bodies
         self._cell_of[:] = -1
         self._cell_of[kept] = self._bodies.add(
@@ -173,7 +173,7 @@ class FieldSums:
         add_transferred(self._impacts, self._grid, self._branches(pushes))
 
     def add_unplaced(self, virial: FloatArray, of: FloatArray) -> None:
-        """Add Σ ℓ ⊗ J, (3, 3) J, of impacts whose places are not known, given that of those added before, (3, 3) J.
+        """Add Σ ℓ ⊗ J, (3, 3) J, of impacts without places, given the sum over the impacts with places, (3, 3) J.
 
         Each cell gets of it what it has of the trace of the others, without parts in fixed bodies.
         """

@@ -41,7 +41,7 @@ class Collector(Protocol):
     """Takes the data of an interval."""
 
     def add_bodies(self, position: FloatArray, velocity: FloatArray, there: BoolArray, time: float) -> None:
-        """Add all bodies, (n, 3) m and m/s, of which some exist, (n,), at a time (s)."""
+        """Add the bodies, (n, 3) m and m/s, that exist, by a mask (n,), at a time (s)."""
 
     def add_contacts(self, pushes: Pushes, elapsed: float) -> None:
         """Add the lasting contacts of a step, whose impulses balance constant forces for a time (s).
@@ -53,7 +53,7 @@ class Collector(Protocol):
         """Add impacts."""
 
     def add_unplaced(self, virial: FloatArray, of: FloatArray) -> None:
-        """Add Σ ℓ ⊗ J, (3, 3) J, of impacts whose places are not known, given that of those added before, (3, 3) J."""
+        """Add Σ ℓ ⊗ J, (3, 3) J, of impacts without places, given the sum over the impacts with places, (3, 3) J."""
 
 
 def collect(interval: Interval, collector: Collector) -> None:

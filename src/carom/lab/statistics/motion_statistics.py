@@ -18,9 +18,9 @@ A sample of N velocities has D = 3 (N - 1) degrees of freedom. The mean of ⟨c�
 
 The stress is σ = (1/V) [⟨Σ m c ⊗ c⟩ + (1/t) Σ ℓ ⊗ J + Σ ℓ ⊗ J over frames / Σ dt]: momentum that bodies carry, and
 momentum that impacts of the interval and lasting contacts in the steps of some frames transfer. J is the impulse on j,
-without friction for lasting contacts, and ℓ points from the centre of i to that of j, or to a plane. Compression is
-positive. Irving & Kirkwood, J. Chem. Phys. 18, 817 (1950); Love and Weber for contacts, as in Christoffersen, Mehrabadi
-& Nemat-Nasser, J. Appl. Mech. 48, 339 (1981).
+without friction for lasting contacts, and ℓ points from the centre of i to the centre of j, or to a plane. Compression
+is positive. Irving & Kirkwood, J. Chem. Phys. 18, 817 (1950); Love and Weber for contacts, as in Christoffersen,
+Mehrabadi & Nemat-Nasser, J. Appl. Mech. 48, 339 (1981).
 """
 
 from __future__ import annotations

@@ -136,7 +136,7 @@ def _report(recording: Recording) -> Report:
 
 
 def _granular(recording: Recording) -> dict[str, float]:
-    """Return the granular temperature and the stress of the second half of a run, as far as they are known."""
+    """Return the granular temperature and the stress of the second half of a run, if the recording has them."""
     try:
         late_means = registry.imported("carom.lab.statistics.late_means:late_means")
     except ExtensionError:  # a part that can be removed

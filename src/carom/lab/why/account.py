@@ -177,8 +177,8 @@ class Account:
     ) -> FloatArray:
         """Undo impulses that act together, given their net and turned shares, (k, 2); return the velocity before them.
 
-        Contacts at rest and lasting contacts cancel a ``kick``, (3,) m/s, of the forces. Their work follows from the
-        mean velocity without this kick: the normal force of a floor does no work on a ball that slides on it.
+        Contacts at rest and lasting contacts cancel a ``kick``, (3,) m/s, of the forces. The work of contacts follows
+        from the mean velocity without this kick: the normal force of a floor does no work on a ball that slides on it.
         """
         impulses = self._impulses(rows)
         sizes = np.sqrt((impulses * impulses).sum(axis=1))

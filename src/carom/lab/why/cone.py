@@ -20,7 +20,7 @@ body round. A wall that moves by itself keeps its part, which has then reached i
 
 All that is said about shares follows from these flows. The net share that passes over a contact is what the contact
 gave the body; it is negative if the body gave it to the other end and got it back later. For each body of the question,
-three shares therefore sum to 1: of its start, of forces on it, and of its contacts.
+three shares therefore sum to 1: the shares of its start, of the forces on it, and of its contacts.
 
 Membership is exact: going back in time, a body belongs to the cone from its first contact with a body of the cone.
 """
@@ -46,7 +46,7 @@ NEGLIGIBLE = 1e-9  # smallest share that is passed on; smaller changes of a velo
 class Flow(NamedTuple):
     """Shares at some impulses, for each of the q bodies of the question."""
 
-    net: FloatArray  # (k, q) shares passed from j to i, less the ones from i to j
+    net: FloatArray  # (k, q) shares passed from j to i, less shares passed from i to j
     turned: FloatArray  # (k, q) returned by an end that has no speed to give: a plane, a wall or a fixed body
 
     @classmethod

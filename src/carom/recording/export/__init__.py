@@ -48,7 +48,7 @@ class StepFiles:
     list_suffix: str  # of the list, after the name that is asked for
 
 
-CONTACTS, ENERGIES = "contacts", "energies"  # tables beside that of the bodies
+CONTACTS, ENERGIES = "contacts", "energies"  # tables beside the table of the bodies
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,13 +63,13 @@ class TableFiles:
 
 
 def others_of(path: Path) -> list[Path]:
-    """Return the files of the other tables beside that of the bodies."""
+    """Return the files of the tables beside the table of the bodies."""
     has_others = isinstance(registry.load("export_formats", path.suffix[1:]), TableFiles)
     return [beside(path, part) for part in (CONTACTS, ENERGIES)] if has_others else []
 
 
 def beside(path: Path, part: str) -> Path:
-    """Return the file of another table beside that of the bodies."""
+    """Return the file of another table beside the table of the bodies."""
     return path.with_name(f"{path.stem}-{part}{path.suffix}")
 
 

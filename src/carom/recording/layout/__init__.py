@@ -163,7 +163,7 @@ def bodies_view(header: Header, camera: CameraFit, area: Area, added: Additions 
 
 
 def _with_numbers(theme: str) -> list[VisualizerLike]:
-    """Draw arrows with their magnitudes beside them, as labels of invisible points: those of arrows have its colour."""
+    """Draw arrows with their magnitudes beside them, as labels of invisible points: an arrow colours its own labels."""
     sources = {"Points3D:positions": paths.NUMBERS_AT, "Points3D:labels": paths.NUMBERS}
     unseen = rr.Points3D.from_fields(radii=rr.Radius.ui_points(0.0), colors=palette.INKS[theme], show_labels=True)
     return [rr.Arrows3D.from_fields().visualizer(), unseen.visualizer(mappings=taken_from(sources))]

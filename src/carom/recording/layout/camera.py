@@ -99,7 +99,7 @@ class CameraFit:
         self,
         radius: FloatArray,  # (n,) m
         first: FloatArray,  # (n, 3) m, positions at the first moment shown
-        corners: FloatArray | None = None,  # (k, 3) m, points that should be inside the view, such as those of walls
+        corners: FloatArray | None = None,  # (k, 3) m, points that should be inside the view, such as corners of walls
         to_eye: FloatArray | None = None,  # (3,) unit vector; by default from the principal axes of the motion
         up: FloatArray = UP,  # (3,) unit vector against gravity
         motion: CameraMotion | None = None,
@@ -366,7 +366,7 @@ def _edge_on(header: Header, up: FloatArray) -> FloatArray | None:
 
 
 def _beside(edge_on: FloatArray, up: FloatArray) -> FloatArray:
-    """Return a direction (3,) beside and above the one in which slopes are seen edge-on, on the usual side."""
+    """Return a direction (3,) beside and above the direction that shows slopes edge-on, on the usual side."""
     left, right = (turned(edge_on, up, angle) for angle in (-_ASIDE, _ASIDE))
     usual = _USUAL @ upright(up)
     level = left if left @ usual > right @ usual else right

@@ -113,7 +113,7 @@ _RATE = "step/impact_rate"
 _ABOVE = 1.1  # end of the axis over the largest impulse
 _MARKER = 3.5  # points, radius of the mark of an impact
 _NUMBER = 28.0  # points, half the width of a number below a plot
-_NUMBERS = (60.0, 18.0)  # points, width of the numbers beside a plot and height of those below it
+_NUMBERS = (60.0, 18.0)  # points, width of the numbers beside a plot, and height of the numbers below it
 
 
 def plot_views(

@@ -27,7 +27,7 @@ class Pair:
 
 
 def named_pair(recording: Recording, text: str) -> Pair:
-    """Read two bodies from numbers or names separated by a comma, or the one that touches a plane or a wall.
+    """Read two bodies from numbers or names separated by a comma, or one body that touches a plane or a wall.
 
     Raises RecordingError if these are not two bodies, and there is neither a plane nor a wall.
     """

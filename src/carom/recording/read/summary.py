@@ -108,7 +108,7 @@ def _forces(recording: RecordedData) -> dict[str, Any]:
 
 
 def _laws(recording: RecordedData) -> dict[str, Any]:
-    """Describe the violated laws, the worst one first: the one whose violation is most times its tolerance."""
+    """Describe the violated laws, the largest ratio of violation to tolerance first."""
     keys = ("step", "time", "frames", "text", "excess", "bodies")
     laws = _complete(_below(recording.closing, "laws"), keys)
     for law in laws.values():

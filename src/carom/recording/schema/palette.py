@@ -60,7 +60,7 @@ NAMED = {
 
 # Hues of bodies, which no quantity has: a body is never taken for a torque, an impulse or an edge. A search over a grid
 # of CIELAB maximised the smallest difference between two of them (ΔE ≥ 39, CIE76; ≥ 22 with colour blindness) among
-# colours that differ from those of `ARROWS` and of edges by at least 33 (11), and have a contrast of 4.2 to 1 on dark.
+# colours that differ from `ARROWS` and from edges by at least 33 (11), and have a contrast of 4.2 to 1 on dark.
 CLAY = 0xA96D59FF
 INDIGO = 0x756CE5FF
 SAGE = 0xA1C4A8FF
@@ -69,7 +69,7 @@ OLIVE = 0x9FA041FF
 MINT = 0x63F897FF
 BODIES = (SKY, CLAY, INDIGO, MINT, OLIVE, SAGE, ROSE)
 
-# The colours that differ most from those of bodies, other arrows and edges (ΔE ≥ 53, and ≥ 24 from edges).
+# The colours that differ most from the colours of bodies, other arrows and edges (ΔE ≥ 53, and ≥ 24 from edges).
 MAGENTA = 0xF018F0FF
 CRIMSON = 0xF01848FF
 

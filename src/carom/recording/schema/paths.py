@@ -48,7 +48,7 @@ NUMBERS, NUMBERS_AT = "numbers", "numbers_at"  # components of arrows of few bod
 FLOOR = "floor"  # component of arrows: the magnitude below which none is drawn
 OF_LASTING = (TORQUE, ANGULAR_ACCELERATION)
 OF_IMPACTS = (ANGULAR_IMPULSE, SPIN_CHANGE)
-PARALLEL = {TORQUE: ANGULAR_ACCELERATION, ANGULAR_IMPULSE: SPIN_CHANGE}  # arrows to those with the same directions
+PARALLEL = {TORQUE: ANGULAR_ACCELERATION, ANGULAR_IMPULSE: SPIN_CHANGE}  # arrows to the arrows with the same directions
 WITH_FLOOR = (*OF_LASTING, *OF_IMPACTS, FORCE_NORMAL)
 MAGNITUDES = {  # component of the arrows of an entity: their magnitudes in SI, which lengths show by their cube roots
     TORQUE: "torque",

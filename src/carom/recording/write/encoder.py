@@ -295,7 +295,7 @@ class BatchEncoder:
         return Rows(path, index, columns)
 
     def _numbers(self, path: str, turning: TorqueList, arrows: Arrows) -> list[ComponentColumn]:
-        """Return both magnitudes of each arrow as a text; of a frame with many arrows, those of the largest."""
+        """Return both magnitudes of each arrow as a text; in a frame with many arrows, only of the largest."""
         written, units = [""] * len(turning.body), self.header.units
         other, ends = paths.PARALLEL[path], np.cumsum(turning.each)
         turns = turning.magnitude / self.header.inertia[turning.body]

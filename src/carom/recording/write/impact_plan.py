@@ -223,7 +223,7 @@ class ImpactPlan:
         """Decide for the next frames.
 
         Positions are (frames, n, 3) m. The numbers of edges, contacts and impacts, and the largest normal impulse of an
-        impact (N s), are those of each frame, (frames,).
+        impact (N s), are given for each frame, (frames,).
         """
         if self._before is None:
             self._before = np.full(position.shape[1:], np.nan, dtype=np.float32)

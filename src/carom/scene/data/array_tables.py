@@ -298,7 +298,7 @@ _CHUNKS = ("position", "velocity", "mass", "diameter", "angmom", "moment_inertia
 def open_gsd(path: Path, called: str, snapshot: int) -> DataTable:
     """Open a GSD file at one of its frames.
 
-    HOOMD omits data that equal those of the first frame, and default masses and diameters of 1, which the scene must
+    HOOMD omits data that equal the data of the first frame, and default masses and diameters of 1, which the scene must
     state.
     """
     try:

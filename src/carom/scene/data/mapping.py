@@ -345,7 +345,7 @@ def _candidates(section: BodyData, quantity: str, columns: Sequence[FileColumn])
 
 
 def _usual(quantity: str, columns: Sequence[FileColumn]) -> list[tuple[FileColumn, ...]]:
-    """Return the columns that may hold a quantity: single ones and triples, else the ones with a unit as a suffix."""
+    """Return the columns that may hold a quantity: single columns and triples, else columns with a unit as a suffix."""
     return _alike(quantity, columns) or _alike(quantity, list(_with_suffix(quantity, columns, brief=False)))
 
 

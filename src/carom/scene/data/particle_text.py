@@ -35,7 +35,7 @@ from carom.scene.units.system import SI, WITHOUT, UnitSystem
 _STEP = b"ITEM: TIMESTEP"
 _BEFORE = re.compile(rb"(?:ITEM: (?:UNITS|TIME)[ \t]*\r?\n[^\n]{0,100}\n)*(?=ITEM: TIMESTEP)")  # in the first step
 _TAIL = re.compile(r"(?m)^ITEM: TIME\n")  # of the next step, after the rows of a step
-# Names of units in LAMMPS (its command `units`) and in carom; a mass in g/mol is that of one atom in daltons.
+# Names of units in LAMMPS (its command `units`) and in carom; a mass in g/mol is the mass of one atom in daltons.
 REDUCED = "lj"
 _OF_ATOMS = {"length": "angstrom", "mass": "dalton", "density": "g/cm^3"}
 UNITS = {

@@ -231,7 +231,7 @@ class BodyData(Matter):
 
 
 STEEPEST = 300  # decades that a power of the radii may span
-LENGTHS = {  # lengths that each shape of a region requires, and those that it allows
+LENGTHS = {  # lengths that each shape of a region requires, and lengths that the shape allows
     "ball": (("radius",), ()),
     "box": (("size",), ()),
     "cylinder": (("radius", "height"), ()),

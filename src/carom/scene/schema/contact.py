@@ -29,7 +29,7 @@ from carom.scene.units.dimension import ACCELERATION, DENSITY, GRAVITATIONAL_CON
 from carom.scene.wording import suggestion
 
 DEFAULT = "default"  # name of the material of [contact]
-STATIC, KINETIC = 0.6, 0.4  # default coefficients of friction, of the order of those of dry stone
+STATIC, KINETIC = 0.6, 0.4  # default coefficients of friction, about as for dry stone
 COLOURS = ("orange", "sky-blue", "green", "yellow", "blue", "vermilion", "purple", "grey", "white")
 _HEX = re.compile(r"#[0-9a-fA-F]{6}")
 
@@ -174,7 +174,7 @@ class Surface(Section):
         return [name for name in (*Coefficients._fields, *KNOWN_LAWS) if getattr(self, name, None) is not None]
 
     def completed(self, default: Coefficients) -> Coefficients:
-        """Return all coefficients; a missing coefficient of friction adapts to the one that is given."""
+        """Return all coefficients; a missing coefficient of friction adapts to the given coefficient."""
         static, kinetic = self.static_friction, self.kinetic_friction
         if static is None:
             static = default.static_friction if kinetic is None else max(kinetic, default.static_friction)

@@ -111,8 +111,8 @@ class Promise(Section):
     )
     horizon: Annotated[NonNegative, TIME] | None = Field(
         None,
-        description="s, time up to which the accuracy is kept; none if it is kept as far as the trial runs "
-        "went; not negative",
+        description="s, time up to which the accuracy is kept; none if it is kept to the end of the trial runs; "
+        "not negative",
     )
     integrator: Literal["wisdom-holman"] | None = Field(
         None, description="the integrator, if the trial runs chose another one than the scene"

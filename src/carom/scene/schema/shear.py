@@ -19,8 +19,8 @@ class Shear(Section):
     """[domain.shear]: uniform shear of a periodic box, whose mean velocity is ``rate`` times the gradient's coordinate.
 
     The images of the box along the gradient move along the flow. The velocity of the flow is added to the initial
-    velocities of groups, but not to those of single bodies and of data. Nothing orbits: the Coriolis and tidal forces
-    of a planetary ring (Hill's approximation) are not modelled.
+    velocities of groups, but not to velocities of single bodies and of data. Nothing orbits: the Coriolis and tidal
+    forces of a planetary ring (Hill's approximation) are not modelled.
     """
 
     rate: Annotated[Real, RATE] = Field(description="1/s, change of the velocity along the gradient")

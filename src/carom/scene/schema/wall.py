@@ -25,7 +25,7 @@ class Wall(Surface):
 
     @property
     def shapes(self) -> list[str]:
-        """The shapes of which it has a section."""
+        """The shapes for which the wall has a section."""
         return [name for name in KNOWN_SHAPES if getattr(self, name, None) is not None]
 
     @property

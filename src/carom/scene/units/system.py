@@ -1,4 +1,4 @@
-"""The units of a scene: of its plain numbers, of the simulation, and of printed numbers."""
+"""The units of a scene, for its plain numbers, for the simulation and for printed numbers."""
 
 from __future__ import annotations
 
