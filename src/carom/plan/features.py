@@ -287,6 +287,8 @@ def _integrator(scene: Scene) -> Part:
 
 def _why_accurate(scene: Scene, chosen: str) -> str:
     """Return why an integrator is the cheapest for an accuracy."""
+    if scene.promise is not None and chosen == scene.promise.integrator != "wisdom-holman":
+        return "the cheapest that keeps the accuracy, by trial runs"
     if chosen == "yoshida4":
         if uses_tree(scene):
             return "the accuracy is requested with a gravity tree, whose error gauss-radau15 cannot control"
@@ -314,6 +316,8 @@ def _accuracy(scene: Scene) -> Part:
     kept = (
         "to the end" if promise.horizon is None else f"up to t = {scene.unit_system.text(promise.horizon, TIME, '.4g')}"
     )
+    if promise.is_extrapolated:
+        kept += f", extrapolated from t = {scene.unit_system.text(promise.looked or 0.0, TIME, '.4g')} on"
     length = "of the usual length"
     if promise.refinement < 1.0:
         length = f"{1.0 / promise.refinement:.3g} times longer than usual"

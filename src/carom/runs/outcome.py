@@ -215,7 +215,8 @@ def accuracy_text(accuracy: Mapping[str, float], units: UnitSystem) -> str:
     """Describe whether a run kept its accuracy; for the keys see `carom.runs.run.kept_accuracy`."""
     until = f"up to t = {units.text(accuracy['horizon'], TIME)} only" if "horizon" in accuracy else "to the end"
     if "looked" in accuracy:
-        until += f" (the budget of the trial runs ended at t = {units.text(accuracy['looked'], TIME)})"
+        went_on = "; from there on, errors are extrapolated" if accuracy["kept_until"] > accuracy["looked"] else ""
+        until += f" (the budget of the trial runs ended at t = {units.text(accuracy['looked'], TIME)}{went_on})"
     per = f" /{units.unit(TIME)}" if units.unit(TIME) else ""
     exponent = f"largest Lyapunov exponent over that time {units.shown(accuracy['lyapunov'], RATE):.3g}{per}"
     return f"{accuracy['requested']:g} kept {until}; {exponent}"

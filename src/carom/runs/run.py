@@ -381,7 +381,9 @@ def shortfall_text(scene: Scene) -> str:
     promise, accuracy, units = scene.promise, scene.time.accuracy, scene.unit_system
     if promise is None or accuracy is None or promise.horizon is None:
         return ""
-    if promise.looked is not None:
+    if promise.is_extrapolated:
+        why = f"its error, extrapolated from t = {units.text(promise.looked or 0.0, TIME, '.4g')} on, grows beyond that"
+    elif promise.looked is not None:
         why = f"the budget of the trial runs ended at t = {units.text(promise.looked, TIME, '.4g')}"
     else:
         why = "its error grows beyond that, first where bodies are fastest"

@@ -507,7 +507,7 @@ def test_a_look_ahead_ends_where_shorter_steps_would_not_extend_the_promise(monk
     compared: list[int] = []
 
     def cliff(
-        times: FloatArray, apart: list[FloatArray], finest: float, order: int, accuracy: float
+        times: FloatArray, apart: list[FloatArray], finest: float, order: int, accuracy: float, farthest: float
     ) -> tuple[float, float, FloatArray]:
         compared.append(len(apart))
         return 1.0, 0.5 * float(times[-1]), np.where(times <= 0.5 * times[-1], 0.0, 1.0)
@@ -587,7 +587,7 @@ def chattering_cube() -> Scene:
 
 
 def test_a_look_ahead_ends_where_chattering_contacts_take_steps_without_end(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("carom.physics.look_ahead.trial_run.LEAST", 0.5)
+    monkeypatch.setattr("carom.physics.look_ahead.find_step.LEAST_OF_CONTACTS", 0.5)
     monkeypatch.setattr("carom.physics.look_ahead.trial_run.MOST", 0.5)
     runs: list[TrialRun] = []
 
@@ -596,7 +596,7 @@ def test_a_look_ahead_ends_where_chattering_contacts_take_steps_without_end(monk
             super().__init__(*arguments)
             runs.append(self)
 
-    monkeypatch.setattr("carom.physics.look_ahead.find_step.TrialRun", Remembered)
+    monkeypatch.setattr("carom.physics.look_ahead.examined_runs.TrialRun", Remembered)
     promise = with_promise(chattering_cube(), 1).promise
     assert promise is not None and promise.kept_until < 30.0
     assert any(run.is_cut for run in runs)

@@ -21,15 +21,21 @@ from carom.scene.start import InitialBodies
 
 GOLDEN = 0.3819660112501051  # of the time between two comparisons
 COARSEST, RATIO = 1.0618, 1.4715  # refinement of the first trial run, and of each relative to the previous one
+COARSEST_OF_SMOOTH = 0.25 * COARSEST  # the same where nothing can touch: 24 steps in a circular orbit
+LONGEST = 1.0  # refinement of the longest useful steps
 SAFETY = 3.5  # the step is chosen for an error smaller than requested by this factor
-FARTHEST = 8.0  # largest refinement relative to the finest trial run, which then costs an eighth of the run itself
-TRIED = 3  # required comparisons: one or two may be small by chance (see above)
+# Largest refinement relative to the finest trial run, which then costs an eighth of the run itself; and the same where
+# nothing can touch, so that the order is known.
+FARTHEST, FARTHEST_OF_SMOOTH = 8.0, 32.0
+TRIED, TRIED_OF_SMOOTH = 3, 2  # required comparisons: one or two may be small by chance (see above), with contacts
 LATEST = 4  # number of latest comparisons in use
 # sufficient fraction of the longest time for which the accuracy can be kept, unless that is the whole run
 NEARLY = 0.95
 FALLING = 0.82  # largest ratio between successive distances that is a reduction
 APART = 1e-2  # of the size; above it, twins no longer diverge exponentially
 EPS = float(np.finfo(np.float64).eps)
+UNSEEN = 3.0  # factor on an error beyond the times that trial runs reached
+SMALLEST = 1e-300  # in place of an error of 0, which has no logarithm
 MOST_GROWTH = 600.0  # of the logarithm of the distance, so that the distance stays finite
 
 
@@ -99,6 +105,18 @@ def between_round_times(end: float, count: int) -> FloatArray:
     return np.asarray(times)
 
 
+def onward(times: FloatArray, values: FloatArray, later: FloatArray) -> FloatArray:
+    """Return by which factors an error, (K,) at all times (s), is expected to have grown at later times, (M,).
+
+    It grows exponentially, as in the second half of the known times, and at least like t².
+    """
+    half = int(np.searchsorted(times, 0.5 * times[-1]))
+    began, ended = max(float(values[half]), SMALLEST), max(float(values[-1]), SMALLEST)
+    rate = math.log(ended / began) / float(times[-1] - times[half])
+    growth = np.exp(np.minimum(rate * (later - times[-1]), MOST_GROWTH))
+    return np.asarray(UNSEEN * np.maximum(growth, (later / times[-1]) ** 2))
+
+
 def with_start(values: FloatArray, start: float) -> FloatArray:
     """Return the values with the value at time 0 prepended."""
     return np.concatenate(([start], values))
@@ -120,21 +138,26 @@ def kept_until(times: FloatArray, error: FloatArray, accuracy: float) -> float:
 
 
 def extrapolate(
-    times: FloatArray, apart: list[FloatArray], finest: float, highest: int, accuracy: float
+    times: FloatArray,
+    apart: list[FloatArray],
+    finest: float,
+    highest: int,
+    accuracy: float,
+    farthest: float = FARTHEST,
 ) -> tuple[float, float, FloatArray]:
     """Return a refinement, the time (s) for which it keeps the accuracy, and its error.
 
-    The refinement is a power of two, so that steps and frames end together. It is at least the refinement of the last
-    trial run but one, and at most `FARTHEST` times the last refinement, ``finest``. The distances of each trial run
-    from the next, ``apart``, are (K,) relative to the size. The coefficient of h^p depends on where in their steps
+    The refinement is a power of two, so that steps and frames end together. It is at least 1 and the refinement of the
+    last trial run but one, and at most ``farthest`` times the last refinement, ``finest``. The distances of each trial
+    run from the next, ``apart``, are (K,) relative to the size. The coefficient of h^p depends on where in their steps
     impacts are, so the largest of the latest distances is used, each scaled by the order, which is at most ``highest``.
     """
     order = _observed(apart, highest)
     scaled = [each / RATIO ** (order * age) for age, each in enumerate(apart[: -LATEST - 1 : -1])]
     with np.errstate(invalid="ignore"):
         error = np.max(scaled, axis=0) / (RATIO**order - 1.0)  # of the latest run
-    lowest, highest_power = math.ceil(math.log2(finest / RATIO)), math.floor(math.log2(FARTHEST * finest))
-    tried = [2.0**power for power in range(min(lowest, highest_power), highest_power + 1)]
+    lowest, highest_power = math.ceil(math.log2(finest / RATIO)), math.floor(math.log2(farthest * finest))
+    tried = [max(2.0**power, LONGEST) for power in range(min(lowest, highest_power), highest_power + 1)]
     errors = [error * (finest / each) ** order for each in tried]
     kept = [kept_until(times, SAFETY * each, accuracy) for each in errors]
     longest = max(kept)

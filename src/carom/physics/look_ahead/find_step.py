@@ -15,14 +15,13 @@ accuracy. The error of gauss-radau15 is rounding; its twins start a last bit apa
 directly. The errors of its longer steps are multiples of the distance between two trial runs, see `RADAU_ERRORS`. The
 largest Lyapunov exponent is the growth rate of the distance of twins, up to the end or until it reaches `APART`.
 
-The look-ahead has a budget (`budget`). If it is too small for the whole run, the trial runs cover only the beginning,
-and the promise ends there.
+The look-ahead has a budget (`WorkBudget`). If it is too small for the whole run, the trial runs cover only the
+beginning. With contacts, the promise ends there; without, errors are extrapolated (`onward`).
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
@@ -30,47 +29,38 @@ import numpy as np
 from carom import registry
 from carom.arrays import FloatArray
 from carom.errors import SceneError
+from carom.physics.forces.gravity.direct import MAX_IN_ONE_BLOCK
 from carom.physics.look_ahead.error_growth import (
     APART,
-    COARSEST,
-    EPS,
+    LONGEST,
     RATIO,
     SAFETY,
-    TRIED,
-    Scale,
     Twins,
-    between_round_times,
-    displaced,
     extrapolate,
     kept_until,
     samples,
     stays,
     with_start,
 )
+from carom.physics.look_ahead.examined_runs import ENOUGH_SAMPLES, SAMPLES, SPREAD, ExaminedRuns
 from carom.physics.look_ahead.orbits import look_at_orbits
-from carom.physics.look_ahead.trial_run import LEAST, TrialRun, Watcher, WorkBudget, radau_work
+from carom.physics.look_ahead.trial_run import LEAST, LEAST_OF_CONTACTS, TrialRun, Watcher, WorkBudget, step_work
 from carom.physics.placement import place
 from carom.plan import interactions
 from carom.plan.auto import auto_interval, integrator, largest_step
 from carom.plan.features import require
 from carom.plan.hierarchy import orbits_often
-from carom.scene.integrators import AUTO, INTEGRATORS
+from carom.scene.integrators import AUTO, INTEGRATORS, Integrator
 from carom.scene.load import Scene
 from carom.scene.scene_model import naming_places
 from carom.scene.schema import Promise
-from carom.scene.schema.settings import LARGEST_ACCURACY
 from carom.scene.start import InitialBodies
-from carom.scene.units.dimension import TIME
 
 if TYPE_CHECKING:
     from carom.physics.integrators.gauss_radau.radau_twin import FollowedOrbits
 
-SAMPLES = 64  # times at which runs are compared
-ENOUGH_SAMPLES = 8  # samples required within the budget; with fewer, the time reached is divided into more
-STEPS_PER_SAMPLE = 8  # smallest number for the coarsest trial run, whose steps end at samples
 # samples if bodies meet, since pauses cost more than steps; the second number if a promise ends early
 FEWER_SAMPLES = (4, 32)
-LONGEST = 1.0  # refinement of the longest useful steps
 EXACT = 2.0**-8  # refinement of a trial run with only rounding errors; shorter steps cost more
 EXACT_OF_MANY = 0.125  # the same for many bodies, which have more possible partners in longer steps
 EXACT_UP_TO = 200  # bodies; for more, `EXACT_OF_MANY` applies
@@ -78,20 +68,12 @@ FEWEST_ORBITS = 30.0  # revolutions of the innermost body; the first ones cost l
 FINEST_OF_ORBITS = 1e-7  # accuracy; below it, gauss-radau15 is cheaper than wisdom-holman
 HILL_RADII = 3.0  # Hill radii between orbits, so that encounters are rare
 SAMPLES_OF_ORBITS = 16  # samples, each of which takes a corrector and its inverse
+MOST_FORESEEN = 1e6  # growth of an error beyond the trial runs for which steps are shortened; more ends the promise
 MARGIN = 3.0  # expected error over the extrapolated one; with 2, an event in a step exceeded it by a factor of 1.4
 MOST_IDLE = 5  # successive trial runs with shorter steps that hardly change the distance, see `stays`
 # Consecutive comparisons that show that shorter steps would hardly extend a promise; one of them may be chance.
 # Comparisons are ignored while no promise is kept, since the steps may be too long to judge.
 MOST_ENOUGH = 2
-# initial displacement of the twin, relative to the size of the system; larger than the rounding of many steps
-DISPLACEMENT = 1e-11
-# Ratio of the error by rounding to the distance of twins. With 4, horizons were too early in 8 of 25 cases. With 1.3,
-# errors exceeded the request before the horizon in 11 of 235 cases, by up to a fifteenth of the time.
-SPREAD = 2.5
-LARGEST_ERROR = 1.0  # of the size; larger errors are not distinguished
-SMALLEST = 1e-300  # in place of an error of 0, which has no first digit
-ROUNDING = 8.0  # ρ in units of the last bit of the coordinates
-LOWEST = 64.0  # smallest accuracy in units of ρ
 STEPS_OF_TWINS = 200  # steps within the last 1 / λ in chaos; a twin with one iteration adds hardly any rounding
 RADAU_AHEAD = 2.0**-1.5  # refinement of a trial run with gauss-radau15
 RADAU_LONG = 0.25  # refinement of the run whose distance from the trial run measures its error
@@ -100,11 +82,15 @@ RADAU_LONG = 0.25  # refinement of the run whose distance from the trial run mea
 # refinement 1 err by rounding.
 RADAU_ERRORS = ((RADAU_LONG, 1.25), (RADAU_AHEAD, 0.2), (0.5, 0.01), (2.0**-0.5, 2e-3), (1.0, 0.0))
 
-PLANNED = COARSEST * RATIO**TRIED  # refinement up to which trial runs are always made
+# Integrators that may cost less than Gauss–Radau integration for more bodies than `MAX_IN_ONE_BLOCK`, the cheapest
+# first. With fewer, the comparison would cost more than the run. Each may spend a fraction of the remaining budget.
+CHEAPER: dict[Literal["leapfrog", "yoshida4"], float] = {"leapfrog": 0.5, "yoshida4": 0.6}
+RADAU_STEPS = 0.25  # longest steps of gauss-radau15, over those of leapfrog of refinement 1; 0.18 to 0.31 in clusters
+COARSE_ERRORS = 2.0  # the first comparison may overestimate the refinement that is needed by this factor
 
-# Fractions of the budget.
-FIRST_SHARE = 1.0 / 13.0  # for the coarsest trial run; `TRIED` finer ones and a twin take 12 times as much
-TWIN_SHARE = 0.25  # for a run and for its twin each; the remainder is for a run with long steps, or for leapfrog
+TWIN_SHARE = (
+    0.25  # of the budget, for a run and for its twin each; the remainder is for a run with long steps, or for leapfrog
+)
 
 
 def with_promise(
@@ -124,8 +110,9 @@ def with_promise(
     if scene.time.accuracy is None or scene.promise is not None:
         return scene
     with naming_places(scene), np.errstate(invalid="ignore", divide="ignore"):  # unknown values are infinite
-        ahead = _LookAhead(scene, scene.time.accuracy, threads, start or place(scene), watch)
-        return ahead.find()
+        least = LEAST_OF_CONTACTS if require(scene).contact.modelled else LEAST
+        budget = WorkBudget(scene.time.duration, least, watch=watch)
+        return scene.promising(_LookAhead(scene, scene.time.accuracy, threads, start or place(scene), budget).find())
 
 
 class _Found(NamedTuple):
@@ -138,58 +125,75 @@ class _Found(NamedTuple):
     known: int  # number of times at which the error is known
 
 
-class _LookAhead:
-    def __init__(
-        self, scene: Scene, accuracy: float, threads: int | None, start: InitialBodies, watch: Watcher | None = None
-    ) -> None:
-        self._scene, self._accuracy, self._threads, self._start = scene, accuracy, threads, start
-        self._budget = WorkBudget(scene.time.duration, watch)
-        self._kept_at_most = math.inf  # s
-        self._times = samples(scene.time.duration, SAMPLES)
-        self._scale = Scale.of(scene, start)
-        last_bit = EPS * max(1.0, float(np.abs(start.position).max()) / self._scale.size)
-        least = LOWEST * ROUNDING * last_bit
-        if accuracy < least:
-            raise SceneError(
-                f"time.accuracy = {accuracy:g}: double precision allows at best {least:.1e} for the coordinates of "
-                f"this scene; set {least:.1e} or more",
-                ("time", "accuracy"),
-            )
-        if integrator(scene).controls_error:  # its error is rounding, which twins a last bit apart show
-            self._twin, self._rounding = displaced(start, 0.0), SPREAD
-        else:
-            self._twin = displaced(start, DISPLACEMENT * self._scale.size)
-            self._rounding = ROUNDING * last_bit / DISPLACEMENT
-
-    def find(self) -> Scene:
+class _LookAhead(ExaminedRuns):
+    def find(self) -> Promise:
         scene, chosen = self._scene, integrator(self._scene)
-        if chosen.hierarchical:
-            return self._find_for_orbits(persists=True) or scene
+        if chosen.hierarchical and (promised := self._find_for_orbits(persists=True)):
+            return promised
         # Wisdom–Holman integration may keep a rough accuracy at a lower cost than Gauss–Radau integration
         has_choice = scene.time.integrator == AUTO and "wisdom-holman" in registry.names("integrators")
         if has_choice and self._accuracy >= FINEST_OF_ORBITS and orbits_often(scene, HILL_RADII) >= FEWEST_ORBITS:
             promised = self._find_for_orbits(persists=False)
             if promised is not None:
                 return promised
+        is_free = scene.time.integrator == AUTO and chosen.name != "leapfrog"
+        if is_free and self._is_smooth and scene.count > MAX_IN_ONE_BLOCK:
+            return self._find_cheapest(chosen)
         if chosen.controls_error:
             return self._find_for_radau()
-        needs = require(scene)
         # without contacts, steps of any length are exact under uniform fields and drag
-        is_exact = not (needs.contact.modelled or interactions.differing(scene))
-        if needs.accelerates and not is_exact:
-            return self._find_for_steps(chosen.order)
+        is_exact = self._is_smooth and not interactions.differing(scene)
+        if require(scene).accelerates and not is_exact:
+            return self._find_for_order(chosen.order)
         # without forces, flights and times of impact are exact, whatever the step
         _, twins = self._part_at_impacts(EXACT if scene.count <= EXACT_UP_TO else EXACT_OF_MANY)
         longest = auto_interval(scene, scene.time.duration) / largest_step(scene) if is_exact else LONGEST
         return self._promise(min(longest, LONGEST), self._rounding * twins.apart, twins.exponent)
 
-    def _find_for_radau(self) -> Scene:
+    def _find_cheapest(self, usual: Integrator) -> Promise:
+        """Return the promise of the cheapest integrator that keeps the accuracy to the end, or else for longest.
+
+        Gauss–Radau integration, if it is the ``usual`` one, is tried where no other is cheaper.
+        """
+        best: Promise | None = None
+        refused: SceneError | None = None
+        most, steps = math.inf, 0.0
+        for name, part in CHEAPER.items():
+            time = self._scene.time.model_copy(update={"integrator": name})
+            scene = self._scene.model_copy(update={"time": time})
+            whole = self._budget
+            if steps * step_work(scene) >= most or not whole.left:
+                break
+            budget = WorkBudget(whole.duration, whole.least, part * whole.left / whole.total, whole.watch)
+            ahead = _LookAhead(scene, self._accuracy, self._threads, self._start, budget)
+            coarse = ahead._coarsest()
+            if not steps:
+                steps = coarse.steps * ahead._whole(coarse, LONGEST)
+                most = RADAU_STEPS * steps * step_work(self._scene) if usual.controls_error else math.inf
+            promise: Promise | None = None
+            try:
+                promise = ahead._find_for_steps(INTEGRATORS[name].order, coarse, most)
+            except SceneError as error:
+                refused = error
+            whole.spend(budget.spent, budget.reached)
+            if promise is not None and (best is None or promise.kept_until >= best.kept_until):
+                best = promise.model_copy(update={"integrator": name})
+                if promise.horizon is None:
+                    most = steps * step_work(scene) * promise.refinement
+        if usual.controls_error and (best is None or best.horizon is not None):
+            return self._find_for_radau()
+        if best is None:
+            assert refused is not None  # no other limit applies
+            raise refused
+        return best
+
+    def _find_for_radau(self) -> Promise:
         needs, rests_from = require(self._scene), math.inf
         run: TrialRun | FollowedOrbits
         if needs.contact.modelled:
             run, twins = self._part_at_impacts(RADAU_AHEAD if needs.gravity.modelled else RADAU_LONG)
             if run.is_cut and run.rests_from < math.inf:
-                return self._find_for_steps(INTEGRATORS["leapfrog"].order)
+                return self._find_for_order(INTEGRATORS["leapfrog"].order)
             rests_from, rounding = run.rests_from, SPREAD * twins.apart
         else:
             run, twins, rounding = self._part_of_orbits(RADAU_AHEAD, converges=False)
@@ -197,16 +201,21 @@ class _LookAhead:
                 run, twins, rounding = self._part_of_orbits(1.0, converges=True)
         if not needs.gravity.modelled:  # parabolas are exact for steps of any length
             refinement, error = RADAU_LONG, rounding
-        elif not SAFETY * rounding[self._last] <= self._accuracy:  # no other step keeps it longer
+        elif not SAFETY * self._at_end(rounding) <= self._accuracy:  # no other step keeps it longer
             refinement, error = 1.0, rounding
         else:
             missed = twins.continued(self._times, self._missed_by_long_steps(run), run.times)
-            last = self._last
             errors = ((each, rounding + share * missed) for each, share in RADAU_ERRORS)
-            refinement, error = next((each, e) for each, e in errors if SAFETY * e[last] <= self._accuracy)
+            refinement, error = next((each, e) for each, e in errors if SAFETY * self._at_end(e) <= self._accuracy)
         if rests_from < kept_until(self._times, error, self._accuracy):
-            return self._find_for_steps(INTEGRATORS["leapfrog"].order)
+            return self._find_for_order(INTEGRATORS["leapfrog"].order)
         return self._promise(refinement, error, twins.exponent)
+
+    def _find_for_order(self, order: int) -> Promise:
+        """Return the promise of kicks and drifts at any cost."""
+        found = self._find_for_steps(order)
+        assert found is not None
+        return found
 
     def _missed_by_long_steps(self, run: TrialRun | FollowedOrbits) -> FloatArray:
         """Return the distance of a run from one with long steps, over the size, at the times of the run, (K',)."""
@@ -245,19 +254,8 @@ class _LookAhead:
         steps = twins.steps_that_count(self._began, run.steps)
         return run, twins, SPREAD * twins.apart * np.sqrt(np.maximum(1.0, steps / STEPS_OF_TWINS))
 
-    def _bound(self, share: float) -> Callable[[int, float], bool]:
-        """Return the condition on which a run of gauss-radau15 goes on, for its fraction of the whole budget."""
-        budget, each, begun = self._budget, radau_work(self._scene.count), self._budget.spent
-
-        def goes_on(iterations: int, time: float) -> bool:
-            budget.spend(iterations * each, time)
-            budget.own = (budget.spent - begun) * budget.duration / time
-            return budget.spent - begun < min(share * budget.total, budget.total - begun)
-
-        return goes_on
-
-    def _find_for_orbits(self, persists: bool) -> Scene | None:
-        """Return the scene with a promise of Wisdom–Holman integration; None if it is not worthwhile."""
+    def _find_for_orbits(self, persists: bool) -> Promise | None:
+        """Return the promise of Wisdom–Holman integration; None if it is not worthwhile."""
         times, most = samples(self._scene.time.duration, SAMPLES_OF_ORBITS), self._accuracy * self._scale.size / SAFETY
         found = look_at_orbits(self._scene, self._start, times, self._accuracy, most, persists, self._budget)
         if not (found.keeps or persists):
@@ -265,22 +263,34 @@ class _LookAhead:
             return None
         error = np.interp(self._times, with_start(times, 0.0), with_start(found.error / self._scale.size, 0.0))
         chosen: Literal["wisdom-holman"] | None = "wisdom-holman" if self._scene.time.integrator == AUTO else None
-        return self._promise(found.refinement, MARGIN * error, found.exponent, chosen)
+        promise = self._promise(found.refinement, MARGIN * error, found.exponent)
+        return promise.model_copy(update={"integrator": chosen})
 
-    def _find_for_steps(self, order: int) -> Scene:
+    def _find_for_steps(self, order: int, coarse: TrialRun | None = None, most: float = math.inf) -> Promise | None:
+        """Return the promise of kicks and drifts; None if they would cost more than ``most`` nominal s.
+
+        ``coarse`` is the coarsest trial run, if it is already made.
+        """
         self._budget.covered = math.inf
-        coarse = self._coarsest()
+        coarse = coarse or self._coarsest()
         budget, refinement, apart, idle, enough = self._budget, coarse.refinement, list[FloatArray](), 0, 0
         best: _Found | None = None
-        while len(apart) < TRIED or 2.0 * RATIO * coarse.work <= budget.left:  # including a twin
+        while len(apart) < self._tried or 2.0 * RATIO * coarse.work <= budget.left:  # including a twin
             refinement *= RATIO
             share = (budget.left / 2.0) / budget.total  # a twin costs the same again
-            fine = self._run(refinement, share=share, longer=max(1.0, PLANNED / refinement))
+            fine = self._run(refinement, share=share, longer=max(1.0, self._planned / refinement))
             apart.append(self._scale.apart(coarse, fine, 1.0))
             known = min(coarse.known, fine.known)
-            chosen, kept, error = extrapolate(self._times, apart, refinement, order, self._accuracy)
-            if len(apart) < TRIED:
+            growth = self._growth(apart[-1], known)
+            goal = self._accuracy / (growth if growth < MOST_FORESEEN else 1.0)
+            chosen, kept, error = extrapolate(self._times, apart, refinement, order, goal, self._farthest)
+            if len(apart) < self._tried:
                 kept, error = 0.0, np.full(len(self._times), np.inf)
+            if most < math.inf and not kept >= self._times[-1]:
+                missed = SAFETY * apart[-1][-1] / (RATIO**order - 1.0) / goal
+                chosen = max(refinement * missed ** (1.0 / order) / COARSE_ERRORS, LONGEST)
+            if coarse.work * self._whole(coarse, chosen) > most:
+                return None
             if best is None or kept > best.kept or known >= best.known:
                 run = fine if chosen > coarse.refinement and not fine.is_cut else coarse
                 best = _Found(kept, chosen, error, run, known)
@@ -290,7 +300,7 @@ class _LookAhead:
                 break
             coarse = fine
         assert best is not None
-        longer = max(1.0, PLANNED / best.run.refinement)
+        longer = max(1.0, self._planned / best.run.refinement)
         twin = self._run(best.run.refinement, self._twin, share=budget.left / budget.total, longer=longer)
         twins = self._part(best.run, twin)
         self._cover(self._times, min(best.known, twin.known))
@@ -298,24 +308,9 @@ class _LookAhead:
         over = np.flatnonzero(~(error <= self._accuracy))
         last = int(over[0]) - 1 if len(over) else len(error) - 1
         # between samples, an error may exceed the accuracy at any time
-        self._kept_at_most = float(self._times[last]) if last >= 0 else 0.0
+        if len(over) or not self._is_smooth:
+            self._kept_at_most = float(self._times[last]) if last >= 0 else 0.0
         return self._promise(best.refinement, error, twins.exponent)
-
-    def _coarsest(self) -> TrialRun:
-        """Return the coarsest trial run, up to a time that finer ones can reach within the budget, too.
-
-        It determines the times of comparison.
-        """
-        duration = self._scene.time.duration
-        self._times = between_round_times(duration, SAMPLES)
-        run = self._run(COARSEST, share=FIRST_SHARE, longer=PLANNED / COARSEST)
-        run.at(SAMPLES - 1)
-        if run.is_cut:
-            count = max(1, min(SAMPLES, run.steps // STEPS_PER_SAMPLE))
-            self._times = between_round_times(run.reached, count)
-            run = self._run(COARSEST, share=2.0 * FIRST_SHARE, longer=PLANNED / COARSEST)
-            run.at(count - 1)
-        return run
 
     def _part_at_impacts(self, refinement: float) -> tuple[TrialRun, Twins]:
         """Return a run with impacts, and its divergence from its twin; they share memory if it is scarce."""
@@ -337,74 +332,3 @@ class _LookAhead:
         self._cover(times, known)
         self._times = samples(min(duration, self._budget.covered or duration), SAMPLES)
         return run, twins.at(self._times, times, self._began)
-
-    def _part(self, run: TrialRun, twin: TrialRun) -> Twins:
-        apart = self._scale.apart(run, twin, APART)
-        return Twins.grown(self._times, apart, self._began, min(run.known, twin.known))
-
-    @property
-    def _last(self) -> int:
-        """The index of the last time that all trial runs have reached within the budget."""
-        return max(0, int(np.count_nonzero(self._times <= self._budget.covered)) - 1)
-
-    def _cover(self, times: FloatArray, known: int) -> None:
-        """Record how many of the times a trial run has reached within the budget."""
-        if known < len(times) or times[-1] < self._scene.time.duration:
-            self._budget.cover(float(times[known - 1]) if known else 0.0)
-
-    @property
-    def _began(self) -> float:
-        """The initial distance of the twins, relative to the size."""
-        return max(self._scale.distance(self._start.position, self._twin.position), EPS**2)
-
-    def _run(
-        self,
-        refinement: float,
-        start: InitialBodies | None = None,
-        times: FloatArray | None = None,
-        share: float = 1.0,
-        longer: float = 1.0,
-    ) -> TrialRun:
-        begins, times = start or self._start, self._times if times is None else times
-        return TrialRun(self._scene, refinement, self._threads, begins, times, self._budget, share, longer)
-
-    def _promise(
-        self, refinement: float, error: FloatArray, exponent: float, chosen: Literal["wisdom-holman"] | None = None
-    ) -> Scene:
-        until, covered = self._scene.time.duration, min(self._scene.time.duration, self._budget.covered)
-        error = np.where(np.isfinite(error), np.minimum(error, LARGEST_ERROR), LARGEST_ERROR)
-        known = self._times <= covered
-        kept = min(kept_until(self._times, error, self._accuracy), covered, self._kept_at_most)
-        if covered < until and kept == 0.0:
-            self._refuse(covered, error[known])
-        grid = covered * (np.arange(1, SAMPLES + 1) / SAMPLES)
-        expected = np.interp(grid, with_start(self._times, 0.0), with_start(error, 0.0))
-        return self._scene.promising(
-            Promise(
-                refinement=refinement,
-                until=until,
-                looked=covered if covered < until else None,
-                horizon=kept if kept < until else None,
-                integrator=chosen,
-                lyapunov=float(f"{exponent:.6g}"),
-                error=tuple(float(f"{each:.3g}") for each in expected.tolist()),
-            )
-        )
-
-    def _refuse(self, covered: float, error: FloatArray) -> None:
-        """Refuse the accuracy; the message names one that could be promised."""
-        units, until = self._scene.unit_system, self._scene.time.duration
-        best = float(error.min(initial=LARGEST_ERROR))
-        if best <= LARGEST_ACCURACY:
-            digit = 10.0 ** math.floor(math.log10(max(best, SMALLEST)))
-            rounded_up = math.ceil(best / digit) * digit
-            could = f"{rounded_up:g} could be promised for the first {units.text(covered, TIME, '.2g')} or less"
-        else:
-            could = f"not even {LARGEST_ACCURACY:g} could be promised"
-        raise SceneError(
-            f"time.accuracy = {self._accuracy:g} cannot be promised: within {LEAST:g} s of computing, or a tenth of "
-            f"the run, the trial runs reach t = {units.text(covered, TIME, '.2g')} of "
-            f"{units.text(until, TIME, '.4g')}; {could}; raise time.accuracy, shorten time.duration, use fewer "
-            "bodies, or remove time.accuracy",
-            ("time", "accuracy"),
-        )

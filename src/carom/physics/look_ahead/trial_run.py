@@ -15,25 +15,28 @@ from dataclasses import dataclass, field, replace
 
 from carom.arrays import FloatArray
 from carom.errors import PhysicsError
+from carom.physics.forces.gravity.direct import MAX_IN_ONE_BLOCK
 from carom.physics.simulation import Simulation
-from carom.plan.auto import gravity_method, integrator
+from carom.plan.auto import PAIRS_UP_TO, gravity_method, integrator
 from carom.scene.load import Scene
 from carom.scene.schema import Expect, Promise
 from carom.scene.start import InitialBodies
 
-LEAST = 5.0  # nominal s
+LEAST = 0.2  # nominal s, where nothing can touch, so that an error beyond the trial runs can be extrapolated
+LEAST_OF_CONTACTS = 5.0  # nominal s, where bodies may touch, so that nothing is promised beyond the trial runs
 PART_OF_RUN = 0.1  # of the nominal time of the run itself, if that is larger
 MOST = 60.0  # nominal s, an upper limit, because chattering contacts could take infinitely many steps
 # Nominal s, accurate to a factor of two: a call from Python, a step in a kernel, and the part of a body or contact in a
 # step.
 CALL, CALL_WITH_CONTACTS = 2e-5, 1e-4
-KERNEL_STEP, KERNEL_BODY = 1e-7, 1e-8
+KERNEL_STEP, KERNEL_BODY = 3e-7, 1e-8
+TABLE_FORCES = 1.5e-5  # the part of Python in a sum of forces of more bodies than `MAX_IN_ONE_BLOCK`
 CONTACT_BODY = 5e-7  # the search, and the next impacts
 HELD_STEP, HELD_CONTACT, SWEEP = 4e-4, 1e-6, 4e-8  # for held contacts; the last value for each contact and iteration
 IMPACT = 1.4e-6
-PAIR = 3.2e-10  # of a direct sum, for each end of a pair; few bodies take longer
+PAIR, FEW_PAIR = 7e-10, 4e-9  # of a direct sum, for each end of a pair; few bodies, whose step examines each pair
 TREE_BODY, TREE_ANGLE = 1.2e-6, 0.5  # of a tree at this opening angle; the number of boxes grows like 1/angle³
-RADAU_STEP, RADAU_BODY, RADAU_PAIR = 1e-6, 4e-7, 3.5e-8  # of an iteration of Gauss–Radau integration
+RADAU_STEP, RADAU_BODY, RADAU_PAIR = 1e-6, 2.5e-7, 9e-9  # of an iteration of Gauss–Radau integration
 ITERATIONS = 2.5  # iterations per step
 ORBIT_STEP, ORBIT_BODY = 1e-7, 1e-7  # of Wisdom–Holman integration
 AT_ONCE = 0.05  # nominal s of a kernel between two checks of the budget
@@ -46,6 +49,8 @@ class WorkBudget:
     """The allowed and the spent work of a look-ahead."""
 
     duration: float  # s, of the run
+    least: float = LEAST_OF_CONTACTS  # nominal s
+    part: float = 1.0  # of the whole budget of a look-ahead
     watch: Watcher | None = None  # called now and then during trial runs
     own: float = 0.0  # nominal s, the work of the run itself, estimated from the latest trial run
     spent: float = 0.0  # nominal s
@@ -55,7 +60,7 @@ class WorkBudget:
     @property
     def total(self) -> float:
         """The whole budget, in nominal s."""
-        return max(LEAST, min(PART_OF_RUN * self.own, MOST))
+        return self.part * max(self.least, min(PART_OF_RUN * self.own, MOST))
 
     @property
     def left(self) -> float:
@@ -80,7 +85,8 @@ def force_work(scene: Scene) -> float:
     work = KERNEL_BODY * n
     if method == "none":
         return work
-    direct = PAIR * n * n
+    work += 0.0 if n <= MAX_IN_ONE_BLOCK else TABLE_FORCES
+    direct = (FEW_PAIR if n <= PAIRS_UP_TO else PAIR) * n * n
     if method == "direct":
         return work + direct
     return work + min(direct, TREE_BODY * n * (TREE_ANGLE / scene.gravity.opening_angle) ** 3)
@@ -89,6 +95,14 @@ def force_work(scene: Scene) -> float:
 def radau_work(bodies: int) -> float:
     """Return the nominal time (s) of an iteration of a Gauss–Radau step."""
     return RADAU_STEP + RADAU_BODY * bodies + RADAU_PAIR * bodies * bodies
+
+
+def step_work(scene: Scene) -> float:
+    """Return the nominal time (s) of a step between contacts."""
+    chosen = integrator(scene)
+    if chosen.controls_error:
+        return ITERATIONS * radau_work(scene.count)
+    return KERNEL_STEP + len(chosen.substeps) * force_work(scene)
 
 
 class TrialRun:
@@ -124,9 +138,7 @@ class TrialRun:
         self._chooses_steps = integrator(scene).controls_error
         touches = self._simulation.requirements.contact.modelled
         self._call = CALL_WITH_CONTACTS + CONTACT_BODY * scene.count if touches else CALL
-        evaluations = len(integrator(scene).substeps) or 1
-        by_radau = ITERATIONS * radau_work(scene.count)
-        self._each = by_radau if self._chooses_steps else KERNEL_STEP + evaluations * force_work(scene)
+        self._each = step_work(scene)
         self._most = max(1, int(AT_ONCE / self._each))
         self._failed = False
         self._positions: list[FloatArray] = []  # (n, 3) m, at each of the times so far

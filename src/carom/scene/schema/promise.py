@@ -107,20 +107,19 @@ class Promise(Section):
     looked: Annotated[NonNegative, TIME] | None = Field(
         None,
         description="s, time at which the trial runs ended if their budget was spent before `until`; otherwise absent; "
-        "not negative",
+        "a promise beyond it is extrapolated; not negative",
     )
     horizon: Annotated[NonNegative, TIME] | None = Field(
         None,
-        description="s, time up to which the accuracy is kept; none if it is kept to the end of the trial runs; "
-        "not negative",
+        description="s, time up to which the accuracy is kept; none if it is kept up to `until`; not negative",
     )
-    integrator: Literal["wisdom-holman"] | None = Field(
+    integrator: Literal["wisdom-holman", "leapfrog", "yoshida4"] | None = Field(
         None, description="the integrator, if the trial runs chose another one than the scene"
     )
     lyapunov: Annotated[Real, RATE] = Field(description="1/s, largest Lyapunov exponent, measured over the trial runs")
     error: Annotated[tuple[NonNegative, ...], Field(min_length=1)] = Field(
         description="expected error of positions over the size of the system, at equally spaced times up to "
-        "`looked`, or `until`"
+        "`until`, or to the later one of `looked` and `horizon`"
     )
 
     @property
@@ -128,9 +127,14 @@ class Promise(Section):
         """The time (s) up to which the accuracy is kept."""
         return self.until if self.horizon is None else self.horizon
 
+    @property
+    def is_extrapolated(self) -> bool:
+        """Whether the accuracy is kept beyond the times of the trial runs, by extrapolation."""
+        return self.looked is not None and self.kept_until > self.looked
+
     def error_at(self, time: float) -> float:
         """Return the expected error at a time (s), over the size of the system; 1 where it is unknown."""
-        known = self.until if self.looked is None else self.looked
+        known = self.until if self.looked is None else max(self.looked, self.kept_until)
         if self.looked is not None and time > known:
             return 1.0
         place = min(time / known, 1.0) * len(self.error)
