@@ -17,6 +17,7 @@ from carom.recording.read.recording import Recording
 from carom.scene.load import Scene
 from carom.scene.parts import unknown
 from carom.sharing.report import worst_moment
+from carom.terminal.compilation_progress import POINTS
 from carom_command import carom, carom_process
 
 ONE_BODY = "[[body]]\nradius = 1.0\n"
@@ -340,7 +341,7 @@ def test_without_a_cache_the_command_says_that_it_compiles(tmp_path: Path) -> No
         for name in ("first.rrd", "second.rrd")
     )
     assert first.stderr.count("Compiling kernels") == 1
-    assert "once on this machine: 0 of about 15 …" in first.stderr
+    assert f"once on this machine: 0 of about {POINTS} …" in first.stderr
     assert "Compiling" not in second.stderr
 
 
