@@ -587,7 +587,7 @@ def chattering_cube() -> Scene:
 
 
 def test_a_look_ahead_ends_where_chattering_contacts_take_steps_without_end(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("carom.physics.look_ahead.find_step.LEAST_OF_CONTACTS", 0.5)
+    monkeypatch.setattr("carom.physics.look_ahead.trial_run.LEAST_OF_CONTACTS", 0.5)
     monkeypatch.setattr("carom.physics.look_ahead.trial_run.MOST", 0.5)
     runs: list[TrialRun] = []
 

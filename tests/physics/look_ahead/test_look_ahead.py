@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
 from carom.errors import SceneError
+from carom.physics.look_ahead.error_growth import UNSEEN, onward
 from carom.physics.look_ahead.find_step import with_promise
 from carom.physics.look_ahead.trial_run import WorkBudget
 from carom.physics.schedule import at
@@ -21,7 +22,7 @@ from small_scenes import scene_of
 
 FloatArray = NDArray[np.float64]
 
-LEAST = "carom.physics.look_ahead.find_step.LEAST"
+LEAST = "carom.physics.look_ahead.trial_run.LEAST"
 
 
 def sliding_ball(accuracy: float, speed: float = 2.0) -> Scene:
@@ -151,8 +152,16 @@ def test_a_promise_ends_where_an_extrapolated_error_grows_to_the_accuracy() -> N
     assert "on, grows beyond that; it is kept up to t = " in text
 
 
+@pytest.mark.parametrize(("power", "rate"), [(2.0, 0.0), (3.0, 0.0), (2.0, 1.5), (2.5, 4.0)])
+def test_an_error_is_extrapolated_by_the_law_that_it_has_followed(power: float, rate: float) -> None:
+    times, later = np.linspace(0.0, 2.0, 65)[1:], np.array([3.0, 10.0])
+    grown = onward(times, 1e-9 * times**power * np.exp(rate * times), later)
+    expected = (later / 2.0) ** power * np.exp(rate * (later - 2.0))
+    assert grown / UNSEEN == pytest.approx(expected, rel=1e-6)  # rounding, magnified by the exponent of 32
+
+
 def test_nothing_is_promised_beyond_the_trial_runs_where_bodies_may_touch(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("carom.physics.look_ahead.find_step.LEAST_OF_CONTACTS", 0.01)
+    monkeypatch.setattr("carom.physics.look_ahead.trial_run.LEAST_OF_CONTACTS", 0.01)
     scene = with_promise(cluster(60, 1e-3, touches=True), 1)
     promise = scene.promise
     assert promise is not None and promise.looked is not None and promise.horizon is not None
@@ -219,6 +228,7 @@ def test_an_accuracy_of_which_nothing_can_be_promised_is_refused_with_what_could
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(LEAST, 1e-4)
+    monkeypatch.setattr("carom.physics.look_ahead.trial_run.LEAST_STEPS", 0)
     monkeypatch.setattr("carom.physics.look_ahead.trial_run.PART_OF_RUN", 1e-4)
     with pytest.raises(SceneError, match=r"accuracy = 0\.0001 cannot be promised: .*; not even 0\.01 could be"):
         with_promise(asteroids(300), 1)

@@ -34,6 +34,7 @@ NEARLY = 0.95
 FALLING = 0.82  # largest ratio between successive distances that is a reduction
 APART = 1e-2  # of the size; above it, twins no longer diverge exponentially
 EPS = float(np.finfo(np.float64).eps)
+LEAST_POWER = 2.0  # of the time, by which an error is expected to grow
 UNSEEN = 3.0  # factor on an error beyond the times that trial runs reached
 SMALLEST = 1e-300  # in place of an error of 0, which has no logarithm
 MOST_GROWTH = 600.0  # of the logarithm of the distance, so that the distance stays finite
@@ -108,13 +109,17 @@ def between_round_times(end: float, count: int) -> FloatArray:
 def onward(times: FloatArray, values: FloatArray, later: FloatArray) -> FloatArray:
     """Return by which factors an error, (K,) at all times (s), is expected to have grown at later times, (M,).
 
-    It grows exponentially, as in the second half of the known times, and at least like t².
+    It grows like t^p e^(λ t), with p and λ from the two last doublings of the known time; p is 2 or more, since errors
+    of regular motion grow like t².
     """
-    half = int(np.searchsorted(times, 0.5 * times[-1]))
-    began, ended = max(float(values[half]), SMALLEST), max(float(values[-1]), SMALLEST)
-    rate = math.log(ended / began) / float(times[-1] - times[half])
-    growth = np.exp(np.minimum(rate * (later - times[-1]), MOST_GROWTH))
-    return np.asarray(UNSEEN * np.maximum(growth, (later / times[-1]) ** 2))
+    quarter, half, last = (
+        max(float(np.interp(part * times[-1], times, values)), SMALLEST) for part in (0.25, 0.5, 1.0)
+    )
+    earlier, later_doubling = math.log(half / quarter), math.log(last / half)
+    rate = max(4.0 * (later_doubling - earlier), 0.0)  # λ times the known time
+    power = max((later_doubling - 0.5 * rate) / math.log(2.0), LEAST_POWER)
+    ratio = later / times[-1]
+    return np.asarray(UNSEEN * ratio**power * np.exp(np.minimum(rate * (ratio - 1.0), MOST_GROWTH)))
 
 
 def with_start(values: FloatArray, start: float) -> FloatArray:

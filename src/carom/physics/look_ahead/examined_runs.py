@@ -42,7 +42,8 @@ from carom.scene.units.dimension import TIME
 SAMPLES = 64  # times at which runs are compared
 LATER = 1024  # times beyond the trial runs, between which an error grows little
 ENOUGH_SAMPLES = 8  # samples required within the budget; with fewer, the time reached is divided into more
-STEPS_PER_SAMPLE = 8  # smallest number for the coarsest trial run, whose steps end at samples
+FEWEST_SAMPLES = 4  # known samples from which an error is extrapolated to later times
+STEPS_PER_SAMPLE = 8  # smallest number for the coarsest trial run, whose steps end at samples; half with smooth errors
 # initial displacement of the twin, relative to the size of the system; larger than the rounding of many steps
 DISPLACEMENT = 1e-11
 # Ratio of the error by rounding to the distance of twins. With 4, horizons were too early in 8 of 25 cases. With 1.3,
@@ -101,7 +102,7 @@ class ExaminedRuns:
         run = self._run(self._coarse, share=FIRST_SHARE, longer=longer)
         run.at(SAMPLES - 1)
         if run.is_cut:
-            count = max(1, min(SAMPLES, run.steps // STEPS_PER_SAMPLE))
+            count = max(1, min(SAMPLES, run.steps // (STEPS_PER_SAMPLE // 2 if self._is_smooth else STEPS_PER_SAMPLE)))
             self._times = between_round_times(run.reached, count)
             run = self._run(self._coarse, share=2.0 * FIRST_SHARE, longer=longer)
             run.at(count - 1)
@@ -135,7 +136,7 @@ class ExaminedRuns:
     def _growth(self, error: FloatArray, known: int) -> float:
         """Return the expected growth of an error, (K,), from its last known time to the end; 1 with contacts."""
         duration = self._scene.time.duration
-        if not self._is_smooth or known < ENOUGH_SAMPLES or self._times[known - 1] >= duration:
+        if not self._is_smooth or known < FEWEST_SAMPLES or self._times[known - 1] >= duration:
             return 1.0
         return float(onward(self._times[:known], error[:known], np.array([duration]))[0])
 
@@ -170,7 +171,7 @@ class ExaminedRuns:
         times, known, reach = self._times, self._known, covered
         if covered < until:
             times, error = times[:known], error[:known]
-            if self._is_smooth and known >= ENOUGH_SAMPLES and error[-1] <= self._accuracy:
+            if self._is_smooth and known >= FEWEST_SAMPLES and error[-1] <= self._accuracy:
                 later, reach = covered + samples(until - covered, LATER), until
                 beyond = np.minimum(error[-1] * onward(times, error, later), LARGEST_ERROR)
                 times, error = np.concatenate((times, later)), np.concatenate((error, beyond))

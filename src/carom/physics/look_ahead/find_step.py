@@ -44,7 +44,7 @@ from carom.physics.look_ahead.error_growth import (
 )
 from carom.physics.look_ahead.examined_runs import ENOUGH_SAMPLES, SAMPLES, SPREAD, ExaminedRuns
 from carom.physics.look_ahead.orbits import look_at_orbits
-from carom.physics.look_ahead.trial_run import LEAST, LEAST_OF_CONTACTS, TrialRun, Watcher, WorkBudget, step_work
+from carom.physics.look_ahead.trial_run import TrialRun, Watcher, WorkBudget, least_work, step_work
 from carom.physics.placement import place
 from carom.plan import interactions
 from carom.plan.auto import auto_interval, integrator, largest_step
@@ -110,7 +110,7 @@ def with_promise(
     if scene.time.accuracy is None or scene.promise is not None:
         return scene
     with naming_places(scene), np.errstate(invalid="ignore", divide="ignore"):  # unknown values are infinite
-        least = LEAST_OF_CONTACTS if require(scene).contact.modelled else LEAST
+        least = least_work(scene, require(scene).contact.modelled)
         budget = WorkBudget(scene.time.duration, least, watch=watch)
         return scene.promising(_LookAhead(scene, scene.time.accuracy, threads, start or place(scene), budget).find())
 

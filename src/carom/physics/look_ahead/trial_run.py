@@ -23,6 +23,9 @@ from carom.scene.schema import Expect, Promise
 from carom.scene.start import InitialBodies
 
 LEAST = 0.2  # nominal s, where nothing can touch, so that an error beyond the trial runs can be extrapolated
+# Leapfrog steps that the budget pays for at least, so that trial runs cover 8 samples of 4 steps; more than `LEAST` for
+# more than some 400 bodies.
+LEAST_STEPS = 800
 LEAST_OF_CONTACTS = 5.0  # nominal s, where bodies may touch, so that nothing is promised beyond the trial runs
 PART_OF_RUN = 0.1  # of the nominal time of the run itself, if that is larger
 MOST = 60.0  # nominal s, an upper limit, because chattering contacts could take infinitely many steps
@@ -90,6 +93,12 @@ def force_work(scene: Scene) -> float:
     if method == "direct":
         return work + direct
     return work + min(direct, TREE_BODY * n * (TREE_ANGLE / scene.gravity.opening_angle) ** 3)
+
+
+def least_work(scene: Scene, touches: bool) -> float:
+    """Return the smallest budget (nominal s) of a look-ahead."""
+    steps = LEAST_STEPS * (KERNEL_STEP + force_work(scene))
+    return LEAST_OF_CONTACTS if touches else min(max(LEAST, steps), LEAST_OF_CONTACTS)
 
 
 def radau_work(bodies: int) -> float:
