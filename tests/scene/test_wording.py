@@ -18,8 +18,10 @@ from carom.scene.wording import (
     command_of_a_file,
     counted,
     hypertext,
+    in_one_line,
     in_series,
     literal,
+    one_word,
 )
 
 NAMES = Names(["ball", "body 1", ""], ["floor", "plane 1", "wall at -x"])
@@ -100,3 +102,9 @@ def test_no_command_is_put_together_without_quoting() -> None:
     for path in Path(carom.__file__).parent.rglob("*.py"):
         for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), start=1):
             assert not unquoted.search(line), f"{path}:{number}: write it with carom.scene.wording: {line.strip()}"
+
+
+@pytest.mark.parametrize("text", ["$(touch owned)", "1.0; touch owned", "", "-1", "1.0\n2", "\u202e1.0", "x" * 100])
+def test_a_version_of_a_file_that_is_none_is_one_quoted_word(text: str) -> None:
+    assert shlex.split(one_word(text)) == [in_one_line(text[:80])], "its beginning"
+    assert all(one_word(version) == version for version in ("0.1.0.dev3+g1a2b3c", "rerun-sdk", "3.11.7"))

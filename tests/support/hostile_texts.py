@@ -27,6 +27,7 @@ import pyarrow as pa
 from markdown_it import MarkdownIt
 
 import carom
+from carom.errors import SceneError
 from carom.recording.read.recording import Recording
 from carom.recording.rrd.framing import CHUNK
 from carom.recording.rrd.messages import RECORDING, decode
@@ -200,7 +201,7 @@ def attempts(rng: random.Random, folder: Path) -> Iterator[Attempt]:
     empty.mkdir(exist_ok=True)
     try:
         scene, text = scene_of(rng)
-    except carom.SceneError as error:
+    except SceneError as error:
         yield {"command": "read", "said": str(error)[:200], "faults": [*steers(str(error))]}
         return
     stem = re.sub(r"[/\0\ud83d]", "_", text["file"])[:60]

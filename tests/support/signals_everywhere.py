@@ -22,10 +22,11 @@ from carom.recording.edit.repair import repair
 from carom.recording.read.recording import Recording
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-LATEST = 6.0  # s after the start of a command, by which most have ended on a quiet machine
+LATEST = 6.0  # s after the start of a command, by which most have ended on a quiet machine, where `USUAL` is true
+USUAL = 3.0  # s that a short run takes there; where it takes longer, commands are given as much more time
 PATIENCE = 60.0  # s after the last signal
 SCENE = "rack-break -o made.rrd --force --set time.duration={}"
-COMMANDS = (
+COMMANDS = (  # all of them
     f"run {SCENE.format(0.2)}",
     f"run {SCENE.format(1000)}",
     "replay run.rrd",
@@ -37,6 +38,13 @@ COMMANDS = (
     "fork run.rrd --at 0.05 --perturb 1ulp --seeds 4 -o made.rrd --force",
     "sweep rack-break --vary seed=1,2 --set time.duration=0.05 -o sweep",
     "explain rack-break",
+    *("scenes", "new made.toml --force", "warmup", "view run.rrd", "contacts run.rrd --impacts -o made.csv --force"),
+    *("picture run.rrd -o made.png --force", "movie run.rrd -o made.mp4 --force --seconds 2"),
+    *("fields run.rrd --cell 0.1 -o made.npz --force", "diff run.rrd part.rrd", "export run.rrd -o made.csv --force"),
+    *("report run.rrd -o made.zip --force", "publish run.rrd -o page --force", "stress never-meet -o stress"),
+    *("shrink run.rrd --while 'contacts.total > 3' -o made.toml --force", "hunt --scenes 30 --budget 20s -o hunt"),
+    *("tradeoff rack-break --set time.duration=0.05 -o trade", "crosscheck two-spheres --engine mujoco -o crosscheck"),
+    "tune rack-break --set time.duration=0.05 --error position=1e-3 -o made.toml --force",
 )
 
 
@@ -56,11 +64,11 @@ def fault_of(code: int, said: str, folder: Path) -> str:
     return ""
 
 
-def attempt(rng: random.Random, folder: Path) -> dict[str, object]:
-    """Send signals to a command, and judge its end."""
+def attempt(rng: random.Random, folder: Path, slowness: float) -> dict[str, object]:
+    """Send signals to a command, and judge its end, on a machine that is slower by a factor."""
     command = rng.choice(COMMANDS)
     sent = [rng.choice(SIGNALS) for _ in range(rng.choice((1, 2, 2)))]
-    waits = [rng.uniform(0.3, LATEST), *(rng.choice((0.0, 0.05, 0.4, 1.0)) for _ in sent[1:])]
+    waits = [slowness * rng.uniform(0.3, LATEST), *(rng.choice((0.0, 0.05, 0.4, 1.0)) for _ in sent[1:])]
     with subprocess.Popen(
         [sys.executable, "-m", "carom", *shlex.split(command)],
         cwd=folder,
@@ -73,7 +81,7 @@ def attempt(rng: random.Random, folder: Path) -> dict[str, object]:
             time.sleep(wait)
             child.send_signal(number)
         try:
-            said, _ = child.communicate(timeout=PATIENCE)
+            said, _ = child.communicate(timeout=slowness * PATIENCE)
         except subprocess.TimeoutExpired:
             child.kill()
             said, _ = child.communicate()
@@ -94,7 +102,9 @@ def main(seed: str, count: int) -> int:
     with tempfile.TemporaryDirectory() as place:
         folder = Path(place)
         start = [sys.executable, "-m", "carom", "run", *shlex.split(SCENE.format(0.2))]
+        began = time.monotonic()
         subprocess.run(start, cwd=folder, check=True, capture_output=True)
+        slowness = max(1.0, (time.monotonic() - began) / USUAL)
         content = (folder / "made.rrd").read_bytes()
         (folder / "run.rrd").write_bytes(content)
         (folder / "part.rrd").write_bytes(content[: 2 * len(content) // 3])
@@ -102,7 +112,7 @@ def main(seed: str, count: int) -> int:
         (folder / "whole.rrd").replace(folder / "part.rrd")
         (folder / "made.rrd").unlink()
         for _ in range(count):
-            found = attempt(rng, folder)
+            found = attempt(rng, folder, slowness)
             faults += bool(found["faults"])
             print(json.dumps(found), flush=True)  # noqa: T201
     return faults

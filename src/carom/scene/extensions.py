@@ -9,7 +9,7 @@ from typing import Any
 
 from carom import registry
 from carom.scene.scene_model import SceneModel
-from carom.scene.wording import in_one_line
+from carom.scene.wording import MOST_QUOTED, in_one_line
 
 PROPERTY = "extension."  # prefix of kind.name in the properties of a recording, for its package and version
 
@@ -43,7 +43,6 @@ def names_of(kind: str, extensions: Mapping[str, str]) -> list[str]:
     return [key.removeprefix(f"{kind}.") for key in extensions if key.startswith(f"{kind}.")]
 
 
-MOST_QUOTED = 80  # characters of a text that is no name
 # A public version in its normal form (https://packaging.python.org/en/latest/specifications/version-specifiers/). The
 # text is a stranger's and becomes a command, so nothing else is repeated there. No index accepts a local version, such
 # as "1.0+mine".

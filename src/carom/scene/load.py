@@ -263,16 +263,14 @@ def scene_from_dict(data: dict[str, Any], bodies: BodySource | None = None) -> S
     if is_too_deep(data):
         raise SceneError(f"not a scene: {_TOO_DEEP}")
     try:
-        text = toml_text(data)
-    except TypeError:
-        data = _without_arrays(data)
-        text = _written(data)
-    try:
-        text.encode()
+        try:
+            text = toml_text(data)
+        except TypeError:
+            data = _without_arrays(data)
+            text = _written(data)
     except UnicodeEncodeError as error:
-        raise SceneError(
-            f"a text has {text[error.start]!a}, which is half of a character: no file can hold it"
-        ) from None
+        half = error.object[error.start]
+        raise SceneError(f"a text has {half!a}, which is half of a character: no file can hold it") from None
     return _validate(data, text, KeyPlaces("", "", {}), bodies)
 
 

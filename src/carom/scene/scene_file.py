@@ -152,6 +152,8 @@ def toml_text(data: Mapping[str, Any]) -> str:
     ------
     TypeError
         If a value has a type that scenes do not have.
+    UnicodeEncodeError
+        If a text has half of a character, a lone surrogate.
     """
 
     def is_section(value: Any) -> bool:
@@ -192,6 +194,7 @@ def value_text(value: Any) -> str:
 
 def _string(text: str) -> str:
     """Quote text: TOML escapes the same characters as JSON, and DEL; others would steer a terminal that prints them."""
+    text.encode()  # raises if it has half a character
     return escaped(json.dumps(text, ensure_ascii=False))
 
 

@@ -15,6 +15,8 @@ from pathlib import Path
 from typing import overload
 
 MOST_LISTED = 8  # bodies that a sentence lists by name
+MOST_QUOTED = 80  # characters of a text that is no name
+_PLAIN_WORD = re.compile("[A-Za-z0-9][A-Za-z0-9.+!_-]{0,79}")  # names of packages, and their versions
 # control characters except tab and line feed, marks of the direction of writing, and lone surrogates
 _UNSAFE = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069\ud800-\udfff]")
 _MARKS = re.compile(r"[\\`*_{}\[\]<>#|~!&]|(?<=:)/(?=/)")  # of Markdown, and what makes an address a link
@@ -45,6 +47,11 @@ def command_of_a_file(text: str) -> str:
 def in_one_line(text: str) -> str:
     """Return a text of a file without control characters and line feeds, so that it cannot look like other lines."""
     return " ".join(escaped(text).split())
+
+
+def one_word(text: str) -> str:
+    """Return a name or a version of a file: unchanged if it looks like one, else its beginning as one quoted word."""
+    return text if _PLAIN_WORD.fullmatch(text) else shlex.quote(in_one_line(text[:MOST_QUOTED]))
 
 
 def hypertext(text: str) -> str:

@@ -179,6 +179,15 @@ def test_a_manifest_with_a_path_that_leads_elsewhere_is_refused(name: str, key: 
     assert manifest.folder.manifest.exists()
 
 
+def test_a_manifest_whose_runs_lack_what_varies_is_refused(tmp_path: Path) -> None:
+    manifest = begin(tmp_path)
+    document = json.loads(manifest.folder.manifest.read_text(encoding="utf-8"))
+    document["varied"].append("gravity.constant")
+    manifest.folder.manifest.write_text(json.dumps(document), encoding="utf-8")
+    with pytest.raises(ExperimentError, match=r"run 'seed=5' has no value of 'gravity\.constant', which varies"):
+        read(manifest.folder)
+
+
 def test_nothing_that_another_user_planted_is_followed(tmp_path: Path) -> None:
     """In a folder that is open to all, files of any name may be links to files of the one who makes the sweep."""
     out, mine = tmp_path / "out", tmp_path / "mine"

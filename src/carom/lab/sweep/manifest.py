@@ -15,10 +15,10 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any, Self
 
-from pydantic import AfterValidator, BaseModel, Field, ValidationError
+from pydantic import AfterValidator, BaseModel, Field, ValidationError, model_validator
 
 from carom.errors import ExperimentError
-from carom.lab.sweep.plan import Plan, SweepPoint
+from carom.lab.sweep.plan import SEED, Plan, SweepPoint
 from carom.recording.write.durable_sink import DiskReserve
 from carom.recording.write.whole_file import is_link_of_another, lock, new_name, output_folder
 from carom.runs.environment import versions
@@ -207,6 +207,14 @@ class StoredSweep(BaseModel):
     files: list[Inside]
     runs: Annotated[list[SweepRun], Field(min_length=1)]
 
+    @model_validator(mode="after")
+    def _each_run_has_what_varies(self) -> Self:
+        for run in self.runs:
+            for key in self.varied:
+                if key not in run.parameters and key != SEED:  # each run has a seed
+                    raise ValueError(f"run {run.name[:80]!r} has no value of {key[:80]!r}, which varies")
+        return self
+
 
 class Manifest:
     """The list of all runs, stored in the folder of a sweep."""
@@ -371,8 +379,8 @@ def read(folder: Folder) -> StoredSweep:
         raise ExperimentError(f"{path}: cannot be read: {error.strerror}") from None
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
-        where = ".".join(map(str, first["loc"]))
-        raise ExperimentError(f"{path}: not a manifest of carom's: {where}: {first['msg']}") from None
+        where, told = ".".join(map(str, first["loc"])) or "runs", first["msg"].removeprefix("Value error, ")
+        raise ExperimentError(f"{path}: not a manifest of carom's: {where}: {told}") from None
     except (ValueError, RecursionError) as error:
         raise ExperimentError(f"{path}: not a manifest of carom's: {type(error).__name__}: {error}") from None
 

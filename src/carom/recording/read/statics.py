@@ -28,7 +28,7 @@ from carom.scene.data.body_columns import BodyColumns
 from carom.scene.data.mapping import VECTORS
 from carom.scene.schema.settings import called
 from carom.scene.units.system import UnitSystem
-from carom.scene.wording import JoinedNames, NumberedNames, SomeNames, joined
+from carom.scene.wording import JoinedNames, NumberedNames, SomeNames, joined, one_word
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,9 +143,10 @@ class Statics:
 
     @property
     def versions(self) -> dict[str, str]:
-        """Versions of the packages that recorded it."""
+        """Versions of the packages that recorded it, as names and numbers; other texts of the file are quoted."""
         stamped = ((key.partition("version."), value) for key, value in self.properties.items())
-        return {package: str(value) for (before, dot, package), value in stamped if dot and not before}
+        found = {package: value for (before, dot, package), value in stamped if dot and not before}
+        return {one_word(package): one_word(str(value)) for package, value in found.items()}
 
     @cached_property
     @named
