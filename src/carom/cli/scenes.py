@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from operator import itemgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -9,7 +10,7 @@ import typer
 
 from carom.scene.units.dimension import TIME
 from carom.scene.wording import command, counted
-from carom.terminal.answers import materials_table, print_parts
+from carom.terminal.answers import CommandAnswer, Part, ShownColumn, ShownTable, materials_table, print_parts
 from carom.terminal.options import ForceOption, JsonOption, SceneArgument, SetOption
 from carom.terminal.printing import bytes_text, count_text, duration_text, say_json, simulated_text
 
@@ -39,22 +40,17 @@ def scenes(
 
         typer.echo(schema_text(), nl=False)
         return
-    found = {name: (path, Scene.load(path)) for name, path in bundled_scenes().items()}
-    if as_json:
-        rows = ((name, scene.title, scene.count, str(path)) for name, (path, scene) in found.items())
-        say_json([dict(zip(("name", "title", "bodies", "path"), row, strict=True)) for row in rows])
-        return
-    from rich.table import Table
-
-    from carom.terminal.console import Terminal
-
-    table = Table("scene", "what it is", "bodies", box=None, pad_edge=False)
-    for name, (_, scene) in found.items():
-        table.add_row(name, scene.title, str(scene.count))
-    Terminal().print(table)
-    typer.echo("\nRun one with `carom run NAME`; copy one with `carom new FILE --from NAME`.")
-    typer.echo(f"`carom stress` runs the numerical extremes: {', '.join(extreme_scenes())}.")
-    typer.echo(f"`carom crosscheck` runs bug reports of other engines: {', '.join(crosscheck_scenes())}.")
+    found = {name: (Scene.load(path), str(path)) for name, path in bundled_scenes().items()}
+    rows = [(name, scene.title, scene.count, path) for name, (scene, path) in found.items()]
+    document = [dict(zip(("name", "title", "bodies", "path"), row, strict=True)) for row in rows]
+    labels = enumerate(("scene", "what it is", "bodies"))
+    parts: list[Part] = [
+        ShownTable([ShownColumn(label, itemgetter(k), left=True) for k, label in labels], rows),
+        "\nRun one with `carom run NAME`; copy one with `carom new FILE --from NAME`.",
+        f"`carom stress` runs the numerical extremes: {', '.join(extreme_scenes())}.",
+        f"`carom crosscheck` runs bug reports of other engines: {', '.join(crosscheck_scenes())}.",
+    ]
+    CommandAnswer(document, parts).say(as_json)
 
 
 def new(
