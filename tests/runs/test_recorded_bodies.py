@@ -230,7 +230,7 @@ def test_a_report_on_too_many_bodies_has_those_around_the_moment_and_says_so(
     monkeypatch.setattr("carom.sharing.report.ROOM", 450_000)
     made = report(recording, tmp_path / "x.zip")
     assert not made.replays
-    assert "of 3000 bodies, the ones nearest" in made.replayed
+    assert "of 3000 bodies, the nearest" in made.replayed
     with opened(tmp_path / "x.zip") as path:
         small = Recording.open(path)
         assert 1 < len(small.shown) < count

@@ -58,7 +58,7 @@ INTRODUCTION = """\
 
 A scene is a TOML file. This page lists all its sections and keys; it is generated from the schema of scenes.
 `carom new` writes a scene with comments on the most important keys. All keys are optional except
-those marked as needed, and a scene needs a body.
+keys marked as needed, and a scene needs a body.
 
 If a key has a dimension, a number is in the SI unit, and a text may have another unit, such as `"3 km"`
 ([units.md](units.md)). Editors that understand JSON schemas, such as editors with Taplo or Even Better TOML, complete

@@ -216,7 +216,7 @@ def _replay(recording: Recording) -> str:
     if recording.is_partial:
         shown, bodies = len(recording.shown), recording.info["bodies"]
         return (
-            f"It shows {shown} of {bodies} bodies, the ones nearest to the event, and has no exact states; only the "
+            f"It shows {shown} of {bodies} bodies, the nearest to the event, and has no exact states; only the "
             "whole recording can be replayed."
         )
     try:

@@ -315,7 +315,7 @@ def test_a_scene_remembers_the_count_and_the_digest_of_its_file(tmp_path: Path) 
     assert again.toml == scene.toml
     assert again == scene
     write_npz(tmp_path / "a.npz", mass=MASS + 1.0)
-    with pytest.raises(SceneError, match=r"a\.npz has changed: its sha256 is .* and that of the scene"):
+    with pytest.raises(SceneError, match=r"a\.npz has changed: its sha256 is .*, not .* as in the scene; restore"):
         Scene.load(tmp_path / "scene.toml")
 
 

@@ -283,7 +283,7 @@ def measure_stress(interval: Interval) -> Statistic:
         notes = notes or [f"only the kinetic part: {error}"]
     complete = not notes
     if recording.info["has_friction"] and lacks_friction:
-        notes.append("without friction that has only its magnitude in the recording; it does not change the pressure")
+        notes.append("without friction, whose direction is not recorded; the pressure does not depend on it")
     volume, dimension = interval.volume, PRESSURE
     if volume is None:
         volume, dimension = 1.0, ENERGY

@@ -38,11 +38,9 @@ MOST_CAUSES = 12  # printed causes of a body; --json has all
 MOST_EDGES = 8
 MOST_TURNS = 3  # in a row, of one body
 _ROUNDED = 1e-3  # of the largest change of velocity in an account: smaller parts that no contact explains are rounding
-_OF_ENGINE = (
-    "Impulses are the engine's contact forces times the time between frames; what they leave of a velocity's change"
-)
+_OF_ENGINE = "Impulses are the engine's contact forces times the time between frames; the rest of a velocity's change"
 _BODY = "The body whose velocity is in question."
-_FROM = "Trace causes back to this time. Default: as far as a few seconds of computing allow."
+_FROM = "Trace causes back to this time. Default: the earliest time that a few seconds of computing reach."
 
 
 def why_command(

@@ -436,7 +436,7 @@ def _new_file(path: Path) -> Path:
             return path
         beside = name_until_whole(path)
         if beside.exists():
-            said = f"{beside.name}, the file of a run that was killed, is replaced by that of the new run"
+            said = f"{beside.name}, the file of a run that was killed, is replaced by the file of the new run"
             warnings.warn(said, DroppedRunWarning, stacklevel=3)
         beside.unlink(missing_ok=True)
     except (OSError, RuntimeError) as error:  # RuntimeError: links in a circle

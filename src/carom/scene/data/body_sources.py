@@ -85,8 +85,8 @@ class DataFiles:
             raise SceneError(f"{path}: cannot be read: {reason}") from None
         if section.sha256 not in (None, digest):
             raise SceneError(
-                f"{section.file} has changed: its sha256 is {digest[:12]}… and that of the scene "
-                f"{str(section.sha256)[:12]}…; restore the file, or remove sha256 and count"
+                f"{section.file} has changed: its sha256 is {digest[:12]}…, not "
+                f"{str(section.sha256)[:12]}… as in the scene; restore the file, or remove sha256 and count"
             )
         time = None if section.snapshot_time is None else wanted.units.shown(section.snapshot_time, TIME)
         table = open_table(path, section.file, section.snapshot, section.columns.header, time)

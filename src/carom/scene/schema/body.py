@@ -127,7 +127,7 @@ class KeplerianOrbits(Section):
     epoch: Real | None = Field(
         None,
         description="initial time of the scene, in the unit of the columns epoch and tp, such as a Julian date; by "
-        "default that of the file",
+        "default the time of the file",
     )
     angle: Literal["deg", "rad"] | None = Field(
         None, description="unit of the angles; by default the unit of the file or of [units], else degrees"

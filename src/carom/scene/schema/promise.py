@@ -87,7 +87,7 @@ class Expect(Section):
     duration: Annotated[Positive, TIME] | None = Field(
         None,
         description="s, the duration to which final_kinetic, impacts, most_impacts, state and warned apply; by default "
-        "that of [time]",
+        "the duration of the run",
     )
     warned: tuple[Literal["energy-rise", "energy-ledger", "energy-lost", "dissipation", "limit"], ...] = Field(
         (), description='kinds of warnings that the run must give, such as "energy-lost"'

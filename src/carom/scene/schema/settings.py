@@ -204,7 +204,7 @@ class Record(Section):
     check_every: Count = Field(
         100,
         validation_alias=AliasChoices("check_every", "log_freq"),
-        description="steps between energy checks, in addition to those at 600 times of the run; 1 or more",
+        description="steps between energy checks, in addition to checks at 600 times of the run; 1 or more",
     )
     energy_tolerance: Positive = Field(
         1e-3, description="rise of the energy, relative to the energy scale, that causes a warning"
