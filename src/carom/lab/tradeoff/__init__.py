@@ -74,8 +74,9 @@ LimitOption = Annotated[
 ]
 SHOWN = (  # errors in the table
     *("position", "velocity", "impact", "missed", "energy", "energy_gain", "momentum", "overlap", "sinking", "impacts"),
-    *("size", "dispersion"),
+    *("size", "dispersion", "height", "density", "coordination", "settled_energy", "rest_time"),
 )
+IN_SECONDS = ("impact", "rest_time")  # errors with a unit of time
 TO_THE_HORIZON = (  # errors that are compared only while the reference is certain
     *(f"{error}{ending}" for error in ("position", "velocity") for ending in ("", "_max", "_end")),
     *("impact", "missed"),
@@ -204,6 +205,9 @@ def _draw(study: Study, quiet: bool) -> None:
 
 
 def _parts(study: Study) -> Iterator[Part]:
+    from carom.lab.tradeoff.reference import phrase
+    from carom.lab.tradeoff.settled_pile import Settled
+
     yield table_of(study)
     reference = study.reference
     if reference is None:
@@ -215,6 +219,12 @@ def _parts(study: Study) -> Iterator[Part]:
         f"reference is certain to {study.floor('position'):.1e} of the size and {study.floor('velocity'):.1e} of the "
         "speed."
     )
+    if reference.pile is not None:
+        scatters = ", ".join(f"{phrase(each)} {study.floor(each):.1e}" for each in Settled._fields[:-1])
+        yield (
+            f"Settled piles of other seeds differ by {scatters}, and "
+            f"{units.text(study.floor('rest_time'), TIME, '.2g')} in {phrase('rest_time')}; less is no error."
+        )
     yield _legend(study.noise)
     left_out = study.left_out
     for result in study.results:
@@ -295,7 +305,7 @@ def _heading(study: Study, error: str) -> str:
     from carom.lab.tradeoff.reference import phrase
 
     units, reference = study.scene.unit_system, study.reference
-    unit = units.unit(TIME) if error == "impact" else ""
+    unit = units.unit(TIME) if error in IN_SECONDS else ""
     heading = f"{phrase(error)} / {unit}" if unit else phrase(error)
     if reference is not None and not reference.is_complete and error in TO_THE_HORIZON:
         heading += f" up to {units.text(reference.horizon, TIME)}"
@@ -307,7 +317,7 @@ def _heading(study: Study, error: str) -> str:
 def _cell(study: Study, error: str, marks: Mapping[str, str], result: SettingResult) -> str:
     if result.errors is None or math.isnan(value := getattr(result.errors, error)):
         return ""
-    value = study.scene.unit_system.shown(value, TIME) if error == "impact" else value
+    value = study.scene.unit_system.shown(value, TIME) if error in IN_SECONDS else value
     text = f"{value:.0f}" if error == "missed" else f"{value:.1e}" if value else "0"
     mark = marks.get(result.setting.name, "")
     text += f" {MARKS.get(mark, ' ')}"

@@ -24,6 +24,7 @@ from carom.arrays import FloatArray
 from carom.lab.compared_run import Trajectory, follow, sample_times
 from carom.lab.tradeoff.ball_on_planes import solve_ball, why_no_ball
 from carom.lab.tradeoff.event_driven_reference import EPS, TIGHTEST, EventDrivenSolution, solve, why_not
+from carom.lab.tradeoff.settled_pile import SEEDS, Pile, Settled
 from carom.physics.placement import place
 from carom.physics.space import Space
 from carom.physics.vector import minimum_images
@@ -62,13 +63,19 @@ class Errors:
     size_end: float
     dispersion_max: float
     dispersion_end: float
+    # of a settled pile, where trajectories are not compared to the end; see `settled_pile.Settled`
+    height: float = math.nan  # over the height of the reference
+    density: float = math.nan  # over that of the reference
+    coordination: float = math.nan  # contacts per body
+    settled_energy: float = math.nan  # over that of the reference
+    rest_time: float = math.nan  # s
 
 
 NAMES = tuple(Errors.__dataclass_fields__)
 OVER_TIME = ("position", "velocity", "size", "dispersion")  # errors at each sample
 MEASURES = {"rms": "", "max": "_max", "end": "_end"}  # of an error over time, with the ends of their names
 OF_SAMPLES = tuple(error + ending for error in OVER_TIME for ending in MEASURES.values())
-COMPARED = (*OF_SAMPLES, "impact", "missed", "impacts")  # with the reference
+COMPARED = (*OF_SAMPLES, "impact", "missed", "impacts", *Settled._fields)  # with the reference
 
 
 def phrase(error: str) -> str:
@@ -85,6 +92,10 @@ PHRASES = {  # descriptions of errors whose names say too little
     "impacts": "number of impacts",
     "energy_gain": "energy gained",
     "angular_momentum": "angular momentum",
+    "height": "settled height",
+    "coordination": "contacts per body",
+    "settled_energy": "energy at rest",
+    "rest_time": "time to rest",
 }
 
 
@@ -200,6 +211,7 @@ class Reference:
     whole: bool  # whether it reaches the end of the scene
     uncertainty: Errors  # the larger errors of the checks, in the measures of settings; at least rounding
     text: str  # description
+    pile: Pile | None = None  # whose settled state is compared, too
 
     @property
     def horizon(self) -> float:
@@ -213,7 +225,8 @@ class Reference:
 
     def errors(self, run: Trajectory) -> Errors:
         """Return the errors of a run relative to this reference."""
-        return compare(run, self.trajectory, self.scale, self.samples, self.whole)
+        found = compare(run, self.trajectory, self.scale, self.samples, self.whole)
+        return replace(found, **self.pile.errors(run, self.trajectory)) if self.pile else found
 
 
 def make_reference(
@@ -352,7 +365,26 @@ def _refined(scene: Scene, finest: float, threads: int | None, budget: float, te
         reference, coarse = found, fine
         now = watch.seconds
         if check_is_coarser or found.samples == len(times) or not gained or now + 2.0 * (now - started) > budget:
-            return reference
+            return _with_pile(scene, reference, coarse, threads, tell)
+
+
+def _with_pile(scene: Scene, reference: Reference, check: Trajectory, threads: int | None, tell: Teller) -> Reference:
+    """Add the settled pile, with its scatter over seeds, to a reference that is not certain to the end."""
+    pile = None if reference.is_complete else Pile.of(scene)
+    if pile is None:
+        return reference
+    others = []
+    for seed in range(scene.seed + 1, scene.seed + 1 + SEEDS):
+        tell(f"reference: the scatter of settled piles, seed {seed}")
+        other = scene.changed([f"seed={seed}"])
+        bodies = Pile.of(other)
+        assert bodies is not None  # the seed does not change that
+        others.append(bodies.settled(follow(Space(other, threads), reference.trajectory.time)))
+    apart = pile.errors(check, reference.trajectory)
+    scatter = pile.scatter(others, reference.trajectory)
+    uncertainty = replace(reference.uncertainty, **{name: max(scatter[name], apart[name]) for name in scatter})
+    text = f"{reference.text}; the settled pile is compared, too, with the scatter of {SEEDS} other seeds"
+    return replace(reference, uncertainty=uncertainty, text=text, pile=pile)
 
 
 def _space(scene: Scene, factor: float, threads: int | None) -> Space:

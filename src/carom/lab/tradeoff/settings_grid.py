@@ -23,6 +23,7 @@ from carom.arrays import BoolArray, FloatArray
 from carom.errors import SceneError
 from carom.lab.compared_run import AS_WRITTEN, STEPS, Setting, Trajectory
 from carom.lab.tradeoff.reference import NAMES, Errors, Reference, refined, scale_of
+from carom.lab.tradeoff.settled_pile import Pile
 from carom.plan import auto
 from carom.plan.features import require
 from carom.plan.hierarchy import why_no_hierarchy
@@ -367,6 +368,7 @@ def reference_of(entry: dict[str, Any], scene: Scene, trajectory: Trajectory) ->
         entry["whole"],
         Errors(**{e: math.nan if entry["uncertainty"][e] is None else entry["uncertainty"][e] for e in NAMES}),
         entry["text"],
+        Pile.of(scene) if entry["uncertainty"]["height"] is not None else None,
     )
 
 
