@@ -23,7 +23,7 @@ from carom.recording.read.recording import Recording
 from carom.recording.schema import palette, paths
 from carom.scene.load import Scene
 from carom.scene.units import dimension
-from carom.scene.units.system import UnitSystem
+from carom.scene.units.system import SI, UnitSystem
 
 
 @pytest.fixture(scope="module")
@@ -131,13 +131,23 @@ def test_an_arrow_shows_where_the_field_pulls_and_its_size(slope: Recording, bou
     assert floating.labels.as_arrow_array().to_pylist()[:3] == ["x", "y", "z"], "no field"
 
 
+@pytest.mark.parametrize("size", [1e-9, 1.0, 1e6, 1e15])
+def test_axes_are_as_thick_as_they_are_long_at_all_scales(size: float) -> None:
+    eye = View(np.zeros(3), 10.0 * size, CameraMotion.STILL, np.array([0.0, -1.0, 0.0]))
+    area = Area(800.0, 500.0)
+    arrows: Any = dict(axes_and_field(SI, eye, area, None, np.zeros((0, 3)), np.zeros(0)))[FIELD]
+    radius = arrows.radii.as_arrow_array().to_pylist()[0]
+    points = -radius if radius < 0.0 else radius * area.height / eye.height()  # negative: points of the screen
+    assert 0.5 < points < 10.0
+
+
 @pytest.mark.parametrize("length", ["m", "mm", "au"])
-def test_the_axes_have_a_round_length_that_is_written_beside_them(slope: Recording, length: str) -> None:
+def test_the_axes_have_a_round_length_that_is_written_beside_them(length: str) -> None:
     units = UnitSystem({"length": length})
-    header, area = replace(header_of_recording(slope), units=units), Area(800.0, 500.0)
+    area = Area(800.0, 500.0)
     for distance in (0.3, 7.7, 10.0, 4e9):
         eye = View(np.zeros(3), distance, CameraMotion.STILL, np.array([0.0, -1.0, 0.0]))
-        drawn: dict[str, Any] = dict(axes_and_field(header, eye, area, None, np.zeros((0, 3)), np.zeros(0)))
+        drawn: dict[str, Any] = dict(axes_and_field(units, eye, area, None, np.zeros((0, 3)), np.zeros(0)))
         arrows, labels = drawn[FIELD], drawn[f"{FIELD}/labels"]
         vectors = np.array(arrows.vectors.as_arrow_array().to_pylist())
         number, unit = labels.labels.as_arrow_array().to_pylist()[3].removeprefix("axes: ").split(" ")
@@ -146,17 +156,42 @@ def test_the_axes_have_a_round_length_that_is_written_beside_them(slope: Recordi
         assert 0.06 < vectors[0, 0] / eye.height() < 0.13, "a tenth of the view, rounded down"
 
 
-def test_the_arrow_and_the_axes_of_a_field_are_on_the_side_where_they_cover_less(slope: Recording) -> None:
-    header, area = header_of_recording(slope), Area(800.0, 500.0)
+def test_the_arrow_and_the_axes_of_a_field_are_on_the_side_where_they_cover_less() -> None:
+    area = Area(800.0, 500.0)
     eye = View(np.zeros(3), 10.0, CameraMotion.STILL, np.array([0.0, -1.0, 0.0]))
     down = np.array([0.0, 0.0, -9.81])
     left = 0.36 * area.aspect * eye.height()  # the half of the picture is 0.5 of it
     for upper, lower in ((-1.0, -1.0), (1.0, -1.0), (-1.0, 1.0), (1.0, 1.0)):
         rows = [(-upper, 0.34), (-lower, -0.36)]  # at a path and a ball: the opposite of an empty place
         drawn = np.array([[side * left, 0.0, up * eye.height()] for side, up in rows])
-        arrows: Any = dict(axes_and_field(header, eye, area, down, drawn, np.array([0.0, 0.3])))[FIELD]
+        arrows: Any = dict(axes_and_field(SI, eye, area, down, drawn, np.array([0.0, 0.3])))[FIELD]
         origins = np.array(arrows.origins.as_arrow_array().to_pylist())
         assert np.sign(origins[[0, 1], 0]).tolist() == [upper, lower]
+
+
+@pytest.mark.parametrize("steep", [0.0, 0.6, 0.95])
+def test_the_length_of_the_axes_is_written_where_no_letter_of_an_axis_is(steep: float) -> None:
+    area, aside = Area(800.0, 500.0), np.sqrt(1.0 - steep**2)
+    for turn in np.linspace(0.0, 2.0 * np.pi, 17):
+        to_eye = np.array([aside * np.cos(turn), aside * np.sin(turn), steep])
+        eye = View(np.zeros(3), 10.0, CameraMotion.STILL, to_eye)
+        labels: Any = dict(axes_and_field(SI, eye, area, None, np.zeros((0, 3)), np.zeros(0)))[f"{FIELD}/labels"]
+        places = eye.on_screen(np.array(labels.positions.as_arrow_array().to_pylist())) * area.height / 2.0
+        letters, scale = places[:3], places[3]
+        assert np.all(np.abs(letters - scale)[:, 1] > 20.0), "points: the height of a label"
+        assert scale[1] - 24.0 > -area.height / 2.0, "Rerun writes a label of 24 points below its place"
+
+
+def test_the_arrow_of_a_field_under_a_tall_legend_stands_beside_no_axes() -> None:
+    area = Area(800.0, 500.0, inset=(200.0, 330.0))
+    eye = View(np.zeros(3), 10.0, CameraMotion.STILL, np.array([0.0, -1.0, 0.0]))
+    left = -0.36 * area.aspect * eye.height()
+    balls = np.array([[left, 0.0, 0.3 * eye.height()], [left, 0.0, -0.36 * eye.height()]])
+    down = np.array([0.0, 0.0, -9.81])
+    arrows: Any = dict(axes_and_field(SI, eye, area, down, balls, np.full(2, 0.3), (1, 1)))[FIELD]
+    origins = np.array(arrows.origins.as_arrow_array().to_pylist())
+    apart = np.abs(origins[0] - origins[1])
+    assert apart[0] > 0.3 * eye.height() or apart[2] > 0.3 * eye.height()
 
 
 def test_of_two_names_that_would_overlap_only_that_of_the_larger_body_is_shown(bounce: Recording) -> None:
@@ -287,7 +322,8 @@ def test_the_legend_explains_what_an_edges_width_and_colour_mean(theme: str, slo
     lines = lines_of(asked(slope, Request(), Canvas(theme=theme)))
     edges = {text: colour for text, colour in lines.items() if text.startswith("— contact")}
     for text, word in zip(edges, ("small", "median", "large"), strict=True):
-        assert text.startswith(f"— contact: {word} impulse,"), "the scale"
+        width = {"small": ", thin", "median": ", medium", "large": ", wide"}[word] if theme == "light" else ""
+        assert text.startswith(f"— contact{width}: {word} impulse,"), "the scale"
     assert len(set(edges.values())) == (3 if theme == "dark" else 1), "on paper only the width has a meaning"
 
 

@@ -493,3 +493,25 @@ def test_a_trail_leads_to_a_body_in_a_step_without_a_frame(tmp_path: Path) -> No
 
 def test_the_trail_of_a_body_that_bounced_is_straight_from_frame_to_frame(bounce: Recording) -> None:
     assert {len(piece) for piece in strips_of(bounce)} == {2}
+
+
+def test_paths_that_would_be_a_tangle_are_drawn_for_a_short_time_which_the_legend_states(tmp_path: Path) -> None:
+    """Two balls in a lane: they cross it 40 times in one run, and once in the other."""
+    found = list[tuple[list[str], Any]]()
+    for speed in (1.0, 40.0):
+        lane = {"boundary": ["walls", "walls", "walls"], "size": [1.0, 1.0, 1.0]}
+        balls = [{"radius": 0.05, "position": [0.0, y, 0.0], "velocity": [speed, 0.0, 0.0]} for y in (-0.2, 0.2)]
+        elastic = {"restitution": 1.0, "static_friction": 0.0, "kinetic_friction": 0.0}
+        settings = {"time": {"duration": 1.0}, "gravity": {"constant": 0.0}, "contact": elastic}
+        scene = scene_of(balls, **settings, domain=lane, record={"every": 0.005})
+        shown = asked(carom.run(scene, tmp_path / f"{speed}.rrd"), Request(at=0.5)).supplement
+        labels: Any = dict(shown.statics)[LEGEND]
+        lines = [text.strip("\xa0\xad") for text in labels.labels.as_arrow_array().to_pylist()]
+        bodies = next(view for view in views_of(shown.layout.root_container) if view.name == "Bodies and contacts")
+        drawn: Any = bodies.visualizer_overrides[TRAILS]
+        found.append(([line for line in lines if "path" in line], drawn))
+    (whole, all_of_it), (cut, short) = found
+    assert whole == ["— path so far"] and cut == ["— path of the last 0.2 s"], "20 × 0.9 m at twice 40 m/s"
+    assert all_of_it != short
+    start = short.ranges.as_arrow_array().to_pylist()[0]["range"]["start"]
+    assert start == -200_000_000, "ns"

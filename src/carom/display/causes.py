@@ -22,11 +22,11 @@ import rerun.blueprint as rrb
 
 from carom.arrays import ColourArray, FloatArray, IntArray, SingleArray
 from carom.display.body_colours import fixed_colours
-from carom.display.overlays import BESIDE, begin, beside_bodies, send_times
+from carom.display.overlays import begin, send_beside_bodies, send_times
 from carom.display.supplement import Static
 from carom.recording.layout import WINDOW, drawing
 from carom.recording.layout.camera import FEW, CameraFit
-from carom.recording.layout.canvas import Area, CameraMotion, View
+from carom.recording.layout.canvas import Area, CameraMotion
 from carom.recording.read.frame_rows import drawn_paths, times_of
 from carom.recording.read.recorded_scene import header_of_recording
 from carom.recording.read.recording import Recording
@@ -48,6 +48,8 @@ _CONE, _OTHERS, _ASKED, _TRAILS, _EDGES, _TEXT = (
     *(f"world/{name}" for name in ("cone", "others", "asked", "trails", "edges")),
     "why",
 )
+_DRAWN = (_CONE, _OTHERS, _ASKED, _TRAILS, _EDGES)
+_HEADING = "Causes: white wires in question, faint without effect"
 _FADED = 0x232A35FF
 _SHOWN = 0.01  # share from which a body or an edge is shown
 _LEAST = 0.003  # smallest share of an edge that is drawn
@@ -235,7 +237,8 @@ def write_causes(out: Path, recording: Recording, causes: Causes) -> None:
         for path, archetype in graph.statics():
             writer.log(path, archetype)
         send_times(writer, index, times)
-        writer.send_layout(_layout(camera.view(BESIDE.aspect), graph))
+        last = position[-1].astype(np.float64)
+        send_beside_bodies(writer, _HEADING, _DRAWN, camera, _panels(graph), recording.units, last, radius)
         writer.flush()
 
 
@@ -337,8 +340,6 @@ def _graph(recording: Recording, causes: Causes, colours: ColourArray) -> CauseG
     )
 
 
-def _layout(view: View, graph: CauseGraph) -> rrb.Blueprint:
+def _panels(graph: CauseGraph) -> rrb.Vertical:
     text = rrb.TextDocumentView(name="Why", origin=_TEXT)
-    panels = rrb.Vertical(graph.view(), text, row_shares=list(_SHARES))
-    title = "Causes: white wires in question, faint without effect"
-    return beside_bodies(title, [_CONE, _OTHERS, _ASKED, _TRAILS, _EDGES], view, panels)
+    return rrb.Vertical(graph.view(), text, row_shares=list(_SHARES))

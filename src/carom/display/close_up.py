@@ -167,7 +167,7 @@ class CloseUp:
         if not self.legend.entries:
             return drawn
         radius = self.header.radius[list(self.bodies)]
-        axes = axes_and_field(self.header, self.eye, self.area, None, self.position, radius, self.corner)
+        axes = axes_and_field(self.header.units, self.eye, self.area, None, self.position, radius, self.corner)
         statics = [*drawn.statics, *axes]
         if self.legend.clock is None:
             return DrawnLabels(statics, drawn.rows)

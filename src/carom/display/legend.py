@@ -47,6 +47,7 @@ _WIDEST, _NARROWEST, _MOST_OF_VIEW = 400.0, 200.0, 0.3  # points, and a share: w
 CLOCK = f"{LEGEND}/clock"
 _LENGTHS = {"½": 0.5, "1": 1.0, "1½": 1.5}  # radii, of the arrows whose magnitudes show the scale
 _EDGES = {2: "small", 4: "median", 6: "large"}  # levels of edges whose impulses show the scale
+_WIDTHS = {2: "thin", 4: "medium", 6: "wide"}  # the same edges on white paper, where they have one colour
 _PARALLEL = {paths.ANGULAR_ACCELERATION: "angular acceleration", paths.SPIN_CHANGE: "change of spin"}
 _NAMES = {
     paths.TORQUE: "torque",
@@ -239,6 +240,7 @@ def legend(
     field: FloatArray | None = None,
     by_stage: bool = False,
     both_arrows: bool = False,
+    recent: float | None = None,
     theme: str = "dark",
 ) -> Legend:
     """Explain the views of a recording.
@@ -265,10 +267,15 @@ def legend(
         Whether the edges beside the bodies have the colours of the solver's stages.
     both_arrows
         Whether angular accelerations and changes of spin have arrows, too.
+    recent
+        s, the time for which paths are drawn; None for the whole past.
     """
     lines = [*_bodies(header, by, colours, references, named), *_edges(header, frame, drawn, theme, by_stage)]
     if drawn.trails:
-        lines.append(LegendLine("— path so far", palette.GREY, (BODIES,)))
+        path = (
+            "path so far" if recent is None else f"path of the last {header.units.text(recent, dimension.TIME, '.1g')}"
+        )
+        lines.append(LegendLine(f"— {path}", palette.GREY, (BODIES,)))
     for turning in (paths.OF_LASTING if drawn.torques else (), paths.OF_IMPACTS if drawn.turns else ()):
         lines += _arrows(header, references, turning, both_arrows)
     arrows = next((k for k, line in enumerate(lines) if line.text.startswith("→")), None)
@@ -373,7 +380,8 @@ def _edges(
     for level, word in _EDGES.items():
         impulse = magnitude_at(level, drawing.LEVELS, middle)
         value = f", {_round(header, impulse, dimension.IMPULSE)}" if middle else ""
-        yield LegendLine(f"— contact: {word} impulse{value}", levels[level], views)
+        width = f", {_WIDTHS[level]}" if theme == "light" else ""  # edges of one colour
+        yield LegendLine(f"— contact{width}: {word} impulse{value}", levels[level], views)
     yield LegendLine(f"→ normal impulse: {_scale(header, paths.FORCE_NORMAL, middle)}", normal, (GRAPH,))
     if drawn.friction:
         yield LegendLine("→ impulse of friction, same scale", friction, (GRAPH,))

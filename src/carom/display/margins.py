@@ -70,7 +70,7 @@ def margins(
     statics, rows = list(placed.statics), list(placed.rows)
     has_margins = only in (ALL, BODIES, GRAPH)
     if has_margins and (canvas.rendered or view.motion is CameraMotion.STILL):  # no view moves with the eye of a window
-        statics += axes_and_field(header, view, area, field, drawn, radius, corner)
+        statics += axes_and_field(header.units, view, area, field, drawn, radius, corner)
         added = replace(added, axes=True)
     if path and has_margins and only != ALL:
         rows += moving(statics, view, path, times).rows

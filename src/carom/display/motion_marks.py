@@ -53,7 +53,7 @@ def motion_marks(header: Header, origin: FloatArray, view: View, area: Area, tim
     for arc in arcs:  # the end of an arc is an arrow
         origins.append(arc[-_HEAD])
         vectors.append(arc[-1] - arc[-_HEAD])
-    width, ink = line_radii(_THICK * view.height(), 1.0), palette.INKS[area.theme]
+    width, ink = line_radii(_THICK, view.height()), palette.INKS[area.theme]
     yield (
         f"{FIELD}/motion",
         rr.Arrows3D(origins=single(np.array(origins)), vectors=single(np.array(vectors)), colors=ink, radii=width),

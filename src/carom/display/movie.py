@@ -279,10 +279,17 @@ def _layout(
     fixed = None if bodies is None else bodies.fixed
     note = viewer_time(header.units, scale)
     contents |= LegendContents(trails=staging.trails is not None)
-    words = legend(*(laid_out, by, fixed, references, None, contents), viewer_time=note, field=field, theme=theme)
+    words = legend(
+        *(laid_out, by, fixed, references, None, contents),
+        viewer_time=note,
+        field=field,
+        recent=staging.recent,
+        theme=theme,
+    )
     words = words.titled(header.title, clock or clock_of(recording, np.array(times)))
     added = Additions(
         trails=staging.trails is not None,
+        recent=staging.recent_of(scale),
         recoloured=recoloured,
         legend=words,
         struck=bool(strip),

@@ -20,10 +20,11 @@ from rerun.components import FillMode
 
 from carom.arrays import ColourArray, FloatArray
 from carom.display.body_colours import fixed_colours
+from carom.display.staging import axes_and_field
 from carom.physics.space import Space
-from carom.recording.layout import WINDOW
+from carom.recording.layout import FIELD, WINDOW
 from carom.recording.layout.camera import CameraFit
-from carom.recording.layout.canvas import CameraMotion, View, spatial_view
+from carom.recording.layout.canvas import CameraMotion, spatial_view
 from carom.recording.layout.plot_views import curve_style, time_beside_legend, whole_time
 from carom.recording.read.recording import Recording
 from carom.recording.schema import palette, paths
@@ -38,10 +39,25 @@ from carom.scene.wording import literal
 BESIDE = WINDOW.area(3 / 5)  # of the bodies beside panels
 
 
-def beside_bodies(name: str, contents: Sequence[str], view: View, panels: rrb.Vertical) -> rrb.Blueprint:
-    """Lay out a 3D view with a fixed camera, and panels on its right."""
-    bodies = spatial_view(name, view, contents)
-    return paused(rrb.Horizontal(bodies, panels, column_shares=[3, 2]))
+def send_beside_bodies(
+    writer: Writer,
+    name: str,
+    contents: Sequence[str],
+    camera: CameraFit,
+    panels: rrb.Vertical,
+    units: UnitSystem,
+    drawn: FloatArray,
+    radius: FloatArray,
+) -> None:
+    """Write a layout: a 3D view with a fixed camera, panels on its right, and the axes of space as its scale.
+
+    The axes cover as little as possible of the ``drawn`` spheres, centres (k, 3) m and radii (k,) m.
+    """
+    view = camera.view(BESIDE.aspect)
+    for path, archetype in axes_and_field(units, view, BESIDE, None, drawn, radius):
+        writer.log(path, archetype)
+    bodies = spatial_view(name, view, [*contents, f"{FIELD}/**"])
+    writer.send_layout(paused(rrb.Horizontal(bodies, panels, column_shares=[3, 2])))
 
 
 def paused(root: rrb.Container) -> rrb.Blueprint:
@@ -81,6 +97,7 @@ def send_times(writer: Writer, index: list[rr.TimeColumn], times: Sequence[float
 
 _A, _B, _LINES = "world/a/bodies", "world/b/bodies", "world/apart"
 _TEXT = "diff"
+_HEADING = "A solid, B in wires; orange lines connect counterparts"
 _SERIES = {
     "rms": ("difference/rms", "rms distance", LENGTH, palette.LINES["red"]),
     "energy": ("difference/energy", "energy difference", ENERGY, palette.LINES["blue"]),
@@ -128,7 +145,7 @@ def write_overlay(
             f"- Solid: **A**, {literal(a.path.name)}",
             f"- Wires, drawn {_HALO - 1:.0%} larger: **B**, {literal(b.path.name)}",
             "- A body has the same colour in both.",
-            f"- Red lines connect counterparts that are further apart than {_SEEN:.0%} of the median radius.",
+            f"- Orange lines connect counterparts that are further apart than {_SEEN:.0%} of the median radius.",
             "- The plots are logarithms: a difference that grows exponentially is a straight line.",
             f"- Every {every}th frame is shown." if every > 1 else "",
         ]
@@ -144,11 +161,12 @@ def write_overlay(
             extent = extent or CameraFit(radius, batch[0].a - origin, motion=CameraMotion.STILL)
             for pair in batch if extent.is_few else batch[-1:]:
                 extent.look(np.array([pair.a, pair.b]) - origin)
+            last, both = np.concatenate([batch[-1].a, batch[-1].b]) - origin, np.tile(radius, 2)
             part = {name: values[done : done + len(batch)] for name, values in logarithms.items()}
             _send(writer, clock, batch, origin, _SEEN * float(np.median(radius)), part)
             done += len(batch)
         if extent is not None:
-            writer.send_layout(_layout(extent.view(BESIDE.aspect), a.units))
+            send_beside_bodies(writer, _HEADING, [_A, _B, _LINES], extent, _panels(a.units), a.units, last, both)
         writer.flush()
 
 
@@ -197,7 +215,7 @@ def _heading(what: str, dimension: Dimension, units: UnitSystem) -> str:
     return units.labelled(f"log₁₀ of {what}", dimension)
 
 
-def _layout(view: View, units: UnitSystem) -> rrb.Blueprint:
+def _panels(units: UnitSystem) -> rrb.Vertical:
     plots = [
         rrb.TimeSeriesView(
             name=_heading(name, dimension, units),
@@ -208,8 +226,7 @@ def _layout(view: View, units: UnitSystem) -> rrb.Blueprint:
         )
         for path, name, dimension, _ in _SERIES.values()
     ]
-    panels = rrb.Vertical(*plots, rrb.TextDocumentView(name="Verdict", origin=_TEXT), row_shares=[2, 2, 1.5])
-    return beside_bodies("A solid, B in wires; red lines connect counterparts", [_A, _B, _LINES], view, panels)
+    return rrb.Vertical(*plots, rrb.TextDocumentView(name="Verdict", origin=_TEXT), row_shares=[2, 2, 1.5])
 
 
 TRADEOFF_PROPERTY = "tradeoff"
@@ -295,7 +312,13 @@ def write_trajectories(path: Path, space: Space, time: FloatArray, trajectories:
         )
         runs = "colours" if bodies is None else "wires and paths"
         name = f"Reference: grey; runs: {runs}"
-        panels = spatial_view(name, views[beside][0], [f"/{paths.WORLD}/**"]), curves
+        view, area = views[beside]
+        ends = np.concatenate([run.position[-1] - origin for run in trajectories])
+        for entity, archetype in axes_and_field(
+            space.scene.unit_system, view, area, None, ends, np.tile(radius, len(trajectories))
+        ):
+            writer.log(entity, archetype)
+        panels = spatial_view(name, view, [f"/{paths.WORLD}/**", f"{FIELD}/**"]), curves
         side_by_side = rrb.Horizontal(*panels, column_shares=list(_COLUMNS))
         stacked = rrb.Vertical(*panels, row_shares=list(_ROWS))
         writer.send_layout(paused(side_by_side if beside else stacked))
@@ -422,8 +445,8 @@ def write_forecast(out: Path, recording: Recording, forecast: Forecast) -> None:
             plots.append(_plot("Probability of the outcome over the time of the fork", _CHANCE))
         text = rrb.TextDocumentView(name="Fork", origin=_FORK)
         panels = rrb.Vertical(*plots, text, row_shares=[3] * len(plots) + [2])
-        view = camera.view(BESIDE.aspect)
-        writer.send_layout(beside_bodies("Bodies by spread: blue is known, red is not", [_BODIES], view, panels))
+        heading, drawn = "Bodies by spread: blue is known, red is not", shown[-1]
+        send_beside_bodies(writer, heading, [_BODIES], camera, panels, recording.units, drawn, radius)
         writer.flush()
 
 

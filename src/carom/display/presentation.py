@@ -225,6 +225,7 @@ def presentation(
         field=field,
         by_stage=by_stage,
         both_arrows=both_arrows,
+        recent=staging.recent,
         theme=canvas.theme,
     )
     if close is not None:
@@ -232,6 +233,7 @@ def presentation(
     words = words.titled(header.title, written) if canvas.rendered else words
     added = Additions(
         *(close, has_trails, recoloured, by_stage, both_arrows, plots, words),
+        recent=staging.recent_of(clock),
         moment=True,
         marks=marks,
     )

@@ -25,12 +25,13 @@ from carom.recording.read.frame_rows import RecordedPositions
 from carom.recording.read.recorded_impacts import impacts_by_number
 from carom.recording.read.recording import Recording
 from carom.recording.schema import palette, paths
-from carom.recording.schema.header import Header
+from carom.recording.schema.header import Header, TimeScale
 from carom.recording.schema.series import PLOTS
 from carom.recording.timelines import STEP
 from carom.recording.write.rows import NO_STEPS, Index, Rows
 from carom.recording.write.static_entities import plane_grids
 from carom.scene.units import dimension
+from carom.scene.units.system import UnitSystem
 
 _LOOKS = 50  # frames of many bodies to which the camera is fitted
 MOST_BANDS = 100
@@ -40,6 +41,7 @@ MOST_NAMES = 12
 _ROW, _LETTER = 24.0, 7.5  # points, height of a label and width of a letter
 _LENGTH = 0.16  # of the field's arrow, in heights of the view
 _AXIS = 0.8  # of the axes at most, in lengths of the field's arrow; at least 0.4, since they are rounded down
+_BELOW = 0.14  # from the corner of the axes to the border of the view, in heights of the view
 _AXES = np.array([0xD42A1EFF, 0x0FA35AFF, 0x4A66F0FF], dtype=np.uint32)  # x, y, z
 
 
@@ -91,6 +93,15 @@ class Staging:
                 position = drawn.drawn(int(table[STEP][int(row)].as_py())) - recording.origin
                 camera.look(position, inside=table["time"][int(row)].as_py() <= until)
         return cls(camera, trails, header, recording.origin)
+
+    @property
+    def recent(self) -> float | None:
+        """The time (s) for which trails are drawn; None for the whole past."""
+        return None if self.trails is None else self.trails.recent
+
+    def recent_of(self, clock: TimeScale) -> int | None:
+        """Return the time for which trails are drawn, in nanoseconds of the viewer."""
+        return None if self.recent is None else int(clock.nanoseconds([self.recent])[0])
 
     def rows(self) -> Iterator[Rows]:
         """Yield the trails."""
@@ -184,7 +195,7 @@ def whole_span(recording: Recording) -> Sequence[float]:
 
 
 def axes_and_field(
-    header: Header,
+    units: UnitSystem,
     view: View,
     area: Area,
     field: FloatArray | None,
@@ -201,34 +212,42 @@ def axes_and_field(
     height, size = view.height(), 0.0 if field is None else float(np.linalg.norm(field))
     right, up = view.axes()
     length = _LENGTH * height
-    axis = _round_length(_AXIS * length, header)
-    pull = f"gravity, {header.units.text(size, dimension.ACCELERATION, '.4g')}"
-    scale = f"axes: {header.units.text(axis, dimension.LENGTH, '.3g')}"
+    axis = _round_length(_AXIS * length, units)
+    pull = f"gravity, {units.text(size, dimension.ACCELERATION, '.4g')}"
+    scale = f"axes: {units.text(axis, dimension.LENGTH, '.3g')}"
     places, sizes = view.on_screen(drawn), view.radius_on_screen(drawn, radius)[:, None]
     reach = np.array([_LETTER * (len(pull) + 1) / area.height, _LENGTH])  # half of the label and of the arrow
 
-    def placed(middle: float, extent: FloatArray, start: float) -> FloatArray:
+    def placed(middle: float, extent: FloatArray, start: float, taken: FloatArray) -> FloatArray:
         aside = np.zeros(2)  # how far the legend moves the axes on each side
         if legend is not None and legend[1] * start > 0.0:
             aside[int(legend[0] > 0)] = -2.0 * legend[1] * area.inset_share[1]
         sides = [np.array([x * 0.72 * area.aspect, middle + down]) for x, down in zip((-1.0, 1.0), aside, strict=True)]
         covered = [np.all(np.abs(places - side) < extent + sizes, axis=1).sum() for side in sides]
+        meets = [bool(np.all(np.abs(taken - side) < extent + 2.0 * _LENGTH, axis=1).any()) for side in sides]
+        covered = [count + (len(places) + 1) * meet for count, meet in zip(covered, meets, strict=True)]
         chosen = int(covered[1] < covered[0]) if covered[0] != covered[1] else int(aside[0] != 0.0)
         place = sides[chosen][0] * right + (start + aside[chosen]) * up
         return np.asarray(view.target + 0.5 * height * place)
 
-    corner = placed(-0.72, np.full(2, 1.5 * _LENGTH), -0.72)
+    corner = placed(-0.72, np.full(2, 1.5 * _LENGTH), -0.72, np.zeros((0, 2)))
     origins, vectors = np.tile(corner, (3, 1)), axis * np.eye(3)
-    texts, ends = ["x", "y", "z", scale], np.vstack([corner + 1.15 * vectors, corner - 0.45 * _AXIS * length * up])
+    letters = corner + 1.15 * vectors
+    heights = 0.5 * height * (view.on_screen(letters) - view.on_screen(corner))[:, 1]
+    row = _ROW * height / area.height  # of a line of text
+    beneath = min(-0.45 * _AXIS * length, float(heights.min()) - row)
+    if beneath - row < -_BELOW * height:  # Rerun writes a label below its point, and the border is there
+        beneath = float(heights.max()) + row
+    texts, ends = ["x", "y", "z", scale], np.vstack([letters, corner + beneath * up])
     theme = area.theme
     colours = palette.legible(_AXES, theme)
     if field is not None:
-        top = placed(0.84 - _LENGTH, reach, 0.84)
+        top = placed(0.84 - _LENGTH, reach, 0.84, view.on_screen(corner)[None])
         origins, vectors = np.vstack([top, origins]), np.vstack([length * field / size, vectors])
         texts, ends = [pull, *texts], np.vstack([top + 0.5 * vectors[0], ends])
         colours = np.concatenate([palette.legible([palette.FIELD], theme), colours])
     arrows = rr.Arrows3D(
-        origins=single(origins), vectors=single(vectors), colors=colours, radii=line_radii(0.05 * length, 1.0)
+        origins=single(origins), vectors=single(vectors), colors=colours, radii=line_radii(0.05, length)
     )
     yield FIELD, arrows
     ink = palette.INKS[theme]
@@ -236,9 +255,9 @@ def axes_and_field(
     yield f"{FIELD}/labels", labels
 
 
-def _round_length(most: float, header: Header) -> float:
+def _round_length(most: float, units: UnitSystem) -> float:
     """Return the longest round length (m) up to ``most``: 1, 2 or 5 times a power of ten, in the scene's unit."""
-    shown = header.units.shown(most, dimension.LENGTH)
+    shown = units.shown(most, dimension.LENGTH)
     power = 10.0 ** np.floor(np.log10(shown))
     return float(most * max(step for step in (1.0, 2.0, 5.0) if step * power <= shown) * power / shown)
 

@@ -73,6 +73,7 @@ class Supplement:
 
 
 _MOST_FRAMES = 2000  # of a longer path, every k-th frame is used
+_TANGLED = 20.0  # length of all paths, over the size of the space that they fill
 _POINTS = 1000  # of a smooth path with fewer frames, since integrators of high order take long steps
 
 
@@ -101,6 +102,16 @@ class Trails:
         untouched = recording.closing.get("contacts.total") == 0 and header.box is None
         self._is_smooth = untouched and bool((np.diff(self._times) > 0.0).all())
         self._colours = colours
+        self.recent = None if untouched else self._untangled()
+
+    def _untangled(self) -> float | None:
+        """Return the time (s) for which paths are drawn, if all of them would be a tangle that hides the bodies."""
+        pieces = np.linalg.norm(np.diff(self._position, axis=0), axis=2)
+        size = float(np.ptp(self._position, axis=(0, 1)).max(initial=0.0))
+        total = float(pieces.sum(where=pieces < 0.5 * size))  # others cross the border of a box
+        if not total > _TANGLED * size:
+            return None
+        return float(f"{(self._times[-1] - self._times[0]) * _TANGLED * size / total:.1g}")
 
     def show(self, camera: CameraFit, until: float = np.inf) -> None:
         """Fit a camera: the paths drawn up to a time (s) are in view, and its direction suits the whole motion."""

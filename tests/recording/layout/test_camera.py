@@ -282,6 +282,18 @@ def test_a_slope_over_which_bodies_move_sideways_or_a_funnel_is_seen_from_above(
         assert np.sin(np.radians(14.9)) < camera.view().to_eye[2]
 
 
+def test_a_cup_into_which_bodies_fall_is_seen_from_the_side(scripted: ScriptedRun) -> None:
+    ground = on_a_slope(scripted, np.array([0.0, 0.0, 1.0]))
+    flat = np.random.default_rng(2).uniform(-1.0, 1.0, size=(20, ground.bodies, 3)) * [1.0, 1.0, 0.05]
+    above = dict[str, float]()
+    for name, header in (("table", ground), ("cup", replace(ground, shapes=()))):
+        camera = CameraFit.of_scene(header, np.zeros(3), flat[0])
+        camera.look(flat)
+        above[name] = float(np.degrees(np.arcsin(camera.view().to_eye[2])))
+    assert above["table"] > 50.0, "swirls on a table are seen from above"
+    assert above["cup"] < 35.0, "from above, a cup looks like a sheet"
+
+
 def test_many_bodies_of_a_pile_are_all_inside() -> None:
     position = np.random.default_rng(4).uniform(-1.0, 1.0, size=(500, 3))
     radius = np.full(500, 0.05)

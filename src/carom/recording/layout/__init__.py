@@ -136,9 +136,11 @@ def bodies_view(header: Header, camera: CameraFit, area: Area, added: Additions 
     overrides = _drawn_bodies(header, view, area, added.recoloured, added.named)
     overrides |= _edges(header, area.theme, wide=False, by_stage=added.by_stage)
     cursor = rr.TimeRangeBoundary.cursor_relative()
-    if added.trails:  # all pieces up to the cursor
-        start = rr.TimeRangeBoundary.infinite()
-        ranges = [rrb.VisibleTimeRange(timeline, start=start, end=cursor) for timeline in (SIM_TIME, STEP)]
+    if added.trails:  # the pieces up to the cursor
+        whole = rr.TimeRangeBoundary.infinite()
+        recent = whole if added.recent is None else rr.TimeRangeBoundary.cursor_relative(nanos=-added.recent)
+        starts = {SIM_TIME: recent, STEP: whole}
+        ranges = [rrb.VisibleTimeRange(timeline, start=start, end=cursor) for timeline, start in starts.items()]
         overrides[TRAILS] = rrb.VisibleTimeRanges(ranges)
     if header.records_contacts:  # by default each impact stays visible until the next
         clock = TimeScale.fitting(header.duration, header.shortest_dt_hint)

@@ -60,6 +60,7 @@ _MOST_SPHERES = 4000  # of all moments; beyond, only the outermost sphere in eac
 _USUAL = np.array([0.75, -1.0, 0.55]) / np.linalg.norm([0.75, -1.0, 0.55])  # towards the eye
 _PREFERENCE = 0.15  # weight of the usual direction if principal axes are similar, as a fraction of the variance
 _LOWEST, _HIGHEST = np.radians(15.0), np.radians(60.0)  # elevations of the eye
+_INTO = np.radians(30.0)  # highest elevation where bodies fall into walls: a cup seen from above is a sheet
 _SLOPE = float(np.sin(np.radians(3.0)))  # sine of the smallest angle of a slope to a floor and to a wall
 _ASIDE, _ABOVE = np.radians(35.0), np.radians(12.0)  # of the eye from a slope's edge, so that torques are seen
 _ALONG = 0.1  # largest fraction of the motion along the line of sight, if a slope is seen edge-on
@@ -105,6 +106,7 @@ class CameraFit:
         motion: CameraMotion | None = None,
         edge_on: FloatArray | None = None,  # (3,) horizontal unit vector along which slopes are seen edge-on
         has_torque: bool = False,  # whether arrows of torques are drawn, which may be parallel to it
+        highest: float = _HIGHEST,  # rad, largest elevation of the eye
     ) -> None:
         self._bodies = len(radius)
         self._shown: slice | IntArray = slice(None)
@@ -116,6 +118,7 @@ class CameraFit:
         first, radius = first[self._shown], radius[self._shown]
         near = _near(first[None])[0]
         self._begin, self._edge_on, self._has_torque = first, edge_on, has_torque
+        self._highest = highest
         self._radius = radius
         self._first, self._first_radius = first[near], radius[near]
         self._corners = np.zeros((0, 3)) if corners is None else corners
@@ -150,7 +153,9 @@ class CameraFit:
             size = float(np.linalg.norm(acceleration))
             up = -acceleration / size if 0.0 < size < np.inf else UP
         corners, edge_on = corners_of(header, origin), _edge_on(header, up)
-        return cls(header.radius, first, corners, up=up, motion=motion, edge_on=edge_on, has_torque=header.has_torque)
+        pulled = UNIFORM_FIELD.name in header.forces
+        highest = _INTO if header.shapes is not None and pulled else _HIGHEST
+        return cls(header.radius, first, corners, None, up, motion, edge_on, header.has_torque, highest)
 
     @property
     def is_few(self) -> bool:
@@ -243,7 +248,7 @@ class CameraFit:
             if not self._edge_on @ moved @ self._edge_on > _ALONG * np.trace(moved):
                 to_eye = self._edge_on if not self._has_torque else _beside(self._edge_on, self.up)
         if to_eye is None:
-            to_eye = _direction(self._moments[int(motion is CameraMotion.FOLLOW)], self.up)
+            to_eye = _direction(self._moments[int(motion is CameraMotion.FOLLOW)], self.up, self._highest)
         view = self._fitted(frame, to_eye, _NARROW_SLOPE if frame.narrow else SLOPE, motion)
         depth = float(np.ptp(self._around(motion)[0] @ to_eye)) if len(self._spheres) else 0.0
         if frame.narrow and view.distance < _DEPTHS * depth:
@@ -334,7 +339,7 @@ class CameraFit:
 
 
 @_HUGE
-def _direction(moments: FloatArray, up: FloatArray) -> FloatArray:
+def _direction(moments: FloatArray, up: FloatArray, highest: float) -> FloatArray:
     """Choose the direction to the eye: along the smallest principal axis, or the usual one if several are similar."""
     usual = _USUAL @ upright(up)
     count = moments[3, 3]
@@ -348,7 +353,7 @@ def _direction(moments: FloatArray, up: FloatArray) -> FloatArray:
     level = chosen - (chosen @ up) * up
     if float(np.linalg.norm(level)) < STEEP:
         level = usual - (usual @ up) * up
-    elevation = np.clip(np.arcsin(np.clip(chosen @ up, -1.0, 1.0)), _LOWEST, _HIGHEST)
+    elevation = np.clip(np.arcsin(np.clip(chosen @ up, -1.0, 1.0)), _LOWEST, highest)
     return np.asarray(np.cos(elevation) * level / np.linalg.norm(level) + np.sin(elevation) * up)
 
 
