@@ -7,10 +7,11 @@ import pytest
 from PIL import Image
 
 from carom import Scene, run
+from carom.display import viewer
 from carom.display.letters import drawable
 from carom.display.picture import _marked, is_picture_of_carom, render
 from carom.display.request import Request
-from carom.display.viewer import broken_off, reason_of
+from carom.display.viewer import Viewer, broken_off, reason_of
 from carom.errors import RecordingError
 from carom.physics.placement.initial_state import place
 from carom.recording.layout import LEGEND_SHARE, drawing
@@ -194,3 +195,27 @@ def test_without_a_driver_the_packages_are_named(
     with pytest.raises(RecordingError, match="mesa-vulkan-drivers"):
         render(tmp_path / "run.rrd", Request(0.0), tmp_path / "run.png")
     assert not (tmp_path / "run.png").exists()
+
+
+def test_a_viewer_that_answers_late_is_asked_again_unless_that_would_do_something_twice(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(viewer, "_DYING", 0.0)
+    busy = Viewer.__new__(Viewer)
+    busy._process = subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE)
+    tries = list[int]()
+
+    def late() -> str:
+        tries.append(len(tries))
+        if len(tries) < 3:
+            raise OSError("Deadline expired before operation could complete")
+        return "the picture"
+
+    try:
+        assert busy._ask(late) == "the picture" and len(tries) == 3
+        tries.clear()
+        with pytest.raises(RecordingError, match="does not answer: Deadline"):
+            busy._ask(late, again=False)
+        assert len(tries) == 1
+    finally:
+        busy._process.communicate()

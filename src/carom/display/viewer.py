@@ -35,6 +35,7 @@ _LOAD = 120.0  # s
 _POLL = 0.1  # s
 _DYING = 2.0  # s in which a viewer that stopped answering may still end
 _GRACE = 15.0  # s from the request to end to the kill; the process gives its own children 5 s each
+_TOO_LATE = "Deadline expired"  # of Rerun's client, whose limit cannot be set
 _NO_SCREEN = "there is no screen to open a window on; `carom picture` renders without one"
 _DRIVER_WORDS = ("wgpu", "vulkan", "graphics", "adapter", "render context", "xkbcommon", "librar", "egl")
 _DREW = "wgpu adapter backend"  # in the log of a viewer that has a graphics driver
@@ -108,7 +109,7 @@ class Viewer:
 
     def open(self, address: str) -> None:
         """Open a file or an address of a server."""
-        self._ask(lambda: self.client.open(address))
+        self._ask(lambda: self.client.open(address), again=False)
 
     def show(self, recording: Recording) -> None:
         """Load a recording; wait until it is loaded."""
@@ -121,7 +122,8 @@ class Viewer:
         if shown is None:
             raise RecordingError("the viewer shows no recording")
         _, application, recording_id = shown.split(":")  # the viewer gives each file its own application id
-        self._ask(lambda: supplement.send(f"rerun+http://{self.address}/proxy", application, recording_id))
+        address = f"rerun+http://{self.address}/proxy"
+        self._ask(lambda: supplement.send(address, application, recording_id), again=False)
 
     def go_to(self, recording: Recording, at: float) -> None:
         """Pause at a simulated time (s)."""
@@ -158,17 +160,24 @@ class Viewer:
             self._process.wait(seconds)
         self._fail_if_ended()
 
-    def _ask(self, question: Callable[[], _T]) -> _T:
-        """Ask the viewer; on failure raise a RecordingError, which gives the reason if the process has ended."""
-        try:
-            return question()
-        except RecordingError:
-            raise
-        except Exception as error:
-            with contextlib.suppress(subprocess.TimeoutExpired):
-                self._process.wait(_DYING)
-            self._fail_if_ended()
-            raise RecordingError(f"the viewer does not answer: {error}") from error
+    def _ask(self, question: Callable[[], _T], *, again: bool = True) -> _T:
+        """Ask the viewer; on failure raise a RecordingError, which gives the reason if the process has ended.
+
+        A busy machine can take longer than Rerun waits for an answer. Such a question is asked ``again``.
+        """
+        end = time.monotonic() + _LOAD
+        while True:
+            try:
+                return question()
+            except RecordingError:
+                raise
+            except Exception as error:
+                with contextlib.suppress(subprocess.TimeoutExpired):
+                    self._process.wait(_DYING)
+                self._fail_if_ended()
+                if again and _TOO_LATE in str(error) and time.monotonic() < end:
+                    continue
+                raise RecordingError(f"the viewer does not answer: {error}") from error
 
     def until(self, what: str, limit: float, done: Callable[[], bool]) -> None:
         """Poll until ``done``; raise RecordingError if the process ends or the time runs out first."""
