@@ -1,9 +1,9 @@
-"""The pictures of docs/gallery.md, made by the commands that the page names below each of them.
+"""The pictures of docs/gallery.md, made by the commands that the page names below each of them, and the first of README.md.
 
     python tests/support/gallery.py [NAME...]
 
 runs these commands in a temporary folder, and writes the pictures with a palette into docs/gallery/. Without names it
-makes all of them.
+makes all of them. The other pictures of the README are from the gallery.
 """
 
 from __future__ import annotations
@@ -36,6 +36,16 @@ class Entry:
     files: dict[str, str]
 
 
+FIRST = Entry(
+    "cloud-collapse",
+    (
+        "carom run cloud-collapse -o collapse.rrd",
+        "carom picture collapse.rrd --size 1280x800 -o cloud-collapse.png",
+    ),
+    {},
+)
+
+
 def entries() -> Iterator[Entry]:
     """Yield the pictures of the page; a scene file begins with a comment that holds its name."""
     for section in PAGE.read_text(encoding="utf-8").split("\n## ")[1:]:
@@ -60,18 +70,18 @@ def make(entry: Entry, folder: Path, done: set[str]) -> Path:
     return folder / f"{entry.name}.png"
 
 
-def keep(file: Path) -> None:
-    """Write a picture into the folder of the page."""
+def keep(file: Path, folder: Path = FOLDER) -> None:
+    """Write a picture into a folder, by default that of the page."""
     with Image.open(file) as image:
         picture = image.convert("RGB")
     palette = picture.quantize(256, Image.Quantize.FASTOCTREE)
     few = picture.quantize(palette=palette)  # dithered: shades of spheres have no steps
-    few.save(FOLDER / file.name, optimize=True)
+    few.save(folder / file.name, optimize=True)
 
 
 if __name__ == "__main__":
     wanted, finished = sys.argv[1:], set[str]()
     with tempfile.TemporaryDirectory() as name:
-        for each in entries():
+        for each in (FIRST, *entries()):
             if not wanted or each.name in wanted:
-                keep(make(each, Path(name), finished))
+                keep(make(each, Path(name), finished), PAGE.parent if each is FIRST else FOLDER)
