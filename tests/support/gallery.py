@@ -1,4 +1,4 @@
-"""The pictures of docs/gallery.md, made by the commands that the page names below each of them, and the first of README.md.
+"""The pictures of docs/gallery.md, made by the commands that the page names below each, and the first of README.md.
 
     python tests/support/gallery.py [NAME...]
 
