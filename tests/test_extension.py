@@ -275,6 +275,7 @@ def rolling(folder: Path) -> Path:
     return folder
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("timing", ["time-of-impact", "end-of-step"])
 def test_a_ball_that_rolls_and_spins_slows_down_as_in_closed_form_and_stops(
     rolling: Path, site: Path, timing: str
@@ -360,6 +361,7 @@ mass = 1.0
 """
 
 
+@pytest.mark.nightly
 def test_a_ball_in_a_wall_of_a_package_runs_around_at_the_slope_that_its_speed_needs(folder: Path, site: Path) -> None:
     """At the slope θ of the wall, v² = g ρ tan θ keeps the ball at ρ = R + (r - a) sin θ, below the middle."""
     slope, distance_to_middle = np.radians(45.0), 0.3 - 0.1

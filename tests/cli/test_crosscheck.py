@@ -118,6 +118,7 @@ def test_a_plastic_impact_is_compared_after_it(checked: Path) -> None:
     assert any(run["parting"] is not None and run["errors"]["position"] > 0.1 for run in others)
 
 
+@pytest.mark.nightly
 def test_where_the_reference_ends_no_run_is_said_to_stay_with_it(checked: Path) -> None:
     # head-on, and with gravity that holds them together
     pressed = SCENE.replace("restitution = 1.0", "restitution = 0.0").replace("0.05, 0.0]", "0.0, 0.0]")

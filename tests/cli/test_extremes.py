@@ -42,6 +42,7 @@ MISSED = {"stack-dropped": "slow contacts wait for the end of a step and sink (d
 
 def cases() -> list[Any]:
     marks: dict[str, list[Any]] = {name: [pytest.mark.slow] for name in SLOW}
+    marks["pile-1000"].append(pytest.mark.nightly)
     marks |= {name: [pytest.mark.xfail(reason=why, strict=True)] for name, why in MISSED.items()}
     return [pytest.param(name, marks=marks.get(name, [])) for name in extremes()]
 

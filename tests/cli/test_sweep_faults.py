@@ -43,6 +43,7 @@ def sweep_on(cluster: DaskCluster, folder: str) -> list[str]:
     return ["sweep", "spheres.toml", *VARY, *SLOW, "-o", folder, "--json", "--cluster", cluster.address]
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 @pytest.mark.needs("distributed")
 def test_a_killed_worker_and_a_killed_client_lose_no_run(tmp_path: Path, cluster: DaskCluster) -> None:

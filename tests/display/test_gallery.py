@@ -65,6 +65,7 @@ def test_pictures_of_the_gallery_have_all_bodies_inside_no_empty_half_and_equal_
     assert max(radii) <= 1.05 * min(radii) + 1, "5 %, and a pixel of the depth"
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 @pytest.mark.needs("matplotlib", "mujoco")
 def test_the_commands_of_the_other_pictures_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

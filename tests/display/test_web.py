@@ -249,6 +249,7 @@ def legend_is_whole(pixels: NDArray[np.int64]) -> None:
     assert linear[:, :3].max() < 0.1 and linear[:, -3:].max() < 0.1, "no word reaches an edge"
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 @pytest.mark.needs(BROWSER)
 def test_arrow_keys_step_from_impact_to_impact(tmp_path: Path) -> None:

@@ -331,7 +331,7 @@ def test_steps_of_balls_that_touch_without_a_force_are_those_of_single_steps(sol
                 "drag": {"relaxation_time": 0.5, "medium_velocity": [2.0, 1.0, 0.0]},
                 "contact": {"law": "rolling_resistance", "rolling_resistance": {"rolling_friction": 0.02}},
             },
-            marks=pytest.mark.slow,
+            marks=[pytest.mark.slow, pytest.mark.nightly],
         ),
     ],
     ids=str,

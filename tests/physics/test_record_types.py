@@ -36,6 +36,7 @@ def test_fields_of_a_law_with_torques_follow_those_of_all_contacts() -> None:
     assert len(contacts) == 1
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_a_misspelt_field_is_an_error_of_mypy(tmp_path: Path) -> None:
     for name, errors in (("bias", 0), ("bais", 1)):

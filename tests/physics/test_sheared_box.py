@@ -241,7 +241,7 @@ def smallest_gap(frame: Frame, radius: FloatArray, time: float) -> float:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("restitution", [0.0, 0.8])
+@pytest.mark.parametrize("restitution", [pytest.param(0.0, marks=pytest.mark.nightly), 0.8])
 def test_spheres_in_a_crowded_box_never_overlap_an_image_even_if_their_impacts_do_not_end(restitution: float) -> None:
     document = sheared() | {"group": [CROWD], "contact": SMOOTH | {"restitution": restitution}}
     document |= {"time": {"duration": 1.5}, "record": {"every": 0.3}}

@@ -151,6 +151,7 @@ def test_a_sheared_packing_has_the_same_bits_after_resuming_and_in_a_replay(tmp_
     np.testing.assert_array_equal(recording.checkpoint(recording.checkpoint_steps[-1]).position, whole.position)
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_a_gas_has_the_stress_that_impacts_at_their_own_times_give() -> None:
     document = packing(250, 0.4, 12.0, dt=2e-3, contact=SMOOTH, record={"every": 0.5})

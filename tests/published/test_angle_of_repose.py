@@ -145,6 +145,7 @@ def test_a_heap_is_as_steep_as_measured_and_steeper_with_more_rolling_friction()
     assert steep > flat + 2 * hypot(0.9, 1.65)
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_without_rolling_friction_spheres_roll_off_a_plate_and_form_a_heap_on_bumps() -> None:
     assert zhou(0.0) == 0.0

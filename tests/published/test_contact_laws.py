@@ -45,6 +45,7 @@ def test_spheres_reverse_the_slip_as_measured_by_foerster(e: float, mu: float, b
     assert float(slip[1]) == pytest.approx(expected, abs=1e-14 * (1 + psi))  # some ten operations
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 @pytest.mark.parametrize("speed", [5e-5, 1e-3, 1e-2])
 def test_ice_of_saturns_rings_rebounds_as_measured_by_bridges(speed: float) -> None:
@@ -126,6 +127,7 @@ def rebound_of_hertzian_spheres(mass: float, radius: float, dissipation: float, 
     return float(-path.y[1, -1] / speed)
 
 
+@pytest.mark.nightly
 @pytest.mark.slow  # kernels for a law are compiled for 8 s
 @pytest.mark.parametrize("scale", [0.2, 1.0, 5.0])
 @pytest.mark.parametrize("partner", ["equal", "ten times as large", "a plane"])

@@ -154,7 +154,7 @@ def chosen(mutants: list[Mutant], seed: int, count: int) -> list[Mutant]:
     [
         ("own", SAMPLE),
         pytest.param("own", LARGE_SAMPLE, marks=pytest.mark.slow),
-        pytest.param("other", LARGE_SAMPLE, marks=pytest.mark.slow),
+        pytest.param("other", LARGE_SAMPLE, marks=[pytest.mark.slow, pytest.mark.nightly]),
     ],
 )
 def test_what_is_deleted_or_altered_is_a_difference_or_named(

@@ -256,6 +256,7 @@ def test_the_steps_of_bodies_that_come_to_rest_are_foreseen_to_a_factor_of_two(n
             assert "held" in found.limits
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_the_steps_of_contacts_at_rest_that_gauss_radau15_leaves_to_leapfrog_are_foreseen() -> None:
     scene = scene_of(

@@ -44,7 +44,8 @@ REPLAYED = {
 }
 QUICK = ("figure-eight", "two-spheres")
 MARKS = {name: [] if name in QUICK else [pytest.mark.slow] for name in REPLAYED}
-MARKS["drum"].append(pytest.mark.nightly)  # a minute
+for name in ("drum", "piston"):  # a minute each
+    MARKS[name].append(pytest.mark.nightly)
 
 
 @pytest.mark.parametrize("name", [pytest.param(name, marks=MARKS[name]) for name in REPLAYED])
@@ -287,6 +288,7 @@ for path, until in zip(sys.argv[1::2], map(float, sys.argv[2::2])):
 ON_ANOTHER_CPU = ("cloud-collapse", "elastic-gas", "heap", "kepler-orbits", "planet-with-gravel")
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_scenes_of_gravity_and_contacts_replay_and_resume_with_the_same_bits_on_another_cpu(
     other_processor: OtherProcessor, tmp_path: Path

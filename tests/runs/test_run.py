@@ -30,6 +30,7 @@ from carom.scene.load import Scene, scene_from_text
 from carom.scene.scene_file import bundled_scenes
 from carom.state.books import Extreme, Extremes
 from carom.state.frame import Frame
+from small_scenes import bundled as bundled_names
 from small_scenes import cloud, pair
 
 
@@ -333,9 +334,7 @@ SHORT = [name for name in bundled_scenes() if name not in LONG]
 ADMITTED = {"piston": ("limit",)}  # it falls on a packing: inelastic impacts of ever smaller speeds within one step
 
 
-@pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=[pytest.mark.slow] if name in LONG else []) for name in bundled_scenes()]
-)
+@pytest.mark.parametrize("name", bundled_names(quick=tuple(SHORT)))
 def test_every_bundled_scene_meets_its_expectations_and_warns_of_nothing(name: str, bundled: Bundled) -> None:
     outcome = bundled(name)
     assert outcome.status == "completed", outcome.reason

@@ -23,17 +23,26 @@ from carom.scene.start import HalfSpaces, InitialBodies
 FloatArray = NDArray[np.float64]
 
 
+NIGHTLY = ("dense-shear", "hopper")  # bundled scenes that take a minute each
+SLOW_MARKS = (pytest.mark.slow,)
+NIGHTLY_MARKS = (pytest.mark.slow, pytest.mark.nightly)
+
+
 def walls_as_slow(names: Iterable[str]) -> list[Any]:
     """Return scenes as parameters; those with walls, motions, pistons or shear, which compile for long, are slow."""
     texts = {name: path.read_text(encoding="utf-8") for name, path in bundled_scenes().items()}
     parts = "[[wall]]", "motion = ", "piston = ", "shear = "
     walled = {name for name, text in texts.items() if any(part in text for part in parts)}
-    return [pytest.param(name, marks=pytest.mark.slow if name in walled else ()) for name in names]
+    return [pytest.param(name, marks=_marks_of(name) if name in walled else ()) for name in names]
 
 
 def bundled(quick: tuple[str, ...]) -> list[Any]:
     """Return the bundled scenes as parameters, of which all but the quick ones are slow."""
-    return [pytest.param(name, marks=() if name in quick else pytest.mark.slow) for name in bundled_scenes()]
+    return [pytest.param(name, marks=() if name in quick else _marks_of(name)) for name in bundled_scenes()]
+
+
+def _marks_of(name: str) -> tuple[pytest.MarkDecorator, ...]:
+    return NIGHTLY_MARKS if name in NIGHTLY else SLOW_MARKS
 
 
 def scene_of(bodies: list[dict[str, Any]], **sections: Any) -> Scene:

@@ -141,6 +141,7 @@ def on_turntable(start: FloatArray, **motion: Any) -> list[Frame]:
     return run_of(disc | {"body": body, "time": {"duration": 1.0, "max_dt": 0.002}})
 
 
+@pytest.mark.nightly
 @pytest.mark.slow  # kernels for walls are compiled for a minute
 @pytest.mark.parametrize(
     "motion",

@@ -63,6 +63,7 @@ def unexplained(run: list[Frame]) -> float:
     return max(abs(frame.energy.integration_error) for frame in run) / work
 
 
+@pytest.mark.nightly
 @pytest.mark.slow  # kernels for walls are compiled for a minute
 def test_a_rotating_drum_drags_a_ball_with_kinetic_friction() -> None:
     end = frames(scene(rotating(DRUM), {"position": BOTTOM}, 0.02))[-1]
@@ -83,6 +84,7 @@ def test_a_rotating_drum_drags_a_ball_with_kinetic_friction() -> None:
     ],
     ids=["at rest", "rotates", "translates"],
 )
+@pytest.mark.nightly
 @pytest.mark.slow  # kernels for walls are compiled for a minute
 def test_an_overlap_with_a_wall_is_removed_without_a_velocity(wall: dict[str, Any], body: dict[str, Any]) -> None:
     # the velocity that removes it within a step would be DEPTH / dt = 1 m/s, with 50 times the weight's work over DEPTH
@@ -146,7 +148,7 @@ def test_a_rolling_ball_moves_in_a_circle_at_two_sevenths_of_the_rotation_of_the
     ],
     ids=["drum", "disc", "sphere", "cone"],
 )
-@pytest.mark.parametrize("law", ["", "rolling_resistance"])
+@pytest.mark.parametrize("law", ["", pytest.param("rolling_resistance", marks=pytest.mark.nightly)])
 @pytest.mark.slow  # kernels for walls are compiled for a minute
 def test_the_work_of_the_wall_closes_the_energy(wall: dict[str, Any], body: dict[str, Any], law: str) -> None:
     contact: dict[str, Any] = {"restitution": 0.7}

@@ -53,6 +53,7 @@ def ball(**body: Any) -> dict[str, Any]:
     return {"body": [{"radius": r, "mass": m, "position": [0.0, 0.0, 0.2]} | body]}
 
 
+@pytest.mark.nightly
 def test_an_elastic_ball_and_a_free_piston_exchange_momentum_and_energy_as_two_bodies_do() -> None:
     M, v, smooth = 2.0, 3.0, {"restitution": 1.0, "static_friction": 0.0, "kinetic_friction": 0.0}
     last = frames(scene({"mass": M}, 0.5, 0.1, contact=smooth, **ball(velocity=[1.0, 0.0, v])))[-1]

@@ -94,6 +94,7 @@ def meeting(index: int) -> dict[str, Any]:
     }
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_a_sound_engine_breaks_no_law_in_a_few_scenes(tmp_path: Path) -> None:
     made = carom("hunt", "--seed", "1", "--scenes", "9", "-o", "found", "--json", cwd=tmp_path)

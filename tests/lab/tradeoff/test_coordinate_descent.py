@@ -102,6 +102,7 @@ def test_a_step_that_would_lose_frames_is_not_taken(tmp_path: Path) -> None:
     assert longer and all(" frames of 51" in tuning.misses(result)[-1] for result in longer)
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_a_scene_that_records_every_step_keeps_enough_of_them_to_be_looked_at(tmp_path: Path) -> None:
     # one step of 3 s keeps this limit: it ends before the balls meet, and shows two frames

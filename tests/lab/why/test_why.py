@@ -428,6 +428,7 @@ def happens(scene: Scene, bodies: list[int], impact: np.void) -> bool:
     return False
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_without_the_bodies_outside_the_cone_an_event_stays_and_without_its_first_cause_it_does_not(
     tmp_path: Path,

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from carom.physics.space import Space
 from carom.scene.load import Scene
-from small_scenes import cloud, scene_of
+from small_scenes import NIGHTLY_MARKS, cloud, scene_of
 
 G = 9.81  # m/s²
 FALLING = {"uniform": [0.0, 0.0, -G]}
@@ -53,7 +53,7 @@ def test_a_stack_of_hundreds_stands_by_default(count: int) -> None:
     assert space.state.position[-1, 2] == pytest.approx(2.0 * count - 1.0, abs=0.01 * count)
 
 
-DROPPED = [(50, 0.0), (50, 0.5), (50, 0.9), (200, 0.0), (200, 0.5), pytest.param(500, 0.5, marks=pytest.mark.slow)]
+DROPPED = [(50, 0.0), (50, 0.5), (50, 0.9), (200, 0.0), (200, 0.5), pytest.param(500, 0.5, marks=NIGHTLY_MARKS)]
 
 
 @pytest.mark.parametrize(("count", "restitution"), DROPPED)

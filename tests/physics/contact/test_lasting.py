@@ -261,6 +261,7 @@ def test_a_body_at_rest_books_no_work() -> None:
         assert abs(entry) <= 1e-12 * weight_times_radius  # round-off of 10³ steps
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 @settings(max_examples=2, deadline=None)  # each takes 2 s
 @given(seed=st.integers(0, 10**6), mu=st.floats(0, 1))

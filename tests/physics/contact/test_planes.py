@@ -257,6 +257,7 @@ def test_momentum_is_not_compared_where_something_takes_it() -> None:
         assert frame.momentum_error is None and frame.angular_momentum_error is None
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 @settings(max_examples=10, deadline=None)
 @given(seed=st.integers(0, 10**6), e=st.floats(0, 1), mu=st.floats(0, 1.5), k=st.floats(0, 1))

@@ -40,6 +40,7 @@ def test_a_sliding_ball_rolls_after_2v_over_7_mu_g_with_five_sevenths_of_its_spe
     assert space.state.velocity[0, 0] == pytest.approx(5.0 / 7.0 * speed, rel=1e-9)
 
 
+@pytest.mark.nightly
 @pytest.mark.slow  # kernels of many steps are compiled for this law
 def test_a_ball_that_resists_rolling_stops_where_its_energy_is_spent() -> None:
     speed, resistance, accuracy = 0.23, 0.03, 1e-8

@@ -50,7 +50,7 @@ def way(time: float, speed: float) -> float:
     ("accuracy", "speed"),
     [
         (1e-5, 2.0),
-        *((10.0**-digits, 2.0) for digits in (2, 4, 8)),
+        *(pytest.param(10.0**-digits, 2.0, marks=pytest.mark.nightly) for digits in (2, 4, 8)),
         *((3e-6, speed) for speed in (1.7, 4.7)),
     ],
 )
