@@ -15,6 +15,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from carom.lab.tradeoff.tradeoff import VERSION
 from carom.lab.tradeoff.tradeoff_figure import draw
 from carom.scene.units.dimension import TIME
 from carom.scene.units.system import SI
@@ -36,6 +37,9 @@ def main() -> None:
     page = PAGE.read_text(encoding="utf-8")
     for path in sorted(RESULTS.glob("*.json")):
         document = json.loads(path.read_text(encoding="utf-8"))
+        if document["version"] != VERSION:
+            print(f"{path.stem}: kept as it is, since another version of carom measured it")
+            continue
         draw(document, ROOT / "docs" / f"trade-{path.stem}.png")
         place = re.compile(rf"(<!-- table: {path.stem} -->\n).*?(<!-- end -->)", re.DOTALL)
         lines = table(document)

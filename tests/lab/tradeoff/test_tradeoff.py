@@ -340,6 +340,16 @@ def test_a_figure_of_settings_with_the_same_error_is_drawn_without_a_warning(tmp
     assert (tmp_path / "same.pdf").read_bytes().startswith(b"%PDF")
 
 
+@pytest.mark.needs("matplotlib")
+def test_a_study_whose_errors_are_all_rounding_says_so_in_place_of_a_figure(tmp_path: Path) -> None:
+    measured(eight(), tmp_path, "step=4")
+    document = json.loads((tmp_path / "tradeoff.json").read_text(encoding="utf-8"))
+    for entry in document["settings"]:
+        entry["errors"] = dict.fromkeys(entry["errors"], 1e-15)
+    with pytest.raises(ExperimentError, match="no error exceeds 1e-14, rounding"):
+        draw(document, tmp_path / "none.png")
+
+
 def test_a_step_is_a_multiple_of_what_it_is_with_the_other_choices() -> None:
     scene = cloud(4)
     auto, double, second, both = (

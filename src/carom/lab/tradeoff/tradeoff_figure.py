@@ -65,7 +65,9 @@ def draw(document: dict[str, Any], *paths: Path, units: UnitSystem = SI) -> None
     done = [entry for entry in measured if not entry.get("same_as")]
     panels = [error for error in PANELS if any((entry["errors"][error] or 0.0) > LEAST for entry in done)][:MOST_PANELS]
     if not panels:
-        raise ExperimentError("there are no measurements to draw yet")
+        raise ExperimentError(
+            f"no error exceeds {LEAST:g}, rounding" if done else "there are no measurements to draw yet"
+        )
     families = _families(done)
     # each family has its own line and marker; other engines have other markers than carom
     looks: dict[str, Look] = {}
