@@ -290,7 +290,7 @@ def test_what_energy_does_in_contact_is_neither_restitution_nor_an_error_of_the_
     said = " ".join(" ".join([*texts, *legends, *recording.events()["text"].to_pylist()]).split())
     assert "integration error" not in said and "restitution" not in said and "integrator" not in said
     assert " J while bodies touched: by contacts and errors of the engine, not distinguished" in said
-    assert "without contact, an error: at most" in said
+    assert "without contact, which the law admits: at most" in said
 
 
 def test_a_run_in_which_nothing_touches_has_no_hardest_impact_and_no_deepest_overlap(tmp_path: Path) -> None:
@@ -317,8 +317,8 @@ def test_a_point_takes_no_part_in_contacts_and_leaves_the_others_judged(tmp_path
         toy.position[2], toy.velocity[2] = [0.0, 0.01, 0.0], [0.0, 0.0, 3.0]  # where the two spheres meet
         faults = recorded(toy, tmp_path / f"{name}.rrd")
         assert ("missed-impact" in {fault.law for fault in faults}) == (name == "wrong")
-        contacts.append(Recording.open(tmp_path / f"{name}.rrd").summary()["moments"]["impact"]["bodies"])
-    assert contacts == [[0, 1], [0, 1]]
+        contacts.append(Recording.open(tmp_path / f"{name}.rrd").summary()["moments"].get("impact", {}).get("bodies"))
+    assert contacts == [[0, 1], None]
 
 
 def test_a_recording_of_another_engine_is_read_like_any_other(healthy: Path) -> None:
@@ -334,7 +334,7 @@ def test_a_recording_of_another_engine_is_read_like_any_other(healthy: Path) -> 
 
 
 def test_commands_that_need_a_second_run_say_that_another_engine_cannot_be_run(healthy: Path, tmp_path: Path) -> None:
-    for words in (("replay",), ("resume",), ("contacts",), ("contacts", "--impacts")):
+    for words in (("replay",), ("resume",), ("contacts", "--replay")):
         done = command(*words, str(healthy), cwd=tmp_path)
         assert done.returncode == 2 and "was recorded from toy 1.0" in done.stderr
         assert done.stderr.count("\n") == 1

@@ -103,11 +103,6 @@ def contacts(
     with opened(file) as path:
         recording = Recording.open(path)
         recording.refuse_overlay()
-        if impacts and recording.engine and recording.records_contacts:
-            raise RecordingError(
-                f"{recording.path} was recorded from {recording.engine}: its frames have the forces of contacts, but "
-                "it has no impacts; leave --impacts out, and select a frame with --at"
-            )
         start, end = (typed_time_or_none(recording, time) for time in (start, end))
         if statistics:
             _measure(recording, start, end, again, as_json, as_csv, output)
@@ -135,6 +130,7 @@ def _table(
     again: bool,
 ) -> pa.Table:
     """Return the contacts of the recording that concern the bodies."""
+    from carom.engines.measured_contacts import measured_contacts, measured_impacts
     from carom.errors import RecordingError
     from carom.recording.read.lookup import names_of, shown_body
     from carom.recording.read.recorded_contacts import of_body
@@ -144,11 +140,13 @@ def _table(
     numbers = [shown_body(recording, body) for body in bodies]
     if len(set(numbers)) < len(numbers):
         raise RecordingError(f"--body {bodies[0]} --body {bodies[1]}: a body has no contact with itself")
+    at = _hardest(recording, numbers) if at is None and numbers and not impacts else at
     with replaying(recording) as watch:
-        if impacts:
+        if recording.engine and not again:
+            table = measured_impacts(recording, start, end) if impacts else measured_contacts(recording, at)
+        elif impacts:
             table = impacts_of(recording, start, end, replay=again, watch=watch)
         else:
-            at = _hardest(recording, numbers) if at is None and numbers else at
             table = contacts_of(recording, at, replay=again, watch=watch)
     for number in numbers:
         table = of_body(table, number)
@@ -238,8 +236,8 @@ def _json(recording: Recording, table: pa.Table) -> dict[str, Any]:
 
     names, about = names_of(recording), table.schema.metadata
     rows = [{**row, "between": [names.of(row["i"]), names.of(row["j"])]} for row in table.to_pylist()]
-    left_out = {"left_out": int(about[b"left_out"])} if b"left_out" in about else {}
-    return {"source": about[b"source"].decode(), "units": recording.units.recorded, **left_out, "contacts": rows}
+    counts = {key.decode(): int(about[key]) for key in (b"left_out", b"unsolved") if key in about}
+    return {"source": about[b"source"].decode(), "units": recording.units.recorded, **counts, "contacts": rows}
 
 
 def _source(table: pa.Table) -> str:
@@ -247,6 +245,8 @@ def _source(table: pa.Table) -> str:
     about = table.schema.metadata
     left_out = int(about.get(b"left_out", 0))
     more = f"; {left_out} smaller impacts were not recorded, list them with --replay" if left_out else ""
+    if unsolved := int(about.get(b"unsolved", 0)):
+        more = f"; {unsolved} further in clusters whose impulses are unknown"
     return f"{about[b'source'].decode()}{more}"
 
 
@@ -258,7 +258,9 @@ def _parts(recording: Recording, table: pa.Table, at: OptionalTime) -> Iterator[
     count, units, moment = counted(table.num_rows, "impact" if at is None else "contact"), recording.units, ""
     if at is not None:  # impacts have their own times within the step
         moment = f" in step {table['step'][0]}" if table.num_rows else f" at t = {units.text(at, TIME, '.9g')}"
-    note = "" if at is None or table.num_rows else _in_next_step(recording, at)
+    note = "" if at is None else _named_faults(recording, at)
+    if not recording.engine:
+        note = "" if at is None or table.num_rows else _in_next_step(recording, at)
     if table["approach_speed"].null_count and not recording.engine:
         note = "; empty cells were not recorded, compute them with --replay"
     yield f"{count}{moment}, {_source(table)}{note}"
@@ -281,6 +283,9 @@ def _parts(recording: Recording, table: pa.Table, at: OptionalTime) -> Iterator[
                 return ", ".join(dict.fromkeys(filter(None, (end.cell(row, units) for end in ends))))
 
             columns.append(ShownColumn("angular", both, ANGULAR_IMPULSE))
+    if at is None and "restitution" in table.column_names:
+        columns.append(ShownColumn("e", lambda row: _coefficient(row, "restitution")))
+        columns.append(ShownColumn("μ", lambda row: _coefficient(row, "friction")))
     rows = map(_without_rounding, table.slice(0, MOST_ROWS).to_pylist())
     yield ShownTable(columns, rows, units, indent=True)
     if table.num_rows > MOST_ROWS:
@@ -297,6 +302,25 @@ def _without_rounding(row: dict[str, Any]) -> dict[str, Any]:
     if row["energy_lost"] is not None and abs(row["energy_lost"]) <= _ROUNDING * impulse * approach:
         zeros["energy_lost"] = 0.0
     return row | zeros
+
+
+def _coefficient(row: dict[str, Any], name: str) -> str:
+    """Return a measured coefficient with its uncertainty; sticking friction is a lower bound."""
+    value, error = row[name], row[f"{name}_error"]
+    if value is None:
+        return ""
+    least = "≥ " if name == "friction" and row["mode"] == "sticking" else ""
+    return f"{least}{value:.3g} ± {error:.1g}"
+
+
+def _named_faults(recording: Recording, at: float) -> str:
+    """Name the laws that were broken in the frame that contains a time (s)."""
+    from carom.recording.read.lookup import frame_of
+
+    row = frame_of(recording, at)
+    step = None if row is None else recording.fingerprints()["step"][row].as_py()
+    texts = [event.text for event in recording.warnings() if event.step == step and event.kind.startswith("law-")]
+    return "".join(f"\n{text}" for text in texts)
 
 
 def _in_next_step(recording: Recording, at: float) -> str:

@@ -26,6 +26,7 @@ from carom.engines.known_forces import KnownForces
 from carom.engines.missed_impacts import TUNNELLED, MissedImpacts, Unresolved
 from carom.engines.single_contacts import Broken, ContactLaws
 from carom.engines.source import Setup
+from carom.engines.strikes import Strikes
 from carom.errors import RecordingError
 from carom.event import Event
 from carom.recording.schema.header import LARGEST
@@ -88,6 +89,8 @@ class AuditFinding:
     impacts: int = 0  # number of these contacts
     hardest: float = 0.0  # J, ½ μ v_n² of the hardest of these contacts
     hardest_pair: tuple[int, int] = (0, 0)
+    deepest: float = 0.0  # overlap over the smaller radius, whether or not the engine reports a contact
+    deepest_pair: tuple[int, int] = (0, 0)
 
 
 STILL = 0.05  # of the typical speed; bodies that touch and are slower may rest in a balance of forces
@@ -122,6 +125,7 @@ class LawAudit:
         self._forces = KnownForces(setup)
         self._typical = 0.0  # m/s
         self._missed = MissedImpacts(setup)
+        self._strikes = Strikes()
         self._parted = 0.0  # largest part of a cluster's energy that came from parting overlapping bodies in a frame
         self._unseen = 0.0  # m/s, too slow to change a position between two frames
         self._allowed = 0.0  # J, errors of first-order steps in the field, of unseen motion, and of parting overlaps
@@ -199,6 +203,7 @@ class LawAudit:
         self._typical, self._allowed = earlier._typical, earlier._allowed
         self._laws.go_on(earlier._laws)
         self._missed.go_on(earlier._missed)
+        self._strikes = earlier._strikes
         self._forces.go_on(earlier._forces)
         self._parted = earlier._parted
 
@@ -403,8 +408,8 @@ class LawAudit:
         yield from map(self._missed_impact, self._missed.see((*place, dt), near, known, speeds, still))
         met = (near.gap_before > 0.0) & ((near.gap_now <= 0.0) | (after < TUNNELLED * closing))
         met &= near.gap_before <= closing * dt  # otherwise another body reversed them
-        struck = met & known & (closing > still)
-        self._impacts(near, np.where(struck, closing, 0.0), found)
+        met &= known & (closing > still)
+        self._impacts(near, self._strikes.see(near, self._ends, met, (closing, after), normal), found)
         yield from self._single_contacts(place, before, now, near, closing, still)
 
     def _single_contacts(
@@ -442,8 +447,8 @@ class LawAudit:
         """Judge impacts that differ from all other impacts of the run, at its end."""
         for late in self._missed.unusual():
             self.note(self._missed_impact(late))
-        for impact, broken in sorted(self._laws.outliers(), key=lambda found: found[0].step):
-            self.note(self._fault((impact.step, impact.time), broken))
+        for step, time, broken in sorted(self._laws.concluded(), key=lambda found: found[0]):
+            self.note(self._fault((step, time), broken))
         self._laws.impacts = []
 
     def _impacts(self, near: Near, closing: FloatArray, found: AuditFinding) -> None:

@@ -193,7 +193,7 @@ class Observer:
             text = f"First contact: {self.names.pair(ends.tolist())}."
             events.insert(0, Event(step, time, "INFO", text, "first-contact"))
         statistics = self._statistics(contacts, seen)
-        if statistics.contacts or statistics.impacts:  # otherwise there is no extreme to name
+        if statistics.contacts or statistics.impacts or statistics.deepest:  # otherwise there is no extreme to name
             add_contacts(self.extremes, step, time, statistics)
         # update the extremes of the energy; energy returned by soft contacts is not a gain
         extremes = self.extremes
@@ -230,9 +230,14 @@ class Observer:
             if setup.forces:
                 rows = rows_of_graph(contacts, now.position, setup.radius, step, now.time)
         potentials = None if pull is None else (pull if self._pull is None else self._pull, pull)
-        if before is now:
-            return AuditFinding(), contacts, rows
-        return self.audit.see(step, before, now, near, potentials), contacts, rows
+        found = AuditFinding() if before is now else self.audit.see(step, before, now, near, potentials)
+        judged = np.append(setup.judged, np.ones(len(setup.planes), bool))
+        depth = np.where(judged[near.pairs].all(axis=1), -near.gap_now / near.small, 0.0)
+        if len(depth) and depth.max() > 0.0:
+            deepest = int(np.argmax(depth))
+            found.deepest = float(depth[deepest])
+            found.deepest_pair = int(near.pairs[deepest, 0]), int(near.pairs[deepest, 1])
+        return found, contacts, rows
 
     def named(self, known: Any) -> Any:
         """Return the contacts that the engine reports, (m,) `CONTACT` or pairs (m, 2); refuse invalid ones."""
@@ -251,16 +256,7 @@ class Observer:
         return pairs.reshape(-1, 2)
 
     def _statistics(self, contacts: CollisionGraph, seen: AuditFinding) -> ContactStatistics:
-        deepest, pair = 0.0, (0, 0)
-        if len(contacts):
-            radius = np.append(self.setup.radius, np.full(len(self.setup.planes), np.inf))
-            judged = np.append(self.setup.judged, np.ones(len(self.setup.planes), bool))
-            known = judged[contacts.pairs].all(axis=1)
-            relative = contacts.overlaps / radius[contacts.pairs].min(axis=1)
-            depth = np.where(known, np.maximum(relative, 0.0), 0.0)  # bodies with a small gap touch
-            worst = int(np.argmax(depth))
-            deepest, pair = float(depth[worst]), (int(contacts.pairs[worst, 0]), int(contacts.pairs[worst, 1]))
-        hardest = seen.hardest_pair
+        pair, hardest = seen.deepest_pair, seen.hardest_pair
         if (ends := self._ends) is not None:
             pair, hardest = (int(ends[pair[0]]), int(ends[pair[1]])), (int(ends[hardest[0]]), int(ends[hardest[1]]))
         return ContactStatistics(
@@ -270,7 +266,7 @@ class Observer:
             struck=seen.struck,
             hardest=seen.hardest,
             hardest_pair=hardest,
-            deepest=deepest,
+            deepest=seen.deepest,
             deepest_pair=pair,
         )
 
@@ -316,7 +312,10 @@ def header_of_source(
         engine=setup.engine,
         uniform_field=setup.gravity,
         exact=exact,
+        gravity_constant=setup.constant,
+        gravity_softening=setup.softening,
         fixed=setup.fixed if setup.fixed.any() else None,
+        judged=None if setup.judged.all() else setup.judged,
     )
 
 

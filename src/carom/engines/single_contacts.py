@@ -18,6 +18,7 @@ from itertools import combinations
 import numpy as np
 
 from carom.arrays import BoolArray, FloatArray, IntArray
+from carom.engines.elastic_energy import PARTED
 from carom.engines.engine_contacts import MARGIN, EngineMoment, Near, cross, lengths
 from carom.engines.missed_impacts import SHALLOW
 from carom.engines.source import Setup
@@ -29,6 +30,7 @@ DAMPED = 2e-3  # of m |v|, the momentum that an engine's damping may take in a f
 RUBBED = 0.02  # of the impulse of a contact, the least friction that is judged, beyond the turn of its normal
 SPUN = 0.1  # of r |J_t|, the error of a torque
 ALIKE = 9  # impacts, slower and faster, that give the expected coefficient of restitution
+WAYS = 6  # values for an isolated contact: three normals, and the field before or after it
 FEWEST = 3  # fewest impacts with the same materials
 KEPT = 0.25  # of J_n times the gain of speed; friction may dissipate as much as the contact keeps
 MOSTLY = 0.75  # of the impacts of an engine; deviations of the remaining impacts may be faults
@@ -36,6 +38,7 @@ SPREADS = 6.0  # of the deviation of most impacts: in PyBullet at planes, it is 
 # Least deviation of a coefficient of restitution. Those of soft contacts vary by 0.07 with the phase of a step.
 OFF = 0.1
 OVER = 0.05  # of the speed of an impact; bodies that change their velocities more in the next frame still touch
+RIGID, RARELY = 10, 0.1  # impacts, and the part of them that may last longer than a frame, of engines of rigid contacts
 MOST_SAMPLES = 100_000  # impacts kept for comparison
 FRICTION, RESTITUTION, PULL, SPIN = "friction", "restitution", "pull", "spin"
 
@@ -71,16 +74,35 @@ class IsolatedImpact:
         return Broken(RESTITUTION, self.differs(usual) / allowed, self.ends, what)
 
 
+@dataclass(frozen=True, slots=True)
+class Measurement:
+    """What two states say of one contact: a value for each order of the contacts and each possible normal, (m,)."""
+
+    closing: FloatArray  # m/s, of the surfaces, before
+    parting: FloatArray  # m/s, after
+    slip: FloatArray  # m/s, tangential, after
+    normal: FloatArray  # N s, on the second end
+    tangential: FloatArray  # N s
+    lost: FloatArray  # J
+    point: FloatArray  # (3,) m
+    direction: FloatArray  # (3,) from the first end to the second
+    least: float  # N s, an impulse that damping may have
+    ease: float  # 1/kg, change of the closing speed by a normal impulse
+
+
 class ContactLaws:
     """Judges the contacts between successive frames of one set of bodies."""
 
     def __init__(self, setup: Setup, restitution: float, friction: float) -> None:
         self._setup = setup
         self.restitution = restitution  # error of a coefficient of restitution
+        self.coefficient = setup.friction
         self.friction = friction  # part of the work of the whole friction that may have the wrong sign
         self._fall = float(np.sqrt(setup.gravity @ setup.gravity))
         self._pending: list[IsolatedImpact] = []  # of the last frame; a soft contact continues in the next one
         self.impacts: list[IsolatedImpact] = []
+        self._lasting = 0  # impacts that the next frame continued
+        self.suspected: list[tuple[int, float, Broken]] = []  # steps, times, and laws broken unless contacts are soft
 
     def see(
         self, step: int, before: EngineMoment, now: EngineMoment, near: Near, closing: FloatArray, still: float
@@ -92,16 +114,12 @@ class ContactLaws:
             return []
         fall = self._fall * dt
         after = -np.einsum("ij,ij->i", near.relative_now, near.normal)
-        reach = np.minimum(
-            np.minimum(near.gap_before, near.gap_now),
-            np.minimum(near.gap_before - np.maximum(closing, 0.0) * dt, near.gap_now + np.minimum(after, 0.0) * dt),
-        )
-        touching = np.flatnonzero(reach <= MARGIN * near.small + fall * dt)
         found: list[Broken] = []
-        for rows in self._trees(near.pairs[touching]):
-            tree = touching[rows]
+        for tree in trees_of(self._setup, near, closing, dt):
             if (closing[tree] > still).any() or (after[tree] < -still).any():
-                found += _Tree(self._setup, before, now, near, tree).judge(self, step, now.time, still + 2.0 * fall)
+                found += ContactTree(self._setup, before, now, near, tree).judge(
+                    self, step, now.time, still + 2.0 * fall
+                )
         return found
 
     def note(self, impact: IsolatedImpact) -> Iterator[Broken]:
@@ -111,7 +129,16 @@ class ContactLaws:
         if known is not None and impact.differs(known) > self.restitution:
             yield impact.unlike(known, self.restitution, "the model says")
 
-    def outliers(self) -> Iterator[tuple[IsolatedImpact, Broken]]:
+    def concluded(self) -> Iterator[tuple[int, float, Broken]]:
+        """Yield the steps and times of laws that were broken, as all impacts of the run show."""
+        settled = len(self.impacts)
+        if settled >= RIGID and self._lasting <= RARELY * (settled + self._lasting):
+            yield from self.suspected  # no overlap stores energy in this engine
+        self.suspected = []
+        for impact, broken in self._outliers():
+            yield impact.step, impact.time, broken
+
+    def _outliers(self) -> Iterator[tuple[IsolatedImpact, Broken]]:
         """Yield the impacts whose coefficient of restitution differs from impacts of the same materials and speed.
 
         A faulty coefficient differs from the coefficients of the next slower and the next faster impact, since it may
@@ -150,41 +177,57 @@ class ContactLaws:
         for impact in self._pending:
             bodies = [end for end in impact.ends if end < n and not self._setup.fixed[end]]
             change = lengths(now.velocity[bodies] - before.velocity[bodies] - field)
-            if change.max() <= OVER * impact.speed and len(self.impacts) < MOST_SAMPLES:
+            if change.max() > OVER * impact.speed:
+                self._lasting += 1
+            elif len(self.impacts) < MOST_SAMPLES:
                 self.impacts.append(impact)
         self._pending = []
 
-    def _trees(self, pairs: IntArray) -> Iterator[IntArray]:
-        """Yield the rows of each set of contacts that is a tree with at most one end that does not move."""
-        setup, n = self._setup, len(self._setup)
-        loose = np.append(~setup.fixed, np.zeros(len(setup.planes), bool))
-        known = np.append(setup.judged & setup.touches, np.ones(len(setup.planes), bool))
-        i, j = pairs.T
-        both = loose[i] & loose[j]
-        label = np.empty(n, np.int64)
-        count = number_sets(i[both], j[both], label)
-        owner = label[np.where(loose[i], i, np.minimum(j, n - 1))]
-        contacts, anchors = np.bincount(owner, minlength=count), np.bincount(owner, ~both, count)
-        strange = np.bincount(owner, ~(known[i] & known[j]), count) + np.bincount(owner, ~(loose[i] | loose[j]), count)
-        is_tree = (contacts - anchors == np.bincount(label, minlength=count) - 1) & (anchors <= 1)
-        order = np.argsort(owner, kind="stable")
-        for chosen in np.flatnonzero(is_tree & (contacts > 0) & (contacts <= MOST) & (strange == 0)).tolist():
-            begin, end = np.searchsorted(owner[order], [chosen, chosen + 1])
-            yield order[begin:end]
+
+def trees_of(setup: Setup, near: Near, closing: FloatArray, dt: float) -> Iterator[IntArray]:
+    """Yield the rows of each set of near pairs that may have touched in a frame of dt s, and whose impulses are known.
+
+    It is a tree of at most `MOST` contacts with at most one end that does not move. ``closing`` are earlier closing
+    speeds, (k,) m/s.
+    """
+    fall = float(np.sqrt(setup.gravity @ setup.gravity)) * dt
+    after = -np.einsum("ij,ij->i", near.relative_now, near.normal)
+    reach = np.minimum(
+        np.minimum(near.gap_before, near.gap_now),
+        np.minimum(near.gap_before - np.maximum(closing, 0.0) * dt, near.gap_now + np.minimum(after, 0.0) * dt),
+    )
+    touching = np.flatnonzero(reach <= MARGIN * near.small + fall * dt)
+    n, pairs = len(setup), near.pairs[touching]
+    loose = np.append(~setup.fixed, np.zeros(len(setup.planes), bool))
+    known = np.append(setup.judged & setup.touches, np.ones(len(setup.planes), bool))
+    i, j = pairs.T
+    both = loose[i] & loose[j]
+    label = np.empty(n, np.int64)
+    count = number_sets(i[both], j[both], label)
+    owner = label[np.where(loose[i], i, np.minimum(j, n - 1))]
+    contacts, anchors = np.bincount(owner, minlength=count), np.bincount(owner, ~both, count)
+    strange = np.bincount(owner, ~(known[i] & known[j]), count) + np.bincount(owner, ~(loose[i] | loose[j]), count)
+    is_tree = (contacts - anchors == np.bincount(label, minlength=count) - 1) & (anchors <= 1)
+    order = np.argsort(owner, kind="stable")
+    for chosen in np.flatnonzero(is_tree & (contacts > 0) & (contacts <= MOST) & (strange == 0)).tolist():
+        begin, end = np.searchsorted(owner[order], [chosen, chosen + 1])
+        yield touching[order[begin:end]]
 
 
-class _Tree:
+class ContactTree:
     """A tree of contacts between two moments, and the impulses of each."""
 
     def __init__(self, setup: Setup, before: EngineMoment, now: EngineMoment, near: Near, rows: IntArray) -> None:
         n, dt = len(setup), now.time - before.time
         self._near, self._rows, self._dt = near, rows, dt
+        self._place_in_time = 0, 0.0  # step and s
         ends = near.pairs[rows]
         bodies = np.unique(ends[ends < n])
         place = {int(body): k for k, body in enumerate(bodies)}
         self._ends = [(place[int(i)], place.get(int(j), -1)) for i, j in ends]
         self._pairs = [(int(i), int(j)) for i, j in ends]
         fixed = setup.fixed[bodies]
+        self._place = now.position[bodies]
         self._weight = np.where(fixed, 0.0, 1.0 / setup.mass[bodies])
         self._ease = np.where(fixed, 0.0, 1.0 / setup.inertia[bodies])
         self._radius, self._spins = setup.radius[bodies], setup.spins and len(now.spin) > 0
@@ -231,10 +274,12 @@ class _Tree:
         return sum(body in self._ends[k] for k in contacts)
 
     def judge(self, laws: ContactLaws, step: int, time: float, slow: float) -> list[Broken]:
-        """Return the laws that these contacts broke, and note the impact of an isolated contact."""
+        """Return the laws that these contacts broke, and note their impacts."""
+        self._place_in_time = step, time
         found = [broken for k in range(len(self._rows)) for broken in self._contact(k, laws, slow)]
-        if len(self._rows) == 1 and not found and (impact := self._impact(step, time, slow)) is not None:
-            found += laws.note(impact)
+        for k in range(len(self._rows)) if not found else ():
+            if (impact := self._impact(k, step, time, slow)) is not None:
+                found += laws.note(impact)
         return [*found, *self._torques()]
 
     def _states(self, k: int, normal: FloatArray) -> Iterator[tuple[FloatArray, FloatArray]]:
@@ -249,6 +294,29 @@ class _Tree:
                     first = self._slip(k, normal[k], v, w)
                     self._push(k, normal[k], v, w)
                     yield first, self._slip(k, normal[k], v, w)
+            if others:  # all at once, as solvers with one target for each contact do
+                v, w = self._v0 + share * self._field, self._w0.copy()
+                first = self._slip(k, normal[k], v, w)
+                for other in range(len(self._rows)):
+                    self._push(other, normal[other], v, w)
+                yield first, self._slip(k, normal[k], v, w)
+
+    def measured(self, k: int) -> Measurement:
+        """Return what the states say of contact k."""
+        J, (i, j), found = self.impulses[k], self._ends[k], list[tuple[float, ...]]()
+        for normals in self._normals:
+            n = normals[k]
+            along = float(J @ n)
+            rubbed = float(np.sqrt(max(J @ J - along * along, 0.0)))
+            for u0, u1 in self._states(k, normals):
+                parting = float(u1 @ n)
+                slip = float(np.sqrt(max(u1 @ u1 - parting * parting, 0.0)))
+                found.append((-float(u0 @ n), parting, slip, along, rubbed, -0.5 * float(J @ (u0 + u1))))
+        values = np.array(found).T
+        direction = self._normals[0][k]
+        point = self._place[i] + (self._radius[i] - 0.5 * self._depth[k]) * direction
+        ease = float(self._weight[i] + (self._weight[j] if j >= 0 else 0.0))
+        return Measurement(*values, point, direction, self._noise, ease)
 
     def _push(self, k: int, n: FloatArray, v: FloatArray, w: FloatArray) -> None:
         (i, j), impulse = self._ends[k], self.impulses[k]
@@ -303,29 +371,40 @@ class _Tree:
         if self._spins and sudden and rubs > seen and all(work > allowed for work, allowed in works):
             excess = min(work / allowed for work, allowed in works)
             yield Broken(FRICTION, excess, pair, "rub with the slip: the friction adds energy")
+        known = laws.coefficient
+        if self._spins and known is not None and rubs > known * max(along) + seen:
+            excess = (rubs - known * max(along)) / seen
+            what = f"rub with {rubs / max(along):.3g} of their normal impulse; the model says {known:.3g}"
+            yield Broken(FRICTION, excess, pair, what)
         gains = [after - abs(before) - laws.restitution * max(before, 0.0) for before, after in ratios]
         # beside another contact, engines may take the normal of an earlier step: friction then seems to take
         # back most of the energy
         kept = len(self._rows) == 1 or min(whole) > KEPT * min(along) * min(gains)
-        if not touched and min(gains) > slow and kept:
+        # an engine of rigid contacts gives overlapping bodies no more than a correction
+        allowed = slow + (PARTED * self._depth[k] / self._dt if touched else 0.0)
+        if min(gains) > allowed and kept:
             closing = min(before for before, _ in ratios)
             how = "rebound faster than they closed" if closing > 0.0 else "are pushed apart while they part"
-            yield Broken(RESTITUTION, min(gains) / slow, pair, how)
+            broken = Broken(RESTITUTION, min(gains) / allowed, pair, how)
+            if touched:
+                laws.suspected.append((*self._place_in_time, broken))
+            else:
+                yield broken
 
-    def _impact(self, step: int, time: float, slow: float) -> IsolatedImpact | None:
-        """Return the impact of an isolated contact that rebounded; None if there is none."""
-        row = self._rows[0]
+    def _impact(self, k: int, step: int, time: float, slow: float) -> IsolatedImpact | None:
+        """Return the impact of a contact that rebounded; None if there is none."""
+        row = self._rows[k]
         if not self._near.gap_before[row] > -SHALLOW * self._near.small[row]:
             return None
         found = []
         for normals in self._normals:
-            n = normals[0]
-            found += [(-float(u0 @ n), float(u1 @ n)) for u0, u1 in self._states(0, normals)]
+            n = normals[k]
+            found += [(-float(u0 @ n), float(u1 @ n)) for u0, u1 in self._states(k, normals)]
         closing, parting = np.array(found).T
         if not closing.min() > slow or not parting.max() > 0.0:
             return None
         e = parting / closing
-        return IsolatedImpact(step, time, self._pairs[0], float(closing.mean()), float(np.median(e)), float(np.ptp(e)))
+        return IsolatedImpact(step, time, self._pairs[k], float(closing.mean()), float(np.median(e)), float(np.ptp(e)))
 
     def _torques(self) -> Iterator[Broken]:
         """Judge the spins of an isolated contact: its impulse must explain them, except for a resistance to rolling."""

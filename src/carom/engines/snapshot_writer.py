@@ -199,6 +199,7 @@ class SnapshotWriter:
                         radius=whole.radius,
                         inertia=whole.inertia,
                         fixed=whole.fixed if whole.fixed.any() else None,
+                        judged=None if whole.judged.all() else whole.judged,
                     )
                 )
             if len(present.numbers):

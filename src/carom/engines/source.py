@@ -63,6 +63,7 @@ class Model:
     box: Any = None  # (3,) m, the size of a periodic box
     collides: bool = True  # whether bodies touch each other and the planes
     restitution: float | None = None  # of all contacts, for the audit; None: unknown
+    friction: float | None = None  # Coulomb coefficient of all contacts, for the audit; None: unknown
     time_step: float = 0.0  # s, the shortest step to expect; 0 if unknown
     units: str = ""  # of all numbers, as in `Recorder`; empty for SI
     damping: float | None = None  # 1/s, the rates at which velocities and spins of all bodies decrease; None: unknown,
@@ -129,6 +130,7 @@ class Setup:
     box: FloatArray  # (3,) m, zeros in open space
     collides: bool
     restitution: float | None
+    friction: float | None
     touches: BoolArray  # (n,), False for points
     time_step: float
     damping: float | None  # 1/s; None where unknown
@@ -188,6 +190,7 @@ def setup_of(model: Model, first: State) -> Setup:
         box=box,
         collides=collides,
         restitution=None if model.restitution is None else _not_negative(engine, "restitution", model.restitution),
+        friction=None if model.friction is None else _not_negative(engine, "friction", model.friction),
         touches=touches,
         time_step=_not_negative(engine, "time_step", model.time_step),
         damping=None if model.damping is None else _not_negative(engine, "damping", model.damping),

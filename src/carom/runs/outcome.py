@@ -285,7 +285,8 @@ def energy_texts(summary: dict[str, Any], units: UnitSystem) -> list[str]:
     if not energy["max_error"]:
         return [*texts, "no change without contact"]
     change = units.text(energy["change_without_contact"], ENERGY, "+.4g")
-    return [*texts, f"{change} without contact, an error: at most {worst} of the energy scale"]
+    judged = "an error" if "energy" in summary["laws"] else "which the law admits"
+    return [*texts, f"{change} without contact, {judged}: at most {worst} of the energy scale"]
 
 
 def overview(recording: Recording) -> list[tuple[str, str]]:

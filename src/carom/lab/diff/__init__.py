@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from math import degrees
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
 
 ROWS = 12  # rows in the table of the growing difference
 KEYS = 50  # different keys of the scene printed at most; --json has all
+TURNED = 1e-3  # rad; smaller angles between two forces are not printed
 LONGEST_VALUE = 60  # characters of a value of such a key; two fit into a row of a wide terminal
 
 _FIRST = "A recording (.rrd), or the zip of `carom report`."
@@ -172,9 +174,20 @@ def _bits_lines(found: FirstBits, names: Names, units: UnitSystem) -> Iterator[s
     who, when = bodies_called(found.bodies, names.bodies), units.text(found.time, TIME, ".9g")
     yield f"step {found.step}, t = {when}: {', '.join(found.arrays)} of {who}"
     if found.contact is not None:
-        one, other = ("none" if force is None else units.text(force, FORCE, ".9g") for force in found.contact.forces)
-        yield f"contact of {names.pair(found.contact.ends)}: normal force {one} in A, {other} in B"
+        contact = found.contact
+        parts = [_both("normal force", contact.forces, units), _both("friction", contact.friction, units)]
+        if contact.turned > TURNED:
+            parts[1] += f", {degrees(contact.turned):.3g}° apart"
+        yield f"contact of {names.pair(contact.ends)}: {'; '.join(filter(None, parts))}"
     yield from found.laws
+
+
+def _both(what: str, forces: tuple[float | None, float | None], units: UnitSystem) -> str:
+    """Describe a force (N) in both runs; empty for no friction in either."""
+    one, other = ("none" if force is None else units.text(force, FORCE, ".9g") for force in forces)
+    if what == "friction" and not any(forces):
+        return ""
+    return f"{what} {one} in both" if one == other else f"{what} {one} in A, {other} in B"
 
 
 def _moment_lines(found: MomentApart, names: Names, units: UnitSystem) -> Iterator[str]:
@@ -227,7 +240,9 @@ def _curve(found: Diff, units: UnitSystem) -> ShownTable:
 
     def apart(k: int) -> float | str:
         rms, floor = curve.rms[k], curve.floor[k]
-        return rms if rms > floor else f"below {units.shown(max(floor, rms), LENGTH):.0e}"
+        limit = max(floor, rms)
+        below = f"below {units.shown(limit, LENGTH):.0e}" if limit else "0"
+        return rms if rms > floor else below
 
     columns = (
         ShownColumn("step", lambda k: curve.step[k]),

@@ -17,6 +17,8 @@ from carom.errors import RecordingError
 from carom.physics.vector import minimum_images
 from carom.recording.read.first_difference import other_bits
 from carom.recording.read.frame_rows import RecordedPositions
+from carom.recording.read.lookup import frame_of
+from carom.recording.read.recorded_contacts import rows_of_engine
 from carom.recording.read.recording import Recording
 from carom.scene.units.dimension import LENGTH, RATE, TIME
 from carom.scene.units.system import SI, UnitSystem
@@ -131,6 +133,8 @@ def verdict(curve: DistanceCurve, divergence: Divergence | None, units: UnitSyst
         how = f"it grows as a power of time, t^{divergence.power:.2g}, not exponentially"
     apart, resolved = units.text(jump, LENGTH, ".2e"), units.text(curve.floor[first], LENGTH, ".0e")
     seen = apart if jump else f"less than the precision of the recording, {resolved}"
+    if not jump and not curve.floor[first]:
+        seen = "no distance yet, while other numbers of the states differ,"
     if first == 0:
         kind, text = "start", f"different from the first frame on ({when}), by {seen}; {how}"
     elif jump > allowed:
@@ -346,6 +350,8 @@ class FirstContact:
 
     ends: tuple[int, int]  # numbers from n on are planes
     forces: tuple[float | None, float | None]  # N, along the normal; None where the run lacks this contact
+    friction: tuple[float | None, float | None]  # N
+    turned: float  # rad, between the directions of friction; 0 where one of them is unknown
 
 
 @dataclass(frozen=True, slots=True)
@@ -385,15 +391,44 @@ def _first_contact(a: Recording, b: Recording, time: float, bodies: list[int]) -
     """Among the contacts of the given bodies, return the contact whose force differs most."""
     if not (a.records_contacts and b.records_contacts):
         return None
-    forces: list[dict[tuple[int, int], float]] = []
-    for run in (a, b):
-        try:
-            rows = run.contacts(time).to_pylist()
-        except RecordingError:  # carom's own run of another version
-            return None
-        forces.append({(row["i"], row["j"]): row["normal_force"] or 0.0 for row in rows})
+    try:
+        forces = _forces(a, time), _forces(b, time)
+    except RecordingError:  # carom's own run of another version
+        return None
     own = [ends for ends in forces[0].keys() | forces[1].keys() if not set(ends).isdisjoint(bodies)]
     if not own:
         return None
-    most = max(own, key=lambda ends: (abs(forces[0].get(ends, 0.0) - forces[1].get(ends, 0.0)), ends))
-    return FirstContact(most, (forces[0].get(most), forces[1].get(most)))
+    alike = forces if bool(a.engine) == bool(b.engine) else tuple(map(_sizes, forces))
+    none = np.zeros(4)
+    most = max(own, key=lambda ends: (_size(alike[0].get(ends, none) - alike[1].get(ends, none)), ends))
+    one, other = (each.get(most) for each in alike)
+    turned = 0.0
+    if one is not None and other is not None and one[1:].any() and other[1:].any():
+        cosine = float(one[1:] @ other[1:]) / (_size(one[1:]) * _size(other[1:]))
+        turned = float(np.arccos(np.clip(cosine, -1.0, 1.0)))
+    normal = [None if each is None else float(each[0]) for each in (one, other)]
+    friction = [None if each is None else _size(each[1:]) for each in (one, other)]
+    return FirstContact(most, (normal[0], normal[1]), (friction[0], friction[1]), turned)
+
+
+def _forces(run: Recording, time: float) -> dict[tuple[int, int], FloatArray]:
+    """Return the normal force and the vector of friction, (4,) N, of each contact; in carom's own, only its size."""
+    row = frame_of(run, time) if run.engine else None
+    if row is None:
+        rows = run.contacts(time).to_pylist()
+        return {
+            (row["i"], row["j"]): np.array([row["normal_force"] or 0.0, row["tangential_force"] or 0.0, 0.0, 0.0])
+            for row in rows
+        }
+    contacts, dt = rows_of_engine(run, row)
+    names = ("normal_impulse", "friction_x", "friction_y", "friction_z")
+    values = np.stack([contacts[name] for name in names], axis=1) / (dt or 1.0)
+    return dict(zip(zip(contacts["i"].tolist(), contacts["j"].tolist(), strict=True), values, strict=True))
+
+
+def _sizes(forces: dict[tuple[int, int], FloatArray]) -> dict[tuple[int, int], FloatArray]:
+    return {ends: np.array([each[0], _size(each[1:]), 0.0, 0.0]) for ends, each in forces.items()}
+
+
+def _size(vector: FloatArray) -> float:
+    return float(np.linalg.norm(vector))

@@ -191,12 +191,31 @@ class RecordedData(Statics):
     @named
     def fixed(self) -> BoolArray:
         """Mask (n,) of the bodies that another engine never moves; a recording without a mask has no such bodies."""
+        return self._mask("fixed", False)
+
+    @cached_property
+    @named
+    def judged(self) -> BoolArray:
+        """Mask (n,) of the bodies of another engine whose laws are known; a recording without a mask has no others."""
+        return self._mask("judged", True)
+
+    def _mask(self, name: str, default: bool) -> BoolArray:
         n = int(self.info["bodies"])
-        stored = self._entities.static(paths.STATIC_STATE).get("fixed", np.zeros(n, np.bool_))
-        mask = np.asarray(stored)
+        mask = np.asarray(self._entities.static(paths.STATIC_STATE).get(name, np.full(n, default)))
         if mask.shape != (n,) or mask.dtype != np.bool_:
-            raise DamageError("it does not state for each body whether it is fixed")
+            raise DamageError(f"it does not state for each body whether it is {name}")
         return mask
+
+    @cached_property
+    @named
+    def planes(self) -> HalfSpaces:
+        """The planes of another engine."""
+        names = str(self.info.get("plane_names", "")).splitlines()
+        normal = [self.info.get(f"plane_normal.{k}") for k in range(len(names))]
+        offset = [self.info.get(f"plane_offset.{k}") for k in range(len(names))]
+        if None in offset or any(each is None for each in normal):
+            raise DamageError("it does not state where its planes are")
+        return HalfSpaces(names, np.array(normal, dtype=np.float64).reshape(-1, 3), np.array(offset, np.float64))
 
     @property
     def shear(self) -> Shear | None:

@@ -159,8 +159,11 @@ class Header:
     member: SweepMember | None = None  # None for a single run
     engine: str = ""  # name and version of the engine that computed the run; empty for carom
     uniform_field: FloatArray | None = None  # (3,) m/s², field of another engine; None for carom, and if unknown
+    gravity_constant: float = 0.0  # m³ kg⁻¹ s⁻², of another engine's own gravity; 0 for carom
+    gravity_softening: float = 0.0  # m
     exact: bool = False  # whether every frame has a checkpoint
     fixed: BoolArray | None = None  # (n,) bodies of another engine that never move; for carom, the scene names them
+    judged: BoolArray | None = None  # (n,) bodies of another engine whose laws are known; None: all
     drawn_as: str = ""  # the shape of drawn bodies, where it does not follow from their number
     extensions: Mapping[str, str] = field(default_factory=dict)  # versions by name, see `extensions_of`
 

@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from carom.arrays import FloatArray
 from carom.errors import DamageError
 from carom.recording.schema.header import Header, scene_digest
 from carom.recording.schema.paths import SCHEMA_VERSION
@@ -85,6 +86,17 @@ def _notes(header: Header) -> dict[str, str]:
     return {f"data_notes.{k}": "\n".join(notes) for k, notes in enumerate(header.data_notes) if notes}
 
 
+def _normals(header: Header) -> dict[str, FloatArray]:
+    """Return the planes of another engine, which are drawn in single precision only."""
+    planes = header.planes if header.engine else None
+    return {f"plane_normal.{k}": normal for k, normal in enumerate(() if planes is None else planes.normal)}
+
+
+def _offsets(header: Header) -> dict[str, float]:
+    planes = header.planes if header.engine else None
+    return {f"plane_offset.{k}": offset for k, offset in enumerate([] if planes is None else planes.offset.tolist())}
+
+
 def _forces(header: Header) -> dict[str, bool]:
     """Return whether there is gravity and a uniform field, and which other forces there are."""
     present = {kind.present: kind.name in header.forces for kind in FORCES}
@@ -100,6 +112,8 @@ PROPERTIES: dict[str, list[Property]] = {
         Property("colour_by", TEXT, attrgetter("coloured_by")),
         Property("scene_sha256", ANY, lambda h: scene_digest(h.scene_toml) if h.scene_toml else None),
         Property("plane_names", TEXT, lambda h: "\n".join(h.planes.name) if h.engine and h.planes else None),
+        Property("plane_normal.*", VECTOR, _normals),
+        Property("plane_offset.*", NUMBER, _offsets),
         Property("units*", TEXT, lambda h: h.units.properties()),
         Property("data_notes.*", TEXT, _notes),
         Property("shear.*", ANY, lambda h: _below("shear.", h.shear.model_dump() if h.shear else {})),
@@ -110,6 +124,7 @@ PROPERTIES: dict[str, list[Property]] = {
         *_fields(NUMBER, "duration"),
         *_fields(POSITIVE, "check_interval"),
         *_fields(VECTOR, "box uniform_field"),
+        *_if_true(NUMBER, "gravity_constant gravity_softening"),
         *_if_true(TEXT, "engine drawn_as"),
         *_if_true(FLAG, "promises has_driving_field"),
         *_if_true(FLAG, "drives has_piston", is_field=False),

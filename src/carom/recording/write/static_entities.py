@@ -49,7 +49,8 @@ def statics(header: Header, clock: TimeScale, origin: FloatArray, reach: float) 
     yield from _bodies(header)
     yield from _surroundings(header, origin, reach)
     state = {name: getattr(header, name) for name in ("group", "mass", "radius", "inertia")}
-    state |= {} if header.fixed is None else {"fixed": header.fixed}
+    flags = {"fixed": header.fixed, "judged": header.judged}
+    state |= {name: mask for name, mask in flags.items() if mask is not None}
     yield paths.STATIC_STATE, rr.AnyValues(**encode_names(header.names), **state)
     if header.data:
         yield paths.GIVEN_STATE, rr.AnyValues(**encode_bodies(header.data))
