@@ -11,7 +11,8 @@ import typer
 from carom.scene.units.dimension import TIME
 from carom.scene.wording import command, counted
 from carom.terminal.answers import CommandAnswer, Part, ShownColumn, ShownTable, materials_table, print_parts
-from carom.terminal.options import ForceOption, JsonOption, SceneArgument, SetOption
+from carom.terminal.given_moment import EventOption, GivenMoment, StepOption, at_option
+from carom.terminal.options import ForceOption, JsonOption, OptionalTime, SceneArgument, SetOption
 from carom.terminal.printing import bytes_text, count_text, duration_text, say_json, simulated_text
 
 if TYPE_CHECKING:
@@ -23,7 +24,10 @@ if TYPE_CHECKING:
 
 HALF_A_PERCENT = 0.005  # a smaller share rounds to 0 %
 _SCHEMA = "Print the JSON schema of scene files, for editors."
-_FROM = "Copy this bundled scene, such as incline or cradle."
+_FROM = (
+    "Copy this bundled scene, such as incline or cradle, or begin with a state of this recording, which may be of "
+    "another engine."
+)
 _PART = "Switch on a part of the model that the scene does not require. Repeatable."
 
 
@@ -55,10 +59,17 @@ def scenes(
 
 def new(
     name: Annotated[str, typer.Argument(metavar="NAME", help="File to write; .toml is added if missing.")],
-    source: Annotated[str, typer.Option("--from", metavar="SCENE", help=_FROM)] = "",
+    source: Annotated[str, typer.Option("--from", metavar="SCENE|FILE", help=_FROM)] = "",
+    at: Annotated[OptionalTime, at_option("the frame before the worst broken law, or the first")] = None,
+    step: StepOption = None,
+    event: EventOption = None,
     force: ForceOption = False,
 ) -> None:
-    """Write a scene file to start from, with comments on the most important keys."""
+    """Write a scene file to start from, with comments on the most important keys.
+
+    From a recording, it has the exact state at the moment and, of another engine, the coefficients that its impacts
+    show.
+    """
     from carom.errors import SceneError
     from carom.recording.write.whole_file import whole_file, write_whole
     from carom.scene.format_page import without_schema_line
@@ -67,6 +78,12 @@ def new(
     if not Path(name).name or Path(name).is_dir():
         raise SceneError(f"{name}: a folder; name a file to write, such as {Path(name) / 'mine.toml'}")
     path = Path(name if name.endswith(".toml") else f"{name}.toml")
+    given = GivenMoment(at, step, event)
+    if Path(source).is_file():
+        _from_recording(path, Path(source), given, force)
+        return
+    if given.option:
+        raise SceneError(f"{given.option} selects a state of a recording: name its file with --from")
     bundled = bundled_scenes() | extreme_scenes() | crosscheck_scenes()
     if source and source not in bundled:  # "cradle" stands for "newtons-cradle"
         matches = [name for name in bundled_scenes() if source in name]
@@ -89,6 +106,25 @@ def new(
         raise SceneError(f"{path}: cannot be written: {error.strerror}") from None
     written = " and ".join(map(str, (path, *copies)))
     typer.echo(f"{written} written. Next: {command('explain', path)}, then {command('run', path)}")
+
+
+def _from_recording(path: Path, source: Path, given: GivenMoment, force: bool) -> None:
+    """Write a scene that begins with a state of a recording."""
+    from carom.engines.scene_of_frame import scene_of_frame
+    from carom.recording.edit.bundle import opened
+    from carom.recording.read.recording import Recording
+    from carom.recording.write.whole_file import refuse_output, write_whole
+    from carom.terminal.console import replaying
+
+    refuse_output(path, force)
+    chosen = "" if given.option is None else f" {given.option} {given.given}"
+    with opened(source) as file:
+        recording = Recording.open(file)
+        with replaying(recording) as watch:
+            moment = given.end(recording, watch)
+        text = scene_of_frame(recording, moment, f"carom new {path.name} --from {source}{chosen}")
+    write_whole(path, text)
+    typer.echo(f"{path} written. Next: {command('explain', path)}, then {command('run', path)}")
 
 
 def explain(

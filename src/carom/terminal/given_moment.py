@@ -74,6 +74,11 @@ class GivenMoment:
         """The option that was given; None without one."""
         return next(iter(self._given), None)
 
+    @property
+    def given(self) -> float | int | str | None:
+        """The value of this option."""
+        return next((value for value in (self.at, self.step, self.event) if value is not None), None)
+
     def time(self, recording: Recording, watch: Callable[[StepStatus], None] | None = None) -> float | None:
         """Return the time (s) of ``--at`` or ``--step``; None without either. ``watch`` is called in a rerun."""
         if self.step is not None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast
@@ -63,14 +64,21 @@ def literal(scene: Scene, start: InitialBodies) -> Document:
     for name, wall in zip(scene.wall_names, document.get("wall", []), strict=True):
         wall["name"] = name
     materials = body_materials(scene) if scene.material else None
-    document[BODIES] = []
+    named = None if materials is None else [materials.names[index] for index in materials.index]
+    document[BODIES] = bodies_of(start, named)
+    return document
+
+
+def bodies_of(start: InitialBodies, materials: Sequence[str] | None = None) -> list[Document]:
+    """Return a table for each body, with the name of its material if it has one."""
+    bodies = []
     for k, name in enumerate(start.name):
         body: Document = {"name": name, "position": start.position[k].tolist()}
         for key, vector in (("velocity", start.velocity[k]), ("angular_velocity", start.angular_velocity[k])):
             if vector.any():
                 body[key] = vector.tolist()
         body |= {"radius": float(start.radius[k]), "mass": float(start.mass[k])}
-        material = DEFAULT if materials is None else materials.names[materials.index[k]]
+        material = DEFAULT if materials is None else materials[k]
         # a moment of inertia may follow from the material
         if (factor := _inertia_factor(start, k)) != SOLID or material != DEFAULT:
             body["inertia_factor"] = factor
@@ -78,8 +86,8 @@ def literal(scene: Scene, start: InitialBodies) -> Document:
             body["fixed"] = True
         if material != DEFAULT:
             body["material"] = material
-        document[BODIES].append(body)
-    return document
+        bodies.append(body)
+    return bodies
 
 
 def at_moment(document: Document, moment: BodyStates, duration: float) -> Document:

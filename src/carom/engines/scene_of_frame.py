@@ -1,0 +1,163 @@
+"""A scene that begins with the exact state of a frame of a recording, of carom or of another engine."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+
+from carom.arrays import FloatArray
+from carom.contact_table import MODES, SLIDING
+from carom.engines.measured_contacts import measured_impacts, setup_of, smallest_gap
+from carom.engines.source import Setup
+from carom.errors import RecordingError
+from carom.lab.shrink.literal import BODIES, BodyStates, Document, at_moment, bodies_of, literal
+from carom.lab.shrink.shrunk_file import commented
+from carom.recording.read.lookup import goal_of
+from carom.recording.read.recorded_scene import recorded_scene, start_of
+from carom.recording.read.recording import Recording
+from carom.runs.window import Window, checkpoint_before
+from carom.scene.start import InitialBodies
+from carom.scene.units.dimension import TIME
+from carom.scene.wording import counted
+
+SURE = 0.1  # largest uncertainty of a coefficient that is used, if there are such ones
+DIGITS = 3  # of a measured coefficient; its uncertainty is larger than the rest
+LEAST_STEPS = 100  # of the engine, that a scene lasts, if the recording ends earlier
+
+
+def scene_of_frame(recording: Recording, at: float | None, command: str) -> str:
+    """Return the text of a scene that begins with the state at the end of the step that contains a time (s).
+
+    The default of the time is the frame before the worst broken law, or the first frame. Coefficients of another engine
+    are those that its impacts show.
+
+    Raises
+    ------
+    RecordingError, SceneError
+        If the recording lacks this state, or its scene has walls that move.
+    """
+    recording.refuse_overlay()
+    recording.refuse_some_bodies()
+    moment = _before_the_worst_law(recording) if at is None else recording.moment(at)
+    document, comments = _of_engine(recording, moment) if recording.engine else _of_carom(recording, moment)
+    return commented(document, [command, *comments])
+
+
+def _before_the_worst_law(recording: Recording) -> float:
+    """Return the time (s) of the frame before the worst broken law; without one, of the first frame."""
+    recording.require_frames()
+    frames, laws = recording.fingerprints(), recording.summary().get("laws", {})
+    worst = next(iter(laws.values()), None)
+    row = 0 if worst is None else int(np.searchsorted(frames["step"].to_numpy(), worst["step"])) - 1
+    return float(frames["time"][max(row, 0)].as_py())
+
+
+def _of_carom(recording: Recording, moment: float) -> tuple[Document, list[str]]:
+    scene = recorded_scene(recording)
+    if any(each.motion is not None for each in (*scene.plane, *scene.wall)) or any(each.piston for each in scene.plane):
+        raise RecordingError(f"{recording.path}: walls that move would begin at their first places; use carom fork")
+    goal = goal_of(recording, moment)
+    frame = next(each for each in Window(recording, goal).frames(goal) if each.time >= goal)
+    left = max(scene.time.duration - frame.time, LEAST_STEPS * frame.dt)
+    document = literal(scene, start_of(recording, scene, checkpoint_before(recording, moment)))
+    when = recording.units.text(frame.time, TIME, ".9g")
+    said = f"The state of step {frame.step}, t = {when}. Contacts at rest begin without their impulses."
+    return at_moment(document, BodyStates.of(frame), left), [said]
+
+
+def _of_engine(recording: Recording, moment: float) -> tuple[Document, list[str]]:
+    frames, units = recording.fingerprints(), recording.units
+    row = min(int(np.searchsorted(frames["time"].to_numpy(), goal_of(recording, moment))), frames.num_rows - 1)
+    step, time = (frames[name][row].as_py() for name in ("step", "time"))
+    if step not in recording.checkpoint_times:
+        raise RecordingError(f"{recording.path} has no exact state of step {step}; record with exact=True")
+    (state,) = recording.checkpoints([step])
+    setup, there = setup_of(recording), np.isfinite(state.position).all(axis=1)
+    spin = np.zeros_like(state.position) if state.angular_velocity is None else state.angular_velocity
+    start = InitialBodies(
+        name=[setup.names[k] for k in np.flatnonzero(there)],
+        group=np.zeros(int(there.sum()), np.int64),
+        position=state.position[there],
+        velocity=np.where(setup.fixed[:, None], 0.0, state.velocity)[there],
+        angular_velocity=np.where(setup.fixed[:, None], 0.0, spin)[there],
+        mass=setup.mass[there],
+        radius=setup.radius[there],
+        inertia=setup.inertia[there],
+        fixed=setup.fixed[there],
+    )
+    times = frames["time"].to_numpy()
+    shortest = float(np.diff(times).min()) if len(times) > 1 else 0.0
+    document: Document = {"title": f"Step {step} of {recording.path.name}, recorded from {recording.engine}"}
+    if units.own and units.named:
+        document["units"] = units.named
+    document["time"] = {"duration": max(float(times[-1]) - time, LEAST_STEPS * shortest) or 1.0}
+    document["gravity"] = {"constant": setup.constant}
+    if setup.gravity.any():
+        document["gravity"]["uniform"] = setup.gravity.tolist()
+    if setup.softening:
+        document["gravity"]["softening"] = setup.softening
+    if setup.box[0] > 0.0:
+        document["domain"] = {"boundary": "periodic", "size": setup.box.tolist()}
+    comments = [f"The exact state of step {step}, t = {units.text(time, TIME, '.9g')}, of {recording.engine}."]
+    between, planes, said = _coefficients(recording, setup)
+    document["contact"] = between if setup.collides else {"enabled": False}
+    if setup.collides and smallest_gap(recording, state) < 0.0:
+        document["contact"] |= {"allow_overlap": True, "timing": "end-of-step"}
+    solid = zip(setup.planes.name, setup.planes.normal, setup.planes.offset, strict=True)
+    if len(setup.planes):
+        document["plane"] = [
+            {"name": name, "point": (offset * normal).tolist(), "normal": normal.tolist(), **planes[k]}
+            for k, (name, normal, offset) in enumerate(solid)
+        ]
+    if not setup.judged.all():
+        count = int(np.count_nonzero(~setup.judged))
+        comments.append(f"{counted(count, 'body')} of the engine had other shapes or joints, and is a sphere here.")
+    document[BODIES] = bodies_of(start)
+    return document, [*comments, *said]
+
+
+def _coefficients(recording: Recording, setup: Setup) -> tuple[dict[str, Any], list[dict[str, Any]], list[str]]:
+    """Return the measured coefficients between bodies, and of each plane, and comments on them."""
+    table = measured_impacts(recording) if setup.collides else None
+    found, said, n = list[dict[str, Any]](), list[str](), len(setup)
+    for plane in (None, *range(len(setup.planes))):
+        what = "bodies" if plane is None else setup.planes.name[plane]
+        rows = None if table is None else table.filter(_between(table, n, plane))
+        keys = {} if rows is None else _measured(rows)
+        found.append(keys)
+        if keys:
+            shown = ", ".join(f"{name} {value:g}" for name, value in keys.items())
+            said.append(f"Coefficients of {what}, measured in {counted(rows.num_rows, 'impact')}: {shown}.")
+        elif rows is not None:
+            said.append(f"Coefficients of {what} are carom's defaults: the recording has no impact that shows them.")
+    return found[0], found[1:], said
+
+
+def _between(table: pa.Table, n: int, plane: int | None) -> pa.Array:
+    return pc.less(table["j"], n) if plane is None else pc.equal(table["j"], n + plane)
+
+
+def _measured(rows: pa.Table) -> dict[str, float]:
+    """Return the coefficients of a scene from impacts; without a sliding impact, friction is a lower bound."""
+    keys = dict[str, float]()
+    values = _sure(rows, "restitution")
+    if len(values):
+        keys["restitution"] = float(np.clip(np.median(values), 0.0, 1.0))
+    slides = rows.filter(pc.equal(rows["mode"], MODES[SLIDING]))
+    values = _sure(slides, "friction")
+    if not len(values) and len(values := _sure(rows, "friction")):
+        values = np.array([values.max()])
+    if len(values):
+        keys["static_friction"] = keys["kinetic_friction"] = max(float(np.median(values)), 0.0)
+    return {name: float(f"{value:.{DIGITS}g}") for name, value in keys.items()}
+
+
+def _sure(rows: pa.Table, name: str) -> FloatArray:
+    """Return the measured values whose uncertainty is small; all, if it is large in each."""
+    values, errors = (rows[key].to_numpy() for key in (name, f"{name}_error"))
+    known = np.isfinite(values)
+    sure = known & (errors <= SURE)
+    return np.asarray(values[sure if sure.any() else known])
