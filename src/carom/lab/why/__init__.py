@@ -38,6 +38,7 @@ MOST_CAUSES = 12  # printed causes of a body; --json has all
 MOST_EDGES = 8
 MOST_TURNS = 3  # in a row, of one body
 _ROUNDED = 1e-3  # of the largest change of velocity in an account: smaller parts that no contact explains are rounding
+_SEEN = 0.005  # a smaller share is printed as 0%
 _OF_ENGINE = "Impulses are the engine's contact forces times the time between frames; the rest of a velocity's change"
 _BODY = "The body whose velocity is in question."
 _FROM = "Trace causes back to this time. Default: the earliest time that a few seconds of computing reach."
@@ -286,12 +287,27 @@ def _behind(answer: Answer, names: Names, units: UnitSystem) -> Iterator[str]:
     since = units.text(answer.begin, TIME, ".9g")
     if len(resting) == len(answer.accounts):
         return
-    further = "what no contact explains" if answer.engine else "forces since then"
+    further = {"what no contact explains" if answer.engine else "forces since then": forces}
     if answer.knows_field:
-        further = f"gravity and {further}"
-    walls = float(cone.from_walls.sum())
-    moving = f", moving walls {walls:.0%}" if walls else ""
-    yield f"Overall contributions: velocities at t = {since} {left:.0%}, {further} {forces:.0%}{moving}."
+        field = float(cone.from_field.sum())
+        further = {"gravity": field} | (
+            {"what no contact explains": forces - field} if forces - field > _ROUNDED else {}
+        )
+    if walls := float(cone.from_walls.sum()):
+        further["moving walls"] = walls
+    parts = ", ".join(f"{what} {share:.0%}" for what, share in further.items())
+    yield f"Overall contributions: velocities at t = {since} {left:.0%}{_whose(answer, names)}, {parts}."
+
+
+def _whose(answer: Answer, names: Names) -> str:
+    """Name the bodies whose velocities at the start contributed, if others than those of the question did."""
+    shares = answer.cone.shares
+    largest = [body for body in np.argsort(-shares, kind="stable")[:MOST_TURNS].tolist() if shares[body] > _SEEN]
+    if set(largest) <= set(answer.question.bodies):
+        return ""
+    rest = float(shares.sum() - shares[largest].sum())
+    others = [f"others {rest:.0%}"] if rest > _SEEN else []
+    return f" ({', '.join([*(f'{names.of(body)} {shares[body]:.0%}' for body in largest), *others])})"
 
 
 def _first_cause(answer: Answer, names: Names, units: UnitSystem) -> str:
@@ -300,7 +316,9 @@ def _first_cause(answer: Answer, names: Names, units: UnitSystem) -> str:
     if body >= cone.count:
         return f"{names.of(body)} moves by itself"
     if cone.from_forces[body] > cone.shares[body]:
-        return f"{names.of(body)} gained its velocity from {'what no contact explains' if answer.engine else 'forces'}"
+        unknown = "what no contact explains" if answer.engine else "forces"
+        by = "gravity" if 2.0 * cone.from_field[body] > cone.from_forces[body] else unknown
+        return f"{names.of(body)} gained its velocity from {by}"
     return f"{names.of(body)} already had its velocity at t = {units.text(answer.begin, TIME, '.9g')}"
 
 

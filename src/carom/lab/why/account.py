@@ -117,7 +117,7 @@ class Account:
         step: Step,
         rows: Records,
         flow: Flow,
-        shares: tuple[float, float],
+        shares: tuple[float, float, float],
         kicks: list[FloatArray],
         impacts: Records,
         contacts: Records,
@@ -125,9 +125,9 @@ class Account:
         """Go back through a step, or through its beginning up to a moment.
 
         ``rows`` are the impulses on this body up to the moment, in order, and ``flow`` their shares of its velocity,
-        (k, 1). ``shares`` are the shares that the body carries before the step, and the shares that forces have given
-        it so far. ``kicks`` are the body's changes of velocity by forces, (3,) m/s each. ``impacts`` and ``contacts``
-        are the `CONTACT_ROW` of the step, but the beginning of a step has no contacts.
+        (k, 1). ``shares`` are the shares that the body carries before the step, that forces have given it so far, and
+        that of these the uniform field of another engine gave. ``kicks`` are the body's changes of velocity by forces,
+        (3,) m/s each. ``impacts`` and ``contacts`` are the `CONTACT_ROW` of the step, whose beginning has no contacts.
         """
         self._lost, self._before = {}, step.before_step  # losses of all contacts less the losses of impacts
         for some, sign in ((contacts, 1.0), (impacts, -1.0)) if len(contacts) else ():
@@ -136,14 +136,7 @@ class Account:
         if self._bearing is None:
             self._bearing = float(np.linalg.norm(self._impulses(rows[rows["holds"]]), axis=1).sum()) / self.mass
         first, last = sum(kicks[:1], np.zeros(3)), sum(kicks[1:], np.zeros(3))  # before the drift, and after it
-        forces_share = shares[1] - self.forces_share
-        if step.by_field.any() and forces_share > 0.0:
-            # the part of the field in the change by forces, along the sum of forces and of holding contacts
-            held = self._impulses(rows[~rows["impact"] | rows["lasts"]]).sum(axis=0) / self.mass
-            forces = first + last
-            parts = np.maximum(0.0, np.vstack((step.by_field, forces - step.by_field)) @ (forces + held))
-            self.field_share += forces_share * float(parts[0]) / float(parts.sum()) if parts[0] > 0.0 else 0.0
-        self.start_share, self.forces_share = shares
+        self.start_share, self.forces_share, self.field_share = shares
         late = len(rows) > 0 and rows[-1]["time"] >= step.time
         # the velocity right after the last of the impulses
         kicked = first + last if late else first

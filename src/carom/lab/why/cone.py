@@ -93,6 +93,7 @@ class Cone:
     weights: FloatArray  # (q,) the weight in the answer of each body that the question names
     carried: FloatArray  # (n + p, q) share of each body's velocity that each end carries at the present moment
     forced: FloatArray  # (n, q) share contributed by forces on each body
+    fielded: FloatArray  # (n, q) of this by the uniform field of another engine
     reached: BoolArray  # (n,) whether it could have had an effect
     since: FloatArray  # (n,) s, the last moment at which it could have had an effect; NaN for bodies outside
     edges: dict[tuple[int, int], Edge] = field(default_factory=dict)
@@ -115,8 +116,9 @@ class Cone:
         q, since = len(bodies), np.full(count, np.nan)
         carried = np.zeros((len(inverse_mass), q))
         carried[bodies, range(q)], since[list(bodies)] = 1.0, time
-        forced, reached = np.zeros((count, q)), ~np.isnan(since)
-        return cls(inverse_mass, count, drives, np.array(weights), carried, forced, reached, since)
+        forced, fielded = np.zeros((2, count, q))
+        reached = ~np.isnan(since)
+        return cls(inverse_mass, count, drives, np.array(weights), carried, forced, fielded, reached, since)
 
     @property
     def shares(self) -> FloatArray:
@@ -127,6 +129,11 @@ class Cone:
     def from_forces(self) -> FloatArray:
         """Share of the answer contributed by forces on each body, (n,)."""
         return np.asarray(self.forced @ self.weights)
+
+    @property
+    def from_field(self) -> FloatArray:
+        """Share of the answer contributed by the uniform field of another engine to each body, (n,)."""
+        return np.asarray(self.fielded @ self.weights)
 
     @property
     def from_walls(self) -> FloatArray:
@@ -156,7 +163,7 @@ class Cone:
             self._undo(impacts, forces)
             before -= forces
         flow, number = Flow.none(len(rows), len(self.weights)), np.arange(len(rows))
-        self._bear(rows, number[acts & ~impact & inside], forces, before, velocity, flow)
+        self._bear(rows, number[acts & ~impact & inside], (forces, step.by_field), before, velocity, flow)
         for instant in _groups(rows["instant"]):
             some = number[instant][impact[instant]]
             if len(some):
@@ -207,12 +214,20 @@ class Cone:
         np.subtract.at(velocity, rows["j"][body], self.inverse_mass[rows["j"][body], None] * J[body])
 
     def _bear(
-        self, rows: Records, own: IntArray, forces: FloatArray, before: FloatArray, after: FloatArray, flow: Flow
+        self,
+        rows: Records,
+        own: IntArray,
+        acting_forces: tuple[FloatArray, FloatArray],
+        before: FloatArray,
+        after: FloatArray,
+        flow: Flow,
     ) -> None:
         """Pass on the shares contributed by the forces and the resting contacts of a step; velocities (n, 3) m/s.
 
-        ``own`` are the numbers of these contacts, and ``flow`` receives their shares.
+        ``own`` are the numbers of these contacts, and ``flow`` receives their shares. The forces are all forces, (n, 3)
+        m/s, and the field among them, (3,) m/s.
         """
+        forces, field = acting_forces
         n, m, some = self.count, len(own), rows[own]
         bodies = np.flatnonzero((self.carried[:n] > NEGLIGIBLE).any(axis=1))
         net = np.zeros((len(self.inverse_mass), 3))  # along N, of length 1
@@ -230,6 +245,10 @@ class Cone:
         rate[:n] = self.carried[:n] * per_speed[:, None]
         self.carried[:n] *= 1.0 - gain[:, None]
         self.forced += rate[:n] * by_forces[:, None]
+        if field.any():
+            parts = np.maximum(0.0, np.stack((net[:n] @ field, ((forces - field) * net[:n]).sum(axis=1))))
+            of_field = np.divide(parts[0], parts.sum(axis=0), out=np.zeros(n), where=parts[0] > 0.0)
+            self.fielded += rate[:n] * (by_forces * of_field)[:, None]
         if m:
             passed = given[:, None] * rate[to]
             _, returned = self._divide(some, passed, np.zeros(2 * m), before)
@@ -340,7 +359,7 @@ class Cone:
             edge.impulse += impulse
             edge.impulses += 1
             edge.share += abs(net)
-            if not row["impact"] or max(abs(net), turn) <= NEGLIGIBLE:
+            if not row["impact"]:
                 continue
             step, later = int(row["step"]), self._lasting.get((i, j))
             if row["lasts"] and later is not None and step >= later.before_step:  # of one impact
@@ -348,6 +367,8 @@ class Cone:
                 later.before_step = self._before_step
                 later.impulse += impulse
                 later.net, later.turned = later.net + net, later.turned + turn
+                continue
+            if max(abs(net), turn) <= NEGLIGIBLE:
                 continue
             passage = Passage(step, int(row["instant"]), time, i, j, impulse, net, turn, self._before_step)
             self.passages.append(passage)

@@ -207,7 +207,8 @@ class _Backwards:
         flow = self._cone.take(step, rows, velocity, kicked=len(step.kicks) > 0)
         for place, account in enumerate(self._accounts):
             own = [kick[place] for kick in kicks]
-            shares = float(self._cone.carried[account.body, place]), float(self._cone.forced[account.body, place])
+            cone, own_place = self._cone, (account.body, place)
+            shares = float(cone.carried[own_place]), float(cone.forced[own_place]), float(cone.fielded[own_place])
             account.take(step, *impulses_on(account.body, rows, flow, place), shares, own, impacts, contacts)
 
     def _weights(self, late: Records, velocity: FloatArray) -> list[float]:
