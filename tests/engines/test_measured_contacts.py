@@ -16,6 +16,11 @@ from carom_command import carom as command
 from faulty_engines import DT, FRICTION, MASS, RADIUS, RESTITUTION, STEPS, G, Toy
 
 
+def _of(spin: np.ndarray | None, bodies: list[int]) -> np.ndarray:
+    assert spin is not None
+    return spin[bodies]
+
+
 @pytest.fixture(scope="module")
 def toy(tmp_path_factory: pytest.TempPathFactory) -> Recording:
     path, engine = tmp_path_factory.mktemp("toy") / "toy.rrd", Toy()
@@ -50,8 +55,8 @@ def test_an_impact_loses_the_energy_that_its_two_bodies_lose(toy: Recording) -> 
     def energy(velocity: np.ndarray, spin: np.ndarray) -> float:
         return float(0.5 * MASS * (velocity**2).sum() + 0.5 * inertia * (spin**2).sum())
 
-    free = energy(before.velocity[ends] + G * DT, before.angular_velocity[ends])
-    lost = free - energy(after.velocity[ends], after.angular_velocity[ends])
+    free = energy(before.velocity[ends] + G * DT, _of(before.angular_velocity, ends))
+    lost = free - energy(after.velocity[ends], _of(after.angular_velocity, ends))
     fall = MASS * 9.81 * DT * 2.0 * np.abs(after.velocity[ends]).max()  # the field may act after the impact
     assert row["j"] < 12 and row["energy_lost"] == pytest.approx(lost, abs=fall)
 
@@ -76,7 +81,7 @@ def test_a_frame_of_an_engine_becomes_a_scene_with_its_exact_state_and_measured_
     for made, there in (
         (start.position, state.position),
         (start.velocity, state.velocity),
-        (start.angular_velocity, state.angular_velocity),
+        (start.angular_velocity, _of(state.angular_velocity, list(range(12)))),
         (start.mass, toy.bodies.mass),
         (start.radius, toy.bodies.radius),
     ):

@@ -71,14 +71,14 @@ def setup_of(recording: Recording) -> Setup:
 
 def smallest_gap(recording: Recording, state: Checkpoint) -> float:
     """Return the smallest distance (m) between the surfaces of bodies and planes near each other; inf without any."""
-    there = np.isfinite(state.position).all(axis=1)
+    there = np.asarray(np.isfinite(state.position).all(axis=1))
     bodies = _Bodies.of(recording, setup_of(recording), there)
     moment = bodies.moment(state)
     return float(bodies.proximity.between(moment, moment).gap_now.min(initial=np.inf))
 
 
 @dataclass(slots=True)
-class FrameContacts:
+class MeasuredFrame:
     """The contacts between two successive frames."""
 
     step: int
@@ -96,7 +96,7 @@ class FrameContacts:
         return int(self.ends[i]), int(self.ends[j])
 
 
-def frames_of(recording: Recording, start: float, end: float) -> Iterator[FrameContacts]:
+def frames_of(recording: Recording, start: float, end: float) -> Iterator[MeasuredFrame]:
     """Yield the contacts between successive frames up to an end, from a few frames before a start on; times in s.
 
     Raises
@@ -118,7 +118,7 @@ def frames_of(recording: Recording, start: float, end: float) -> Iterator[FrameC
     whole, typical = setup_of(recording), 0.0
     bodies: _Bodies | None = None
     for before, after in pairwise(recording.checkpoints(steps.tolist())):
-        there = np.isfinite(before.position).all(axis=1) & np.isfinite(after.position).all(axis=1)
+        there = np.asarray(np.isfinite(before.position + after.position).all(axis=1))
         if bodies is None or not np.array_equal(bodies.there, there):
             bodies = _Bodies.of(recording, whole, there)
         moving = after.velocity[there & ~whole.fixed]
@@ -148,7 +148,7 @@ class _Bodies:
                 setattr(damping, term, float(recording.closing.get(f"audit.{name}.{term}", 0.0)))
         return cls(there, setup, np.concatenate((np.flatnonzero(there), planes)), Proximity(setup), forces)
 
-    def between(self, before: Checkpoint, after: Checkpoint, typical: float) -> FrameContacts:
+    def between(self, before: Checkpoint, after: Checkpoint, typical: float) -> MeasuredFrame:
         moments = self.moment(before), self.moment(after)
         near, dt = self.proximity.between(*moments), after.time - before.time
         first = self.forces.applied(*moments, near)
@@ -158,7 +158,7 @@ class _Bodies:
         normal = np.where(plane[:, None], near.normal, near.directions_of_touch())
         closing = -np.einsum("ij,ij->i", near.relative_before, normal)
         found: dict[tuple[int, int], Measurement] = {}
-        seen = FrameContacts(after.step, after.time, dt, self.ends, near, closing, still + 2.0 * fall, found)
+        seen = MeasuredFrame(after.step, after.time, dt, self.ends, near, closing, still + 2.0 * fall, found)
         for rows in trees_of(self.setup, near, closing, dt):
             tree = ContactTree(self.setup, first, moments[1], near, rows)
             for k, row in enumerate(rows.tolist()):
@@ -179,7 +179,7 @@ class _Bodies:
 class _Impact:
     """An impact from its first frame on."""
 
-    first: FrameContacts
+    first: MeasuredFrame
     pair: tuple[int, int]
     parts: list[Measurement] = field(default_factory=list)
 
@@ -288,13 +288,13 @@ def measured_impacts(recording: Recording, start: float | None = None, end: floa
     return _table(inside, MEASURED, unsolved)
 
 
-def _hits(frame: FrameContacts, part: Measurement) -> bool:
+def _hits(frame: MeasuredFrame, part: Measurement) -> bool:
     """Return whether a contact closed, and changed its speed, faster than contacts at rest do."""
     changed = float(np.median(part.normal)) * part.ease
     return bool(part.closing.max() > frame.slow) and changed > frame.slow
 
 
-def _unsolved(frame: FrameContacts) -> Iterator[tuple[int, int]]:
+def _unsolved(frame: MeasuredFrame) -> Iterator[tuple[int, int]]:
     """Yield the pairs that lost half of their closing speed in a cluster whose impulses are unknown."""
     near = frame.near
     after = -np.einsum("ij,ij->i", near.relative_now, near.normal)
@@ -350,7 +350,7 @@ def _pressed(part: Measurement | None) -> bool:
     return part is not None and abs(float(np.median(part.normal))) > 2.0 * part.least
 
 
-def _contact(frame: FrameContacts, place: int, pair: tuple[int, int]) -> dict[str, Any]:
+def _contact(frame: MeasuredFrame, place: int, pair: tuple[int, int]) -> dict[str, Any]:
     """Return the row of a near pair, with the impulse between its two frames if it is known."""
     near, part = frame.near, frame.measured.get(pair)
     approach = max(float(frame.closing[place]), 0.0)

@@ -57,7 +57,8 @@ def _before_the_worst_law(recording: Recording) -> float:
 
 def _of_carom(recording: Recording, moment: float) -> tuple[Document, list[str]]:
     scene = recorded_scene(recording)
-    if any(each.motion is not None for each in (*scene.plane, *scene.wall)) or any(each.piston for each in scene.plane):
+    motions = *(plane.motion or plane.piston for plane in scene.plane), *(wall.motion for wall in scene.wall)
+    if any(motion is not None for motion in motions):
         raise RecordingError(f"{recording.path}: walls that move would begin at their first places; use carom fork")
     goal = goal_of(recording, moment)
     frame = next(each for each in Window(recording, goal).frames(goal) if each.time >= goal)
@@ -128,7 +129,7 @@ def _coefficients(recording: Recording, setup: Setup) -> tuple[dict[str, Any], l
         rows = None if table is None else table.filter(_between(table, n, plane))
         keys = {} if rows is None else _measured(rows)
         found.append(keys)
-        if keys:
+        if keys and rows is not None:
             shown = ", ".join(f"{name} {value:g}" for name, value in keys.items())
             said.append(f"Coefficients of {what}, measured in {counted(rows.num_rows, 'impact')}: {shown}.")
         elif rows is not None:

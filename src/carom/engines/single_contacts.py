@@ -304,19 +304,20 @@ class ContactTree:
     def measured(self, k: int) -> Measurement:
         """Return what the states say of contact k."""
         J, (i, j), found = self.impulses[k], self._ends[k], list[tuple[float, ...]]()
+        size = float(J @ J)
         for normals in self._normals:
             n = normals[k]
             along = float(J @ n)
-            rubbed = float(np.sqrt(max(J @ J - along * along, 0.0)))
+            rubbed = float(np.sqrt(max(size - along * along, 0.0)))
             for u0, u1 in self._states(k, normals):
                 parting = float(u1 @ n)
-                slip = float(np.sqrt(max(u1 @ u1 - parting * parting, 0.0)))
+                slip = float(np.sqrt(max(float(u1 @ u1) - parting * parting, 0.0)))
                 found.append((-float(u0 @ n), parting, slip, along, rubbed, -0.5 * float(J @ (u0 + u1))))
-        values = np.array(found).T
+        closing, parting, slips, normal, tangential, lost = np.array(found).T
         direction = self._normals[0][k]
         point = self._place[i] + (self._radius[i] - 0.5 * self._depth[k]) * direction
         ease = float(self._weight[i] + (self._weight[j] if j >= 0 else 0.0))
-        return Measurement(*values, point, direction, self._noise, ease)
+        return Measurement(closing, parting, slips, normal, tangential, lost, point, direction, self._noise, ease)
 
     def _push(self, k: int, n: FloatArray, v: FloatArray, w: FloatArray) -> None:
         (i, j), impulse = self._ends[k], self.impulses[k]
