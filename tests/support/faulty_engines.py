@@ -1,7 +1,4 @@
-"""Engines with a fault on demand, and the table of docs/other-engines.md: which fault is named, by law and step.
-
-``python tests/support/faulty_engines.py 20 30`` measures the table with seeds 20 to 29.
-"""
+"""A small engine of contacts with a fault on demand, and the laws that name each fault."""
 
 from __future__ import annotations
 
