@@ -130,6 +130,13 @@ def test_a_refined_scene_has_smaller_steps_whatever_sets_them(rule: dict[str, fl
     assert fineness(scene, half) == pytest.approx(2.0)
 
 
+def test_a_setting_that_chooses_its_steps_by_its_error_asks_for_no_finer_reference() -> None:
+    bodies = [{"position": [float(k), 0.1 * k * k, 0.0], "mass": 1e9} for k in range(40)]
+    scene = scene_of(bodies, contact={"enabled": False}, time={"integrator": "leapfrog", "duration": 1e3})
+    assert fineness(scene, scene.changed(["time.integrator=gauss-radau15"])) == 1.0
+    assert fineness(scene, scene.changed(["time.max_dt=0.25"])) == pytest.approx(4.0)
+
+
 def test_the_reference_of_a_tree_sums_directly() -> None:
     # steps alone would leave the error of the opening angle in both, and nothing would show it
     direct, tree = (

@@ -276,7 +276,12 @@ def _largest_step(scene: Scene) -> float:
 
 
 def fineness(scene: Scene, setting: Scene) -> float:
-    """Return the steps of the scene over the steps of a setting, for the limit that shrank most."""
+    """Return the steps of the scene over the steps of a setting, for the limit that shrank most.
+
+    It is 1 if an integrator chooses its steps by its own error, since the limits then do not.
+    """
+    if auto.integrator(scene).controls_error or auto.integrator(setting).controls_error:
+        return 1.0
     base, rule = scene.time, setting.time
     if base.fixed_dt is not None or rule.fixed_dt is not None:
         return (base.fixed_dt or _largest_step(scene)) / (rule.fixed_dt or _largest_step(setting))
