@@ -117,12 +117,12 @@ def _from_recording(path: Path, source: Path, given: GivenMoment, force: bool) -
     from carom.terminal.console import replaying
 
     refuse_output(path, force)
-    chosen = "" if given.option is None else f" {given.option} {given.given}"
+    chosen = () if given.option is None else (given.option, given.given)
     with opened(source) as file:
         recording = Recording.open(file)
         with replaying(recording) as watch:
             moment = given.end(recording, watch)
-        text = scene_of_frame(recording, moment, f"carom new {path.name} --from {source}{chosen}")
+        text = scene_of_frame(recording, moment, command("new", path.name, "--from", source, *chosen))
     write_whole(path, text)
     typer.echo(f"{path} written. Next: {command('explain', path)}, then {command('run', path)}")
 

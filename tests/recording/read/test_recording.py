@@ -95,7 +95,7 @@ def test_another_schema_is_refused_in_one_sentence_that_names_the_version_which_
         assert str(refusal.value) == f"{path} has schema version {schema}, and {own}; {reader}"
 
 
-@pytest.mark.parametrize("writer", [None, "1.0 && rm -rf ~", "1.0+local", "1.0\n", "٣.1", "", carom.__version__])
+@pytest.mark.parametrize("writer", [None, "1.0 && rm -rf ~", "1.0+local", "1.0\n&& id", "٣.1", "", carom.__version__])
 def test_no_command_is_made_of_a_text_that_is_no_other_release(tmp_path: Path, writer: str | None) -> None:
     stated = {} if writer is None else {"version.carom": writer}
     path = foreign(tmp_path / "other.rrd", "carom-99-0123456789ab", stated)
