@@ -314,6 +314,7 @@ def test_a_ball_that_rolls_and_spins_slows_down_as_in_closed_form_and_stops(
     assert lost == pytest.approx(0.5 * 2.0 + 0.5 * 0.2 * (2.0**2 + 3.0**2), rel=1e-12)  # all: ½ m v² + ½ I ω²
 
 
+@pytest.mark.nightly
 def test_a_heap_under_a_law_of_a_package_rests_and_resumes_with_the_same_bits(rolling: Path, site: Path) -> None:
     (rolling / "heap.toml").write_text(HEAP, encoding="utf-8")
     _, summary, *_, replayed = said(

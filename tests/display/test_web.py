@@ -212,6 +212,7 @@ def test_a_port_in_use_is_named(recorded: Path, link: str) -> None:
         pass
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 @pytest.mark.needs(BROWSER)
 def test_a_browser_shows_the_recording_paused_at_the_moment_of_the_link(link: str) -> None:

@@ -6,6 +6,8 @@ from pathlib import Path
 
 import pytest
 
+from carom.engines.single_contacts import Broken, ContactLaws
+from carom.engines.source import setup_of
 from faulty_engines import PLANTED, SHOWN_LATER, Toy, recorded
 
 QUICK = {"friction along the slip", "normal flipped"}
@@ -30,3 +32,30 @@ def test_each_of_twelve_planted_faults_is_named_in_the_first_step_in_which_it_ac
 def test_the_toy_without_a_fault_breaks_no_law(seed: int | range, tmp_path: Path) -> None:
     for each in [seed] if isinstance(seed, int) else seed:
         assert recorded(Toy(seed=each), tmp_path / f"{each}.rrd") == []
+
+
+@pytest.mark.parametrize(
+    ("counts", "named"),
+    [
+        ([(60, 10, 0), (400, 12, 9)], True),  # the pile sinks later, as a fault may let it
+        ([(20, 2, 9), (60, 10, 40)], False),  # the contacts of this engine last
+        ([(60, 9, 0)], False),  # too few impacts to know
+    ],
+)
+def test_an_engine_is_rigid_if_its_impacts_were_up_to_a_fault(counts: list[tuple[int, int, int]], named: bool) -> None:
+    toy = Toy()
+    laws = ContactLaws(setup_of(toy.model, toy.state()), 0.1, 0.1)
+    laws.suspected = [(43, 0.1, Broken("restitution", 5.0, (1, 2), "rebound faster than they closed"))]
+    laws._counts = counts  # steps, impacts that were over, and impacts that lasted
+    assert [step for step, *_ in laws.concluded()] == [43] * named
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("fault", ["friction along the slip", "restitution twice", "impulse to one body only"])
+def test_a_fault_patched_into_pybullet_is_named_by_its_step_and_a_body(fault: str, tmp_path: Path) -> None:
+    pytest.importorskip("pybullet")
+    from patched_bullet import PatchedBullet, naming_law
+    from patched_bullet import recorded as recorded_patched
+
+    engine = PatchedBullet(fault, seed=20)
+    assert naming_law(engine, recorded_patched(engine, tmp_path / "run.rrd"))

@@ -30,8 +30,8 @@ from carom.scene.load import Scene, scene_from_text
 from carom.scene.scene_file import bundled_scenes
 from carom.state.books import Extreme, Extremes
 from carom.state.frame import Frame
+from small_scenes import NIGHTLY, NIGHTLY_MARKS, cloud, pair
 from small_scenes import bundled as bundled_names
-from small_scenes import cloud, pair
 
 
 def test_the_public_run_returns_the_recording(tmp_path: Path) -> None:
@@ -343,7 +343,15 @@ def test_every_bundled_scene_meets_its_expectations_and_warns_of_nothing(name: s
     assert {event["kind"] for event in events if event["level"] == "WARN"} <= set(ADMITTED.get(name, ()))
 
 
-@pytest.mark.parametrize("names", [SHORT, pytest.param(LONG, marks=pytest.mark.slow)], ids=["short", "long"])
+@pytest.mark.parametrize(
+    "names",
+    [
+        SHORT,
+        pytest.param([name for name in LONG if name not in NIGHTLY], marks=pytest.mark.slow),
+        pytest.param(NIGHTLY, marks=NIGHTLY_MARKS),
+    ],
+    ids=["short", "long", "longest"],
+)
 def test_the_recordings_of_bundled_scenes_are_what_rerun_calls_valid(names: Sequence[str], bundled: Bundled) -> None:
     files = [str(bundled(name).path) for name in names]
     verified = subprocess.run(

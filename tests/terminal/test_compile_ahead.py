@@ -94,6 +94,7 @@ def test_on_a_new_installation_the_second_process_starts_at_once(
     assert len(started) == 1
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_a_run_uses_what_another_process_compiled_and_ends_with_the_same_bits(other_processor: OtherProcessor) -> None:
     taken = {Path(file).name.split("-")[0].rpartition(".")[2] for file in other_processor.ahead}

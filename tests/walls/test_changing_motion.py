@@ -163,6 +163,7 @@ def test_a_turntable_at_constant_velocity_is_one_at_rest_in_its_own_frame(motion
     assert unexplained(moved) < 1e-10
 
 
+@pytest.mark.nightly
 @pytest.mark.slow  # kernels for walls are compiled for a minute
 def test_bounces_in_a_drum_that_rotates_and_shakes_close_the_energy() -> None:
     motion = {"rotation": 8.0, "amplitude": [0.01, 0.0, 0.02], "frequency": 7.0}

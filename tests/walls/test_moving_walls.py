@@ -102,6 +102,7 @@ def test_an_overlap_with_a_wall_is_removed_without_a_velocity(wall: dict[str, An
     assert height == pytest.approx(surface, abs=1e-6)
 
 
+@pytest.mark.nightly
 @pytest.mark.slow  # kernels for walls are compiled for a minute
 def test_balls_side_by_side_in_a_drum_move_like_one() -> None:
     # sixteen contacts that share no ball are solved in vectors of eight, a single one by itself
