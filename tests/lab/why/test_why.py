@@ -159,6 +159,7 @@ def test_a_ball_that_the_floor_turned_round_is_no_first_cause_before_its_fall(ca
     assert any(line.endswith("gained its velocity from forces: it is the first cause.") for line in told)
 
 
+@pytest.mark.slow  # compiles for half a minute
 @pytest.mark.parametrize("floor", [{"motion": {"velocity": [2.0, 0.0, 0.0]}}], ids=["moving plane"])
 def test_a_wall_that_moves_by_itself_is_the_first_cause(floor: dict[str, Any], tmp_path: Path) -> None:
     """A plane at 2 m/s hits a ball at rest, which leaves at 4 m/s and hits another one."""

@@ -72,6 +72,7 @@ def test_a_ball_that_slides_on_a_floor_has_the_torque_of_friction_and_an_impact_
     assert np.abs(torque).max() <= 2.5 * friction * 2.0 * mass * GRAVITY * radius, "of both weights on one contact"
 
 
+@pytest.mark.slow  # compiles for half a minute
 def test_what_resists_rolling_in_an_impact_is_in_its_angular_impulse() -> None:
     ball = {"mass": 1.0, "radius": 0.5, "position": [0.0, 0.0, 0.6], "angular_velocity": [3.0, 2.0, 5.0]}
     scene = scene_of(

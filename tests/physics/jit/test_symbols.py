@@ -84,6 +84,7 @@ def test_kernels_of_two_processes_over_two_layouts_of_records_each_read_their_ow
     assert sums(tmp_path, *asked) == [pytest.approx(geometric(0.5))] * 2
 
 
+@pytest.mark.slow  # compiles for half a minute
 def test_kernels_of_two_processes_that_one_factory_made_each_call_their_own(tmp_path: Path) -> None:
     right = {"third:mass first": geometric(0.5), "fourth:mass first": geometric(0.25)}
     for each, value in right.items():

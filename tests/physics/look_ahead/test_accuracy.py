@@ -89,6 +89,7 @@ def test_an_orbit_of_eccentricity_09_closes_within_the_accuracy(accuracy: float)
     assert space.scene.promise is not None and space.scene.promise.horizon is None
 
 
+@pytest.mark.slow  # compiles for half a minute
 def test_an_elastic_ball_in_a_hollow_sphere_keeps_an_accuracy_along_its_chords() -> None:
     away, speed, duration = 0.5, 1.0, 6.0  # of the path from the centre, m; m/s; the centre is within 1 m
     scene = scene_of(
