@@ -71,9 +71,8 @@ def inexact_orbits(scene: Scene) -> str:
     if not turns > 0.0:
         return ""
     turn = 2.0 * math.pi * turns / scene.time.duration * (scene.time.fixed_dt or largest_step(scene))  # rad in a step
-    if (
-        fraction is not None and scene.time.fixed_dt is None
-    ):  # the limit for the mean mass, which is the dominant mass by the number of bodies
+    if fraction is not None and scene.time.fixed_dt is None:
+        # the limit is that of the mean mass, which is the dominant mass by the number of bodies
         turn = min(turn, fraction / scene.count**0.25)
     lag = 2.0 * math.pi * turns * turn * turn / 3.0
     if not LAGGING < lag < math.inf:
