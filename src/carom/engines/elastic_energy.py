@@ -48,10 +48,10 @@ class ElasticEnergy:
         for ends, rows in ((near.pairs[:, 0], slice(None)), (near.pairs[~plane, 1], ~plane)):
             np.maximum.at(reach, ends, deep[rows])
         moved = now.position - before.position - 0.5 * dt * (before.velocity + now.velocity)
-        strength = float(np.sqrt(setup.gravity @ setup.gravity))
+        strength = setup.field_strength
         lifted = setup.mass * np.clip(-(moved @ setup.gravity), 0.0, strength * reach)
         lifted[setup.fixed] = 0.0
-        parting = np.maximum(np.einsum("ij,ij->i", near.relative_now, near.normal), 0.0)
+        parting = np.maximum(-near.closing_now, 0.0)
         # the field of a step may act before and after an impact, in which the velocity reverses
         speed = np.minimum(PARTED * overlap / dt + strength * dt, parting)
         pushed = np.where(deep > 0.0, speed * (parting - 0.5 * speed) * reduced_masses(self._setup, near), 0.0)

@@ -148,6 +148,16 @@ class Near:
     def __len__(self) -> int:
         return len(self.pairs)
 
+    @property
+    def closing_now(self) -> FloatArray:
+        """The closing speeds along the present normals, now, (k,) m/s."""
+        return np.asarray(-np.einsum("ij,ij->i", self.relative_now, self.normal))
+
+    def normals_of_touch(self, bodies: int) -> FloatArray:
+        """Return the normals of planes, from number ``bodies`` on, and `directions_of_touch` of bodies, (k, 3)."""
+        plane = self.pairs[:, 1] >= bodies
+        return np.where(plane[:, None], self.normal, self.directions_of_touch())
+
     def directions_of_touch(self) -> FloatArray:
         """Return the directions from i to j at first touch on straight paths, or at the smallest distance."""
         path = self.now - self.before

@@ -316,7 +316,7 @@ class LawAudit:
     ) -> Iterator[Fault]:
         """Compare the energy of every cluster with known laws; book the energy absorbed by contacts."""
         setup, g = self._setup, self._setup.gravity
-        dt, strength = now.time - before.time, float(np.sqrt(g @ g))
+        dt, strength = now.time - before.time, setup.field_strength
         kinetic = [moment.kinetic(setup) for moment in (before, now)]
         lifted = -setup.mass * ((now.position - before.position) @ g)
         lifted[setup.fixed] = 0.0
@@ -396,12 +396,9 @@ class LawAudit:
             text = f"{text}and {inside.frames} frames did not part them."
             ends = tuple(self._ends[list(inside.ends)].tolist())
             yield Fault("overlap", inside.step, inside.time, inside.depth, text, ends, inside.depth)
-        still = STILL * self._typical + 2.0 * float(np.sqrt(setup.gravity @ setup.gravity)) * dt
-        at = near.directions_of_touch()
-        plane = near.pairs[:, 1] >= n
-        normal = np.where(plane[:, None], near.normal, at)
+        still, normal = still_speed(setup, self._typical, dt), near.normals_of_touch(n)
         # a plane does not fall, so the speed that the field adds towards the plane is not due to an impulse
-        push = np.where(plane, normal @ setup.gravity * dt, 0.0)
+        push = np.where(near.pairs[:, 1] >= n, normal @ setup.gravity * dt, 0.0)
         closing = -np.einsum("ij,ij->i", near.relative_before, normal)
         after = -np.einsum("ij,ij->i", near.relative_now, normal) - push
         speeds = closing, after
@@ -467,6 +464,11 @@ class LawAudit:
         if len(bodies) == len(self._setup) > 2:
             return "all bodies together"
         return bodies_called(self._ends[bodies].tolist(), self._names.bodies)
+
+
+def still_speed(setup: Setup, typical: float, dt: float) -> float:
+    """Return the speed (m/s) up to which contacts may rest in a frame of dt s, given a typical speed in m/s."""
+    return STILL * typical + 2.0 * setup.field_strength * dt
 
 
 def rotation_between(before: FloatArray, now: FloatArray) -> FloatArray:

@@ -21,7 +21,7 @@ from carom.arrays import BoolArray, FloatArray, IntArray
 from carom.contact_table import IMPACT_MODE, MODES, OPEN, SLIDING, STICKING
 from carom.engines.engine_contacts import TOUCH, EngineMoment, Near, Proximity
 from carom.engines.known_forces import KnownForces
-from carom.engines.law_audit import STILL
+from carom.engines.law_audit import still_speed
 from carom.engines.missed_impacts import TUNNELLED
 from carom.engines.single_contacts import FEWEST, WAYS, ContactTree, Measurement, trees_of
 from carom.engines.source import Setup
@@ -152,13 +152,11 @@ class _Bodies:
         moments = self.moment(before), self.moment(after)
         near, dt = self.proximity.between(*moments), after.time - before.time
         first = self.forces.applied(*moments, near)
-        fall = float(np.sqrt(self.setup.gravity @ self.setup.gravity)) * dt
-        still = STILL * typical + 2.0 * fall
-        plane = near.pairs[:, 1] >= len(self.setup)
-        normal = np.where(plane[:, None], near.normal, near.directions_of_touch())
+        slow = still_speed(self.setup, typical, dt) + 2.0 * self.setup.field_strength * dt
+        normal = near.normals_of_touch(len(self.setup))
         closing = -np.einsum("ij,ij->i", near.relative_before, normal)
         found: dict[tuple[int, int], Measurement] = {}
-        seen = MeasuredFrame(after.step, after.time, dt, self.ends, near, closing, still + 2.0 * fall, found)
+        seen = MeasuredFrame(after.step, after.time, dt, self.ends, near, closing, slow, found)
         for rows in trees_of(self.setup, near, closing, dt):
             tree = ContactTree(self.setup, first, moments[1], near, rows)
             for k, row in enumerate(rows.tolist()):
@@ -297,9 +295,9 @@ def _hits(frame: MeasuredFrame, part: Measurement) -> bool:
 def _unsolved(frame: MeasuredFrame) -> Iterator[tuple[int, int]]:
     """Yield the pairs that lost half of their closing speed in a cluster whose impulses are unknown."""
     near = frame.near
-    after = -np.einsum("ij,ij->i", near.relative_now, near.normal)
     touched = np.minimum(near.gap_before - frame.closing * frame.dt, near.gap_now) <= 0.0
-    for row in np.flatnonzero(touched & (frame.closing > frame.slow) & (after < TUNNELLED * frame.closing)).tolist():
+    lost = (frame.closing > frame.slow) & (near.closing_now < TUNNELLED * frame.closing)
+    for row in np.flatnonzero(touched & lost).tolist():
         if frame.pair(row) not in frame.measured:
             yield frame.pair(row)
 

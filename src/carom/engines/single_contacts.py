@@ -99,7 +99,6 @@ class ContactLaws:
         self.restitution = restitution  # error of a coefficient of restitution
         self.coefficient = setup.friction
         self.friction = friction  # part of the work of the whole friction that may have the wrong sign
-        self._fall = float(np.sqrt(setup.gravity @ setup.gravity))
         self._pending: list[IsolatedImpact] = []  # of the last frame; a soft contact continues in the next one
         self.impacts: list[IsolatedImpact] = []
         self._lasting = 0  # impacts that the next frame continued
@@ -114,8 +113,7 @@ class ContactLaws:
         self._settle(step, before, now, dt)
         if self._setup.constant or not dt > 0.0 or not self._setup.touches.any():
             return []
-        fall = self._fall * dt
-        after = -np.einsum("ij,ij->i", near.relative_now, near.normal)
+        fall, after = self._setup.field_strength * dt, near.closing_now
         found: list[Broken] = []
         for tree in trees_of(self._setup, near, closing, dt):
             if (closing[tree] > still).any() or (after[tree] < -still).any():
@@ -203,8 +201,7 @@ def trees_of(setup: Setup, near: Near, closing: FloatArray, dt: float) -> Iterat
     It is a tree of at most `MOST` contacts with at most one end that does not move. ``closing`` are earlier closing
     speeds, (k,) m/s.
     """
-    fall = float(np.sqrt(setup.gravity @ setup.gravity)) * dt
-    after = -np.einsum("ij,ij->i", near.relative_now, near.normal)
+    fall, after = setup.field_strength * dt, near.closing_now
     reach = np.minimum(
         np.minimum(near.gap_before, near.gap_now),
         np.minimum(near.gap_before - np.maximum(closing, 0.0) * dt, near.gap_now + np.minimum(after, 0.0) * dt),

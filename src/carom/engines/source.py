@@ -142,6 +142,11 @@ class Setup:
     def __len__(self) -> int:
         return len(self.mass)
 
+    @property
+    def field_strength(self) -> float:
+        """The size of the uniform field, in m/s²."""
+        return float(np.sqrt(self.gravity @ self.gravity))
+
 
 def has_forces(contacts: Any) -> bool:
     """Return whether contacts are records with forces, and not only pairs."""
