@@ -8,7 +8,7 @@ from pathlib import Path
 import carom
 
 MOST = 8
-DECORATORS = {"borrowing", "inline", "inner", "instruction", "kernel", "leaf", "leading", "long_kernel", "unowned"}
+DECORATORS = {"inline", "inner", "instruction", "kernel", "leading", "long_kernel"}
 
 
 def arguments_of_kernels() -> dict[str, list[str]]:

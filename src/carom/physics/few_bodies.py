@@ -34,7 +34,7 @@ from carom.physics.integrators.kick_drift import (
     wrap_rows,
 )
 from carom.physics.jit.by_address import by_address
-from carom.physics.jit.decorators import borrowing, entry_of, inline, unowned
+from carom.physics.jit.decorators import entry_of, inline, inner, long_kernel
 from carom.physics.open_gaps import (
     TOTALS,
     UNTESTED,
@@ -184,7 +184,7 @@ def can_fly(world: World) -> bool:
     )
 
 
-@borrowing
+@long_kernel
 def take_steps(
     clock: FlightClock,
     laws: FlightLaws,
@@ -289,7 +289,7 @@ def _sum_accelerations(laws: FlightLaws, moved: MovedState, kept: KeptState, buf
             write(acceleration, i, 0.0, 0.0, 0.0)
 
 
-@unowned
+@inner
 def _copy_state(
     x: FloatArray, v: FloatArray, a: FloatArray, to_x: FloatArray, to_v: FloatArray, to_a: FloatArray
 ) -> None:

@@ -20,7 +20,7 @@ from carom.arrays import FloatArray, RecordArray, dtype_of
 from carom.physics.contact.geometry import height_above
 from carom.physics.contact.solver.prepare import TOUCHING
 from carom.physics.integrators.kick_drift import DampedStep
-from carom.physics.jit.decorators import Function, for_first, unowned
+from carom.physics.jit.decorators import Function, for_first, inner
 from carom.physics.rotation import rotate_one
 from carom.physics.vector import is_periodic, minimum_image, square
 
@@ -160,7 +160,7 @@ def conclude(contacts: Any, totals: Totals, dt: float, step: int, time: float) -
     """Write torques and add to the totals at the end of a step of dt s."""
 
 
-@unowned
+@inner
 def _fastest(velocity: FloatArray, acceleration: FloatArray) -> tuple[float, float]:
     """Return the largest speed (m/s) and acceleration (m/s²); NaN if any is not finite."""
     v2_max, a2_max, rest = 0.0, 0.0, 0.0
@@ -171,7 +171,7 @@ def _fastest(velocity: FloatArray, acceleration: FloatArray) -> tuple[float, flo
     return np.sqrt(v2_max) + rest, np.sqrt(a2_max)
 
 
-@unowned
+@inner
 def _smallest_gap(x: FloatArray, v: FloatArray, kept: KeptState, dt: float, skin: float) -> tuple[float, float]:
     """Return the smallest gap (m), 0 if one may close to the skin in a drift of dt s, and the rounding of a drift."""
     radius, inverse_mass, box, normal, offset = kept.radius, kept.inverse_mass, kept.box, kept.normal, kept.offset

@@ -15,7 +15,7 @@ from __future__ import annotations
 import numpy as np
 
 from carom.arrays import FloatArray
-from carom.physics.jit.decorators import inline, kernel, long_kernel
+from carom.physics.jit.decorators import inline, kernel, long_kernel_with_arrays
 from carom.physics.jit.team import SOLO, Team
 
 # π/2 in two parts (Cody & Waite): the first has 33 bits, so its product with a count up to 2²⁰ is exact.
@@ -84,7 +84,7 @@ def rotate(orientation: FloatArray, angular_velocity: FloatArray, dt: float, tea
     team.divide(len(orientation), MIN_BODIES_PER_TASK, rotate_rows, orientation, angular_velocity, dt)
 
 
-@long_kernel
+@long_kernel_with_arrays
 def rotate_rows(lo: int, hi: int, orientation: FloatArray, angular_velocity: FloatArray, dt: float) -> None:
     """Rotate the orientations [lo, hi)."""
     buffer = np.empty((4, BLOCK))

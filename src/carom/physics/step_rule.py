@@ -25,7 +25,7 @@ import numpy as np
 
 from carom.arrays import FloatArray, RecordArray, dtype_of
 from carom.physics.diagnostics.momentum import centre_velocity
-from carom.physics.jit.decorators import borrowing, inline, kernel, long_kernel, unowned
+from carom.physics.jit.decorators import inline, inner, kernel, long_kernel
 from carom.physics.vector import Vector
 
 SHORTEST_MEAN = 0.5  # smallest divisor 1 - η τ'/2, which could reach 0 for a large η
@@ -41,7 +41,7 @@ def step_of_largest(largest: float, mean: float, softening: float, fraction: flo
     return step
 
 
-@unowned
+@inner
 def step_of_pairs(
     x: FloatArray, v: FloatArray, m: FloatArray, inverse_mass: FloatArray, G: float, softening: float, fraction: float
 ) -> float:
@@ -132,7 +132,7 @@ MovingBodies = tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray,
 """Positions, velocities and accelerations (n, 3), radii and masses (n,), and inverse masses with planes (n + p,)."""
 
 
-@borrowing
+@long_kernel
 def target(
     rule: RecordArray[RuleRecord],
     bodies: MovingBodies,

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from carom.physics.contact.events.held_group import MOST_BODIES, MOST_CONTACTS, Group, find_impulses
+from carom.physics.contact.events.nearest_velocities import empty_group, find_impulses
 from carom.physics.space import Space
 from carom.scene.load import Scene
 
@@ -215,17 +215,7 @@ def test_impulses_of_a_group_push_where_contacts_close_and_only_there(spread: in
         place[rng.random(contacts) < 0.2, 1] = -1  # a plane
         normal = rng.normal(size=(contacts, 3))
         normal /= np.linalg.norm(normal, axis=1)[:, None]
-        group = Group(
-            np.arange(MOST_BODIES),
-            np.zeros((MOST_BODIES, 3)),
-            np.zeros(MOST_BODIES),
-            np.zeros((MOST_CONTACTS, 2), np.int64),
-            np.full((MOST_CONTACTS, 2), -1),
-            np.zeros((MOST_CONTACTS, 3)),
-            np.zeros(MOST_CONTACTS),
-            np.zeros(MOST_CONTACTS),
-            np.zeros(MOST_CONTACTS),
-        )
+        group = empty_group()
         before = rng.normal(size=(bodies, 3))
         group.v[:bodies], group.root[:bodies] = before, mass**-0.5
         group.place[:contacts], group.normal[:contacts] = place, normal

@@ -10,7 +10,7 @@ import numpy as np
 from carom.arrays import FloatArray
 from carom.physics.jit.by_address import Located, by_address
 from carom.physics.jit.cache import _types
-from carom.physics.jit.decorators import borrowing, unowned
+from carom.physics.jit.decorators import inner, long_kernel
 
 
 class Weights(NamedTuple):
@@ -24,7 +24,7 @@ class Weighted(NamedTuple):
     sums: FloatArray
 
 
-@unowned
+@inner
 def add_up(weighted: Weighted) -> float:
     total, weights = 0.0, weighted.weights
     for k in range(len(weights.values)):
@@ -33,7 +33,7 @@ def add_up(weighted: Weighted) -> float:
     return total
 
 
-@borrowing
+@long_kernel
 def add_up_in_turn(first: Weighted, second: Weighted) -> tuple[float, float]:
     total = 0.0
     for _ in range(3):

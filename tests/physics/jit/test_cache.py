@@ -233,7 +233,7 @@ def is_module(root: Path, name: str) -> bool:
     return path.with_suffix(".py").is_file() or (path / "__init__.py").is_file()
 
 
-DECORATORS = {"kernel", "long_kernel", "inline", "inner", "unowned", "borrowing", "instruction", "chosen_by_type"}
+DECORATORS = {"kernel", "long_kernel", "inline", "inner", "instruction", "chosen_by_type"}
 
 
 def test_kernels_use_nothing_of_carom_but_the_modules_that_their_cache_watches() -> None:

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import carom.physics
 
 PACKAGE = Path(carom.physics.__file__).parent
-COUNTS_NONE = {"unowned", "borrowing"}
+COUNTS_NONE = {"inner", "long_kernel"}
 KERNELS = COUNTS_NONE | {"kernel", "long_kernel", "inner", "inline"}
 MAKERS = {"empty", "empty_like", "zeros", "zeros_like", "ones", "full", "arange", "copy", "concatenate", "argsort"}
 

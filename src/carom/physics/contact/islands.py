@@ -25,7 +25,7 @@ from carom.physics.contact.constraints import (
 )
 from carom.physics.contact.geometry import are_near
 from carom.physics.contact.solids import tangent_plane
-from carom.physics.jit.decorators import inline, inner, kernel, long_kernel, unowned
+from carom.physics.jit.decorators import inline, inner, kernel, long_kernel
 from carom.physics.jit.instructions import atomic_load, atomic_max, atomic_replace, from_front
 from carom.physics.jit.team import Team
 from carom.physics.vector import between, sizes, vector
@@ -143,7 +143,7 @@ IslandTables = tuple[IntArray, FloatArray, BoolArray]
 """Parents (n + p,), see `root_of`; the largest |a|² (m²/s⁴) of the island of a root (n + p,); `UNEQUAL`, `PRESSES`."""
 
 
-@unowned
+@inner
 def write_load_speeds(system: ConstraintSystem, field: FloatArray, dt: float, tables: IslandTables) -> bool:
     """Write the load speed of each contact; see `Islands`."""
     pairs, active, inverse_mass = system.pairs, system.active, system.inverse_mass

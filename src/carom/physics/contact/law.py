@@ -31,7 +31,7 @@ import numpy as np
 
 from carom.arrays import IntArray, RecordArray, dtype_of
 from carom.physics.contact import coulomb
-from carom.physics.jit.decorators import Function, chosen_by_type, identity_of, inline, unowned
+from carom.physics.jit.decorators import Function, chosen_by_type, identity_of, inline, inner
 from carom.physics.vector import Vector
 from carom.scene.contact_laws import functions_of
 from carom.scene.matter import PairCoefficients
@@ -211,7 +211,7 @@ def _restitution_of_impact(material: Any, *arguments: Any) -> Any:
     return of_sizes
 
 
-@unowned
+@inner
 def material_index(i: int, j: int, bodies: int, places: IntArray) -> int:
     """Return the row of the coefficients of ends i < j; with a single material, 0 between bodies and 1 + p at plane p.
 

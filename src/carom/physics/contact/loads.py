@@ -24,7 +24,7 @@ import numpy as np
 from carom.arrays import FloatArray, IntArray, RecordArray, dtype_of
 from carom.physics.contact.impact_log import ROUNDING
 from carom.physics.contact.records import ContactRecord, ContactStateRecord, LoadRecord
-from carom.physics.jit.decorators import inline, kernel, long_kernel, unowned
+from carom.physics.jit.decorators import inline, inner, kernel, long_kernel
 from carom.physics.jit.instructions import from_front
 from carom.physics.vector import Vector, between, vector
 from carom.scene.rest_speed import PER_STEP
@@ -78,7 +78,7 @@ def add_loads(
             load.yz += w * ny * nz
 
 
-@unowned
+@inner
 def pressing(i: int, j: int, normal: Vector, a: FloatArray, loads: RecordArray[LoadRecord]) -> float:
     """Return the acceleration A (m/s²) that presses two bodies, or a body and a solid, together; see the module."""
     nx, ny, nz = normal

@@ -33,7 +33,7 @@ from carom.physics.contact.graph import first_of
 from carom.physics.contact.islands import excess_square
 from carom.physics.contact.law import Materials
 from carom.physics.contact.solver.prepare import TOUCHING
-from carom.physics.jit.decorators import borrowing, long_kernel
+from carom.physics.jit.decorators import kernel, long_kernel
 from carom.physics.jit.instructions import atomic_max, from_front
 from carom.physics.jit.team import SOLO, Team
 from carom.physics.placement.neighbours import overlapping_pairs
@@ -168,7 +168,7 @@ def largest_values(
     return float(largest[SQUARE]), float(largest[COORDINATE])
 
 
-@long_kernel
+@kernel
 def _update_largest(
     lo: int, hi: int, acceleration: FloatArray, field: FloatArray, position: FloatArray, shared: IntArray
 ) -> None:
@@ -307,7 +307,7 @@ def _measure_moves(
         moves[block].move, moves[block].size = farthest, size
 
 
-@borrowing
+@long_kernel
 def _test(
     lo: int, hi: int, listed: IntArray, spheres: SearchedSpheres, near: IntArray, blocks: RecordArray[BlockRecord]
 ) -> None:

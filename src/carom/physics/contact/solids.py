@@ -28,7 +28,7 @@ from carom.physics.contact.translating_walls import (
     place,
     translation_of,
 )
-from carom.physics.jit.decorators import chosen_by_type, identity_of, kernel, leaf, long_kernel, with_field
+from carom.physics.jit.decorators import chosen_by_type, identity_of, inline, kernel, long_kernel, with_field
 from carom.physics.jit.instructions import from_front
 from carom.physics.vector import Vector, add, vector
 from carom.plan.interactions import load, pressing_wall
@@ -205,9 +205,9 @@ def _mark_of(shapes: list[str], translates: bool) -> str:
     functions = [shape_called(name).nearest for name in shapes]
     mark = f"{_MARK}{'moving_' if translates else ''}{'_'.join(shapes)}_{identity_of(*functions)}"
     if mark not in _nearest:
-        chosen: Callable[..., Any] = leaf(_of_plane)
+        chosen: Callable[..., Any] = inline(_of_plane)
         for kind, function in enumerate(functions, start=1):
-            chosen = _either(kind, leaf(function), chosen)
+            chosen = _either(kind, inline(function), chosen)
         _nearest[mark] = in_frame_of_wall(chosen) if translates else chosen
     return mark
 
@@ -226,7 +226,7 @@ def _either(kind: int, one: Callable[..., Any], other: Callable[..., Any]) -> Ca
             return one(p, x, y, z)
         return other(p, x, y, z)
 
-    return leaf(chosen)
+    return inline(chosen)
 
 
 def nearest_point(

@@ -33,7 +33,7 @@ import numpy as np
 from carom.arrays import FloatArray, IntArray, RecordArray, Records
 from carom.physics.contact.guided_walls import GUIDE, guided_displacement
 from carom.physics.contact.records import ContactRecord, ImpactRecord, ImpulseRecord
-from carom.physics.jit.decorators import inline, kernel, leaf, with_field
+from carom.physics.jit.decorators import inline, kernel, with_field
 from carom.physics.rotation import TWO_PI, sine_cosine
 from carom.physics.vector import Vector, vector
 from carom.scene.schema.motion import WallMotion
@@ -81,7 +81,7 @@ def in_frame_of_wall(nearest: Callable[..., Any]) -> Callable[..., Any]:
     def displaced(p: Any, x: float, y: float, z: float) -> Any:
         return nearest(p, x - p.motion_shift_x, y - p.motion_shift_y, z - p.motion_shift_z)
 
-    return leaf(displaced)
+    return inline(displaced)
 
 
 class WallTranslation:

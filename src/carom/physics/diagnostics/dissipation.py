@@ -30,7 +30,7 @@ from carom.physics.contact.law import Materials, exerts_torque, material_index, 
 from carom.physics.contact.loads import pressing
 from carom.physics.contact.records import ContactRecord, ContactStateRecord, ImpactRecord, LoadRecord
 from carom.physics.diagnostics.ledger import clear_terms
-from carom.physics.jit.decorators import entry_of, inline, kernel, long_kernel
+from carom.physics.jit.decorators import entry_of, inline, kernel
 from carom.physics.vector import Vector, between
 from carom.scene.rest_speed import PER_STEP
 from carom.scene.schema import Coefficients
@@ -362,7 +362,7 @@ def _count_impacts(log: RecordArray[ImpactRecord], bodies: int) -> IntArray:
     return counts
 
 
-@long_kernel
+@kernel
 def judge_contacts(
     resolved: tuple[IntArray, IntArray, RecordArray[ContactRecord], RecordArray[ContactStateRecord], IntArray],
     ends: JudgedEnds,

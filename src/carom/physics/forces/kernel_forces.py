@@ -17,7 +17,7 @@ import numpy as np
 
 from carom.arrays import FloatArray, Records
 from carom.physics.bodies import Bodies
-from carom.physics.jit.decorators import chosen_by_type, identity_of, kernel, leaf, long_kernel
+from carom.physics.jit.decorators import chosen_by_type, identity_of, inline, kernel, long_kernel
 from carom.physics.jit.team import SOLO, Team
 from carom.physics.vector import nearest_image
 from carom.scene.forces import ForceKind, kind_called
@@ -88,7 +88,7 @@ def parameters_of(name: str, scene: Scene) -> Records:
     functions = [first, force.potential] if force.potential else [first]
     marker = f"{_PAIR if is_pair else _BODY}{name}_{identity_of(*functions)}"
     if marker not in _compiled:
-        _compiled[marker] = _Compiled(leaf(first), leaf(force.potential) if force.potential else None)
+        _compiled[marker] = _Compiled(inline(first), inline(force.potential) if force.potential else None)
     values = force.parameters(scene.forces.given[name])
     record = np.zeros(1, np.dtype([(marker, np.float64), *((key, np.float64) for key in values)], align=True))
     for key, value in values.items():

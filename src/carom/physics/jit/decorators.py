@@ -47,7 +47,15 @@ def kernel(function: Function) -> Function:
 
 
 def long_kernel(function: Function) -> Function:
-    """Compile a function that runs for tens of microseconds or more; it releases the interpreter lock."""
+    """Compile a function that runs for tens of microseconds or more; it releases the interpreter lock.
+
+    It neither creates nor stores arrays, as for `inner`.
+    """
+    return _compiled(function, nogil=True, _nrt=False)
+
+
+def long_kernel_with_arrays(function: Function) -> Function:
+    """Compile a function like `long_kernel` that creates arrays, of which each thread needs its own."""
     return _compiled(function, nogil=True)
 
 
@@ -55,26 +63,12 @@ def inner(function: Function) -> Function:
     """Compile a function that only kernels call, without the wrapper that Python needs.
 
     With many array arguments, that wrapper takes most of the compilation. A call from Python would crash.
-    """
-    return _compiled(function, no_cpython_wrapper=True)
 
-
-def unowned(function: Function) -> Function:
-    """Compile a function like `inner` that neither creates nor stores arrays, without counting references to them.
-
-    Kernels that it calls must not create arrays either: if they are not yet compiled, Numba compiles them without
-    counts, too. The counts of references are atomic. In a short function that passes on the arrays of a tuple, they
-    take most of the time.
+    The function neither creates nor stores arrays, so references to arrays are not counted. The counts are atomic: in a
+    short function that passes on the arrays of a tuple, they take most of the time. Kernels that it calls must not
+    create arrays either: if they are not yet compiled, Numba compiles them without counts, too.
     """
     return _compiled(function, no_cpython_wrapper=True, _nrt=False)
-
-
-def borrowing(function: Function) -> Function:
-    """Compile a function like `unowned` that Python calls, too. It releases the interpreter lock.
-
-    Without counts of references, a kernel is called faster and compiled in less time.
-    """
-    return _compiled(function, nogil=True, _nrt=False)
 
 
 def inline(function: Function) -> Function:
@@ -222,12 +216,6 @@ class Compilations(event.Listener):  # type: ignore[misc] # untyped, like all of
 def on_compilation(callback: Callable[[], None]) -> None:
     """Call back once, before the first kernel is compiled; never if all are loaded from the cache."""
     event.register("numba:compile", Compilations(callback))
-
-
-def leaf(function: Function) -> Function:
-    """Compile a function into the kernels that call it; it is not stored on disk by itself."""
-    compile_as: Any = numba.njit
-    return cast("Function", compile_as(error_model="numpy", inline="always")(function))
 
 
 def chosen_by_type(stub: Callable[..., Any]) -> Callable[[Callable[..., Any]], Callable[..., Any]]:

@@ -31,7 +31,7 @@ from carom.physics.contact.broad_phase.cells import (
     repeats,
 )
 from carom.physics.contact.geometry import are_near
-from carom.physics.jit.decorators import borrowing, inline, kernel
+from carom.physics.jit.decorators import inline, kernel, long_kernel
 from carom.physics.jit.instructions import atomic_add
 from carom.physics.jit.team import SOLO, Team
 from carom.physics.vector import Vector, between, is_periodic, sizes
@@ -114,7 +114,7 @@ class Row(NamedTuple):
     z: int
 
 
-@borrowing
+@long_kernel
 def search(
     lo: int, hi: int, table: Table, layout: Layout, scale: float, skin: float, claimed: IntArray, buffer: IntArray
 ) -> None:
@@ -236,7 +236,7 @@ def _gap_to_cell(o: float, cell: int, density: float) -> float:
     return max(0.0, cell / density - o, o - (cell + 1) / density)
 
 
-@borrowing
+@long_kernel
 def _all_pairs(
     position: FloatArray, radius: FloatArray, box: FloatArray, scale: float, skin: float, buffer: IntArray
 ) -> int:

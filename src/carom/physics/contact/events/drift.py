@@ -24,7 +24,8 @@ from carom.physics.contact.events.event_loop import (
     predict,
     resolve,
 )
-from carom.physics.contact.events.held_group import MOST_BODIES, MOST_CONTACTS, hold_group
+from carom.physics.contact.events.held_group import hold_group
+from carom.physics.contact.events.nearest_velocities import MOST_CONTACTS, Group, empty_group
 from carom.physics.contact.events.time_of_impact import step_by_impacts
 from carom.physics.contact.events.trajectories import (
     DRIFT,
@@ -219,7 +220,7 @@ class EventDrivenDrift(Mover):
         drift["exhausted"] = drift["strays"] = 0
         pairs = np.empty((MOST_TOUCHING * len(bodies) + 1 if pair else 0, 2), dtype=np.int64)
         pairs[:1] = pair or 0
-        count = resolve_touching(T, pairs, self.log)
+        count = resolve_touching(T, pairs, self.log, empty_group())
         return Impacts(self.log[:count].copy())
 
     def step_by_impacts(self, span: float) -> float:
@@ -256,14 +257,14 @@ class EventDrivenDrift(Mover):
         both_ways(pairs, ends, others)
         neighbours = Neighbours(ends[:-1], ends[1:], others)
         logs: list[Records] = []
-        step, held, count = self._resolve_most, None, 0
+        step, group, count = self._resolve_most, None, 0
         while not logs or T.drift["queued"][0] > 0:
             if logs:
                 logs[-1] = logs[-1].copy()  # the log is written again
-            count = step(neighbours, T, self.log, held)
+            count = step(neighbours, T, self.log, group)
             logs.append(self.log[:count])
             if count + MOST_CONTACTS <= len(self.log):  # not because the log is full: a body is exhausted
-                step, held = resolve, np.empty(MOST_BODIES, dtype=np.int64)
+                step, group = resolve, empty_group()
         total = sum(map(len, logs))
         if total > len(self.log):  # the next step may have as many impacts
             self.log = np.empty(2 * total, dtype=self.log.dtype)
@@ -282,7 +283,7 @@ def _fill_queue(T: Trajectories) -> int:
 
 
 @long_kernel
-def resolve_touching(T: Trajectories, pairs: IntArray, log: RecordArray[ImpactRecord]) -> int:
+def resolve_touching(T: Trajectories, pairs: IntArray, log: RecordArray[ImpactRecord], group: Group) -> int:
     """Resolve the impacts of all pairs that touch at one moment; return their number.
 
     The pairs are resolved one by one, in the order of the event loop, until none closes. Rigid bodies have no unique
@@ -292,7 +293,7 @@ def resolve_touching(T: Trajectories, pairs: IntArray, log: RecordArray[ImpactRe
     The bodies are at the impact. In `DRIFT`, clock and kick are equal, and ``exhausted`` and ``strays`` are 0. The
     buffer ``pairs`` begins with a touching pair, whatever its gap; without rows, nothing is done.
     """
-    count, row, held = _touching_pairs(T, pairs), 0, np.empty(MOST_BODIES, np.int64)
+    count, row = _touching_pairs(T, pairs), 0
     for i in range(len(T.x) if count > 0 else 0):
         arrive(i, T)
     for sweep in range(MAX_ELASTIC + MOST_HOLDS):
@@ -315,7 +316,7 @@ def resolve_touching(T: Trajectories, pairs: IntArray, log: RecordArray[ImpactRe
                 for end in (i, j):  # the contacts of these bodies are held from now on
                     if end < len(T.x):
                         T.body[end].exhausted = T.inverse_mass[end] > 0.0
-                row = hold_group(i, j, T.everyone, T, log, row, held)[1]
+                row = hold_group(i, j, T.everyone, T, log, row, group)[1]
             else:
                 T.drift[0].exhausted = 1
                 return row

@@ -15,8 +15,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from carom.arrays import FloatArray, IntArray, RecordArray
-from carom.physics.contact.events.held_group import MOST_CONTACTS, hold_group
+from carom.arrays import FloatArray, RecordArray
+from carom.physics.contact.events.held_group import hold_group
+from carom.physics.contact.events.nearest_velocities import MOST_CONTACTS, Group
 from carom.physics.contact.events.time_of_impact import (
     first_of_images,
     stay_apart,
@@ -63,7 +64,7 @@ from carom.physics.contact.rolling import angular_impulse_of_impact, set_angular
 from carom.physics.contact.solver.body_state import slip_velocity
 from carom.physics.contact.translating_walls import velocity_in_drift, walls_translate
 from carom.physics.exponential import exponentials
-from carom.physics.jit.decorators import borrowing, inline, long_kernel, unowned, with_field
+from carom.physics.jit.decorators import inline, inner, long_kernel, with_field
 from carom.physics.jit.instructions import from_front
 from carom.physics.rotation import rotate_one
 from carom.physics.sheared_box import add_work, is_sheared, nearest_in_drift, periods
@@ -91,7 +92,7 @@ MAX_IMPACTS = 1000
 MAX_ELASTIC = 100_000
 
 
-@borrowing
+@long_kernel
 def predict(lo: int, hi: int, neighbours: Neighbours, T: Trajectories) -> None:
     """Predict the first impact of each body in [lo, hi) with planes and its neighbours."""
     _predict_with_solids(lo, hi, T, T.surface)
@@ -99,11 +100,11 @@ def predict(lo: int, hi: int, neighbours: Neighbours, T: Trajectories) -> None:
 
 
 @long_kernel
-def resolve(neighbours: Neighbours, T: Trajectories, log: RecordArray[ImpactRecord], held: IntArray | None) -> int:
+def resolve(neighbours: Neighbours, T: Trajectories, log: RecordArray[ImpactRecord], group: Group | None) -> int:
     """Resolve impacts until none is left or the log, (k,) `IMPACT`, is full; return their number.
 
-    ``held`` is (MOST_BODIES,) workspace for the bodies of a held group. With None, the loop ends where a body is
-    exhausted: few scenes hold contacts in a drift, and without `hold_group` the kernel compiles in half the time.
+    ``group`` is workspace for held contacts. With None, the loop ends where a body is exhausted: few scenes hold
+    contacts in a drift, and without `hold_group` the kernel compiles in half the time.
     """
     n, row = len(T.x), 0
     while row + MOST_CONTACTS <= len(log):
@@ -114,13 +115,13 @@ def resolve(neighbours: Neighbours, T: Trajectories, log: RecordArray[ImpactReco
         i, j = min(known, partner), max(known, partner)
         lossy = dissipates(T.materials[material_index(i, j, n, T.places)])
         if T.body[i].exhausted or (j < n and T.body[j].exhausted):
-            if held is None:
+            if group is None:
                 return row
-            count, row = hold_group(i, j, neighbours, T, log, row, held)
+            count, row = hold_group(i, j, neighbours, T, log, row, group)
             for k in range(count):
-                _count_impact(held[k], lossy, T)
+                _count_impact(group.changed[k], lossy, T)
             for k in range(count):
-                _predict_again(held[k], neighbours, T)
+                _predict_again(group.changed[k], neighbours, T)
             continue
         collide(i, j, log, row, T)
         row += 1
@@ -133,7 +134,7 @@ def resolve(neighbours: Neighbours, T: Trajectories, log: RecordArray[ImpactReco
     return row
 
 
-@unowned
+@inner
 def _go_to_next(neighbours: Neighbours, T: Trajectories) -> int:
     """Move two bodies to the next impact; return the body that predicted it, or -1 if no impact follows.
 
@@ -154,7 +155,7 @@ def _go_to_next(neighbours: Neighbours, T: Trajectories) -> int:
     return -1
 
 
-@unowned
+@inner
 def _count_impact(i: int, lossy: bool, T: Trajectories) -> None:
     """Count an impact of a body; record whether it is now exhausted, and whether its path leaves its search radius."""
     if i >= len(T.x) or T.inverse_mass[i] == 0.0:
@@ -178,7 +179,7 @@ def _count_impact(i: int, lossy: bool, T: Trajectories) -> None:
         T.strays.last[:] = drift.strays
 
 
-@unowned
+@inner
 def _predict_again(i: int, neighbours: Neighbours, T: Trajectories) -> None:
     """Predict a body's next impact on its remaining path, and update the event queue."""
     body, drift = T.body[i], T.drift[0]
@@ -193,7 +194,7 @@ def _predict_again(i: int, neighbours: Neighbours, T: Trajectories) -> None:
     drift.queued = put(i, drift.queued, T.queue, T.body)
 
 
-@unowned
+@inner
 def _predict(lo: int, hi: int, neighbours: Neighbours, T: Trajectories) -> None:
     """Predict the next impact of each body in [lo, hi) with neighbours; store it if it precedes the stored impact."""
     box, drift = periods(T.box), T.drift[0]
@@ -253,7 +254,7 @@ def _passes_images(v: Vector, span: float, box: Vector) -> bool:
     return bool(along_x > IMAGE_SHARE * Lx or along_y > IMAGE_SHARE * Ly or along_z > IMAGE_SHARE * Lz)
 
 
-@unowned
+@inner
 def _acceleration(i: int, j: int, v: Vector, T: Trajectories) -> Vector:
     """Return the acceleration of j relative to i, with drag, in m/s²; v is their relative velocity in the drift."""
     (vx, vy, vz), (ax, ay, az) = v, between(T.a, i, j)
@@ -261,7 +262,7 @@ def _acceleration(i: int, j: int, v: Vector, T: Trajectories) -> Vector:
     return ax - damping * vx, ay - damping * vy, az - damping * vz
 
 
-@unowned
+@inner
 def _time_on_parabola(i: int, j: int, d: Vector, v: Vector, slow: float, T: Trajectories) -> float:
     """Return the time (s) until two bodies meet, where the field bends one path; infinite if they miss each other.
 
@@ -332,7 +333,7 @@ def _predict_with_solids(lo: int, hi: int, T: Trajectories, N: FloatArray) -> No
                     body.impact_time, body.partner, body.partner_impacts = when, len(x) + p, 0
 
 
-@unowned
+@inner
 def _time_to_plane(gap: float, rate: float, bend: float) -> float:
     """Return the first time (s) at which gap + rate t + ½ bend t² reaches 0 from above; 0 if closed and closing."""
     if rate < 0.0 and gap <= 0.0:
@@ -346,7 +347,7 @@ def _time_to_plane(gap: float, rate: float, bend: float) -> float:
     return 2.0 * gap / (root - rate) if rate < 0.0 else (rate + root) / -bend
 
 
-@unowned
+@inner
 def collide(i: int, j: int, log: RecordArray[ImpactRecord], row: int, T: Trajectories) -> None:
     """Resolve one impact with the velocities at its time, and write it into a row of the log.
 
@@ -418,7 +419,7 @@ def collide(i: int, j: int, log: RecordArray[ImpactRecord], row: int, T: Traject
     entry.vjx, entry.vjy, entry.vjz = velocity(j, T)
 
 
-@unowned
+@inner
 def _landing_velocity(i: int, j: int, nx: float, ny: float, nz: float, an: float, T: Trajectories) -> float:
     """Return the normal velocity in m/s at which two bodies must separate to touch again only at the end of the drift.
 
@@ -443,7 +444,7 @@ def _landing_velocity(i: int, j: int, nx: float, ny: float, nz: float, an: float
     return landing
 
 
-@unowned
+@inner
 def _spin_up(i: int, arm: float, tx: float, ty: float, tz: float, T: Trajectories) -> None:
     """Change a body's spin by the torque of an impulse, and its orientation at the end of the drift accordingly.
 

@@ -9,9 +9,7 @@ the pair, all bodies that touch an exhausted body among these, and so on. For ea
     v_n + max(0, gap) / (time left) ≥ 0,    λ ≥ 0,    one of them 0,
 
 so that in this drift gaps do not become negative and overlaps do not grow. Of all velocities that satisfy these
-conditions, the solution is nearest to the previous velocities in kinetic energy. The dual method of Goldfarb & Idnani
-(1983) finds it in finitely many steps. It works with orthogonal directions of the scaled velocities √m v. At mass
-ratios above 10¹², the matrix of the contacts would lose a light body between heavy ones to rounding.
+conditions, `nearest_velocities` finds those that are nearest to the previous velocities in kinetic energy.
 
 Bodies that separate and meet again could also be held infinitely often. Each time, the gap up to which their contacts
 are held doubles, until it covers the whole drift.
@@ -30,11 +28,11 @@ that others pass through it.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 
-from carom.arrays import FloatArray, IntArray, RecordArray
+from carom.arrays import RecordArray
+from carom.physics.contact.events.nearest_velocities import MOST_BODIES, MOST_CONTACTS, Group, find_impulses
 from carom.physics.contact.events.trajectories import (
     MOST_HOLDS,
     Neighbours,
@@ -56,54 +54,23 @@ from carom.physics.contact.records import ImpactRecord
 from carom.physics.contact.rolling import set_angular_impulse
 from carom.physics.contact.solids import tangent_plane
 from carom.physics.contact.translating_walls import velocity_in_drift, walls_translate
-from carom.physics.jit.decorators import inline, inner, kernel
+from carom.physics.jit.decorators import inline, inner
 from carom.physics.sheared_box import add_work, is_sheared, nearest_in_drift
 from carom.physics.vector import Vector, along, between, vector
 
-MOST_BODIES = 48  # in a group; further bodies are held in groups of their own
-MOST_CONTACTS = 3 * MOST_BODIES
-MOST_CHANGES = 20  # of the set of held contacts, for each contact; rounding could exchange two of them without end
-DEPENDENT = 1e-29  # of the square of a direction; a smaller orthogonal component is rounding
 MOST_RELEASES = 3  # of an exhausted elastic body in a drift; a chain of impacts between masses needs one or two
 SPEED_ROUNDING = 10.0 * ROUNDING  # of the fastest body; slower closing needs no impulse
 
 
-class Group(NamedTuple):
-    """Bodies and contacts that are held together."""
-
-    body: IntArray  # (MOST_BODIES,) the bodies that move, and guided walls
-    v: FloatArray  # (MOST_BODIES, 3) m/s, their velocities in the drift; of a guided wall only the change
-    root: FloatArray  # (MOST_BODIES,) square root of the inverse mass, in the unit of the group
-    ends: IntArray  # (MOST_CONTACTS, 2) body, and body or plane
-    place: IntArray  # (MOST_CONTACTS, 2) indices of the ends in `body`; -1 for an end that does not move
-    normal: FloatArray  # (MOST_CONTACTS, 3) from the first to the second end
-    before: FloatArray  # (MOST_CONTACTS,) m/s, v_n in the drift before the group is held
-    allowed: (
-        FloatArray  # (MOST_CONTACTS,) m/s, closing speed that the gap allows, or at which an elastic contact is still
-    )
-    impulse: FloatArray  # (MOST_CONTACTS,) N s after division by the unit of the group
-
-
 @inner
 def hold_group(
-    i: int, j: int, neighbours: Neighbours, T: Trajectories, log: RecordArray[ImpactRecord], row: int, held: IntArray
+    i: int, j: int, neighbours: Neighbours, T: Trajectories, log: RecordArray[ImpactRecord], row: int, group: Group
 ) -> tuple[int, int]:
     """Hold the contacts of a meeting pair and of its group; one of the bodies of the pair is exhausted.
 
     At least `MOST_CONTACTS` rows of the log, from ``row`` on, are free. The bodies of the pair, and all bodies whose
-    velocities change, are written to ``held``, (MOST_BODIES,). Return their number, and the first free row.
+    velocities change, are written to ``group.changed``. Return their number, and the first free row.
     """
-    group = Group(
-        np.empty(MOST_BODIES, np.int64),
-        np.empty((MOST_BODIES, 3)),
-        np.empty(MOST_BODIES),
-        np.empty((MOST_CONTACTS, 2), np.int64),
-        np.empty((MOST_CONTACTS, 2), np.int64),
-        np.empty((MOST_CONTACTS, 3)),
-        np.empty(MOST_CONTACTS),
-        np.empty(MOST_CONTACTS),
-        np.zeros(MOST_CONTACTS),
-    )
     bodies, contacts = _gather(i, j, neighbours, T, group)
     elastic, waits, guided = _is_elastic(contacts, group, T), False, False
     for end in range(2 if j < len(T.x) else 1):
@@ -145,7 +112,7 @@ def hold_group(
             moved = moved or T.v[b, d] != group.v[k, d]
             T.v[b, d] = group.v[k, d]
         if moved:
-            held[count] = b
+            group.changed[count] = b
             count += 1
             T.body[b].negligible_speed = max(T.body[b].negligible_speed, SPEED_ROUNDING * fastest)
     for end in range(2 if j < len(T.x) else 1):
@@ -288,125 +255,6 @@ def _add(i: int, j: int, bodies: int, contacts: int, T: Trajectories, group: Gro
         wx, wy, wz = velocity_of_partner(i, j, T)
         group.allowed[contacts] += wx * nx + wy * ny + wz * nz
     return contacts + 1
-
-
-@kernel
-def find_impulses(bodies: int, contacts: int, negligible: float, group: Group) -> None:
-    """Write the impulses of a group's bodies and contacts, and the velocities after them.
-
-    Impulses are 0 before. A closing speed up to ``negligible`` (m/s) needs no impulse.
-    """
-    most = min(contacts, 3 * bodies)
-    active, count = np.empty(most, np.int64), 0  # contacts that are held
-    Q, R = np.empty((most, 3 * bodies)), np.empty((most, most))  # QR factors of the directions of the held contacts
-    load, weight, z = np.empty(most), np.empty(most), np.empty(3 * bodies)  # load: √kg m/s
-    scale, ignored = np.empty(contacts), np.zeros(contacts, np.bool_)
-    for c in range(contacts):
-        square = 0.0
-        for end in range(2):
-            k = group.place[c, end]
-            square += group.root[k] * group.root[k] if k >= 0 else 0.0
-        scale[c] = np.sqrt(square)
-    for _ in range(MOST_CHANGES * contacts):
-        worst, c = negligible, -1
-        for k in range(contacts):
-            excess = -_normal_velocity(k, group) - group.allowed[k]
-            if excess > worst and not ignored[k]:
-                worst, c = excess, k
-        if c < 0:
-            break
-        added = 0.0
-        while True:
-            square = _project(c, count, scale[c], group, Q, R, weight, z)
-            full = np.inf
-            if square > DEPENDENT and count < most:
-                full = (-_normal_velocity(c, group) - group.allowed[c]) / (scale[c] * square)
-            partial, opened = np.inf, -1
-            for k in range(count):
-                if weight[k] > 0.0 and load[k] < partial * weight[k]:
-                    partial, opened = load[k] / weight[k], k
-            step = min(full, partial)
-            if step == np.inf:  # its direction depends on the directions of contacts that no impulse can open
-                ignored[c] = True
-                break
-            if full < np.inf:
-                for k in range(bodies):
-                    for d in range(3):
-                        group.v[k, d] += step * z[3 * k + d] * group.root[k]
-            for k in range(count):
-                load[k] = max(0.0, load[k] - step * weight[k])
-            added += step
-            if full <= partial:
-                _extend(count, square, Q, R, weight, z)
-                active[count], load[count] = c, added
-                count += 1
-                break
-            for k in range(opened, count - 1):
-                active[k], load[k] = active[k + 1], load[k + 1]
-            count -= 1
-            for k in range(count):  # recomputed from the start: a group is small, and contacts seldom open
-                _extend(k, _project(active[k], k, scale[active[k]], group, Q, R, weight, z), Q, R, weight, z)
-    for k in range(count):
-        group.impulse[active[k]] = load[k] / scale[active[k]]
-
-
-@inline
-def _normal_velocity(c: int, group: Group) -> float:
-    """Return v_n of a contact in the drift, in m/s; an end that does not move has no velocity."""
-    vn = 0.0
-    for end in range(2):
-        k = group.place[c, end]
-        if k >= 0:
-            for d in range(3):
-                vn += (2 * end - 1) * group.normal[c, d] * group.v[k, d]
-    return vn
-
-
-@inner
-def _project(
-    c: int, count: int, scale: float, group: Group, Q: FloatArray, R: FloatArray, weight: FloatArray, z: FloatArray
-) -> float:
-    """Write to ``z`` the component of a contact's direction that is orthogonal to all ``count`` held directions.
-
-    Return the square of the length of this component. The components along the held directions are written to a column
-    of ``R``, and the rates at which the held impulses fall as the impulse of the contact rises to ``weight``.
-    """
-    z[:] = 0.0
-    for end in range(2):
-        k = group.place[c, end]
-        if k >= 0:
-            for d in range(3):
-                z[3 * k + d] += (2 * end - 1) * group.normal[c, d] * group.root[k] / scale
-    for k in range(count):
-        weight[k] = 0.0
-    for _ in range(2):  # a second pass removes the rounding errors of the first
-        for k in range(count):
-            component = 0.0
-            for d in range(len(z)):
-                component += Q[k, d] * z[d]
-            weight[k] += component
-            for d in range(len(z)):
-                z[d] -= component * Q[k, d]
-    if count < len(R):
-        for k in range(count):
-            R[k, count] = weight[k]
-    for k in range(count - 1, -1, -1):
-        for later in range(k + 1, count):
-            weight[k] -= R[k, later] * weight[later]
-        weight[k] /= R[k, k]
-    square = 0.0
-    for d in range(len(z)):
-        square += z[d] * z[d]
-    return square
-
-
-@inline
-def _extend(count: int, square: float, Q: FloatArray, R: FloatArray, weight: FloatArray, z: FloatArray) -> None:
-    """Add the direction written by `_project` to the held directions."""
-    length = np.sqrt(square)
-    R[count, count] = length
-    for d in range(len(z)):
-        Q[count, d] = z[d] / length
 
 
 @inner

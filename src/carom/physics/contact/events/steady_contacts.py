@@ -45,7 +45,7 @@ from carom.physics.contact.solver.positions import (
 from carom.physics.contact.solver.prepare import TOUCHING, begin_contacts, carry_each, mark_pressed
 from carom.physics.contact.statistics import BLOCK_COUNTS, DEEP_OVERLAP, BlockCountsRecord, count_block
 from carom.physics.integrators.kick_drift import DampedPath, DampedStep
-from carom.physics.jit.decorators import inline, unowned
+from carom.physics.jit.decorators import inline, inner
 from carom.physics.jit.team import ALONE
 from carom.physics.open_gaps import (
     KeptState,
@@ -202,7 +202,7 @@ def _copy_records(contacts: SteadyContacts, back: bool) -> None:
             _copy_words(contacts.words[k], contacts.buffers.saved[k])
 
 
-@unowned
+@inner
 def _copy_words(words: IntArray, to: IntArray) -> None:
     """Copy words; NumPy's assignment would check for overlapping memory."""
     for k in range(len(words)):
@@ -227,7 +227,7 @@ def _hold_contacts(contacts: SteadyContacts, totals: Totals, damped: DampedStep)
     return True
 
 
-@unowned
+@inner
 def _release(contacts: SteadyContacts) -> None:
     """Begin a step whose contacts carry no impulses."""
     system = contacts.system
@@ -237,7 +237,7 @@ def _release(contacts: SteadyContacts) -> None:
         clear_loads(system.active, system.loads)
 
 
-@unowned
+@inner
 def hold_steady(
     contacts: SteadyContacts, kick: float, last_kick: float, last_dt: float, drift: float, booked: float
 ) -> None:
@@ -289,7 +289,7 @@ def _crosses(velocity: FloatArray, box: FloatArray, dt: float) -> bool:
     return False
 
 
-@unowned
+@inner
 def drift_steady(contacts: SteadyContacts, path: DampedPath, dt: float, holds: bool) -> bool:
     """Predict the impacts of a drift of dt s; return whether there are none. ``holds``: whether contacts are held."""
     T, rules, system = contacts.trajectories, contacts.rules, contacts.system
@@ -332,7 +332,7 @@ def _find(contacts: SteadyContacts, totals: Totals, dt: float) -> bool:
     return _are_finite(T.x, T.v) and find_steady(contacts, T.x, T.radius[: len(T.x)], dt, totals[0].last_kick > 0.0)
 
 
-@unowned
+@inner
 def find_steady(contacts: SteadyContacts, x: FloatArray, radius: FloatArray, dt: float, holds: bool) -> bool:
     """Set up the contacts after the drift of a step of dt s, and correct overlaps; see `ContactPipeline.find`."""
     system, rules, buffers, m = contacts.system, contacts.rules, contacts.buffers, len(contacts.pairs)
@@ -371,7 +371,7 @@ def _resolve(contacts: SteadyContacts, totals: Totals, damped: DampedStep) -> bo
     return is_done
 
 
-@unowned
+@inner
 def resolve_steady(
     contacts: SteadyContacts, x: FloatArray, radius: FloatArray, damped: DampedStep, holds: bool
 ) -> tuple[bool, int]:
@@ -441,7 +441,7 @@ def _hold(contacts: SteadyContacts, system: ConstraintSystem, times: tuple[float
     return _lead(system, contacts.rules, contacts.trajectories.inverse_inertia, RESTING)
 
 
-@unowned
+@inner
 def _lead(system: ConstraintSystem, rules: SteadyRules, inverse_inertia: FloatArray, job: int) -> int:
     """Run a job on the velocities of the active bodies; return the number of iterations."""
     b = len(system.active)
@@ -451,7 +451,7 @@ def _lead(system: ConstraintSystem, rules: SteadyRules, inverse_inertia: FloatAr
     return iterations
 
 
-@unowned
+@inner
 def _margins(
     x: FloatArray, radius: FloatArray, acceleration: FloatArray, rules: SteadyRules, dt: float
 ) -> tuple[float, float, float]:

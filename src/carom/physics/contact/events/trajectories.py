@@ -36,7 +36,7 @@ from carom.physics.contact.solids import tangent_plane
 from carom.physics.contact.translating_walls import displacement_in_drift, velocity_in_drift, walls_translate
 from carom.physics.diagnostics.momentum import centre_velocity
 from carom.physics.exponential import log_remainder
-from carom.physics.jit.decorators import borrowing, inline, kernel, long_kernel, unowned
+from carom.physics.jit.decorators import inline, inner, kernel, long_kernel
 from carom.physics.jit.instructions import from_front
 from carom.physics.sheared_box import flow_in_drift, is_sheared, nearest_in_drift, velocity_of_image
 from carom.physics.vector import Vector, add, along, between, vector
@@ -222,7 +222,7 @@ def narrow(pairs: IntArray, scale: float, skin: float, T: Trajectories, near: In
     return rows
 
 
-@unowned
+@inner
 def arrive(i: int, T: Trajectories) -> None:
     """Begin the path of a body at the present time, without impacts so far."""
     body = T.body[i]
@@ -231,7 +231,7 @@ def arrive(i: int, T: Trajectories) -> None:
     body.released, body.releases, body.rattles = 0, 0, False
 
 
-@unowned
+@inner
 def release(i: int, T: Trajectories) -> None:
     """Let an exhausted body go on with as many single impacts as before."""
     body = T.body[i]
@@ -252,7 +252,7 @@ def straighten(pairs: IntArray, place: IntArray, contacts: RecordArray[ContactRe
                     straighten_guided(T.surface, pairs[c, end] - len(body))
 
 
-@unowned
+@inner
 def advance(i: int, T: Trajectories) -> None:
     """Move a body along its path to the present time."""
     clock = T.drift[0].clock
@@ -262,7 +262,7 @@ def advance(i: int, T: Trajectories) -> None:
     T.body[i].now = clock
 
 
-@unowned
+@inner
 def elapsed(T: Trajectories) -> float:
     """Return the time in s since the beginning of the drift."""
     drift = T.drift[0]
@@ -272,14 +272,14 @@ def elapsed(T: Trajectories) -> float:
     return float(min(drift.dt, (y + y * y * log_remainder(y)) / drift.damping))
 
 
-@unowned
+@inner
 def slowing(T: Trajectories) -> float:
     """Return the ratio of the present velocities to the velocities of the straight path; 1 without drag."""
     drift = T.drift[0]
     return float(1.0 - drift.damping * (drift.clock - drift.kick))
 
 
-@unowned
+@inner
 def velocity(i: int, T: Trajectories) -> Vector:
     """Return the velocity of a body at the present time, in m/s."""
     f, s = slowing(T), T.drift[0].clock - T.drift[0].kick
@@ -324,7 +324,7 @@ def mean_velocity_of_wall(j: int, T: Trajectories) -> Vector:
     return (ex - x) / remaining, (ey - y) / remaining, (ez - z) / remaining
 
 
-@unowned
+@inner
 def lag(T: Trajectories) -> float:
     """Return the lag of a path behind its straight line at the present time, per unit of the field, in s²."""
     drift = T.drift[0]
@@ -335,7 +335,7 @@ def lag(T: Trajectories) -> float:
     return float(drift.clock * phi1 * (drift.kick - done * log_remainder(drift.damping * done)))
 
 
-@unowned
+@inner
 def centre(i: int, T: Trajectories) -> Vector:
     """Return the position (m) of a body on its parabola at the present time."""
     x, y, z = vector(T.x, i)
@@ -345,7 +345,7 @@ def centre(i: int, T: Trajectories) -> Vector:
     return x - behind * drift.field_x, y - behind * drift.field_y, z - behind * drift.field_z
 
 
-@unowned
+@inner
 def rest_speed(i: int, j: int, normal: Vector, T: Trajectories) -> float:
     """Return the closing speed (m/s) up to which a contact is at rest: 0 if its bodies have touched nothing."""
     most = 0.0 if T.body[i].is_free else T.load_speed[i]
@@ -356,7 +356,7 @@ def rest_speed(i: int, j: int, normal: Vector, T: Trajectories) -> float:
     return float(min(most, PER_STEP * T.drift[0].loading * pressing(i, j, normal, T.a, T.loads)))
 
 
-@unowned
+@inner
 def contact_geometry(i: int, j: int, T: Trajectories) -> tuple[float, float, float, float, float]:
     """Return the normal from i to j, and both lever arms in m; see `geometry.update_geometry`.
 
@@ -381,7 +381,7 @@ def contact_geometry(i: int, j: int, T: Trajectories) -> tuple[float, float, flo
     return nx, ny, nz, ratio * T.radius[i], ratio * T.radius[j]
 
 
-@unowned
+@inner
 def leaves_search_radius(i: int, T: Trajectories) -> bool:
     """Return whether a body leaves its search radius before the end of the drift."""
     body, drift = T.body[i], T.drift[0]
@@ -395,7 +395,7 @@ def leaves_search_radius(i: int, T: Trajectories) -> bool:
     return bool(x * x + y * y + z * z > body.search_radius * body.search_radius)
 
 
-@borrowing
+@long_kernel
 def finish(lo: int, hi: int, T: Trajectories) -> None:
     """Move the bodies [lo, hi) to the end of the drift, where exhausted bodies regain what `hold_group` kept."""
     dt = T.drift[0].dt
@@ -422,7 +422,7 @@ def both_ways(pairs: IntArray, ends: IntArray, others: IntArray) -> None:
             others[ends[i]] = pairs[c, 1 - end]
 
 
-@unowned
+@inner
 def is_sooner(i: int, j: int, body: RecordArray[QueuedRecord]) -> bool:
     """Return whether body i's next impact comes before body j's."""
     one, other = body[i], body[j]
@@ -434,7 +434,7 @@ def is_sooner(i: int, j: int, body: RecordArray[QueuedRecord]) -> bool:
     return bool(max(i, one.partner) < max(j, other.partner))
 
 
-@unowned
+@inner
 def put(i: int, size: int, queue: IntArray, body: RecordArray[QueuedRecord]) -> int:
     """Update the place of body i in a queue after its next impact has changed; without an impact, remove the body.
 

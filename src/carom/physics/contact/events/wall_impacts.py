@@ -24,7 +24,7 @@ from carom.physics.contact.translating_walls import (
     velocity_in_drift,
     walls_translate,
 )
-from carom.physics.jit.decorators import unowned
+from carom.physics.jit.decorators import inner
 from carom.physics.vector import Vector, along, vector
 
 FOCAL_FRACTION = 0.5  # of the focal distance, by which a body may move in a pass
@@ -79,7 +79,7 @@ def predict_with_walls(lo: int, hi: int, T: Trajectories, surface: FloatArray) -
                 body.partner_impacts = impacts_of_wall(surface, solid)
 
 
-@unowned
+@inner
 def _time_to_wall(
     solid: int,
     position: Vector,
@@ -130,7 +130,7 @@ def _time_to_wall(
     return np.inf  # a grazing pass
 
 
-@unowned
+@inner
 def _until_path(length: float, speed: float, bend: float) -> float:
     """Return the shortest time (s) in which a body can cover a path of a length in m."""
     if not length > 0.0:

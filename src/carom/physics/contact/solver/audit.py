@@ -32,10 +32,10 @@ from carom.physics.contact.records import ContactRecord, ContactStateRecord
 from carom.physics.contact.rolling import angular_impulse, relative_spin, set_angular_impulse, spin_before
 from carom.physics.contact.solver.body_state import half_turn_of, prefetch_ends, relative_velocity, slip
 from carom.physics.diagnostics.ledger import copy_terms
-from carom.physics.jit.decorators import inline, unowned
+from carom.physics.jit.decorators import inline, inner
 
 
-@unowned
+@inner
 def audit(first: int, end: int, system: ConstraintSystem) -> None:
     """Book the energies of the impulses in some pieces, for each contact and in total."""
     for piece in range(first, end):
@@ -108,7 +108,7 @@ def _audit(piece: int, system: ConstraintSystem) -> None:
     results.restitution_loss, results.friction_loss, results.stabilisation_gain = restitution, friction, stabilisation
 
 
-@unowned
+@inner
 def scale_back(first: int, end: int, system: ConstraintSystem) -> None:
     """Scale the impulses of each island with θ < 1, and undo the audit; record whether there were any."""
     settings = system.settings[0]

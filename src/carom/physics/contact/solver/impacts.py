@@ -43,14 +43,14 @@ from carom.physics.contact.rolling import (
 )
 from carom.physics.contact.solver.body_state import prefetch_ends, push, relative_velocity, slip, turn
 from carom.physics.contact.solver.refine import INTOLERABLE, tolerated
-from carom.physics.jit.decorators import inline, long_kernel, unowned
+from carom.physics.jit.decorators import inline, inner, long_kernel
 from carom.physics.sheared_box import relative_to_image
 from carom.physics.vector import between
 
 CONVERGED = 1e-9  # of the largest change of a velocity in the first iteration; smaller changes end the iterations
 
 
-@unowned
+@inner
 def resolve_impacts(first: int, end: int, system: ConstraintSystem) -> None:
     """Resolve the impacts in some pieces once; record the largest change of a velocity.
 

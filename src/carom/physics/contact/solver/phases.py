@@ -38,7 +38,7 @@ from carom.physics.contact.solver.phase_code import IMPACTS, POSITIONS
 from carom.physics.contact.solver.refine import INTOLERABLE, step_length
 from carom.physics.contact.solver.solve import HOLD_CONVERGED
 from carom.physics.jit.by_address import by_address
-from carom.physics.jit.decorators import borrowing, inline, inner, unowned
+from carom.physics.jit.decorators import inline, inner, long_kernel
 from carom.physics.jit.task import assign, do, kind_of, lay_out, leading, led, raise_fault
 from carom.physics.jit.team import lead_phase
 
@@ -70,7 +70,7 @@ class Phases(NamedTuple):
     settings: RecordArray[SettingsRecord]
 
 
-@leading(borrowing)
+@leading(long_kernel)
 def work(
     board: IntArray, job: int, addresses: IntArray, kind: int, system: ConstraintSystem, max_iterations: int
 ) -> int:
@@ -78,7 +78,7 @@ def work(
     return run_job(board, job, addresses, kind, by_address(system), max_iterations)
 
 
-@leading(unowned)
+@leading(inner)
 def run_job(
     board: IntArray, job: int, addresses: IntArray, kind: int, system: ConstraintSystem, max_iterations: int
 ) -> int:

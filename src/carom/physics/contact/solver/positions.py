@@ -44,7 +44,7 @@ from carom.physics.contact.records import ContactStateRecord, PushedBodyRecord
 from carom.physics.contact.solids import tangent_plane
 from carom.physics.contact.solver.block import Block, whole_blocks
 from carom.physics.contact.solver.body_state import along_and_across, prefetch_ends, velocity_along
-from carom.physics.jit.decorators import inline, kernel, long_kernel, unowned
+from carom.physics.jit.decorators import inline, inner, kernel, long_kernel
 from carom.physics.jit.instructions import Code, from_front, instruction
 from carom.physics.jit.vectors import DOUBLE, WIDTH, WORD, Lanes, Mask, at_least, gathered, in_lanes, read_doubles
 from carom.physics.sheared_box import nearest_in_drift, periods, relative_to_image
@@ -88,7 +88,7 @@ def find_push_fractions(
         states[c].push_fraction = 1.0 / min(counts[i], counts[j])
 
 
-@unowned
+@inner
 def correct_positions(first: int, end: int, system: ConstraintSystem) -> None:
     """Push the resting contacts of some pieces apart once; record whether an overlap needs another iteration.
 

@@ -58,7 +58,7 @@ from carom.physics.contact.solver.body_state import (
     slip,
 )
 from carom.physics.diagnostics.ledger import clear_terms
-from carom.physics.jit.decorators import inline, kernel, long_kernel, unowned
+from carom.physics.jit.decorators import inline, inner, kernel, long_kernel
 from carom.physics.jit.instructions import AHEAD, prefetch_record
 from carom.physics.jit.team import Team
 from carom.physics.vector import vector
@@ -118,7 +118,7 @@ def _clear(contact: ContactRecord, state: ContactStateRecord) -> None:
     state.biased = False
 
 
-@unowned
+@inner
 def prepare(first: int, end: int, system: ConstraintSystem) -> None:
     """Write the constants of the iterations, and v_n and u before them; clear the impulses of impacts."""
     pairs, bodies = system.pairs, system.bodies
@@ -328,7 +328,7 @@ def _set_impulse(contact: ContactRecord, ratio: float, normal: float, x: float, 
     contact.friction_y, contact.friction_z = ratio * (y - along * contact.ny), ratio * (z - along * contact.nz)
 
 
-@unowned
+@inner
 def warm_start(first: int, end: int, system: ConstraintSystem) -> None:
     """Apply the impulses with which the contacts in some pieces start."""
     lo, hi = contacts_of(first, end, system)

@@ -57,7 +57,7 @@ from carom.physics.contact.solver.body_state import (
     relative_velocity,
     slip,
 )
-from carom.physics.jit.decorators import inline, kernel, unowned
+from carom.physics.jit.decorators import inline, inner, kernel
 from carom.physics.jit.instructions import Code, from_front, instruction
 from carom.physics.jit.vectors import BIT, DOUBLE, WIDTH, Lanes, line_of, mask_of, spread
 from carom.physics.sheared_box import slope_of_image
@@ -77,7 +77,7 @@ DEEP = 5e-3  # of the smaller radius; a resting contact with more overlap has be
 DEEP_TOLERANCE = 1e-2  # of the rest speed, for such a contact
 
 
-@unowned
+@inner
 def line_search(first: int, end: int, system: ConstraintSystem) -> None:
     """Sum m p·v + I t·ω, and m p² + I t², over each given block of bodies."""
     for block in range(first, end):
@@ -99,7 +99,7 @@ def _sum_up(block: int, system: ConstraintSystem) -> None:
     sums.slope, sums.curvature = slope, curvature
 
 
-@unowned
+@inner
 def step_length(piece_results: RecordArray[PieceResultsRecord], sums: RecordArray[BlockSumsRecord]) -> float:
     """Return α; 0 if repeating the change would not help."""
     slope, curvature, step_limit = 0.0, 0.0, np.inf
@@ -114,7 +114,7 @@ def step_length(piece_results: RecordArray[PieceResultsRecord], sums: RecordArra
     return min(-slope / curvature, step_limit)
 
 
-@unowned
+@inner
 def extrapolate(first: int, end: int, system: ConstraintSystem) -> None:
     """Change the velocities in some blocks of bodies by α p and α t, and clear p and t."""
     alpha, active = system.settings[0].alpha, system.active
@@ -149,7 +149,7 @@ def repeat_change(code: Code, bodies: Any, body: Any, alpha: Any) -> None:
     builder.store(spread(builder, DOUBLE(0.0)).where(moves, change).value, lines[1], align=CACHE_LINE)
 
 
-@unowned
+@inner
 def measure_violation(first: int, end: int, system: ConstraintSystem) -> None:
     """Compute by how much the worst contact of each piece exceeds its tolerance, in m/s; 0 within it."""
     for piece in range(first, end):
@@ -202,7 +202,7 @@ def tolerated(load_speed: float, approach: float, depth: float, radius_per_step:
     return min(max(REST_TOLERANCE * load_speed, APPROACH_TOLERANCE * approach), RADIUS_TOLERANCE * radius_per_step)
 
 
-@unowned
+@inner
 def conjugate_step(first: int, end: int, system: ConstraintSystem) -> None:
     """Move by α along the direction; compute the residual r = -(v + c), and the sum of r z with z = r / diag(A)."""
     settings = system.settings[0]
@@ -263,7 +263,7 @@ def _is_left(results: PieceResultsRecord, system: ConstraintSystem) -> bool:
     return bool(system.settings[0].ignores_meshed and not results.is_exact)
 
 
-@unowned
+@inner
 def begin_search(lo: int, hi: int, system: ConstraintSystem) -> bool:
     """Determine the free impulses: λ_n of contacts that carry a load or close, and λ_t of contacts that stick.
 
@@ -298,7 +298,7 @@ def begin_search(lo: int, hi: int, system: ConstraintSystem) -> bool:
     return is_exact
 
 
-@unowned
+@inner
 def conjugate_direction(first: int, end: int, system: ConstraintSystem) -> None:
     """Update the direction, d = z + β d, and sum the changes p and t of the bodies' velocities along it."""
     for piece in range(first, end):
@@ -324,7 +324,7 @@ def _add_direction(piece: int, system: ConstraintSystem) -> None:
             accumulate_impulse(contact, body_i, body_j, spins, normal, dx, dy, dz)
 
 
-@unowned
+@inner
 def project(first: int, end: int, system: ConstraintSystem) -> None:
     """Release contacts with attractive impulses; store the remaining change of the impulses for a line search."""
     for piece in range(first, end):

@@ -82,7 +82,7 @@ from carom.physics.contact.solver.body_state import (
     torque_of,
     turn,
 )
-from carom.physics.jit.decorators import inline, unowned
+from carom.physics.jit.decorators import inline, inner
 from carom.physics.jit.instructions import Code, instruction
 from carom.physics.jit.vectors import (
     DOUBLE,
@@ -108,21 +108,21 @@ KINDS = (
 )
 
 
-@unowned
+@inner
 def solve_turning(first: int, end: int, system: ConstraintSystem) -> None:
     """Solve the contacts in some pieces once, with friction and spin."""
     for piece in range(first, end):
         solve(piece, system, (1,))
 
 
-@unowned
+@inner
 def solve_straight(first: int, end: int, system: ConstraintSystem) -> None:
     """Solve the contacts in some pieces once, without friction."""
     for piece in range(first, end):
         solve(piece, system, ())
 
 
-@unowned
+@inner
 def solve(piece: int, system: ConstraintSystem, turning: tuple[()] | tuple[int]) -> None:
     """Solve the contacts of a piece once, each with the velocities after the contacts before it.
 

@@ -26,7 +26,7 @@ import numpy as np
 from carom.arrays import FloatArray, IntArray
 from carom.physics.aligned import CACHE_LINE
 from carom.physics.forces.gravity.pair import attraction, mutual_attraction
-from carom.physics.jit.decorators import kernel, long_kernel
+from carom.physics.jit.decorators import kernel, long_kernel_with_arrays
 from carom.physics.jit.team import SOLO, Team
 from carom.scene.schema import Gravity
 
@@ -123,7 +123,7 @@ def sum_few(
         potential[i] = -G * (p - mi * own * eps2)
 
 
-@long_kernel
+@long_kernel_with_arrays
 def _sum_blocks(
     lo: int,
     hi: int,

@@ -32,7 +32,7 @@ from carom.physics.aligned import aligned_empty
 from carom.physics.forces.gravity.boxes import GROUP, RANGE, Boxes
 from carom.physics.forces.gravity.direct import PARALLEL_FROM, potential_energy
 from carom.physics.forces.gravity.pair import attraction, own_potential
-from carom.physics.jit.decorators import long_kernel, unowned
+from carom.physics.jit.decorators import inner, long_kernel
 from carom.physics.jit.instructions import atomic_add, prefetch_to_read
 from carom.physics.jit.team import SOLO, Team
 from carom.scene.schema import Gravity
@@ -188,7 +188,7 @@ def attract_groups(
                 potential[i] = -G * (lanes[PHI, lane] - own * m[i0 + lane])
 
 
-@unowned
+@inner
 def _walk(
     i0: int, bodies: int, width: int, tree: BoxTree, lanes: FloatArray, far: IntArray, near: Records
 ) -> tuple[int, int]:
@@ -227,7 +227,7 @@ def _walk(
     return fars, nears
 
 
-@unowned
+@inner
 def _add_monopoles(
     fars: int, far: IntArray, width: int, tree: BoxTree, eps2: float, lanes: FloatArray, potential: FloatArray | None
 ) -> None:
@@ -245,7 +245,7 @@ def _add_monopoles(
                 lanes[PHI, k] += s * r2
 
 
-@unowned
+@inner
 def _add_quadrupoles(
     fars: int, far: IntArray, width: int, tree: BoxTree, eps2: float, lanes: FloatArray, potential: FloatArray | None
 ) -> None:
@@ -273,7 +273,7 @@ def _add_quadrupoles(
                 lanes[PHI, k] += M * w + w3 * (0.5 * h - t)
 
 
-@unowned
+@inner
 def _add_bodies(
     nears: int, near: Records, width: int, tree: BoxTree, eps2: float, lanes: FloatArray, potential: FloatArray | None
 ) -> None:

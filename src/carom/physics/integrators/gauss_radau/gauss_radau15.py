@@ -60,7 +60,7 @@ from carom.physics.integrators.gauss_radau.radau_step import (
     shorten,
     tolerance,
 )
-from carom.physics.jit.decorators import borrowing, entry_of, unowned
+from carom.physics.jit.decorators import entry_of, inner, long_kernel
 from carom.physics.step_rule import END_TOLERANCE
 from carom.plan.auto import largest_step
 from carom.plan.features import Requirements
@@ -189,7 +189,7 @@ def make(scene: Scene, needs: Requirements, bodies: Bodies, uniform: FloatArray)
     return GaussRadau15(motion, *steps, solids, tolerance(refinement))
 
 
-@borrowing
+@long_kernel
 def advance(
     motion: Motion,
     solids: Solids | None,
@@ -236,7 +236,7 @@ def advance(
             break  # the run has ended, or the step is NaN or too short to change the clock
 
 
-@unowned
+@inner
 def _end_at_impact(motion: Motion, solids: Solids, run: ProgressRecord, h: float, dt: float) -> float:
     """Repeat the step so that it ends where the pair in ``run`` touches; return its length in s.
 

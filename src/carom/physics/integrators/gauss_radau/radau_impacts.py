@@ -26,7 +26,7 @@ import numpy as np
 from carom.arrays import FloatArray
 from carom.physics.contact.impact_log import ROUNDING
 from carom.physics.integrators.gauss_radau.radau_step import TERMS, Motion, ProgressRecord, acceleration_at_start
-from carom.physics.jit.decorators import inline, unowned
+from carom.physics.jit.decorators import inline, inner
 
 COEFFICIENTS = TERMS + 3  # of a position, a polynomial in h
 TOUCHING = 8 * 2.0**-53  # of the coordinates and of R: a smaller gap is rounding
@@ -54,7 +54,7 @@ class Solids(NamedTuple):
         return cls(np.ascontiguousarray(radius), *planes, np.zeros((COEFFICIENTS, 3)))
 
 
-@unowned
+@inner
 def first_impact(motion: Motion, solids: Solids, run: ProgressRecord, dt: float, displacement: float) -> float:
     """Return the fraction h of the step after which bodies meet, `NONE`, or `AT_REST`; write the pair to ``run``.
 
@@ -86,7 +86,7 @@ def first_impact(motion: Motion, solids: Solids, run: ProgressRecord, dt: float,
     return first
 
 
-@unowned
+@inner
 def _earlier(
     i: int, j: int, R: float, motion: Motion, solids: Solids, run: ProgressRecord, dt: float, first: float
 ) -> float:
@@ -102,7 +102,7 @@ def _earlier(
     return first
 
 
-@unowned
+@inner
 def rounding(x: FloatArray, i: int, j: int, R: float) -> float:
     """Return the largest gap (m) between body i and body or plane j that may be due to rounding."""
     largest = R
@@ -135,7 +135,7 @@ def max_displacement(motion: Motion, planes: int, dt: float) -> float:
     return float(SLACK * dt * farthest)
 
 
-@unowned
+@inner
 def _lay_pair(motion: Motion, path: FloatArray, i: int, j: int, dt: float) -> None:
     """Write the coefficients of the separation of body j from body i."""
     for k in range(3):
@@ -143,7 +143,7 @@ def _lay_pair(motion: Motion, path: FloatArray, i: int, j: int, dt: float) -> No
             path[m, k] = coefficient(motion, j, k, m, dt) - coefficient(motion, i, k, m, dt)
 
 
-@unowned
+@inner
 def _lay_height(motion: Motion, solids: Solids, i: int, p: int, dt: float) -> None:
     """Write the coefficients of the separation of plane p from body i, along its normal."""
     N = solids.surface[p]
@@ -155,7 +155,7 @@ def _lay_height(motion: Motion, solids: Solids, i: int, p: int, dt: float) -> No
             solids.path[m, k] = -height * N[k]
 
 
-@unowned
+@inner
 def coefficient(motion: Motion, i: int, k: int, m: int, dt: float) -> float:
     """Return the coefficient of h^m in a coordinate of body i, in m."""
     if m == 0:
@@ -167,7 +167,7 @@ def coefficient(motion: Motion, i: int, k: int, m: int, dt: float) -> float:
     return float(dt * dt * motion.b[3 * i + k, m - 3] / ((m - 1) * m))
 
 
-@unowned
+@inner
 def _at(path: FloatArray, h: float) -> tuple[float, float, float, float]:
     """Return |d|², g, g' and |d'|² at h."""
     d2, g, speed2, bend = 0.0, 0.0, 0.0, 0.0
@@ -181,7 +181,7 @@ def _at(path: FloatArray, h: float) -> tuple[float, float, float, float]:
     return d2, g, speed2 + bend, speed2
 
 
-@unowned
+@inner
 def _chord(path: FloatArray, a: float, b: float) -> float:
     """Return the smallest |d|² on the chord of d from a to b."""
     far, along, length = 0.0, 0.0, 0.0
@@ -197,7 +197,7 @@ def _chord(path: FloatArray, a: float, b: float) -> float:
     return far - along * along / length
 
 
-@unowned
+@inner
 def _bounds(path: FloatArray) -> tuple[float, float, float]:
     """Return bounds on |d'|, |d''| and |d'''| in [0, 1]."""
     first, second, third = 0.0, 0.0, 0.0
@@ -209,7 +209,7 @@ def _bounds(path: FloatArray) -> tuple[float, float, float]:
     return first, second, third
 
 
-@unowned
+@inner
 def _first_root(path: FloatArray, R: float, gap: float, negligible: float) -> float:
     """Return the first h at which bodies touch and close, `NONE` or `AT_REST`, with lengths in m.
 
@@ -250,7 +250,7 @@ def _first_root(path: FloatArray, R: float, gap: float, negligible: float) -> fl
     return AT_REST
 
 
-@unowned
+@inner
 def _solve(path: FloatArray, R: float, a: float, b: float) -> float:
     """Return the root of the falling d² - R² in [a, b], by Newton's method and bisection."""
     h = 0.5 * (a + b)
@@ -270,7 +270,7 @@ def _solve(path: FloatArray, R: float, a: float, b: float) -> float:
     return h
 
 
-@unowned
+@inner
 def time_to_touch(motion: Motion, solids: Solids, i: int, j: int, dt: float) -> float:
     """Return the change of the step in s with which a closing pair would touch at its end."""
     n = len(motion.position)

@@ -14,7 +14,7 @@ import numpy as np
 from carom.arrays import FloatArray, IntArray, dtype_of
 from carom.physics.forces.gravity.pair import attraction, mutual_attraction
 from carom.physics.forces.kernel_forces import Parameters, add_forces
-from carom.physics.jit.decorators import inline, unowned
+from carom.physics.jit.decorators import inline, inner
 
 # 0 and the zeros of (P₇(x) + P₈(x)) / (1 + x), with Legendre polynomials P, mapped from [-1, 1] to [0, 1]
 NODES = tuple(
@@ -166,7 +166,7 @@ def acceleration_at_start(motion: Motion, i: int, k: int) -> float:
     return a
 
 
-@unowned
+@inner
 def attempt(motion: Motion, twin: Motion | None, run: ProgressRecord, dt: float, change: float) -> tuple[float, float]:
     """Compute the polynomial of a step, shortened while it is too long by more than a factor ``change``.
 
@@ -182,7 +182,7 @@ def attempt(motion: Motion, twin: Motion | None, run: ProgressRecord, dt: float,
     return dt, wanted
 
 
-@unowned
+@inner
 def _attempt_once(motion: Motion, twin: Motion | None, run: ProgressRecord, dt: float) -> float:
     """Compute the polynomial of a step; return the longest possible next step, in s."""
     predict(motion, dt / run.last_dt if run.last_dt > 0.0 and not run.after_impact else 0.0)
@@ -190,7 +190,7 @@ def _attempt_once(motion: Motion, twin: Motion | None, run: ProgressRecord, dt: 
     return next_step(motion, dt, run.fraction)
 
 
-@unowned
+@inner
 def shorten(motion: Motion, run: ProgressRecord, dt: float, ratio: float) -> None:
     """Compute the polynomial of a step of dt that starts like the present one and is ``ratio`` times as long."""
     b = motion.b
@@ -202,7 +202,7 @@ def shorten(motion: Motion, run: ProgressRecord, dt: float, ratio: float) -> Non
     _converge(motion, None, run, dt)
 
 
-@unowned
+@inner
 def _converge(motion: Motion, twin: Motion | None, run: ProgressRecord, dt: float) -> None:
     """Iterate until the polynomial agrees with the accelerations at the nodes, to the tolerance of the run.
 
@@ -227,7 +227,7 @@ def stops(iteration: int, error: float, before: float, tolerance: float) -> bool
     return error < tolerance or (iteration > 0 and (error >= before or error * (error / before) < tolerance))
 
 
-@unowned
+@inner
 def predict(motion: Motion, ratio: float) -> None:
     """Extrapolate the polynomial of the last step to a step that is ``ratio`` times as long, as the first guess.
 
@@ -245,7 +245,7 @@ def predict(motion: Motion, ratio: float) -> None:
             b[c, k] = predicted[c, k] + (correction[c, k] if ratio > 0.0 else 0.0)
 
 
-@unowned
+@inner
 def iterate(motion: Motion, dt: float) -> float:
     """Visit the nodes once; return the largest residual relative to the largest acceleration."""
     start, there, expected, b = motion.start, motion.there, motion.expected, motion.b
@@ -265,7 +265,7 @@ def iterate(motion: Motion, dt: float) -> float:
     return most / largest if largest > 0.0 else 0.0
 
 
-@unowned
+@inner
 def _evaluate(motion: Motion, s: int, dt: float) -> None:
     """Evaluate the polynomial at a node: positions, and the change of the accelerations since the start."""
     x, v, b = motion.position, motion.velocity, motion.b
@@ -282,7 +282,7 @@ def _evaluate(motion: Motion, s: int, dt: float) -> None:
             motion.at[i, k] = x[i, k] + (motion.position_compensation[i, k] + (t * v[i, k] + curved))
 
 
-@unowned
+@inner
 def next_step(motion: Motion, dt: float, fraction: float) -> float:
     """Return the next step (s), a fraction of the shortest time in which an acceleration changes at the end."""
     start, b = motion.start, motion.b
@@ -305,7 +305,7 @@ def next_step(motion: Motion, dt: float, fraction: float) -> float:
     return float(fraction * dt * np.sqrt(shortest))
 
 
-@unowned
+@inner
 def move(motion: Motion, dt: float) -> None:
     """Move to the end of the step with compensated summation, and keep the polynomial for the next prediction."""
     x, v, b = motion.position, motion.velocity, motion.b
@@ -325,7 +325,7 @@ def move(motion: Motion, dt: float) -> None:
             _add(v, motion.velocity_compensation, i, k, (velocity_sum + a) * dt)
 
 
-@unowned
+@inner
 def _add(total: FloatArray, compensation: FloatArray, i: int, k: int, term: float) -> None:
     """Add a term by compensated summation (Kahan 1965)."""
     term += compensation[i, k]
@@ -334,7 +334,7 @@ def _add(total: FloatArray, compensation: FloatArray, i: int, k: int, term: floa
     total[i, k] = rounded
 
 
-@unowned
+@inner
 def accelerate(motion: Motion, x: FloatArray, a: FloatArray) -> None:
     """Write the accelerations by gravity, a_i = Σ_j G m_j d_ij / (d_ij² + ε²)^{3/2}, and by other forces.
 
@@ -350,7 +350,7 @@ def accelerate(motion: Motion, x: FloatArray, a: FloatArray) -> None:
         a[i, 0], a[i, 1], a[i, 2] = moves[i] * a[i, 0], moves[i] * a[i, 1], moves[i] * a[i, 2]
 
 
-@unowned
+@inner
 def _accelerate_few(x: FloatArray, gm: FloatArray, eps2: float, a: FloatArray) -> None:
     for i in range(len(x)):
         a[i, 0] = a[i, 1] = a[i, 2] = 0.0
@@ -361,7 +361,7 @@ def _accelerate_few(x: FloatArray, gm: FloatArray, eps2: float, a: FloatArray) -
             a[j, 0], a[j, 1], a[j, 2] = a[j, 0] - on_j * dx, a[j, 1] - on_j * dy, a[j, 2] - on_j * dz
 
 
-@unowned
+@inner
 def _accelerate_many(x: FloatArray, gm: FloatArray, eps2: float, a: FloatArray, lanes: FloatArray) -> None:
     """Sum in the same order, with the same bits; the roots and divisions of a body are in SIMD lanes.
 

@@ -34,7 +34,7 @@ from carom.physics.integrators.gauss_radau.radau_step import (
     stops,
     tolerance,
 )
-from carom.physics.jit.decorators import borrowing, unowned
+from carom.physics.jit.decorators import inner, long_kernel
 from carom.physics.step_rule import END_TOLERANCE
 from carom.plan.auto import largest_step
 from carom.scene.load import Scene
@@ -164,7 +164,7 @@ def _motion(scene: Scene, start: InitialBodies, position: FloatArray) -> Motion:
     )
 
 
-@borrowing
+@long_kernel
 def follow(
     motion: Motion,
     twin: Motion | None,
@@ -212,7 +212,7 @@ def follow(
     return k
 
 
-@unowned
+@inner
 def _locate(motion: Motion, dt: float, h: float, position: FloatArray) -> None:
     """Write the positions at a fraction h of the step, (n, 3) m."""
     x, v, b, t = motion.position, motion.velocity, motion.b, h * dt
@@ -225,7 +225,7 @@ def _locate(motion: Motion, dt: float, h: float, position: FloatArray) -> None:
             position[i, k] = x[i, k] + (motion.position_compensation[i, k] + (t * v[i, k] + t * t * (0.5 * a + bent)))
 
 
-@unowned
+@inner
 def _distance(motion: Motion, twin: Motion, dt: float, h: float) -> float:
     """Return the rms distance in m at a fraction h of the step."""
     n, square, t = len(motion.position), 0.0, h * dt

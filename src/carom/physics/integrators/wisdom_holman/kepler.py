@@ -23,7 +23,7 @@ from math import factorial
 import numpy as np
 
 from carom.arrays import FloatArray
-from carom.physics.jit.decorators import unowned
+from carom.physics.jit.decorators import inner
 from carom.physics.vector import vector, write
 
 SERIES_UP_TO = 0.3  # of |z|; up to here the omitted terms are below half a last bit
@@ -47,7 +47,7 @@ TWO_PI = 6.283185307179586  # rad
 WIDER = 1.01  # times a period: the bracket of a time within it, with room for rounding
 
 
-@unowned
+@inner
 def universal(beta: float, s: float) -> tuple[float, float, float, float]:
     """Return G₀ to G₃ at an anomaly."""
     z = beta * s * s
@@ -68,7 +68,7 @@ def universal(beta: float, s: float) -> tuple[float, float, float, float]:
     return c0, s * c1, square * c2, square * s * c3
 
 
-@unowned
+@inner
 def revolve(x: FloatArray, v: FloatArray, i: int, mu: float, h: float) -> None:
     """Move row i of positions and velocities, (n, 3) m and m/s, by a time h (s) about a centre of G M = μ at 0."""
     direction = 1.0 if h >= 0.0 else -1.0  # backward in time is forward with the opposite velocity
@@ -132,7 +132,7 @@ def revolve(x: FloatArray, v: FloatArray, i: int, mu: float, h: float) -> None:
     write(v, i, direction * v0, direction * v1, direction * v2)
 
 
-@unowned
+@inner
 def revolve_all(x: FloatArray, v: FloatArray, mu: FloatArray, h: float, lanes: FloatArray) -> None:
     """Move all rows but the first of positions and velocities, (n, 3) m and m/s, by a time h (s); μ is (n,) m³/s².
 
@@ -161,7 +161,7 @@ def revolve_all(x: FloatArray, v: FloatArray, mu: FloatArray, h: float, lanes: F
                 revolve(x, v, i, mu[i], h)
 
 
-@unowned
+@inner
 def _revolve_lanes(lanes: FloatArray, count: int, t: float) -> None:
     """Move bodies in SIMD lanes by t ≥ 0, with two steps for the anomaly."""
     for k in range(count):

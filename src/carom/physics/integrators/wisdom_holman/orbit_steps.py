@@ -22,7 +22,7 @@ import numpy as np
 from carom.arrays import FloatArray, IntArray, RecordArray, dtype_of
 from carom.physics.forces.gravity.pair import attraction, mutual_attraction
 from carom.physics.integrators.wisdom_holman.kepler import END_X, END_Y, END_Z, LANES, X, Y, Z, revolve_all
-from carom.physics.jit.decorators import long_kernel, unowned
+from carom.physics.jit.decorators import inner, long_kernel
 from carom.physics.step_rule import END_TOLERANCE
 from carom.physics.vector import Vector, add, between, square, vector, write
 
@@ -68,7 +68,7 @@ class OrbitArrays(NamedTuple):
     lanes: FloatArray  # workspace of the Kepler orbits and of the gravity of many bodies
 
 
-@unowned
+@inner
 def from_jacobi(x: FloatArray, mass_fraction: FloatArray, place: FloatArray) -> None:
     """Convert Jacobi coordinates or their rates to Cartesian ones about the centre of mass."""
     rx, ry, rz = 0.0, 0.0, 0.0  # centre of mass of the bodies up to i
@@ -79,7 +79,7 @@ def from_jacobi(x: FloatArray, mass_fraction: FloatArray, place: FloatArray) -> 
     write(place, 0, rx, ry, rz)
 
 
-@unowned
+@inner
 def to_jacobi(place: FloatArray, order: IntArray, mass_fraction: FloatArray, x: FloatArray) -> None:
     """Convert Cartesian coordinates or rates, in the order of the scene, to Jacobi ones."""
     first = order[0]
@@ -93,7 +93,7 @@ def to_jacobi(place: FloatArray, order: IntArray, mass_fraction: FloatArray, x: 
     write(x, 0, rx, ry, rz)
 
 
-@unowned
+@inner
 def put(o: OrbitArrays, x: FloatArray, place: FloatArray, into: FloatArray) -> None:
     """Write Jacobi coordinates or rates in the order of the scene."""
     from_jacobi(x, o.mass_fraction, place)
@@ -102,7 +102,7 @@ def put(o: OrbitArrays, x: FloatArray, place: FloatArray, into: FloatArray) -> N
             into[o.order[i], k] = place[i, k] + x[0, k]
 
 
-@unowned
+@inner
 def kick(o: OrbitArrays, x: FloatArray, v: FloatArray, h: float) -> None:
     """Change the rates of Jacobi coordinates by H_mutual; `place` must belong to x."""
     if len(x) < LANES_FROM:
@@ -123,7 +123,7 @@ def kick(o: OrbitArrays, x: FloatArray, v: FloatArray, h: float) -> None:
         add(v, i, h, ax, ay, az)
 
 
-@unowned
+@inner
 def _mutual(place: FloatArray, gm: FloatArray, a: FloatArray) -> None:
     """Write the accelerations by all pairs but the pair of the first two bodies, a_i = Σ_j G m_j d_ij / |d_ij|³."""
     n = len(place)
@@ -142,7 +142,7 @@ def _mutual(place: FloatArray, gm: FloatArray, a: FloatArray) -> None:
         write(a, i, ax, ay, az)
 
 
-@unowned
+@inner
 def _mutual_in_lanes(place: FloatArray, gm: FloatArray, a: FloatArray, lanes: FloatArray) -> None:
     """Write the same accelerations of many bodies, which are in SIMD lanes."""
     n = len(place)
@@ -190,7 +190,7 @@ def _corrector() -> tuple[FloatArray, FloatArray]:
 CORRECTOR_DRIFT, CORRECTOR_KICK = _corrector()
 
 
-@unowned
+@inner
 def drift(x: FloatArray, v: FloatArray, mu: FloatArray, lanes: FloatArray, h: float) -> None:
     """Move all bodies on their Kepler orbits, and the centre of mass on a line."""
     for k in range(3):
@@ -198,7 +198,7 @@ def drift(x: FloatArray, v: FloatArray, mu: FloatArray, lanes: FloatArray, h: fl
     revolve_all(x, v, mu, h, lanes)
 
 
-@unowned
+@inner
 def correct(o: OrbitArrays, x: FloatArray, v: FloatArray, h: float, into: bool) -> None:
     """Apply the corrector, or its inverse: into the variables of the steps or out of them."""
     pending = 0.0  # drift that is still to be done
@@ -217,7 +217,7 @@ def correct(o: OrbitArrays, x: FloatArray, v: FloatArray, h: float, into: bool) 
     drift(x, v, o.mu, o.lanes, pending * h)
 
 
-@unowned
+@inner
 def meets(o: OrbitArrays, x: FloatArray, after: float, until: float, apart: float) -> bool:
     """Return whether two bodies, moving straight from ``place``, come close between two times (s).
 
@@ -247,7 +247,7 @@ def meets(o: OrbitArrays, x: FloatArray, after: float, until: float, apart: floa
     return False
 
 
-@unowned
+@inner
 def _passes(speed: FloatArray, i: int, j: int, d: Vector, close: float, after: float, until: float) -> bool:
     """Return whether the distance of two bodies falls below a length ``close`` in m."""
     (dx, dy, dz), (ux, uy, uz) = d, between(speed, i, j)
@@ -320,7 +320,7 @@ def meets_soon(o: OrbitArrays, until: float) -> bool:
     return meets(o, x, 0.0, until, SEPARATED)
 
 
-@unowned
+@inner
 def _drift_and_kick(o: OrbitArrays, x: FloatArray, v: FloatArray, ahead: float, h: float, surely: bool) -> bool:
     """Drift to the middle of a step of h seconds and kick, unless bodies meet in the step."""
     drift(x, v, o.mu, o.lanes, ahead)
@@ -332,7 +332,7 @@ def _drift_and_kick(o: OrbitArrays, x: FloatArray, v: FloatArray, ahead: float, 
     return True
 
 
-@unowned
+@inner
 def _put_out(o: OrbitArrays, h: float) -> None:
     """Write positions and velocities after the last whole step."""
     x, v = o.x_spare, o.v_spare
@@ -344,7 +344,7 @@ def _put_out(o: OrbitArrays, h: float) -> None:
     put(o, v, o.speed, o.velocity)
 
 
-@unowned
+@inner
 def _copy(source: FloatArray, target: FloatArray) -> None:
     for i in range(len(source)):
         target[i, 0], target[i, 1], target[i, 2] = source[i, 0], source[i, 1], source[i, 2]

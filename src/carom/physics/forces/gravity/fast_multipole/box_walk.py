@@ -47,7 +47,7 @@ from carom.physics.forces.gravity.fast_multipole.taylor import (
     evaluate,
 )
 from carom.physics.forces.gravity.pair import own_potential
-from carom.physics.jit.decorators import long_kernel, unowned
+from carom.physics.jit.decorators import inner, long_kernel
 from carom.physics.jit.instructions import atomic_add
 from carom.physics.jit.vectors import WIDTH as LANES
 
@@ -196,7 +196,7 @@ def walk(
                     top += 1
 
 
-@unowned
+@inner
 def _decide(
     a: int, begin: int, end: int, theta2: float, boxes: RecordArray[BoxRecord], own: WalkBuffers
 ) -> tuple[int, int, int]:
@@ -247,7 +247,7 @@ def _decide(
     return fars, nears, last
 
 
-@unowned
+@inner
 def _inherit(depth: int, boxes: RecordArray[BoxRecord], a: int, unit: float, own: WalkBuffers) -> None:
     """Start the local expansion of box a with its parent's expansion, moved to the centre of a."""
     local, powers = own.local, own.powers
@@ -267,7 +267,7 @@ def _inherit(depth: int, boxes: RecordArray[BoxRecord], a: int, unit: float, own
     local[depth, LOCAL], local[depth, LOCAL + 1], local[depth, LOCAL + 2] = x, y, z
 
 
-@unowned
+@inner
 def _add_far(fars: int, depth: int, a: int, tree: MultipoleBoxes, law: MultipoleLaw, own: WalkBuffers) -> None:
     """Add the gravity of far boxes, a multiple of `LANES`, to the local expansion of box a."""
     boxes, poles, unit, soft = tree.boxes, tree.poles, law.unit, law.eps2 * law.unit * law.unit
@@ -281,7 +281,7 @@ def _add_far(fars: int, depth: int, a: int, tree: MultipoleBoxes, law: Multipole
             local[depth, c] += expansion[LANES * c + k]
 
 
-@unowned
+@inner
 def _add_near(
     nears: int,
     is_over: bool,

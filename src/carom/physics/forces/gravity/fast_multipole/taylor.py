@@ -27,7 +27,7 @@ import numpy as np
 
 from carom.arrays import FloatArray, IntArray
 from carom.physics.forces.gravity.pair import attraction
-from carom.physics.jit.decorators import inner
+from carom.physics.jit.decorators import inner, kernel
 from carom.physics.jit.instructions import Code, instruction
 from carom.physics.jit.vectors import DOUBLE, Lanes, Sum, read_doubles, spread, transposed, write_doubles
 from carom.physics.jit.vectors import WIDTH as LANES
@@ -121,7 +121,7 @@ STEPS = np.array(
 )
 
 
-@inner
+@kernel
 def _attract_one_by_one(
     poles: FloatArray, boxes: IntArray, at: int, point: Vector, unit: float, eps2: float, sums: FloatArray
 ) -> None:
@@ -193,7 +193,7 @@ def _derivatives(d: list[Lanes], eps2: Lanes) -> dict[Index, Lanes]:
     return {n: found[0, n] for n in _LOCAL}
 
 
-@inner
+@kernel
 def _evaluate_one_by_one(
     local: FloatArray, at: int, x: float, y: float, z: float, unit: float, lanes: FloatArray
 ) -> None:
