@@ -137,6 +137,27 @@ def test_what_sweeps_leave_to_a_heavy_ball_on_a_light_one_is_no_fault() -> None:
     assert result.same
 
 
+@pytest.mark.parametrize("balls, ratio, gap, e, gravity", [(5, 5.623, 0.01, 0.0, 0.316), (4, 10.0, 0.001, 0.5, 0.003162)])
+def test_a_column_that_buckles_under_ever_heavier_balls_is_no_fault(
+    balls: int, ratio: float, gap: float, e: float, gravity: float
+) -> None:
+    """Found by hunts: loads that change from step to step, and what they do to the impacts of the lightest ball."""
+    result = refine(
+        scene_of(
+            [
+                {"position": [0.001 * (k % 2), 0.0, 1.0 + gap + (2.0 + gap) * k], "radius": 1.0, "mass": ratio**k}
+                for k in range(balls)
+            ],
+            time={"duration": 2.7 if e > 0.0 else 1.07},
+            gravity={"constant": 0.0, "uniform": [0.0, 0.0, -gravity]},
+            contact={"restitution": e, "static_friction": 0.0},
+            plane=[{}],
+        ),
+        threads=1,
+    )
+    assert result.same, [moved.text() for moved in result.moved]
+
+
 @pytest.mark.slow  # it compiles kernels that no cheaper test needs
 def test_a_ball_whose_rolling_turns_or_ends_within_a_step_is_no_fault() -> None:
     """The torque that resists rolling lags behind the axis that turns, an error of first order."""

@@ -7,6 +7,11 @@ met pass this on, and friction passes a share of it on to other directions. Load
 ended or changed its mode, and nothing across their normals: a ball that rolls follows its path, and a slow impact along
 a floor bounces, whatever the floor carries.
 
+Two errors of first order are allowed in addition. A load that lasts, but changes by ΔJ from one step to the next, as
+where a column buckles, is uncertain by ΔJ. The closing speed of a body that rests on something is uncertain by a dt/2
+along the normal. So are, relative to that speed, the impulses of its impact, and what they do to all bodies that touch:
+a light ball that heavy ones squeeze out leaves with this relative error.
+
 If several contacts acted, physics does not fix how they share impulses, nor the order of impacts at one moment. Bodies
 that touched then count as equal in both runs if they keep the same share of the energy that they had. Plastic impacts
 of a heavy ball may end all of its motion, and leave a light one with a millionth of the energy: the order of the
@@ -20,6 +25,7 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
+from scipy.optimize import lsq_linear
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
@@ -36,6 +42,7 @@ RETURNS = 2.0  # steps: a longer bounce, which takes 2 v/a, may not be ended at 
 SHARED = 5e-2  # of the kinetic energy of bodies that touch, before or after: runs that differ by less may have shared
 # impulses otherwise
 TURNED = 0.01  # rad, or of the size: change in a step of a torque that resists rolling, whose error is of first order
+FAST = 10.0  # an impact counts as one of a supported body if it is this many times faster than the uncertainty
 SURFACE = 2.5  # m r²/I of a ball: friction changes the speed of its surface so much more than its velocity
 
 Pair = tuple[int, int]  # of bodies and, from n on, planes and walls
@@ -57,8 +64,10 @@ class RunInterval:
     pressed: dict[Pair, float]  # N s, the largest impulse in a step of each contact that was no impact
     changed: set[int]  # bodies with an impact, or with a contact that began, ended or changed its mode
     loads: dict[int, list[Load]]  # by body
+    eased: dict[int, list[Load]]  # by body, what loads that last change by from one step to the next
     depth: FloatArray  # (n,) m, the deepest overlap of each body, which corrections may end sooner or later
     friction: float  # the largest ratio of a tangential to a normal impulse
+    vague: dict[Pair, float]  # the relative uncertainty of the fast impacts of supported bodies, the largest of a pair
 
     @property
     def pairs(self) -> set[Pair]:
@@ -74,13 +83,15 @@ class Touching:
     contacts: int  # number of pairs that touched or met
     changes: bool  # whether a contact began, ended or changed its mode, or bodies met
     loads: list[Load]
+    eased: list[Load]
     last_impact: float  # s; -infinity without an impact
     depth: float  # m, of the deepest overlap
     friction: float
+    vague: float  # the relative uncertainty of what impacts did
 
     def excess(self, vector: FloatArray, share: float = 1.0) -> float:
         """Return the size of a difference beyond what loads allow, of velocities or ``share`` times as much."""
-        return _beyond(vector, self.loads if self.changes else [], share)
+        return _beyond(vector, [*self.eased, *(self.loads if self.changes else [])], share)
 
     @property
     def rubbed(self) -> float:
@@ -115,9 +126,11 @@ class CloseLook:
                 contacts=sum(bool(bodies & set(pair)) for pair in self.run.pairs | self.refined.pairs),
                 changes=any(bodies & each.changed for each in both),
                 loads=[load for each in both for body in bodies for load in each.loads.get(body, [])],
+                eased=[load for body in bodies for load in self.run.eased.get(body, [])],
                 last_impact=max(hit, default=-math.inf),
                 depth=max(float(each.depth[body]) for each in both for body in bodies),
                 friction=max(each.friction for each in both),
+                vague=2.0 * sum(share for ends, share in self.run.vague.items() if bodies & set(ends)),
             )
         return self._known[label]
 
@@ -174,10 +187,19 @@ def _movable(ends: Pair, start: InitialBodies) -> list[int]:
 
 
 def _beyond(vector: FloatArray, loads: list[Load], share: float) -> float:
-    rest = vector.copy()
-    for load in loads:  # twice the change in a step: an impact may turn it round
-        along = float(rest @ load.direction)
-        rest -= math.copysign(min(abs(along), 2.0 * load.speed * share), along) * load.direction
+    """Return what is left of a difference by the changes of velocity that loads allow, times a share.
+
+    Each load allows twice its change in a step, since an impact may turn it round. Together they may leave less than
+    one by one: a light ball between two heavy ones is pushed out across two normals that are nearly opposite.
+    """
+    if not loads or not vector.any():
+        return float(np.sqrt(vector @ vector))
+    along = np.array([2.0 * load.speed * share * load.direction for load in loads]).T
+    size = float(np.abs(along).max())
+    if size == 0.0:
+        return float(np.sqrt(vector @ vector))
+    used = lsq_linear(along / size, vector / size, (-1.0, 1.0)).x
+    rest = vector - along @ used
     return float(np.sqrt(rest @ rest))
 
 
@@ -201,6 +223,8 @@ def look_closely(space: Space, frame: Frame, begin: float, end: float, dt: float
     held: dict[Pair, tuple[float, FloatArray]] = {}  # N s, and the normal of contacts that last
     lasting: dict[Pair, list[float]] = {}  # N s, impulses of the last steps
     pulled, modes = dict[int, Load](), set[tuple[int, int, int]]()
+    vague: dict[Pair, float] = {}
+    eased: dict[Pair, tuple[float, FloatArray]] = {}  # N s, as in `held`
     for one in space.run(until=end + LOOK_AFTER * dt, schedule=every(0.0)):
         if one.step == first:  # a state that is restored has no table
             continue
@@ -208,6 +232,7 @@ def look_closely(space: Space, frame: Frame, begin: float, end: float, dt: float
         counts = inside and one.time <= end + dt
         if one.impacts is not None and inside:
             impacts.append(one.impacts[one.impacts["time"] <= end])
+            _blur(vague, impacts[-1], {body for *ends, _ in modes for body in ends if body < n}, one)
         rows = NO_ROWS if one.contact_rows is None else one.contact_rows
         if inside:
             _deepen(depth, rows, start.radius)
@@ -224,9 +249,14 @@ def look_closely(space: Space, frame: Frame, begin: float, end: float, dt: float
             if counts:
                 pressed[ends] = max(pressed.get(ends, 0.0), impulse)
             lasting[ends] = [*before.get(ends, []), impulse][-LASTS:]
-            least = min(lasting[ends]) if len(lasting[ends]) == LASTS else 0.0
+            if len(lasting[ends]) < LASTS:
+                continue
+            least, change = min(lasting[ends]), abs(impulse - lasting[ends][-2])
+            normal = np.array([row["nx"], row["ny"], row["nz"]])
             if least > held.get(ends, (0.0, None))[0]:
-                held[ends] = least, np.array([row["nx"], row["ny"], row["nz"]])
+                held[ends] = least, normal
+            if counts and change > eased.get(ends, (0.0, None))[0]:
+                eased[ends] = change, normal
         if not inside:
             continue
         friction = max(friction, _largest_friction(rows))
@@ -237,13 +267,24 @@ def look_closely(space: Space, frame: Frame, begin: float, end: float, dt: float
             pulled[body] = Load(one.acceleration[body] / size, float(pull[body]), rubs=False)
     found = np.concatenate(impacts)
     loads: dict[int, list[Load]] = {body: [load] for body, load in pulled.items()}
-    for ends, (impulse, normal) in held.items():
-        for body in _movable(ends, start):
-            loads.setdefault(body, []).append(Load(normal, impulse / float(mass[body]), rubs=True))
+    changes: dict[int, list[Load]] = {}
+    for impulses, by_body in ((held, loads), (eased, changes)):
+        for ends, (impulse, normal) in impulses.items():
+            for body in _movable(ends, start):
+                by_body.setdefault(body, []).append(Load(normal, impulse / float(mass[body]), rubs=True))
     for row in found:
         _load_of_impact(row, loads, start)
     changed |= set(found["i"].tolist()) | set(found["j"].tolist())
-    return RunInterval(found, pressed, changed, loads, depth, max(friction, _largest_friction(found)))
+    return RunInterval(found, pressed, changed, loads, changes, depth, max(friction, _largest_friction(found)), vague)
+
+
+def _blur(vague: dict[Pair, float], impacts: Records, supported: set[int], frame: Frame) -> None:
+    """Raise the relative uncertainties of pairs to those of their impacts in a step, given the supported bodies."""
+    for row in impacts:
+        ends, normal = (int(row["i"]), int(row["j"])), np.array([row["nx"], row["ny"], row["nz"]])
+        uncertain = 0.5 * frame.dt * sum(abs(float(frame.acceleration[end] @ normal)) for end in supported & set(ends))
+        if 0.0 < FAST * uncertain < row["approach_speed"]:
+            vague[ends] = max(vague.get(ends, 0.0), uncertain / float(row["approach_speed"]))
 
 
 def _load_of_impact(row: np.void, loads: dict[int, list[Load]], start: InitialBodies) -> None:

@@ -203,7 +203,8 @@ class Comparison:
         Chaos within it may change who has the energy, but hardly how much of it is left. An entry is judged if the twin
         agrees with the run, or with the shorter steps: then the run alone is wrong. It must also differ two steps
         later, since an impact may be just before or after the instant. Where positions differ, forces have done other
-        work, and contacts take out what corrections of positions put in.
+        work, and contacts take out what corrections of positions put in. Bodies that are held may close by what forces
+        add to their velocities in a step, and bounce with shorter steps.
         """
         certain, self._certain = self._certain, self._certain_share(frame)
         taken, refined = _booked(before, frame), _booked(fine_before, fine)
@@ -212,6 +213,8 @@ class Comparison:
         displaced = self._moved_energy(before, frame, fine)
         self._displaced = max(self._displaced, displaced)
         allowed += displaced + abs(taken[CORRECTED]) + abs(refined[CORRECTED])
+        gained = (frame.acceleration * frame.dt) ** 2
+        allowed += 0.5 * float((self._mass * gained.sum(axis=1))[self._free].sum())
         differ = _without_what_slips(self._differences[-1])
         doubt = 10.0 * np.minimum(np.abs(of_twin), np.abs(differ - of_twin))
         differ = np.where(np.abs(differ) > allowed + doubt, differ, 0.0)
@@ -371,6 +374,7 @@ class Comparison:
                 if name == "spin":
                     by, rubbed = float(np.sqrt((vectors[body] ** 2).sum())), SURFACE * rubbed
                 allowed = (ROUGH if rubbed > 0.0 else 1.0) * float(least[body] * growth[body]) + rubbed
+                allowed += touching.vague * self._changed(name, body, before, frame) * lasts
                 if name == "position":
                     allowed += touching.depth
                 self._note(name, by, allowed)
@@ -401,6 +405,13 @@ class Comparison:
             make = self._maker.space
             self._closely = make(contacts=True), make(1.0 / self._factor, contacts=True, max_dt=max_dt)
         return self._closely
+
+    def _changed(self, name: str, body: int, before: Frame, frame: Frame) -> float:
+        """Return the change of a body's velocity, or of the speed of its surface, between two frames, in m/s."""
+        one, other, reach = before.velocity, frame.velocity, 1.0
+        if name == "spin" and before.angular_velocity is not None and frame.angular_velocity is not None:
+            one, other, reach = before.angular_velocity, frame.angular_velocity, float(self._radius[body])
+        return reach * float(np.sqrt(((other[body] - one[body]) ** 2).sum()))
 
     def _size(self, name: str, body: int, frame: Frame) -> float:
         """Return the size of what is compared: a distance in m, or a speed in m/s."""
