@@ -21,6 +21,7 @@ from carom.plan.auto import (
     largest_step,
     pull_fraction,
     smoothing,
+    step_limits,
     target_dx,
     timing,
 )
@@ -433,6 +434,14 @@ def test_the_step_of_an_accuracy_is_told_beside_the_usual_one(refinement: float,
     promise = Promise(refinement=refinement, until=scene.time.duration, lyapunov=0.0, error=(0.0,))
     accuracy = next(part for part in require(scene.promising(promise)).parts if part.name == "accuracy")
     assert accuracy.why == expected
+
+
+def test_the_limits_that_an_accuracy_sets_are_told_not_the_usual_ones() -> None:
+    promise = Promise(refinement=8.0, until=1.0, lyapunov=0.0, error=(0.0,))
+    scene = scene_of(MOVING, time={"accuracy": 1e-6}).promising(promise)
+    told = next(part for part in require(scene).parts if part.name == "adaptive-step")
+    assert f"cfl = {step_limits(scene).cfl:.3g}, " in told.why
+    assert step_limits(scene).cfl != cfl(scene)
 
 
 def test_a_run_says_where_impacts_are_not_exact() -> None:

@@ -20,12 +20,10 @@ from carom.plan.auto import (
     TREE_FROM,
     auto_interval,
     auto_step,
-    cfl,
     gravity_method,
     integrator,
     largest_step,
-    pull_fraction,
-    target_dx,
+    step_limits,
     timing,
     uses_tree,
     why_late,
@@ -343,16 +341,16 @@ def _adaptive_step(scene: Scene) -> Part:
 
 def _limits(scene: Scene) -> list[str]:
     """Describe the limits of the step other than ``max_dt``."""
-    texts = []
-    if (radii := cfl(scene)) is not None:
-        texts.append(f"cfl = {radii:g}")
-    if (distance := target_dx(scene)) is not None:
-        texts.append(f"target_dx = {scene.unit_system.text(distance, LENGTH, '.3g')}")
-        if scene.time.target_dx == "auto":
+    texts, limits = [], step_limits(scene)
+    if limits.cfl is not None:
+        texts.append(f"cfl = {limits.cfl:.3g}")
+    if limits.target_dx is not None:
+        texts.append(f"target_dx = {scene.unit_system.text(limits.target_dx, LENGTH, '.3g')}")
+        if scene.time.target_dx == "auto" and scene.promise is None:
             texts[-1] += f": {auto_step(scene):g} of the time of a fall through the smallest radius"
-    if (fraction := pull_fraction(scene)) is not None:
+    if limits.pull_fraction is not None:
         times = "shortest time of a pair" if scene.count <= PAIRS_UP_TO else "time of the largest pull"
-        texts.append(f"pull_fraction = {fraction:g} of the {times}")
+        texts.append(f"pull_fraction = {limits.pull_fraction:.3g} of the {times}")
     if scene.time.max_dt == "auto" and interactions.flow_presses(scene):
         largest = scene.unit_system.text(largest_step(scene), TIME, ".3g")
         texts.append(f"max_dt = {largest}: a strain of {STRAIN_PER_STEP:g}")
