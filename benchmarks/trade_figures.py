@@ -15,7 +15,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from carom.lab.tradeoff.tradeoff import VERSION
+from carom.lab.tradeoff.study_document import VERSION
 from carom.lab.tradeoff.tradeoff_figure import draw
 from carom.scene.units.dimension import TIME
 from carom.scene.units.system import SI

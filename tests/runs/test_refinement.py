@@ -137,7 +137,9 @@ def test_what_sweeps_leave_to_a_heavy_ball_on_a_light_one_is_no_fault() -> None:
     assert result.same
 
 
-@pytest.mark.parametrize("balls, ratio, gap, e, gravity", [(5, 5.623, 0.01, 0.0, 0.316), (4, 10.0, 0.001, 0.5, 0.003162)])
+@pytest.mark.parametrize(
+    "balls, ratio, gap, e, gravity", [(5, 5.623, 0.01, 0.0, 0.316), (4, 10.0, 0.001, 0.5, 0.003162)]
+)
 def test_a_column_that_buckles_under_ever_heavier_balls_is_no_fault(
     balls: int, ratio: float, gap: float, e: float, gravity: float
 ) -> None:

@@ -12,7 +12,8 @@ import pytest
 from carom.errors import ExperimentError, PhysicsError, RecordingError, SceneError
 from carom.lab import compared_run as trajectory
 from carom.lab.compared_run import Setting
-from carom.lab.tradeoff import _legend, notes_on_rows, table_of, tradeoff
+from carom.lab.tradeoff import _legend, notes_on_rows, setting_runs, table_of, tradeoff
+from carom.lab.tradeoff.setting_runs import SettingRuns
 from carom.lab.tradeoff.settings_grid import SettingResult, default_settings, vary
 from carom.lab.tradeoff.tradeoff import Study
 from carom.lab.tradeoff.tradeoff_figure import draw, record
@@ -73,7 +74,7 @@ def test_a_study_that_was_stopped_keeps_what_is_done(tmp_path: Path, monkeypatch
             raise KeyboardInterrupt
         return follow(*arguments)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(tradeoff, "follow", stopped)
+    monkeypatch.setattr(setting_runs, "follow", stopped)
     with pytest.raises(KeyboardInterrupt):
         measured(eight(), tmp_path, "step=8,4,2,1")
     monkeypatch.undo()
@@ -121,7 +122,7 @@ def test_a_refused_setting_is_kept_with_the_reason_and_tried_again_next_time(
         raise SceneError("not in this version")
 
     with monkeypatch.context() as patch:
-        patch.setattr(tradeoff, "Space", refuse)
+        patch.setattr(setting_runs, "Space", refuse)
         study, _ = measured(eight(), tmp_path, "step=2")
     assert (study.results[0].status, study.results[0].reason) == ("refused", "not in this version")
     study, _ = measured(eight(), tmp_path, "step=2")
@@ -132,7 +133,7 @@ def test_a_run_that_fails_is_kept_with_the_reason(tmp_path: Path, monkeypatch: p
     def fail(*arguments: object) -> None:
         raise PhysicsError("the state is no longer finite")
 
-    monkeypatch.setattr(tradeoff, "follow", fail)
+    monkeypatch.setattr(setting_runs, "follow", fail)
     study, _ = measured(eight(), tmp_path, "step=2")
     assert (study.results[0].status, study.results[0].reason) == ("failed", "the state is no longer finite")
     assert not study.results[0].costs
@@ -185,7 +186,7 @@ def test_the_default_budget_is_thirty_times_the_run_and_at_least_five_seconds(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for cost, seconds in ((0.01, 5.0), (2.0, 60.0)):
-        monkeypatch.setattr(Study, "_cost", lambda study, result, cost=cost: cost)
+        monkeypatch.setattr(SettingRuns, "cost", lambda runs, setting, cost=cost: cost)
         said: list[str] = []
         study = Study(eight(), tmp_path / f"{cost}", threads=1, budget=None)
         study.measure(vary(eight(), ["step=1,2"]), None, said.append)
@@ -209,7 +210,7 @@ def test_shorter_steps_than_those_of_an_exact_setting_are_not_measured(tmp_path:
 @pytest.mark.slow
 def test_a_setting_that_another_one_beats_clearly_is_not_timed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     price = {"integrator = yoshida4, steps 2 times as long": 0.01}
-    monkeypatch.setattr(Study, "_cost", lambda study, result: price.get(result.setting.name, 1.0))
+    monkeypatch.setattr(SettingRuns, "cost", lambda runs, setting: price.get(setting.name, 1.0))
     scene = eight()
     settings = [*vary(scene, ["step=1"]), *vary(scene, ["time.integrator=yoshida4", "step=2"])]
     settings += vary(scene, ["time.integrator=leapfrog", "step=4,1"])
@@ -225,7 +226,7 @@ def test_short_runs_are_timed_until_their_time_is_known_and_long_ones_three_time
 ) -> None:
     noise = np.random.default_rng(1)
     price = {"as written": 0.02, "steps 2 times as long": 0.06}
-    monkeypatch.setattr(Study, "_cost", lambda study, result: price[result.setting.name] * noise.uniform(0.8, 1.25))
+    monkeypatch.setattr(SettingRuns, "cost", lambda runs, setting: price[setting.name] * noise.uniform(0.8, 1.25))
     study = Study(eight(), tmp_path, threads=1)
     short, long = study.measure(vary(eight(), ["step=1,2"]), None, lambda text: None)
     assert len(short.costs) > 3 and short.spread <= 0.05 and len(long.costs) <= 3

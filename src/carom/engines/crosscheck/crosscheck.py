@@ -20,8 +20,9 @@ from carom.engines.engine import COMPLETED, Engine, Watched, engine_called, watc
 from carom.engines.source import named_version
 from carom.errors import ExperimentError, PhysicsError, RecordingError
 from carom.lab.compared_run import Setting, Trajectory, sample_times, write_document
-from carom.lab.tradeoff.settings_grid import SettingResult, result_entry
-from carom.lab.tradeoff.tradeoff import REFERENCE, Study
+from carom.lab.tradeoff.settings_grid import SettingResult
+from carom.lab.tradeoff.study_document import REFERENCE, result_entry
+from carom.lab.tradeoff.tradeoff import Study
 from carom.physics.jit import cores
 from carom.physics.placement import place
 from carom.recording.read.recording import Recording
@@ -219,7 +220,7 @@ class Crosscheck:
             raise ExperimentError("; ".join(self.refused.values()))
         own = (DOCUMENT, FIGURE, OVERLAY, REFERENCE, *(self._recording(setting).name for setting in self._settings()))
         self.study = Study(self.scene, self.folder, threads=self.threads, force=self.force, limit=self.limit, files=own)
-        self.study.follow_engine, self.study.examine = self._follow, self._examine
+        self.study.runs.follow_engine, self.study.examine = self._follow, self._examine
         if not self.force:
             self._load()
 

@@ -185,7 +185,8 @@ def ran(measure: Callable[[Teller], object], *, quiet: bool) -> bool:
 def _draw(study: Study, quiet: bool) -> None:
     """Write the table, the figure and the recording beside the document; print their paths, or why there is none."""
     from carom.errors import ExperimentError
-    from carom.lab.tradeoff.tradeoff import DOCUMENT, FIGURES, OVERLAY, TABLE
+    from carom.lab.tradeoff.study_document import DOCUMENT
+    from carom.lab.tradeoff.tradeoff import FIGURES, OVERLAY, TABLE
     from carom.lab.tradeoff.tradeoff_figure import draw, record, write_table
 
     if not any(result.complete for result in study.results):

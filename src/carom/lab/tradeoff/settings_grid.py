@@ -13,17 +13,15 @@ from __future__ import annotations
 
 import itertools
 import math
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from statistics import median
-from typing import Any
 
 import numpy as np
 
 from carom.arrays import BoolArray, FloatArray
 from carom.errors import SceneError
-from carom.lab.compared_run import AS_WRITTEN, STEPS, Setting, Trajectory
-from carom.lab.tradeoff.reference import NAMES, Errors, Reference, refined, scale_of
-from carom.lab.tradeoff.settled_pile import Pile
+from carom.lab.compared_run import AS_WRITTEN, STEPS, Setting
+from carom.lab.tradeoff.reference import Errors, refined
 from carom.plan import auto
 from carom.plan.features import require
 from carom.plan.hierarchy import why_no_hierarchy
@@ -31,7 +29,6 @@ from carom.plan.interactions import damping
 from carom.scene import variation
 from carom.scene.integrators import INTEGRATORS, integrator_called
 from carom.scene.load import Scene
-from carom.terminal.printing import finite
 
 STEPS_WORD = "steps"  # the first word of the name of a factor on every step
 STEP = "step"  # a pseudo-key: a factor on the limits of the step, whichever applies
@@ -307,69 +304,14 @@ class SettingResult:
         outside = max(0, math.floor((n - 1) / 2 - MEDIAN_INTERVAL * math.sqrt(n)))
         return (ordered[n - 1 - outside] - ordered[outside]) / 2 / self.cost
 
+    def share_costs_of(self, other: SettingResult) -> None:
+        """Share the costs of another setting with the same run."""
+        self.same_as, self.costs = other.setting.name, other.costs
+
     @property
     def complete(self) -> bool:
         """Whether the setting has both an error and a cost."""
         return bool(self.costs) and self.errors is not None
-
-
-def result_entry(result: SettingResult) -> dict[str, Any]:
-    """Return the results of one setting."""
-    return {
-        "name": result.setting.name,
-        "overrides": list(result.setting.overrides),
-        "threads": result.setting.threads,
-        "engine": result.setting.engine,
-        "status": result.status,
-        "reason": result.reason,
-        "same_as": result.same_as,
-        "steps": result.steps,
-        "frames": result.frames,
-        "costs": result.costs,
-        "spent": result.spent,
-        "cost": finite(result.cost),
-        "spread": result.spread,
-        "digest": result.digest,
-        "errors": result.errors and finite(asdict(result.errors)),
-    }
-
-
-def result_of(entry: dict[str, Any]) -> SettingResult:
-    """Read the results of one setting, without its errors."""
-    setting = Setting(entry["name"], tuple(entry["overrides"]), entry.get("threads"), entry.get("engine", ""))
-    kept = {key: entry[key] for key in ("status", "reason", "costs", "steps", "frames")}
-    known = {"spent": entry.get("spent", 0.0), "digest": entry.get("digest", "")}
-    return SettingResult(setting, **kept, **known, same_as=entry["same_as"])
-
-
-def reference_entry(reference: Reference) -> dict[str, Any]:
-    """Return a reference without its trajectory."""
-    return {
-        "kind": reference.kind,
-        "text": reference.text,
-        "fineness": finite(reference.fineness),
-        "samples": reference.samples,
-        "horizon": reference.horizon,
-        "duration": float(reference.trajectory.time[-1]),
-        "whole": reference.whole,
-        "complete": reference.is_complete,
-        "uncertainty": finite(asdict(reference.uncertainty)),
-    }
-
-
-def reference_of(entry: dict[str, Any], scene: Scene, trajectory: Trajectory) -> Reference:
-    """Read a reference; its trajectory is given."""
-    return Reference(
-        trajectory,
-        scale_of(scene, trajectory),
-        entry["kind"],
-        math.inf if entry["fineness"] is None else entry["fineness"],
-        entry["samples"],
-        entry["whole"],
-        Errors(**{e: math.nan if entry["uncertainty"][e] is None else entry["uncertainty"][e] for e in NAMES}),
-        entry["text"],
-        Pile.of(scene) if entry["uncertainty"]["height"] is not None else None,
-    )
 
 
 def pareto_front(

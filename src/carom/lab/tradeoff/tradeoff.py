@@ -6,12 +6,9 @@ resumed.
 
 from __future__ import annotations
 
-import hashlib
-import json
 import math
 import os
 import time
-import zipfile
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from statistics import median
@@ -19,17 +16,12 @@ from typing import Any
 
 import numpy as np
 
-from carom import registry
-from carom.arrays import FloatArray
-from carom.errors import ExperimentError, PhysicsError, SceneError
+from carom.errors import ExperimentError, SceneError
 from carom.lab.compared_run import (
     AS_WRITTEN,
     RunBound,
-    RunStoppedError,
     Setting,
     Trajectory,
-    follow,
-    sample_times,
     write_document,
 )
 from carom.lab.tradeoff.budget import (
@@ -48,31 +40,28 @@ from carom.lab.tradeoff.budget import (
     is_beaten,
 )
 from carom.lab.tradeoff.reference import BUDGET, COMPARED, NAMES, Errors, Reference, Teller, fineness, make_reference
+from carom.lab.tradeoff.setting_runs import SettingRuns
 from carom.lab.tradeoff.settings_grid import (
     SettingResult,
     pareto_front,
-    reference_entry,
-    reference_of,
-    result_entry,
-    result_of,
 )
-from carom.physics.jit import cores
-from carom.physics.look_ahead.find_step import with_promise
-from carom.physics.schedule import at
-from carom.physics.space import Space
+from carom.lab.tradeoff.study_document import (
+    DOCUMENT,
+    REFERENCE,
+    VERSION,
+    read_document,
+    reference_entry,
+    result_entry,
+    trajectory_path,
+)
 from carom.recording.write.whole_file import output_folder
 from carom.runs.environment import environment
-from carom.runs.stopwatch import Stopwatch
 from carom.scene.load import Scene
-from carom.scene.units.dimension import TIME
 from carom.terminal.printing import finite
 
-DOCUMENT = "tradeoff.json"
-REFERENCE = "reference.npz"
 FIGURES = "tradeoff.png", "tradeoff.svg", "tradeoff.pdf"  # the figure, as pixels and as vectors
 TABLE = "tradeoff.csv"
 OVERLAY = "tradeoff.rrd"
-VERSION = 7  # of the document; before, there were no errors of settled piles
 ADVICE = "start over with --force, or choose another folder with -o"
 ROUND_OFF = 1e-13  # of a whole run, over its scale
 WORK = 3e7  # limit of steps × (bodies + `BODIES_PER_STEP`) of a bounded setting, some 20 s
@@ -82,13 +71,7 @@ CERTAIN = 6  # costs, from which on the range contains the median with 95 %
 WRITING = 1.0  # s between two writings of the document while short runs are timed
 MARGIN = 2.0  # smallest allowed ratio of the shortest compared steps to the steps of a refined reference
 
-EngineFollower = Callable[[Setting, FloatArray], Trajectory]  # runs a setting of another engine, sampled at times in s
 Examiner = Callable[[SettingResult, Teller], None]  # examines a followed run
-
-
-def _engine_called(name: str) -> Any:
-    """Return an engine, a `carom.engines.engine.Engine`; that folder may be missing."""
-    return registry.imported("carom.engines.engine:engine_called")(name)
 
 
 class Study:
@@ -136,13 +119,10 @@ class Study:
             raise SceneError("domain.shear: errors in a sheared box cannot be measured yet; remove it")
         self.scene, self.folder, self.threads = scene, folder, threads
         self.limit, self.bounded = limit, bounded
-        self._advice = advice
         self.results: list[SettingResult] = []
         self.reference: Reference | None = None
         self.budget = StudyBudget(budget)
-        self.follow_engine: EngineFollower = lambda setting, times: _engine_called(setting.engine).follow(
-            scene, setting, times, limit
-        )
+        self.runs = SettingRuns(scene, threads, limit)
         self.examine: Examiner = lambda result, tell: None
         self._busy, self._written_at, self._is_unwritten = 0.0, 0.0, False
         self._environment: dict[str, str | int] = {}
@@ -150,7 +130,7 @@ class Study:
         if force:
             return
         if (folder / DOCUMENT).exists():
-            self._load()
+            self.reference, self.results, self._busy = read_document(folder, scene, advice)
         elif kept := next((folder / name for name in files if (folder / name).exists()), None):
             raise ExperimentError(
                 f"{kept}: exists, and no study in {folder} made it; choose another folder with -o, or give "
@@ -191,7 +171,7 @@ class Study:
             Whether to leave out settings that cannot be on the front.
         """
         results = [self._result(setting) for setting in settings]
-        scenes = [self._applied(result) for result in results]  # loads their kernels, before the clock runs
+        scenes = [self.runs.scene_of(result) for result in results]  # loads their kernels, before the clock runs
         if self.budget.seconds is None:
             self.budget.choose(self._run_time(tell))
         self.budget.begin()
@@ -264,7 +244,7 @@ class Study:
                 self._follow(written, lambda text: tell(f"as written{text}"))
             if written.status != "measured":  # such as stopped at its limit
                 return written.spent
-            written.costs.append(self._cost(written))
+            written.costs.append(self.runs.cost(written.setting))
         return written.cost
 
     @property
@@ -323,7 +303,7 @@ class Study:
 
     def _time(self, result: SettingResult) -> None:
         """Run a setting once and keep its cost."""
-        result.costs.append(self._cost(result))
+        result.costs.append(self.runs.cost(result.setting))
         result.reason, self._is_unwritten = "", True
         self._busy = max(self._busy, os.getloadavg()[0] if hasattr(os, "getloadavg") else 0.0)
         if time.perf_counter() - self._written_at > WRITING:
@@ -336,7 +316,7 @@ class Study:
 
     def prepare(self, settings: list[Setting], tell: Teller) -> Reference:
         """Return the reference of the scene; compute a finer one if some settings need it."""
-        return self._prepare([self._applied(self._result(setting)) for setting in settings], tell)
+        return self._prepare([self.runs.scene_of(self._result(setting)) for setting in settings], tell)
 
     def _prepare(self, scenes: list[Scene | None], tell: Teller) -> Reference:
         finest = max([1.0, *(fineness(self.scene, scene) for scene in scenes if scene is not None)])
@@ -370,7 +350,7 @@ class Study:
 
     def trajectory(self, result: SettingResult) -> Trajectory:
         """Read the trajectory of a setting that is measured."""
-        return Trajectory.load(self._path(result))
+        return Trajectory.load(trajectory_path(self.folder, result.setting))
 
     @property
     def left_out(self) -> dict[str, str]:
@@ -413,18 +393,6 @@ class Study:
         self.results.append(SettingResult(setting))
         return self.results[-1]
 
-    def _applied(self, result: SettingResult) -> Scene | None:
-        """Return the scene with a setting; None if this version refuses it, or another engine runs it."""
-        if result.status == "refused" or result.setting.engine:
-            return None
-        scene = result.setting.apply(self.scene)
-        try:
-            Space(scene)
-        except (SceneError, PhysicsError) as error:
-            result.status, result.reason = "refused", str(error)
-            return None
-        return scene
-
     def _bound(self, result: SettingResult) -> RunBound:
         """Return the bound of a setting; the scene as written has only the time limit."""
         own = self._written
@@ -436,95 +404,17 @@ class Study:
         return RunBound(most, *limit)
 
     def _follow(self, result: SettingResult, tell: Teller) -> None:
-        times, setting = sample_times(self.scene), result.setting
-        result.reason, units = "", self.scene.unit_system
-
-        def reached(step: int, time: float) -> None:
-            tell(f", {step} steps, t = {units.text(time, TIME)} of {units.text(self.scene.time.duration, TIME)}")
-
-        try:
-            if setting.engine:
-                run = self.follow_engine(setting, times)
-            else:
-                space = Space(result.setting.apply(self.scene), result.setting.threads or self.threads)
-                watch = Stopwatch()
-                run = follow(space, times, self._bound(result), reached)
-                result.followed = watch.seconds
-        except RunStoppedError as stopped:
-            result.status, result.reason = "stopped", str(stopped)
-            result.steps, result.spent = stopped.steps, stopped.seconds
+        """Run a setting for its errors, and keep its trajectory."""
+        run = self.runs.follow(result, self._bound(result), tell)
+        if run is None:
             return
-        except (PhysicsError, ExperimentError) as error:
-            result.status, result.reason = "failed", str(error)
-            return
-        run.save(self._path(result))
+        run.save(trajectory_path(self.folder, result.setting))
         result.status, result.errors = "measured", self.reference.errors(run) if self.reference else None
-        result.steps, result.frames, result.digest = run.steps, run.frames, run.digest
         for other in self.results:
             alike = other is not result and other.errors is not None and not other.same_as
-            if alike and other.digest == result.digest and _threads(other) == _threads(result):
-                self._join(result, other)
+            if alike and other.digest == result.digest and _machine(other) == _machine(result):
+                result.share_costs_of(other)
                 return
-
-    def _join(self, result: SettingResult, other: SettingResult) -> None:
-        """Let a setting share the costs of another setting with the same run."""
-        result.same_as, result.costs = other.setting.name, other.costs
-
-    def _cost(self, result: SettingResult) -> float:
-        """Run a setting once without recording; return its time in s, including the time of a look-ahead.
-
-        On one thread that is CPU time, which other programs on the machine hardly change.
-        """
-        setting = result.setting
-        if setting.engine:
-            return float(_engine_called(setting.engine).run(self.scene, setting))
-        threads = setting.threads or self.threads or cores()
-        clock = time.thread_time if threads == 1 else time.perf_counter
-        scene = setting.apply(self.scene)
-        began = clock()
-        scene = with_promise(scene, threads)
-        ahead = clock() - began
-        space = Space(scene, threads)
-        space.check_interval = math.inf  # other engines compute no checks
-        began = clock()
-        for _ in space.run(schedule=at(())):
-            pass
-        return ahead + clock() - began
-
-    def _path(self, result: SettingResult) -> Path:
-        threads = [f"threads={result.setting.threads}"] if result.setting.threads else []
-        engine = [f"engine={result.setting.engine}"] if result.setting.engine else []
-        name = hashlib.sha256("\n".join([*result.setting.overrides, *threads, *engine]).encode()).hexdigest()[:12]
-        return self.folder / f"{name}.npz"
-
-    def _load(self) -> None:
-        path = self.folder / DOCUMENT
-        try:
-            kept = json.loads(path.read_text(encoding="utf-8"))
-            theirs, known = kept["scene"]["toml"], kept["reference"]
-            if kept["version"] == VERSION and theirs == self.scene.toml:
-                if known is not None:
-                    self.reference = reference_of(known, self.scene, Trajectory.load(self.folder / REFERENCE))
-                for entry in kept["settings"]:
-                    result = result_of(entry)
-                    if result.status == "measured" and self.reference is not None:
-                        result.errors = self.reference.errors(self.trajectory(result))
-                    elif result.status in ("refused", "measured", "left out"):  # another version may run it
-                        result.status = "pending"
-                    self.results.append(result)
-                by_name = {result.setting.name: result for result in self.results}
-                for result in self.results:
-                    if result.same_as:
-                        self._join(result, by_name[result.same_as])
-                self._busy = kept.get("load", 0.0)
-                return
-            if kept["version"] != VERSION and theirs == self.scene.toml:
-                raise ValueError("another version of carom measured it")
-        except (OSError, ValueError, KeyError, TypeError, zipfile.BadZipFile) as error:
-            raise ExperimentError(f"{path}: cannot be resumed ({error}); {self._advice}") from None
-        raise ExperimentError(
-            f"{self.folder}: holds a study of another scene or of an earlier version of this scene; {self._advice}"
-        )
 
 
 def _key(setting: Setting) -> tuple[tuple[str, ...], int | None, str]:
@@ -532,8 +422,8 @@ def _key(setting: Setting) -> tuple[tuple[str, ...], int | None, str]:
     return setting.overrides, setting.threads, setting.engine
 
 
-def _threads(result: SettingResult) -> tuple[int | None, str]:
-    """Return what changes the cost of a run, but not its bits."""
+def _machine(result: SettingResult) -> tuple[int | None, str]:
+    """Return what changes the cost of a run, but not its bits: threads and engine."""
     return result.setting.threads, result.setting.engine
 
 

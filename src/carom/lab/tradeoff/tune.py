@@ -23,7 +23,8 @@ from carom.errors import ExperimentError, SceneError
 from carom.lab.compared_run import AS_WRITTEN, Setting
 from carom.lab.tradeoff.budget import ALONE
 from carom.lab.tradeoff.reference import COMPARED, MEASURES, NAMES, OF_SAMPLES, OVER_TIME, Teller, phrase
-from carom.lab.tradeoff.settings_grid import GridPoint, SettingResult, default_points, knobs, result_entry
+from carom.lab.tradeoff.settings_grid import GridPoint, SettingResult, default_points, knobs
+from carom.lab.tradeoff.study_document import result_entry
 from carom.lab.tradeoff.tradeoff import Study
 from carom.plan import auto
 from carom.plan.features import require
