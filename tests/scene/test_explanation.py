@@ -46,7 +46,7 @@ RESTITUTIONS = '"contact.restitution", "plane.0.restitution", "wall.0.restitutio
 def test_a_key_is_looked_for_in_every_section(key: str, meant: str) -> None:
     path = tuple(int(part) if part.isdigit() else part for part in key.split("."))
     said = hint(path)
-    expected = meant.replace('"region.', '"group.0.region.')
+    expected = meant.replace('"region.centre"', '"group.0.region.centre" or "outlet.0.region.centre"')
     assert said == f"; did you mean {expected}"
 
 

@@ -37,7 +37,7 @@ from carom.plan.auto import (
 )
 from carom.plan.features import require
 from carom.scene.load import Scene
-from carom.scene.start import InitialBodies
+from carom.scene.start import EntryStates, InitialBodies
 from carom.state.checkpoint import Checkpoint, fingerprint_of
 from carom.state.energies import Energy
 from carom.state.frame import CollisionGraph, Frame, empty_graph
@@ -82,6 +82,8 @@ class Simulation:
         self.scene = scene
         self.names = start.name
         self.groups = start.group
+        self.mass = start.mass  # (n,) kg, also of bodies that are not there
+        self.entries = EntryStates(start.position, start.velocity, start.angular_velocity)
         self.threads = threads or cores()
         self.ends_with_forces = integrator(scene).ends_with_forces
         self.check_interval: float | None = auto_interval(scene, scene.time.duration)
@@ -176,6 +178,11 @@ class Simulation:
         self._books.restore(checkpoint)
         self._books.measure(self._world.forces.potentials(), judged=False)
         self._publish()
+
+    def accelerated(self) -> FloatArray:
+        """Compute the accelerations of the present state anew; return a copy, (n, 3) m/s²."""
+        self._world.forces.accelerate(potential=False)
+        return self.state.acceleration.copy()
 
     def begin_as(self, start: Checkpoint) -> None:
         """Measure errors against the references of a recorded start, whose rounding may differ."""

@@ -122,6 +122,8 @@ class World:
             totals = ImpactTotals(bodies, start.group, box, shear) if records_contacts else None
             contact = ContactPipeline(scene, bodies, world, needs, team, step, parts, totals)
             parts = contact.parts
+        for part in parts:
+            part.join(forces)
         return cls(
             scene=scene,
             needs=needs,

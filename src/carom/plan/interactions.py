@@ -59,6 +59,8 @@ def contact(scene: Scene) -> Part:
     name = "contact"
     if not scene.contact.enabled:
         return Part(name, False, "contact.enabled = false")
+    if scene.admits:
+        return Part(name, True, "bodies enter, and may touch what is there")
     walls = len(scene.wall) + 2 * len(scene.domain.walled)
     solids = [counted(count, noun) for count, noun in ((len(scene.plane), "plane"), (walls, "wall")) if count]
     if scene.count == 1 and not solids:
@@ -114,7 +116,7 @@ def load(scene: Scene) -> str:
         return "the shear"
     if scene.has_piston:
         return "the piston"
-    return pressing_wall(scene)
+    return pressing_wall(scene) or ("what enters" if scene.admits else "")
 
 
 def pressing_wall(scene: Scene) -> str:

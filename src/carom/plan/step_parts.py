@@ -41,6 +41,12 @@ STEP_PARTS: dict[str, StepPart] = {
         ("contact", "sleep"),
         lambda scene: "remove contact.sleep",
     ),
+    "release": StepPart(
+        "carom.physics.contact.release.passage:PassingBodies",
+        lambda scene, needs, recorded: scene.admits,
+        ("group",),
+        lambda scene: "remove the release of all groups",
+    ),
     "walls": StepPart(
         "carom.physics.contact.wall_motion:MovingWalls",
         lambda scene, needs, recorded: bool(scene.wall or scene.translating),

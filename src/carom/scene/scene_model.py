@@ -31,6 +31,7 @@ from carom.scene.schema.contact import (
 from carom.scene.schema.piston import Piston
 from carom.scene.schema.promise import Expect, Promise, Sweep
 from carom.scene.schema.quantity import Section, SectionError
+from carom.scene.schema.release import Outlet
 from carom.scene.schema.settings import Domain, ForcedParts, Heading, Record
 from carom.scene.schema.wall import KNOWN_SHAPES, Wall
 from carom.scene.units.system import SI, UnitSystem
@@ -53,6 +54,7 @@ class SceneModel(Forces, Heading):
     bodies: tuple[BodyData, ...] = Field((), description="many bodies, from data files or arrays")
     plane: tuple[SolidPlane, ...] = Field((), description="half-spaces that are solid")
     wall: tuple[Wall, ...] = Field((), description="walls of other shapes")
+    outlet: tuple[Outlet, ...] = Field((), description="where bodies leave")
     material: tuple[Material, ...] = Field((), description="what bodies, groups, planes and walls may be made of")
     pair: tuple[MaterialPair, ...] = Field(
         (), description="coefficients of two materials, instead of the combined ones"
@@ -131,8 +133,8 @@ class SceneModel(Forces, Heading):
 
     @property
     def anchored(self) -> bool:
-        """Whether there are planes, walls or fixed bodies, which absorb momentum."""
-        return bool(self.plane or self.wall or self.domain.walled) or self.has_fixed_bodies
+        """Whether there are planes, walls, fixed bodies or bodies that wait, which absorb momentum or bring it."""
+        return bool(self.plane or self.wall or self.domain.walled) or self.has_fixed_bodies or self.admits
 
     @property
     def driving_field(self) -> tuple[float, float, float]:
@@ -145,6 +147,16 @@ class SceneModel(Forces, Heading):
         """The planes and walls that change their place."""
         solids: tuple[SolidPlane | Wall, ...] = (*self.plane, *self.wall)
         return tuple(solid for solid in solids if solid.translates)
+
+    @property
+    def admits(self) -> bool:
+        """Whether bodies enter or leave during the run."""
+        return bool(self.outlet) or any(group.release is not None for group in self.group)
+
+    @property
+    def outlet_names(self) -> list[str]:
+        """The names of the outlets."""
+        return [outlet.name or f"outlet {index}" for index, outlet in enumerate(self.outlet)]
 
     @property
     def has_piston(self) -> bool:
@@ -229,6 +241,7 @@ class SceneModel(Forces, Heading):
             )
         refuse_what_is_not_sheared(self)
         refuse_what_has_no_piston(self)
+        refuse_what_admits_no_bodies(self)
         return self
 
     @model_validator(mode="after")
@@ -407,6 +420,31 @@ def refuse_what_has_no_piston(scene: SceneModel) -> None:
     if piston.pressure is not None and (scene.domain.size is None or len(axes) > 1):
         lacks = "domain.size" if scene.domain.size is None else "a normal along x, y or z"
         raise SectionError((*key, "pressure"), f"needs {lacks}, for the area on which it acts; give the force instead")
+
+
+def refuse_what_admits_no_bodies(scene: SceneModel) -> None:
+    """Refuse bodies that enter or leave with parts of the model that need the same bodies from start to end."""
+    if not scene.admits:
+        return
+    released = [("group", index, "release") for index, group in enumerate(scene.group) if group.release is not None]
+    key: KeyPath = released[0] if released else ("outlet", 0)
+    time, contact = scene.time, scene.contact
+    attracts = scene.gravity.constant > 0.0 and scene.gravity.method != "none"
+    remedies = {
+        "gravity between the bodies": ("set gravity.constant = 0", attracts),
+        "contact.enabled = false": ("remove one of them", not contact.enabled),
+        f'contact.solver = "{contact.solver}"': ('set "lasting"', contact.solver != "lasting"),
+        "contact.sleep": ("remove one of them", contact.sleep is not None),
+        "domain.shear": ("remove one of them", scene.domain.shear is not None),
+        "a [drag]": ("remove one of them", scene.drag is not None),
+        "a [forces]": ("remove one of them", bool(scene.forces.given)),
+        "time.accuracy": ("remove one of them", time.accuracy is not None),
+        f'time.integrator = "{time.integrator}"': ('set "leapfrog"', time.integrator not in (AUTO, "leapfrog")),
+        "a box that is periodic along x, y and z": ("leave one axis open", len(scene.domain.repeating) == len("xyz")),
+    }
+    for what, (remedy, given) in remedies.items():
+        if given:
+            raise SectionError(key, f"with {what}, which does not support it; {remedy}")
 
 
 @contextmanager

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -27,6 +27,14 @@ class InitialBodies:
     radius: FloatArray  # (n,)
     inertia: FloatArray  # (n,)
     fixed: BoolArray  # (n,)
+
+
+class EntryStates(NamedTuple):
+    """The states with which bodies enter; bodies that are there from the start have these states first."""
+
+    position: FloatArray  # (n, 3) m
+    velocity: FloatArray  # (n, 3) m/s
+    angular_velocity: FloatArray  # (n, 3) rad/s
 
 
 def join(parts: list[InitialBodies]) -> InitialBodies:

@@ -15,7 +15,7 @@ import xxhash
 from carom.arrays import FloatArray, IntArray
 from carom.state.books import Books
 from carom.state.energies import Energy
-from carom.state.saved import BODY, CONTACT, ENCOUNTER, HELD, RUN, SLEEPING, Saved
+from carom.state.saved import BODY, CONTACT, ENCOUNTER, HELD, INLET, OUTLET, RUN, SLEEPING, Saved
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,6 +29,26 @@ class SleepCheckpoint:
     # (k, 2) of sleepers and fixed ends, sorted
     pairs: Annotated[IntArray, Saved("sleep_pairs", "", SLEEPING, 2, is_pairs=True)]
     force: Annotated[FloatArray, Saved("sleep_force", "N", SLEEPING, 4)]  # (k, 4) along the normal and tangential
+
+
+PRESENT, GONE = -1.0, -2.0  # in place of the time since which a body waits: it is there, or it never enters again
+
+
+@dataclass(frozen=True, slots=True)
+class ReleaseCheckpoint:
+    """Which bodies wait to enter. Its arrays are never written to."""
+
+    # (n,) since when each body waits; `PRESENT` or `GONE`
+    since: Annotated[FloatArray, Saved("release_since", "s", BODY)]
+    # (k, 2) of each inlet: when its slots begin, in s, and how many are taken
+    slots: Annotated[FloatArray, Saved("release_slots", "", INLET, 2)]
+    # (l, 2) of each outlet: the number and the mass in kg of the bodies that left since the start
+    totals: Annotated[FloatArray, Saved("release_totals", "", OUTLET, 2)]
+
+    def check(self) -> None:
+        """Raise ValueError if bodies cannot wait like that."""
+        if np.any((self.since < 0.0) & (self.since != PRESENT) & (self.since != GONE)):
+            raise ValueError("release_since is no time")
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,6 +72,7 @@ class ContactCheckpoint:
     sleep: SleepCheckpoint | None = None  # None where no body can sleep
     # (3,) of the piston: displacement in m, velocity in m/s, impulse of the bodies on it in N s; None without one
     piston: Annotated[FloatArray | None, Saved("piston", "", RUN, 3)] = None
+    release: ReleaseCheckpoint | None = None  # None where no body enters or leaves
 
     @property
     def highest(self) -> int:

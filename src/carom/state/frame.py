@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from carom.arrays import FloatArray, IntArray, Records
+from carom.arrays import BoolArray, FloatArray, IntArray, Records
 from carom.event import Event
 from carom.state.books import Books
-from carom.state.checkpoint import Checkpoint, ContactCheckpoint, IntegratorCheckpoint, fingerprint_of
+from carom.state.checkpoint import PRESENT, Checkpoint, ContactCheckpoint, IntegratorCheckpoint, fingerprint_of
 from carom.state.energies import Energy
 
 
@@ -88,6 +88,18 @@ class Frame:
     contact_rows: Records | None = None  # (m,) `CONTACT_ROW`, by pair: the contacts of this step; None if not requested
     angular_impulse: FloatArray | None = None  # (n, 3) N m s, Σ r × J of the impacts of this step
     expected_error: float = 0.0  # of positions, relative to the size of the system; 0 without a requested accuracy
+
+    @property
+    def waits(self) -> BoolArray | None:
+        """(n,) bodies that wait to enter, or have left; None if the scene has none."""
+        release = self.memory.release if self.memory else None
+        return None if release is None else np.asarray(release.since != PRESENT)
+
+    @property
+    def seen(self) -> FloatArray:
+        """(n, 3) m, the positions of the bodies that are there; NaN for those that wait."""
+        waits = self.waits
+        return self.position if waits is None else np.where(waits[:, None], np.nan, self.position)
 
     @property
     def fingerprint(self) -> int:

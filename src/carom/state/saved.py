@@ -14,6 +14,7 @@ from typing import Any, cast, get_args, get_type_hints
 
 # the things for which a field has rows; fields for `ENCOUNTER` have rows for bodies in close encounters only
 RUN, BODY, ENCOUNTER, CONTACT, HELD, SLEEPING = "run", "body", "encounter", "contact", "held", "sleeping"
+INLET, OUTLET = "inlet", "outlet"
 
 
 @dataclass(frozen=True, slots=True)

@@ -23,7 +23,7 @@ PHYSICS = Path(carom.__file__).parent / "physics"
 CORE = ("step.py", "contact/pipeline.py", "diagnostics/bookkeeper.py")
 PARTS = re.compile(
     "sleep|shear|piston|wall|translat|guided|damp|drag|guard|event_d|contact\\.events|impact_time|time_of_impact|time-of-impact"
-    "|path_work|contact\\.rolling|\\btap|_tap|Tap",
+    "|release|passage|admit|outlet|path_work|contact\\.rolling|\\btap|_tap|Tap",
     re.IGNORECASE,
 )
 INSTEAD = {"kick_before", "kick_after", "move", "wrap"}  # they replace a stage of the step

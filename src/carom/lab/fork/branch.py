@@ -28,9 +28,14 @@ from carom.runs.workers import Workers
 from carom.scene.load import Scene
 from carom.scene.units.dimension import TIME
 from carom.state.checkpoint import Checkpoint
+from carom.state.energies import EnergyBaseline, Origin
 
 _BODIES = ("body", "bodies", "group", "seed", "units", "title", "description")
-_STATE = {"domain": "the positions of the bodies depend on it", "sweep": "one fork is one run"}
+_STATE = {
+    "domain": "the positions of the bodies depend on it",
+    "outlet": "bodies have left through it",
+    "sweep": "one fork is one run",
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,6 +70,8 @@ class ForkStart:
             checkpoint = replace(checkpoint, position=np.ascontiguousarray(position))
         records = self.recording.records_contacts
         space = space_of(self.recording, self.scene, checkpoint, threads, False, records)
+        if checkpoint.step and self.recording.entries is not None:
+            return _with_books(space, checkpoint)
         begun = space.frame().checkpoint  # with the forces of the new parameters at this state
         space.restore(
             replace(checkpoint, acceleration=begun.acceleration, energy=begun.energy, books=begun.books)
@@ -72,6 +79,17 @@ class ForkStart:
             else begun
         )
         return space
+
+
+def _with_books(space: Space, checkpoint: Checkpoint) -> Space:
+    """Restore a checkpoint in which bodies may wait; its books begin there, with the forces of the new parameters."""
+    fresh = space.frame().checkpoint  # of a run in which no body has entered or left
+    space.restore(replace(checkpoint, energy=fresh.energy, books=fresh.books))
+    acceleration, now = space.accelerated(), space.frame().energy
+    origin = Origin(now.translational + now.gravitational, now.rotational, now.field)
+    books = replace(fresh.books, energy=EnergyBaseline(now.total, fresh.books.energy.scale, origin))
+    space.restore(replace(checkpoint, acceleration=acceleration, energy=fresh.energy, books=books))
+    return space
 
 
 def start_of(branch: Branch) -> ForkStart:

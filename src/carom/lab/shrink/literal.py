@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, cast
 
 from carom.arrays import FloatArray
-from carom.errors import RecordingError
+from carom.errors import RecordingError, SceneError
 from carom.physics.placement import place
 from carom.recording.edit.bundle import is_bundle, opened
 from carom.recording.read.recorded_scene import recorded_scene, start_of
@@ -53,7 +53,14 @@ class BodyStates:
 
 
 def literal(scene: Scene, start: InitialBodies) -> Document:
-    """Return a scene with each body written out under its name, in the units of the simulation."""
+    """Return a scene with each body written out under its name, in the units of the simulation.
+
+    Raises SceneError if bodies enter during the run.
+    """
+    if scene.admits:
+        raise SceneError(
+            "bodies enter during the run ([group.release]), which a scene of single bodies cannot state; use carom fork"
+        )
     given = scene.model_dump(mode="python", exclude_defaults=True, exclude_none=True, exclude=_NOT_COPIED)
     document: Document = _plain(given)
     if isinstance(scene.units, str):  # the scene is simulated in them

@@ -20,10 +20,11 @@ from carom.physics.space import Space
 from carom.recording.read.lookup import body_number, names_of, tolerance
 from carom.recording.read.named_events import named_event
 from carom.recording.read.recorded_contacts import closing_speeds, rows_by_frame
-from carom.recording.read.recorded_scene import recorded_scene
+from carom.recording.read.recorded_scene import fixed_of, recorded_scene
 from carom.recording.read.recording import Recording
 from carom.runs.window import space_of
 from carom.scene.load import Scene
+from carom.scene.start import EntryStates
 from carom.scene.units.dimension import TIME
 from carom.scene.units.system import SI, UnitSystem
 from carom.state.checkpoint import Checkpoint
@@ -90,10 +91,16 @@ class History:
         scene = recorded_scene(recording)
         audited = scene.expect.model_copy(update={"contact_audit": _AUDIT})  # records the kicks of forces
         space = space_of(recording, scene.model_copy(update={"expect": audited}), begin, record_contacts=True)
-        history = cls(begin, space.state.ends.inverse_mass.copy(), _drives(scene, space))
+        inverse_mass, entries = space.state.ends.inverse_mass.copy(), recording.entries
+        if entries is not None:  # until bodies enter, they count as moving as they will enter
+            n = len(space.mass)
+            inverse_mass[:n] = np.divide(1.0, space.mass, out=np.zeros(n), where=~fixed_of(scene))
+            begin = replace(begin, velocity=_with_entries(begin.velocity, space.frame().waits, entries))
+        history = cls(begin, inverse_mass, _drives(scene, space))
         table = recording.fingerprints()
         recorded = dict(zip(table["step"].to_pylist(), table["fingerprint"].to_pylist(), strict=True))
-        before, began, found = space.state.velocity.copy(), space.time, [history.impacts]
+        before = space.state.velocity.copy() if entries is None else begin.velocity
+        began, found = space.time, [history.impacts]
         last = begin.step
         for frame in space.run(schedule=every(0.0)):
             bits = recorded.get(frame.step)
@@ -104,16 +111,21 @@ class History:
                 touching = frame.contact_rows if frame.contact_rows is not None else history.impacts
                 rows = _impulses(space, touching)
                 own = touching[np.isin(touching["i"], bodies) | np.isin(touching["j"], bodies)]
-                after = frame.velocity
+                after = frame.velocity if entries is None else _with_entries(frame.velocity, frame.waits, entries)
                 history.steps.append(Step(frame.step, last, frame.time, began, before, after, rows, kicks, own))
                 if frame.impacts is not None and len(frame.impacts):
                     found.append(frame.impacts)
-                before, began, last = frame.velocity, frame.time, frame.step
+                before, began, last = after, frame.time, frame.step
             watch(space.status)
             if frame.time >= end:
                 break
         history.impacts = np.concatenate(found)
         return history
+
+
+def _with_entries(velocity: FloatArray, waits: BoolArray | None, entries: EntryStates) -> FloatArray:
+    """Return velocities, (n, 3) m/s, in which bodies that wait have those with which they enter."""
+    return velocity if waits is None else np.where(waits[:, None], entries.velocity, velocity)
 
 
 def _drives(scene: Scene, space: Space) -> BoolArray:

@@ -8,7 +8,7 @@ call them.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import NamedTuple, Protocol, TypeVar
 
@@ -79,6 +79,21 @@ class LedgerAccount(Protocol):
         """Set what `exchanged` returns."""
 
 
+class WorldForces(Protocol):
+    """The forces of a world, for parts that change which bodies they move."""
+
+    def find_fixed(self) -> None:
+        """Find the bodies that no force moves."""
+
+    def accelerate(self, potential: bool) -> Mapping[str, float]:
+        """Update the accelerations of the bodies; return the potential energies (J) if requested."""
+        ...
+
+    def potentials(self) -> Mapping[str, float]:
+        """Return the potential energies (J) of the present positions."""
+        ...
+
+
 class OptionalPart:
     """An optional part of the model. It overrides the hooks that it needs."""
 
@@ -89,6 +104,9 @@ class OptionalPart:
 
     def compile(self) -> None:
         """Run the kernels of the hooks without contacts, so that the first contact does not wait for compilation."""
+
+    def join(self, forces: WorldForces) -> None:
+        """Note the forces of the world, which is complete now."""
 
     def forget(self) -> None:
         """Return to the state before the first step."""

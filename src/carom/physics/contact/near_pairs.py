@@ -398,3 +398,15 @@ def _merge(
                     merged[m, 0], merged[m, 1] = i, len(radius) + k
                     m += 1
         blocks[block].begin, blocks[block].count = begin, m - begin
+
+
+@kernel
+def between_present(pairs: IntArray, absent: BoolArray) -> IntArray:
+    """Return the pairs of which both ends are there, given which bodies are absent, (n,)."""
+    kept, count, n = np.empty_like(pairs), 0, len(absent)
+    for c in range(len(pairs)):
+        i, j = pairs[c, 0], pairs[c, 1]
+        if not (absent[i] or (j < n and absent[j])):
+            kept[count, 0], kept[count, 1] = i, j
+            count += 1
+    return pairs if count == len(pairs) else kept[:count].copy()

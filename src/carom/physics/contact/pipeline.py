@@ -62,7 +62,7 @@ class ContactPipeline:
         totals: ImpactTotals | None = None,
     ) -> None:
         contact = scene.contact
-        self.settings, self.bodies, self.world = contact, bodies, world
+        self.scene, self.settings, self.bodies, self.world = scene, contact, bodies, world
         self.team, self.needs, self.totals = team, requirements, totals
         self.lasts = contact.solver == "lasting" and requirements.resting.modelled  # whether contacts can be at rest
         self.near = NearPairs(contact, bodies, world, self.lasts, team)
@@ -104,6 +104,7 @@ class ContactPipeline:
         self.impulses = ImpulseCache.empty()  # with which the next kick starts
         self.idle: IdleContacts | None = None  # of the step
         self.unmoved: BoolArray | None = None  # (n,) bodies that no kick moves in the step
+        self.absent: BoolArray | None = None  # (n,) bodies that are not there, which touch nothing
         self.presses = False  # whether something presses contacts together
         if self.lasts:
             self.solver.find_loads(0.0)

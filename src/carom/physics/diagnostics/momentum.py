@@ -129,7 +129,8 @@ class MomentumAccount:
         self._anchored = anchored
         self._linear, self._angular, self._linear_scale, self._angular_scale, *_ = TotalMotion.of(bodies)
         self._mass = float(bodies.mass.sum())
-        self._centre = (bodies.mass[:, np.newaxis] * bodies.position).sum(axis=0) / self._mass
+        moment = (bodies.mass[:, np.newaxis] * bodies.position).sum(axis=0)
+        self._centre = moment / self._mass if self._mass > 0.0 else moment  # at first, all bodies may wait to enter
         self._baseline: MomentumBaseline | None = None  # None if it has changed since the last access
 
     @property

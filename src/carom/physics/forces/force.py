@@ -167,7 +167,7 @@ class TotalForce:
         self._bodies = bodies
         self._team = team
         self._profile = profile
-        self._fixed = np.flatnonzero(bodies.ends.inverse_mass[: len(bodies)] == 0.0)
+        self.find_fixed()
         # in the order in which accelerations are summed
         kinds = [kind for kind in FORCES if needs.forces[kind.name].modelled]
         self._forces: list[Force] = [registry.load("forces", kind.name)(scene, bodies, team) for kind in kinds]
@@ -186,6 +186,10 @@ class TotalForce:
             self.losses.append(DRIVING_FIELD)
             self.path_works.append(PathWork(DRIVING_FIELD, accelerate_by_field, bodies))
         self.parts: list[OptionalPart] = [*([self.damping] if self.damping else []), *self.path_works]
+
+    def find_fixed(self) -> None:
+        """Find the bodies that no force moves; a caller has changed which bodies these are."""
+        self._fixed = np.flatnonzero(self._bodies.ends.inverse_mass[: len(self._bodies)] == 0.0)
 
     @property
     def laws(self) -> ForceLaws | None:

@@ -13,8 +13,9 @@ from carom.arrays import FloatArray
 from carom.errors import SceneError
 from carom.physics.contact.solids import solids_of
 from carom.physics.placement.neighbours import Surroundings, overlapping_pairs, squared_distance
-from carom.physics.placement.random_placement import FULLEST
+from carom.physics.placement.random_placement import FULLEST, scattered
 from carom.physics.placement.region import (
+    Arrange,
     arrangement_called,
     default_region,
     half_extent,
@@ -24,6 +25,8 @@ from carom.physics.placement.region import (
 )
 from carom.physics.placement.wall_clearance import refuse_crossing_walls
 from carom.plan.room import refuse_small_memory
+from carom.plan.step_parts import STEP_PARTS
+from carom.registry import imported
 from carom.scene.load import Scene
 from carom.scene.matter import drawn_radii, made_of, mass_of, mean_volume
 from carom.scene.scene_file import KeyPath
@@ -34,6 +37,7 @@ from carom.scene.units.dimension import LENGTH
 from carom.scene.units.system import UnitSystem
 from carom.scene.wording import NumberedNames, body_called, body_key
 
+PASSAGE_CHECKS = "carom.physics.contact.release.passage_checks:refuse_impossible_passages"
 MOST_FILLED = 0.7404  # packing of the densest lattices, π/√18
 
 
@@ -72,12 +76,18 @@ def place(scene: Scene) -> InitialBodies:
             if index not in centres:
                 mixture = _mixture(scene, index)
                 radii |= {member: drawn_radii(scene.group[member], streams[member]) for member in mixture}
-                spheres = [(part.position, part.radius) for part in parts]
-                spheres += [(centres[member], radii[member]) for member in centres if member > index]
+                # bodies that enter later are not there yet, and find what is there in another place
+                there = [part for part in parts if not _enters(scene, part)] if group.release is None else []
+                spheres = [(part.position, part.radius) for part in there]
+                spheres += [
+                    (centres[member], radii[member])
+                    for member in centres
+                    if member > index and group.release is None and scene.group[member].release is None
+                ]
                 around = Surroundings(tuple(spheres), solids, box)
                 region = _region(mixture, radii, units)
                 radius = np.concatenate([radii[member] for member in mixture])
-                arrange = arrangement_called(group.arrangement).arrange
+                arrange = _arrange(group)
                 try:
                     position = arrange(mixture, region, radius, around, streams[index], units)
                 except SceneError:  # a region that the scene does not give may be the whole domain
@@ -93,9 +103,35 @@ def place(scene: Scene) -> InitialBodies:
             parts.append(_group(index, made, region, radii[index], centres[index], streams[index], pull))
         start = join(parts)
         refuse_overflow(start)
+        if scene.admits and STEP_PARTS["release"].is_there:
+            imported(PASSAGE_CHECKS)(scene, start, solids)
         if scene.contact.enabled:
             refuse_crossing_walls(scene, start, solids)
         return start if box is None else _inside(scene, start, box)
+
+
+def _enters(scene: Scene, part: InitialBodies) -> bool:
+    """Return whether the bodies of a part enter during the run; the bodies of a group are one part."""
+    group = int(part.group[0])
+    return group >= 0 and scene.group[group].release is not None
+
+
+def _arrange(group: BodyGroup) -> Arrange:
+    """Return what finds the places of a group: bodies that enter one by one may have the same place."""
+    if group.arrangement == "random" and group.release is not None and group.release.rate is not None:
+
+        def one_by_one(
+            mixture: Mapping[int, BodyGroup],
+            region: Region,
+            radius: FloatArray,
+            around: Surroundings,
+            rng: np.random.Generator,
+            units: UnitSystem,
+        ) -> FloatArray:
+            return scattered(next(iter(mixture)), region, radius, around, rng, units)
+
+        return one_by_one
+    return arrangement_called(group.arrangement).arrange
 
 
 def _inside(scene: Scene, start: InitialBodies, box: FloatArray) -> InitialBodies:
@@ -160,9 +196,9 @@ def _mixture(scene: Scene, index: int) -> dict[int, BodyGroup]:
     first = scene.group[index]
     if first.arrangement != "compressed" or first.region is None:
         return {index: first}
-    alike = (first.arrangement, first.region)
+    alike = (first.arrangement, first.region, first.release)
     groups = list(enumerate(scene.group))[index:]
-    return {k: group for k, group in groups if (group.arrangement, group.region) == alike}
+    return {k: group for k, group in groups if (group.arrangement, group.region, group.release) == alike}
 
 
 def _region(mixture: Mapping[int, BodyGroup], radii: Mapping[int, FloatArray], units: UnitSystem) -> Region:
@@ -219,7 +255,7 @@ def _group(
 def _refuse_full_region(mixture: Mapping[int, BodyGroup], radii: Mapping[int, FloatArray]) -> None:
     """Refuse a region that a mixture would fill beyond the limit of its arrangement."""
     index, group = next(iter(mixture.items()))
-    if group.region is None:
+    if group.region is None or (group.release is not None and group.release.rate is not None):
         return
     radius = np.concatenate([radii[member] for member in mixture])
     arrangement = arrangement_called(group.arrangement)

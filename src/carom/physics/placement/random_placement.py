@@ -150,6 +150,24 @@ def positions(
     return position
 
 
+def scattered(
+    index: int, region: Region, radius: FloatArray, around: Surroundings, rng: np.random.Generator, units: UnitSystem
+) -> FloatArray:
+    """Return centres, (n, 3) m, at which spheres overlap nothing but each other: they are there one after another."""
+    refuse_too_large(index, region, radius, units)
+    position, missing = np.empty((len(radius), 3)), np.arange(len(radius))
+    for _ in range(MOST_ROUNDS):
+        position[missing] = drawn_centres(region, radius[missing], rng)
+        missing = missing[~around.is_clear(position[missing], radius[missing])]
+        if not len(missing):
+            return position
+    raise SceneError(
+        f"group.{index}.region: no space for {len(missing)} of {len(radius)} bodies outside the planes and walls; move "
+        "or enlarge the region",
+        ("group", index, "region"),
+    )
+
+
 def _place_class(
     index: int,
     region: Region,

@@ -165,7 +165,7 @@ class CameraFit:
     def see(self, batch: Sequence[Frame], origin: FloatArray) -> None:
         """Measure the frames of a batch; of many bodies, only the last."""
         chosen = batch if self.is_few else batch[-1:]
-        self.look(np.array([frame.position[: self._bodies] for frame in chosen]) - origin)
+        self.look(np.array([frame.seen[: self._bodies] for frame in chosen]) - origin)
 
     def look(self, position: FloatArray, *, inside: bool = True) -> None:
         """Measure positions (n, 3) or (k, n, 3). Positions that may be outside the view affect only its direction."""
@@ -424,7 +424,8 @@ def _middle(moments: FloatArray, near: BoolArray, radius: FloatArray) -> FloatAr
     if len(radius) <= FEW:
         low = np.where(near[..., None], moments - radius[:, None], np.inf).min(axis=1)
         high = np.where(near[..., None], moments + radius[:, None], -np.inf).max(axis=1)
-        return np.where(np.isfinite(low), low + high, 0.0) / 2
+        is_there = np.isfinite(low)
+        return np.asarray(np.add(low, high, out=np.zeros_like(low), where=is_there) / 2)
     middles = np.zeros((len(moments), 3))
     for k, kept in enumerate(near):
         x, sizes = moments[k][kept].T, radius[kept]

@@ -169,7 +169,9 @@ class Continuation:
     def last(self) -> Checkpoint:
         """Read the values on which the rows of the next frame depend."""
         found = self._reached or self.recording.checkpoint(self.step)
-        contacts = found.contacts if found.contacts is not None and found.contacts.piston is not None else None
+        held = found.contacts
+        counts = held is not None and (held.piston is not None or held.release is not None)  # series need differences
+        contacts = held if counts else None
         return replace(found, acceleration=found.acceleration[:0].copy(), contacts=contacts, integrator=None)
 
     def chunks(self) -> Iterator[Chunk]:

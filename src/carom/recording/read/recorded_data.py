@@ -26,12 +26,13 @@ from carom.recording.read.entities import (
 )
 from carom.recording.read.statics import BodyTable, Statics, decode_bodies, decode_names, named
 from carom.recording.schema import paths
+from carom.recording.schema.header import LARGEST
 from carom.recording.schema.paths import CLOSING
 from carom.recording.schema.series import is_recorded, names_below
 from carom.recording.timelines import SIM_TIME, STEP
 from carom.scene.data.body_columns import BodyColumns
 from carom.scene.schema.shear import Shear
-from carom.scene.start import HalfSpaces
+from carom.scene.start import EntryStates, HalfSpaces
 from carom.state.checkpoint import Checkpoint
 
 if TYPE_CHECKING:
@@ -199,6 +200,18 @@ class RecordedData(Statics):
         """Mask (n,) of the bodies of another engine whose laws are known; a recording without a mask has no others."""
         return self._mask("judged", True)
 
+    @cached_property
+    @named
+    def entries(self) -> EntryStates | None:
+        """How bodies enter; None if all are there from the start."""
+        if not self.info.get("admits") or self.is_partial:
+            return None
+        stored, n = self._entities.static(paths.STATIC_STATE), int(self.info["bodies"])
+        found = [np.asarray(stored.get(f"{paths.ENTRY}{name}", ())) for name in EntryStates._fields]
+        if any(each.shape != (3 * n,) or not np.all(np.abs(each) <= LARGEST) for each in found):
+            raise DamageError("it does not state how its bodies enter")
+        return EntryStates(*(each.reshape(n, 3) for each in found))
+
     def _mask(self, name: str, default: bool) -> BoolArray:
         n = int(self.info["bodies"])
         mask = np.asarray(self._entities.static(paths.STATIC_STATE).get(name, np.full(n, default)))
@@ -236,11 +249,26 @@ class RecordedData(Statics):
         return self.shear.cell(size, time) if self.shear else size
 
     def present(self, step: int) -> BoolArray:
-        """Return a mask (n,) of the bodies that exist in the frame of a step."""
+        """Return a mask (n,) of the bodies that exist in the frame of a step, and do not wait to enter."""
+        if self.info.get("admits"):
+            return self._drawn_at(step)
         if self.lives is None:
             return np.ones(int(self.info["bodies"]), dtype=bool)
         first, last = self.lives.T
         return np.asarray((first >= 0) & (first <= step) & (step <= last))
+
+    def _drawn_at(self, step: int) -> BoolArray:
+        """Return a mask (n,) of the bodies that are drawn in the frame of a step; without such a frame, of all."""
+        n = int(self.info["bodies"])
+        drawn = np.ones(n, dtype=bool)
+        for chunk in self.chunks(self.store.frames_of(paths.BODIES, step, step)):
+            rows = np.flatnonzero(chunk.batch[STEP].to_numpy() == step)
+            centres = centres_of(chunk)
+            if len(rows) and centres is not None:
+                places = plain(centres).to_numpy().reshape(chunk.batch.num_rows, -1, 3)[rows[0]]
+                drawn[:] = False
+                drawn[self.shown] = np.isfinite(places).all(axis=1)
+        return drawn
 
     @cached_property
     @named

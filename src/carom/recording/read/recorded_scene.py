@@ -5,8 +5,9 @@ A recording may come from a stranger, so everything is checked before use.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from contextlib import suppress
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pyarrow as pa
@@ -19,13 +20,13 @@ from carom.recording.schema import paths
 from carom.recording.schema.header import COLOUR_BY, Header, ShownMaterials, motions_of, scene_digest
 from carom.recording.schema.paths import ENERGY, STEPS
 from carom.recording.schema.properties import fields_read
-from carom.recording.schema.series import all_series
+from carom.recording.schema.series import all_series, outlet_series
 from carom.recording.timelines import SIM_TIME, STEP
 from carom.scene.data.body_sources import SourcedBodies, Wanted
 from carom.scene.extensions import missing, names_of, stamped
 from carom.scene.forces import FORCES
 from carom.scene.load import Scene, longest_text, scene_from_text
-from carom.scene.start import InitialBodies, planes_of
+from carom.scene.start import EntryStates, InitialBodies, planes_of
 from carom.state.checkpoint import Checkpoint
 
 if TYPE_CHECKING:
@@ -95,15 +96,17 @@ class RecordedBodies:
 
 
 def start_of(recording: RecordedData, scene: Scene, checkpoint: Checkpoint) -> InitialBodies:
-    """Return the recorded bodies in the state of a checkpoint."""
+    """Return the recorded bodies in the state of a checkpoint, or as they enter, where some do during the run."""
     bodies, n = recording.bodies, scene.count
     spin = checkpoint.angular_velocity
+    state = EntryStates(checkpoint.position, checkpoint.velocity, np.zeros((n, 3)) if spin is None else spin)
+    position, velocity, angular_velocity = recording.entries or state
     return InitialBodies(
         name=bodies.name,
         group=bodies.group,
-        position=checkpoint.position,
-        velocity=checkpoint.velocity,
-        angular_velocity=np.zeros((n, 3)) if spin is None else spin,
+        position=position,
+        velocity=velocity,
+        angular_velocity=angular_velocity,
         mass=bodies.mass,
         radius=bodies.radius,
         inertia=bodies.inertia,
@@ -146,6 +149,8 @@ def header_of_recording(recording: RecordedData) -> Header:
         materials=None if scene is None else ShownMaterials.of(scene),
         shortest_dt_hint=0.0,
         units=recording.units,
+        entries=recording.entries,
+        outlets=outlets_of(info),
         drives=drives,
         motions=motions_of(scene) if scene and drives else {},
         shear=recording.shear,
@@ -157,11 +162,16 @@ def header_of_recording(recording: RecordedData) -> Header:
     )
 
 
+def outlets_of(properties: Mapping[str, Any]) -> list[str]:
+    """Return the names of the outlets of a recording, from its properties."""
+    return str(properties.get("outlets", "")).splitlines()
+
+
 def recorded_curves(recording: RecordedData, until: int | None = None) -> dict[str, CurveOutline]:
     """Return the outlines of all plotted series by path, optionally only up to a step."""
     curves: dict[str, CurveOutline] = {}
     tables = {ENERGY: recording.energy(), STEPS: recording.steps()}
-    for series in all_series(stamped(recording.info)):
+    for series in (*all_series(stamped(recording.info)), *outlet_series(outlets_of(recording.info))):
         table, name = tables[series.path.partition("/")[0]], series.path.rpartition("/")[2]
         if series.plot is not None and name in table.column_names:
             kept = slice(None) if until is None else table[STEP].to_numpy() <= until

@@ -27,7 +27,7 @@ from carom.scene.portable_math import ENDLESS
 from carom.scene.schema.motion import WallMotion
 from carom.scene.schema.shear import Shear
 from carom.scene.schema.wall import Wall
-from carom.scene.start import HalfSpaces
+from carom.scene.start import EntryStates, HalfSpaces
 from carom.scene.units.dimension import OF_UNIT, TIME
 from carom.scene.units.system import SI, UnitSystem
 
@@ -86,6 +86,7 @@ _FLAGS = {
     "record.impacts": "records_contacts",  # not a part of the model, but required by series of contacts
     "wall.motion": "drives",  # not a part of the model, but required by the work of moving walls
     "piston": "has_piston",  # not a part of the model, but required by the motion of a piston
+    "release": "admits",  # not a part of the model, but required by the energy of bodies that enter
     "driving-field": "has_driving_field",  # not a part of the model, but required by its work along periodic axes
     "shear": "shears",  # not a part of the model, but required by the work of a sheared box
     "spin": "spins",
@@ -143,6 +144,8 @@ class Header:
     drives: bool = False  # whether a wall moves
     motions: Mapping[str, WallMotion] = field(default_factory=dict)  # of walls that move, by their entities
     piston: int | None = None  # number of the plane that contacts move
+    entries: EntryStates | None = None  # how bodies enter; None if all are there from the start
+    outlets: Sequence[str] = ()  # names of the places where bodies leave
     has_driving_field: bool = False  # whether a uniform field has a component along a periodic axis
     shear: Shear | None = None  # of a periodic domain
     record_impacts: Literal["auto", "all", "none"] = "none"  # applies to the contact table, too
@@ -202,6 +205,11 @@ class Header:
     def has_piston(self) -> bool:
         """Whether contacts move a plane."""
         return self.piston is not None
+
+    @property
+    def admits(self) -> bool:
+        """Whether bodies enter during the run."""
+        return self.entries is not None
 
     @property
     def shears(self) -> bool:

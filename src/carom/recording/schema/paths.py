@@ -40,6 +40,7 @@ MOMENTUM = "state/momentum"
 CHECKPOINT = "state/checkpoint"
 START = "state/start"  # in a clip: the exact state before its first frame
 STATIC_STATE = "state/bodies"
+ENTRY = "entry_"  # beginning of its components that state how bodies enter
 LIVES = "state/lives"  # steps of the first and the last frame of each body, where bodies come and go
 GIVEN_STATE = "scene/bodies"  # the initial bodies of [[bodies]] tables
 

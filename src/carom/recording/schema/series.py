@@ -11,6 +11,8 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from carom import registry
 from carom.arrays import FloatArray
 from carom.contact_table import IMPACT_MODE
@@ -51,9 +53,10 @@ PLOTS = (  # from left to right; the plots of a column are tabs
     (Plot("Overlap / radius", "1"), Plot("dt", "s"), Plot("Piston", "m")),
 )
 (_ENERGY,), (_TAKEN, _ERROR), (CONTACTS, _FORCE, _IMPACTS, _SOLVER), (_OVERLAP, _DT, _PISTON) = PLOTS
+_OUTFLOW = Plot("Outflow", "1/s")  # only in scenes with outlets
 _TABLE = "record.impacts"  # key of the scene, which must not be "none", for series of the contact table
 # what does recorded work on the bodies; not parts of the model
-_DRIVES = ("wall.motion", "piston", "driving-field", "shear")
+_DRIVES = ("wall.motion", "piston", "release", "driving-field", "shear")
 # Component of a series or impact: the value in the unit of its plot. The viewer cannot scale a curve (Rerun 0.41), so
 # the scaled values are recorded, too, if the scene has a section [units].
 IN_PLOT = "in_plot"
@@ -129,9 +132,15 @@ def _energy_of(kind: ForceKind) -> Series:
 
 def _piston(state: Frame | Checkpoint) -> FloatArray:
     """Return `PistonMotion.state`."""
+    piston = _contacts_of(state).piston
+    assert piston is not None, "the scene has a piston"
+    return piston
+
+
+def _contacts_of(state: Frame | Checkpoint) -> ContactCheckpoint:
     memory: ContactCheckpoint | None = getattr(state, "memory" if hasattr(state, "memory") else "contacts")
-    assert memory is not None and memory.piston is not None, "the scene has a piston"
-    return memory.piston
+    assert memory is not None, "contacts last in the scene"
+    return memory
 
 
 def _force_on_piston(sample: Sample) -> float:
@@ -140,6 +149,29 @@ def _force_on_piston(sample: Sample) -> float:
     if before is None or frame.time <= before.time:
         return 0.0
     return float(_piston(frame)[2] - _piston(before)[2]) / (frame.time - before.time)
+
+
+def _rate_through(outlet: int, column: int) -> Callable[[Sample], float]:
+    """Return the rate (1/s or kg/s) through an outlet since the previous frame, as a function of a sample."""
+
+    def rate(sample: Sample) -> float:
+        frame, before = sample.frame, sample.before
+        if before is None or frame.time <= before.time:
+            return 0.0
+        now, then = (_contacts_of(state).release for state in (frame, before))
+        assert now is not None and then is not None, "the scene has outlets"
+        return float(now.totals[outlet, column] - then.totals[outlet, column]) / (frame.time - before.time)
+
+    return rate
+
+
+def outlet_series(names: Iterable[str]) -> Iterator[Series]:
+    """Yield the series of outlets, given their names."""
+    for k, name in enumerate(names):
+        colour = list(LINES.values())[k % len(LINES)]
+        rate, mass = _rate_through(k, 0), _rate_through(k, 1)
+        yield Series(f"step/outlet_{k}", "1/s", name, colour, _OUTFLOW, rate, f"bodies that left by {name}", "release")
+        yield Series(f"step/outlet_{k}_mass", "kg/s", name, colour, None, mass, f"mass that left by {name}", "release")
 
 
 # A table, two lines a series: its name and style; its value, meaning and part of the model.
@@ -170,6 +202,9 @@ SERIES = (
     Series("energy/ledger/shear", "J", "shear", ORANGE, _TAKEN,
            lambda s: s.energy.ledger.entry("shear"), "removed by the shear of a periodic box since the start; negative "
                "if it drives the bodies", "shear"),
+    Series("energy/ledger/passage", "J", "bodies that leave", PURPLE, _TAKEN,
+           lambda s: s.energy.ledger.entry("passage"), "removed by bodies that leave since the start; negative if "
+               "bodies that enter bring more", "release"),
     Series("energy/integration_error", "J", "integration error", RED, None,
            lambda s: s.energy.integration_error, "change of the total that the ledger does not explain"),
     Series("energy/relative_error", "1", "integration error / energy scale", RED, _ERROR,
@@ -200,6 +235,9 @@ SERIES = (
            lambda s: float(_piston(s.frame)[1]), "velocity of the piston along its normal", "piston"),
     Series("step/piston_force", "N", "on the piston", ORANGE, _FORCE,
            _force_on_piston, "mean force of the bodies on the piston since the previous frame", "piston"),
+    Series("step/present", "1", "bodies", BLUE, None,
+           lambda s: len(s.mass) - (0 if s.frame.waits is None else int(np.count_nonzero(s.frame.waits))),
+           "bodies that do not wait to enter, and have not left", "release"),
 )
 # fmt: on
 
@@ -238,7 +276,7 @@ def all_plots(series: Iterable[Series]) -> tuple[tuple[Plot, ...], ...]:
 
 def recorded(header: Header) -> Iterator[Series]:
     """Return the series that a recording of this scene has."""
-    for series in SERIES if header.engine else all_series(header.extensions):
+    for series in SERIES if header.engine else _possible(header):
         if (series.inside and header.engine) or not (series.part is None or header.models(series.part)):
             continue
         if header.engine and series.path in OF_ENGINES:
@@ -246,6 +284,10 @@ def recorded(header: Header) -> Iterator[Series]:
             yield replace(series, legend=legend, meaning=meaning)
         else:
             yield series
+
+
+def _possible(header: Header) -> tuple[Series, ...]:
+    return (*all_series(header.extensions), *outlet_series(header.outlets))
 
 
 def names_below(root: str) -> list[str]:
@@ -307,7 +349,7 @@ def contents(header: Header, needs: Requirements) -> Iterator[Content]:
     """Return every entity that a recording may have."""
     parts = {part.name: part.modelled for part in needs.parts}
     yield Content(paths.BODIES, True, "centres and quaternions" if header.has_orientation else "centres")
-    needed = [*_PARTS.items(), *((series.path, series.part) for series in all_series(header.extensions))]
+    needed = [*_PARTS.items(), *((series.path, series.part) for series in _possible(header))]
     for path, name in needed:
         if name == _TABLE:  # in `_contact_data`
             continue

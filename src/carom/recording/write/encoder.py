@@ -110,6 +110,7 @@ class BatchEncoder:
         index, position = Index.of(batch), _stacked("position", batch, store)
         points = np.empty((len(batch), self.header.bodies, 3), dtype=np.float32)
         encoding.cast_positions(position, self.origin, points)
+        _leave_out(batch, points)
         turned = None
         if self.header.has_orientation:
             turned = np.empty((len(batch) * self.header.bodies, 4), dtype=np.float32)
@@ -166,6 +167,7 @@ class BatchEncoder:
         frames = [one.frame for one in found]
         index = Index(NO_STEPS, np.array([frame.time for frame in frames]), numbers, ends)
         points = single(np.stack([frame.position for frame in frames]) - self.origin)
+        _leave_out(frames, points)
         turned = [frame.orientation for frame in frames if frame.orientation is not None]
         turns = single(np.concatenate(turned)) if turned else None
         yield Rows(paths.BODIES, index, self._drawn(points.reshape(-1, 3), turns, None))
@@ -382,6 +384,13 @@ class BatchEncoder:
                 changed.append(frame)
         if changed:
             yield state_rows(path, Index.of(changed), [state(frame) for frame in changed])
+
+
+def _leave_out(frames: Sequence[Frame], points: SingleArray) -> None:
+    """Leave bodies that wait out of the drawn centres, (frames, n, 3)."""
+    for frame, drawn in zip(frames, points, strict=True):
+        if (waits := frame.waits) is not None:
+            drawn[waits] = np.nan
 
 
 def graph_colours(pairs: IntArray, bodies: int) -> ColourArray:

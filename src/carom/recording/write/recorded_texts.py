@@ -83,7 +83,8 @@ def _entities(header: Header) -> Iterator[tuple[str, str, str]]:
 
     length = unit("m")
     turned = ", quaternions (x, y, z, w)" if header.has_orientation else ""
-    yield paths.BODIES, "the spheres", f"`{_CENTRES[shape(header)]}` ({length}, from the origin in /scene){turned}"
+    spheres = "the spheres; NaN while one waits to enter, or has left" if header.admits else "the spheres"
+    yield paths.BODIES, spheres, f"`{_CENTRES[shape(header)]}` ({length}, from the origin in /scene){turned}"
     if header.collides:
         numbers = f"; `bodies`, `normal_impulse`, `tangential_impulse` ({unit('N s')}), `mode` (0 impact, 1 sticking, "
         numbers = numbers + "2 sliding, 3 resting, 4 open)" if header.records_contacts else ""

@@ -348,7 +348,7 @@ class FrameRecorder:
         continued = self._continued
         if continued is not None:
             first = continued.recording.checkpoint_steps[0]
-            position, origin = continued.recording.checkpoint(first).position, continued.origin
+            position, origin = self._seen_first(continued.recording.checkpoint(first).position), continued.origin
             self._encoder = BatchEncoder(
                 *(self.header, origin, continued.arrow_references, continued.last_state, continued.last()),
                 impacts_before=continued.impacts,
@@ -357,6 +357,7 @@ class FrameRecorder:
             if continued.frames:
                 self._encoder.curves |= recorded_curves(continued.recording, continued.step)
         else:
+            position = self._seen_first(position)
             there = np.isfinite(position).all(axis=1)  # where bodies come and go, not all of them exist
             origin = np.average(position[there], axis=0, weights=self.header.mass[there])
             self._encoder = BatchEncoder(self.header, origin)
@@ -368,6 +369,10 @@ class FrameRecorder:
             self._stream.send_continued(continued)
             self.frames = continued.frames
         return self._encoder
+
+    def _seen_first(self, position: FloatArray) -> FloatArray:
+        """Return the first positions that the view should contain: where bodies enter, for those that wait."""
+        return position if self.header.entries is None else self.header.entries.position
 
     def _look(self, batch: list[Frame], origin: FloatArray) -> None:
         """Update the camera; send a first layout early, for a live viewer and for a run that is killed."""

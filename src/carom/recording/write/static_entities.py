@@ -16,6 +16,7 @@ from carom.recording.layout.plot_views import curve_style
 from carom.recording.read.statics import encode_bodies, encode_names
 from carom.recording.schema import palette, paths
 from carom.recording.schema.header import STATIC_COLOURS, Header, Scalar, TimeScale
+from carom.recording.schema.paths import ENTRY
 from carom.recording.schema.properties import stated
 from carom.recording.schema.series import recorded
 from carom.recording.write.recorded_texts import about_document, legend_document, scene_document
@@ -51,6 +52,8 @@ def statics(header: Header, clock: TimeScale, origin: FloatArray, reach: float) 
     state = {name: getattr(header, name) for name in ("group", "mass", "radius", "inertia")}
     flags = {"fixed": header.fixed, "judged": header.judged}
     state |= {name: mask for name, mask in flags.items() if mask is not None}
+    if header.entries is not None:
+        state |= {f"{ENTRY}{name}": values.ravel() for name, values in header.entries._asdict().items()}
     yield paths.STATIC_STATE, rr.AnyValues(**encode_names(header.names), **state)
     if header.data:
         yield paths.GIVEN_STATE, rr.AnyValues(**encode_bodies(header.data))

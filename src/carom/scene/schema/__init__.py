@@ -6,12 +6,12 @@ Unknown keys are refused.
 
 from carom.scene.schema.body import Body as Body
 from carom.scene.schema.body import BodyGroup as BodyGroup
-from carom.scene.schema.body import Region as Region
 from carom.scene.schema.contact import Coefficients as Coefficients
 from carom.scene.schema.contact import ContactSettings as ContactSettings
 from carom.scene.schema.contact import Drag as Drag
 from carom.scene.schema.contact import Gravity as Gravity
 from carom.scene.schema.contact import Material as Material
+from carom.scene.schema.part_of_space import Region as Region
 from carom.scene.schema.promise import Expect as Expect
 from carom.scene.schema.promise import Promise as Promise
 from carom.scene.schema.quantity import LARGEST as LARGEST

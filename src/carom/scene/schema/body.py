@@ -9,6 +9,7 @@ from pydantic import BeforeValidator, Field, model_validator
 
 from carom.scene.schema.contact import Surface
 from carom.scene.schema.motion import WallMotion
+from carom.scene.schema.part_of_space import Region
 from carom.scene.schema.piston import Piston
 from carom.scene.schema.quantity import (
     MOST,
@@ -22,6 +23,7 @@ from carom.scene.schema.quantity import (
     Section,
     Vector,
 )
+from carom.scene.schema.release import Release
 from carom.scene.units.dimension import ANGULAR_VELOCITY, DENSITY, LENGTH, MASS, TIME, VELOCITY
 
 SOLID = 2 / 5  # moment of inertia over m r² of a solid sphere
@@ -231,14 +233,6 @@ class BodyData(Matter):
 
 
 STEEPEST = 300  # decades that a power of the radii may span
-LENGTHS = {  # lengths that each shape of a region requires, and lengths that the shape allows
-    "ball": (("radius",), ()),
-    "box": (("size",), ()),
-    "cylinder": (("radius", "height"), ()),
-    "shell": (("inner_radius", "radius"), ()),
-    "plummer": (("scale",), ("radius",)),
-}
-ALL_LENGTHS = ("radius", "size", "height", "inner_radius", "scale")
 LATTICES = ("cubic", "fcc", "hcp")
 
 
@@ -267,44 +261,6 @@ class RadiusRange(Section):
             raise ValueError(
                 f"exponent = {self.exponent:g} is too steep for such different radii; lower it or their ratio"
             )
-        return self
-
-
-class Region(Section):
-    """Where the bodies of a group are placed.
-
-    Spheres lie entirely inside; in a plummer region, only their centres do.
-    """
-
-    shape: Literal["ball", "box", "cylinder", "shell", "plummer"] = Field(
-        "ball", description="ball, box, upright cylinder, shell between two radii, or Plummer's model of a star cluster"
-    )
-    radius: Annotated[Positive, LENGTH] | None = Field(
-        None,
-        description="m, of a ball, a cylinder or a shell; in a plummer region the largest distance of a centre, by "
-        "default 10 scale",
-    )
-    size: Annotated[tuple[Positive, Positive, Positive], LENGTH] | None = Field(
-        None, description="m, [x, y, z] of a box"
-    )
-    height: Annotated[Positive, LENGTH] | None = Field(None, description="m, of a cylinder along z; more than 0")
-    inner_radius: Annotated[Positive, LENGTH] | None = Field(None, description="m, radius of the cavity in a shell")
-    scale: Annotated[Positive, LENGTH] | None = Field(
-        None, description="m, Plummer's radius a; half of the mass is within 1.3 a"
-    )
-    centre: Annotated[Vector, LENGTH] = Field(ORIGIN, description="m, [x, y, z]")
-
-    @model_validator(mode="after")
-    def _complete(self) -> Self:
-        needed, allowed = LENGTHS[self.shape]
-        missing = [key for key in needed if getattr(self, key) is None]
-        given = [key for key in ALL_LENGTHS if getattr(self, key) is not None and key not in (*needed, *allowed)]
-        if missing or given:
-            values = " and ".join(f"{key} = {'[x, y, z]' if key == 'size' else '…'}" for key in needed)
-            others = f", and no {given[0]}" if given else ""
-            raise ValueError(f'shape = "{self.shape}" needs {values}{others}')
-        if self.inner_radius is not None and self.radius is not None and self.inner_radius >= self.radius:
-            raise ValueError("inner_radius is not below radius; exchange them")
         return self
 
 
@@ -354,6 +310,9 @@ class BodyGroup(Matter):
     spin: Spin = Field(Spin(), description="{ dispersion } in rad/s")
     bulk_rotation: Annotated[Vector, ANGULAR_VELOCITY] = Field(
         ORIGIN, description="rad/s, [x, y, z], of a rigid rotation of the whole group about its centre"
+    )
+    release: Release | None = Field(
+        None, description="{ at, rate, until }: when the bodies enter; by default they are there from the start"
     )
 
     @model_validator(mode="after")

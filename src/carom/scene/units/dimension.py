@@ -139,6 +139,7 @@ _GROUP = rf"(?:{_ONE}|\(\s*{_ONE}(?:{_TIMES}{_ONE})*\s*\)(?:{_POWER})?)"
 _UNIT = re.compile(rf"{_GROUP}(?:{_TIMES}{_GROUP})*")  # products and powers of names
 _WORDS = re.compile(r"([^\W\d]+) (?=([^\W\d]+))")
 _NAMES = re.compile(_NAME)
+_PER_ONE = re.compile(rf"^/\s*({_NAME})$")  # as in "500 /s"
 _BESIDE = re.compile(r"(?<=[\w°)])\s+(?=[^\W\d]|[°(])")  # the space between two factors
 
 
@@ -177,6 +178,7 @@ def unit(text: str) -> Unit:
     Raises `UnitError` if the text is not a unit; the message names the most similar one.
     """
     written = _joined(text.strip().translate(_SUPERSCRIPTS)) if len(text) <= LONGEST else ""
+    written = _PER_ONE.sub(r"\1^-1", written)
     if not _UNIT.fullmatch(written):
         raise UnitError(f'"{text[:LONGEST]}" is not a unit')
     written = _NAMES.sub(lambda name: _FOREIGN.get(name[0], name[0]), written)

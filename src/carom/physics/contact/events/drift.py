@@ -46,6 +46,7 @@ from carom.physics.contact.hooks import Mover, PresentStep
 from carom.physics.contact.impact_log import IMPACT, MAX_IN_COLLAPSE, NO_IMPACTS, ROLLING_IMPACT, ROUNDING, Impacts
 from carom.physics.contact.islands import island_load_speeds
 from carom.physics.contact.law import dissipates, has_torque, material_index
+from carom.physics.contact.near_pairs import between_present
 from carom.physics.contact.records import ImpactRecord
 from carom.physics.contact.solver.prepare import ImpulseCache
 from carom.physics.integrators.kick_drift import MIN_BODIES_PER_TASK, advance
@@ -80,6 +81,7 @@ class EventDrivenDrift(Mover):
         self._fixed = ends.inverse_mass[:n] == 0.0
         self.pressing = solver.pressing  # (n + p, 3) m/s², the accelerations that press contacts together
         self.field, self.bending = world.field, world.bending
+        self._absent: BoolArray | None = None  # (n,) bodies that are not there, as `trajectories.everyone`
         self._is_open = not (shear or world.box.any())  # no axis is periodic
         # of the impacts of a call; it grows with the number of impacts in a step
         self.log = np.empty(LOG_ROWS, dtype=ROLLING_IMPACT if has_torque(materials.rows.dtype) else IMPACT)
@@ -178,10 +180,13 @@ class EventDrivenDrift(Mover):
             self.bend_by(strength)
             T = T if strength == 1.0 else T._replace(a=strength * T.a)
         T.drift["exhausted"] = 0
+        self._leave_out(contacts.absent)
         velocity = self._shear.relative(bodies.velocity, bodies.position) if self._shear else bodies.velocity
         largest = write_search_radii(velocity, bodies.mass, bodies.radius, self.anchored, dt, T.body, T.drift)
         narrows = self._is_open and damping == 0.0 and NARROWED[0] < largest < NARROWED[1]
         pairs = self._neighbours(largest, scale, skin, dt, narrows)
+        if contacts.absent is not None:
+            pairs = between_present(pairs, contacts.absent)
         impacts = NO_IMPACTS
         if len(pairs) or len(T.offset):
             bends = bool(self.bending.any()) and (damping > 0.0 or kick == 0.5 * dt)  # velocities are the mean
@@ -202,6 +207,15 @@ class EventDrivenDrift(Mover):
         else:
             self._team.divide(len(bodies), MIN_BODIES_PER_TASK, advance, bodies.position, bodies.velocity, dt)
         return impacts
+
+    def _leave_out(self, absent: BoolArray | None) -> None:
+        """Let strays meet only bodies that are there."""
+        if absent is not self._absent and absent is not None:
+            present = np.flatnonzero(~absent)
+            everyone = self.trajectories.everyone
+            everyone.bodies[: len(present)] = present
+            everyone.last[:] = len(present)
+            self._absent = absent
 
     def bend_by(self, strength: float) -> None:
         """Let a uniform field bend paths, times a factor."""

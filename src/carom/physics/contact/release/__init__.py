@@ -1,0 +1,1 @@
+"""Bodies that enter and leave during a run; those that wait are outside of the physics."""

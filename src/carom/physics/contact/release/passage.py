@@ -1,0 +1,262 @@
+"""Bodies that wait outside of the physics, enter at their places, and leave through outlets.
+
+A body that waits has no mass: it has no energy, no force moves it, and nothing can push it. It is kept beside the
+scene, and its pairs are no contacts. Bodies enter and leave as a step begins:
+
+- a body whose centre is in an outlet leaves, and its contacts end; then it waits, or stays outside for good
+- an adaptive step ends when a body is due, so that it enters at its time; equal steps let it enter as the next begins
+- it enters at its place, with the velocity and the spin of the scene, if no sphere and no moving wall overlaps it there
+- of a group with a rate, one body enters for each multiple of 1/rate; a body whose place is taken is passed by others,
+  and what could not enter in time enters as soon as there is room
+- bodies are tried in the order in which they began to wait
+
+The ledger books the kinetic and the potential energy of what enters and leaves.
+
+Rejected: arrays that grow and shrink, because each buffer, checkpoint and drawing has a row for each body.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carom.arrays import BoolArray, FloatArray, IntArray
+from carom.physics.contact.hooks import LedgerAccount, OptionalPart, PresentStep, WorldForces
+from carom.physics.contact.near_pairs import between_present
+from carom.physics.contact.release.inlets import Inlets
+from carom.physics.contact.release.outlets import find_leaving, outlets_of
+from carom.physics.contact.release.waiting_places import choose, waiting_places
+from carom.state.checkpoint import GONE, PRESENT, ContactCheckpoint, ReleaseCheckpoint
+
+if TYPE_CHECKING:
+    from carom.physics.contact.pipeline import ContactPipeline
+
+ENTRY = "passage"  # of the ledger
+PATIENCE = 0.05  # of the duration of a run: how long a place may be taken before a warning
+LARGEST_MOVE = 0.5  # of its radius, by which a body moves in the step in which it enters; as `auto.LATE_CFL`
+
+
+def _are_there(pairs: IntArray, absent: BoolArray) -> BoolArray:
+    """Return which pairs have no absent end; planes are always there."""
+    ends = np.append(absent, False)[np.minimum(pairs, len(absent))]
+    return np.asarray(~ends.any(axis=1))
+
+
+class PassingBodies(OptionalPart):
+    """Lets bodies enter and leave the physics."""
+
+    entries = (ENTRY,)
+
+    def __init__(self, contacts: ContactPipeline) -> None:
+        scene, bodies, ends = contacts.scene, contacts.bodies, contacts.bodies.ends
+        self._contacts, self._bodies, self._ends = contacts, bodies, ends
+        self._solids, self._box = contacts.world.planes, contacts.world.box
+        self._forces: WorldForces | None = None
+        self._inlets = Inlets(scene, len(bodies))
+        self._patience = PATIENCE * scene.time.duration
+        # the state of each body as it enters
+        self._place, self._velocity = bodies.position.copy(), bodies.velocity.copy()
+        self._spin, self._mass = bodies.angular_velocity.copy(), bodies.mass.copy()
+        n = len(bodies)
+        self._inverse_mass, self._inverse_inertia = ends.inverse_mass[:n].copy(), ends.inverse_inertia[:n].copy()
+        self._outside = waiting_places(self._place, bodies.radius, scene.domain, self._solids)
+        self._largest = float(bodies.radius.max())
+        contacts.near.has_statics = True  # pairs of bodies that cannot move are left out
+        self._outlets, self._through = outlets_of(scene), np.empty(n, dtype=np.int64)
+        self._comes_back = np.array([outlet.to == "inlet" for outlet in scene.outlet], dtype=np.bool_)
+        self._totals = np.zeros((len(scene.outlet), 2))  # bodies and kg through each outlet since the start
+        self._time = 0.0  # s, at which the step began
+        self._exchanged: list[tuple[float, FloatArray, FloatArray]] = []  # J, N s and N m s, that came in this step
+        self._restore(self._at_start)
+        self._place_outside(np.flatnonzero(self._waits))
+
+    def join(self, forces: WorldForces) -> None:
+        """Note the forces of the world."""
+        self._forces = forces
+        forces.find_fixed()
+
+    def compile(self) -> None:
+        """Load the kernels."""
+        self._free(np.empty(0, dtype=np.int64), np.zeros(len(self._inlets), dtype=np.int64))
+        if len(self._outlets):
+            find_leaving(self._bodies.position, np.ones_like(self._waits), self._outlets, self._through)
+        between_present(np.empty((0, 2), dtype=np.int64), self._waits)
+
+    def forget(self) -> None:
+        """Return to the state before the first step; positions and velocities are restored by the caller."""
+        self._restore(self._at_start)
+
+    def remember(self, memory: ContactCheckpoint) -> ContactCheckpoint:
+        """Add which bodies wait, the slots that are taken, and what has left."""
+        state = self._since, self._inlets.slots, self._totals
+        return replace(memory, release=ReleaseCheckpoint(*(array.copy() for array in state)))
+
+    def recall(self, memory: ContactCheckpoint) -> None:
+        """Return to the state of a checkpoint; positions and velocities must already be restored."""
+        if memory.release is not None:
+            self._restore(memory.release)
+
+    def discard(self) -> None:
+        """Discard what is left to be booked."""
+        self._exchanged.clear()
+
+    def latest_end(self, time: float, adaptive: bool) -> float:
+        """Return when the next body is due, or by when one that enters now has moved by half of its radius."""
+        if not adaptive or not self._count:
+            return np.inf
+        due, end = self._due(time), self._inlets.next_due(time, self._waiting)
+        if len(due):
+            speed = np.sqrt((self._velocity[due] * self._velocity[due]).sum(axis=1))
+            fast = speed > 0.0
+            longest = LARGEST_MOVE * self._bodies.radius[due][fast] / speed[fast]
+            end = min(end, time + float(longest.min(initial=np.inf)))
+        return end
+
+    def begin(self, step: int, began: float, ended: float) -> None:
+        """Let bodies enter that are due, where there is room."""
+        self._time = began
+        if len(self._outlets):
+            stays = self._waits | (self._inverse_mass == 0.0)
+            if find_leaving(self._bodies.position, stays, self._outlets, self._through):
+                self._leave(np.flatnonzero(self._through >= 0))
+        if not self._count:
+            return
+        for inlet in self._inlets.closed(began, self._waiting).tolist():
+            self._set_since(np.flatnonzero((self._inlets.of_body == inlet) & (self._since >= 0.0)), GONE)
+        due = self._due(began)
+        if len(due):
+            entering = self._free(due, self._inlets.room(began, self._waiting))
+            if len(entering):
+                self._enter(entering)
+
+    def search(self, step: PresentStep, others: Callable[[PresentStep], IntArray]) -> IntArray:
+        """Leave out the pairs of bodies that wait."""
+        pairs = others(step)
+        if self._are_outside:
+            step.profile.mark("search")
+            pairs = between_present(pairs, self._waits)
+            step.profile.mark("release")
+        return pairs
+
+    def book(self, account: LedgerAccount) -> None:
+        """Book what entered as the step began."""
+        for energy, impulse, angular_impulse in self._exchanged:
+            account.exchange(ENTRY, -energy, impulse, angular_impulse)
+        self._exchanged.clear()
+
+    def warnings(self) -> Iterable[str]:
+        """Return a warning for each inlet at which a body has been due for long."""
+        if self._count:
+            yield from self._inlets.blocked(self._time, self._since, self._waiting, self._patience)
+
+    @property
+    def _at_start(self) -> ReleaseCheckpoint:
+        return ReleaseCheckpoint(self._inlets.begun, self._inlets.first_slots, np.zeros_like(self._totals))
+
+    def _due(self, time: float) -> NDArray[np.intp]:
+        """Return the bodies that may enter at a time (s), in the order in which they began to wait."""
+        open_ = self._inlets.room(time, self._waiting) > 0
+        if not open_.any():
+            return np.empty(0, dtype=np.intp)
+        due = np.flatnonzero((self._since >= 0.0) & open_[self._inlets.of_body])
+        return due[np.lexsort((due, self._since[due]))]
+
+    def _free(self, due: NDArray[np.intp], room: IntArray) -> IntArray:
+        """Return the bodies that enter, given those that are due, and how many may enter at each inlet."""
+        if self._solids.moves and len(due):
+            due = due[(self._solids.heights(self._place[due]) >= self._bodies.radius[due][:, None]).all(axis=1)]
+        bodies = self._bodies.position, self._bodies.radius, self._waits
+        return np.asarray(choose(due, self._inlets.of_body, room, self._place, bodies, self._box, self._largest))
+
+    def _enter(self, which: IntArray) -> None:
+        """Give bodies their mass, at their places, and the acceleration with which the step begins."""
+        assert self._forces is not None, "a world joins its parts to its forces"
+        bodies, before = self._bodies, sum(self._forces.potentials().values())
+        bodies.position[which], bodies.velocity[which] = self._place[which], self._velocity[which]
+        for name in ("orientation", "angular_velocity"):
+            state = getattr(bodies, name)
+            if len(state):
+                state[which] = (0.0, 0.0, 0.0, 1.0) if name == "orientation" else self._spin[which]
+        self._inlets.take(self._inlets.of_body[which])
+        self._set_since(which, PRESENT)
+        self._forces.find_fixed()
+        potential = sum(self._forces.accelerate(potential=True).values()) - before
+        self._exchanged.append(self._motion_of(which, potential))
+
+    def _leave(self, which: NDArray[np.intp]) -> None:
+        """Take bodies out of the physics, with their contacts."""
+        assert self._forces is not None, "a world joins its parts to its forces"
+        before, through = sum(self._forces.potentials().values()), self._through[which]
+        motion = self._motion_of(which, 0.0)
+        for column, amounts in enumerate((np.ones(len(which)), self._mass[which])):
+            np.add.at(self._totals[:, column], through, amounts)
+        back = self._comes_back[through]
+        self._inlets.begin_again(self._inlets.of_body[which[back]], self._time, self._waiting)
+        self._since[which] = np.where(back, self._time, GONE)
+        self._place_outside(which)
+        self._weigh()
+        self._forces.accelerate(potential=False)
+        energy = motion[0] + before - sum(self._forces.potentials().values())
+        self._exchanged.append((-energy, -motion[1], -motion[2]))
+        memory = self._contacts.memory
+        if memory is not None:
+            self._contacts.lay_out(self._without_absent(memory))
+
+    def _without_absent(self, memory: ContactCheckpoint) -> ContactCheckpoint:
+        """Return the contacts of bodies that are there."""
+        kept, held = (_are_there(pairs, self._waits) for pairs in (memory.pairs, memory.held_pairs))
+        return replace(
+            memory,
+            pairs=memory.pairs[kept],
+            rest_speed=memory.rest_speed[kept],
+            load_speed=memory.load_speed[kept],
+            held_pairs=memory.held_pairs[held],
+            impulse=memory.impulse[held],
+        )
+
+    def _motion_of(self, which: IntArray, potential: float) -> tuple[float, FloatArray, FloatArray]:
+        """Return the energy (J), the momentum and the angular momentum (N s and N m s) of some bodies."""
+        bodies, mass = self._bodies, self._mass[which][:, None]
+        x, v = bodies.position[which], bodies.velocity[which]
+        angular, kinetic = np.cross(x, mass * v), 0.5 * mass * v * v
+        if len(bodies.angular_velocity):
+            spin, inertia = bodies.angular_velocity[which], bodies.inertia[which][:, None]
+            angular, kinetic = angular + inertia * spin, kinetic + 0.5 * inertia * spin * spin
+        return potential + float(kinetic.sum()), (mass * v).sum(axis=0), angular.sum(axis=0)
+
+    def _place_outside(self, which: IntArray) -> None:
+        """Move bodies to where they wait."""
+        bodies = self._bodies
+        bodies.position[which] = self._outside[which]
+        for state in (bodies.velocity, bodies.angular_velocity):
+            if len(state):
+                state[which] = 0.0
+
+    def _restore(self, state: ReleaseCheckpoint) -> None:
+        """Set which bodies wait, and the slots that are taken; the time of the next step is not known."""
+        self._exchanged.clear()
+        self._inlets.slots[:], self._totals[:] = state.slots, state.totals
+        self._since = state.since.copy()
+        self._weigh()
+
+    def _set_since(self, which: IntArray, since: float) -> None:
+        """Let bodies begin or cease to wait."""
+        self._since[which] = since
+        self._weigh()
+
+    def _weigh(self) -> None:
+        """Give the bodies that are present their mass, and the others none."""
+        n, waits = len(self._bodies), self._since != PRESENT
+        self._waits, self._are_outside = waits, bool(waits.any())
+        self._contacts.absent = waits
+        self._waiting = np.bincount(self._inlets.of_body[self._since >= 0.0], minlength=len(self._inlets))
+        self._count = int(self._waiting.sum())  # of the bodies that may still enter
+        self._bodies.mass[:] = np.where(waits, 0.0, self._mass)
+        self._ends.inverse_mass[:n] = np.where(waits, 0.0, self._inverse_mass)
+        self._ends.inverse_inertia[:n] = np.where(waits, 0.0, self._inverse_inertia)
+        if self._forces is not None:
+            self._forces.find_fixed()
