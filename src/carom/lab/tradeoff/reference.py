@@ -278,7 +278,7 @@ def _largest_step(scene: Scene) -> float:
 def fineness(scene: Scene, setting: Scene) -> float:
     """Return the steps of the scene over the steps of a setting, for the limit that shrank most.
 
-    It is 1 if an integrator chooses its steps by its own error, since the limits then do not.
+    It is 1 if an integrator chooses its steps by its own error, since no limit then changes its steps.
     """
     if auto.integrator(scene).controls_error or auto.integrator(setting).controls_error:
         return 1.0
