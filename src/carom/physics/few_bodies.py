@@ -57,7 +57,8 @@ from carom.physics.world import World
 from carom.plan.auto import integrator
 
 if TYPE_CHECKING:  # `physics.jit.cache` follows these imports, too
-    from carom.physics.contact.events.steady_contacts import SteadyContacts
+    import carom.physics.contact.events.steady_contacts  # noqa: F401 - its stages are compiled into the kernel
+    from carom.physics.contact.events.steady_data import SteadyContacts
     from carom.physics.forces.drag import DragLaw
 
 MOST_STEPS = 20_000  # in one call, some milliseconds: `Space.stop` and the progress line wait for its end

@@ -286,6 +286,23 @@ def test_a_kernel_of_contacts_does_not_depend_on_the_scene_or_the_registry(monke
     assert not read & {root / "__init__.py", root / "registry.py", root / "physics" / "contact" / "pipeline.py"}
 
 
+def test_the_kernel_of_few_bodies_depends_on_all_stages_that_are_compiled_into_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Its stages for contacts, drag and planes are chosen by the types of arguments; no call names their modules."""
+    read: set[str] = set()
+    original = cache._checksum
+
+    def noted(file: Path) -> bytes:
+        read.add(file.relative_to(Path(carom.__file__).parent).as_posix())
+        return original(file)
+
+    monkeypatch.setattr(cache, "_checksum", noted)
+    cache.sources_of.__wrapped__("carom.physics.few_bodies", Path(carom.__file__).parent / "physics" / "few_bodies.py")
+    stages = "steady_contacts", "steady_data", "event_loop", "trajectories"
+    assert {f"physics/contact/events/{name}.py" for name in stages} | {"physics/forces/drag.py"} <= read
+
+
 @pytest.fixture
 def root(tmp_path: Path) -> Path:
     """A folder as the system's temporary one is: open to all, sticky."""

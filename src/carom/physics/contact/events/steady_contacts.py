@@ -12,26 +12,21 @@ number that is not finite.
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 
-from carom.arrays import BoolArray, FloatArray, IntArray, RecordArray
-from carom.physics.aligned import aligned_empty, words
-from carom.physics.bodies import Bodies
+from carom.arrays import FloatArray, IntArray
 from carom.physics.contact.constraints import CONTACTS_PER_BLOCK, ConstraintSystem
-from carom.physics.contact.events.drift import WIDEST, EventDrivenDrift
+from carom.physics.contact.events.drift import WIDEST
 from carom.physics.contact.events.event_loop import predict
-from carom.physics.contact.events.trajectories import Neighbours, Trajectories, begin, straighten, write_search_radii
+from carom.physics.contact.events.steady_data import SteadyContacts, SteadyRules
+from carom.physics.contact.events.trajectories import begin, straighten, write_search_radii
 from carom.physics.contact.geometry import are_near, height_above, update_geometry
 from carom.physics.contact.islands import excess_square, island_load_speeds, write_load_speeds
 from carom.physics.contact.loads import add_loads, clear_loads, write_rest_speeds
 from carom.physics.contact.near_pairs import LARGEST_SKIN
 from carom.physics.contact.near_pairs import ROUNDING as MOST_ROUNDED
-from carom.physics.contact.pipeline import ContactPipeline
 from carom.physics.contact.plane_guard import mark_behind
 from carom.physics.contact.reactions import add_support, write_torques
-from carom.physics.contact.records import ContactRecord
 from carom.physics.contact.solver.body_state import gather, scatter
 from carom.physics.contact.solver.impacts import CONVERGED, check_closing
 from carom.physics.contact.solver.phase_code import IMPACTS, POSITIONS, RESTING
@@ -43,10 +38,9 @@ from carom.physics.contact.solver.positions import (
     scatter_positions,
 )
 from carom.physics.contact.solver.prepare import TOUCHING, begin_contacts, carry_each, mark_pressed
-from carom.physics.contact.statistics import BLOCK_COUNTS, DEEP_OVERLAP, BlockCountsRecord, count_block
+from carom.physics.contact.statistics import count_block
 from carom.physics.integrators.kick_drift import DampedPath, DampedStep
 from carom.physics.jit.decorators import inline, inner
-from carom.physics.jit.team import ALONE
 from carom.physics.open_gaps import (
     KeptState,
     MovedState,
@@ -66,121 +60,6 @@ from carom.physics.rotation import rotate_one
 from carom.physics.vector import between, is_periodic, sizes, vector
 
 MOST_CONTACTS = CONTACTS_PER_BLOCK  # more contacts would be counted in several blocks
-
-
-Words = tuple[IntArray, ...]  # five, see `SteadyContacts.words`
-
-
-class SteadyRules(NamedTuple):
-    """How contacts are resolved."""
-
-    board: IntArray  # empty; this and the next two fields are arguments of `phases.run_job`
-    addresses: IntArray
-    kind: int
-    most_sweeps: int
-    lasts: bool  # whether contacts can be at rest
-    loads: bool  # whether a force can press contacts together
-    pushes: bool  # whether overlaps are corrected
-    bends: bool  # whether a uniform field bends the paths of bodies
-    anchored: bool  # whether something is fixed
-    deepest: float  # overlap over the smaller radius, above which a run warns
-    field: FloatArray  # (3,) m/s², the uniform field if it accelerates all bodies alike; otherwise zeros
-
-
-class SteadyBuffers(NamedTuple):
-    """Copies of the records at the beginning of a step, and workspaces."""
-
-    saved: Words  # the words of `SteadyContacts.words` at the beginning of the step
-    spins: FloatArray  # (n, 3) rad/s, the last of these; no rows where nothing spins
-    held: RecordArray[ContactRecord]  # (m,) the contacts as held, before the positions change
-    held_words: IntArray  # the words of ``held``
-    parent: IntArray  # (n + p,)
-    largest: FloatArray  # (n + p,)
-    flags: BoolArray  # (2,)
-    counts: RecordArray[BlockCountsRecord]  # (1,)
-    near: IntArray  # (n (n - 1) / 2, 2) pairs that may meet during the drift
-    later: Neighbours  # the same pairs as the neighbours of each body
-
-
-class SteadyContacts(NamedTuple):
-    """The contacts of a step, which the contacts of the next steps have to match."""
-
-    system: ConstraintSystem
-    holding: ConstraintSystem  # the same, with the accelerations against which contacts are held before the drift
-    trajectories: Trajectories
-    rules: SteadyRules
-    buffers: SteadyBuffers
-    pairs: IntArray  # (m, 2), sorted
-    place: IntArray  # (m,) index of each contact's record
-    counts: IntArray  # (n + p,) contacts of each body and plane
-    normals: FloatArray  # (m, 3) before the position correction
-    words: Words  # of `CONTACT`, `CONTACT_STATE` and `RECORDED` records, of the normals and spins
-    supported: FloatArray  # (n + p,) m/s², accelerations that contacts support; empty if no step depends on them
-    spins: FloatArray  # (n, 3) rad/s; no rows where nothing spins
-    mass: FloatArray  # (n,) kg
-    inertia: FloatArray  # (n,) kg m²
-    torque: FloatArray  # (n, 3) N m; no rows where none are modelled
-    angular_acceleration: FloatArray  # (n, 3) rad/s²; no rows where no torques are modelled
-
-    @classmethod
-    def of(
-        cls, contact: ContactPipeline, bodies: Bodies, against: FloatArray | None, supported: FloatArray
-    ) -> SteadyContacts:
-        """Gather the contacts of the last step, and memory for the next ones.
-
-        ``against`` are the accelerations against which contacts are held before the drift, (n + p, 3) m/s² (default:
-        those of the bodies).
-        """
-        solver, settings, event_drift = contact.solver, contact.settings, contact.part(EventDrivenDrift)
-        assert event_drift is not None, "see `make` of `steady_steps`"
-        system, normals, n = solver.system, solver.found_normals, len(bodies)
-        ends, most = len(system.inverse_mass), n * (n - 1) // 2
-        held, first = aligned_empty(len(normals), system.contacts.dtype), np.empty(n, dtype=np.int64)
-        records = tuple(map(words, (system.contacts, system.states, system.recorded)))
-        numbers = (*records, _words_of(normals), _words_of(bodies.angular_velocity))
-        spins = np.empty_like(bodies.angular_velocity)
-        rules = SteadyRules(
-            board=ALONE,
-            addresses=solver.code.addresses,
-            kind=solver.code.kind,
-            most_sweeps=contact.most_sweeps,
-            lasts=contact.lasts,
-            loads=contact.needs.resting.modelled,
-            pushes=settings.stabilisation == "split",
-            bends=bool(event_drift.bending.any()),
-            anchored=event_drift.anchored,
-            deepest=np.inf if settings.allow_overlap else DEEP_OVERLAP,
-            field=event_drift.field,
-        )
-        buffers = SteadyBuffers(
-            saved=(*map(np.empty_like, numbers[:-1]), _words_of(spins)),
-            spins=spins,
-            held=held,
-            held_words=words(held),
-            parent=np.empty(ends, dtype=np.int64),
-            largest=np.empty(ends),
-            flags=np.empty(2, dtype=np.bool_),
-            counts=np.empty(1, BLOCK_COUNTS),
-            near=np.empty((most, 2), dtype=np.int64),
-            later=Neighbours(first, first.copy(), np.empty(most, dtype=np.int64)),
-        )
-        placed = contact.contacts.pairs, contact.contacts.order.place, solver.counts, normals
-        moments = (
-            supported,
-            bodies.angular_velocity,
-            bodies.mass,
-            bodies.inertia,
-            bodies.torque,
-            bodies.angular_acceleration,
-        )
-        holding = system if against is None else system._replace(acceleration=against)
-        event_drift.bend_by(1.0)
-        return cls(system, holding, event_drift.trajectories, rules, buffers, *placed, numbers, *moments)
-
-
-def _words_of(numbers: FloatArray) -> IntArray:
-    """Return numbers as words of eight bytes, a view."""
-    return numbers.reshape(-1).view(np.int64)
 
 
 @with_contacts(write_support)

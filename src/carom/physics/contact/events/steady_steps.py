@@ -16,7 +16,8 @@ import numpy as np
 
 from carom.physics.contact.contact_tap import ContactTap
 from carom.physics.contact.events.drift import EventDrivenDrift
-from carom.physics.contact.events.steady_contacts import MOST_CONTACTS, SteadyContacts
+from carom.physics.contact.events.steady_contacts import MOST_CONTACTS
+from carom.physics.contact.events.steady_data import SteadyContacts
 from carom.physics.contact.graph import OrderedContacts
 from carom.physics.contact.plane_guard import PlaneGuard
 from carom.physics.contact.solver.phase_code import IMPACTS, POSITIONS, RESTING
