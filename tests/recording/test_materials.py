@@ -13,13 +13,14 @@ import carom
 from carom.display.presentation import presentation
 from carom.errors import RecordingError
 from carom.recording.edit.clip import clip
+from carom.recording.layout import drawing
 from carom.recording.read.recorded_scene import header_of_recording
 from carom.recording.read.recording import Recording
 from carom.recording.schema import palette, paths
 from carom.recording.schema.header import ShownMaterials
 from carom.runs.replay import replay
 from carom.scene.load import Scene
-from carom.scene.schema.contact import COLOURS
+from carom.scene.schema.contact import BODY_COLOURS, COLOURS
 from carom_command import carom as command
 from small_scenes import scene_of
 
@@ -37,12 +38,12 @@ def recorded_colours(recording: Recording) -> list[int]:
 
 def test_bodies_have_the_colours_of_their_materials(hops: Recording) -> None:
     assert hops.info["colour_by"] == "material"
-    assert recorded_colours(hops) == [SKY, GREY, palette.VERMILION, palette.ORANGE, SAND]
+    assert recorded_colours(hops) == [SKY, GREY, palette.INDIGO, palette.MINT, SAND]
 
 
 def test_the_texts_of_a_recording_name_materials_colours_and_coefficients(hops: Recording) -> None:
     legend, text = (str(hops._entities.static(path)["TextDocument:text"][0]) for path in (paths.LEGEND, paths.SCENE))
-    assert "by material, glass sky blue, steel grey, rubber vermilion, wood orange, clay #b08968" in legend
+    assert "by material, glass sky blue, steel grey, rubber indigo, wood mint, clay #b08968" in legend
     assert "| glass and plate (steel) | 0.93 | 0.3 | 0.2 |" in text
     assert "| rubber on rubber | 0.8 | 1 | 0.8 |" in text
 
@@ -104,3 +105,12 @@ def test_materials_without_a_colour_take_one_that_is_left(colours: list[str | No
 
 def test_every_colour_that_a_scene_may_name_is_in_the_palette() -> None:
     assert tuple(palette.NAMED) == COLOURS
+
+
+def test_no_material_of_a_bundled_scene_has_a_colour_of_arrows_or_edges() -> None:
+    """Nor has any name of a colour of bodies."""
+    taken = {*palette.ARROWS.values(), *palette.STAGES[:1], *drawing.COLOURS.tolist()}
+    scenes = [Scene.load(name) for name in ("five-materials", "incline")]
+    given = [material.colour for scene in scenes for material in scene.material]
+    assert len(given) > 6 and taken.isdisjoint(palette.material_colours(given))
+    assert taken.isdisjoint(palette.NAMED[name] for name in BODY_COLOURS)

@@ -46,18 +46,6 @@ STAGE_NAMES = ("vermilion", "sky blue", "yellow", "green", "purple", "orange", "
 SERIAL_STAGE = 64  # contacts with more colours than this are solved serially, last, and drawn white
 STAGE_COLOURS = np.array([*itertools.islice(itertools.cycle(STAGES), SERIAL_STAGE), WHITE], dtype=np.uint32)
 
-NAMED = {
-    "orange": ORANGE,
-    "sky-blue": SKY,
-    "green": GREEN,
-    "yellow": YELLOW,
-    "blue": BLUE,
-    "vermilion": VERMILION,
-    "purple": PURPLE,
-    "grey": GREY,
-    "white": WHITE,
-}
-
 # Hues of bodies, which no quantity has: a body is never taken for a torque, an impulse or an edge. A search over a grid
 # of CIELAB maximised the smallest difference between two of them (ΔE ≥ 39, CIE76; ≥ 22 with colour blindness) among
 # colours that differ from `ARROWS` and from edges by at least 33 (11), and have a contrast of 4.2 to 1 on dark.
@@ -68,6 +56,24 @@ ROSE = 0xF6D2F0FF
 OLIVE = 0x9FA041FF
 MINT = 0x63F897FF
 BODIES = (SKY, CLAY, INDIGO, MINT, OLIVE, SAGE, ROSE)
+
+NAMED = {  # of materials in scenes, those of bodies first
+    "sky-blue": SKY,
+    "clay": CLAY,
+    "indigo": INDIGO,
+    "mint": MINT,
+    "olive": OLIVE,
+    "sage": SAGE,
+    "rose": ROSE,
+    "orange": ORANGE,
+    "green": GREEN,
+    "yellow": YELLOW,
+    "blue": BLUE,
+    "vermilion": VERMILION,
+    "purple": PURPLE,
+    "grey": GREY,
+    "white": WHITE,
+}
 
 # The colours that differ most from the colours of bodies, other arrows and edges (ΔE ≥ 53, and ≥ 24 from edges).
 MAGENTA = 0xF018F0FF

@@ -30,7 +30,8 @@ from carom.scene.wording import suggestion
 
 DEFAULT = "default"  # name of the material of [contact]
 STATIC, KINETIC = 0.6, 0.4  # default coefficients of friction, about as for dry stone
-COLOURS = ("orange", "sky-blue", "green", "yellow", "blue", "vermilion", "purple", "grey", "white")
+BODY_COLOURS = ("sky-blue", "clay", "indigo", "mint", "olive", "sage", "rose")  # which no arrow and no edge has
+COLOURS = (*BODY_COLOURS, "orange", "green", "yellow", "blue", "vermilion", "purple", "grey", "white")
 _HEX = re.compile(r"#[0-9a-fA-F]{6}")
 
 
@@ -203,7 +204,9 @@ class Material(Surface):
         None, le=2 / 3, description="moment of inertia over m r²: 2/5 for a solid sphere, 2/3 for a thin shell"
     )
     colour: Annotated[str, AfterValidator(_known_colour)] | None = Field(
-        None, description=f'colour in the viewer: "#rrggbb", or {", ".join(COLOURS)}'
+        None,
+        description=f"colour in the viewer: {', '.join(BODY_COLOURS)}, which no arrow and no edge has; "
+        f'{", ".join(COLOURS[len(BODY_COLOURS) :])}; or "#rrggbb"',
     )
 
     @model_validator(mode="after")
