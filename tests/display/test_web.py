@@ -15,7 +15,7 @@ import urllib.error
 import urllib.request
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 from urllib.parse import urlsplit
 
 import numpy as np
@@ -215,9 +215,12 @@ def test_a_port_in_use_is_named(recorded: Path, link: str) -> None:
 @pytest.mark.nightly
 @pytest.mark.slow
 @pytest.mark.needs(BROWSER)
-def test_a_browser_shows_the_recording_paused_at_the_moment_of_the_link(link: str) -> None:
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_a_browser_shows_the_recording_paused_at_the_moment_of_the_link(
+    link: str, scheme: Literal["light", "dark"]
+) -> None:
     with chromium(1280, 720) as (page, errors):
-        page.emulate_media(color_scheme="light")  # the usual default; the test of a published page has a dark one
+        page.emulate_media(color_scheme=scheme)
         page.goto(link)
         wait_until_loaded(page, errors)
         first, second = settled(page), pixels_of(page)

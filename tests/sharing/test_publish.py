@@ -16,7 +16,7 @@ from pathlib import Path
 import pytest
 from PIL import Image
 
-from browser import chromium, settled, wait_until_loaded
+from browser import chromium, pixels_of, settled, wait_until_loaded
 from carom.display import web
 from carom.display.picture import Shot
 from carom.recording.read.recording import Recording
@@ -91,6 +91,7 @@ def test_the_page_has_the_summary_and_pictures_with_a_link_for_each_moment(run: 
         "viewer.html#at=2950000000&show=moment-3",
     ]
     pictures = [attributes["src"] for tag, attributes in page.tags if tag == "img"]
+    assert [picture for picture in pictures if picture not in links] == ["moment-3-energy.png"], "others in full size"
     assert pictures == [
         "moment-1-bodies.png",
         *("moment-2-bodies.png", "moment-2-close-up.png"),
@@ -319,6 +320,43 @@ def published(tmp_path: Path) -> Iterator[str]:
         yield f"http://127.0.0.1:{server.server_port}/"
         server.shutdown()
         thread.join()
+
+
+CONTRASTS = """() => {  // of each text of a page to the ground behind it, by the formula of WCAG 2
+  const channels = (colour) => colour.match(/[0-9.]+/g).map(Number);
+  const ground = (element) => {
+    const [red, green, blue, opacity = 1] = channels(getComputedStyle(element).backgroundColor);
+    return opacity === 1 ? [red, green, blue] : ground(element.parentElement);
+  };
+  const luminance = (colour) => {
+    const linear = colour.map((c) => (c <= 10.31 ? c / 3294.6 : ((c / 255 + 0.055) / 1.055) ** 2.4));
+    return 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2];
+  };
+  const texts = [...document.querySelectorAll("body *")].filter((element) =>
+    [...element.childNodes].some((node) => node.nodeType === Node.TEXT_NODE && node.data.trim()));
+  return texts.map((element) => {
+    const ink = luminance(channels(getComputedStyle(element).color).slice(0, 3));
+    const paper = luminance(ground(element));
+    return [(Math.max(ink, paper) + 0.05) / (Math.min(ink, paper) + 0.05), element.innerText];
+  });
+}"""
+
+
+@pytest.mark.slow
+@pytest.mark.needs(BROWSER)
+def test_every_text_of_a_page_is_legible_in_both_schemes_of_a_browser(run: Path) -> None:
+    assert carom("publish", run.name, "-o", "out", cwd=run.parent).returncode == 0
+    (index,) = (run.parent / "out").glob("index.html")
+    grounds = []
+    with chromium() as (page, _):
+        for scheme in ("light", "dark"):
+            page.emulate_media(color_scheme=scheme)
+            page.goto(index.as_uri())
+            page.eval_on_selector_all("details", "all => all.forEach((one) => { one.open = true; })")
+            contrasts = page.evaluate(CONTRASTS)
+            assert len(contrasts) > 30 and not [text for contrast, text in contrasts if contrast < 4.5], scheme
+            grounds.append(int(pixels_of(page)[2, 2].max()))
+    assert grounds[0] > 240 and grounds[1] < 30, "each scheme has its own ground"
 
 
 @pytest.mark.slow

@@ -376,6 +376,10 @@ def _figure(figure: Figure) -> str:
     texts = (figure.heading, f"{figure.heading}, close up")
     images = [_image(picture, text) for picture, text in zip(figure.pictures, texts, strict=False)]
     shown = [f'<a href="{link}">{image}</a>' for image in images or ["Open this moment in the viewer"]]
+    # on a phone, the words inside pictures are too small
+    names = zip(figure.pictures, ("bodies", "close up"), strict=False)
+    whole = ", ".join(f'<a href="{hypertext(picture)}">{name}</a>' for picture, name in names)
+    shown += [f'<p class="note">In full size: {whole}</p>'] if whole else []
     details = " · ".join(f"<span>{hypertext(detail)}</span>" for detail in figure.details)
     caption = f"<h2>{hypertext(figure.heading)}</h2><p>{details}</p>"
     return f'<figure><figcaption>{caption}</figcaption><div class="pictures">{"".join(shown)}</div></figure>'
