@@ -9,15 +9,15 @@ import pytest
 
 import carom
 from carom.contact_table import CONTACT_ROW
-from carom.display import close_up, request
+from carom.display import close_up, letters, request
 from carom.display.presentation import Presentation, _steps, asked, presentation
 from carom.display.request import Request, pair_of_step
 from carom.display.supplement import Trails
 from carom.errors import RecordingError
 from carom.recording.edit.clip import clip
-from carom.recording.layout import TRAILS
+from carom.recording.layout import TRAILS, bodies_view
 from carom.recording.layout.camera import CameraFit
-from carom.recording.layout.canvas import LEGEND, Area, CameraMotion, Canvas, LensView, View, views_of
+from carom.recording.layout.canvas import LEGEND, Additions, Area, CameraMotion, Canvas, LensView, View, views_of
 from carom.recording.read.frame_rows import RecordedRows
 from carom.recording.read.named_events import NamedEvent, Pair, named_event, named_pair, pair_of_extreme
 from carom.recording.read.recorded_scene import header_of_recording
@@ -222,9 +222,11 @@ def test_the_close_up_of_an_impact_states_spins_and_angular_impulses_by_name(gla
     speeds = {"body 0": (1.0, np.linalg.norm([1.0, 0.0, 0.0] - after)), "body 1": (0.0, np.linalg.norm(after))}
     lines = " ".join(legend_texts(asked(glancing, Request(event="impact:1"))))
     for name, (first, last) in speeds.items():
-        assert f"{name}, speed {first:.3g} before, {last:.3g} m/s after" in lines
+        assert f"■ {name} close up: speed {first:.3g} before, {last:.3g} m/s after" in lines
     whole = np.hypot(impact["normal_impulse"], impact["tangential_impulse"])
-    assert f"{whole:.3g} N s with friction" in texts, "the arrow is the sum of both, unlike the normal one in tables"
+    assert f"{whole:.3g} N s, friction included" in texts, (
+        "the arrow is the sum of both, unlike the normal one in tables"
+    )
 
 
 def legend_texts(shown: Presentation) -> list[str]:
@@ -268,7 +270,7 @@ def test_the_close_up_of_a_lasting_contact_states_no_approach_speed(tmp_path: Pa
     texts = values_of(close_up.LABELS, "labels", rows)[0]
     normal, friction = 9.81 * np.sqrt(0.75), 2.0 / 7.0 * 9.81 * 0.5
     assert texts[0] == "normal"
-    assert texts[1].startswith(f"{np.hypot(normal, friction):.3g} N with friction, ")
+    assert texts[1].startswith(f"{np.hypot(normal, friction):.3g} N, friction included, ")
 
 
 def test_bodies_that_never_touch_have_no_view_and_no_legend_of_contacts(tmp_path: Path) -> None:
@@ -299,13 +301,13 @@ def test_no_label_of_the_close_up_covers_another_or_leaves_the_view(area: Area, 
     for _ in range(20):
         bodies = random.uniform(-1.0, 1.0, (2, 3))
         eye = CameraFit(np.full(2, 0.5), bodies).view(area.aspect, narrow=narrow)
-        placed = close_up._apart(random.uniform(-1.5, 1.5, (4, 3)), texts, eye, area)
+        placed = letters.apart(random.uniform(-1.5, 1.5, (4, 3)), texts, eye, area)
         points = eye.on_screen(placed) * area.height / 2
-        wide = np.array([close_up._LETTER_WIDTH * (len(text) + 2) for text in texts])
-        tall = close_up._LABEL_HEIGHT
+        wide = np.array([letters.label_width(text) for text in texts])
+        tall = letters._HEIGHT
         assert np.all(np.abs(points[:, 0]) + wide / 2 <= area.width / 2 + 1e-6)
         assert np.all(points[:, 1] <= area.height / 2 + 1e-6) and np.all(
-            points[:, 1] - close_up._BELOW >= -area.height / 2 - 1e-6
+            points[:, 1] - letters._BELOW >= -area.height / 2 - 1e-6
         )
         across, up = np.abs(points[:, None] - points).transpose(2, 0, 1)
         covers = (across < (wide[:, None] + wide) / 2 - 1e-6) & (up < tall - 1e-6) & ~np.eye(4, dtype=bool)
@@ -315,7 +317,7 @@ def test_no_label_of_the_close_up_covers_another_or_leaves_the_view(area: Area, 
 def test_a_label_that_is_free_and_inside_stays_where_it_is() -> None:
     eye = View(np.zeros(3), 10.0, CameraMotion.STILL, np.array([0.0, -1.0, 0.0]))
     near = np.array([[0.0, 0.0, 0.0], [0.1, 0.0, 0.1], [3.0, 0.0, 0.0]])
-    placed = close_up._apart(near, ["normal, 5 m/s", "92 N s", "4 rad/s"], eye, Area(800.0, 500.0))
+    placed = letters.apart(near, ["normal, 5 m/s", "92 N s", "4 rad/s"], eye, Area(800.0, 500.0))
     np.testing.assert_allclose(placed[[0, 2]], near[[0, 2]], atol=1e-12)
 
 
@@ -515,3 +517,49 @@ def test_paths_that_would_be_a_tangle_are_drawn_for_a_short_time_which_the_legen
     assert all_of_it != short
     start = short.ranges.as_arrow_array().to_pylist()[0]["range"]["start"]
     assert start == -200_000_000, "ns"
+
+
+def test_numbers_beside_arrows_neither_cover_each_other_nor_leave_the_view(bounce: Recording) -> None:
+    canvas = Canvas(500, 400, framed=False, rendered=True)
+    shown = asked(bounce, Request(), canvas, "graph")
+    (lens,) = (each.lens for each in views_of(shown.supplement.layout.root_container) if isinstance(each, LensView))
+    rows = within_a_step(paths.ANGULAR_IMPULSE, list(shown.supplement.rows))
+    texts = values_of(paths.ANGULAR_IMPULSE, paths.NUMBERS, rows)[0]
+    places = np.array(values_of(paths.ANGULAR_IMPULSE, paths.NUMBERS_AT, rows)[-1])  # the last row is shown
+    points = lens.view.on_screen(places) * canvas.height / 2
+    wide = np.array([letters.label_width(text) for text in texts])
+    assert len(texts) == 2 and np.all(np.abs(points[:, 0]) + wide / 2 <= canvas.width / 2 + 1.0)
+    across, up = np.abs(points[0] - points[1])
+    assert across >= wide.sum() / 2 - 1.0 or up >= letters._HEIGHT - 1.0
+
+
+def test_a_spin_that_ends_in_an_impact_sets_no_scale(tmp_path: Path) -> None:
+    """The angular momentum about the point of contact, m v r + 2/5 m r² ω, is zero, and friction is large."""
+    ball = {"position": [0, 0, 0.15], "velocity": [-0.4, 0, -1], "angular_velocity": [0, 10, 0], "radius": 0.1}
+    contact = {"restitution": 0.5, "static_friction": 5.0, "kinetic_friction": 5.0}
+    settings: dict[str, Any] = {"time": {"duration": 0.1}, "gravity": {"constant": 0.0}}
+    recording = carom.run(scene_of([ball], plane=[{}], contact=contact, **settings), tmp_path / "run.rrd")
+    lines = legend_texts(asked(recording, Request(event="impact:1")))
+    assert any("close up: speed" in line for line in lines) and not any("→ spin" in line for line in lines)
+
+
+def test_angular_impulses_beside_spins_are_those_of_all_impacts_of_a_body_at_that_instant(tmp_path: Path) -> None:
+    recording = carom.run(Scene.load("billiards", ["time.duration=0.2"]), tmp_path / "run.rrd")
+    rows = within_a_step(close_up.LABELS, list(asked(recording, Request()).supplement.rows))
+    found = [text.removeprefix("object ball: ") for text in values_of(close_up.LABELS, "labels", rows)[0]]
+    (spin,) = (float(text.split()[3]) for text in found if text.startswith("spin 0 before"))
+    angular = next(float(text.split()[2]) for text in found if text.startswith("angular impulse"))
+    inertia = float(header_of_recording(recording).inertia[1])
+    assert angular == pytest.approx(inertia * spin, rel=5e-3), "it touches the cloth, too; both have three digits"
+
+
+def test_trails_that_are_cut_are_cut_on_the_timeline_of_steps_as_well(bounce: Recording) -> None:
+    header = header_of_recording(bounce)
+    camera = CameraFit(header.radius, np.zeros((2, 3)))
+    view = bodies_view(header, camera, Area(800.0, 500.0), Additions(trails=True, recent=(10**9, 40)))
+    ranges: Any = view.visualizer_overrides[TRAILS]
+    starts = [each["start"] for each in ranges.ranges.as_arrow_array().field("range").to_pylist()]
+    assert starts == [-(10**9), -40]
+    trails = Trails(bounce, header, np.zeros(2, np.uint32))
+    steps, times = (bounce.fingerprints()[name].to_numpy() for name in ("step", "time"))
+    assert trails.steps_of(times[-1] - times[0]) == steps[-1] - steps[0] and trails.steps_of(0.0) == 1

@@ -18,12 +18,13 @@ from carom.arrays import FloatArray, SingleArray
 from carom.contact_table import IMPACT_MODE
 from carom.display.body_colours import BodyColours
 from carom.display.legend import DrawnLabels, Legend, LegendLine, MovieClock
+from carom.display.letters import apart, label_width
 from carom.display.margins import moving
 from carom.display.request import ShownStep
 from carom.display.staging import axes_and_field
 from carom.display.supplement import Static
 from carom.physics.vector import minimum_images
-from carom.recording.layout import FIELD, faint_bodies
+from carom.recording.layout import FIELD, drawing, faint_bodies
 from carom.recording.layout.camera import CameraFit
 from carom.recording.layout.canvas import (
     CORNERS,
@@ -62,8 +63,6 @@ _IMPULSE = 1.6  # length of an impulse's arrow, in radii of its body
 _ROOM = 1.35  # half size of the view around each body, in its radii
 _THICK, _THIN = 0.07, 0.04  # radii of arrows, in radii of the smaller body
 _REACH = 3.0  # distance of an eye that follows points, over half the diagonal of the box around them (Rerun 0.41)
-_LABEL_HEIGHT, _LETTER_WIDTH = 25.0, 7.2  # points, with the margin of the label
-_BELOW = 32.0  # points, from the place of a label to its lower edge
 _ROUNDING = 1e-9  # of the faster spin; a spin below is rounding
 _TOUCHING = 1e-9  # of a radius; a smaller gap is rounding
 _FADED = {"dark": 0x3C4250FF, "light": 0xC4C8D0FF}  # wires of other bodies
@@ -244,11 +243,10 @@ class CloseUp:
         texts = [text for arrows in labelled for text in arrows.labels]
         owners = [arrows.bodies[k] if arrows.bodies else -1 for arrows in labelled for k in range(len(arrows.labels))]
         named = [text if k < 0 else f"{self.called[k]}: {text}" for text, k in zip(texts, owners, strict=True)]
-        widest = _LETTER_WIDTH * (max(map(len, named), default=0) + 2)
-        if len(self.bodies) == 2 and widest < self.area.width:
+        if len(self.bodies) == 2 and max(map(label_width, named), default=0.0) < self.area.width:
             texts = named
         wanted = [(a.origins + a.along * a.vectors)[: len(a.labels)] for a in labelled]
-        places = single(_apart(np.concatenate(wanted), texts, self.eye, self.area))
+        places = single(apart(np.concatenate(wanted), texts, self.eye, self.area))
         yield from self._once(LABELS, rr.Points3D.columns(positions=places, labels=texts), len(texts))
 
     def _labelled(self, contact: Contact, header: Header) -> list[_Arrows]:
@@ -256,7 +254,7 @@ class CloseUp:
         small = float(header.radius[list(self.bodies)].min())
         label = "normal"
         if contact.force is None and contact.approach_speed > 0.0:  # bodies in lasting contact do not approach
-            label += f", {header.units.text(contact.approach_speed, dimension.VELOCITY, '.3g')}"
+            label += f", approach {header.units.text(contact.approach_speed, dimension.VELOCITY, '.3g')}"
         return [
             _Arrows(NORMAL, contact.point[None], _NORMAL * small * contact.normal[None], [label], 0.5),
             self._impulses(contact, header),
@@ -277,14 +275,18 @@ class CloseUp:
         return [f"speed {one:.3g} before, {last} after" for one, last in zip(first, texts, strict=True)]
 
     def speed_lines(self) -> list[LegendLine]:
-        """Return the lines about velocities of a legend beside all views."""
-        ink = palette.INKS[self.area.theme]
-        return [LegendLine(f"{name}, {text}", ink) for name, text in zip(self.called, self._speeds(), strict=False)]
+        """Return the lines about velocities of a legend beside all views, in the colours of this view."""
+        named = zip(self.called, self._speeds(), self._hues(self.area.theme), strict=False)
+        return [LegendLine(f"■ {name} close up: {text}", hue) for name, text, hue in named]
+
+    def _hues(self, theme: str) -> list[int]:
+        """Return the colours (b,) of the bodies; ink if they change with time."""
+        fixed = self.colours.fixed
+        return [palette.INKS[theme]] * len(self.bodies) if fixed is None else fixed.tolist()
 
     def _explained(self, clock: MovieClock | str, theme: str) -> Legend:
         """Return the legend of the view alone: each body with its numbers, and the arrows with theirs."""
-        colours = [palette.INKS[theme]] * len(self.bodies)
-        colours = colours if self.colours.fixed is None else [int(each) for each in self.colours.fixed]
+        colours = self._hues(theme)
         arrows = [] if self.contact is None else self._labelled(self.contact, self.header)
         speeds, entries = self._speeds(), list[LegendLine]()
         for place, (name, colour) in enumerate(zip(self.called, colours, strict=True)):
@@ -315,18 +317,30 @@ class CloseUp:
         if not drawn.any():
             return _Arrows(IMPULSE, self.position[drawn], vectors, [])
         text = header.units.text(size, dimension.IMPULSE, ".3g")
-        together = " with friction" if contact.friction > _ROUNDING * size else ""  # tables list the normal one
+        together = ", friction included" if contact.friction > _ROUNDING * size else ""  # tables list the normal one
         if contact.force is None:
             return _Arrows(IMPULSE, self.position[drawn], vectors, [text + together])
         force = header.units.text(contact.force, dimension.FORCE, ".3g")
         return _Arrows(IMPULSE, self.position[drawn], vectors, [f"{force}{together}, {text} in the step"])
 
-    def _spins(self, small: float, units: UnitSystem) -> _Arrows:
+    def _spin_speeds(self) -> FloatArray:
+        """Return the spins (2, b) rad/s before and after the impact of an instant, otherwise twice the same."""
         after = np.zeros((len(self.bodies), 3)) if self.spin is None else self.spin
         before = after if self.spin_before is None else self.spin_before
-        speeds = np.linalg.norm([before, after], axis=2)
+        speeds: FloatArray = np.linalg.norm([before, after], axis=2)
         speeds[speeds <= _ROUNDING * speeds.max()] = 0.0
-        turning = (speeds > 0.0).any(axis=0)
+        return speeds
+
+    @property
+    def spin_of_scale(self) -> float:
+        """The spin (rad/s) whose arrow is 1.3 radii long; 0 if no arrow has a length."""
+        speeds = self._spin_speeds()
+        return float(speeds.max()) if speeds[1].any() else 0.0
+
+    def _spins(self, small: float, units: UnitSystem) -> _Arrows:
+        speeds = self._spin_speeds()
+        after = np.zeros((len(self.bodies), 3)) if self.spin is None else self.spin
+        turning = np.asarray(speeds.max(axis=0)) > 0.0
         vectors = _SPIN * small * after[turning] / (speeds.max() or 1.0)
         unit = dimension.ANGULAR_VELOCITY
         labels = [units.text(last, unit, ".3g") for last in speeds[1].tolist()]
@@ -341,8 +355,13 @@ class CloseUp:
         size, whole = contact.friction, float(np.linalg.norm(contact.impulse))
         if contact.force is not None or self.spin is None or size <= _ROUNDING * whole:
             return _Arrows("", np.zeros((0, 3)), np.zeros((0, 3)), [])
-        values = (size * header.radius[list(self.bodies)]).tolist()  # |r × J| about the centre of each
-        texts = [f"angular impulse {header.units.text(value, dimension.ANGULAR_IMPULSE, '.3g')}" for value in values]
+        of_all = None if self.instant is None or self.instant.frame is None else self.instant.frame.angular_impulse
+        values = size * header.radius[list(self.bodies)]  # |r × J| about the centre of each
+        if of_all is not None:  # a body may have several impacts at one instant, and the spins are after all of them
+            values = drawing.magnitudes(of_all[list(self.bodies)])
+        texts = [
+            f"angular impulse {header.units.text(value, dimension.ANGULAR_IMPULSE, '.3g')}" for value in values.tolist()
+        ]
         return _Arrows("", self.position, np.zeros_like(self.position), texts, bodies=range(len(texts)))
 
     def _once(self, path: str, columns: rr.ComponentColumnList, count: int) -> Iterable[Rows]:
@@ -511,28 +530,6 @@ def _followed(position: FloatArray, half: float) -> FloatArray:
 def _impulse_radii(radius: FloatArray) -> FloatArray:
     """Return the lengths (b,) m of the arrows of impulses; 0 for a body that is too large to be shown whole."""
     return np.asarray(_IMPULSE * radius * (radius <= _MOST_UNLIKE * radius.min()))
-
-
-_Placed = tuple[float, float, float]  # half width of a label, and its place, in half heights of the view
-
-
-def _apart(places: FloatArray, texts: list[str], eye: View, area: Area) -> FloatArray:
-    """Move labels, (k, 3) m, into the view; move a label up or down if it would cover an earlier one."""
-    point = 2.0 / area.height  # half heights of the view
-    onto = eye.on_screen(places)
-    moved, drawn = onto.copy(), list[_Placed]()
-    for k, text in enumerate(texts):
-        wide, tall, low = np.array([_LETTER_WIDTH * (len(text) + 2) / 2, _LABEL_HEIGHT, _BELOW]) * point
-        side = max(0.0, area.aspect - wide)
-        x, y = np.clip(onto[k], [-side, low - 1.0], [side, 1.0]).tolist()  # a label is centred below its place
-        near = [up for other, across, up in drawn if abs(x - across) < wide + other]
-        lines = (y + sign * n * tall for n in range(3 * len(texts)) for sign in (-1.0, 1.0))
-        free = (at for at in lines if low - 1.0 <= at <= 1.0 and all(abs(at - up) >= tall for up in near))
-        y = next(free, y)
-        drawn.append((wide, x, y))
-        moved[k] = x, y
-    metres = eye.slope * (eye.distance - (places - eye.target) @ eye.to_eye)  # half heights, at each label's depth
-    return np.asarray(places + metres[:, None] * ((moved - onto) @ eye.axes()))
 
 
 def _fit(radius: FloatArray, position: FloatArray, contact: Contact | None) -> CameraFit:

@@ -46,7 +46,7 @@ _MARGIN = 5.0  # points, around the lines
 _WIDEST, _NARROWEST, _MOST_OF_VIEW = 400.0, 200.0, 0.3  # points, and a share: width of a legend inside a picture
 CLOCK = f"{LEGEND}/clock"
 _LENGTHS = {"½": 0.5, "1": 1.0, "1½": 1.5}  # radii, of the arrows whose magnitudes show the scale
-_EDGES = {2: "small", 4: "median", 6: "large"}  # levels of edges whose impulses show the scale
+_EDGES = {2: "small", 4: "medium", 6: "large"}  # levels of edges whose impulses show the scale
 _WIDTHS = {2: "thin", 4: "medium", 6: "wide"}  # the same edges on white paper, where they have one colour
 _PARALLEL = {paths.ANGULAR_ACCELERATION: "angular acceleration", paths.SPIN_CHANGE: "change of spin"}
 _NAMES = {
@@ -236,10 +236,11 @@ def legend(
     *,
     named: bool = False,
     viewer_time: str = "",
-    spins: FloatArray | None = None,
+    fastest: float = 0.0,
     field: FloatArray | None = None,
     by_stage: bool = False,
     both_arrows: bool = False,
+    instant: bool = False,
     recent: float | None = None,
     theme: str = "dark",
 ) -> Legend:
@@ -259,34 +260,36 @@ def legend(
         Whether all bodies have their names beside them in the view of the bodies.
     viewer_time
         How the viewer's times are related to the scene's unit of time.
-    spins
-        (b, 3) rad/s of the bodies of the close-up, if there is one.
+    fastest
+        rad/s, the spin whose arrow in the close-up is 1.3 radii long; 0 if there is none.
     field
         (3,) m/s², a uniform field.
     by_stage
         Whether the edges beside the bodies have the colours of the solver's stages.
     both_arrows
         Whether angular accelerations and changes of spin have arrows, too.
+    instant
+        Whether the moment is an instant within a step, at which only the bodies that meet then have edges.
     recent
         s, the time for which paths are drawn; None for the whole past.
     """
     lines = [*_bodies(header, by, colours, references, named), *_edges(header, frame, drawn, theme, by_stage)]
+    if instant:
+        lines.append(LegendLine("contacts and arrows: of this instant only", palette.GREY, _SPACE))
     if drawn.trails:
         path = (
             "path so far" if recent is None else f"path of the last {header.units.text(recent, dimension.TIME, '.1g')}"
         )
         lines.append(LegendLine(f"— {path}", palette.GREY, (BODIES,)))
     for turning in (paths.OF_LASTING if drawn.torques else (), paths.OF_IMPACTS if drawn.turns else ()):
-        lines += _arrows(header, references, turning, both_arrows)
+        lines += _arrows(header, references, turning, both_arrows, frame)
     arrows = next((k for k, line in enumerate(lines) if line.text.startswith("→")), None)
     if arrows is not None:
         lengths = f"{', '.join(_LENGTHS)} radii from the surface"
         lines.insert(arrows, LegendLine(f"arrows, lengths compressed: {lengths} =", palette.GREY, (GRAPH,)))
-    if spins is not None:
-        fastest = float(np.linalg.norm(spins, axis=1).max(initial=0.0))
-        if fastest > 0.0:
-            text = header.units.text(fastest, dimension.ANGULAR_VELOCITY, ".3g")
-            lines.append(LegendLine(f"→ spin, close up: 1.3 radii = {text}", palette.SPIN))
+    if fastest > 0.0:
+        text = header.units.text(fastest, dimension.ANGULAR_VELOCITY, ".3g")
+        lines.append(LegendLine(f"→ spin, close up: 1.3 radii = {text}", palette.SPIN))
     if field is not None and np.any(field):
         size = header.units.text(float(np.linalg.norm(field)), dimension.ACCELERATION, ".4g")
         lines.append(LegendLine(f"→ gravity, {size}", palette.FIELD))
@@ -369,8 +372,7 @@ def _edges(
         else:
             yield LegendLine("— bodies that touch", palette.VERMILION, (*beside, *(() if drawn.impulses else (GRAPH,))))
     if drawn.impacts:
-        text = "■ impact: size = impulse, brightness = energy lost"
-        yield LegendLine(text, int(drawing.COLOURS[-2]), (BODIES,))
+        yield LegendLine("■ impact: size = impulse", palette.ARROWS[paths.FORCE_NORMAL], (BODIES,))
     if not drawn.impulses:
         return
     middle = _middle(frame)
@@ -379,9 +381,9 @@ def _edges(
     views = (*beside, GRAPH) if by_impulse else (GRAPH,)
     for level, word in _EDGES.items():
         impulse = magnitude_at(level, drawing.LEVELS, middle)
-        value = f", {_round(header, impulse, dimension.IMPULSE)}" if middle else ""
+        value = _round(header, impulse, dimension.IMPULSE) if middle else f"{word} impulse"
         width = f", {_WIDTHS[level]}" if theme == "light" else ""  # edges of one colour
-        yield LegendLine(f"— contact{width}: {word} impulse{value}", levels[level], views)
+        yield LegendLine(f"— contact{width}: {value}", levels[level], views)
     yield LegendLine(f"→ normal impulse: {_scale(header, paths.FORCE_NORMAL, middle)}", normal, (GRAPH,))
     if drawn.friction:
         yield LegendLine("→ impulse of friction, same scale", friction, (GRAPH,))
@@ -411,7 +413,7 @@ def _round(header: Header, value: float, kind: Dimension) -> str:
 
 
 def _arrows(
-    header: Header, references: Mapping[str, float], entities: Sequence[str], both: bool
+    header: Header, references: Mapping[str, float], entities: Sequence[str], both: bool, frame: Frame | None
 ) -> Iterator[LegendLine]:
     """State the scales of arrows that show what turns bodies: the arrows are not proportional to it."""
     for path in entities:
@@ -419,9 +421,15 @@ def _arrows(
         if other is None and not both:
             continue
         scale = f": {_scale(header, path, references[path])}" if path in references else ""
+        drawn = None if frame is None else {paths.TORQUE: frame.torque, paths.ANGULAR_IMPULSE: frame.angular_impulse}
+        vectors = None if drawn is None else drawn.get(path)
+        if scale and vectors is not None:  # the scale is that of the first frame with arrows
+            largest = float(drawing.magnitudes(vectors[np.isfinite(vectors).all(axis=1)]).max(initial=0.0))
+            if largest > magnitude_at(max(_LENGTHS.values()), REACH[path], references[path]):
+                scale += f"; here up to {_round(header, largest, DIMENSIONS[path])}"
         yield LegendLine(f"→ {_NAMES[path]}{scale}", colour, (GRAPH,))
         if other is not None and not is_crowded(header):
-            yield LegendLine(f"    beside it, also the {_PARALLEL[other]}", colour, (GRAPH,))
+            yield LegendLine(f"    second number beside it: {_PARALLEL[other]}", colour, (GRAPH,))
         elif other is not None and not both:
             yield LegendLine(f"    the {_PARALLEL[other]} is parallel", colour, (GRAPH,))
 

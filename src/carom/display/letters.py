@@ -1,8 +1,14 @@
-"""The font of the viewer, Inter, as shipped with Rerun 0.41: the characters that it has, and how wide texts are."""
+"""Labels in the viewer's font, Inter, as shipped with Rerun 0.41: its characters, widths, and room for each label."""
 
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
+
+import numpy as np
+
+from carom.arrays import FloatArray
+from carom.recording.layout.canvas import Area, View
 
 # Latin, Greek, Cyrillic, punctuation, currencies, fractions, arrows and some signs of mathematics
 _DRAWN = re.compile(
@@ -24,6 +30,8 @@ _LETTERS = {
 _LETTERS |= {9.3: "CDGHNOQUωw%", 11.6: "mMW—→■½"}
 _WIDTHS = {letter: width for width, letters in _LETTERS.items() for letter in letters}  # points, measured in a picture
 _MEAN = 7.5  # points, width of other letters
+_HEIGHT = 25.0  # points, of a label with its margin
+_BELOW = 32.0  # points, from the place of a label to its lower edge
 _KEPT_SPACE, _KEPT_WIDTH = "\u00a0", 3.4  # a space that is kept, and its width
 _END = "\u00ad"  # nothing to be seen; the viewer cuts spaces at the end of a label
 
@@ -41,3 +49,25 @@ def label_width(text: str) -> float:
 def padded(text: str, width: float) -> str:
     """Return a text whose label has this width (points), if it is not wider already."""
     return text + int((width - label_width(text)) / _KEPT_WIDTH) * _KEPT_SPACE + _END
+
+
+_Placed = tuple[float, float, float]  # half width of a label, and its place, in half heights of the view
+
+
+def apart(places: FloatArray, texts: Sequence[str], eye: View, area: Area) -> FloatArray:
+    """Move labels, (k, 3) m, into the view; move a label up or down if it would cover an earlier one."""
+    point = 2.0 / area.height  # half heights of the view
+    onto = eye.on_screen(places)
+    moved, drawn = onto.copy(), list[_Placed]()
+    for k, text in enumerate(texts):
+        wide, tall, low = np.array([0.5 * label_width(text), _HEIGHT, _BELOW]) * point
+        side = max(0.0, area.aspect - wide)
+        x, y = np.clip(onto[k], [-side, low - 1.0], [side, 1.0]).tolist()  # a label is centred below its place
+        near = [up for other, across, up in drawn if abs(x - across) < wide + other]
+        lines = (y + sign * n * tall for n in range(3 * len(texts)) for sign in (-1.0, 1.0))
+        free = (at for at in lines if low - 1.0 <= at <= 1.0 and all(abs(at - up) >= tall for up in near))
+        y = next(free, y)
+        drawn.append((wide, x, y))
+        moved[k] = x, y
+    metres = eye.slope * (eye.distance - (places - eye.target) @ eye.to_eye)  # half heights, at each label's depth
+    return np.asarray(places + metres[:, None] * ((moved - onto) @ eye.axes()))

@@ -160,8 +160,8 @@ def at_impact(
     """Return the instant of an impact within a repeated step; None if the pair has none before its end.
 
     Its frame holds the positions and contacts of the instant, and its state the quantities that jump there. Of several
-    impacts of the pair, the impact nearest to the time ``near`` (s) is chosen, then the fastest. An impact within a
-    nanosecond of the end of the step is shown at its end.
+    impacts of the pair, the impact nearest to the time ``near`` (s) is chosen, then the fastest; where ``near`` is the
+    end of the step, the fastest. An impact within a nanosecond of the end of the step is shown at its end.
     """
     frame, n = step.frame, header.bodies
     earlier = [one for one in (step.before, *step.added) if one is not None and one.step < step.step]
@@ -176,6 +176,8 @@ def at_impact(
         return None
     off = np.abs(impacts["time"][own] - near)
     off[off <= tolerance(near)] = 0.0
+    if abs(near - frame.time) <= tolerance(near):  # the end of the step, and no time of an impact
+        off[:] = 0.0
     k = own[np.lexsort((-impacts["approach_speed"][own], off))[:1]]
     (state,) = instants(header, before, frame, impacts, k, np.ones(1, np.int64))
     position = np.asarray(state.frame.position - origin)

@@ -99,9 +99,11 @@ class Staging:
         """The time (s) for which trails are drawn; None for the whole past."""
         return None if self.trails is None else self.trails.recent
 
-    def recent_of(self, clock: TimeScale) -> int | None:
-        """Return the time for which trails are drawn, in nanoseconds of the viewer."""
-        return None if self.recent is None else int(clock.nanoseconds([self.recent])[0])
+    def recent_of(self, clock: TimeScale) -> tuple[int, int] | None:
+        """Return the time for which trails are drawn, in nanoseconds of the viewer and in steps."""
+        if self.trails is None or self.recent is None:
+            return None
+        return int(clock.nanoseconds([self.recent])[0]), self.trails.steps_of(self.recent)
 
     def rows(self) -> Iterator[Rows]:
         """Yield the trails."""

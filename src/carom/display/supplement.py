@@ -113,6 +113,11 @@ class Trails:
             return None
         return float(f"{(self._times[-1] - self._times[0]) * _TANGLED * size / total:.1g}")
 
+    def steps_of(self, time: float) -> int:
+        """Return how many steps a time (s) takes on average, at least one."""
+        span = float(self._times[-1] - self._times[0])
+        return max(1, round((int(self._steps[-1]) - int(self._steps[0])) * time / span)) if span > 0.0 else 1
+
     def show(self, camera: CameraFit, until: float = np.inf) -> None:
         """Fit a camera: the paths drawn up to a time (s) are in view, and its direction suits the whole motion."""
         position, past = self._position.astype(np.float64), self._times <= until

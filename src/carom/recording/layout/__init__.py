@@ -138,14 +138,21 @@ def bodies_view(header: Header, camera: CameraFit, area: Area, added: Additions 
     cursor = rr.TimeRangeBoundary.cursor_relative()
     if added.trails:  # the pieces up to the cursor
         whole = rr.TimeRangeBoundary.infinite()
-        recent = whole if added.recent is None else rr.TimeRangeBoundary.cursor_relative(nanos=-added.recent)
-        starts = {SIM_TIME: recent, STEP: whole}
+        starts = {SIM_TIME: whole, STEP: whole}
+        if added.recent is not None:
+            nanos, steps = added.recent
+            starts[SIM_TIME] = rr.TimeRangeBoundary.cursor_relative(nanos=-nanos)
+            starts[STEP] = rr.TimeRangeBoundary.cursor_relative(seq=-steps)
         ranges = [rrb.VisibleTimeRange(timeline, start=start, end=cursor) for timeline, start in starts.items()]
         overrides[TRAILS] = rrb.VisibleTimeRanges(ranges)
     if header.records_contacts:  # by default each impact stays visible until the next
         clock = TimeScale.fitting(header.duration, header.shortest_dt_hint)
         start = rr.TimeRangeBoundary.cursor_relative(nanos=-int(1e9 * header.duration * OF_LATE / clock.scale))
-        overrides[paths.IMPACTS] = rrb.VisibleTimeRanges(timeline=SIM_TIME, start=start, end=cursor)
+        colour = palette.legible([palette.ARROWS[paths.FORCE_NORMAL]], area.theme)  # their sizes are impulses, too
+        overrides[paths.IMPACTS] = [
+            rrb.VisibleTimeRanges(timeline=SIM_TIME, start=start, end=cursor),
+            rr.Points3D.from_fields(colors=colour).visualizer(),
+        ]
     return spatial_view(
         f"{name} ({view.outside} outside)" if area.rendered and view.outside else name,
         view,
@@ -285,6 +292,11 @@ def close_up_area(header: Header, canvas: Canvas, only: str) -> Area:
 def bodies_area(header: Header, canvas: Canvas, only: str, close: bool) -> Area:
     """Return the area of the view of the bodies in a layout with a legend."""
     return _areas(canvas, _shares(header, close), legend=True)[0] if only == ALL else canvas.area()
+
+
+def graph_area(header: Header, canvas: Canvas, close: bool) -> Area:
+    """Return the area of the view of the contacts in a layout of all views with a legend."""
+    return _areas(canvas, _shares(header, close), legend=True)[1]
 
 
 def legend_area(canvas: Canvas) -> Area:

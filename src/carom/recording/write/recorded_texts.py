@@ -298,7 +298,7 @@ def _impulse_legend(header: Header) -> list[str]:
     return [
         *lines,
         "- Points are impacts, each where the two touched: as large as the impulse (m_ref is `impacts` in the "
-        "property `arrows`), as bright as "
+        "property `arrows`), and yellow like arrows of normal impulses. Their recorded colours are as bright as "
         f"the energy lost (m_ref{' in' if joules else ''}{joules} is `impacts.energy`). On the timeline "
         "`impact`, each step is the next impact.",
     ]
