@@ -259,6 +259,10 @@ PHYSICS = {  # part → a scene that needs it, and what the refusal names
     "physics/forces/gravity/fast_multipole": ("gravity.method=fast-multipole", 'gravity method "fast-multipole"'),
     "physics/forces/drag.py": ("drag.relaxation_time=1.0", 'force "drag"'),
     "physics/contact/sleep": ("contact.sleep.speed=0.01", 'part of the model "sleep"'),
+    "physics/contact/release": (
+        "gravity.constant=0.0 --set 'outlet=[{point=[0,0,-50]}]'",
+        'part of the model "release"',
+    ),
     "physics/contact/piston_motion.py": ("'plane=[{piston={mass=1}}]'", 'part of the model "piston"'),
     "physics/contact/wall_motion.py": ("'wall=[{cylinder={radius=5}}]'", 'part of the model "walls"'),
     "physics/contact/plane_guard.py": ("'plane=[{point=[0,0,-9]}]'", 'part of the model "plane-guard"'),

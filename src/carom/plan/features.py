@@ -36,6 +36,7 @@ from carom.scene.integrators import AUTO
 from carom.scene.load import Scene
 from carom.scene.parts import Part, in_order
 from carom.scene.units.dimension import LENGTH, TIME
+from carom.scene.wording import counted
 
 VARIANT_SECONDS = 10.0, 40.0  # to compile the kernels of a law, of walls, or of a sheared box (docs/performance.md)
 
@@ -64,6 +65,7 @@ class Requirements:
     friction: Part
     torque: Part
     energy: Part
+    release: Part | None = None  # only in scenes where bodies enter or leave
 
     @property
     def parts(self) -> tuple[Part, ...]:
@@ -108,7 +110,7 @@ def require(scene: Scene) -> Requirements:
 
     decided: dict[str, Any] = vars(_decide(scene, forced))
     forces = {name: explained(part) for name, part in decided["forces"].items()}
-    others = {key: explained(part) for key, part in decided.items() if key != "forces"}
+    others = {key: explained(part) for key, part in decided.items() if isinstance(part, Part)}
     return Requirements(**others, forces=forces)
 
 
@@ -184,6 +186,7 @@ def _decide(scene: Scene, forced: Mapping[str, str]) -> Requirements:
         friction=friction,
         torque=torque,
         energy=Part("energy", True, f"checked every {steps} steps and {times} times a run; the ledger"),
+        release=Part("release", True, _why_released(scene)) if scene.admits else None,
     )
 
 
@@ -231,6 +234,13 @@ def _impact_time(scene: Scene, contact: Part) -> Part:
     if scene.contact.timing == "time-of-impact":
         why = f'contact.timing = "time-of-impact": {why}'
     return interactions.where_bodies_meet(name, contact, why)
+
+
+def _why_released(scene: Scene) -> str:
+    """Say how many bodies enter, and where bodies leave."""
+    entering = sum(group.count for group in scene.group if group.release is not None)
+    said = [f"{counted(entering, 'body')} enter later"] if entering else []
+    return "; ".join([*said, *(f"bodies leave by {name}" for name in scene.outlet_names)])
 
 
 def _spin(scene: Scene, friction: Part) -> Part:

@@ -63,6 +63,7 @@ MARKS = {
     **{kind.short_name: (kind.name, "integrator") for kind in FORCES},
     "resting": ("resting-contacts", "contact"),
     "sleep": ("resting-contacts", "contact"),
+    "release": ("release", "contact"),
     "response": ("contact", "integrator"),
     "torque": ("torque", "contact"),
     "ledger": ("energy", "energy"),

@@ -15,6 +15,7 @@ from carom.arrays import FloatArray
 from carom.errors import SceneError
 from carom.physics.placement import place
 from carom.physics.schedule import every
+from carom.plan.features import require
 from carom.recording.edit.clip import clip
 from carom.runs.resume import resume
 from carom.state.checkpoint import GONE, PRESENT, ReleaseCheckpoint
@@ -201,6 +202,12 @@ def test_bodies_enter_a_box_that_is_periodic_along_two_axes() -> None:
     last = steps(of)[-1]
     assert not waits(last).any() and last.position[:, 2].min() > 0.9 * r
     assert abs(last.energy.integration_error) < 1e-9 * last.energy.scale
+
+
+def test_an_explanation_lists_the_part_only_where_bodies_pass() -> None:
+    parts = {part.name: part.why for part in require(slope()).parts}
+    assert parts["release"] == "40 bodies enter later; bodies leave by edge"
+    assert "release" not in {part.name for part in require(scene({"count": 1})).parts}
 
 
 @pytest.fixture(scope="module")
