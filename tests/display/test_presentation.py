@@ -563,3 +563,17 @@ def test_trails_that_are_cut_are_cut_on_the_timeline_of_steps_as_well(bounce: Re
     trails = Trails(bounce, header, np.zeros(2, np.uint32))
     steps, times = (bounce.fingerprints()[name].to_numpy() for name in ("step", "time"))
     assert trails.steps_of(times[-1] - times[0]) == steps[-1] - steps[0] and trails.steps_of(0.0) == 1
+
+
+def test_of_two_impacts_of_a_pair_in_a_step_the_hardest_is_shown(tmp_path: Path) -> None:
+    """Ball 1 hits ball 2 and is hit from behind by the heavy striker, which makes it hit ball 2 again, more slowly."""
+    balls: list[dict[str, Any]] = [{"position": [0.1003 * k, 0, 0], "radius": 0.05, "mass": 4.0} for k in range(4)]
+    striker = {"position": [-0.5, 0, 0], "velocity": [1.2, 0, 0], "radius": 0.063, "mass": 8.0}
+    settings: dict[str, Any] = {"time": {"duration": 0.4, "max_dt": 0.01}, "gravity": {"constant": 0.0}}
+    contact = {"restitution": 0.9, "static_friction": 0.0, "kinetic_friction": 0.0}
+    recording = carom.run(scene_of([striker, *balls], contact=contact, **settings), tmp_path / "run.rrd")
+    own = [row for row in recording.impacts().to_pylist() if (row["i"], row["j"]) == (1, 2)]
+    step = recording.closing["moments.impact.step"]
+    fastest = max(own, key=lambda row: row["approach_speed"])
+    assert len([row for row in own if row["step"] == step]) > 1 and fastest["step"] == step
+    assert asked(recording, Request()).time == pytest.approx(fastest["time"], abs=1e-9)

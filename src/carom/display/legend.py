@@ -275,7 +275,7 @@ def legend(
     """
     lines = [*_bodies(header, by, colours, references, named), *_edges(header, frame, drawn, theme, by_stage)]
     if instant:
-        lines.append(LegendLine("contacts and arrows: of this instant only", palette.GREY, _SPACE))
+        lines.append(LegendLine("contacts at this instant only", palette.GREY, _SPACE))
     if drawn.trails:
         path = (
             "path so far" if recent is None else f"path of the last {header.units.text(recent, dimension.TIME, '.1g')}"
