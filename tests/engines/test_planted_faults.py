@@ -1,4 +1,4 @@
-"""Twelve faults planted in a small engine of contacts are named by law, body and first step, from its states alone."""
+"""Twelve faults planted in engines of contacts are named by law, body and first step, from their states alone."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ import pytest
 
 from carom.engines.single_contacts import Broken, ContactLaws
 from carom.engines.source import setup_of
-from faulty_engines import PLANTED, SHOWN_LATER, Toy, recorded
+from faulty_engines import PLANTED, Toy, naming_law, recorded
 
-QUICK = {"friction along the slip", "normal flipped"}
+QUICK = {"friction along the slip", "normal flipped", "spin in the wrong frame"}
 SLOWER = [pytest.param(*row, marks=() if row[0] in QUICK else pytest.mark.slow) for row in PLANTED.items()]
 
 
@@ -20,15 +20,21 @@ def test_each_of_twelve_planted_faults_is_named_in_the_first_step_in_which_it_ac
 ) -> None:
     toy = Toy(fault)
     faults = recorded(toy, tmp_path / "run.rrd")
-    named = {found.law: found for found in faults}
-    assert law in named, "another law is named"
-    first = named[law]
-    step, ends = next(planted for planted in toy.planted if planted[0] == first.step or fault in SHOWN_LATER)
-    assert step <= first.step and first.step == min(found.step for found in faults)
-    assert set(ends) & set(first.bodies) or fault in SHOWN_LATER
+    assert naming_law(toy.planted, faults)
+    assert min(found.step for found in faults) >= toy.planted[0][0], "no law accuses the engine before"
+    assert law in {found.law for found in faults}
 
 
-@pytest.mark.parametrize("seed", [1, pytest.param(range(2, 5), marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("fault", PLANTED)
+def test_a_planted_fault_is_named_in_nine_of_ten_runs(fault: str, tmp_path: Path) -> None:
+    toys = [Toy(fault, seed) for seed in range(10)]
+    laws = [naming_law(toy.planted, recorded(toy, tmp_path / "run.rrd")) for toy in toys]
+    told = [law != "" for law, toy in zip(laws, toys, strict=True) if toy.planted]
+    assert sum(told) >= 0.9 * len(told), laws
+
+
+@pytest.mark.parametrize("seed", [1, pytest.param(range(10), marks=pytest.mark.slow)])
 def test_the_toy_without_a_fault_breaks_no_law(seed: int | range, tmp_path: Path) -> None:
     for each in [seed] if isinstance(seed, int) else seed:
         assert recorded(Toy(seed=each), tmp_path / f"{each}.rrd") == []
@@ -51,11 +57,20 @@ def test_an_engine_is_rigid_if_its_impacts_were_up_to_a_fault(counts: list[tuple
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("fault", ["friction along the slip", "restitution twice", "impulse to one body only"])
-def test_a_fault_patched_into_pybullet_is_named_by_its_step_and_a_body(fault: str, tmp_path: Path) -> None:
-    pytest.importorskip("pybullet")
-    from patched_bullet import PatchedBullet, naming_law
-    from patched_bullet import recorded as recorded_patched
+@pytest.mark.parametrize(
+    ("engine", "fault"),
+    [
+        *(("pybullet", fault) for fault in PLANTED if fault != "restitution by the wrong material"),
+        ("box3d", "restitution by the wrong material"),
+        ("mujoco", "impulse to one body only"),
+    ],
+)
+def test_a_fault_patched_into_an_engine_is_named_by_its_step_and_a_body(
+    engine: str, fault: str, tmp_path: Path
+) -> None:
+    pytest.importorskip({"box3d": "robox3d"}.get(engine, engine))
+    from patched_engines import PatchedEngine
+    from patched_engines import recorded as recorded_patched
 
-    engine = PatchedBullet(fault, seed=20)
-    assert naming_law(engine, recorded_patched(engine, tmp_path / "run.rrd"))
+    run = PatchedEngine(engine, fault, seed=20)
+    assert naming_law(run.planted, recorded_patched(run, tmp_path / "run.rrd"))

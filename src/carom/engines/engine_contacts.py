@@ -295,3 +295,10 @@ def cross(a: FloatArray, b: FloatArray) -> FloatArray:
     """Return a × b for vectors (3,) or rows of vectors; `numpy.cross` takes eight times as long for a few rows."""
     (x, y, z), (u, v, w) = a.T, b.T
     return np.ascontiguousarray(np.array([y * w - z * v, z * u - x * w, x * v - y * u]).T)
+
+
+def rotated(orientation: FloatArray, vectors: FloatArray) -> FloatArray:
+    """Return vectors (n, 3) in the frames of bodies in the frame of the world, by quaternions (n, 4) xyzw."""
+    axis, w = orientation[:, :3], orientation[:, 3:]
+    twice = 2.0 * cross(axis, vectors)
+    return np.asarray(vectors + w * twice + cross(axis, twice))

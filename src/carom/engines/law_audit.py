@@ -13,17 +13,18 @@ cluster.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, fields
 
 import numpy as np
 
-from carom.arrays import FloatArray, IntArray
+from carom.arrays import FloatArray, IntArray, Records
 from carom.engines.clusters import Clusters, clusters_of
 from carom.engines.elastic_energy import TINY, ElasticEnergy, reduced_masses
 from carom.engines.engine_contacts import EngineMoment, Near, cross, lengths
 from carom.engines.known_forces import KnownForces
 from carom.engines.missed_impacts import TUNNELLED, MissedImpacts, Unresolved
+from carom.engines.reported_contacts import judge_reported
 from carom.engines.single_contacts import Broken, ContactLaws
 from carom.engines.source import Setup
 from carom.engines.strikes import Strikes
@@ -135,9 +136,17 @@ class LawAudit:
         self.broken: list[tuple[float, str]] = []  # s and law, for each of these frames
 
     def see(
-        self, step: int, before: EngineMoment, now: EngineMoment, near: Near, potentials: tuple[float, float] | None
+        self,
+        step: int,
+        before: EngineMoment,
+        now: EngineMoment,
+        near: Near,
+        potentials: tuple[float, float] | None,
+        reported: Records | None = None,
     ) -> AuditFinding:
         """Judge a moment, given the pairs that may have touched since the moment of the previous frame.
+
+        The engine's own contacts of the last step, (m,) `CONTACT`, are judged, too, if they have forces.
 
         Potential energies (J) are given at both moments, for the gravity of the bodies themselves; None without
         gravity.
@@ -158,6 +167,7 @@ class LawAudit:
             *self._momenta(place, before, now, near, clusters),
             *self._energy(place, before, now, near, clusters, potentials, found),
             *self._contacts(place, before, now, near, found),
+            *self._reported(place, before, now, reported),
             *self._rotations(place, before, now, near),
         ]
         found.faults = [fault for fault in faults if self.note(fault)]
@@ -419,8 +429,20 @@ class LawAudit:
         still: float,
     ) -> Iterator[Fault]:
         """Report the worst contact of each law of single contacts."""
+        yield from self._worst_of_each(place, self._laws.see(place[0], before, now, near, closing, still))
+
+    def _reported(
+        self, place: tuple[int, float], before: EngineMoment, now: EngineMoment, reported: Records | None
+    ) -> Iterator[Fault]:
+        """Report the worst of the engine's own contacts for each law."""
+        if reported is not None:
+            slow = still_speed(self._setup, self._typical, now.time - before.time)
+            judged = judge_reported(self._setup, reported, before, now, self._tolerances.friction, slow)
+            yield from self._worst_of_each(place, judged)
+
+    def _worst_of_each(self, place: tuple[int, float], found: Iterable[Broken]) -> Iterator[Fault]:
         worst: dict[str, Broken] = {}
-        for broken in self._laws.see(place[0], before, now, near, closing, still):
+        for broken in found:
             if broken.law not in worst or broken.excess > worst[broken.law].excess:
                 worst[broken.law] = broken
         yield from (self._fault(place, broken) for broken in worst.values())

@@ -8,7 +8,7 @@ separates the bodies at all.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -41,6 +41,15 @@ class Unresolved:
     steps: int = 1  # in which the overlapping ends closed unchanged
     pushed: bool = False  # another contact may have closed it again
     passed: bool = False
+    later: list[tuple[int, float]] = field(default_factory=list)  # steps and times, s, of the further steps
+
+
+def _usual(steps: FloatArray) -> int:
+    """Return the number of steps that an engine's impacts take, but for a few."""
+    usual = 0
+    while np.count_nonzero(steps > usual) > max(RARELY * len(steps), 1.0):
+        usual += 1
+    return usual
 
 
 @dataclass(slots=True)
@@ -111,6 +120,7 @@ class MissedImpacts:
                 self._open[key].pushed = bool(pushed[row])
             elif unchanged[row] and overlap[row]:
                 impact.steps += 1
+                impact.later.append(place[:2])
                 impact.pushed |= bool(pushed[row])
                 self._open[key] = impact
                 if impact.steps == LONGEST:
@@ -148,15 +158,16 @@ class MissedImpacts:
         for impact in self._late:
             fast = steps[speed >= ALIKE * impact.speed]
             if len(steps) >= OFTEN and not impact.pushed and self._rare(impact, steps) and self._rare(impact, fast):
+                usual = min(_usual(steps), len(impact.later))
+                if usual:  # the step in which this engine resolves its impacts
+                    impact.step, impact.time = impact.later[usual - 1]
                 yield impact
         self._late = []
 
     @staticmethod
     def _rare(impact: Unresolved, steps: FloatArray) -> bool:
         """Return whether an impact took more steps than the usual number of at least half of the given impacts."""
-        usual = 0
-        while np.count_nonzero(steps > usual) > max(RARELY * len(steps), 1.0):
-            usual += 1
+        usual = _usual(steps)
         return impact.steps > usual and bool(np.count_nonzero(steps == usual) >= max(MOSTLY * len(steps), FEWEST))
 
     def go_on(self, earlier: MissedImpacts) -> None:

@@ -220,17 +220,18 @@ class Observer:
     def _judge(
         self, step: int, before: EngineMoment, now: EngineMoment, known: Any, pull: float | None
     ) -> tuple[AuditFinding, CollisionGraph, Records | None]:
-        setup, near, rows = self.setup, self._proximity.between(before, now), None
+        setup, near, rows, reported = self.setup, self._proximity.between(before, now), None, None
         if setup.forces and known is not None:
             dt = now.time - (before.time if self._last_time is None else self._last_time)
-            rows = rows_of_contacts(self.named(known), step, now.time, dt)
+            reported = self.named(known)
+            rows = rows_of_contacts(reported, step, now.time, dt)
             contacts = self._proximity.graph_of_rows(rows, now.position)
         else:
             contacts = self._proximity.graph(near, None if known is None else self.named(known))
             if setup.forces:
                 rows = rows_of_graph(contacts, now.position, setup.radius, step, now.time)
         potentials = None if pull is None else (pull if self._pull is None else self._pull, pull)
-        found = AuditFinding() if before is now else self.audit.see(step, before, now, near, potentials)
+        found = AuditFinding() if before is now else self.audit.see(step, before, now, near, potentials, reported)
         judged = np.append(setup.judged, np.ones(len(setup.planes), bool))
         depth = np.where(judged[near.pairs].all(axis=1), -near.gap_now / near.small, 0.0)
         if len(depth) and depth.max() > 0.0:

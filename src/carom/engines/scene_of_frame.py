@@ -131,7 +131,10 @@ def _coefficients(recording: Recording, setup: Setup) -> tuple[dict[str, Any], l
         found.append(keys)
         if keys and rows is not None:
             shown = ", ".join(f"{name} {value:g}" for name, value in keys.items())
-            said.append(f"Coefficients of {what}, measured in {counted(rows.num_rows, 'impact')}: {shown}.")
+            text = f"Coefficients of {what}, measured in {counted(rows.num_rows, 'impact')}: {shown}."
+            if "kinetic_friction" in keys and not _slides(rows).num_rows:
+                text += " Friction is a lower bound: no impact slid to its end."
+            said.append(text)
         elif rows is not None:
             said.append(f"Coefficients of {what} are carom's defaults: the recording has no impact that shows them.")
     return found[0], found[1:], said
@@ -147,13 +150,16 @@ def _measured(rows: pa.Table) -> dict[str, float]:
     values = _sure(rows, "restitution")
     if len(values):
         keys["restitution"] = float(np.clip(np.median(values), 0.0, 1.0))
-    slides = rows.filter(pc.equal(rows["mode"], MODES[SLIDING]))
-    values = _sure(slides, "friction")
+    values = _sure(_slides(rows), "friction")
     if not len(values) and len(values := _sure(rows, "friction")):
         values = np.array([values.max()])
     if len(values):
         keys["static_friction"] = keys["kinetic_friction"] = max(float(np.median(values)), 0.0)
     return {name: float(f"{value:.{DIGITS}g}") for name, value in keys.items()}
+
+
+def _slides(rows: pa.Table) -> pa.Table:
+    return rows.filter(pc.equal(rows["mode"], MODES[SLIDING]))
 
 
 def _sure(rows: pa.Table, name: str) -> FloatArray:

@@ -19,8 +19,9 @@ from itertools import combinations
 import numpy as np
 
 from carom.arrays import BoolArray, FloatArray, IntArray
+from carom.engines.contact_torques import ContactTorque, ContactTorques
 from carom.engines.elastic_energy import PARTED
-from carom.engines.engine_contacts import MARGIN, EngineMoment, Near, cross, lengths
+from carom.engines.engine_contacts import MARGIN, EngineMoment, Near, cross, lengths, rotated
 from carom.engines.missed_impacts import SHALLOW
 from carom.engines.source import Setup
 from carom.physics.contact.islands import number_sets
@@ -33,6 +34,7 @@ SPUN = 0.1  # of r |J_t|, the error of a torque
 ALIKE = 9  # impacts, slower and faster, that give the expected coefficient of restitution
 WAYS = 6  # values for an isolated contact: three normals, and the field before or after it
 FEWEST = 3  # fewest impacts with the same materials
+SLOWER = 0.75  # of the speed of an impact; engines let nothing rebound below some speed, which states show roughly
 KEPT = 0.25  # of J_n times the gain of speed; friction may dissipate as much as the contact keeps
 MOSTLY = 0.75  # of the impacts of an engine; deviations of the remaining impacts may be faults
 SPREADS = 6.0  # of the deviation of most impacts: in PyBullet at planes, it is as large as the coefficients
@@ -101,6 +103,7 @@ class ContactLaws:
         self.friction = friction  # part of the work of the whole friction that may have the wrong sign
         self._pending: list[IsolatedImpact] = []  # of the last frame; a soft contact continues in the next one
         self.impacts: list[IsolatedImpact] = []
+        self.torques = ContactTorques()
         self._lasting = 0  # impacts that the next frame continued
         self._counts: list[tuple[int, int, int]] = []  # step, impacts that were over by then, and impacts that lasted
         self.suspected: list[tuple[int, float, Broken]] = []  # steps, times, and laws broken unless contacts are soft
@@ -137,6 +140,8 @@ class ContactLaws:
         self.suspected = []
         for impact, broken in self._outliers():
             yield impact.step, impact.time, broken
+        for wrong in self.torques.concluded():
+            yield wrong.step, wrong.time, Broken(SPIN, wrong.excess, (wrong.body,), wrong.what)
 
     def _is_rigid(self, step: int) -> bool:
         """Return whether impacts lasted for a frame, up to a step or to the step in which enough had been seen.
@@ -162,8 +167,9 @@ class ContactLaws:
             e = np.array([impact.restitution for impact in group])
             for k, impact in enumerate(group):
                 slower, faster = e[max(k - ALIKE, 0) : k], e[k + 1 : k + 1 + ALIKE]
-                if impact.restitution < float(np.median(e)) and len(slower) < FEWEST:
-                    continue  # below some speed, engines let nothing rebound
+                slowest = sum(other.speed < SLOWER * impact.speed for other in group[:k])
+                if impact.restitution < float(np.median(e)) and slowest < FEWEST:
+                    continue
                 sides = [float(np.median(side)) for side in (slower, faster) if len(side) >= FEWEST]
                 if sides:
                     compared.append((impact, [*sides, float(np.median(e))]))
@@ -178,15 +184,18 @@ class ContactLaws:
 
     def go_on(self, earlier: ContactLaws) -> None:
         """Forget what an earlier set of bodies had not finished; its impacts have other numbers."""
-        self.impacts = [] if len(earlier._setup) != len(self._setup) else earlier.impacts
+        if len(earlier._setup) == len(self._setup):
+            self.impacts, self.torques = earlier.impacts, earlier.torques
 
     def _settle(self, step: int, before: EngineMoment, now: EngineMoment, dt: float) -> None:
         """Keep the impacts of the previous frame that were over by then."""
         n, field = len(self._setup), self._setup.gravity * dt
         for impact in self._pending:
             bodies = [end for end in impact.ends if end < n and not self._setup.fixed[end]]
-            change = lengths(now.velocity[bodies] - before.velocity[bodies] - field)
-            if change.max() > OVER * impact.speed:
+            mass = self._setup.mass[bodies]
+            # a contact of both has changed neither more than the other one
+            impulse = float((mass * lengths(now.velocity[bodies] - before.velocity[bodies] - field)).min())
+            if impulse * float((1.0 / mass).sum()) > OVER * impact.speed:
                 self._lasting += 1
             elif len(self.impacts) < MOST_SAMPLES:
                 self.impacts.append(impact)
@@ -234,6 +243,7 @@ class ContactTree:
         ends = near.pairs[rows]
         bodies = np.unique(ends[ends < n])
         place = {int(body): k for k, body in enumerate(bodies)}
+        self._bodies = bodies
         self._ends = [(place[int(i)], place.get(int(j), -1)) for i, j in ends]
         self._pairs = [(int(i), int(j)) for i, j in ends]
         fixed = setup.fixed[bodies]
@@ -245,6 +255,10 @@ class ContactTree:
         self._v0 = before.velocity[bodies]
         self._v1 = now.velocity[bodies]
         self._w0, self._w1 = (before.spin[bodies], now.spin[bodies]) if self._spins else (still, still)
+        self._turned_spins: FloatArray | None = None  # rad/s, changes of spins that were told in the frames of bodies
+        if self._spins and len(now.orientation):
+            real = [rotated(moment.orientation[bodies], moment.spin[bodies]) for moment in (before, now)]
+            self._turned_spins = real[1] - real[0]
         self._field = np.where(fixed, 0.0, 1.0)[:, None] * setup.gravity * dt
         momentum = (self._v1 - self._v0 - self._field) / np.where(fixed, 1.0, self._weight)[:, None]
         momentum[fixed] = 0.0
@@ -290,7 +304,7 @@ class ContactTree:
         for k in range(len(self._rows)) if not found else ():
             if (impact := self._impact(k, step, time, slow)) is not None:
                 found += laws.note(impact)
-        return [*found, *self._torques()]
+        return [*found, *self._torques(laws)]
 
     def _states(self, k: int, normal: FloatArray) -> Iterator[tuple[FloatArray, FloatArray]]:
         """Yield velocities of the second surface relative to the first before and after contact k, in each order."""
@@ -417,23 +431,54 @@ class ContactTree:
         e = parting / closing
         return IsolatedImpact(step, time, self._pairs[k], float(closing.mean()), float(np.median(e)), float(np.ptp(e)))
 
-    def _torques(self) -> Iterator[Broken]:
-        """Judge the spins of an isolated contact: its impulse must explain them, except for a resistance to rolling."""
-        if not self._spins or len(self._rows) > 1:
+    def _torques(self, laws: ContactLaws) -> Iterator[Broken]:
+        """Judge the spins of an isolated contact: its impulse must explain them, except for a resistance to rolling.
+
+        The torques of all contacts are kept for a comparison at the end of the run.
+        """
+        if not self._spins:
             return
-        J = self.impulses[0]
-        size = float(np.sqrt(J @ J))
-        for body, number in zip(self._ends[0], self._pairs[0], strict=True):
-            if body < 0 or not self._ease[body] > 0.0:
-                continue
+        sizes = lengths(self.impulses)
+        for body in np.flatnonzero(self._ease > 0.0).tolist():
+            own = [k for k, ends in enumerate(self._ends) if body in ends]
+            largest = float(sizes[own].sum())
             r, angular = self._radius[body], (self._w1[body] - self._w0[body]) / self._ease[body]
+            arms = [-r * sum(cross(normals[k], self.impulses[k]) for k in own) for normals in self._normals]
+            parts = [
+                1.0,
+                1.0 - 0.5 * float(self._depth[own].max()) / r,
+            ]  # an arm ends on the surface, or in the overlap
+            rests = [self._beside_rolling(angular - arm, body, own) for arm in arms]
+            number = int(self._bodies[body])
+            ways = np.array([part * arm for part in parts for arm in arms])
+            turned = None if self._turned_spins is None else self._turned_spins[body] / self._ease[body]
+            rolls = min(lengths(np.array(rests))) < 0.5 * min(lengths(angular - np.array(arms)))
+            sample = ContactTorque(*self._place_in_time, number, angular, turned, ways, bool(rolls))
+            laws.torques.add(sample, r * largest, r * self._noise)
+            if len(self._rows) > 1:
+                continue
             loose = r * (IMPULSIVE + self._turned[0] + self._rolled[body]) + self._depth[0]
             excess = []
-            for normals in self._normals:
-                arm = cross(normals[0], J)
-                extra = angular + r * arm
-                allowed = r * (SPUN * float(np.sqrt(arm @ arm)) + self._noise) + loose * size
-                rolls = extra @ (self._w0[body] + self._w1[body]) <= 0.0  # a resistance to rolling
-                excess.append(0.0 if rolls or not allowed > 0.0 else float(np.sqrt(extra @ extra)) / allowed)
+            for arm, rest in zip(arms, rests, strict=True):
+                allowed = SPUN * float(np.sqrt(arm @ arm)) + r * self._noise + loose * largest
+                excess.append(float(np.sqrt(rest @ rest)) / allowed if allowed > 0.0 else 0.0)
             if min(excess) > 1.0:
                 yield Broken(SPIN, min(excess), (number,), "spins up by a torque that no force at its surface has")
+
+    def _beside_rolling(self, torque: FloatArray, body: int, own: list[int]) -> FloatArray:
+        """Return what a resistance to rolling or spinning on its contacts does not explain of a body's torque, (3,)."""
+        if torque @ (self._w0[body] + self._w1[body]) > 0.0:
+            return torque
+        for k in own:
+            i, j = self._ends[k]
+            other = j if body == i else i
+            spin = self._w0[body] + self._w1[body]
+            if other >= 0:
+                spin = spin - self._w0[other] - self._w1[other]
+            n = self._normals[0][k]
+            along = float(spin @ n) * n
+            for axis in (along, spin - along):
+                size, against = float(axis @ axis), float(torque @ axis)
+                if size > 0.0 and against < 0.0:
+                    torque = torque - against / size * axis
+        return torque

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from carom.arrays import FloatArray, IntArray, Records
+from carom.arrays import BoolArray, FloatArray, IntArray, Records
 from carom.engines.engine import EngineSimulation, InOrder, SteppedEngine, dt_of, problem_of
 from carom.engines.source import CONTACT, Model, Plane, Source, State, engine_package, named_version
 from carom.errors import RecordingError
@@ -91,6 +91,7 @@ class MuJoCoSource:
             judged=np.concatenate((free, np.ones(len(still), bool))),
             gravity=model.opt.gravity,
             planes=[_plane(model, data, int(g)) for g in planes],
+            friction=_common_friction(package, model, solid),
             time_step=model.opt.timestep,
         )
 
@@ -169,6 +170,14 @@ def _is_free_sphere(package: Any, model: Any, body: int, geoms: IntArray) -> boo
         and bool(np.abs(model.body_ipos[body]).max() == 0.0)
         and bool(np.abs(model.geom_pos[geoms[0]]).max() == 0.0)
     )
+
+
+def _common_friction(package: Any, model: Any, solid: BoolArray) -> float | None:
+    """Return the coefficient of friction of all contacts; None if shapes or pairs of shapes have different ones."""
+    overridden = model.opt.enableflags & package.mjtEnableBit.mjENBL_OVERRIDE
+    rubs = np.where(model.geom_condim[solid] > 1, model.geom_friction[solid, 0], 0.0)
+    alike = len(rubs) > 0 and model.npair == 0 and not overridden and np.ptp(rubs) == 0.0
+    return float(rubs[0]) if alike else None
 
 
 def _plane(model: Any, data: Any, geom: int) -> Plane:

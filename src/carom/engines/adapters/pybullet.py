@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import itertools
 import math
+import weakref
 from collections.abc import Iterable
 from dataclasses import replace
 from itertools import chain, repeat
@@ -76,6 +77,7 @@ class PyBulletSource:
         spheres = np.array([_is_sphere(package, b, shapes[b], client) for b in self.bodies])
         known = zip(self.bodies, spheres, strict=True)
         radius = np.array([shapes[b][0][3][0] if sphere else _reach(package, b, client) for b, sphere in known])
+        spheres &= ~np.isin(self.bodies, _constrained(package, client))
         own_inertia = [np.mean(found[2]) for found in dynamics]
         labels = ([text.decode(errors="replace") for text in package.getBodyInfo(b, client)] for b in self.bodies)
         names = [name or base for base, name in labels]
@@ -89,6 +91,7 @@ class PyBulletSource:
             judged=spheres,
             gravity=gravity,
             planes=_planes_of(package, client),
+            friction=_common_friction(package, everything, client),
             time_step=time_step,
             every=calls_per_frame(len(self.bodies)),
         )
@@ -209,6 +212,20 @@ def _is_sphere(package: Any, body: int, shapes: Any, client: int) -> bool:
     return bool(one and package.getNumJoints(body, client) == 0)
 
 
+def _constrained(package: Any, client: int) -> list[int]:
+    """Return the bodies that constraints hold, such as joints that were created between them."""
+    numbers = [package.getConstraintUniqueId(k, client) for k in range(package.getNumConstraints(client))]
+    return [body for number in numbers for body in package.getConstraintInfo(number, client)[0:3:2]]
+
+
+def _common_friction(package: Any, bodies: list[int], client: int) -> float | None:
+    """Return the coefficient of friction of all contacts, a product; None if bodies have different ones, or links."""
+    if any(package.getNumJoints(body, client) for body in bodies):
+        return None
+    own = {package.getDynamicsInfo(body, BASE, client)[1] for body in bodies}
+    return float(own.pop() ** 2) if len(own) == 1 else None
+
+
 def _reach(package: Any, body: int, client: int) -> float:
     low, high = package.getAABB(body, BASE, client)
     return float(0.5 * np.linalg.norm(np.subtract(high, low)))
@@ -287,6 +304,9 @@ class PyBullet(SteppedEngine):
         x, y, z = (float(g) for g in np.asarray(problem.field))
         source = PyBulletSource(dt, (x, y, z), client)
         source.model = problem.named(source.model)
+        weakref.finalize(
+            source, engine.disconnect, client
+        )  # otherwise later calls without a client would mean this one
 
         def step() -> None:
             engine.stepSimulation(client)

@@ -1,0 +1,114 @@
+"""The spins that contacts change, compared over a whole run with the impulses of these contacts.
+
+A contact of spheres changes a spin by r n × J / I. Engines differ in the normal and in the arm that they use, and a
+resistance to rolling adds a torque. At the end of a run, the normal and the arm are known with which most contacts of
+this engine agree, and how well they agree. A contact whose torque is far from this breaks the law. So do all contacts
+of an engine if they agree on another moment of inertia, or on spins in the frames of the bodies.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from carom.arrays import FloatArray
+from carom.engines.engine_contacts import lengths
+
+FEWEST = 8  # torques that show an engine's habit
+RUBBED = 0.05  # of an impulse times its arm, the least torque that is compared
+CLEAR = 20.0  # times the noise of an impulse
+MOSTLY = 0.75  # of the torques of an engine; deviations of the remaining ones may be faults
+SPREADS = 6.0  # of the deviation of most torques
+OFF = 0.05  # of a torque, the least deviation that is a fault
+SURELY = 0.01  # the same where another frame or another inertia explains the torques of the whole run
+BETTER = 4.0  # times, by which another frame or another inertia must explain the torques better
+MOST_SAMPLES = 100_000  # torques kept for comparison
+
+
+@dataclass(frozen=True, slots=True)
+class ContactTorque:
+    """The change of a body's angular momentum in a frame, and the torques that its contacts may have had."""
+
+    step: int
+    time: float  # s
+    body: int
+    change: FloatArray  # (3,) N m s, I Δω
+    turned: FloatArray | None  # (3,) the same if spins are in the frames of bodies; None where orientations are unknown
+    ways: FloatArray  # (w, 3) N m s, with each normal and each arm
+    rolls: bool  # whether a resistance to rolling could have been the difference
+
+
+@dataclass(frozen=True, slots=True)
+class WrongTorque:
+    """A torque that breaks the law."""
+
+    step: int
+    time: float  # s
+    body: int
+    excess: float  # violation over tolerance
+    what: str  # predicate of a sentence about the body
+
+
+@dataclass(slots=True)
+class ContactTorques:
+    """The torques of a run."""
+
+    samples: list[ContactTorque] = field(default_factory=list)
+
+    def add(self, sample: ContactTorque, largest: float, noise: float) -> None:
+        """Keep a torque that is clear beside the largest one that its impulses could have, and beside noise, N m s."""
+        size = float(lengths(sample.ways).min())
+        if size > max(RUBBED * largest, CLEAR * noise) and len(self.samples) < MOST_SAMPLES:
+            self.samples.append(sample)
+
+    def concluded(self) -> Iterator[WrongTorque]:
+        """Yield the torques that break the law, as all torques of the run show."""
+        if len(self.samples) < FEWEST:
+            return
+        ways = np.array([sample.ways for sample in self.samples])
+        seen = np.array([sample.change for sample in self.samples])
+        _, off = _usual_way(ways, seen)
+        usual = float(np.quantile(off, MOSTLY))
+        turned = [sample.turned for sample in self.samples if sample.turned is not None]
+        if len(turned) == len(seen):
+            way, off_there = _usual_way(ways, np.array(turned))
+            beside = float(np.quantile(off_there, MOSTLY))
+            if BETTER * beside < min(OFF, usual):
+                what = "changes its spin as if spins were told in the frame of the body"
+                yield from self._above(_off(ways[:, way], seen), max(SURELY, SPREADS * beside), what)
+                return
+        ratios = np.einsum("mi,mwi->mw", seen, ways) / np.einsum("mwi,mwi->mw", ways, ways)
+        way, off_then = _usual_way(np.median(ratios, axis=0)[:, None] * ways, seen)
+        ratio, beside = float(np.median(ratios[:, way])), float(np.quantile(off_then, MOSTLY))
+        if abs(ratio - 1.0) > max(2.0 * OFF, BETTER * beside):
+            what = f"changes its spin, as others do, by {ratio:.3g} times what its contacts give a body of its inertia"
+            yield from self._above(_off(ways[:, way], seen), max(SURELY, SPREADS * beside), what)
+            return
+        yield from self._above(off, max(OFF, SPREADS * usual), "changes its spin otherwise than its contacts tell")
+
+    def _above(self, off: FloatArray, allowed: float, what: str) -> Iterator[WrongTorque]:
+        """Yield the torques off by more than is allowed.
+
+        A body of which each torque is off, and may be a resistance to rolling, has such a resistance.
+        """
+        wrong = off > allowed
+        right = {sample.body for sample, each in zip(self.samples, wrong, strict=True) if not each}
+        for k in np.flatnonzero(wrong).tolist():
+            sample = self.samples[k]
+            if sample.body in right or not sample.rolls:
+                by = f"; off by {off[k]:.0%} of their torque"
+                yield WrongTorque(sample.step, sample.time, sample.body, float(off[k]) / allowed, what + by)
+
+
+def _usual_way(ways: FloatArray, seen: FloatArray) -> tuple[int, FloatArray]:
+    """Return the column of ways (m, w, 3) on which most torques agree, and how far these are off, (m,)."""
+    off = np.stack([_off(ways[:, way], seen) for way in range(ways.shape[1])])
+    best = int(np.argmin(np.quantile(off, MOSTLY, axis=1)))
+    return best, off[best]
+
+
+def _off(expected: FloatArray, seen: FloatArray) -> FloatArray:
+    """Return how far torques (m, 3) are off, in terms of those that are expected, (m,)."""
+    return np.asarray(lengths(seen - expected) / lengths(expected))
