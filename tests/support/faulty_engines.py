@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 import carom
 
-BODIES, STEPS, DT = 12, 120, 1.0 / 480.0  # s; later, the toy sinks into the floor
+BODIES, STEPS, DT = 12, 160, 1.0 / 480.0  # s; later, the toy sinks into the floor
 G = np.array([0.0, 0.0, -9.81])
 RADIUS, MASS, RESTITUTION, FRICTION = 0.1, 0.5, 0.6, 0.3
 INERTIA = 0.4 * MASS * RADIUS**2

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from carom.arrays import BoolArray, FloatArray
-from carom.engines.engine_contacts import MARGIN, Near
+from carom.engines.engine_contacts import MARGIN, Near, lengths
 from carom.engines.source import Setup
 
 UNCHANGED = 1e-3  # of the closing speed; a smaller change does not count as contact
@@ -99,8 +99,13 @@ class MissedImpacts:
         adjacent = near.pairs[np.minimum(near.gap_before, near.gap_now) <= MARGIN * near.small]
         others = np.bincount(adjacent.ravel(), minlength=ends) - 1
         others[n:] = 0
-        # so may one in the step before: engines look for pairs with the velocities at its start
-        pushed = np.asarray((others[near.pairs] > 0).any(axis=1)) | self._touched[near.pairs].any(axis=1)
+        # others push only what changes its velocity; in the step before, too: engines look for pairs with the
+        # velocities at its start
+        change = (
+            near.relative_now - near.relative_before + np.where(plane[:, None], self._setup.gravity * place[2], 0.0)
+        )
+        acted = lengths(change) > UNCHANGED * np.abs(closing)
+        pushed = ((others[near.pairs] > 0).any(axis=1) & acted) | self._touched[near.pairs].any(axis=1)
         reached = np.minimum(near.gap_before - np.maximum(closing, 0.0) * place[2], near.gap_now) <= MARGIN * near.small
         self._touched = np.bincount(near.pairs[reached & hits & ~unchanged].ravel(), minlength=ends) > 0
         self._touched[n:] = False
