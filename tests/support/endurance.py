@@ -7,6 +7,7 @@ prints a line of JSON for each attempt, and exits with 1 after a fault. `KINDS` 
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import random
@@ -29,6 +30,11 @@ from signals_everywhere import COMMANDS, SCENE, USUAL
 Attempt = dict[str, Any]
 CAROM = (sys.executable, "-m", "carom")
 LATEST = 8.0  # s after the start of a command, by which it is killed, where a short run takes no more than `USUAL`
+# in turn: while it loads kernels, at any byte of its file, after the interrupt key, at any moment
+PHASES = ("start", "writing", "ending", "any")
+START = 2.0  # s, in which most commands load modules and kernels, there
+ENDING = 0.5  # s, in which most commands write layout and footer after an interrupt, there
+POLL = 0.002  # s between two looks at a file
 # Bytes by which a soak may grow in its second half: batches are joined, so that twice the data are at most ln 2 / 0.004
 # = 173 batches more (docs/recording.md, "Long runs") of 60 messages, for each of which Rerun keeps 6 kB.
 GROWTH = 64_000_000
@@ -87,21 +93,40 @@ def fault_of(path: Path, folder: Path) -> str:
     return ""
 
 
+def kill(rng: random.Random, phase: str, child: subprocess.Popen[bytes], folder: Path, slow: float, size: int) -> bool:
+    """Kill a command in a phase; tell whether it was not over. Its file becomes about so many bytes long."""
+    wait, bytes_awaited = rng.uniform(0.0, slow * (START if phase == "start" else LATEST)), rng.uniform(0.0, size)
+    by_bytes, began = phase in ("writing", "ending"), time.monotonic()
+    while child.poll() is None and time.monotonic() - began < (slow * LATEST if by_bytes else wait):
+        time.sleep(POLL)
+        with contextlib.suppress(FileNotFoundError):  # renamed meanwhile
+            if by_bytes and any(each.stat().st_size > bytes_awaited for each in folder.glob(".made*.part")):
+                break
+    if phase == "ending" and child.poll() is None:
+        child.send_signal(signal.SIGINT)
+        time.sleep(rng.uniform(0.0, slow * ENDING))
+    if child.poll() is None:
+        os.killpg(child.pid, signal.SIGKILL)
+        return True
+    return False
+
+
 def kills(rng: random.Random, folder: Path, amount: int) -> Iterator[Attempt]:
-    """Kill commands that write, at any moment, while two others keep the processors busy."""
+    """Kill so many commands that write, in each of `PHASES`, while two programs keep the processors busy."""
     began = time.monotonic()
     code, said = say(f"run {SCENE.format(0.2)}", folder)
     assert code == 0, said
-    latest = max(1.0, (time.monotonic() - began) / USUAL) * LATEST
+    slow = max(1.0, (time.monotonic() - began) / USUAL)
     content = (folder / "made.rrd").read_bytes()
     for name, size in (("run.rrd", len(content)), ("cut.rrd", 2 * len(content) // 3)):
         (folder / name).write_bytes(content[:size])
     repair(folder / "cut.rrd", folder / "part.rrd")
     busy = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(2)]
     try:
-        for _ in range(amount):
+        done = 0
+        while done < amount:
             command = rng.choice([each for each in COMMANDS if "made.rrd" in each]).replace("repair part", "repair cut")
-            wait = rng.uniform(0.0, latest)
+            phase = PHASES[done % len(PHASES)]
             was_there = rng.random() < 0.5
             if was_there:
                 (folder / "made.rrd").write_bytes(content)
@@ -112,9 +137,8 @@ def kills(rng: random.Random, folder: Path, amount: int) -> Iterator[Attempt]:
                 stderr=subprocess.DEVNULL,
                 start_new_session=True,
             ) as child:
-                time.sleep(wait)
-                if ended := child.poll() is None:
-                    os.killpg(child.pid, signal.SIGKILL)
+                killed = kill(rng, phase, child, folder, slow, len(content))
+            done += killed
             found = [each for each in folder.iterdir() if "made" in each.name and each.stat().st_size]
             faults = [fault for each in found if each.read_bytes() != content and (fault := fault_of(each, folder))]
             if was_there and not (folder / "made.rrd").exists():
@@ -122,7 +146,7 @@ def kills(rng: random.Random, folder: Path, amount: int) -> Iterator[Attempt]:
             for path in folder.iterdir():
                 if path.name not in ("run.rrd", "part.rrd", "cut.rrd") and path.is_file():
                     path.unlink()
-            yield {"command": command, "wait": wait, "killed": ended, "left": len(found), "faults": faults}
+            yield {"command": command, "phase": phase, "killed": killed, "left": len(found), "faults": faults}
     finally:
         for each in busy:
             each.kill()
