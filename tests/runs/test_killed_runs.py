@@ -1,4 +1,4 @@
-"""A run that is killed between any two messages leaves a recording that replays, and its repaired copy replays, too."""
+"""A command that is killed between any two messages leaves a recording that replays, also once it is repaired."""
 
 from __future__ import annotations
 
@@ -8,11 +8,13 @@ import pytest
 
 import carom
 from carom.errors import RecordingError
+from carom.recording.edit.clip import clip
 from carom.recording.edit.repair import repair
 from carom.recording.read.recording import Recording
 from carom.recording.rrd.framing import END, messages
 from carom.recording.write import recorder
 from carom.runs.replay import Replay, replay
+from carom.runs.resume import resume
 from carom.scene.load import Scene
 
 
@@ -26,6 +28,12 @@ def judged(path: Path) -> Replay | str:
         return "no state"
 
 
+def cuts_of(path: Path) -> list[int]:
+    """Return the offsets between two messages of a recording, without those of its end."""
+    with path.open("rb") as file:
+        return [message.end for message in messages(file) if message.kind != END]
+
+
 @pytest.fixture(scope="module")
 def killed(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[int]]:
     """A run of several batches with impacts, and the offsets between two messages, without those of its end."""
@@ -33,8 +41,26 @@ def killed(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[int]]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(recorder, "_BATCH_FRAMES", 3)
         carom.run(Scene.load("rack-break", ["time.duration=0.03", "record.every=0.003"]), path)
-    with path.open("rb") as file:
-        return path, [message.end for message in messages(file) if message.kind != END]
+    return path, cuts_of(path)
+
+
+def derived(run: Path, kind: str) -> tuple[Path, list[int]]:
+    """Return a recording made of another one, and the offsets between two of its messages."""
+    path = run.with_name(f"{kind}.rrd")
+    if not path.exists():
+        match kind:
+            case "clip":
+                clip(run, path, 0.0, 0.02)
+            case "clip-of-bodies":
+                clip(run, path, 0.005, 0.02, [0, 3, 5])
+            case "resumed":
+                clip(run, run.with_name("start.rrd"), 0.0, 0.015)
+                resume(run.with_name("start.rrd"), path=path)
+            case _:
+                content, cuts = run.read_bytes(), cuts_of(run)
+                run.with_name("cut.rrd").write_bytes(content[: cuts[2 * len(cuts) // 3]])
+                repair(run.with_name("cut.rrd"), path)
+    return path, cuts_of(path)
 
 
 def check(killed: tuple[Path, list[int]], places: range, folder: Path) -> None:
@@ -69,3 +95,24 @@ def test_a_run_killed_after_any_message_and_its_repaired_copy_are_not_called_alt
     killed: tuple[Path, list[int]], tmp_path: Path
 ) -> None:
     check(killed, range(len(killed[1])), tmp_path)
+
+
+DERIVED = ("clip", "clip-of-bodies", "resumed", "repaired")
+
+
+@pytest.mark.parametrize("kind", DERIVED)
+def test_what_a_killed_command_copied_is_not_called_altered(
+    killed: tuple[Path, list[int]], tmp_path: Path, kind: str
+) -> None:
+    made = derived(killed[0], kind)
+    check(made, range(len(made[1]) - 1, 0, -40), tmp_path)
+
+
+@pytest.mark.nightly
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", DERIVED)
+def test_what_a_command_killed_after_any_message_copied_is_not_called_altered(
+    killed: tuple[Path, list[int]], tmp_path: Path, kind: str
+) -> None:
+    made = derived(killed[0], kind)
+    check(made, range(len(made[1])), tmp_path)

@@ -206,6 +206,14 @@ def clip(
         selection = None if bodies is None else _selection(recording, bodies)
         first = _start(recording, cut) if exact else None
         with Writer(Path(out), recording.store.application_id, str(uuid.uuid4())) as writer:
+            # first of all: without it, a killed clip would claim to end as the whole run does
+            about: dict[str, Scalar | IntArray] = {"source": recording.path.name, "from": cut.start, "to": cut.end}
+            about["recording_id"] = recording.store.store_id
+            if not exact:
+                about["partial"] = True
+            if len(shown) < recording.info["bodies"]:
+                about["bodies"] = np.array(shown, np.int64)
+            writer.send_property(PROPERTY, about)
             gone = {paths.START, f"__properties/{PROPERTY}"}
             gone |= set() if exact else {paths.STATIC_STATE, paths.GIVEN_STATE}
             static = (e for e in recording.store.entries if e.is_static and e.entity_path not in gone)
@@ -217,13 +225,6 @@ def clip(
                 table = recording.bodies
                 values = {name: getattr(table, name)[shown] for name in ("group", "mass", "radius", "inertia")}
                 writer.log(paths.STATIC_STATE, rr.AnyValues(name=[table.name[body] for body in shown], **values))
-            about: dict[str, Scalar | IntArray] = {"source": recording.path.name, "from": cut.start, "to": cut.end}
-            about["recording_id"] = recording.store.store_id
-            if not exact:
-                about["partial"] = True
-            if len(shown) < recording.info["bodies"]:
-                about["bodies"] = np.array(shown, np.int64)
-            writer.send_property(PROPERTY, about)
             numbers = list[IntArray]()
             for chunk in _moving(recording, cut):
                 if chunk.entity_path == paths.CHECKPOINT and not exact:

@@ -283,8 +283,9 @@ class Writer:
         self._stream.log(path, archetype, static=True)
 
     def send_property(self, name: str, values: Mapping[str, Scalar | IntArray]) -> None:
-        """Send a recording property."""
+        """Send a recording property, which is in the file before all that is sent later."""
         self._stream.send_property(name, any_values(values))
+        self._stream.flush(timeout_sec=FLUSH)  # Rerun's encoder would keep it until the end, behind chunks
 
     def send_layout(self, layout: rrb.Blueprint) -> None:
         """Send the layout that the file opens with."""
