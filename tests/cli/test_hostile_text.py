@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import csv
 import json
+import re
 from collections.abc import Iterator
 from io import StringIO
 from pathlib import Path
+from xml.etree import ElementTree
 
 import pyarrow as pa
 import pytest
@@ -20,7 +22,7 @@ from carom.recording.read.recording import Recording
 from carom.recording.rrd.framing import CHUNK
 from carom.recording.rrd.messages import decode
 from carom.scene.load import Scene
-from carom.scene.wording import escaped
+from carom.scene.wording import escaped, in_one_line
 from carom.terminal.console import Terminal
 from carom_command import carom
 from edited_recordings import changed, mapped, messages_of, without_column
@@ -150,8 +152,20 @@ def test_no_name_of_a_column_or_a_body_is_a_formula_for_a_spreadsheet(tmp_path: 
     texts = [FORMULA, "+1", "-1", "@x", "\t=1", "plain", "1=2", None]
     table = harmless(pa.table({FORMULA: texts, "-x": [-1.0] * len(texts), "x": [1] * len(texts)}))
     assert table.column_names == [f"'{FORMULA}", "'-x", "x"]
-    assert table.column(0).to_pylist() == [*(f"'{text}" for text in texts[:5]), "plain", "1=2", None]
+    assert table.column(0).to_pylist() == [*(f"'{text}" for text in texts[:4]), "'\t'=1", "plain", "1=2", None]
     assert table.column(1).to_pylist() == [-1.0] * len(texts), "numbers stay"
+    assert harmless(pa.table({"x": ["[1, -2.5e-3, 0]", "[-1, -2+cmd]"]}))["x"].to_pylist() == [
+        "[1, -2.5e-3, 0]",
+        "[-1,' -2+cmd]",
+    ]
+    # at once, after what begins a cell elsewhere, after what a spreadsheet drops, and in the letters of another script
+    starts = ["", *";,|\n", "a;", "x\r\n", *' \ufeff\u00a0\u200b\0\x1b"', "b;  ", 'c;"']
+    odd = [start + mark + "cmd" for start in starts for mark in "=+-@\uff1d\uff0b\uff0d\uff20"]
+    for column in (pa.array(odd), pa.array(odd, pa.large_string()), pa.array(odd).dictionary_encode()):
+        shown = harmless(pa.table({"x": column, odd[8]: column}))
+        for cell in (*shown.column(0).to_pylist(), shown.column_names[1]):
+            pieces = re.split(r"[;,|\t\r\n]", cell)
+            assert not any(re.match("[^'a-z0-9]*[=+\\-@\uff1d\uff0b\uff0d\uff20]", piece) for piece in pieces), cell
     bodies = [{"position": [x, 0.0, 0.0], "radius": 1.0, "mass": 1.0, "name": FORMULA} for x in (-1.0, 1.0)]
     bodies[0]["velocity"] = [1.0, 0.0, 0.0]
     scene = Scene.from_dict({"time": {"duration": 0.2}, "gravity": {"constant": 0.0}, "body": bodies})
@@ -162,3 +176,17 @@ def test_no_name_of_a_column_or_a_body_is_a_formula_for_a_spreadsheet(tmp_path: 
     for text in (printed, (tmp_path / "table.csv").read_text(encoding="utf-8")):
         for row in csv.reader(text.splitlines()):
             assert not any(cell.startswith("=") for cell in row), row
+
+
+@pytest.mark.parametrize("title", ["cost $x_{ $", "$\\badmacro{$", "\\$1 $ x_{ $ \\\\$", "one\x1b[2J\u202etwo"])
+def test_no_title_of_a_recording_is_a_formula_of_a_figure(tmp_path: Path, title: str) -> None:
+    pytest.importorskip("matplotlib")
+    bodies = [{"position": [x, 0.0, 0.0], "radius": 1.0, "mass": 1.0} for x in (-2.0, 2.0)]
+    run = carom_run(
+        Scene.from_dict({"title": title, "time": {"duration": 0.1}, "body": bodies}), tmp_path / "r.rrd"
+    ).path
+    for words in (["fields", run.name, "--cell", "1"], ["contacts", run.name, "--statistics"]):
+        done = carom(*words, "-o", "figure.svg", "--force", cwd=tmp_path)
+        assert done.returncode == 0, done.stderr[-300:]
+        drawn = "".join(ElementTree.parse(tmp_path / "figure.svg").getroot().itertext())
+        assert "".join(in_one_line(title).split()) in "".join(drawn.split())

@@ -29,7 +29,7 @@ from signals_everywhere import COMMANDS, SCENE, USUAL
 
 Attempt = dict[str, Any]
 CAROM = (sys.executable, "-m", "carom")
-LATEST = 8.0  # s after the start of a command, by which it is killed, where a short run takes no more than `USUAL`
+LATEST = 5.0  # s after the start of a command, by which it is killed, where a short run takes no more than `USUAL`
 # in turn: while it loads kernels, at any byte of its file, after the interrupt key, at any moment
 PHASES = ("start", "writing", "ending", "any")
 START = 2.0  # s, in which most commands load modules and kernels, there

@@ -20,8 +20,10 @@ import unicodedata
 import zipfile
 from collections.abc import Iterator
 from html.parser import HTMLParser
+from io import StringIO
 from pathlib import Path
 from unittest.mock import patch
+from xml.etree import ElementTree
 
 import pyarrow as pa
 from markdown_it import MarkdownIt
@@ -44,6 +46,7 @@ PARTS = (
     *("<script>alert(1)</script>", "<img src=x onerror=alert(1)>", "</pre><b>x</b>", "'\"><svg onload=alert(1)>"),
     *("[x](javascript:alert(1))", "![x](http://evil.example/p.png)", "<http://evil.example>", "www.evil.example"),
     *("\n# heading", "| a | b |", "$$x$$", "\\u001b", "{0}", "%s", "${rows}", "=cmd|' /C calc'!A0", "@SUM(A1)", "-1+1"),
+    *("\uff1dcmd", "\n=1+1", ";=1+1", "\ufeff=1+1", " =1+1", '"=1+1', "$x_{$", "$\\frac$", "\\$"),
     *("--force", "-o /etc/passwd", "../../x", "/etc/passwd", "a==1", "evil 1.0", "'; DROP", "\ud83d", "é́́", "x" * 300),
 )
 TEXTS = ("title", "description", "body", "material", "plane", "file")
@@ -54,6 +57,7 @@ COMMANDS = (
     *("export FILE -o table.csv", "report FILE -o bug.zip", "publish FILE -o page", "clip FILE --to 0.2 -o part.rrd"),
     *("clip FILE --bodies NAME -o part.rrd", "repair FILE -o fixed.rrd", "run SCENE -o again.rrd"),
     *("fork FILE --at 0.2 --perturb 1ulp -o fork.rrd", "sweep SCENE --vary seed=1,2 -o sweep"),
+    *("fields FILE --cell 1 -o figure.svg", "contacts FILE --statistics -o figure.svg"),
     "shrink FILE --while 'impact of 0 and 1' -o small.toml",
 )
 PROGRAMS = ("carom", "pip", "python", "python3", "rerun", "uv")
@@ -61,7 +65,10 @@ HINT = re.compile(rf"(?:(?<=\s)|^)(?:{'|'.join(PROGRAMS)})\s[^\n]*", re.M)  # a 
 VERSIONS = re.compile(r"^\s*(?:versions|recorded with|replayed with) [^\n]*", re.M)  # name programs and start none
 COMPOSED = ("why.rrd", "fork.rrd", "again.rrd")  # others are copies of what a stranger's file has
 REORDERS = {"LRE", "RLE", "LRO", "RLO", "PDF", "LRI", "RLI", "FSI", "PDI"}
-FORMULA = re.compile(r"[=@+\-\t\r](?![0-9.einf]+(?:[eE][-+]?[0-9]+)?$)")  # numbers stay
+FORMULA = re.compile(  # numbers stay
+    '["\\s\x00-\x20\x7f-\xa0\u200b-\u200f\u2028-\u202f\u2060\u3000\ufeff]*'
+    "[=@+\uff1d\uff0b\uff0d\uff20-](?![0-9.einf]+(?:[eE][-+]?[0-9]+)?$)"
+)
 
 
 PAGE = frozenset(
@@ -140,11 +147,15 @@ def faults_of(path: Path, empty: Path) -> Iterator[str]:
             readme = packed.read("README.md").decode()
         yield from [*steers(readme), *marked_up(readme), *pasted(readme, empty)]
     elif path.suffix == ".csv":
-        for row in csv.reader(path.read_text(encoding="utf-8").splitlines()):
-            yield from (f"a formula: {cell!r}" for cell in row if FORMULA.match(cell))
+        for row in csv.reader(StringIO(path.read_bytes().decode(), newline="")):
+            pieces = [piece for cell in row for piece in re.split("[;|\t\r\n]", cell)]
+            yield from (f"a formula: {piece!r}" for piece in pieces if FORMULA.match(piece))
     elif path.suffix == ".html":
         text = path.read_text(encoding="utf-8")
         yield from [*steers(text), *(f"a page has {each}" for each in Tags(text, PAGE).found), *pasted(text, empty)]
+    elif path.suffix == ".svg":
+        drawn_text = "".join(ElementTree.parse(path).getroot().itertext())
+        yield from steers(drawn_text)
     elif path.suffix == ".toml":
         text = path.read_text(encoding="utf-8")
         yield from [*steers(text), *pasted("\n".join(re.findall("^#.*$", text, re.M)), empty)]

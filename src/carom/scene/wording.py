@@ -64,6 +64,11 @@ def literal(text: str) -> str:
     return _LINE_MARKS.sub(r"\1\\\2", _MARKS.sub(r"\\\g<0>", in_one_line(text)))
 
 
+def in_figure(text: str) -> str:
+    """Return a text of a file as one line for matplotlib, which reads what stands between two ``$`` as a formula."""
+    return in_one_line(text).replace("$", r"\$")
+
+
 def nearest(name: str, known: Iterable[str]) -> str:
     """Return the most similar known name; empty if none is similar."""
     return next(iter(difflib.get_close_matches(name, known, n=1, cutoff=0.5)), "")

@@ -17,6 +17,7 @@ from carom.lab.tradeoff.settings_grid import SettingResult
 from carom.lab.tradeoff.tradeoff_figure import LEAST
 from carom.recording.write.whole_file import whole_file
 from carom.scene.units.dimension import TIME
+from carom.scene.wording import in_figure
 
 OWN_COLOUR = "#1b2a3a"
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")  # of the engines, in their order
@@ -49,7 +50,7 @@ def draw(check: Crosscheck, path: Path) -> None:
             marks += f"; shaded: not compared, as the reference {why}"
         ax.axhline(PARTED, color=FAINT, linewidth=0.8, linestyle=":")
         ax.annotate("diverged", (1.0, PARTED), xycoords=("axes fraction", "data"), ha="right", va="bottom", color=FAINT)
-        ax.set_title(f"{check.scene.title}\n{marks}", fontsize=10)
+        ax.set_title(f"{in_figure(check.scene.title)}\n{marks}", fontsize=10)
         ylabel = "rms distance from the reference / size"
         ax.set(yscale="log", xlabel=units.labelled("time", TIME), ylabel=ylabel, xlim=(0.0, ends))
         ax.spines[["top", "right"]].set_visible(False)

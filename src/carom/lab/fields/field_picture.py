@@ -11,6 +11,7 @@ from carom.arrays import FloatArray
 from carom.lab.fields.field_arrays import Fields
 from carom.lab.figure_style import FAINT, TEXT_IN_SVG, sheet, styled
 from carom.scene.units.dimension import ENERGY, LENGTH, PRESSURE, TIME, VELOCITY, Dimension
+from carom.scene.wording import in_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -51,7 +52,7 @@ def draw(fields: Fields, path: Path) -> None:
         for axes, panel in zip(places, panels, strict=True):
             _show(axes, panel, fields, across, up)
         span = fields.units.span(fields.start, fields.end, TIME)
-        figure.suptitle(f"{fields.title}, mean of {span} and over {'xyz'[depth]}", fontsize=10)
+        figure.suptitle(f"{in_figure(fields.title)}, mean of {span} and over {'xyz'[depth]}", fontsize=10)
         figure.savefig(path, format=path.suffix[1:])
 
 

@@ -23,7 +23,7 @@ from carom.lab.statistics.structure_statistics import measure_forces, measure_ne
 from carom.recording.read.recording import Recording
 from carom.recording.write.whole_file import whole_file
 from carom.scene.units.system import UnitSystem
-from carom.scene.wording import counted
+from carom.scene.wording import counted, in_figure
 from carom.terminal.answers import CommandAnswer, Part, ShownColumn, ShownFacts, ShownTable
 
 if TYPE_CHECKING:
@@ -166,7 +166,7 @@ def draw(statistics: Statistics, path: Path) -> None:
         figure, panels = sheet(len(histograms), min(COLUMNS, len(histograms)), PANEL)
         for axes, histogram in zip(panels, histograms, strict=True):
             _panel(axes, histogram, statistics.units)
-        figure.suptitle(f"{interval.recording.title}, {interval.text}", fontsize=10)
+        figure.suptitle(f"{in_figure(interval.recording.title)}, {interval.text}", fontsize=10)
         with whole_file(path) as part:
             figure.savefig(part)
 

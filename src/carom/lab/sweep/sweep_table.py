@@ -22,7 +22,7 @@ from carom.lab.sweep.plan import SEED
 from carom.recording.export.spreadsheet import harmless
 from carom.recording.write.whole_file import whole_file
 from carom.scene.units.dimension import Physical, nearest_float, physical
-from carom.scene.wording import suggestion
+from carom.scene.wording import in_figure, suggestion
 
 Row = dict[str, Any]
 
@@ -185,8 +185,9 @@ def figure(rows: Sequence[Row], x: str, y: str, varied: Sequence[str], title: st
             {**values_of[label], x: value, y: mean, "least": least, "largest": largest, "runs": len(points[value])}
             for value, mean, least, largest in spans
         ]
-        axes.errorbar(at, means, yerr=(below, above), label=label, marker="o", markersize=4, capsize=3, linewidth=1.2)
-    axes.set(xlabel=_labelled(x, units[x]), ylabel=_labelled(y, units[y]), title=title)
+        bars, name = (below, above), in_figure(label)
+        axes.errorbar(at, means, yerr=bars, label=name, marker="o", markersize=4, capsize=3, linewidth=1.2)
+    axes.set(xlabel=_labelled(x, units[x]), ylabel=_labelled(y, units[y]), title=in_figure(title))
     axes.grid(visible=True, alpha=0.3)
     all_x = [value for points in lines.values() for value in points]
     all_y = [value for points in lines.values() for values in points.values() for value in values]
@@ -210,7 +211,7 @@ def _unit(rows: Sequence[Row], key: str) -> Physical | None:
 
 
 def _labelled(key: str, unit: Physical | None) -> str:
-    return key if unit is None else f"{key} ({unit.unit_text})"
+    return in_figure(key if unit is None else f"{key} ({unit.unit_text})")
 
 
 def _number(row: Row, key: str, axis: Physical | None) -> float:

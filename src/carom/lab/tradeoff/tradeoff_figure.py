@@ -25,6 +25,7 @@ from carom.recording.export.spreadsheet import harmless
 from carom.recording.write.whole_file import whole_file
 from carom.scene.units.dimension import TIME
 from carom.scene.units.system import SI, UnitSystem
+from carom.scene.wording import in_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -89,11 +90,12 @@ def draw(document: dict[str, Any], *paths: Path, units: UnitSystem = SI) -> None
             _panel(ax, error, document, families, looks, units if error == "impact" else None)
         for ax in axes[len(panels) :]:
             ax.set_visible(False)
-        title, reference = document["scene"]["title"], document["reference"]
+        title, reference = in_figure(document["scene"]["title"]), document["reference"]
         if not reference["complete"]:
             title += f"\npositions are compared up to t = {units.text(reference['horizon'], TIME)}"
         figure.suptitle(title, fontsize=10)
-        ends = [f"{_short(e)}: {e['reason']}" for e in document["settings"] if e["status"] in ("stopped", "failed")]
+        ended = [entry for entry in document["settings"] if entry["status"] in ("stopped", "failed")]
+        ends = [in_figure(f"{_short(entry)}: {entry['reason']}") for entry in ended]
         words = "filled: no other setting is as accurate and as cheap; ring: undecided; faint: another setting is"
         noise = f"costs with their uncertainty, {document['noise']:.1%} or more; lines join steps of a setting"
         figure.legend(

@@ -5,11 +5,14 @@ from __future__ import annotations
 import re
 
 import pyarrow as pa
-from pyarrow import compute
 
 from carom.recording.read.state_columns import units_of
 
-_FORMULAS = r"^([=+\-@\t\r])"  # first characters of what a spreadsheet computes
+# What spreadsheets compute begins with one of these, which Asian ones also write at full width. They drop blanks, marks
+# without a width and control characters before it, and may split a text that contains another separator than a comma.
+_FORMULA = '["\\s\x00-\x20\x7f-\xa0\u200b-\u200f\u2028-\u202f\u2060\u3000\ufeff]*[=+@\uff1d\uff0b\uff0d\uff20-]'
+_NUMBER = r"\s*[+-][0-9.]+(?:[eE][-+]?[0-9]+)?\s*(?:[\])},;]|$)"  # of a list, such as [1, -2]
+_FORMULAS = re.compile(rf"(^|[;,|\t\r\n](?!{_NUMBER}))(?={_FORMULA})")
 
 
 def in_csv(table: pa.Table) -> pa.Table:
@@ -21,8 +24,18 @@ def in_csv(table: pa.Table) -> pa.Table:
 
 def harmless(table: pa.Table) -> pa.Table:
     """Return a table for CSV whose names and texts are no formulas: a spreadsheet shows a text after an apostrophe."""
-    columns = [
-        compute.replace_substring_regex(column, _FORMULAS, r"'\1") if pa.types.is_string(column.type) else column
-        for column in table.columns
-    ]
-    return pa.table(columns, names=[re.sub(_FORMULAS, r"'\1", name) for name in table.column_names])
+    return pa.table(list(map(_shown, table.columns)), names=list(map(_text, table.column_names)))
+
+
+def _shown(column: pa.ChunkedArray) -> pa.ChunkedArray:
+    """Return a column of texts that are no formulas; numbers stay."""
+    kind = column.type.value_type if pa.types.is_dictionary(column.type) else column.type
+    if not (pa.types.is_string(kind) or pa.types.is_large_string(kind)):
+        return column
+    encoded = column.dictionary_encode().combine_chunks()  # each text once, however many rows have it
+    texts = pa.array([None if text is None else _text(text) for text in encoded.dictionary.to_pylist()], pa.string())
+    return pa.chunked_array([texts.take(encoded.indices)])
+
+
+def _text(text: str) -> str:
+    return _FORMULAS.sub(r"\1'", text)
