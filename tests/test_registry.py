@@ -15,6 +15,7 @@ from carom.scene.extensions import extensions_of, missing, of_extensions
 from carom.scene.load import Scene
 from carom.scene.schema.body import BodyData
 from carom.scene.schema.contact import section_of
+from carom_command import carom
 
 PAIR = {"body": [{"radius": 1.0, "position": [3.0 * k, 0, 0]} for k in range(2)]}
 
@@ -81,6 +82,58 @@ def test_what_cannot_be_used_is_refused_in_one_sentence(kind: str, name: str, se
     with pytest.raises(SceneError) as refused:
         registry.load(kind, name)
     assert str(refused.value).startswith(sentence) and "\n" not in str(refused.value)
+
+
+BROKEN = {  # what a module does when it is imported, or its part when it is looked at
+    "interrupts": "raise KeyboardInterrupt",
+    "ends": "raise type('Other', (BaseException,), {})('x')",
+    "leaves": "raise GeneratorExit",
+    "calls-itself": "def f(): return f()\nf()",
+    "no-text": "class Odd(Exception):\n    def __str__(self): raise SystemExit\nraise Odd",
+    "steers": "raise ValueError('\\x1b[2J\\u202e\\nTraceback')",
+    "gives-nothing": "def __getattr__(name): raise SystemExit(4)",
+    "is-nothing": "class Odd:\n    @property\n    def __class__(self): raise KeyboardInterrupt\nPART = Odd()",
+    "is-no-call": "class Odd:\n    @property\n    def __signature__(self): raise KeyboardInterrupt\n"
+    "    def __call__(self): pass\nPART = Odd()",
+    "has-odd-help": "def PART():\n    'x [/red]'",
+    "has-odd-options": "def PART(a: 'raise SystemExit' = 1): pass",
+}
+
+
+@pytest.fixture
+def odd_packages(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Packages that define a part of every kind, in modules that are broken in every way."""
+    monkeypatch.syspath_prepend(tmp_path)
+    parts: dict[str, dict[str, tuple[registry.PartOrigin, ...]]] = {kind: {} for kind in registry.KINDS}
+    for name, text in BROKEN.items():
+        (tmp_path / f"odd_{name.replace('-', '_')}.py").write_text(text, encoding="utf-8")
+        for kind, known in parts.items():
+            known[f"{name}-{kind[:3]}"] = (registry.PartOrigin(f"odd_{name.replace('-', '_')}:PART", name, "1.0"),)
+    monkeypatch.setattr(registry, "_installed", lambda: parts)
+
+
+@pytest.mark.usefixtures("odd_packages")
+def test_no_broken_package_ends_a_command_that_does_not_use_it(tmp_path: Path) -> None:
+    (tmp_path / "scene.toml").write_text("[[body]]\nradius = 1\n[time]\nduration = 0.01\n", encoding="utf-8")
+    for words in (["--help"], ["scenes"], ["explain", "scene.toml"], ["run", "scene.toml", "-o", "run.rrd"]):
+        done = carom(*words, cwd=tmp_path)
+        assert done.returncode == 0, done.stderr
+        assert "\x1b[2J" not in done.stdout + done.stderr
+    for words in (["inspect", "run.rrd"], ["replay", "run.rrd"], ["export", "run.rrd", "-o", "table.csv"]):
+        assert carom(*words, cwd=tmp_path).returncode == 0
+    for name in BROKEN:
+        done = carom(f"{name}-com", cwd=tmp_path)
+        assert done.returncode == 2 and f"of the package {name} 1.0" in done.stderr, done.stderr
+
+
+@pytest.mark.usefixtures("odd_packages")
+@pytest.mark.parametrize("kind", registry.KINDS)
+def test_a_broken_part_is_refused_in_one_sentence_where_it_is_used(kind: str) -> None:
+    for name in ("interrupts", "ends", "leaves", "calls-itself", "no-text", "steers", "gives-nothing", "is-nothing"):
+        if name != "is-nothing" or kind in registry.MADE_OF:  # it can be called otherwise
+            with pytest.raises(SceneError, match=f"of the package {name} 1.0 cannot be loaded: ") as refused:
+                registry.load(kind, f"{name}-{kind[:3]}")
+            assert str(refused.value).isprintable()
 
 
 @pytest.mark.usefixtures("install")

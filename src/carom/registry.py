@@ -14,13 +14,14 @@ from __future__ import annotations
 import importlib
 import importlib.util
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from functools import cache
 from typing import Any, NamedTuple
 
 from carom.errors import SceneError
 from carom.held_signals import signals_held
-from carom.scene.wording import suggestion
+from carom.scene.wording import suggestion, told_by
 
 PREFIX = "carom."  # of the groups of entry points
 KINDS = {  # kind → its name in messages
@@ -200,16 +201,27 @@ def load(kind: str, name: str) -> Any:
         raise ExtensionError(f'no {KINDS[kind]} "{name}"; {near}')
     if found is None:
         return imported(target)
-    try:
+    with refused_if_broken(kind, name):
         part = imported(target)
         _refuse_wrong(kind, part)
-    except (Exception, SystemExit) as error:
-        reason = (str(error).strip().splitlines() or [type(error).__name__])[0][:200]
-        raise ExtensionError(
-            f'the {KINDS[kind]} "{name}" of the package {found.package} {found.version} cannot be loaded: '
-            f"{type(error).__name__}: {reason}"
-        ) from error
     return part
+
+
+@contextmanager
+def refused_if_broken(kind: str, name: str) -> Iterator[None]:
+    """Raise `ExtensionError` for whatever the code of a package raises, such as SystemExit or KeyboardInterrupt.
+
+    Signals wait meanwhile: an interrupt that is raised here is none of the user's.
+    """
+    with signals_held():
+        try:
+            yield
+        except BaseException as error:
+            reason = told_by(error)
+            raise ExtensionError(
+                f'the {KINDS[kind]} "{name}" of the package {source_of(kind, name)} cannot be loaded: '
+                f"{type(error).__name__}{': ' if reason else ''}{reason}"
+            ) from error
 
 
 def _refuse_wrong(kind: str, part: Any) -> None:

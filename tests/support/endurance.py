@@ -25,16 +25,17 @@ from carom.errors import RecordingError
 from carom.recording.edit.repair import repair
 from carom.recording.read.recording import Recording
 from carom.runs.replay import replay
-from signals_everywhere import COMMANDS, SCENE, USUAL
+from signals_everywhere import COMMANDS, SCENE
 
 Attempt = dict[str, Any]
 CAROM = (sys.executable, "-m", "carom")
-LATEST = 5.0  # s after the start of a command, by which it is killed, where a short run takes no more than `USUAL`
-# in turn: while it loads kernels, at any byte of its file, after the interrupt key, at any moment
+# in turn: while it loads kernels, at any byte of its file, after the interrupt key of a long run, at any moment
 PHASES = ("start", "writing", "ending", "any")
-START = 2.0  # s, in which most commands load modules and kernels, there
-ENDING = 0.5  # s, in which most commands write layout and footer after an interrupt, there
-POLL = 0.002  # s between two looks at a file
+START = 1.2  # s of processor time, in which a command loads modules and kernels
+LATEST = 5.0  # s of processor time; commands that end by themselves take 2 to 4
+ENDING = 0.3  # s of processor time, in which most commands write layout and footer after an interrupt
+PATIENCE = 120.0  # s, for a command that waits for another
+POLL = 0.002  # s between two looks at a process and its file
 # Bytes by which a soak may grow in its second half: batches are joined, so that twice the data are at most ln 2 / 0.004
 # = 173 batches more (docs/recording.md, "Long runs") of 60 messages, for each of which Rerun keeps 6 kB.
 GROWTH = 64_000_000
@@ -93,18 +94,37 @@ def fault_of(path: Path, folder: Path) -> str:
     return ""
 
 
-def kill(rng: random.Random, phase: str, child: subprocess.Popen[bytes], folder: Path, slow: float, size: int) -> bool:
+def worked(pid: int) -> float:
+    """Return the processor time (s) of a process, which counts alike on a quiet machine and on a busy one."""
+    with contextlib.suppress(FileNotFoundError, ProcessLookupError):
+        fields = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()
+        return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+    return float("inf")
+
+
+def kill(rng: random.Random, phase: str, child: subprocess.Popen[bytes], folder: Path, size: int) -> bool:
     """Kill a command in a phase; tell whether it was not over. Its file becomes about so many bytes long."""
-    wait, bytes_awaited = rng.uniform(0.0, slow * (START if phase == "start" else LATEST)), rng.uniform(0.0, size)
-    by_bytes, began = phase in ("writing", "ending"), time.monotonic()
-    while child.poll() is None and time.monotonic() - began < (slow * LATEST if by_bytes else wait):
-        time.sleep(POLL)
+    moment, length = rng.uniform(0.0, START if phase == "start" else LATEST), rng.uniform(0.0, size)
+    began, by_bytes = time.monotonic(), phase in ("writing", "ending")
+    earlier = {each.stat().st_ino for each in folder.iterdir()}
+
+    def is_long() -> bool:
         with contextlib.suppress(FileNotFoundError):  # renamed meanwhile
-            if by_bytes and any(each.stat().st_size > bytes_awaited for each in folder.glob(".made*.part")):
-                break
+            new = [each.stat() for each in folder.glob("*made*") if each.suffix in (".part", ".rrd")]
+            return any(each.st_size > length and each.st_ino not in earlier for each in new)
+        return False
+
+    def waits(until: float) -> bool:
+        time.sleep(POLL)
+        return child.poll() is None and worked(child.pid) < until and time.monotonic() - began < PATIENCE
+
+    while waits(float("inf") if by_bytes else moment) and not (by_bytes and is_long()):
+        pass
     if phase == "ending" and child.poll() is None:
         child.send_signal(signal.SIGINT)
-        time.sleep(rng.uniform(0.0, slow * ENDING))
+        moment = worked(child.pid) + rng.uniform(0.0, ENDING)
+        while waits(moment):
+            pass
     if child.poll() is None:
         os.killpg(child.pid, signal.SIGKILL)
         return True
@@ -113,10 +133,8 @@ def kill(rng: random.Random, phase: str, child: subprocess.Popen[bytes], folder:
 
 def kills(rng: random.Random, folder: Path, amount: int) -> Iterator[Attempt]:
     """Kill so many commands that write, in each of `PHASES`, while two programs keep the processors busy."""
-    began = time.monotonic()
     code, said = say(f"run {SCENE.format(0.2)}", folder)
     assert code == 0, said
-    slow = max(1.0, (time.monotonic() - began) / USUAL)
     content = (folder / "made.rrd").read_bytes()
     for name, size in (("run.rrd", len(content)), ("cut.rrd", 2 * len(content) // 3)):
         (folder / name).write_bytes(content[:size])
@@ -125,8 +143,9 @@ def kills(rng: random.Random, folder: Path, amount: int) -> Iterator[Attempt]:
     try:
         done = 0
         while done < amount:
-            command = rng.choice([each for each in COMMANDS if "made.rrd" in each]).replace("repair part", "repair cut")
             phase = PHASES[done % len(PHASES)]
+            writing = [each for each in COMMANDS if "made.rrd" in each and (phase != "ending" or "100" in each)]
+            command = rng.choice(writing).replace("repair part", "repair cut")  # a whole one is not written again
             was_there = rng.random() < 0.5
             if was_there:
                 (folder / "made.rrd").write_bytes(content)
@@ -137,7 +156,7 @@ def kills(rng: random.Random, folder: Path, amount: int) -> Iterator[Attempt]:
                 stderr=subprocess.DEVNULL,
                 start_new_session=True,
             ) as child:
-                killed = kill(rng, phase, child, folder, slow, len(content))
+                killed = kill(rng, phase, child, folder, len(content))
             done += killed
             found = [each for each in folder.iterdir() if "made" in each.name and each.stat().st_size]
             faults = [fault for each in found if each.read_bytes() != content and (fault := fault_of(each, folder))]

@@ -173,12 +173,12 @@ class CommandGroup(TyperGroup):
             )
         try:
             function = registry.load("commands", cmd_name)
-            try:
-                return _made(cmd_name, function, EXTENSIONS)
-            except Exception as error:  # Typer cannot make options of its parameters
-                said = f"{type(error).__name__}: {str(error).partition(chr(10))[0]}"
-                source = registry.source_of("commands", cmd_name)
-                raise registry.ExtensionError(f'the command "{cmd_name}" of the package {source}: {said}') from error
+            with registry.refused_if_broken("commands", cmd_name):
+                from rich.text import Text
+
+                made = _made(cmd_name, function, EXTENSIONS)  # an error if Typer cannot make options of its parameters
+                Text.from_markup(made.help or "")
+            return made
         except registry.ExtensionError as error:
             from rich.markup import escape
 

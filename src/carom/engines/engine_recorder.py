@@ -20,7 +20,7 @@ from carom.arrays import IntArray
 from carom.engines.law_audit import Fault, Tolerances
 from carom.engines.observer import Observer, header_of_source, not_finite
 from carom.engines.population import Population, ids_of
-from carom.engines.snapshot_writer import SnapshotWriter, Unrecorded, sentence_of, text_of
+from carom.engines.snapshot_writer import SnapshotWriter, Unrecorded, sentence_of
 from carom.engines.source import (
     BulkSource,
     Model,
@@ -42,7 +42,7 @@ from carom.recording.write.whole_file import claimed_output, refuse_name
 from carom.runs.environment import environment
 from carom.scene.units.dimension import LENGTH, MASS, TIME, UnitError
 from carom.scene.units.system import SI, UnitSystem
-from carom.scene.wording import Names
+from carom.scene.wording import Names, told_by
 
 COMPLETED = "completed"
 CONSTANTS = {"mass": MASS, "radius": LENGTH}  # arrays of a model that must not change without ids
@@ -233,7 +233,7 @@ class Recorder:
         if error is None:
             self.finish()
         else:
-            self.finish_early(f"failed: {type(error).__name__}: {text_of(error)}")
+            self.finish_early(f"failed: {type(error).__name__}: {told_by(error)}")
 
     def finish_early(self, outcome: str) -> None:
         """Close the recording of a run that did not end normally: frames in memory are written, too."""
@@ -306,7 +306,7 @@ class Recorder:
             try:
                 self._sink = self._writer(self.path, state, self._force)
             except BaseException as error:
-                self._ended = f"failed: {text_of(error)}"
+                self._ended = f"failed: {told_by(error)}"
                 raise
             expect_finish(self, True)
         try:

@@ -30,7 +30,7 @@ from carom.recording.write.whole_file import claimed_output
 from carom.runs.environment import environment
 from carom.runs.outcome import ONCE_A_STEP, closing_of
 from carom.scene.load import Scene
-from carom.scene.wording import counted, in_one_line
+from carom.scene.wording import counted, told_by
 from carom.state.frame import Frame
 
 WAITING_BYTES = 32_000_000  # bytes of states that wait for the writer
@@ -40,7 +40,6 @@ BATCH = 8  # states in a batch: waking a thread costs as much as copying a state
 PATIENCE = 0.02  # s, after which a smaller batch is sent
 KIND = "not-recorded"  # of the events
 MOST_TEXTS = 20  # further texts are only counted
-MOST_OF_A_TEXT = 1000  # characters of an error's text
 
 
 class SnapshotWriter:
@@ -268,16 +267,8 @@ class Unrecorded:
         return [Event(step, time, "WARN", f"{counted(self.count, 'problem')} of recording in all.", KIND)]
 
 
-def text_of(error: BaseException) -> str:
-    """Return the text of an error of somebody else's program, in one line; to make it may raise an error, too."""
-    try:
-        return in_one_line(str(error)[:MOST_OF_A_TEXT])
-    except Exception as other:
-        return f"its text cannot be made ({type(other).__name__})"
-
-
 def sentence_of(error: BaseException) -> str:
     """Return an error as a sentence."""
-    told = text_of(error)
+    told = told_by(error)
     text = told if isinstance(error, RecordingError) else f"{type(error).__name__}: {told}"
     return text if text.endswith((".", "!", "?")) else f"{text}."

@@ -16,6 +16,7 @@ from typing import overload
 
 MOST_LISTED = 8  # bodies that a sentence lists by name
 MOST_QUOTED = 80  # characters of a text that is no name
+MOST_TOLD = 1000  # characters of the text of an error
 _PLAIN_WORD = re.compile("[A-Za-z0-9][A-Za-z0-9.+!_-]{0,79}")  # names of packages, and their versions
 # control characters except tab and line feed, marks of the direction of writing, and lone surrogates
 _UNSAFE = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069\ud800-\udfff]")
@@ -47,6 +48,14 @@ def command_of_a_file(text: str) -> str:
 def in_one_line(text: str) -> str:
     """Return a text of a file without control characters and line feeds, so that it cannot look like other lines."""
     return " ".join(escaped(text).split())
+
+
+def told_by(error: BaseException) -> str:
+    """Return the text of an error of somebody else's program, in one line; to make it may raise an error, too."""
+    try:
+        return in_one_line(str(error)[:MOST_TOLD])
+    except BaseException as other:
+        return f"its text cannot be made ({type(other).__name__})"
 
 
 def one_word(text: str) -> str:
