@@ -3,19 +3,24 @@
 from __future__ import annotations
 
 import re
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 from pydantic import ValidationError
 
 from carom import registry
+from carom import run as carom_run
 from carom.errors import SceneError
 from carom.recording.schema.series import Series
-from carom.scene.extensions import extensions_of, missing, of_extensions
+from carom.runs.replay import replay
+from carom.runs.resume import resume
+from carom.scene.extensions import extensions_of, missing
 from carom.scene.load import Scene
 from carom.scene.schema.body import BodyData
 from carom.scene.schema.contact import section_of
-from carom_command import carom
+from carom_command import carom, with_paths
 
 PAIR = {"body": [{"radius": 1.0, "position": [3.0 * k, 0, 0]} for k in range(2)]}
 
@@ -136,6 +141,57 @@ def test_a_broken_part_is_refused_in_one_sentence_where_it_is_used(kind: str) ->
             assert str(refused.value).isprintable()
 
 
+def test_a_package_whose_metadata_are_damaged_is_left_out(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.syspath_prepend(tmp_path)
+    right, metadata = b"[carom.forces]\nNAME = module:PART\n", b"Name: NAME\nVersion: 1.0\n"
+    for name, entries, about in (
+        ("good", right, metadata),
+        ("binary", b"\xff\xfe[carom.forces]\nx=y:z\n", metadata),
+        ("no-value", b"[carom.forces]\nnonsense\n", metadata),
+        ("no-section", b"x = y\n[carom.forces\n", metadata),
+        ("no-text", right, b"Name: \xff\nVersion: \xfe\n"),
+        ("no-name", right, b"\0\1"),
+        ("no-version", right, b"Name: NAME\n"),
+    ):
+        folder = tmp_path / f"{name}-1.0.dist-info"
+        folder.mkdir()
+        for file, text in (("entry_points.txt", entries), ("METADATA", about)):
+            (folder / file).write_bytes(text.replace(b"NAME", name.encode()))
+    found = registry._installed.__wrapped__()["forces"]
+    assert found["good"] == (registry.PartOrigin("module:PART", "good", "1.0"),)
+    assert set(found) & {"binary", "no-value", "nonsense", "no-section", "no-text", "x"} == set()
+    assert found["no-version"] == (registry.PartOrigin("module:PART", "no-version", "?"),)
+
+
+@pytest.mark.slow
+def test_no_process_ends_by_packages_whose_metadata_are_damaged(tmp_path: Path) -> None:
+    (tmp_path / "leaving.py").write_text("raise SystemExit(7)\n", encoding="ascii")
+    for name, entries in (
+        ("binary", b"\xff\xfe[carom.forces]\n"),
+        ("no-value", b"[carom.forces]\nnonsense\n"),
+        ("plugin", b"[pydantic]\nx = leaving:x\n"),
+        ("numba", b"[numba_extensions]\ninit = leaving:x\n"),
+    ):
+        (tmp_path / f"{name}-1.0.dist-info").mkdir()
+        (tmp_path / f"{name}-1.0.dist-info" / "entry_points.txt").write_bytes(entries)
+        (tmp_path / f"{name}-1.0.dist-info" / "METADATA").write_text(f"Name: {name}\nVersion: 1.0\n", encoding="ascii")
+    for words in (
+        "--help",
+        "explain two-spheres",
+        "run two-spheres --set time.duration=0.01 -o run.rrd",
+        "inspect run.rrd",
+    ):
+        ended = subprocess.run(
+            [sys.executable, "-m", "carom", *words.split()],
+            cwd=tmp_path,
+            env=with_paths(tmp_path),
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        assert ended.returncode == 0, ended.stderr[-300:]
+
+
 @pytest.mark.usefixtures("install")
 def test_broken_parts_harm_only_the_scenes_that_use_them() -> None:
     for kind in ("forces", "contact_laws", "walls"):
@@ -197,9 +253,32 @@ def test_the_name_of_a_part_cannot_look_like_another_line() -> None:
     assert "\n" not in missing({"forces.x\ncarom: run this": "carom-example 0.1.0"})
 
 
-def test_versions_of_packages_with_extensions_are_compared_as_caroms_own_are() -> None:
-    used = {"forces.trap": "carom-example 0.1.0", "series.fastest": "carom-example 0.1.0", "walls.cup": "cups 2.0"}
-    assert of_extensions(used) == {"carom-example": "0.1.0", "cups": "2.0"}
+def test_versions_of_packages_with_extensions_are_said_as_caroms_own_are(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.syspath_prepend(tmp_path)
+    (tmp_path / "versioned_part.py").write_text(
+        "from carom.recording.schema.series import Series\n"
+        "PART = Series('step/mine', '', 'mine', 0, None, lambda sample: float(sample.frame.step), 'steps')\n"
+    )
+
+    def install(version: str) -> None:
+        parts = {"series": {"mine": (registry.PartOrigin("versioned_part:PART", "my-package", version),)}}
+        monkeypatch.setattr(registry, "_installed", lambda: parts)
+
+    install("1.0")
+    scene = Scene.from_dict({"time": {"duration": 0.02}, "record": {"series": ["mine"]}, **PAIR})
+    run = carom_run(scene, tmp_path / "run.rrd")
+    assert run.versions["my-package"] == "1.0"
+    install("2.0")
+    result = replay(run)
+    assert (result.recorded_with["my-package"], result.replayed_with["my-package"]) == ("1.0", "2.0")
+    assert result.same and "my-package 1.0" in carom("replay", "run.rrd", cwd=tmp_path).stdout
+    resumed = resume(run, 0.04, tmp_path / "more.rrd")
+    assert (resumed.versions["my-package"], resumed.properties["resumed.version.my-package"]) == ("1.0", "2.0")
+    carom_run(scene, tmp_path / "again.rrd")
+    assert "version.my-package: 1.0 in A, 2.0 in B" in carom("diff", "run.rrd", "again.rrd", cwd=tmp_path).stdout
+    assert "my-package 2.0" in carom("inspect", "again.rrd", cwd=tmp_path).stdout
 
 
 @pytest.mark.parametrize(

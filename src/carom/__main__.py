@@ -24,6 +24,8 @@ def main() -> None:
     fit_into_descriptors()
     # Arrow's own allocator keeps freed memory: a clip took 30 MB more with it, in the same time
     os.environ.setdefault("ARROW_DEFAULT_MEMORY_POOL", "system")
+    # Pydantic would load plugins of any package, and fail if the metadata of one are damaged
+    os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
     from carom.cli.main import main as run  # noqa: PLC0415 - takes half a second
     from carom.runs.environment import raise_signals  # noqa: PLC0415 - checks come first
 

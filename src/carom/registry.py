@@ -258,14 +258,19 @@ def _installed() -> Mapping[str, Mapping[str, tuple[PartOrigin, ...]]]:
 
     found: dict[str, dict[str, dict[str, PartOrigin]]] = {}
     for distribution in distributions():
-        text = distribution.read_text("entry_points.txt") or ""
-        if f"[{PREFIX}" not in text:
+        try:
+            text = distribution.read_text("entry_points.txt") or ""
+            if f"[{PREFIX}" not in text:
+                continue
+            about = dict(distribution.metadata.json)
+            package, version = str(about.get("name", "?")), str(about.get("version", "?"))
+            entries = [each for each in distribution.entry_points if each.group.startswith(PREFIX)]
+        except Exception:  # damaged metadata, of a package that nobody may need
             continue
-        package = distribution.metadata["Name"] or "?"
-        for entry in distribution.entry_points:
-            if entry.group.startswith(PREFIX) and entry.group[len(PREFIX) :] in KINDS:
-                by_name = found.setdefault(entry.group[len(PREFIX) :], {}).setdefault(entry.name, {})
-                by_name.setdefault(package, PartOrigin(entry.value, package, distribution.version))
+        for entry in entries:
+            if (kind := entry.group.removeprefix(PREFIX)) in KINDS:
+                by_name = found.setdefault(kind, {}).setdefault(entry.name, {})
+                by_name.setdefault(package, PartOrigin(entry.value, package, version))
     return {
         kind: {name: tuple(origins.values()) for name, origins in by_name.items()} for kind, by_name in found.items()
     }

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 import carom
-from carom.errors import RecordingError
+from carom.errors import DamageError, RecordingError
 from carom.physics.diagnostics.extremes import add_energy
 from carom.physics.simulation import StepStatus
 from carom.physics.space import Space
@@ -170,7 +170,12 @@ def test_a_state_that_stops_being_finite_leaves_a_readable_file_that_says_so(tmp
 
 @pytest.mark.parametrize(
     ("fault", "status"),
-    [(ValueError("a bug"), "error"), (MemoryError(), "error"), (RecordingError("no space left"), "disk")],
+    [
+        (ValueError("a bug"), "error"),
+        (MemoryError(), "error"),
+        (DamageError("a chunk is damaged"), "error"),  # of the recording that is continued
+        (RecordingError("no space left"), "disk"),
+    ],
 )
 def test_an_error_of_the_recorder_is_not_called_one_of_the_disk(
     fault: Exception, status: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

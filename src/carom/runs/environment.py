@@ -23,7 +23,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -37,15 +37,16 @@ PACKAGES = ("carom", "rerun-sdk", "numpy", "scipy", "numba")
 _ABSOLUTE = re.compile(r"^([\w.-]+=)?/(?:.*/)?")  # a path, or an option or a key that holds one
 
 
-def versions() -> dict[str, str]:
-    """Return the versions of Python and of the packages that a result depends on."""
-    return {"python": platform.python_version(), **{package: _version(package) for package in PACKAGES}}
+def versions(further: Mapping[str, str] | None = None) -> dict[str, str]:
+    """Return the versions of Python and of the packages that a result depends on, and those of ``further`` packages."""
+    own = {package: _version(package) for package in PACKAGES}
+    return {"python": platform.python_version(), **own, **(further or {})}
 
 
-def environment(threads: int) -> dict[str, str | int]:
-    """Return the recording's properties about its origin."""
+def environment(threads: int, further: Mapping[str, str] | None = None) -> dict[str, str | int]:
+    """Return the recording's properties about its origin; ``further`` has versions of packages, by their names."""
     return {
-        **{f"version.{package}": version for package, version in versions().items()},
+        **{f"version.{package}": version for package, version in versions(further).items()},
         "command": command_line(),
         "git": _revision(),
         "platform": platform.platform(),

@@ -151,8 +151,8 @@ def replay(
         difference=difference or window.difference(space, ended),
         ended=ended,
         seconds=seconds,
-        recorded_with=recording.versions | of_extensions(stamped(recording.info)),
-        replayed_with=versions() | of_extensions(extensions_of(scene)),
+        recorded_with=recording.versions,
+        replayed_with=versions(of_extensions(extensions_of(scene))),
         dense=dense,
         not_compared=not_compared,
         changed_files=changed_files(scene.bodies, [Path(), recording.path.parent]),
@@ -239,7 +239,8 @@ class _Again:
         recording = window.recording
         self._window, self._path, self._recording = window, path, recording
         is_whole = "resumed.step" not in recording.properties and REPAIRED not in recording.outcome
-        same = recording.versions == versions() and stamped(recording.info) == extensions_of(space.scene)
+        used = extensions_of(space.scene)
+        same = recording.versions == versions(of_extensions(used)) and stamped(recording.info) == used
         # whether the run begins at its start, and its recorder had all frames from there on
         self._is_whole = window.begin == 0 and is_whole and not recording.clip
         self._same_choice, self._same_version = self._is_whole and same, same

@@ -20,6 +20,7 @@ from carom.recording.write.whole_file import Claim, claimed_output, refuse_name,
 from carom.runs.environment import environment
 from carom.runs.run import Outcome, Watcher, recording_of, simulate, watched
 from carom.runs.window import space_of
+from carom.scene.extensions import extensions_of, of_extensions
 from carom.scene.integrators import AUTO
 from carom.scene.load import Scene
 from carom.scene.units.dimension import TIME
@@ -188,7 +189,8 @@ def continue_run(
         target = output or source
         part = under_way(target)
         first = {key: value for key, value in run.recording.properties.items() if isinstance(value, str | int | float)}
-        now = {f"resumed.{key}": value for key, value in environment(space.threads).items()}
+        used = of_extensions(extensions_of(space.scene))
+        now = {f"resumed.{key}": value for key, value in environment(space.threads, used).items()}
         outcome = simulate(
             space,
             part,

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
-from carom.errors import DamageError, PhysicsError, RecorderError, RecordingError
+from carom.errors import PhysicsError, RecorderError, RecordingError
 from carom.event import Event
 from carom.physics.look_ahead.trial_run import Watcher as LookAheadWatcher
 from carom.physics.simulation import StepStatus
@@ -23,11 +23,11 @@ from carom.recording.read.frame_rows import Continuation
 from carom.recording.read.recorded_impacts import RecordedImpacts
 from carom.recording.read.recording import Recording
 from carom.recording.schema.header import Header, Scalar, ShownMaterials, SweepMember, motions_of
-from carom.recording.write.recorder import FrameRecorder
+from carom.recording.write.recorder import FrameRecorder, status_of
 from carom.recording.write.whole_file import Claim, claimed_output, default_output, refuse_name
 from carom.runs.environment import Interrupts, collecting_garbage_rarely, environment
 from carom.runs.outcome import EACH, ONCE_A_STEP, Verdict, closing_of, description, judge
-from carom.scene.extensions import extensions_of
+from carom.scene.extensions import extensions_of, of_extensions
 from carom.scene.load import Scene
 from carom.scene.scene_model import piston_of
 from carom.scene.schema.settings import LARGEST_ACCURACY
@@ -262,12 +262,6 @@ def ending_of(verdicts: list[Verdict], units: UnitSystem) -> tuple[str, str]:
     return ("expectation missed", "; ".join(missed)) if missed else ("completed", "")
 
 
-def status_of(error: RecordingError) -> str:
-    """Return the status of a run whose recording failed: "error" for a program or a damaged file, else "disk"."""
-    damaged = isinstance(error, DamageError) or isinstance(error.__cause__, DamageError)
-    return "error" if damaged or isinstance(error, RecorderError) else "disk"
-
-
 def outcome_text(status: str, reason: str) -> str:
     """Return the recorded text of the outcome."""
     return f"{status}: {reason}" if reason else status
@@ -320,6 +314,7 @@ class _Physics:
 def header_of(space: Space) -> Header:
     """Return the header of a recording of a space."""
     scene, needs, state = space.scene, space.requirements, space.state
+    extensions = extensions_of(scene)
     return Header(
         title=scene.title,
         description=scene.description or description(scene.toml),
@@ -357,11 +352,11 @@ def header_of(space: Space) -> Header:
         planes=planes_of(scene) if scene.plane else None,
         shapes=scene.wall or None,
         colour_by=scene.record.colour_by,
-        extensions=extensions_of(scene),
+        extensions=extensions,
         data=scene.data,
         data_notes=scene.notes,
         materials=ShownMaterials.of(scene),
-        properties=dict(environment(space.threads)),
+        properties=dict(environment(space.threads, of_extensions(extensions))),
     )
 
 

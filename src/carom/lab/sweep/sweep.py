@@ -22,10 +22,11 @@ from carom.lab.sweep.plan import SEED, Plan, SweepPoint, digest
 from carom.physics.jit import cores
 from carom.recording.read.recording import Recording
 from carom.recording.schema.header import SweepMember
+from carom.recording.write.recorder import status_of
 from carom.recording.write.whole_file import output_folder
 from carom.registry import ExtensionError
 from carom.runs.environment import Interrupts, versions
-from carom.runs.run import recording_space, simulate, status_of
+from carom.runs.run import recording_space, simulate
 from carom.runs.workers import Ended, LocalWorkers, TaskDroppedError, WorkerDiedError, Workers
 from carom.scene.data.body_sources import DataFiles
 from carom.scene.load import scene_from_text

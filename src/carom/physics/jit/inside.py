@@ -10,6 +10,7 @@ and to debug the phases of the contact solver step by step, since plain Python t
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import os
 import warnings
@@ -18,6 +19,8 @@ from typing import Any
 
 import numba
 import xxhash
+
+from carom.held_signals import signals_held
 
 MISSING: list[str] = []  # parts that the installed Numba lacks
 
@@ -59,6 +62,11 @@ def _module(name: str, *members: str) -> Any:
     MISSING.extend(missing)
     return Absent() if missing else module
 
+
+# Numba loads the extensions of all packages at the first call of a kernel, once only. That call would fail if the
+# metadata of any package are damaged, or an extension calls `sys.exit`.
+with signals_held(), contextlib.suppress(BaseException):
+    import_module("numba.core.entrypoints").init_all()
 
 ir = _module("llvmlite.ir", "Constant", "Function", "FunctionType", "IRBuilder", "LiteralStructType", "VectorType")
 bytecode = _module("numba.core.bytecode", "FunctionIdentity._unique_ids")

@@ -13,7 +13,7 @@ from typing import Generic, Self, TypeVar
 import numpy as np
 
 from carom.arrays import FloatArray
-from carom.errors import DroppedRunWarning, RecorderError, RecordingError
+from carom.errors import DamageError, DroppedRunWarning, RecorderError, RecordingError
 from carom.event import Event
 from carom.physics.bodies import Bodies
 from carom.physics.frame_store import FrameStore
@@ -171,6 +171,12 @@ def waiting_frames(bodies: int, queue_size: int | None = None) -> tuple[int, int
     # the memory of a frame is reused once it has left the queue, the batch being written, and `_last`; a frame being
     # copied already has a place in the queue
     return room, batch, max(room, batch) + batch + 1
+
+
+def status_of(error: RecordingError) -> str:
+    """Return the status of a run whose recording failed: "error" for a program or a damaged file, else "disk"."""
+    damaged = isinstance(error, DamageError) or isinstance(error.__cause__, DamageError)
+    return "error" if damaged or isinstance(error, RecorderError) else "disk"
 
 
 class FrameRecorder:
@@ -389,7 +395,7 @@ class FrameRecorder:
     def _fail(self, error: RecordingError) -> None:
         """Close the file in its present state, and then report the error to the physics."""
         try:
-            self._close(f"{'error' if isinstance(error, RecorderError) else 'disk'}: {error}", {}, ())
+            self._close(f"{status_of(error)}: {error}", {}, ())
         except Exception as second:  # report the first error
             error.add_note(f"closing it also failed: {second}")
             if self._file != self.path.resolve():
