@@ -385,7 +385,7 @@ def replace_streams() -> Lossy:
 
 
 def _text(raw: Lossy, before: TextIO | None) -> io.TextIOWrapper:
-    """Return a text stream with the encoding of the stream before; None if its descriptor was closed."""
+    """Return a text stream with the encoding of the one that it replaces; None if the descriptor was closed."""
     encoding = before.encoding if before is not None else "utf-8"
     buffered = io.BufferedWriter(raw)
     return io.TextIOWrapper(buffered, encoding, errors="replace", line_buffering=raw.isatty() or raw.fileno() == 2)

@@ -53,7 +53,7 @@ _HEADING = "Causes: white wires in question, faint without effect"
 _FADED = 0x232A35FF
 _SHOWN = 0.01  # share from which a body or an edge is shown
 _LEAST = 0.003  # smallest share of an edge that is drawn
-_WIDTHS = np.linspace(0.8, 5.0, drawing.LEVELS)  # points of the screen, of edges by impulse
+_WIDTHS = np.linspace(0.8, 5.0, drawing.LEVELS)  # screen points, widths of edges by impulse
 _HALO = 1.25  # scale of the wires around the bodies in question
 _SHARES = (3, 2)  # heights of the graph and of the text
 

@@ -221,7 +221,7 @@ def _run(
         if shown is not None and frame.time >= until:
             break
     if window.differs is not None:
-        raise RecordingError(f"when rerun, it has other bits from step {window.differs} on")
+        raise RecordingError(f"when rerun, its bits differ from step {window.differs} on")
     if shown is None:
         return None
     position = np.asarray(shown.position - recording.origin)

@@ -23,7 +23,8 @@ SHALLOW = 1e-3  # of the smaller radius; bodies that overlap less have no elasti
 OFTEN, RARELY = 20, 0.05  # impacts that show an engine's habit, and the fraction of exceptions
 ALIKE, FEWEST = 0.5, 4  # of a speed, above which impacts are compared, and their least number
 MOSTLY = 0.5  # of an engine's impacts, which take the usual number of steps
-# Steps in which overlapping bodies may close unchanged. Box3D, which finds some pairs late, takes at most 4 in 30 runs.
+# For so many steps, overlapping bodies may approach without an impulse. Box3D finds some pairs late: at most 4 steps in
+# 30 runs.
 LONGEST = 6
 STUCK = 20  # frames in which one body may contain the centre of another; soft contacts of MuJoCo part within 16
 

@@ -59,7 +59,9 @@ def _of_carom(recording: Recording, moment: float) -> tuple[Document, list[str]]
     scene = recorded_scene(recording)
     motions = *(plane.motion or plane.piston for plane in scene.plane), *(wall.motion for wall in scene.wall)
     if any(motion is not None for motion in motions):
-        raise RecordingError(f"{recording.path}: walls that move would begin at their first places; use carom fork")
+        raise RecordingError(
+            f"{recording.path}: moving walls would start again from their initial positions; use carom fork"
+        )
     goal = goal_of(recording, moment)
     frame = next(each for each in Window(recording, goal).frames(goal) if each.time >= goal)
     left = max(scene.time.duration - frame.time, LEAST_STEPS * frame.dt)

@@ -26,7 +26,7 @@ from carom.engines.missed_impacts import SHALLOW
 from carom.engines.source import Setup
 from carom.physics.contact.islands import number_sets
 
-MOST = 3  # contacts of a tree: with four, 24 orders would leave little to accuse
+MOST = 3  # contacts of a tree: four have 24 possible orders, one of which explains nearly any outcome
 IMPULSIVE = 0.02  # of the impulse of a contact; engines that correct positions add about 1 %
 DAMPED = 2e-3  # of m |v|, the momentum that an engine's damping may take in a frame: PyBullet takes 0.07 %
 RUBBED = 0.02  # of the impulse of a contact, the least friction that is judged, beyond the turn of its normal

@@ -13,9 +13,9 @@ along the normal. So are, relative to that speed, the impulses of its impact, an
 a light ball that heavy ones squeeze out leaves with this relative error.
 
 If several contacts acted, physics does not fix how they share impulses, nor the order of impacts at one moment. Bodies
-that touched then count as equal in both runs if they keep the same share of the energy that they had. Plastic impacts
-of a heavy ball may end all of its motion, and leave a light one with a millionth of the energy: the order of the
-impacts decides how much.
+that touched are then equal in both runs if they keep the same share of their energy. Plastic impacts of a heavy ball
+may end all of its motion, and leave a light one with a millionth of the energy: the order of the impacts decides how
+much.
 """
 
 from __future__ import annotations

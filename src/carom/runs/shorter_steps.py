@@ -203,8 +203,8 @@ class Comparison:
         Chaos within it may change who has the energy, but hardly how much of it is left. An entry is judged if the twin
         agrees with the run, or with the shorter steps: then the run alone is wrong. It must also differ two steps
         later, since an impact may be just before or after the instant. Where positions differ, forces have done other
-        work, and contacts take out what corrections of positions put in. Bodies that are held may close by what forces
-        add to their velocities in a step, and bounce with shorter steps.
+        work, and contacts take out what corrections of positions put in. Forces may let held bodies close within a
+        step; with shorter steps, these bodies bounce.
         """
         certain, self._certain = self._certain, self._certain_share(frame)
         taken, refined = _booked(before, frame), _booked(fine_before, fine)

@@ -22,7 +22,7 @@ class Extreme:
     value: float
     step: int
     time: float  # s
-    bodies: tuple[int, ...] = ()  # during the run, ends of a contact, where numbers from n on are planes
+    bodies: tuple[int, ...] = ()  # during the run, the two ends of a contact; numbers from n on are planes
     planes: tuple[int, ...] = ()  # planes involved, see `Extremes.named`
     between: str = ""  # names of bodies and planes
 

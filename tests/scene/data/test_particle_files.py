@@ -253,7 +253,7 @@ def test_a_vtp_that_is_damaged_or_a_bomb_is_refused(tmp_path: Path) -> None:
     piece = many[many.index(b"<Piece") : many.index(b"</Piece>") + len(b"</Piece>")]
     masses = many[many.index(b"<PointData>") + len(b"<PointData>") : many.index(b"</PointData>")]
     for content, said in (
-        (vtp("ascii").replace(b'<VTKFile type="PolyData"', entity), "a document type or an entity"),
+        (vtp("ascii").replace(b'<VTKFile type="PolyData"', entity), "declares a document type or an entity"),
         (many.replace(piece, 2 * piece), "4000000 rows in"),  # together, since pieces may share their data
         (many.replace(masses, 30 * masses), "would take 288000000 bytes of memory"),
         (vtp("appended")[:-60], "values, but "),

@@ -178,8 +178,9 @@ class Interval:
     def sums(self) -> ImpactSums:
         """Sums over all impacts after the first frame; `NothingThereError` if there are none.
 
-        If the recording lacks sums, rows are summed; RecordingError if some impacts have no rows. Rows give no length
-        of the paths, no kinetic stress and no losses of pairs, which are NaN, and no virial of friction.
+        If the recording lacks sums, rows are summed; RecordingError if some impacts have no rows. Path lengths, the
+        kinetic stress and the losses of pairs cannot be computed from rows, and are NaN. The virial lacks its part by
+        friction.
         """
         known = self._sums
         if known is None:

@@ -185,7 +185,8 @@ class _Solver:
             after, state = found or (solver.t, solver.y)
             pressed = self._pressed(y, state) if self._contacts else None
             if pressed is not None:
-                # bisect for the last state at which no pair is pressed; a pair that comes back in the step is apart
+                # bisect for the last state at which no pair is pressed; a pair that meets again within the step counts
+                # as apart
                 found, late, (after, state) = None, after, (before, y)
                 for _ in range(BISECTIONS):
                     time = (after + late) / 2

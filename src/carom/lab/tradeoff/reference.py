@@ -374,7 +374,7 @@ def _refined(scene: Scene, finest: float, threads: int | None, budget: float, te
 
 
 def _with_pile(scene: Scene, reference: Reference, check: Trajectory, threads: int | None, tell: Teller) -> Reference:
-    """Add the settled pile, with its scatter over seeds, to a reference that is not certain to the end."""
+    """Add the settled pile, with its scatter over seeds, to a reference that becomes uncertain during the run."""
     pile = None if reference.is_complete else Pile.of(scene)
     if pile is None:
         return reference

@@ -305,7 +305,7 @@ class SettingResult:
         return (ordered[n - 1 - outside] - ordered[outside]) / 2 / self.cost
 
     def share_costs_of(self, other: SettingResult) -> None:
-        """Share the costs of another setting with the same run."""
+        """Share the costs of another setting whose run is identical."""
         self.same_as, self.costs = other.setting.name, other.costs
 
     @property

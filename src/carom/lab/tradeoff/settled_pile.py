@@ -28,7 +28,7 @@ class Settled(NamedTuple):
     """The settled state of a run."""
 
     height: float  # m, of the centre of mass above the lowest point
-    density: float  # volume of the bodies over that of the box around them, twice as high as the centre of mass
+    density: float  # of the bodies in a box around them, which is twice as high as their centre of mass
     coordination: float  # contacts with other bodies per body
     settled_energy: float  # J, kinetic and in the field
     rest_time: float  # s, from which the kinetic energy stays below `AT_REST`; the end if it never does

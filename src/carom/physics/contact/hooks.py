@@ -180,7 +180,7 @@ class OptionalPart:
         """Note impacts during the drift."""
 
     def arrive(self, step: PresentStep) -> None:
-        """Move what is not a body to the end of the step, and bodies to where they can be."""
+        """Move everything but bodies to the end of the step, and bodies to places where they can be."""
 
     def search(self, step: PresentStep, others: Callable[[PresentStep], IntArray]) -> IntArray:
         """Return the pairs that are contacts, (m, 2), among the pairs that the search of ``others`` returns."""

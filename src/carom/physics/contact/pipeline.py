@@ -156,7 +156,7 @@ class ContactPipeline:
             self.lay_out(memory)
 
     def lay_out(self, memory: ContactCheckpoint) -> None:
-        """Make the contacts of a memory the contacts of the last step."""
+        """Restore the contacts of the last step from a memory."""
         self._order_contacts(memory.pairs, memory.dt)
         self.solver.rest_speed[self.solver.order.place] = memory.rest_speed
         self.solver.load_speed[self.solver.order.place] = memory.load_speed

@@ -236,7 +236,7 @@ def note_last(
     ends: JudgedEnds,
     held: RecordArray[HeldContacts],
 ) -> None:
-    """Note what each contact did in the last kick, and clear its work, which is booked.
+    """Note what each contact did in the last kick, and clear its work, which is in the ledger.
 
     ``last_pairs``, (m, 2), sorted, and ``last_impulse``, (m, 4) N s, are an `ImpulseCache`.
     """

@@ -31,7 +31,7 @@ TRIED, TRIED_OF_SMOOTH = 3, 2  # required comparisons: one or two may be small b
 LATEST = 4  # number of latest comparisons in use
 # sufficient fraction of the longest time for which the accuracy can be kept, unless that is the whole run
 NEARLY = 0.95
-FALLING = 0.82  # largest ratio between successive distances that is a reduction
+FALLING = 0.82  # largest ratio of successive distances that counts as a reduction
 APART = 1e-2  # of the size; above it, twins no longer diverge exponentially
 EPS = float(np.finfo(np.float64).eps)
 LEAST_POWER = 2.0  # of the time, by which an error is expected to grow

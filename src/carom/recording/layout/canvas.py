@@ -137,7 +137,7 @@ class Area:
     height: float
     rendered: bool = False
     theme: str = "dark"
-    inset: tuple[float, float] = (0.0, 0.0)  # points, width and height of the legend in one of its corners
+    inset: tuple[float, float] = (0.0, 0.0)  # points, width and height of a legend that stands in a corner
 
     @property
     def aspect(self) -> float:
@@ -213,7 +213,7 @@ class Additions:
     both_arrows: bool = False  # whether angular accelerations and changes of spin have arrows, too
     plots: PlotsOfBodies | None = None  # of single bodies
     legend: LegendView | None = None
-    named: tuple[str, ...] = ()  # (n,) names beside the bodies, empty for bodies without; () for none at all
+    named: tuple[str, ...] = ()  # (n,) names beside the bodies, empty for a body without a name; () if no body has one
     axes: bool = False  # whether axes show the scale, and an arrow a uniform field
     struck: bool = False  # whether a strip shows the impacts
     decades: Curves | None = None  # logarithms of energies that grow by decades, by the paths of the energies

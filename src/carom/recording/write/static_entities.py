@@ -29,7 +29,7 @@ _THICKNESS = {  # of arrows, in median body radii; of two parallel ones, the sho
     **dict.fromkeys((paths.ANGULAR_ACCELERATION, paths.SPIN_CHANGE), 0.07),
     **dict.fromkeys((paths.FORCE_NORMAL, paths.FORCE_FRICTION), 0.05),
 }
-_EDGE_POINTS = 2.5  # width of a contact's line in points of the screen
+_EDGE_POINTS = 2.5  # width of a contact's line, in screen points
 _TRANSLUCENT = 0x8A93A624  # walls in front of bodies
 _POINT = 1e-9  # of the extent of a wall; a shorter border is a point, such as a pole
 _SECTORS, _SHADE = 16, 0x505050FF  # sectors and colour of their shade, on walls that rotate

@@ -66,7 +66,7 @@ class DataFiles:
         section = wanted.section
         if section.file is None:
             arrays = "; the scene was made from arrays in Python" if section.sha256 else ""
-            raise SceneError(f"file is missing: the name of the data file{arrays}")
+            raise SceneError(f"the key file is missing; it is the name of the data file{arrays}")
         path = self.folder / section.file
         try:
             # refuse endless and blocking files, and oversized ones, because files are read several times

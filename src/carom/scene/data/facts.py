@@ -89,7 +89,7 @@ class FileColumn:
     name: str  # in the file
     proper: str  # without the unit and, in HDF5, the path
     unit: str = ""
-    odd: str = ""  # a text in the place of the unit that is not one
+    odd: str = ""  # text where a unit is expected, but which is no unit
 
     @property
     def plain(self) -> str:

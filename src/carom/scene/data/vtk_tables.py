@@ -114,7 +114,7 @@ def _arrays(reader: _Reader) -> dict[str, Raw]:
 
     def whole(word: str) -> int:
         if not word.isdecimal() or len(word) > _DIGITS:
-            raise SceneError(f"{reader.called}: {printable(word)} is not a number of values")
+            raise SceneError(f"{reader.called}: {printable(word)} is no count of values")
         return int(word)
 
     def add(name: str, kind: str, width: int, rows: int) -> None:
@@ -194,7 +194,7 @@ def open_vtp(path: Path, called: str, snapshot: int) -> DataTable:
     found = _APPENDED.search(content)
     text = content[: found.start()] + b"</VTKFile>" if found else content
     if b"<!" in text.replace(b"<!--", b""):
-        raise SceneError(f"{called}: a document type or an entity in it, which no VTK file needs")
+        raise SceneError(f"{called}: it declares a document type or an entity, which no VTK file needs")
     if text.count(b"<") > _MOST_TAGS:
         raise SceneError(f"{called}: more than {_MOST_TAGS} tags, which no VTK file of points needs")
     root = ElementTree.fromstring(text)

@@ -247,7 +247,7 @@ def step_by_impacts(
     pairs: IntArray,
     span: float,
 ) -> float:
-    """Return the longest step (s) that the next impact of bodies and planes allows; infinite without one in a span (s).
+    """Return the longest step (s) that the next impact allows; infinite if there is none within a span (s).
 
     ``pairs``, (m, 2), sorted, are the contacts of the last step. Those that touch are held, not impacts: they close at
     speeds within the tolerance of the solver.

@@ -71,7 +71,7 @@ class Inlets:
         self.slots[:, COUNT] += np.bincount(inlets, minlength=len(self))
 
     def begin_again(self, inlets: IntArray, time: float, waiting: IntArray) -> None:
-        """Begin the slots of inlets anew at a time (s), where bodies begin to wait after nobody did."""
+        """Restart the slots of inlets whose queue was empty and now begins, at a time (s)."""
         for k in np.unique(inlets).tolist():
             if self._interval[k] and not waiting[k] and self._slot(k, 0) < time:
                 self.slots[k] = time, 0.0

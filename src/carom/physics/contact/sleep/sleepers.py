@@ -215,7 +215,7 @@ class Sleepers(OptionalPart):
         step.profile.mark("sleep")
 
     def _leave_out(self) -> None:
-        """Leave the present contacts of sleepers to this part in the step."""
+        """Let sleep handle the present contacts of sleepers in this step."""
         self._slept = self._all_contacts.idle = self.contacts
 
     def have_awake_end(self, pairs: IntArray) -> BoolArray:

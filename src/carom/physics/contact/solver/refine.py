@@ -265,7 +265,7 @@ def _is_left(results: PieceResultsRecord, system: ConstraintSystem) -> bool:
 
 @inner
 def begin_search(lo: int, hi: int, system: ConstraintSystem) -> bool:
-    """Determine the free impulses: λ_n of contacts that carry a load or close, and λ_t of contacts that stick.
+    """Determine the free impulses: λ_n of contacts that carry a load or are closing, and λ_t of contacts that stick.
 
     Return whether the search goes on for one of the contacts when it leaves meshed islands.
     """

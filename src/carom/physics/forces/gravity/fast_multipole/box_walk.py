@@ -11,9 +11,9 @@ A walk begins with the pair of the whole tree and itself, and decides on each pa
 These decisions do not depend on which of the two boxes is A. The forces on both are therefore opposite, exactly for
 single pairs of bodies and up to rounding for boxes, and momentum is conserved.
 
-A walk descends from the whole tree to the bodies of one branch. Each box A on the way decides on the boxes B that its
-parent left undecided, and adds to the local expansion of its parent, moved to X_A. All sums for a body are therefore
-made by one thread, in the order of the walk.
+A walk descends from the whole tree to the bodies of one branch. Each box A on the way starts from its parent's local
+expansion, moved to X_A, decides on the boxes B that its parent left undecided, and adds their contributions. All sums
+for a body are therefore made by one thread, in the order of the walk.
 
 Rejected: leaves of 32 bodies that are never halved (in a cluster they need twice the pairs, because large, sparse
 leaves are near its dense centre); radii weighted by mass, (r_A + r_B) (M/M_total)^{1/8} (0.8 of the time in a ball, but
