@@ -124,9 +124,20 @@ def snapshots(
         if window.differs is not None:
             raise RecordingError(f"{recording.path}: the rerun has different bits from step {window.differs} on")
         left -= 1
-        yield _snapshot(recording, energies, frame, *own, window.contacts_of(frame), window.cell(frame.time))
+        contacts, cell = window.contacts_of(frame), window.cell(frame.time)
+        yield _snapshot(recording, energies, frame, *_present(frame, *own), contacts, cell)
     if left:
         raise RecordingError(f"{recording.path} ends earlier when it is rerun; its bits differ")
+
+
+def _present(
+    frame: Frame, body: IntArray, mass: FloatArray, radius: FloatArray, others: dict[str, Any]
+) -> tuple[IntArray, FloatArray, FloatArray, dict[str, Any]]:
+    """Return what belongs to the bodies that do not wait to enter in a frame."""
+    if (waits := frame.waits) is None:
+        return body, mass, radius, others
+    there = ~waits[body]
+    return body[there], mass[there], radius[there], {name: values[there] for name, values in others.items()}
 
 
 def _kept(recording: Recording, steps: IntArray, energies: Sequence[str]) -> Iterator[Snapshot]:

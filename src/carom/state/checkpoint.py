@@ -12,7 +12,7 @@ from typing import Annotated, NamedTuple
 import numpy as np
 import xxhash
 
-from carom.arrays import FloatArray, IntArray
+from carom.arrays import BoolArray, FloatArray, IntArray
 from carom.state.books import Books
 from carom.state.energies import Energy
 from carom.state.saved import BODY, CONTACT, ENCOUNTER, HELD, INLET, OUTLET, RUN, SLEEPING, Saved
@@ -79,6 +79,12 @@ class ContactCheckpoint:
         """The highest index of a body or plane in a contact, or -1 without contacts."""
         slept = self.held_pairs[:0] if self.sleep is None else self.sleep.pairs
         return max((int(pairs.max()) for pairs in (self.pairs, self.held_pairs, slept) if len(pairs)), default=-1)
+
+
+def waiting(memory: ContactCheckpoint | None) -> BoolArray | None:
+    """Return which bodies wait to enter, or have left, (n,); None if the scene has none."""
+    release = None if memory is None else memory.release
+    return None if release is None else np.asarray(release.since != PRESENT)
 
 
 class EqualSteps(NamedTuple):
@@ -153,6 +159,11 @@ class Checkpoint:
     contacts: ContactCheckpoint | None  # None where no contact lasts
     books: Books
     integrator: IntegratorCheckpoint | None = None  # None where the integrator carries nothing from step to step
+
+    @property
+    def waits(self) -> BoolArray | None:
+        """(n,) bodies that wait to enter, or have left; None if the scene has none."""
+        return waiting(self.contacts)
 
     @property
     def fingerprint(self) -> int:

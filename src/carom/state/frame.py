@@ -9,7 +9,7 @@ import numpy as np
 from carom.arrays import BoolArray, FloatArray, IntArray, Records
 from carom.event import Event
 from carom.state.books import Books
-from carom.state.checkpoint import PRESENT, Checkpoint, ContactCheckpoint, IntegratorCheckpoint, fingerprint_of
+from carom.state.checkpoint import Checkpoint, ContactCheckpoint, IntegratorCheckpoint, fingerprint_of, waiting
 from carom.state.energies import Energy
 
 
@@ -92,8 +92,7 @@ class Frame:
     @property
     def waits(self) -> BoolArray | None:
         """(n,) bodies that wait to enter, or have left; None if the scene has none."""
-        release = self.memory.release if self.memory else None
-        return None if release is None else np.asarray(release.since != PRESENT)
+        return waiting(self.memory)
 
     @property
     def seen(self) -> FloatArray:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import tomllib
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,9 @@ from carom.physics.placement import place
 from carom.physics.schedule import every
 from carom.plan.features import require
 from carom.recording.edit.clip import clip
+from carom.runs.recomputed import snapshots
 from carom.runs.resume import resume
+from carom.scene.scene_file import bundled_scenes
 from carom.state.checkpoint import GONE, PRESENT, ReleaseCheckpoint
 
 G, SPEED = 9.81, 2.0  # m/s², m/s
@@ -225,6 +228,39 @@ def test_a_recording_does_not_draw_bodies_that_wait(recorded: Path) -> None:
     assert drawn[0] == 0 and max(drawn) > 10
     at = recording.checkpoint_steps[0]
     assert recording.checkpoint(at).contacts.release is not None  # type: ignore[union-attr]
+
+
+def test_tables_and_exports_leave_out_bodies_that_wait(recorded: Path, tmp_path: Path) -> None:
+    recording = Recording.open(recorded)
+    assert recording.bodies(0.0).num_rows == 0
+    step = recording.checkpoint_steps[-1]
+    there = recording.present_in(recording.checkpoint(step))
+    assert recording.bodies(1.5)["body"].to_pylist() == np.flatnonzero(there).tolist()
+    path = recording.trajectory(0)
+    known = np.isfinite(path["x"].to_numpy())
+    assert known.any() and not known.all()
+    (snapshot,) = snapshots(recording, 1.5, everything=False)
+    assert snapshot.body.tolist() == np.flatnonzero(there).tolist() and np.abs(snapshot.vectors["position"]).max() < 1.0
+
+
+@pytest.mark.slow
+@pytest.mark.nightly
+def test_a_hopper_whose_balls_come_back_flows_steadily() -> None:
+    """A closed form: as many leave as enter, and the flow does not change while the level does not."""
+    document = tomllib.loads(bundled_scenes()["hopper"].read_text(encoding="utf-8"))
+    del document["expect"]
+    document["time"]["duration"] = 5.0
+    document["outlet"] = [{"name": "drop", "point": [0.0, 0.0, 0.15]}]
+    frames = list(Space(Scene.from_dict(document)).run(schedule=every(0.5)))
+    left = np.array([release(frame).totals[0, 0] for frame in frames])
+    time = np.array([frame.time for frame in frames])
+    begin, middle, end = (int(np.searchsorted(time, at)) for at in (1.0, 3.0, 5.0))
+    first = (left[middle] - left[begin]) / (time[middle] - time[begin])
+    second = (left[end] - left[middle]) / (time[end] - time[middle])
+    assert second == pytest.approx(first, rel=0.15)  # 246 and 223 balls a second when this was written
+    for frame in frames:
+        assert len(frame.position) == 300
+        assert abs(frame.energy.integration_error) < 1e-12 * frame.energy.scale
 
 
 def test_the_rates_through_outlets_are_series(recorded: Path) -> None:

@@ -75,7 +75,7 @@ def _read(interval: Interval, collector: Collector) -> None:
     table = recording.steps("dt")
     lengths = dict(zip(table[STEP].to_pylist(), table["dt"].to_pylist(), strict=True))
     for state in recording.checkpoints(steps):
-        there = recording.present(state.step)
+        there = recording.present_in(state)
         collector.add_bodies(state.position, state.velocity, there, state.time)
         if recording.records_contacts and recording.info["collides"]:
             dt = lengths.get(state.step, 0.0)

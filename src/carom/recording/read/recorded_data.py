@@ -34,6 +34,7 @@ from carom.scene.data.body_columns import BodyColumns
 from carom.scene.schema.shear import Shear
 from carom.scene.start import EntryStates, HalfSpaces
 from carom.state.checkpoint import Checkpoint
+from carom.state.frame import Frame
 
 if TYPE_CHECKING:
     from carom.recording.rrd.messages import Chunk
@@ -256,6 +257,10 @@ class RecordedData(Statics):
             return np.ones(int(self.info["bodies"]), dtype=bool)
         first, last = self.lives.T
         return np.asarray((first >= 0) & (first <= step) & (step <= last))
+
+    def present_in(self, state: Checkpoint | Frame) -> BoolArray:
+        """Return a mask (n,) of the bodies that exist in an exact state, and do not wait to enter."""
+        return self.present(state.step) if (waits := state.waits) is None else ~waits
 
     def _drawn_at(self, step: int) -> BoolArray:
         """Return a mask (n,) of the bodies that are drawn in the frame of a step; without such a frame, of all."""

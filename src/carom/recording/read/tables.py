@@ -56,7 +56,7 @@ def bodies_at(recording: RecordedData, at: float | None) -> pa.Table:
 
 def table_of_bodies(recording: RecordedData, state: Checkpoint | Frame, source: str) -> pa.Table:
     """Return a state as a table of all bodies; see `BodyTable`."""
-    numbers = np.flatnonzero(recording.present(state.step))
+    numbers = np.flatnonzero(recording.present_in(state))
     vectors = state_vectors(state, numbers, recording.bodies.mass, recording.bodies.inertia)
     states = state_table([state.step], [state.time], [vectors])
     names = recording.bodies.name
@@ -139,6 +139,8 @@ def _recorded_paths(
     rows, states = np.flatnonzero(exact), list[dict[str, FloatArray]]()
     for checkpoint in recording.checkpoints(steps[rows].tolist()):
         states.append(state_vectors(checkpoint, own_places, recording.bodies.mass, recording.bodies.inertia))
+        if (waits := checkpoint.waits) is not None:
+            states[-1] = {name: np.where(waits[own_places, None], np.nan, each) for name, each in states[-1].items()}
     vectors = {"position": position}
     for quantity in STATE_QUANTITIES:
         if all(quantity.name in state for state in states) and (states or quantity.name in _OF_STATES):
@@ -147,7 +149,7 @@ def _recorded_paths(
             )
             for row, state in zip(rows, states, strict=True):
                 values[row] = state[quantity.name]
-    lost = np.isnan(position).any(axis=2)
+    lost = np.isnan(position).any(axis=2) & (not recording.info.get("admits"))
     if recording.lives is not None:
         first, last = recording.lives[own_places].T
         lost &= (first >= 0) & (first <= steps[:, None]) & (steps[:, None] <= last)
