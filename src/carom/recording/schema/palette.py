@@ -55,7 +55,7 @@ SAGE = 0xA1C4A8FF
 ROSE = 0xF6D2F0FF
 OLIVE = 0x9FA041FF
 MINT = 0x63F897FF
-BODIES = (SKY, CLAY, INDIGO, MINT, OLIVE, SAGE, ROSE)
+BODIES = (SKY, CLAY, INDIGO, MINT, SAGE, ROSE, OLIVE)  # on white, olive resembles the yellow of impulses
 
 NAMED = {  # of materials in scenes, those of bodies first
     "sky-blue": SKY,
