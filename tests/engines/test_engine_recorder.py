@@ -1013,3 +1013,13 @@ def test_frames_of_two_threads_and_of_a_state_that_records_itself_make_a_file_th
     recording = Recording.open(tmp_path / "toy.rrd")
     assert recording.frames == 2 * count + 2 and recording.finished
     assert recording.fingerprints()["step"].to_pylist() == list(range(2 * count + 2))
+
+
+def test_no_name_of_an_engine_steers_the_terminal(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    toy = Toy()
+    toy.model = replace(toy.model, engine="x\x1b[2J\u202ey 1.0")
+    with carom.record.Recorder(toy, tmp_path / "run.rrd") as recorder:
+        recorder.frame()  # the time did not advance
+    said = capsys.readouterr().err
+    assert "y 1.0: the time did not advance" in said
+    assert "\x1b" not in said and "\u202e" not in said

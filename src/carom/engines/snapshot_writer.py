@@ -30,7 +30,7 @@ from carom.recording.write.whole_file import claimed_output
 from carom.runs.environment import environment
 from carom.runs.outcome import ONCE_A_STEP, closing_of
 from carom.scene.load import Scene
-from carom.scene.wording import counted, told_by
+from carom.scene.wording import counted, escaped, told_by
 from carom.state.frame import Frame
 
 WAITING_BYTES = 32_000_000  # bytes of states that wait for the writer
@@ -257,7 +257,7 @@ class Unrecorded:
             if not ends:
                 self.events.append(Event(step, time, "WARN", text, KIND))
         with contextlib.suppress(OSError, ValueError, AttributeError):  # stderr may be full, closed or missing
-            sys.stderr.write(f"carom: {self._path}: {text}\n")
+            sys.stderr.write(f"carom: {escaped(f'{self._path}: {text}')}\n")
             sys.stderr.flush()
 
     def total(self, step: int, time: float) -> list[Event]:
