@@ -388,6 +388,10 @@ class ContactTree:
                 slip = lengths((u0 - (u0 @ n) * n)[None, :])[0] + lengths((u1 - (u1 @ n) * n)[None, :])[0]
                 works.append((float(Jt @ mean), lengths(Jt[None, :])[0] * (laws.friction * slip + slow + swing)))
                 ratios.append((float(-(u0 @ n)), float(u1 @ n)))
+            if len(self._rows) == 1:  # a resistance to rolling changes the slip, too
+                u1 = self._slip(k, n, self._v1, self._w1)
+                slip = float(np.sqrt(max(float(u1 @ u1) - float(u1 @ n) ** 2, 0.0)))
+                works.append((float(Jt @ u1), lengths(Jt[None, :])[0] * (laws.friction * slip + slow + swing)))
         rubs = float(np.sqrt(max(size * size - max(a * a for a in along), 0.0)))
         seen = (RUBBED + self._turned[k]) * size + least
         # in a soft contact, friction may also resist the acceleration by other contacts
@@ -444,41 +448,33 @@ class ContactTree:
             largest = float(sizes[own].sum())
             r, angular = self._radius[body], (self._w1[body] - self._w0[body]) / self._ease[body]
             arms = [-r * sum(cross(normals[k], self.impulses[k]) for k in own) for normals in self._normals]
-            parts = [
-                1.0,
-                1.0 - 0.5 * float(self._depth[own].max()) / r,
-            ]  # an arm ends on the surface, or in the overlap
-            rests = [self._beside_rolling(angular - arm, body, own) for arm in arms]
+            parts = [1.0, 1.0 - 0.5 * float(self._depth[own].max()) / r]  # arms to the surface, or into the overlap
             number = int(self._bodies[body])
             ways = np.array([part * arm for part in parts for arm in arms])
             turned = None if self._turned_spins is None else self._turned_spins[body] / self._ease[body]
-            rolls = min(lengths(np.array(rests))) < 0.5 * min(lengths(angular - np.array(arms)))
-            sample = ContactTorque(*self._place_in_time, number, angular, turned, ways, bool(rolls))
+            rests = [angular - arm for arm in arms]
+            rolls = [
+                any(float(rest @ spin) <= 0.0 for k in own for spin in self._spins_on(body, k, arm))
+                for arm, rest in zip(arms, rests, strict=True)
+            ]
+            sample = ContactTorque(*self._place_in_time, number, angular, turned, ways, any(rolls))
             laws.torques.add(sample, r * largest, r * self._noise)
             if len(self._rows) > 1:
                 continue
             loose = r * (IMPULSIVE + self._turned[0] + self._rolled[body]) + self._depth[0]
             excess = []
-            for arm, rest in zip(arms, rests, strict=True):
+            for arm, rest, resists in zip(arms, rests, rolls, strict=True):
                 allowed = SPUN * float(np.sqrt(arm @ arm)) + r * self._noise + loose * largest
-                excess.append(float(np.sqrt(rest @ rest)) / allowed if allowed > 0.0 else 0.0)
+                excess.append(0.0 if resists or not allowed > 0.0 else float(np.sqrt(rest @ rest)) / allowed)
             if min(excess) > 1.0:
                 yield Broken(SPIN, min(excess), (number,), "spins up by a torque that no force at its surface has")
 
-    def _beside_rolling(self, torque: FloatArray, body: int, own: list[int]) -> FloatArray:
-        """Return what a resistance to rolling or spinning on its contacts does not explain of a body's torque, (3,)."""
-        if torque @ (self._w0[body] + self._w1[body]) > 0.0:
-            return torque
-        for k in own:
-            i, j = self._ends[k]
-            other = j if body == i else i
-            spin = self._w0[body] + self._w1[body]
-            if other >= 0:
-                spin = spin - self._w0[other] - self._w1[other]
-            n = self._normals[0][k]
-            along = float(spin @ n) * n
-            for axis in (along, spin - along):
-                size, against = float(axis @ axis), float(torque @ axis)
-                if size > 0.0 and against < 0.0:
-                    torque = torque - against / size * axis
-        return torque
+    def _spins_on(self, body: int, k: int, torque: FloatArray) -> Iterator[FloatArray]:
+        """Yield spins (3,) relative to the other end of contact k: before, after its torque, and after the step."""
+        i, j = self._ends[k]
+        other = j if body == i else i
+        still = np.zeros(3)
+        first, last = (still, still) if other < 0 else (self._w0[other], self._w1[other])
+        yield self._w0[body] - first
+        yield self._w0[body] + self._ease[body] * torque - first
+        yield self._w1[body] - last
