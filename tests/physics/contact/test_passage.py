@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import tomllib
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ import pytest
 import carom
 from carom import Frame, Recording, Scene, Space
 from carom.arrays import FloatArray
-from carom.errors import SceneError
+from carom.errors import PhysicsError, SceneError
 from carom.physics.placement import place
 from carom.physics.schedule import every
 from carom.plan.features import require
@@ -191,6 +192,16 @@ def test_a_run_goes_on_from_any_checkpoint_with_the_same_bits() -> None:
         assert [frame.fingerprint for frame in again] == [frame.fingerprint for frame in frames[at + 1 :]]
         assert np.array_equal(release(again[-1]).totals, release(frames[-1]).totals)
         assert again[-1].energy == frames[-1].energy
+
+
+def test_a_checkpoint_of_other_inlets_or_outlets_is_refused() -> None:
+    of = slope(duration=0.2)
+    checkpoint = steps(of)[-1].checkpoint
+    contacts, state = checkpoint.contacts, checkpoint.contacts.release  # type: ignore[union-attr]
+    assert contacts is not None and state is not None
+    for wrong in (None, replace(state, slots=state.slots[:1]), replace(state, totals=np.zeros((2, 2)))):
+        with pytest.raises(PhysicsError, match="does not state how the bodies of the scene enter and leave"):
+            Space(of, 1).restore(replace(checkpoint, contacts=replace(contacts, release=wrong)))
 
 
 def test_the_bits_do_not_depend_on_the_threads() -> None:

@@ -25,6 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carom.arrays import BoolArray, FloatArray, IntArray
+from carom.errors import PhysicsError
 from carom.physics.contact.hooks import LedgerAccount, OptionalPart, PresentStep, WorldForces
 from carom.physics.contact.near_pairs import between_present
 from carom.physics.contact.release.inlets import Inlets
@@ -97,8 +98,10 @@ class PassingBodies(OptionalPart):
 
     def recall(self, memory: ContactCheckpoint) -> None:
         """Return to the state of a checkpoint; positions and velocities must already be restored."""
-        if memory.release is not None:
-            self._restore(memory.release)
+        state, own = memory.release, self._at_start
+        if state is None or (state.slots.shape, state.totals.shape) != (own.slots.shape, own.totals.shape):
+            raise PhysicsError("the checkpoint does not state how the bodies of the scene enter and leave")
+        self._restore(state)
 
     def discard(self) -> None:
         """Discard what is left to be booked."""
