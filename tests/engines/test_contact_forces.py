@@ -204,8 +204,8 @@ def test_contacts_of_a_source_are_recorded_from_the_smaller_body_to_the_larger(t
     ("wrong", "message"),
     [
         (np.zeros(1, [("i", int), ("j", int)]), "balls: contacts lack the field point; make them"),
-        (contact(i=2), "balls: contacts names 2 and 0; bodies are 0 to 1, planes up to 1"),
-        (contact(i=0), "balls: contacts names 0 and 0;"),
+        (contact(i=2), "balls: a contact has the numbers 2 and 0; bodies are 0 to 1, planes up to 1"),
+        (contact(i=0), "balls: a contact has the numbers 0 and 0;"),
         (contact(force=np.nan), "balls: contacts[0] has a force that is not finite"),
         (contact(normal=[-2, 0, 0]), "balls: the normal of contacts[0] has the length 2; it must be 1"),
         ([[0, 1]], "balls: contacts have no forces, and had some in the first state"),

@@ -513,7 +513,7 @@ LEFT_OUT: list[tuple[dict[str, Any] | Callable[[Toy], Any], str]] = [
     (lambda _: "no state", "AttributeError: 'str' object has no attribute"),
 ]
 COMPUTED: list[tuple[dict[str, Any] | Callable[[Toy], Any], str]] = [
-    ({"contacts": [[0, 3]]}, "toy 1.0: contacts names 3; bodies and planes are 0 to 2"),
+    ({"contacts": [[0, 3]]}, "toy 1.0: a contact has the number 3; bodies and planes are 0 to 2"),
     ({"contacts": [0, 1, 2]}, "toy 1.0: contacts has the shape (3,) instead of (m, 2)"),
     ({"contacts": ["a"]}, "toy 1.0: contacts must be whole numbers"),
 ]

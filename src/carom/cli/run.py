@@ -257,7 +257,7 @@ def _tell(result: Refinement, units: UnitSystem, as_json: bool) -> None:
         if shares and not result.moved:
             say(f"Largest differences, as multiples of the allowed differences: {', '.join(shares)}.")
         if result.differs is not None:
-            say(f"From step {result.differs} on, the run has other bits than its recording; `carom replay` says more.")
+            say(f"From step {result.differs} on, the bits of the run and its recording differ; see `carom replay`.")
         if result.ended:
             say(f"The comparison ended early: {result.ended}.")
     if not result.same:

@@ -72,7 +72,7 @@ def serve_catalog(name: str, paths: Sequence[Path], say: Callable[[str], None], 
         except RecordingError as error:
             if alone:
                 raise
-            say(f"{error}. The address serves a viewer elsewhere on this machine; Ctrl-C ends it.")
+            say(f"{error}. Open the address in another viewer on this machine; Ctrl-C ends this command.")
             _until_interrupted(lambda: time.sleep(1.0))
 
 

@@ -415,7 +415,7 @@ def _round(header: Header, value: float, kind: Dimension) -> str:
 def _arrows(
     header: Header, references: Mapping[str, float], entities: Sequence[str], both: bool, frame: Frame | None
 ) -> Iterator[LegendLine]:
-    """State the scales of arrows that show what turns bodies: the arrows are not proportional to it."""
+    """State the scales of the arrows of torques and angular impulses, whose lengths are not proportional to them."""
     for path in entities:
         colour, other = palette.ARROWS[path], paths.PARALLEL.get(path)
         if other is None and not both:

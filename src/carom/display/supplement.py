@@ -229,7 +229,7 @@ def asked_quantities(recording: Recording, text: str, *, one_unit: bool = False)
     if one_unit and len(units) > 1:
         raise RecordingError(
             f"a view of plots shows one unit, but plot requests {' and '.join(units)}; request quantities of one "
-            "unit, or use the view of all, which has a plot for each"
+            'unit, or use the view "all", which has a separate plot for each unit'
         )
     return list(asked)
 
@@ -284,7 +284,7 @@ def _replayed(recording: Recording, bodies: Sequence[int], watch: Callable[[Step
         if frame.step >= steps[-1] or window.differs is not None:
             break
     if window.differs is not None or len(found["position"]) < len(steps):
-        where = "ends earlier" if window.differs is None else f"has other bits from step {window.differs} on"
+        where = "ends earlier" if window.differs is None else f"differs in its bits from step {window.differs} on"
         raise RecordingError(f"{recording.path}, run again, {where}; only positions (x, y, z) can be plotted")
     stacked = {vector: np.stack(rows) for vector, rows in found.items() if rows}
     return lambda body, vector: (steps, times, stacked[vector][:, bodies.index(body)])

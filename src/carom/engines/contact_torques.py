@@ -93,7 +93,7 @@ class ContactTorques:
     def _above(self, off: FloatArray, allowed: float, what: str) -> Iterator[WrongTorque]:
         """Yield the torques off by more than is allowed.
 
-        A body of which each torque is off, and may be a resistance to rolling, has such a resistance.
+        If every torque on a body is off, those that could be a resistance to rolling are taken to be one.
         """
         wrong = off > allowed
         right = {sample.body for sample, each in zip(self.samples, wrong, strict=True) if not each}

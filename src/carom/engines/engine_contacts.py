@@ -44,7 +44,8 @@ def checked_contacts(engine: str, contacts: Any, bodies: int, ends: int) -> Reco
     if wrong.any():
         row = found[np.argmax(wrong)]
         raise RecordingError(
-            f"{engine}: contacts names {row['i']} and {row['j']}; bodies are 0 to {bodies - 1}, planes up to {ends - 1}"
+            f"{engine}: a contact has the numbers {row['i']} and {row['j']}; bodies are 0 to {bodies - 1}, planes up "
+            f"to {ends - 1}"
         )
     length = np.linalg.norm(found["normal"], axis=1)
     wrong = np.abs(length - 1.0) > ROUGHLY

@@ -84,7 +84,7 @@ class AuditFinding:
 
     faults: list[Fault] = field(default_factory=list)
     taken: float = 0.0  # J, absorbed by contacts; negative where contacts returned energy
-    forced: float = 0.0  # J, work of damping and of forces that the engine was told
+    forced: float = 0.0  # J, work of damping and of the external forces given to the engine
     unjudged: float = 0.0  # J, lost by clusters with unjudged bodies
     struck: float = 0.0  # J, Σ ½ μ v_n² of the contacts whose velocity reversed
     impacts: int = 0  # number of these contacts

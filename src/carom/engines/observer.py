@@ -253,7 +253,9 @@ class Observer:
             raise RecordingError(f"{self.setup.engine}: contacts has the shape {pairs.shape} instead of (m, 2)")
         if pairs.size and not (pairs.min() >= 0 and pairs.max() < ends):
             wrong = pairs[(pairs < 0) | (pairs >= ends)][0]
-            raise RecordingError(f"{self.setup.engine}: contacts names {wrong}; bodies and planes are 0 to {ends - 1}")
+            raise RecordingError(
+                f"{self.setup.engine}: a contact has the number {wrong}; bodies and planes are 0 to {ends - 1}"
+            )
         return pairs.reshape(-1, 2)
 
     def _statistics(self, contacts: CollisionGraph, seen: AuditFinding) -> ContactStatistics:

@@ -100,7 +100,7 @@ class ContactLaws:
         self._setup = setup
         self.restitution = restitution  # error of a coefficient of restitution
         self.coefficient = setup.friction
-        self.friction = friction  # part of the work of the whole friction that may have the wrong sign
+        self.friction = friction  # work of the wrong sign that friction may do, over |J_t| times the slip
         self._pending: list[IsolatedImpact] = []  # of the last frame; a soft contact continues in the next one
         self.impacts: list[IsolatedImpact] = []
         self.torques = ContactTorques()

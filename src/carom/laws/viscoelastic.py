@@ -48,7 +48,7 @@ class Viscoelastic(Section):
 
 
 def numbers(section: Viscoelastic) -> dict[str, float]:
-    """Return x at the stated speed, by bisection, that speed, and r/m² of the measured spheres in m/kg²."""
+    """Return x at the stated speed (found by bisection), the speed, and r/m² of the measured spheres in m/kg²."""
     low, high = 0.0, MOST
     for _ in range(HALVINGS):
         x = 0.5 * (low + high)

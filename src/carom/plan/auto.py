@@ -52,7 +52,7 @@ HELD_PART = 0.01  # largest motion of a held body in a step over its radius: 600
 WIDEST_HELD_PART = 0.1
 WIDEST_HELD = 3.0  # times the step of held bodies
 WIDEST_FALL = 0.5  # largest step, of the time of a fall through the smallest radius
-WIDEST_PULL_FRACTION = 0.1  # largest step, of the shortest time of a pair: 90 steps in a circular orbit
+WIDEST_PULL_FRACTION = 0.1  # largest step over the shortest time of a pair: 90 steps in a circular orbit
 
 
 def gravity_method(scene: Scene) -> Literal["direct", "tree", "fast-multipole", "none"]:

@@ -314,8 +314,8 @@ def _refuse_narrow_box(scene: Scene) -> None:
     if min(scene.domain.size[axis] for axis in scene.domain.repeating) < NARROWEST * largest:
         least = units.text(NARROWEST * largest, LENGTH, "g")
         raise SceneError(
-            f"domain.size = {units.vector(scene.domain.size, LENGTH)}: a periodic box must be at least four times the "
-            f"largest radius wide ({least}), or a body may touch another body and its image at once",
+            f"domain.size = {units.vector(scene.domain.size, LENGTH)}: the width of a periodic box must be at "
+            f"least four times the largest radius ({least}), or a body may touch another body and its image at once",
             ("domain", "size"),
         )
 

@@ -65,7 +65,7 @@ class RunInterval:
     changed: set[int]  # bodies with an impact, or with a contact that began, ended or changed its mode
     loads: dict[int, list[Load]]  # by body
     eased: dict[int, list[Load]]  # by body, what loads that last change by from one step to the next
-    depth: FloatArray  # (n,) m, the deepest overlap of each body, which corrections may end sooner or later
+    depth: FloatArray  # (n,) m, the deepest overlap of each body; the time at which corrections end it may vary
     friction: float  # the largest ratio of a tangential to a normal impulse
     vague: dict[Pair, float]  # the relative uncertainty of the fast impacts of supported bodies, the largest of a pair
 

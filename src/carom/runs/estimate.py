@@ -186,7 +186,7 @@ def estimate(scene: Scene, watch_look_ahead: Watcher | None = None) -> Estimate:
 
 
 def _memory(scene: Scene, samples: list[Frame], frames: int, *, compiled: bool) -> int:
-    """Return the bytes of the process of a run: this one, and the frames that wait to be written."""
+    """Return the memory of a run in bytes: that of the process itself, and of the frames that wait to be written."""
     # a compilation leaves memory that a run does not need
     process = LIBRARY_BYTES + memory_estimate(scene) if compiled else resident_memory()
     waiting = min(frames, waiting_frames(scene.count)[2])

@@ -134,6 +134,12 @@ SCENES: dict[str, dict[str, Any]] = {
         "contact": {"enabled": False, "allow_overlap": True},
         "time": {"duration": 8.0, "max_dt": 1.0, "integrator": "wisdom-holman"},
     },
+    "bodies that enter and leave": {
+        "group": [{"count": 4, "radius": 0.1, "region": {"radius": 1.0}, "release": {"rate": 50.0}}],
+        "outlet": [{"point": [0.0, 0.0, -0.5]}],
+        "gravity": {"constant": 0.0, "uniform": [0.0, 0.0, -10.0]},
+        "time": {"duration": 1.0, "max_dt": 0.02},
+    },
     "a ball that rolls on": {
         "body": [{"position": [0.0, 0.0, 0.0], "velocity": [1.0, 0.0, 0.0], "mass": 1.0}],
         "plane": [{"point": [0.0, 0.0, -1.0]}],

@@ -394,7 +394,7 @@ def piston_force(scene: SceneModel) -> float:
 
 
 def refuse_what_has_no_piston(scene: SceneModel) -> None:
-    """Refuse a piston with parts of the model that know only planes at rest, or with a prescribed motion."""
+    """Refuse a piston that has a prescribed motion, or that is combined with parts that support only planes at rest."""
     numbered = piston_of(scene)
     if numbered is None:
         return

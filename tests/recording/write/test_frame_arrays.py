@@ -39,8 +39,8 @@ def changed(frame: Frame, name: str, values: Any) -> Frame:
         ("normals", lambda a: a[1:], r"step \d+: normals of contacts has the shape"),
         ("overlaps", lambda a: a[1:], r"step \d+: overlaps of contacts has the shape"),
         ("colours", lambda a: a[1:], r"step \d+: colours of contacts has the shape"),
-        ("pairs", lambda a: a + BODIES, r"step \d+: a contact names no body; bodies are 0 to 59"),
-        ("pairs", lambda a: a - BODIES, r"step \d+: a contact names no body; bodies are 0 to 59"),
+        ("pairs", lambda a: a + BODIES, r"step \d+: a contact has a wrong body number; bodies are 0 to 59"),
+        ("pairs", lambda a: a - BODIES, r"step \d+: a contact has a wrong body number; bodies are 0 to 59"),
     ],
 )
 def test_a_frame_whose_arrays_do_not_fit_is_refused_by_the_name_of_the_array(

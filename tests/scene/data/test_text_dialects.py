@@ -48,7 +48,7 @@ def test_a_table_without_names_asks_for_them(tmp_path: Path) -> None:
     said = refusal(tmp_path, "bare.txt", "mass = 1")
     assert 'bare.txt: no line names its 4 columns; name them all, such as columns = ["x", "y", "z", ' in said
     said = refusal(tmp_path, "bare.txt", 'columns = ["x", "y", "z"]\nmass = 1\nradius = 1')
-    assert "bare.txt: it has 4 columns, but columns names 3" in said
+    assert "bare.txt: it has 4 columns, but the key columns has 3 names" in said
     np.savez(tmp_path / "a.npz", position=np.zeros((1, 3)))
     assert "a.npz: columns = […] names all columns of a text file" in refusal(tmp_path, "a.npz", 'columns = ["x"]')
 

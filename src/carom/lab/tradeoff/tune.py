@@ -36,7 +36,7 @@ from carom.terminal.printing import finite
 
 FRAMES_KEPT = 0.95  # of the frames of the scene's recording; with fewer, motion is no longer smooth
 NEARER = 0.9  # if half the step leaves a larger fraction of the excess, no shorter step is tried
-DEAREST = 16.0  # times the cost of the scene; at a higher cost no step is halved
+DEAREST = 16.0  # no step is halved where a setting costs this many times as much as the scene
 HOPELESS = 2.0  # a setting that costs more than this many times as much as a rival cannot win; costs are uncertain
 SHORTEST = 2.0**-6  # of the scene's step
 BETWEEN = 1.5  # factor on the step that is tried where twice the step is too long

@@ -75,11 +75,11 @@ class Account:
     start_velocity: FloatArray  # (3,) m/s, at the beginning of the window
     by_contacts: FloatArray  # (3,) m/s, Σ J / m
     by_forces: FloatArray  # (3,) m/s
-    by_field: FloatArray  # (3,) m/s, of this by the uniform field of another engine
+    by_field: FloatArray  # (3,) m/s, the part of `by_forces` that the uniform field of another engine gave
     fastest: float  # m/s, the largest speed or change of velocity in the account
     start_share: float = 1.0  # share of the velocity that the body had at the beginning
     forces_share: float = 0.0  # share of the velocity that forces on the body gave
-    field_share: float = 0.0  # of this by the uniform field of another engine
+    field_share: float = 0.0  # the part of `forces_share` that the uniform field of another engine gave
     causes: list[Cause] = field(default_factory=list)  # the latest first
     _bearing: float | None = None  # m/s, Σ |J| / m of the contacts that held the body in the last step
     _held: dict[int, tuple[Cause, int]] = field(default_factory=dict)  # by partner, with the step before their first

@@ -138,7 +138,7 @@ def _drives(scene: Scene, space: Space) -> BoolArray:
 
 
 def _impulses(space: Space, touching: Records) -> Records:
-    """Return the impulses of the last step, and the contacts without an impulse at its end, which is one instant."""
+    """Return the impulses of the last step, and the contacts without an impulse at its end; the end is one instant."""
     instant, time, parts = -1, -np.inf, list[Records]()
     for some in space.impulses():
         J = some.values[:, :1] * some.normal + some.values[:, 1:]
@@ -166,7 +166,7 @@ def _impulses(space: Space, touching: Records) -> Records:
 
 @dataclass(frozen=True, slots=True)
 class Question:
-    """A body at a time, or the two ends of an impact."""
+    """The subject of a question: a body at a given time, or both ends of an impact."""
 
     bodies: tuple[int, ...]  # the body, or the ends of the impact that are bodies
     ends: tuple[int, int] | None  # of the impact, i < j; planes have numbers from n on

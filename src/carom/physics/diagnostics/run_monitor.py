@@ -118,7 +118,7 @@ def remembered(energy: float, impacts: float) -> float:
     return energy + (impacts - energy / STEPS_REMEMBERED)
 
 
-CRAWL = 5.0  # ratio to the number of steps that the first step foretells
+CRAWL = 5.0  # a run crawls if it takes this many times as many steps as the first step foretells
 MIN_STEPS = 50_000  # a shorter run would end before a warning is useful
 
 REMEDY = {  # the key that allows longer steps, by the limit that sets them

@@ -60,7 +60,7 @@ class DampedStep(NamedTuple):
 
 
 def _without_drag(function: Function) -> Function:
-    """Let kernels call a function where the first argument, a `DragLaw`, is empty; drags add their own forms."""
+    """Let kernels call a function if its first argument is empty; `forces.drag` adds variants for a `DragLaw`."""
     return for_first(function, lambda damping: len(damping) == 0)(function)
 
 
@@ -81,7 +81,7 @@ def kick_before_drift(damping: Any, bodies: KickedBodies, step: DampedStep, hold
 
 @_without_drag
 def measure_hold(damping: Any, bodies: KickedBodies, step: DampedStep) -> None:
-    """Compute the change of the loss by drag because contacts were held."""
+    """Compute by how much holding the contacts changed the energy lost to drag."""
 
 
 @_without_drag

@@ -10,8 +10,8 @@ transposed in registers. A transposition takes 24 instructions, so a change that
 once and added to them in memory.
 
 Gains (docs/performance.md): a sweep of the contact solver takes 18 instead of 24.5 ns per contact, and an iteration of
-the position correction 29 instead of 42 µs; that is 6 to 10 % of a step of falling spheres. A pair of boxes of the fast
-multipoles takes two thirds of the time of a loop over a table of products.
+the position correction 29 instead of 42 µs; that is 6 to 10 % of a step of falling spheres. For a pair of boxes, the
+fast multipole method takes two thirds of the time that a loop over a table of products would take.
 
 The plain form of each instruction on lanes is the loop over records that it replaces.
 """

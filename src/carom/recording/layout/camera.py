@@ -50,7 +50,7 @@ _NEARBY = 1.6  # escaping bodies are inside the view, too, if this increases the
 _FAR = 20.0  # times the median distance from the middle; farther bodies may lie outside the picture
 _FILLED = 0.9  # fraction of the picture's shorter side that the bodies of the first moment fill
 _LOOSE = 1.7  # largest distance, over the smallest at which the first moment is inside; its bodies then fill 53 %
-_LOOSE_PATHS = 25.0  # the same for paths; an orbit of e = 0.7 at pericentre needs 23 if width is 3.3 heights
+_LOOSE_PATHS = 25.0  # the same for paths: 23 for an orbit of e = 0.7 from pericentre, if the aspect ratio is 3.3
 _SMALL = 400.0  # largest height of the picture, over the median radius, for which all motion of few bodies is inside
 _MOST = 20_000  # number of bodies above which only every k-th and the `_LARGEST` largest are measured
 _LARGEST = 1000

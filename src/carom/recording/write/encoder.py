@@ -454,5 +454,5 @@ def refuse_wrong_arrays(header: Header, batch: Sequence[Frame], before: Frame | 
             if values is None or values.shape != wanted:
                 raise RecorderError(f"{called} has the shape {getattr(values, 'shape', None)} instead of {wanted}")
         if edges and (graph.pairs.min() < 0 or graph.pairs[:, 0].max() >= n):  # planes and walls are second
-            raise RecorderError(f"{step}a contact names no body; bodies are 0 to {n - 1}")
+            raise RecorderError(f"{step}a contact has a wrong body number; bodies are 0 to {n - 1}")
         before, expected = frame, []

@@ -100,8 +100,8 @@ def refuse_many_rows(called: str, rows: int, stored: int) -> None:
         raise SceneError(f"{called}: {rows} rows are too many; at most {MOST_ROWS}")
     if rows > max(FREE_ROWS, stored // LEAST_ROW):
         raise SceneError(
-            f"{called}: {rows} rows in {stored} bytes, which is less than {LEAST_ROW} each: it is damaged, or a "
-            f"decompression bomb; files of up to {FREE_ROWS} rows may be as small"
+            f"{called}: {rows} rows in {stored} bytes, less than {LEAST_ROW} bytes a row: the file is damaged, or a "
+            f"decompression bomb; only files of up to {FREE_ROWS} rows may have so few bytes a row"
         )
 
 

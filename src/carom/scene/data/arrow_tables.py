@@ -227,7 +227,9 @@ class _TextTable(_ArrowTable):
     def rename(self, names: Sequence[str]) -> None:
         """Name all columns."""
         if len(names) != self._dialect.columns:
-            raise SceneError(f"{self.called}: it has {self._dialect.columns} columns, but columns names {len(names)}")
+            raise SceneError(
+                f"{self.called}: it has {self._dialect.columns} columns, but the key columns has {len(names)} names"
+            )
         self.names, self.unnamed = list(names), 0
 
     def _read_text(self, wanted: list[str], texts: Sequence[str]) -> pa.Table:

@@ -269,7 +269,9 @@ class OrbitTable(DataTable):
             if self._orbit.epoch is None:
                 return np.zeros(bodies)
             if own is None:
-                raise SceneError(f"{self.called}: orbit.epoch needs the epoch of the mean anomalies: a column epoch")
+                raise SceneError(
+                    f"{self.called}: orbit.epoch needs the epoch of the mean anomalies; add a column named epoch"
+                )
             return (self._orbit.epoch - own) * self._factor("epoch", TIME)
         start = np.full(bodies, self._orbit.epoch) if own is None or self._orbit.epoch is not None else own
         return (start - self._element("tp")) * self._factor("tp", TIME)

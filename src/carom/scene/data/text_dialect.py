@@ -164,7 +164,8 @@ def _with_point(cell: str) -> str:
 def _names_in(comments: Sequence[str], columns: int, separator: str) -> list[str]:
     """Return the column names in the comment with as many names as values; empty if there is none.
 
-    Of several, it is the last with the most usual names, since a sentence may have as many words.
+    If several comments fit, the one with the most usual names is taken, because a sentence may have as many words as
+    there are columns; of equally good ones, the last.
     """
     best, most = list[str](), -1
     for comment in reversed(comments):

@@ -86,5 +86,7 @@ class WallMotion(Section):
         if any(later <= earlier for earlier, later in pairwise(self.times)):
             raise ValueError(f"times = {list(self.times)} do not ascend; sort them, and give each only once")
         if any(self.velocity) and self.velocities:
-            raise ValueError("velocity and velocities; give the constant one in each of velocities, and remove it")
+            raise ValueError(
+                "velocity and velocities are both given; add velocity to each of velocities, and remove velocity"
+            )
         return self

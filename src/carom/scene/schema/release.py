@@ -38,7 +38,7 @@ class Release(Section):
 class Outlet(Section):
     """[[outlet]]: a region, or the side of a plane, whose bodies leave.
 
-    A body leaves as the first step begins with its centre there. Fixed bodies do not leave.
+    A body leaves if its centre is there at the beginning of a step. Fixed bodies do not leave.
     """
 
     name: str = Field("", description="shown in the recording")

@@ -277,8 +277,8 @@ def _rebound(k: int, waits: bool, group: Group, T: Trajectories) -> None:
 def _log(contacts: int, elastic: bool, T: Trajectories, group: Group, log: RecordArray[ImpactRecord], row: int) -> int:
     """Log the contacts that had an impulse, with the mean of the speeds before and after it; return the next row.
 
-    Summed over the group, -λ (v_n + v_n')/2 is the energy lost. In the limit of infinitely many impacts, contacts that
-    dissipate lose all of it.
+    Summed over the group, -λ (v_n + v_n')/2 is the energy lost. In the limit of infinitely many impacts, all of
+    this energy is lost by restitution, unless the contacts are elastic.
     """
     clock, f, first = T.drift[0].clock, slowing(T), row
     for c in range(contacts):

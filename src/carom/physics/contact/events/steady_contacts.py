@@ -2,8 +2,8 @@
 
 `ContactPipeline` calls some forty kernels a step. With few bodies, that takes a hundred times as long as the kernels
 themselves. The functions here call the same kernels in the same order without Python in between, so the bits are the
-same. They are the forms of the functions of `carom.physics.open_gaps` for contacts that rest, slide or roll, and for
-contacts that carry no impulses because no force presses them together.
+same. They are variants of the functions in `carom.physics.open_gaps`, for contacts that rest, slide or roll, and for
+contacts without impulses, which no force presses together.
 
 They return False if Python must process the step: it has other pairs than the previous step, an impact, a body behind a
 plane, a deep overlap, a contact that still closes, a force that begins or ceases to press contacts together, or a

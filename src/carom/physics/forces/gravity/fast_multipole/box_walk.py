@@ -180,7 +180,7 @@ def walk(
                     fars += 1
                 _add_far(fars, depth, a, tree, law, own)
             half = boxes[a].half
-            if a < branch:  # on the way to the branch; boxes this large leave at least their own halves
+            if a < branch:  # above the branch; a box this large always leaves its own halves undecided
                 entry = entries[0]
                 entry.box = half if branch >= half else a + 1
                 entry.begin, entry.end, entry.depth = end, last, depth + 1
@@ -269,7 +269,7 @@ def _inherit(depth: int, boxes: RecordArray[BoxRecord], a: int, unit: float, own
 
 @inner
 def _add_far(fars: int, depth: int, a: int, tree: MultipoleBoxes, law: MultipoleLaw, own: WalkBuffers) -> None:
-    """Add the gravity of far boxes, a multiple of `LANES`, to the local expansion of box a."""
+    """Add the gravity of far boxes to the local expansion of box a; their number ``fars`` is a multiple of `LANES`."""
     boxes, poles, unit, soft = tree.boxes, tree.poles, law.unit, law.eps2 * law.unit * law.unit
     far, expansion, local = own.far, own.expansion, own.local
     for c in range(LOCAL * LANES):
