@@ -27,7 +27,7 @@ class OutletRecord(Protocol):
     a: float  # m, half of its size; the radius of a ball or a cylinder comes first; of a plane the normal
     b: float
     c: float
-    inner: float  # m, radius of the cavity of a shell
+    cavity: float  # m, radius of the cavity of a shell
 
 
 OUTLET = dtype_of(OutletRecord)
@@ -37,7 +37,7 @@ def outlets_of(scene: Scene) -> RecordArray[OutletRecord]:
     """Return the outlets of a scene for `find_leaving`, (k,) `OUTLET`."""
     rows = np.zeros(len(scene.outlet), dtype=OUTLET)
     for row, outlet in zip(rows, scene.outlet, strict=True):
-        row["kind"], centre, size, row["inner"] = _shape_of(outlet)
+        row["kind"], centre, size, row["cavity"] = _shape_of(outlet)
         for name, value in zip("xyzabc", (*centre, *size), strict=True):
             row[name] = value
     return rows
@@ -69,7 +69,7 @@ def find_leaving(position: FloatArray, stays: BoolArray, outlets: RecordArray[Ou
                 is_out = dx * dx + dy * dy <= outlet.a * outlet.a and abs(dz) <= outlet.c
             else:
                 r2 = dx * dx + dy * dy + dz * dz
-                is_out = outlet.inner * outlet.inner <= r2 <= outlet.a * outlet.a
+                is_out = outlet.cavity * outlet.cavity <= r2 <= outlet.a * outlet.a
             if is_out:
                 through[i], count = k, count + 1
                 break
