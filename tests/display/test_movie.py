@@ -207,7 +207,10 @@ def test_a_close_up_movie_keeps_its_two_bodies_in_the_middle(tmp_path: Path) -> 
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+@pytest.mark.parametrize(
+    "number",
+    [*(pytest.param(one, marks=pytest.mark.nightly) for one in (signal.SIGINT, signal.SIGTERM)), signal.SIGKILL],
+)
 @pytest.mark.needs(PICTURES)
 def test_a_movie_that_is_ended_leaves_neither_viewer_nor_temporary_files(
     recorded: Path, tmp_path: Path, number: signal.Signals

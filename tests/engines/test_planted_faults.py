@@ -26,6 +26,7 @@ def test_each_of_twelve_planted_faults_is_named_in_the_first_step_in_which_it_ac
 
 
 @pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("fault", PLANTED)
 def test_a_planted_fault_is_named_in_nine_of_ten_runs(fault: str, tmp_path: Path) -> None:
     toys = [Toy(fault, seed) for seed in range(10)]

@@ -67,6 +67,7 @@ def test_automatic_steps_strain_a_packing_by_a_thousandth_and_leave_a_gas_alone(
 
 
 @pytest.mark.slow
+@pytest.mark.nightly
 def test_the_work_on_the_bundled_packing_is_that_of_its_shear_stress() -> None:
     scene, dt = Scene.load("dense-shear", ["time.duration=0.6", "time.fixed_dt=1e-3", "record.every=step"]), 1e-3
     space, mass, stress, held = Space(scene, 1, record_contacts=True), pi / 6, 0.0, 0

@@ -97,7 +97,7 @@ def steady(packing: float, restitution: float, count: int) -> Steady:
     ("packing", "restitution", "of_temperature", "of_stress"),
     [
         # (γ d)²/T is 0.1. Four seeds: T 1.000 ± 0.007 and τ 1.023 ± 0.015 of the theory; three standard deviations
-        (0.2, 0.98, 0.03, 0.07),
+        pytest.param(0.2, 0.98, 0.03, 0.07, marks=pytest.mark.nightly),
         # (γ d)²/T is 0.5, 0.9 and 1.1, beyond the first order in the gradient: T is lower by 5 to 6 % (four seeds at
         # 0.2: T 0.941 ± 0.008, τ 0.973 ± 0.006; at 0.4: 0.953 ± 0.004, 1.026 ± 0.010)
         pytest.param(0.2, 0.9, 0.08, 0.05, marks=pytest.mark.nightly),

@@ -28,6 +28,7 @@ def row(bodies: int, name: str = "") -> Scene:
 
 
 @pytest.mark.slow
+@pytest.mark.nightly
 def test_a_scene_of_more_than_4_mb_is_replayed_resumed_and_reported(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from carom.lab.tradeoff.setting_runs import SettingRuns
 from carom.lab.tradeoff.settings_grid import GridPoint, SettingResult, default_points, knobs, vary
 from carom.lab.tradeoff.tradeoff import Study
 from carom.lab.tradeoff.tune import Tuning, excess, tuned
@@ -27,11 +28,11 @@ PRICES = {  # of a step; costs are computed from them, so that a search is the s
 
 @pytest.fixture(autouse=True)
 def priced(monkeypatch: pytest.MonkeyPatch) -> None:
-    def cost(study: Study, result: SettingResult) -> float:
-        chosen = {*result.setting.overrides, f"time.integrator={integrator(result.setting.apply(study.scene)).name}"}
+    def cost(runs: SettingRuns, result: SettingResult) -> float:
+        chosen = {*result.setting.overrides, f"time.integrator={integrator(result.setting.apply(runs.scene)).name}"}
         return math.prod(PRICES.get(override, 1.0) for override in chosen) * result.steps
 
-    monkeypatch.setattr(Study, "_cost", cost)
+    monkeypatch.setattr(SettingRuns, "cost", cost)
 
 
 def search(scene: Scene, folder: Path, choices: list[str] | None = None, **limits: float) -> Tuning:

@@ -186,7 +186,7 @@ def test_the_default_budget_is_thirty_times_the_run_and_at_least_five_seconds(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for cost, seconds in ((0.01, 5.0), (2.0, 60.0)):
-        monkeypatch.setattr(SettingRuns, "cost", lambda runs, setting, cost=cost: cost)
+        monkeypatch.setattr(SettingRuns, "cost", lambda runs, result, cost=cost: cost)
         said: list[str] = []
         study = Study(eight(), tmp_path / f"{cost}", threads=1, budget=None)
         study.measure(vary(eight(), ["step=1,2"]), None, said.append)
@@ -210,7 +210,7 @@ def test_shorter_steps_than_those_of_an_exact_setting_are_not_measured(tmp_path:
 @pytest.mark.slow
 def test_a_setting_that_another_one_beats_clearly_is_not_timed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     price = {"integrator = yoshida4, steps 2 times as long": 0.01}
-    monkeypatch.setattr(SettingRuns, "cost", lambda runs, setting: price.get(setting.name, 1.0))
+    monkeypatch.setattr(SettingRuns, "cost", lambda runs, result: price.get(result.setting.name, 1.0))
     scene = eight()
     settings = [*vary(scene, ["step=1"]), *vary(scene, ["time.integrator=yoshida4", "step=2"])]
     settings += vary(scene, ["time.integrator=leapfrog", "step=4,1"])
@@ -226,7 +226,7 @@ def test_short_runs_are_timed_until_their_time_is_known_and_long_ones_three_time
 ) -> None:
     noise = np.random.default_rng(1)
     price = {"as written": 0.02, "steps 2 times as long": 0.06}
-    monkeypatch.setattr(SettingRuns, "cost", lambda runs, setting: price[setting.name] * noise.uniform(0.8, 1.25))
+    monkeypatch.setattr(SettingRuns, "cost", lambda runs, result: price[result.setting.name] * noise.uniform(0.8, 1.25))
     study = Study(eight(), tmp_path, threads=1)
     short, long = study.measure(vary(eight(), ["step=1,2"]), None, lambda text: None)
     assert len(short.costs) > 3 and short.spread <= 0.05 and len(long.costs) <= 3

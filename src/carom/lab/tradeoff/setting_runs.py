@@ -36,7 +36,7 @@ class SettingRuns:
     """
 
     def __init__(self, scene: Scene, threads: int | None, limit: float) -> None:
-        self._scene, self._threads = scene, threads
+        self.scene, self._threads = scene, threads
         self.follow_engine: EngineFollower = lambda setting, times: _engine_called(setting.engine).follow(
             scene, setting, times, limit
         )
@@ -45,7 +45,7 @@ class SettingRuns:
         """Return the scene with a setting; None if this version refuses it, or another engine runs it."""
         if result.status == "refused" or result.setting.engine:
             return None
-        scene = result.setting.apply(self._scene)
+        scene = result.setting.apply(self.scene)
         try:
             Space(scene)
         except (SceneError, PhysicsError) as error:
@@ -55,17 +55,17 @@ class SettingRuns:
 
     def follow(self, result: SettingResult, bound: RunBound, tell: Teller) -> Trajectory | None:
         """Run a setting with samples, and note what happened; return None if the run was stopped or failed."""
-        times, setting = sample_times(self._scene), result.setting
-        result.reason, units = "", self._scene.unit_system
+        times, setting = sample_times(self.scene), result.setting
+        result.reason, units = "", self.scene.unit_system
 
         def reached(step: int, time: float) -> None:
-            tell(f", {step} steps, t = {units.text(time, TIME)} of {units.text(self._scene.time.duration, TIME)}")
+            tell(f", {step} steps, t = {units.text(time, TIME)} of {units.text(self.scene.time.duration, TIME)}")
 
         try:
             if setting.engine:
                 run = self.follow_engine(setting, times)
             else:
-                space = Space(setting.apply(self._scene), setting.threads or self._threads)
+                space = Space(setting.apply(self.scene), setting.threads or self._threads)
                 watch = Stopwatch()
                 run = follow(space, times, bound, reached)
                 result.followed = watch.seconds
@@ -79,16 +79,17 @@ class SettingRuns:
         result.steps, result.frames, result.digest = run.steps, run.frames, run.digest
         return run
 
-    def cost(self, setting: Setting) -> float:
+    def cost(self, result: SettingResult) -> float:
         """Run a setting once without recording; return its time in s, including the time of a look-ahead.
 
         On one thread that is CPU time, which other programs on the machine hardly change.
         """
+        setting = result.setting
         if setting.engine:
-            return float(_engine_called(setting.engine).run(self._scene, setting))
+            return float(_engine_called(setting.engine).run(self.scene, setting))
         threads = setting.threads or self._threads or cores()
         clock = time.thread_time if threads == 1 else time.perf_counter
-        scene = setting.apply(self._scene)
+        scene = setting.apply(self.scene)
         began = clock()
         scene = with_promise(scene, threads)
         ahead = clock() - began

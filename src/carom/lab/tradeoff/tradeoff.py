@@ -244,7 +244,7 @@ class Study:
                 self._follow(written, lambda text: tell(f"as written{text}"))
             if written.status != "measured":  # such as stopped at its limit
                 return written.spent
-            written.costs.append(self.runs.cost(written.setting))
+            written.costs.append(self.runs.cost(written))
         return written.cost
 
     @property
@@ -303,7 +303,7 @@ class Study:
 
     def _time(self, result: SettingResult) -> None:
         """Run a setting once and keep its cost."""
-        result.costs.append(self.runs.cost(result.setting))
+        result.costs.append(self.runs.cost(result))
         result.reason, self._is_unwritten = "", True
         self._busy = max(self._busy, os.getloadavg()[0] if hasattr(os, "getloadavg") else 0.0)
         if time.perf_counter() - self._written_at > WRITING:
