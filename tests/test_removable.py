@@ -149,6 +149,7 @@ for name in sys.argv[1:]:
 """
 
 
+@pytest.mark.nightly
 def test_formats_and_placements_can_be_removed(bare: Carom, bare_folder: Path) -> None:
     run, folder = bare, bare_folder
     (folder / "random.toml").write_text(GROUP.format(group=ARRANGED.format(name="random")), encoding="utf-8")

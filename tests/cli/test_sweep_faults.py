@@ -81,6 +81,7 @@ def test_a_scheduler_that_dies_leaves_the_rest_for_the_next_time(tmp_path: Path,
     assert ending["left"] + done(tmp_path / "out") == RUNS
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_local_workers_that_are_killed_are_replaced_and_end_with_a_killed_client(tmp_path: Path) -> None:
     write_scene(tmp_path)
