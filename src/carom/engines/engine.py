@@ -75,6 +75,7 @@ def problem_of(engine: str, scene: Scene) -> Problem:
         "drag": scene.drag is not None,
         "a [[wall]]": bool(scene.wall),
         "moving planes": bool(scene.translating),
+        "bodies that enter or leave": scene.admits,
         f"the force {force}": force != "",
         scene.contact.law_key: parts.contact.modelled and bool(scene.contact.laws),
         "bodies of several materials": len(coefficients.places) > 0,

@@ -13,7 +13,7 @@ import time as clock
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from carom.errors import RecordingError
+from carom.errors import RecordingError, SceneError
 from carom.physics.placement import place
 from carom.physics.schedule import Schedule, at, every
 from carom.physics.simulation import StepStatus
@@ -142,6 +142,11 @@ def refine(
         maker = Spaces(space.scene, start, threads, space.check_interval)  # with its promise
         end = min(end, scene.time.duration)
         schedule = every(end / instants)
+    if scene.admits:
+        raise SceneError(
+            "bodies enter and leave as a step begins, so shorter steps move them at other times: a refined run of a "
+            "scene with [group.release] or [[outlet]] cannot be compared"
+        )
     comparison = Comparison(maker, factor, Names(start.name, names_of_solids(scene)))
     first_step, first_time, ended, asked = space.step, space.time, "", False
     paced, since = math.inf, math.inf  # the pace excludes the first interval, which may include a compilation

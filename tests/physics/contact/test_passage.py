@@ -14,12 +14,15 @@ import pytest
 import carom
 from carom import Frame, Recording, Scene, Space
 from carom.arrays import FloatArray
-from carom.errors import PhysicsError, SceneError
+from carom.engines.engine import problem_of
+from carom.errors import ExperimentError, PhysicsError, SceneError
+from carom.lab.tradeoff.tradeoff import Study
 from carom.physics.placement import place
 from carom.physics.schedule import every
 from carom.plan.features import require
 from carom.recording.edit.clip import clip
 from carom.runs.recomputed import snapshots
+from carom.runs.refinement import refine
 from carom.runs.resume import resume
 from carom.scene.scene_file import bundled_scenes
 from carom.state.checkpoint import GONE, PRESENT, ReleaseCheckpoint
@@ -192,6 +195,17 @@ def test_a_run_goes_on_from_any_checkpoint_with_the_same_bits() -> None:
         assert [frame.fingerprint for frame in again] == [frame.fingerprint for frame in frames[at + 1 :]]
         assert np.array_equal(release(again[-1]).totals, release(frames[-1]).totals)
         assert again[-1].energy == frames[-1].energy
+
+
+def test_runs_of_other_steps_and_other_engines_are_not_compared(tmp_path: Path) -> None:
+    """Bodies enter and leave as a step begins, and other engines have them all from the start."""
+    poured = slope(count=4)
+    with pytest.raises(SceneError, match=r"a refined run of a scene with \[group.release\] or \[\[outlet\]\]"):
+        refine(poured)
+    with pytest.raises(SceneError, match="cannot be measured; remove these sections"):
+        Study(poured, tmp_path / "study")
+    with pytest.raises(ExperimentError, match="mujoco cannot represent this scene: bodies that enter or leave"):
+        problem_of("mujoco", poured)
 
 
 def test_a_checkpoint_of_other_inlets_or_outlets_is_refused() -> None:

@@ -231,6 +231,7 @@ class Rebound:
             "bodies of several materials": len(pair_coefficients(scene).places) > 0,
             "a periodic box": scene.domain.is_periodic,
             "a uniform field": any(scene.gravity.uniform),
+            "bodies that enter or leave": scene.admits,
             "drag": scene.drag is not None,
             f"the force {force}": force != "",
             scene.contact.law_key: parts.contact.modelled and bool(scene.contact.laws),

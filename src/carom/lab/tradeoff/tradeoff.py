@@ -99,7 +99,7 @@ class Study:
         Without ``force``, if the folder contains a study of another scene, a study that cannot be read, or one of
         ``files`` without a study.
     SceneError
-        If the scene is sheared.
+        If the scene is sheared, or bodies enter or leave.
     """
 
     def __init__(
@@ -117,6 +117,11 @@ class Study:
     ) -> None:
         if scene.domain.shear:
             raise SceneError("domain.shear: errors in a sheared box cannot be measured yet; remove it")
+        if scene.admits:
+            raise SceneError(
+                "bodies enter and leave as a step begins, so the errors of a scene with [group.release] or [[outlet]] "
+                "cannot be measured; remove these sections"
+            )
         self.scene, self.folder, self.threads = scene, folder, threads
         self.limit, self.bounded = limit, bounded
         self.results: list[SettingResult] = []
