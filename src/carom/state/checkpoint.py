@@ -6,7 +6,7 @@ The 64-bit fingerprint of a state is XXH64 of the bytes of its arrays, in their 
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated, NamedTuple
 
 import numpy as np
@@ -73,6 +73,17 @@ class ContactCheckpoint:
     # (3,) of the piston: displacement in m, velocity in m/s, impulse of the bodies on it in N s; None without one
     piston: Annotated[FloatArray | None, Saved("piston", "", RUN, 3)] = None
     release: ReleaseCheckpoint | None = None  # None where no body enters or leaves
+
+    def among(self, kept: BoolArray, held: BoolArray) -> ContactCheckpoint:
+        """Return a checkpoint with only some contacts, (m,), and some impulses of the last kick, (k,)."""
+        return replace(
+            self,
+            pairs=self.pairs[kept],
+            rest_speed=self.rest_speed[kept],
+            load_speed=self.load_speed[kept],
+            held_pairs=self.held_pairs[held],
+            impulse=self.impulse[held],
+        )
 
     @property
     def highest(self) -> int:

@@ -119,18 +119,7 @@ def _enters(scene: Scene, part: InitialBodies) -> bool:
 def _arrange(group: BodyGroup) -> Arrange:
     """Return what finds the places of a group: bodies that enter one by one may have the same place."""
     if group.arrangement == "random" and group.release is not None and group.release.rate is not None:
-
-        def one_by_one(
-            mixture: Mapping[int, BodyGroup],
-            region: Region,
-            radius: FloatArray,
-            around: Surroundings,
-            rng: np.random.Generator,
-            units: UnitSystem,
-        ) -> FloatArray:
-            return scattered(next(iter(mixture)), region, radius, around, rng, units)
-
-        return one_by_one
+        return scattered
     return arrangement_called(group.arrangement).arrange
 
 

@@ -151,9 +151,15 @@ def positions(
 
 
 def scattered(
-    index: int, region: Region, radius: FloatArray, around: Surroundings, rng: np.random.Generator, units: UnitSystem
+    mixture: Mapping[int, BodyGroup],
+    region: Region,
+    radius: FloatArray,
+    around: Surroundings,
+    rng: np.random.Generator,
+    units: UnitSystem,
 ) -> FloatArray:
-    """Return centres, (n, 3) m, at which spheres overlap nothing but each other: they are there one after another."""
+    """Implement `Arrange` for spheres that are there one after another, and may overlap each other."""
+    index = next(iter(mixture))
     refuse_too_large(index, region, radius, units)
     position, missing = np.empty((len(radius), 3)), np.arange(len(radius))
     for _ in range(MOST_ROUNDS):

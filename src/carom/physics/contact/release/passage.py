@@ -207,19 +207,8 @@ class PassingBodies(OptionalPart):
         self._exchanged.append((-energy, -motion[1], -motion[2]))
         memory = self._contacts.memory
         if memory is not None:
-            self._contacts.lay_out(self._without_absent(memory))
-
-    def _without_absent(self, memory: ContactCheckpoint) -> ContactCheckpoint:
-        """Return the contacts of bodies that are there."""
-        kept, held = (_are_there(pairs, self._waits) for pairs in (memory.pairs, memory.held_pairs))
-        return replace(
-            memory,
-            pairs=memory.pairs[kept],
-            rest_speed=memory.rest_speed[kept],
-            load_speed=memory.load_speed[kept],
-            held_pairs=memory.held_pairs[held],
-            impulse=memory.impulse[held],
-        )
+            kept, held = (_are_there(pairs, self._waits) for pairs in (memory.pairs, memory.held_pairs))
+            self._contacts.lay_out(memory.among(kept, held))
 
     def _motion_of(self, which: IntArray, potential: float) -> tuple[float, FloatArray, FloatArray]:
         """Return the energy (J), the momentum and the angular momentum (N s and N m s) of some bodies."""

@@ -15,6 +15,7 @@ from carom.scene.matter import mean_volume
 from carom.scene.schema import BodyGroup, Region
 from carom.scene.start import HalfSpaces, InitialBodies
 from carom.scene.units.dimension import RATE, TIME
+from carom.scene.wall_shapes import unit_vector
 from carom.scene.wording import body_called
 
 PARALLEL = 1e-12  # difference of the normals of parallel planes
@@ -87,16 +88,13 @@ def _emptying(scene: Scene, group: BodyGroup, region: Region) -> float:
 
 def _refuse_unreachable_outlets(scene: Scene, solids: HalfSpaces) -> None:
     for index, outlet in enumerate(scene.outlet):
+        name = scene.outlet_names[index]
         if outlet.region is not None:
-            points, name = _corners(outlet.region), scene.outlet_names[index]
-            heights = solids.heights(points) if len(solids) else np.zeros((1, 0))
+            heights = solids.heights(_corners(outlet.region))
         else:
-            point, name = np.array([outlet.point]), scene.outlet_names[index]
-            normal = np.array(outlet.normal) / math.sqrt(sum(each * each for each in outlet.normal))
-            heights = solids.heights(point) if len(solids) else np.zeros((1, 0))
-            parallel = (np.abs(solids.normal - normal) < PARALLEL).all(axis=1) if len(solids) else np.zeros(0, bool)
+            parallel = (np.abs(solids.normal - unit_vector(outlet.normal)) < PARALLEL).all(axis=1)
             is_flat = np.arange(len(solids)) < len(solids) - len(scene.wall)
-            heights = np.where(parallel & is_flat, heights, 0.0)
+            heights = np.where(parallel & is_flat, solids.heights(np.array([outlet.point])), 0.0)
         behind = np.flatnonzero((heights < 0.0).all(axis=0))
         if len(behind):
             raise SceneError(

@@ -139,15 +139,7 @@ class Sleepers(OptionalPart):
         """Leave the contacts of sleepers out of a checkpoint, and add the state that the next step needs."""
         awake, held = self.have_awake_end(memory.pairs), self.have_awake_end(memory.held_pairs)
         slept = SleepCheckpoint(self._calm.copy(), self._reference.copy(), self.contacts.pairs, self.contacts.force)
-        return replace(
-            memory,
-            pairs=memory.pairs[awake],
-            rest_speed=memory.rest_speed[awake],
-            load_speed=memory.load_speed[awake],
-            held_pairs=memory.held_pairs[held],
-            impulse=memory.impulse[held],
-            sleep=slept,
-        )
+        return replace(memory.among(awake, held), sleep=slept)
 
     def recall(self, memory: ContactCheckpoint) -> None:
         """Restore the state of a checkpoint; positions must already be restored to the same step."""
