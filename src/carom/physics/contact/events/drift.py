@@ -81,6 +81,7 @@ class EventDrivenDrift(Mover):
         self._fixed = ends.inverse_mass[:n] == 0.0
         self.pressing = solver.pressing  # (n + p, 3) m/s², the accelerations that press contacts together
         self.field, self.bending = world.field, world.bending
+        self._group = empty_group()  # workspace of contacts that are held
         self._absent: BoolArray | None = None  # (n,) bodies that are not there, as `trajectories.everyone`
         self._is_open = not (shear or world.box.any())  # no axis is periodic
         # of the impacts of a call; it grows with the number of impacts in a step
@@ -234,7 +235,7 @@ class EventDrivenDrift(Mover):
         drift["exhausted"] = drift["strays"] = 0
         pairs = np.empty((MOST_TOUCHING * len(bodies) + 1 if pair else 0, 2), dtype=np.int64)
         pairs[:1] = pair or 0
-        count = resolve_touching(T, pairs, self.log, empty_group())
+        count = resolve_touching(T, pairs, self.log, self._group)
         return Impacts(self.log[:count].copy())
 
     def step_by_impacts(self, span: float) -> float:
@@ -278,7 +279,7 @@ class EventDrivenDrift(Mover):
             count = step(neighbours, T, self.log, group)
             logs.append(self.log[:count])
             if count + MOST_CONTACTS <= len(self.log):  # not because the log is full: a body is exhausted
-                step, group = resolve, empty_group()
+                step, group = resolve, self._group
         total = sum(map(len, logs))
         if total > len(self.log):  # the next step may have as many impacts
             self.log = np.empty(2 * total, dtype=self.log.dtype)
