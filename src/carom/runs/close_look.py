@@ -165,7 +165,7 @@ class CloseLook:
             approach = float(row["approach_speed"])
             if 0.5 * _reduced_mass(ends, self.start) * approach * approach <= SHARED * energy:
                 continue  # no more than what contacts may share otherwise
-            normal = np.array([row["nx"], row["ny"], row["nz"]])
+            normal = _normal(row)
             returned = 0.0  # m/s, by loads along the normal and by friction, in a step
             for load in (load for end in ends for load in self.run.loads.get(end, [])):
                 along = abs(float(load.direction @ normal))
@@ -192,14 +192,10 @@ def _beyond(vector: FloatArray, loads: list[Load], share: float) -> float:
     Each load allows twice its change in a step, since an impact may turn it round. Together they may leave less than
     one by one: a light ball between two heavy ones is pushed out across two normals that are nearly opposite.
     """
-    if not loads or not vector.any():
-        return float(np.sqrt(vector @ vector))
-    along = np.array([2.0 * load.speed * share * load.direction for load in loads]).T
-    size = float(np.abs(along).max())
-    if size == 0.0:
-        return float(np.sqrt(vector @ vector))
-    used = lsq_linear(along / size, vector / size, (-1.0, 1.0)).x
-    rest = vector - along @ used
+    rest, along = vector, np.array([2.0 * load.speed * share * load.direction for load in loads]).T
+    size = float(np.abs(along).max(initial=0.0))
+    if size > 0.0 and vector.any():
+        rest = vector - along @ lsq_linear(along / size, vector / size, (-1.0, 1.0)).x
     return float(np.sqrt(rest @ rest))
 
 
@@ -252,7 +248,7 @@ def look_closely(space: Space, frame: Frame, begin: float, end: float, dt: float
             if len(lasting[ends]) < LASTS:
                 continue
             least, change = min(lasting[ends]), abs(impulse - lasting[ends][-2])
-            normal = np.array([row["nx"], row["ny"], row["nz"]])
+            normal = _normal(row)
             if least > held.get(ends, (0.0, None))[0]:
                 held[ends] = least, normal
             if counts and change > eased.get(ends, (0.0, None))[0]:
@@ -281,7 +277,7 @@ def look_closely(space: Space, frame: Frame, begin: float, end: float, dt: float
 def _blur(vague: dict[Pair, float], impacts: Records, supported: set[int], frame: Frame) -> None:
     """Raise the relative uncertainties of pairs to those of their impacts in a step, given the supported bodies."""
     for row in impacts:
-        ends, normal = (int(row["i"]), int(row["j"])), np.array([row["nx"], row["ny"], row["nz"]])
+        ends, normal = (int(row["i"]), int(row["j"])), _normal(row)
         uncertain = 0.5 * frame.dt * sum(abs(float(frame.acceleration[end] @ normal)) for end in supported & set(ends))
         if 0.0 < FAST * uncertain < row["approach_speed"]:
             vague[ends] = max(vague.get(ends, 0.0), uncertain / float(row["approach_speed"]))
@@ -294,7 +290,7 @@ def _load_of_impact(row: np.void, loads: dict[int, list[Load]], start: InitialBo
     normal of the impact (docs/physics.md, section 9).
     """
     ends = int(row["i"]), int(row["j"])
-    normal = np.array([row["nx"], row["ny"], row["nz"]])
+    normal = _normal(row)
     support = 0.5 * sum(
         load.speed * abs(float(load.direction @ normal)) for end in ends for load in loads.get(end, []) if load.rubs
     )
@@ -302,6 +298,11 @@ def _load_of_impact(row: np.void, loads: dict[int, list[Load]], start: InitialBo
         reduced = _reduced_mass(ends, start)
         for end in _movable(ends, start):
             loads.setdefault(end, []).append(Load(normal, support * reduced / float(start.mass[end]), rubs=True))
+
+
+def _normal(row: np.void) -> FloatArray:
+    """Return the normal of a contact or an impact, (3,)."""
+    return np.array([row["nx"], row["ny"], row["nz"]])
 
 
 def _deepen(depth: FloatArray, rows: Records, radius: FloatArray) -> None:

@@ -109,11 +109,16 @@ def refine(
     """
     if not factor > 1.0:
         raise ValueError(f"factor = {factor:g}: steps must become shorter: give more than 1")
+    scene = recorded_scene(source) if isinstance(source, Recording) else source
+    if scene.admits:
+        raise SceneError(
+            "bodies enter and leave as a step begins, so shorter steps move them at other times: a refined run of a "
+            "scene with [group.release] or [[outlet]] cannot be compared"
+        )
     began = clock.perf_counter()
     bits: dict[int, int] = {}
     if isinstance(source, Recording):
         begin, end = interval(source, begin, end)
-        scene = recorded_scene(source)
         checkpoint = checkpoint_before(source, begin)
         start = start_of(source, scene, checkpoint)
         maker = Spaces(scene, start, threads, source.check_interval)
@@ -136,17 +141,12 @@ def refine(
         few = len(bits) < instants / 2
         schedule: Schedule = every((end - space.time) / instants) if few else at(bits)
     else:
-        scene, start = source, place(source)
+        start = place(source)
         maker = Spaces(scene, start, threads, None)
         space = maker.space()
         maker = Spaces(space.scene, start, threads, space.check_interval)  # with its promise
         end = min(end, scene.time.duration)
         schedule = every(end / instants)
-    if scene.admits:
-        raise SceneError(
-            "bodies enter and leave as a step begins, so shorter steps move them at other times: a refined run of a "
-            "scene with [group.release] or [[outlet]] cannot be compared"
-        )
     comparison = Comparison(maker, factor, Names(start.name, names_of_solids(scene)))
     first_step, first_time, ended, asked = space.step, space.time, "", False
     paced, since = math.inf, math.inf  # the pace excludes the first interval, which may include a compilation
