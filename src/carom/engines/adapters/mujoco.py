@@ -15,6 +15,7 @@ import numpy as np
 
 from carom.arrays import BoolArray, FloatArray, IntArray, Records
 from carom.engines.engine import EngineSimulation, InOrder, SteppedEngine, dt_of, problem_of
+from carom.engines.engine_contacts import rotated
 from carom.engines.source import CONTACT, Model, Plane, Source, State, engine_package, named_version
 from carom.errors import RecordingError
 from carom.lab.compared_run import Setting
@@ -104,10 +105,7 @@ class MuJoCoSource:
             self._position[:k] = places[:, :3]
             self._turn[:k, :3], self._turn[:k, 3] = places[:, 4:], places[:, 3]
             self._speed[:k] = rates[:, :3]
-            # from the frames of the bodies into the frame of the world; quaternions are wxyz
-            local, w, axis = rates[:, 3:], places[:, 3:4], places[:, 4:]
-            twice = 2.0 * np.cross(axis, local)
-            self._spin[:k] = local + w * twice + np.cross(axis, twice)
+            self._spin[:k] = rotated(self._turn[:k], rates[:, 3:])
         else:
             package, model = self._package, self._model
             package.mj_kinematics(model, data)
