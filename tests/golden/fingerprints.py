@@ -60,6 +60,7 @@ OTHER_STEPS = {  # more until something touches, fewer where a step takes millis
     "shaker": 110,
     "shear-cell": 8,
     "rack-break": 450,
+    "steady-hopper": 110,
     "marbles-in-a-box": 110,
     "cloud-collapse": 35,
     "asteroid-belt": 10,

@@ -334,6 +334,7 @@ def bundled(tmp_path_factory: pytest.TempPathFactory) -> Bundled:
 LONG = (  # seconds each
     *("asteroid-belt", "chute", "cloud-collapse", "drum", "hopper", "piston", "shaker"),
     *("marbles-in-a-box", "planet-with-gravel", "rubble-collision", "shear-cell", "dense-shear"),
+    "steady-hopper",
 )
 SHORT = [name for name in bundled_scenes() if name not in LONG]
 ADMITTED = {"piston": ("limit",)}  # it falls on a packing: inelastic impacts of ever smaller speeds within one step

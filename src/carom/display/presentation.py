@@ -139,7 +139,8 @@ def presentation(
         Whether to pause within the step, where the pair meets; by default only if the moment is that time, otherwise at
         the end of the step.
     pair
-        The bodies of the close-up view; by default the two of the step's hardest impact or, without one, of the run's.
+        The bodies of the close-up view; by default the two of the step's hardest impact or, without one, of the run's,
+        unless they wait to enter.
     colour_by
         The property that sets the colours, one of `COLOUR_BY` in recording/schema/header.py; by default as recorded.
     by_stage
@@ -290,11 +291,13 @@ def uniform_field(recording: Recording, header: Header) -> FloatArray | None:
 
 
 def _pair(recording: Recording, header: Header, step: ShownStep) -> Pair | None:
-    """Choose the pair of the close-up view."""
-    hardest = pair_of_extreme(recording, "impact")
-    if step.frame is None or recording.closing.get("moments.impact.step") == step.step:
-        return hardest
-    return pair_of_step(step.frame, header.bodies) or hardest
+    """Choose the pair of the close-up view; None if one of its bodies waits to enter, or has left."""
+    chosen = pair_of_extreme(recording, "impact")
+    if step.frame is not None and recording.closing.get("moments.impact.step") != step.step:
+        chosen = pair_of_step(step.frame, header.bodies) or chosen
+    if chosen is None or not np.isfinite(step.position[[recording.shown.index(body) for body in chosen.bodies]]).all():
+        return None
+    return chosen
 
 
 _References = dict[str, float]

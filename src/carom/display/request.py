@@ -74,7 +74,7 @@ class ShownStep:
 
     step: int
     time: float  # s, at its end
-    position: FloatArray  # (n, 3) m, of the shown bodies, from the recording's origin
+    position: FloatArray  # (n, 3) m, of the shown bodies, from the recording's origin; NaN for those that wait
     frame: Frame | None = None  # the step, if it was repeated
     before: Frame | None = None  # the frame before the frames in `added`
     added: Sequence[Frame] = ()  # repeated steps: the shown step, the steps between recorded frames, and the next frame
@@ -180,7 +180,7 @@ def at_impact(
         off[:] = 0.0
     k = own[np.lexsort((-impacts["approach_speed"][own], off))[:1]]
     (state,) = instants(header, before, frame, impacts, k, np.ones(1, np.int64))
-    position = np.asarray(state.frame.position - origin)
+    position = np.asarray(state.frame.seen - origin)
     shown = ShownStep(step.step, state.frame.time, position, state.frame, step.before, step.added, state=state)
     return replace(shown, velocities=velocities_at(header, before, frame, impacts, int(k[0]), state.bodies))
 
@@ -224,5 +224,5 @@ def _run(
         raise RecordingError(f"when rerun, its bits differ from step {window.differs} on")
     if shown is None:
         return None
-    position = np.asarray(shown.position - recording.origin)
+    position = np.asarray(shown.seen - recording.origin)
     return ShownStep(shown.step, shown.time, position, shown, before, added)

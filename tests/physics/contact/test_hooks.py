@@ -58,6 +58,7 @@ rack-break: time-of-impact
 rubble-collision: time-of-impact
 shaker: walls, time-of-impact, plane-guard
 shear-cell: time-of-impact
+steady-hopper: release, walls, time-of-impact, plane-guard
 two-spheres: time-of-impact
 """
 

@@ -14,13 +14,17 @@ import pytest
 import carom
 from carom import Frame, Recording, Scene, Space
 from carom.arrays import FloatArray
+from carom.display import close_up
+from carom.display.presentation import presentation
 from carom.engines.engine import problem_of
-from carom.errors import ExperimentError, PhysicsError, SceneError
+from carom.errors import ExperimentError, PhysicsError, RecordingError, SceneError
 from carom.lab.tradeoff.tradeoff import Study
 from carom.physics.placement import place
 from carom.physics.schedule import every
 from carom.plan.features import require
 from carom.recording.edit.clip import clip
+from carom.recording.layout import CLOSE_UP
+from carom.recording.read.named_events import pair_of_extreme
 from carom.runs.recomputed import snapshots
 from carom.runs.refinement import refine
 from carom.runs.resume import resume
@@ -253,6 +257,18 @@ def test_a_recording_does_not_draw_bodies_that_wait(recorded: Path) -> None:
     assert drawn[0] == 0 and max(drawn) > 10
     at = recording.checkpoint_steps[0]
     assert recording.checkpoint(at).contacts.release is not None  # type: ignore[union-attr]
+
+
+def test_a_close_up_is_not_of_bodies_that_wait(recorded: Path) -> None:
+    """At the start all bodies wait, among them the two of the run's hardest impact, which are there in its step."""
+    recording = Recording.open(recorded)
+    hardest = pair_of_extreme(recording, "impact")
+    assert hardest is not None
+    for moment, shown in ((0.0, False), (recording.moment(), True)):
+        drawn = {rows.path for rows in presentation(recording, moment).supplement.rows}
+        assert (close_up.BODIES in drawn) == shown
+    with pytest.raises(RecordingError, match="of bodies that are there then; name two bodies, or another time"):
+        presentation(recording, 0.0, only=CLOSE_UP)
 
 
 def test_tables_and_exports_leave_out_bodies_that_wait(recorded: Path, tmp_path: Path) -> None:

@@ -364,7 +364,7 @@ def _single(
         case "close-up" if added.close:
             return added.close.view(header, added.recoloured)
         case "close-up":
-            raise RecordingError("there is no known impact for a close-up; name two bodies")
+            raise RecordingError("no known impact of bodies that are there then; name two bodies, or another time")
         case "plot" if added.plots is not None:  # of single bodies, all with the same unit
             return added.plots.view(added.plots.units[0], canvas.area())
         case "plot":
