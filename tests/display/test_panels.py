@@ -16,11 +16,11 @@ from carom.display.staging import decades
 from carom.recording.layout import blueprint
 from carom.recording.layout.camera import CameraFit
 from carom.recording.layout.canvas import Canvas, views_of
-from carom.recording.layout.curve_outline import CurveOutline
 from carom.recording.layout.plot_views import DECADES, grows_by_decades
 from carom.recording.read.recorded_scene import header_of_recording, recorded_curves
 from carom.recording.read.recording import Recording
 from carom.recording.schema import paths
+from carom.recording.schema.curve_outline import CurveOutline
 from carom.recording.schema.series import recorded
 from carom.scene.forces import FORCES
 from carom.scene.load import Scene

@@ -14,7 +14,7 @@ from carom.recording.read.entities import Entities
 from carom.recording.read.recording import Recording
 from carom.recording.rrd.container import Container
 from carom.recording.schema import palette
-from carom.recording.write.whole_file import Writer
+from carom.recording.write.chunk_writer import Writer
 
 RUNS = {"reference": "", "mujoco, dt = 1": "mujoco", "mujoco, dt = 2": "mujoco", "box3d, dt = 1": "box3d", "carom": ""}
 

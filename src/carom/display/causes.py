@@ -31,7 +31,8 @@ from carom.recording.read.frame_rows import drawn_paths, times_of
 from carom.recording.read.recorded_scene import header_of_recording
 from carom.recording.read.recording import Recording
 from carom.recording.schema import palette, paths
-from carom.recording.write.whole_file import Writer
+from carom.recording.write.chunk_writer import Writer
+from carom.recording.write.rows import time_columns
 from carom.scene.units.dimension import IMPULSE
 
 GRAPH = "graph"
@@ -220,7 +221,7 @@ def write_causes(out: Path, recording: Recording, causes: Causes) -> None:
     application = f"carom-{paths.SCHEMA_VERSION}-{uuid.uuid4().hex[:12]}"
     with Writer(out, application, str(uuid.uuid4())) as writer:
         clock = begin(writer, _TEXT, causes.text, recording, causes.title, {"b": "why", "verdict": causes.title})
-        index = clock.columns(steps, times)
+        index = time_columns(clock, steps, times)
         faded = np.full(len(radius), _FADED, np.uint32)
         _bodies(writer, index, _CONE, recording, inside, position, colours, rr.components.FillMode.Solid)
         wires = rr.components.FillMode.MajorWireframe

@@ -31,7 +31,8 @@ from carom.recording.schema import palette, paths
 from carom.recording.schema.header import Scalar, ShownMaterials, TimeScale
 from carom.recording.schema.series import THICK, THIN
 from carom.recording.timelines import SIM_TIME
-from carom.recording.write.whole_file import Writer
+from carom.recording.write.chunk_writer import Writer
+from carom.recording.write.rows import time_columns
 from carom.scene.units.dimension import ENERGY, LENGTH, Dimension
 from carom.scene.units.system import UnitSystem
 from carom.scene.wording import literal
@@ -178,7 +179,7 @@ def _send(
     seen: float,
     series: Mapping[str, FloatArray],
 ) -> None:
-    index = clock.columns([pair.step for pair in batch], [pair.time for pair in batch])
+    index = time_columns(clock, [pair.step for pair in batch], [pair.time for pair in batch])
     each = [len(pair.a) for pair in batch]
     a = np.concatenate([pair.a for pair in batch]) - origin
     b = np.concatenate([pair.b for pair in batch]) - origin
@@ -291,7 +292,7 @@ def write_trajectories(path: Path, space: Space, time: FloatArray, trajectories:
         for name, trajectory, colour, width in zip(names, trajectories, colours, widths, strict=True):
             own = None if bodies is None or trajectory is trajectories[0] else bodies
             _send_trajectories(writer, name, trajectory, colour, own, width, time, radius, origin, clock)
-        index = clock.columns(list(range(1, len(time) + 1)), time.tolist())
+        index = time_columns(clock, list(range(1, len(time) + 1)), time.tolist())
         send_times(writer, index, time)
         legends = [trajectory.name for trajectory in trajectories if len(trajectory.distance)]
         # all positions are in view, above the curves and beside them
@@ -339,7 +340,7 @@ def _send_trajectories(
 ) -> None:
     position = (trajectory.position - origin).astype(np.float32)
     count, n, _ = position.shape
-    index = clock.columns(list(range(1, count + 1)), time[:count].tolist())
+    index = time_columns(clock, list(range(1, count + 1)), time[:count].tolist())
     bodies = f"world/{name}/bodies"
     writer.log(bodies, rr.Points3D.from_fields(radii=radius.astype(np.float32), colors=colour if own is None else own))
     columns = rr.Points3D.columns(positions=position.reshape(-1, 3)).partition(np.full(count, n))
@@ -354,7 +355,7 @@ def _send_trajectories(
     if len(trajectory.distance):
         writer.log(f"distance/{name}", curve_style(trajectory.name, colour, width))
         decades = np.log10(np.maximum(trajectory.distance, SMALLEST))
-        shown = clock.columns(list(range(1, len(decades) + 1)), time[: len(decades)].tolist())
+        shown = time_columns(clock, list(range(1, len(decades) + 1)), time[: len(decades)].tolist())
         writer.send_columns(f"distance/{name}", shown, rr.Scalars.columns(scalars=decades))
 
 
@@ -423,7 +424,7 @@ def write_forecast(out: Path, recording: Recording, forecast: Forecast) -> None:
     with Writer(out, application, str(uuid.uuid4())) as writer:
         markdown = f"# {literal(forecast.title)}\n\n{forecast.text}"
         clock = begin(writer, _FORK, markdown, recording, forecast.title, {"b": "fork", "verdict": forecast.title})
-        index = clock.columns(steps, forecast.time.tolist())
+        index = time_columns(clock, steps, forecast.time.tolist())
         writer.log(_BODIES, _spheres(radius, None, list(recording.bodies.name), FillMode.Solid))
         for path, name, colour in _BAND:
             writer.log(path, curve_style(name, colour))
@@ -436,7 +437,7 @@ def write_forecast(out: Path, recording: Recording, forecast: Forecast) -> None:
         for (path, name, colour), values in zip(_CHANCE, forecast.chances.T[1:], strict=True):
             if len(values):
                 times = forecast.chances[:, 0]
-                chance_index = clock.columns(np.searchsorted(forecast.time, times).tolist(), times.tolist())
+                chance_index = time_columns(clock, np.searchsorted(forecast.time, times).tolist(), times.tolist())
                 writer.log(path, curve_style(name, colour))
                 writer.send_columns(path, chance_index, rr.Scalars.columns(scalars=values))
         send_times(writer, index, forecast.time)

@@ -18,13 +18,13 @@ from carom.display.supplement import Static, Trails, has_trails
 from carom.recording.layout import FIELD
 from carom.recording.layout.camera import CameraFit
 from carom.recording.layout.canvas import Area, CameraMotion, LensView, View, views_of
-from carom.recording.layout.curve_outline import CurveOutline, Curves
 from carom.recording.layout.drawing import line_radii, shape, single
 from carom.recording.layout.plot_views import CAPTION, DECADES, curve_style, grows_by_decades, shown_series
 from carom.recording.read.frame_rows import RecordedPositions
 from carom.recording.read.recorded_impacts import impacts_by_number
 from carom.recording.read.recording import Recording
 from carom.recording.schema import palette, paths
+from carom.recording.schema.curve_outline import CurveOutline, Curves
 from carom.recording.schema.header import Header, TimeScale
 from carom.recording.schema.series import PLOTS
 from carom.recording.timelines import STEP

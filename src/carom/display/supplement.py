@@ -20,17 +20,17 @@ from carom.errors import RecordingError
 from carom.recording.layout import TRAILS
 from carom.recording.layout.camera import FEW, CameraFit
 from carom.recording.layout.canvas import Area
-from carom.recording.layout.curve_outline import CurveOutline
 from carom.recording.layout.plot_views import curve_style, time_series_view
 from carom.recording.read.frame_rows import drawn_paths, times_of
 from carom.recording.read.lookup import body_number, split_at_commas
 from carom.recording.read.recording import Recording
 from carom.recording.schema import palette
+from carom.recording.schema.curve_outline import CurveOutline
 from carom.recording.schema.header import Header, TimeScale
 from carom.recording.timelines import STEP
 from carom.recording.write.durable_sink import FLUSH
 from carom.recording.write.rerun_compat import send_layout
-from carom.recording.write.rows import Index, Rows
+from carom.recording.write.rows import Index, Rows, time_columns
 from carom.runs.window import Window
 from carom.scene.units.dimension import OF_UNIT
 from carom.scene.units.system import SI, UnitSystem
@@ -66,7 +66,7 @@ class Supplement:
             for path, archetype in self.statics:
                 stream.log(path, archetype, static=True)
             for rows in self.rows:
-                stream.send_columns(rows.path, self.clock.columns(*rows.index), rows.columns)
+                stream.send_columns(rows.path, time_columns(self.clock, *rows.index), rows.columns)
             send_layout(stream, application, self.layout)
             stream.flush(timeout_sec=FLUSH)
             stream.disconnect()

@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from carom.recording.layout.canvas import Area
-from carom.recording.layout.curve_outline import CurveOutline
 from carom.recording.layout.plot_views import place_legend, time_axis, time_beside_legend
+from carom.recording.schema.curve_outline import CurveOutline
 
 FloatArray = NDArray[np.float64]
 

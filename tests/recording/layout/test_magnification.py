@@ -9,7 +9,7 @@ import rerun.blueprint as rrb
 from rerun.chunk import RrdReader
 
 from carom.recording.layout.canvas import NEAREST, CameraMotion, View, scale, space, spatial_view
-from carom.recording.write.whole_file import Writer
+from carom.recording.write.chunk_writer import Writer
 
 
 @pytest.mark.parametrize("distance", [1e-12, 3e-3, 0.0499, 0.05, 0.499])

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from carom.recording.layout.curve_outline import CurveOutline
 from carom.recording.layout.plot_views import shown_series
 from carom.recording.read.recording import Recording
+from carom.recording.schema.curve_outline import CurveOutline
 from carom.recording.schema.palette import LINES
 from carom.recording.schema.series import PLOTS, SERIES, names_below, recorded
 from carom.recording.write.recorder import FrameRecorder

@@ -11,7 +11,8 @@ from pathlib import Path
 import pytest
 
 from carom.errors import RecordingError
-from carom.recording.write.whole_file import Claim, Writer
+from carom.recording.write.chunk_writer import Writer
+from carom.recording.write.whole_file import Claim
 
 
 def test_a_second_claim_of_a_file_is_refused_until_the_first_is_released(tmp_path: Path) -> None:

@@ -22,8 +22,8 @@ from carom.recording.rrd.messages import Chunk, Entry
 from carom.recording.schema import paths
 from carom.recording.schema.header import Scalar
 from carom.recording.timelines import IMPACT, SIM_TIME, STEP
+from carom.recording.write.chunk_writer import Writer
 from carom.recording.write.rerun_compat import StoredLayout
-from carom.recording.write.whole_file import Writer
 from carom.scene.units.dimension import TIME
 from carom.scene.units.system import UnitSystem
 from carom.scene.wording import bodies_called

@@ -24,8 +24,8 @@ from carom.recording.rrd.container import Container, Salvage, salvage
 from carom.recording.rrd.messages import BLUEPRINT, RECORDING, Chunk, Entry, Store
 from carom.recording.schema import paths
 from carom.recording.timelines import STEP
+from carom.recording.write.chunk_writer import Writer
 from carom.recording.write.rerun_compat import StoredLayout
-from carom.recording.write.whole_file import Writer
 from carom.scene.units.dimension import TIME
 from carom.scene.units.system import SI, UnitSystem
 

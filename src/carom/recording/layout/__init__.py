@@ -25,10 +25,10 @@ from carom.recording.layout.canvas import (
     surroundings,
     taken_from,
 )
-from carom.recording.layout.curve_outline import Curves
 from carom.recording.layout.drawing import arrow_length, shape
 from carom.recording.layout.plot_views import energy_view, plot_views, time_axis
 from carom.recording.schema import palette, paths
+from carom.recording.schema.curve_outline import Curves
 from carom.recording.schema.header import Header, TimeScale
 from carom.recording.timelines import SIM_TIME, STEP
 

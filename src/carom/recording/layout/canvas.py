@@ -17,8 +17,8 @@ from rerun.blueprint.encodings import ComponentSourceKind, VisualizerComponentMa
 from rerun.encodings import EntityPathLike
 
 from carom.arrays import BoolArray, FloatArray, IntArray
-from carom.recording.layout.curve_outline import Curves
 from carom.recording.schema import palette, paths
+from carom.recording.schema.curve_outline import Curves
 from carom.recording.schema.header import Header
 from carom.recording.schema.paths import MOVING, PERIODIC_BOX, PLANES, SHAPES, WALLS
 

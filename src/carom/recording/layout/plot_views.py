@@ -18,8 +18,8 @@ from rerun.encodings import EntityPathLike
 
 from carom.arrays import IntArray
 from carom.recording.layout.canvas import NONE, Additions, Area, taken_from
-from carom.recording.layout.curve_outline import CurveOutline, Curves
 from carom.recording.schema import paths
+from carom.recording.schema.curve_outline import CurveOutline, Curves
 from carom.recording.schema.header import Header
 from carom.recording.schema.series import (
     CONTACTS,

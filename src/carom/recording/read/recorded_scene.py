@@ -14,9 +14,9 @@ import pyarrow as pa
 
 from carom.arrays import BoolArray
 from carom.errors import RecordingError, SceneError
-from carom.recording.layout.curve_outline import CurveOutline
 from carom.recording.read.entities import SCALARS, flat
 from carom.recording.schema import paths
+from carom.recording.schema.curve_outline import CurveOutline
 from carom.recording.schema.header import COLOUR_BY, Header, ShownMaterials, motions_of, scene_digest
 from carom.recording.schema.paths import ENERGY, STEPS
 from carom.recording.schema.properties import fields_read

@@ -10,14 +10,12 @@ from dataclasses import dataclass, field
 from typing import Any, Literal
 
 import numpy as np
-import rerun as rr
 from numpy.typing import NDArray
 
 from carom.arrays import BoolArray, ColourArray, FloatArray, IntArray
 from carom.errors import RecorderError
 from carom.recording.schema import palette
 from carom.recording.schema.paths import MOVING, SCHEMA_VERSION
-from carom.recording.timelines import IMPACT, SIM_TIME, STEP
 from carom.scene.data.body_columns import BodyColumns
 from carom.scene.extensions import PROPERTY
 from carom.scene.forces import FORCES
@@ -313,20 +311,6 @@ class TimeScale:
         """Convert seconds to nanoseconds, to less than the time of the frame that ends at ``ends`` (s); see `Index`."""
         shown = self.nanoseconds(times)
         return shown if ends is None or not len(ends) else np.minimum(shown, self.nanoseconds(ends) - 1)
-
-    def columns(
-        self,
-        steps: Sequence[int] | IntArray,
-        times: Sequence[float] | FloatArray,
-        impacts: Sequence[int] | IntArray = (),
-        ends: FloatArray | None = None,
-    ) -> list[rr.TimeColumn]:
-        """Return the time columns of a batch: steps, times and numbers of impacts, each if given."""
-        columns = [rr.TimeColumn(STEP, sequence=steps)] if len(steps) else []
-        if len(times):
-            shown = self.within(np.asarray(times), ends)
-            columns.append(rr.TimeColumn(SIM_TIME, duration=shown.astype("timedelta64[ns]")))
-        return [*columns, rr.TimeColumn(IMPACT, sequence=impacts)] if len(impacts) else columns
 
 
 _VIEWER_UNITS = (("d", 86400.0), ("h", 3600.0), ("min", 60.0), ("s", 1.0))

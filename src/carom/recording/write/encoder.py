@@ -19,10 +19,10 @@ from carom.physics.contact.graph import colour_bodies
 from carom.physics.frame_store import FrameStore
 from carom.physics.vector import minimum_images
 from carom.recording.layout import drawing, is_crowded
-from carom.recording.layout.curve_outline import CurveOutline
 from carom.recording.layout.drawing import arrow_length, shape, single
 from carom.recording.read.recorded_impacts import RecordedImpacts
 from carom.recording.schema import checkpoint_columns, palette, paths
+from carom.recording.schema.curve_outline import CurveOutline
 from carom.recording.schema.header import Header
 from carom.recording.schema.paths import FLOOR
 from carom.recording.schema.series import IN_PLOT, Sample, Series, recorded

@@ -14,6 +14,8 @@ from rerun import ComponentColumn
 
 from carom.arrays import FloatArray, Int32Array, IntArray, SingleArray
 from carom.recording.read.entities import plain
+from carom.recording.schema.header import TimeScale
+from carom.recording.timelines import IMPACT, SIM_TIME, STEP
 from carom.state.frame import Frame
 
 # Columns of a batch: the values of a component, row after row, and their number in each row. The columns below wrap the
@@ -112,6 +114,21 @@ class Index(NamedTuple):
     def within_step(cls, time: float) -> Index:
         """Return an index of a single row within a step, at a time (s); it has no step."""
         return cls(NO_STEPS, np.array([time]))
+
+
+def time_columns(
+    clock: TimeScale,
+    steps: Sequence[int] | IntArray,
+    times: Sequence[float] | FloatArray,
+    impacts: Sequence[int] | IntArray = (),
+    ends: FloatArray | None = None,
+) -> list[rr.TimeColumn]:
+    """Return the time columns of a batch: steps, times (s) and numbers of impacts, each if given; see `Index`."""
+    columns = [rr.TimeColumn(STEP, sequence=steps)] if len(steps) else []
+    if len(times):
+        shown = clock.within(np.asarray(times), ends)
+        columns.append(rr.TimeColumn(SIM_TIME, duration=shown.astype("timedelta64[ns]")))
+    return [*columns, rr.TimeColumn(IMPACT, sequence=impacts)] if len(impacts) else columns
 
 
 @dataclass(frozen=True, slots=True)

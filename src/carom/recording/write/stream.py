@@ -21,7 +21,7 @@ from carom.recording.schema.header import Header, Scalar, TimeScale, application
 from carom.recording.write.durable_sink import FLUSH, DurableSink
 from carom.recording.write.partial_frames import Lives
 from carom.recording.write.rerun_compat import end_earlier_streams, rerun_chunks, send_layout
-from carom.recording.write.rows import Index, Rows, any_values, joined, kind_of
+from carom.recording.write.rows import Index, Rows, any_values, joined, kind_of, time_columns
 from carom.recording.write.static_entities import identity, statics
 
 # A second stream, to a running viewer. The viewer may close at any time; the recording continues.
@@ -140,7 +140,7 @@ class Stream:
 
     def _send(self, rows: Rows, clock: TimeScale, streams: Iterable[rr.RecordingStream]) -> None:
         if (index := rows.index) is not self._indexed:  # most entities of a batch share it
-            self._indexed, self._index = index, clock.columns(*index)
+            self._indexed, self._index = index, time_columns(clock, *index)
         for stream in streams:
             stream.send_columns(rows.path, self._index, rows.columns)
 

@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from carom.recording.layout.curve_outline import CurveOutline
+from carom.recording.schema.curve_outline import CurveOutline
 
 
 @settings(deadline=None)  # the machine may be busy
