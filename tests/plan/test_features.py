@@ -390,11 +390,10 @@ def test_the_reason_for_the_adaptive_step_names_what_it_follows() -> None:
 
 
 def test_a_force_that_differs_between_bodies_at_rest_lets_them_meet_and_press(monkeypatch: pytest.MonkeyPatch) -> None:
-    scene = scene_of(RESTING, gravity={"constant": 0})
-    assert not require(scene).contact.modelled
+    assert not require(scene_of(RESTING, gravity={"constant": 0})).contact.modelled
     trap = ForceKind("gravity-well", lambda scene: (True, "of this test"), differs=True)
     monkeypatch.setattr(interactions, "kinds_of", lambda scene: (*FORCES, trap))
-    needs = require(scene)
+    needs = require(scene_of(RESTING, gravity={"constant": 0}))
     assert needs.contact.modelled and needs.resting.modelled
     assert needs.resting.why.startswith("well presses")
     assert needs.impact_time.modelled

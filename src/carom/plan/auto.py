@@ -9,6 +9,7 @@ from typing import Literal
 from carom.plan import interactions
 from carom.plan.hierarchy import FEWEST_ORBITS, MOST_APART, far_apart, orbits_often
 from carom.plan.interactions import forced_parts
+from carom.plan.once_a_scene import once_a_scene
 from carom.scene.integrators import AUTO, INTEGRATORS, Integrator, integrator_called
 from carom.scene.load import Scene
 from carom.scene.matter import body_mass, made_of, mean_mass
@@ -124,6 +125,7 @@ def most_steps(scene: Scene, first: float) -> float:
     return duration * max(1.0 / first, speed / (limit * smallest_radius(scene)))
 
 
+@once_a_scene
 def integrator(scene: Scene) -> Integrator:
     """Choose the integrator: one of high order where the motion is smooth (docs/trade.md)."""
     if scene.time.integrator != AUTO:

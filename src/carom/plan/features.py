@@ -30,6 +30,7 @@ from carom.plan.auto import (
 )
 from carom.plan.hierarchy import heaviest, orbits_often
 from carom.plan.interactions import forced_parts
+from carom.plan.once_a_scene import once_a_scene
 from carom.scene.contact_laws import DEFAULT_LAW
 from carom.scene.forces import GRAVITY, UNIFORM_FIELD, kinds_of
 from carom.scene.integrators import AUTO
@@ -89,6 +90,7 @@ class Requirements:
         return any(part.modelled for part in self.forces.values())
 
 
+@once_a_scene
 def require(scene: Scene) -> Requirements:
     """Decide what a scene needs, and switch on the parts named in ``model.force``.
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 
+from carom.plan.once_a_scene import once_a_scene
 from carom.scene.contact_laws import exerts_torque, functions_of
 from carom.scene.forces import GRAVITY, ForceKind, kinds_of
 from carom.scene.load import Scene
@@ -54,6 +55,7 @@ def further(scene: Scene) -> str:
     return next(iter(scene.forces.given), "")
 
 
+@once_a_scene
 def contact(scene: Scene) -> Part:
     """Decide whether anything can touch."""
     name = "contact"
