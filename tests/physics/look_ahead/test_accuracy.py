@@ -502,7 +502,17 @@ def test_balls_that_pull_and_bounce_keep_to_the_event_driven_solution(index: int
     assert len(exact.time) > 2
 
 
-def test_a_look_ahead_ends_where_shorter_steps_would_not_extend_the_promise(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(
+    ("chance", "expected", "why"),
+    [
+        (-1.0, [1, 2, 3, 4], "the first two are not believed, and one of the others may be chance"),
+        (1e-3, [1, 2], "distances of rounding are no chance; one that shorter steps change nothing may be"),
+    ],
+)
+def test_a_look_ahead_ends_where_shorter_steps_would_not_extend_the_promise(
+    chance: float, expected: list[int], why: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("carom.physics.look_ahead.find_step.CHANCE", chance)
     scene = ball(1e-6)
     scene = scene.model_copy(update={"time": scene.time.model_copy(update={"integrator": "leapfrog"})})
     compared: list[int] = []
@@ -511,12 +521,12 @@ def test_a_look_ahead_ends_where_shorter_steps_would_not_extend_the_promise(monk
         times: FloatArray, apart: list[FloatArray], finest: float, order: int, accuracy: float, farthest: float
     ) -> tuple[float, float, FloatArray]:
         compared.append(len(apart))
-        return 1.0, 0.5 * float(times[-1]), np.where(times <= 0.5 * times[-1], 0.0, 1.0)
+        return 0.25, 0.5 * float(times[-1]), np.where(times <= 0.5 * times[-1], 0.0, 1.0)
 
     monkeypatch.setattr("carom.physics.look_ahead.find_step.extrapolate", cliff)
     promise = with_promise(scene, 1).promise
-    assert promise is not None and promise.refinement == 1.0
-    assert compared == [1, 2, 3, 4], "the first two are not believed, and one of the others may be chance"
+    assert promise is not None and promise.refinement == 0.25
+    assert compared == expected, why
 
 
 @pytest.mark.parametrize("accuracy", [1e-2, 1e-3, 1e-4])

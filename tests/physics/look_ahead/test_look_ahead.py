@@ -18,6 +18,7 @@ from carom.physics.schedule import at
 from carom.physics.space import Space
 from carom.runs.run import shortfall_text
 from carom.scene.load import Scene
+from carom.scene.schema import Promise
 from small_scenes import scene_of
 
 FloatArray = NDArray[np.float64]
@@ -70,6 +71,58 @@ def test_a_ball_that_slides_and_then_rolls_keeps_the_accuracy_and_the_expected_e
         assert error <= 1.01 * promise.error_at(space.time + 2.0 / 64) + 1e-10
     if accuracy >= 1e-6 and speed == 2.0:  # elsewhere the promise may end where the ball begins to roll
         assert promise.horizon is None
+
+
+def test_a_rolling_ball_that_any_step_computes_exactly_gets_the_longest_ones_after_one_comparison() -> None:
+    """It rolls down with 5/7 g sin α, so that trial runs agree to rounding."""
+    slope, across = 0.5, math.sqrt(0.75)
+    ball = {"radius": 0.1, "mass": 1.0, "position": [0.1 * slope, 0.0, 0.1 * across]}
+    scene = scene_of(
+        [ball],
+        time={"duration": 1.0, "accuracy": 1e-4},
+        gravity={"constant": 0.0, "uniform": [0.0, 0.0, -9.81]},
+        contact={"restitution": 0.0, "static_friction": 0.5, "kinetic_friction": 0.5},
+        plane=[{"normal": [slope, 0.0, across]}],
+        record={"check_every": 1000},
+    )
+    budgets: list[WorkBudget] = []
+    space = Space(scene, 1, watch_look_ahead=budgets.append)
+    promise = space.scene.promise
+    assert promise is not None and promise.horizon is None and promise.refinement == 1.0
+    # two runs and a twin, whose steps take 0.27 to 0.39 times the work of the run's own
+    assert budgets[-1].spent < 1.5 * budgets[-1].own
+    start = space.state.position[0].copy()
+    space.reach(1.0)
+    rolled = 0.5 * 5.0 / 7.0 * 9.81 * slope
+    exact = start + rolled * np.array([across, 0.0, -slope])
+    assert np.linalg.norm(space.state.position[0] - exact) / np.linalg.norm(start) < 1e-9, "far below the request"
+
+
+def test_comparisons_that_end_where_nothing_is_kept_give_the_same_promise(monkeypatch: pytest.MonkeyPatch) -> None:
+    scene = tumbling()
+    assert with_promise(scene, 1).promise == whole_promise(scene, monkeypatch)
+
+
+def tumbling() -> Scene:
+    """Return three balls that bounce in a narrow box, where a medium brakes them: errors grow tenfold in 0.2 s."""
+    bodies = [
+        {"position": [x, y, 0.0], "velocity": [1.0 - x, 2.0 * y, 0.3 + x], "radius": 0.3}
+        for x, y in ((-0.5, -0.45), (0.45, -0.5), (0.0, 0.5))
+    ]
+    return scene_of(
+        bodies,
+        time={"duration": 4.0, "accuracy": 1e-5},
+        domain={"boundary": "walls", "size": [2.0, 2.0, 1.0]},
+        gravity={"constant": 0.0},
+        drag={"relaxation_time": 50.0},
+        contact={"restitution": 1.0, "static_friction": 0.0},
+    )
+
+
+def whole_promise(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> Promise | None:
+    """Return the promise of comparisons that go on until the distance is the size of the system."""
+    monkeypatch.setattr("carom.physics.look_ahead.find_step.largest_useful", lambda *_: 1.0)
+    return with_promise(scene, 1).promise
 
 
 def test_an_accuracy_takes_no_more_steps_than_the_default_where_drag_makes_these_exact() -> None:

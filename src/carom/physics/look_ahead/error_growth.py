@@ -20,14 +20,17 @@ from carom.scene.load import Scene
 from carom.scene.start import InitialBodies
 
 GOLDEN = 0.3819660112501051  # of the time between two comparisons
-COARSEST, RATIO = 1.0618, 1.4715  # refinement of the first trial run, and of each relative to the previous one
-COARSEST_OF_SMOOTH = 0.25 * COARSEST  # the same where nothing can touch: 24 steps in a circular orbit
+# Refinement of the first trial run, and of each relative to the previous one; 24 steps in a circular orbit. With 1.06,
+# a run that refinement 1 suffices for cost a tenth of its look-ahead where bodies touch.
+COARSEST, RATIO = 0.25 * 1.0618, 1.4715
 LONGEST = 1.0  # refinement of the longest useful steps
 SAFETY = 3.5  # the step is chosen for an error smaller than requested by this factor
 # Largest refinement relative to the finest trial run, which then costs an eighth of the run itself; and the same where
 # nothing can touch, so that the order is known.
 FARTHEST, FARTHEST_OF_SMOOTH = 8.0, 32.0
-TRIED, TRIED_OF_SMOOTH = 3, 2  # required comparisons: one or two may be small by chance (see above), with contacts
+# Required comparisons: with contacts, one or two may be small by chance (see above). The chance of a distance that is a
+# fraction of the accuracy is about that fraction; fewer suffice where the product of the fractions is below `CHANCE`.
+TRIED, TRIED_OF_SMOOTH, CHANCE = 3, 2, 1e-3
 LATEST = 4  # number of latest comparisons in use
 # sufficient fraction of the longest time for which the accuracy can be kept, unless that is the whole run
 NEARLY = 0.95
@@ -169,6 +172,16 @@ def extrapolate(
     enough = longest if longest >= times[-1] else NEARLY * longest
     k = next(k for k, until in enumerate(kept) if until >= enough)
     return tried[k], kept[k], errors[k]
+
+
+def by_chance(apart: list[FloatArray], accuracy: float) -> float:
+    """Return the probability that all distances at the end are small by chance, (K,) each, relative to the size."""
+    return math.prod(min(float(each[-1]) / accuracy, 1.0) for each in apart)
+
+
+def largest_useful(order: int, accuracy: float, farthest: float) -> float:
+    """Return a distance of trial runs, relative to the size, above which no run that follows keeps the accuracy."""
+    return min(accuracy * (RATIO**order - 1.0) * (farthest * RATIO**LATEST) ** order / SAFETY, 1.0)
 
 
 def stays(times: FloatArray, apart: list[FloatArray], kept: float) -> bool:

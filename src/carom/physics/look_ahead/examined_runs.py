@@ -12,7 +12,6 @@ from carom.errors import SceneError
 from carom.physics.look_ahead.error_growth import (
     APART,
     COARSEST,
-    COARSEST_OF_SMOOTH,
     EPS,
     FARTHEST,
     FARTHEST_OF_SMOOTH,
@@ -70,10 +69,10 @@ class ExaminedRuns:
         self._budget = budget
         # without contacts, errors are smooth in the step, and are extrapolated beyond the times of the trial runs
         self._is_smooth = not require(scene).contact.modelled
-        of_smooth, otherwise = (COARSEST_OF_SMOOTH, TRIED_OF_SMOOTH, FARTHEST_OF_SMOOTH), (COARSEST, TRIED, FARTHEST)
-        self._coarse, self._tried, self._farthest = of_smooth if self._is_smooth else otherwise
+        of_smooth = TRIED_OF_SMOOTH, FARTHEST_OF_SMOOTH
+        self._tried, self._farthest = of_smooth if self._is_smooth else (TRIED, FARTHEST)
         # refinement up to which trial runs are always made, or the smallest of a run, if that is larger
-        self._planned = max(self._coarse * RATIO**self._tried, LONGEST)
+        self._planned = max(COARSEST * RATIO**self._tried, LONGEST)
         self._kept_at_most = math.inf  # s
         self._times = samples(scene.time.duration, SAMPLES)
         self._scale = Scale.of(scene, start)
@@ -98,13 +97,13 @@ class ExaminedRuns:
         """
         duration = self._scene.time.duration
         self._times = between_round_times(duration, SAMPLES)
-        longer = self._planned / self._coarse
-        run = self._run(self._coarse, share=FIRST_SHARE, longer=longer)
+        longer = self._planned / COARSEST
+        run = self._run(COARSEST, share=FIRST_SHARE, longer=longer)
         run.at(SAMPLES - 1)
         if run.is_cut:
             count = max(1, min(SAMPLES, run.steps // (STEPS_PER_SAMPLE // 2 if self._is_smooth else STEPS_PER_SAMPLE)))
             self._times = between_round_times(run.reached, count)
-            run = self._run(self._coarse, share=2.0 * FIRST_SHARE, longer=longer)
+            run = self._run(COARSEST, share=2.0 * FIRST_SHARE, longer=longer)
             run.at(count - 1)
         return run
 

@@ -32,12 +32,15 @@ from carom.errors import SceneError
 from carom.physics.forces.gravity.direct import MAX_IN_ONE_BLOCK
 from carom.physics.look_ahead.error_growth import (
     APART,
+    CHANCE,
     LONGEST,
     RATIO,
     SAFETY,
     Twins,
+    by_chance,
     extrapolate,
     kept_until,
+    largest_useful,
     samples,
     stays,
     with_start,
@@ -275,16 +278,17 @@ class _LookAhead(ExaminedRuns):
         coarse = coarse or self._coarsest()
         budget, refinement, apart, idle, enough = self._budget, coarse.refinement, list[FloatArray](), 0, 0
         best: _Found | None = None
+        useful = 1.0 if self._is_smooth else largest_useful(order, self._accuracy, self._farthest)
         while len(apart) < self._tried or 2.0 * RATIO * coarse.work <= budget.left:  # including a twin
             refinement *= RATIO
             share = (budget.left / 2.0) / budget.total  # a twin costs the same again
             fine = self._run(refinement, share=share, longer=max(1.0, self._planned / refinement))
-            apart.append(self._scale.apart(coarse, fine, 1.0))
+            apart.append(self._scale.apart(coarse, fine, useful))
             known = min(coarse.known, fine.known)
             growth = self._growth(apart[-1], known)
             goal = self._accuracy / (growth if growth < MOST_FORESEEN else 1.0)
             chosen, kept, error = extrapolate(self._times, apart, refinement, order, goal, self._farthest)
-            if len(apart) < self._tried:
+            if len(apart) < self._tried and (self._is_smooth or by_chance(apart, self._accuracy) > CHANCE):
                 kept, error = 0.0, np.full(len(self._times), np.inf)
             if most < math.inf and not kept >= self._times[-1]:
                 missed = SAFETY * apart[-1][-1] / (RATIO**order - 1.0) / goal
@@ -318,6 +322,9 @@ class _LookAhead(ExaminedRuns):
         for count in (SAMPLES,) if many else FEWER_SAMPLES:
             self._times = samples(duration, count)
             run = self._run(refinement, share=TWIN_SHARE)
+            run.at(0)
+            if run.rests_from == 0.0:  # another integrator is needed, whatever follows
+                run.end()
             run.at(count - 1)
             if run.is_cut and run.reached > 0.0 and run.rests_from == math.inf:  # compare at times that it reaches
                 self._times = samples(run.reached, count)

@@ -26,7 +26,10 @@ LEAST = 0.2  # nominal s, where nothing can touch, so that an error beyond the t
 # Leapfrog steps that the budget pays for at least, so that trial runs cover 8 samples of 4 steps; more than `LEAST` for
 # more than some 400 bodies.
 LEAST_STEPS = 800
-LEAST_OF_CONTACTS = 5.0  # nominal s, where bodies may touch, so that nothing is promised beyond the trial runs
+# Nominal s, where bodies may touch, so that nothing is promised beyond the trial runs. 1 s covers `billiards` at 10⁻⁴,
+# whose steps with friction take Python 0.5 ms each.
+LEAST_OF_CONTACTS = 1.5
+MOST_OF_LEAST = 5.0  # nominal s, for many bodies that cannot touch
 PART_OF_RUN = 0.1  # of the nominal time of the run itself, if that is larger
 MOST = 60.0  # nominal s, an upper limit, because chattering contacts could take infinitely many steps
 # Nominal s, accurate to a factor of two: a call from Python, a step in a kernel, and the part of a body or contact in a
@@ -98,7 +101,7 @@ def force_work(scene: Scene) -> float:
 def least_work(scene: Scene, touches: bool) -> float:
     """Return the smallest budget (nominal s) of a look-ahead."""
     steps = LEAST_STEPS * (KERNEL_STEP + force_work(scene))
-    return LEAST_OF_CONTACTS if touches else min(max(LEAST, steps), LEAST_OF_CONTACTS)
+    return LEAST_OF_CONTACTS if touches else min(max(LEAST, steps), MOST_OF_LEAST)
 
 
 def radau_work(bodies: int) -> float:
@@ -175,6 +178,10 @@ class TrialRun:
             except PhysicsError:  # the step is too long
                 self._failed = True
         return self._positions[sample] if sample < len(self._positions) else None
+
+    def end(self) -> None:
+        """Leave the times that the run has not yet reached unknown."""
+        self.is_cut = True
 
     def again(self, start: InitialBodies) -> TrialRun:
         """Complete this run, then return a run from another initial state that reuses its memory."""
