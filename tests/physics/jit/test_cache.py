@@ -175,6 +175,23 @@ def test_files_of_a_kernel_that_has_moved_or_changed_do_not_heap_up(package: Pat
     assert set(files) < set((package.parent / "cache").rglob("*.nbc")), "those of another processor stay"
 
 
+BASELINE = {"NUMBA_CPU_NAME": cache.BASELINE, "NUMBA_CPU_FEATURES": ""}
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not cache._is_baseline_met(), reason="this processor lacks features of the baseline")
+def test_kernels_that_a_wheel_carries_for_the_baseline_are_used_where_nobody_has_chosen_a_processor(
+    package: Path,
+) -> None:
+    expected = [2.0 + k for k in range(COUNT)]
+    assert call(package, env={"NUMBA_CACHE_DIR": ""} | BASELINE)[1] == COUNT + 1, "beside the sources, as in a wheel"
+    assert call(package)[:2] == (expected, 0), "used, though the cache of this machine is another folder"
+    assert call(package, env={"NUMBA_CPU_NAME": "generic", "NUMBA_CPU_FEATURES": ""})[1] == COUNT + 1
+    file = next((package / "__pycache__").glob("kernels.f0-*.nbc"))
+    file.write_bytes(file.read_bytes()[:-1])
+    assert call(package)[:2] == (expected, 1), "the damaged one is compiled anew"
+
+
 RECORD = "from typing import NamedTuple\nclass Ball(NamedTuple):\n    {first}: float\n    {second}: float\n"
 HEAVIER = (
     "from carom.physics.jit.decorators import kernel\n@kernel\n"

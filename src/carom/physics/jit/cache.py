@@ -8,6 +8,9 @@ begins with a checksum of its content, of the kernel and its argument types, and
 depend on. Damaged, exchanged or outdated files are ignored and the kernel is compiled again. There is one file per
 kernel and types, and no index that two processes could write at once. A process that compiles a kernel claims it, so
 that others wait for the result, and removes the files of the kernel that other sources or versions left.
+
+A wheel may carry kernels for a `BASELINE` of processors (``.ci/wheel`` makes one). They lie beside the sources, are
+verified like all others, and give the same bits as kernels for this processor.
 """
 
 from __future__ import annotations
@@ -26,7 +29,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-import llvmlite
+import llvmlite.binding
 import numba
 import numpy as np
 import xxhash
@@ -47,6 +50,13 @@ SOURCES = (
 )
 _FROM = re.compile(r"^[ \t]*from[ \t]+([\w.]+)[ \t]+import[ \t]+(\([^)]*\)|[^\n]*)", re.MULTILINE)
 _IMPORT = re.compile(r"^[ \t]*import[ \t]+([^\n#]+)", re.MULTILINE)
+# The x86-64-v3 level of the psABI for x86-64 (https://gitlab.com/x86-psABIs/x86-64-ABI), by LLVM's names: Intel since
+# 2013, AMD since 2015. The level below has no AVX2, with which kernels of eight contacts are compiled.
+BASELINE = "x86-64-v3"
+_BASELINE_FEATURES = (
+    *("cx16", "popcnt", "sahf", "sse3", "ssse3", "sse4.1", "sse4.2"),
+    *("avx", "avx2", "bmi", "bmi2", "f16c", "fma", "lzcnt", "movbe", "xsave"),
+)
 _VERSIONS = (numba.__version__, llvmlite.__version__, np.__version__, sys.version_info[:3], PLAIN)
 
 
@@ -62,7 +72,7 @@ def cache_of(function: Callable[..., Any]) -> KernelCache | None:
     if folder is None:
         return None
     try:
-        return KernelCache(function, folder, sources_of(function.__module__, file))
+        return KernelCache(function, folder, file.parent / "__pycache__", sources_of(function.__module__, file))
     except (OSError, UnicodeDecodeError):
         return None
 
@@ -111,10 +121,10 @@ def _is_own(folder: Path) -> bool:
 class KernelCache:
     """The compiled forms of one kernel, which replace Numba's own cache."""
 
-    def __init__(self, function: Callable[..., Any], folder: Path, sources: bytes) -> None:
+    def __init__(self, function: Callable[..., Any], folder: Path, shipped: Path, sources: bytes) -> None:
         code = function.__code__
         version = sys.implementation.cache_tag + (".plain" if PLAIN else "")
-        self._folder, self._version = folder, version
+        self._folder, self._shipped, self._version = folder, shipped, version
         self._kernel = f"{Path(code.co_filename).stem}.{function.__qualname__}"
         self._name = f"{self._kernel}-{code.co_firstlineno}.{version}"
         made_of = repr((function.__module__, function.__qualname__, _VERSIONS)).encode() + sources
@@ -124,12 +134,13 @@ class KernelCache:
         """Return the code for a signature, or None if there is no valid file."""
         with signals_held():
             target_context.refresh()  # imports parts of Numba at the first call
-        types = _types(sig, target_context.codegen())
-        data = self._read(types)
-        if data is None and _claim(self._path(types)):  # another process may have compiled it meanwhile
-            data = self._read(types)
+        codegen = target_context.codegen()
+        path = self._path(_types(sig, codegen))
+        data = self._find(sig, codegen)
+        if data is None and _claim(path):  # another process may have compiled it meanwhile
+            data = self._find(sig, codegen)
             if data is not None:
-                _release(self._path(types))
+                _release(path)
         if data is None:
             return None
         with signals_held():
@@ -141,7 +152,7 @@ class KernelCache:
 
     def has(self, sig: Any, target_context: Any) -> bool:
         """Return whether there is a valid file for a signature."""
-        return self._read(_types(sig, target_context.codegen())) is not None
+        return self._find(sig, target_context.codegen()) is not None
 
     def save_overload(self, sig: Any, data: Any) -> None:
         """Store the code for a signature; if that fails, it is compiled again next time."""
@@ -151,10 +162,19 @@ class KernelCache:
         finally:
             _release(self._path(types))
 
-    def _read(self, types: bytes) -> memoryview | None:
-        """Return the content of the file for some types; None if it does not exist or is not valid."""
+    def _find(self, sig: Any, codegen: Any) -> memoryview | None:
+        """Return the content of a valid file for a signature: compiled on this machine, or shipped with the package."""
+        types = _types(sig, codegen)
+        data = self._read(self._path(types), types)
+        if data is None and _is_baseline_met():
+            types = _types(sig, codegen, BASELINE)
+            data = self._read(self._shipped / self._path(types).name, types)
+        return data
+
+    def _read(self, path: Path, types: bytes) -> memoryview | None:
+        """Return the content of a file for some types; None if it does not exist or is not valid."""
         try:
-            content = self._path(types).read_bytes()
+            content = path.read_bytes()
         except OSError:
             return None
         data = memoryview(content)[2 * CHECKSUM :]
@@ -237,14 +257,23 @@ def _release(path: Path) -> None:
             fcntl.lockf(claims, fcntl.LOCK_UN, 1, _byte_of(path))
 
 
-def _types(sig: Any, codegen: Any) -> bytes:
-    """Return a key for the types of a kernel's arguments and the processor.
+@cache
+def _is_baseline_met() -> bool:
+    """Return whether kernels for the baseline may run here: not if the user has chosen a processor."""
+    chosen = config.CPU_NAME is not None or config.CPU_FEATURES is not None
+    has = {} if chosen else llvmlite.binding.get_host_cpu_features()
+    return all(has.get(feature, False) for feature in _BASELINE_FEATURES)
+
+
+def _types(sig: Any, codegen: Any, processor: str = "") -> bytes:
+    """Return a key for the types of a kernel's arguments and the processor, by default this one.
 
     Numba names a named tuple by its class alone. Module and fields are part of the key: compiled code reads fields by
     number, and the module that defines the class need not be among the sources of the kernel.
     """
     kinds = getattr(sig, "args", sig)
-    return repr((sig, codegen.magic_tuple(), *(named for kind in kinds for named in _named_tuples(kind)))).encode()
+    target = (codegen.magic_tuple()[0], processor, "") if processor else codegen.magic_tuple()
+    return repr((sig, target, *(named for kind in kinds for named in _named_tuples(kind)))).encode()
 
 
 def _named_tuples(kind: Any) -> list[tuple[str, str, tuple[str, ...]]]:
