@@ -23,6 +23,7 @@ from carom.engines.contact_torques import ContactTorque, ContactTorques
 from carom.engines.elastic_energy import PARTED
 from carom.engines.engine_contacts import MARGIN, EngineMoment, Near, cross, lengths, rotated
 from carom.engines.missed_impacts import SHALLOW
+from carom.engines.sliding_contacts import SlidingContacts
 from carom.engines.source import Setup
 from carom.physics.contact.islands import number_sets
 
@@ -104,6 +105,7 @@ class ContactLaws:
         self._pending: list[IsolatedImpact] = []  # of the last frame; a soft contact continues in the next one
         self.impacts: list[IsolatedImpact] = []
         self.torques = ContactTorques()
+        self.slides = SlidingContacts()
         self._lasting = 0  # impacts that the next frame continued
         self._counts: list[tuple[int, int, int]] = []  # step, impacts that were over by then, and impacts that lasted
         self.suspected: list[tuple[int, float, Broken]] = []  # steps, times, and laws broken unless contacts are soft
@@ -118,7 +120,10 @@ class ContactLaws:
             return []
         fall, after = self._setup.field_strength * dt, near.closing_now
         found: list[Broken] = []
-        for tree in trees_of(self._setup, near, closing, dt):
+        trees = list(trees_of(self._setup, near, closing, dt))
+        isolated = np.array([tree[0] for tree in trees if len(tree) == 1], dtype=np.int64)
+        self.slides.see((step, now.time), self._setup, (before, now), near, isolated, still)
+        for tree in trees:
             if (closing[tree] > still).any() or (after[tree] < -still).any():
                 found += ContactTree(self._setup, before, now, near, tree).judge(
                     self, step, now.time, still + 2.0 * fall
@@ -142,6 +147,8 @@ class ContactLaws:
             yield impact.step, impact.time, broken
         for wrong in self.torques.concluded():
             yield wrong.step, wrong.time, Broken(SPIN, wrong.excess, (wrong.body,), wrong.what)
+        for rubbing in self.slides.concluded(len(self._setup)):
+            yield rubbing.step, rubbing.time, Broken(FRICTION, rubbing.excess, rubbing.ends, rubbing.what)
 
     def _is_rigid(self, step: int) -> bool:
         """Return whether impacts lasted for a frame, up to a step or to the step in which enough had been seen.
@@ -185,7 +192,7 @@ class ContactLaws:
     def go_on(self, earlier: ContactLaws) -> None:
         """Forget what an earlier set of bodies had not finished; its impacts have other numbers."""
         if len(earlier._setup) == len(self._setup):
-            self.impacts, self.torques = earlier.impacts, earlier.torques
+            self.impacts, self.torques, self.slides = earlier.impacts, earlier.torques, earlier.slides
 
     def _settle(self, step: int, before: EngineMoment, now: EngineMoment, dt: float) -> None:
         """Keep the impacts of the previous frame that were over by then."""

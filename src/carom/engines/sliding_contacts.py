@@ -1,0 +1,163 @@
+"""The friction of isolated contacts, compared over a whole run with that of contacts that slide.
+
+Where a body touches nothing but one plane or one other body, its momentum gives the impulse of this contact. While a
+contact slides, Coulomb's law fixes the ratio of friction to normal impulse, μ; while it sticks, μ limits the ratio. At
+the end of a run, μ is known as the ratio that most sliding contacts of this engine have. Another ratio in a contact of
+the same bodies breaks the law.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from carom.arrays import BoolArray, FloatArray, IntArray
+from carom.engines.engine_contacts import EngineMoment, Near, cross, lengths
+from carom.engines.source import Setup
+
+FEWEST = 20  # contacts that slide
+SLIDING = 0.1  # of the speed up to which contacts may rest; engines of soft friction let a sticking contact creep
+CLEAR = 20.0  # times the noise of an impulse
+ROUNDED = 1e-6  # of m |v|, of engines that compute in single precision
+EXACT = 0.02  # of μ, the deviation of most contacts of an engine whose single contacts are judged
+MOSTLY = 0.75  # of the contacts of an engine; deviations of the remaining contacts may be faults
+SPREADS = 6.0  # of the deviation of most contacts
+OFF = 0.1  # of μ, the least deviation that is a fault
+RARELY = 0.05  # of the contacts that stick; if more of them exceed μ, the static friction of this engine is larger
+MOST_FRAMES = 100_000  # with samples
+
+
+@dataclass(frozen=True, slots=True)
+class Rubbing:
+    """Isolated contacts of one frame, (m,), and the range of friction over normal impulse of each."""
+
+    step: int
+    time: float  # s
+    ends: IntArray  # (m, 2)
+    least: FloatArray
+    most: FloatArray
+    slides: BoolArray
+
+
+@dataclass(frozen=True, slots=True)
+class WrongFriction:
+    """A contact whose friction breaks the law."""
+
+    step: int
+    time: float  # s
+    ends: tuple[int, int]
+    excess: float  # violation over tolerance
+    what: str  # predicate of a sentence about the ends
+
+
+@dataclass(slots=True)
+class SlidingContacts:
+    """The friction of isolated contacts over a run."""
+
+    frames: list[Rubbing] = field(default_factory=list)
+
+    def see(
+        self,
+        place: tuple[int, float],  # step and s
+        setup: Setup,
+        moments: tuple[EngineMoment, EngineMoment],
+        near: Near,
+        rows: IntArray,  # of near pairs that touched nothing else in the frame
+        slow: float,  # m/s, speed up to which contacts may rest
+    ) -> None:
+        """Keep the contacts that were pressed together."""
+        before, now = moments
+        if len(rows) == 0 or not len(now.spin) or len(self.frames) >= MOST_FRAMES:
+            return
+        n, dt = len(setup), now.time - before.time
+        i, j = near.pairs[rows].T
+        second = np.minimum(j, n - 1)
+        of_second = (j < n) & ~setup.fixed[second]
+        body = np.where(of_second, second, i)  # the body whose momentum gives the impulse
+        sign = np.where(of_second, 1.0, -1.0)[:, None]
+        mass = setup.mass[body]
+        J = sign * mass[:, None] * (now.velocity[body] - before.velocity[body] - setup.gravity * dt)
+        noise = ROUNDED * mass * np.maximum(lengths(before.velocity[body]), lengths(now.velocity[body]))
+        to_earlier = near.before[rows] / np.maximum(lengths(near.before[rows]), np.finfo(float).tiny)[:, None]
+        normals = [near.directions_of_touch()[rows], to_earlier, near.normal[rows]]
+        along = np.array([np.einsum("ij,ij->i", J, normal) for normal in normals])
+        across = np.sqrt(np.maximum(np.einsum("ij,ij->i", J, J) - along**2, 0.0))
+        slips = [_slip(setup, moment, i, j, normal) for normal in normals for moment in moments]
+        slides = (np.array([lengths(slip) for slip in slips]) > SLIDING * slow).all(axis=0)
+        # the slip of friction that changes its direction in a frame was zero meanwhile
+        slides &= np.einsum("ij,ij->i", slips[0], slips[-1]) > 0.0
+        pressed = along.min(axis=0) > np.maximum(CLEAR * noise, 0.0)
+        if not pressed.any():
+            return
+        J_n, J_t, noise = along[:, pressed], across[:, pressed], noise[pressed]
+        least = np.maximum(J_t.min(axis=0) - noise, 0.0) / (J_n.max(axis=0) + noise)
+        most = (J_t.max(axis=0) + noise) / (J_n.min(axis=0) - noise)
+        self.frames.append(Rubbing(*place, np.stack([i, j], axis=1)[pressed], least, most, slides[pressed]))
+
+    def concluded(self, bodies: int) -> Iterator[WrongFriction]:
+        """Yield the contacts whose friction differs from μ."""
+        if not self.frames:
+            return
+        ends = np.concatenate([frame.ends for frame in self.frames])
+        least, most = (np.concatenate([getattr(frame, name) for frame in self.frames]) for name in ("least", "most"))
+        slides = np.concatenate([frame.slides for frame in self.frames])
+        owner = np.repeat(np.arange(len(self.frames)), [len(frame.ends) for frame in self.frames])
+        pair = np.unique(ends, axis=0, return_inverse=True)[1].ravel()
+        order = np.argsort(pair, kind="stable")  # then by time
+        goes_on = np.zeros(len(pair), bool)
+        goes_on[order[:-1]] = (pair[order[:-1]] == pair[order[1:]]) & slides[order[1:]]
+        # the friction of a soft contact falls in the step in which the slide ends
+        most = np.where(goes_on, most, np.inf)
+        for among in _comparable(ends, pair, slides, bodies):
+            for k, usual, excess in _wrong(ends[among], least[among], most[among], slides[among], bodies):
+                row, frame = among[k], self.frames[owner[among[k]]]
+                ratio = float(least[row] if least[row] > usual else most[row])
+                what = f"rub with {ratio:.3g} of their normal impulse; others that slide have {usual:.3g}"
+                named = int(ends[row, 0]), int(ends[row, 1])
+                yield WrongFriction(frame.step, frame.time, named, excess, what)
+
+
+def _comparable(ends: IntArray, pair: IntArray, slides: BoolArray, bodies: int) -> Iterator[IntArray]:
+    """Yield the rows whose ratios are compared: those of a pair that slides for long, else of a plane, or of bodies."""
+    long = np.bincount(pair, slides) >= FEWEST
+    # a number for each such pair, for each plane, and one for all contacts of bodies
+    kind = np.where(long[pair], ends.max() + pair, np.maximum(ends[:, 1] - bodies, -1))
+    for each in np.unique(kind).tolist():
+        yield np.flatnonzero(kind == each)
+
+
+def _wrong(
+    ends: IntArray, least: FloatArray, most: FloatArray, slides: BoolArray, bodies: int
+) -> Iterator[tuple[int, float, float]]:
+    """Yield the rows whose ratio differs from the usual one, that ratio, and the violation over tolerance.
+
+    Bodies may be of other materials: a contact is judged only if each of its bodies also slides as usual.
+    """
+    ratio = np.where(np.isfinite(most), 0.5 * (least + most), least)
+    if np.count_nonzero(slides) < FEWEST:
+        return
+    usual = float(np.median(ratio[slides]))
+    spread = float(np.quantile(np.abs(ratio[slides] - usual), MOSTLY))
+    if not spread < EXACT * usual:
+        return
+    allowed = max(OFF * usual, SPREADS * spread)
+    off = np.where(slides, np.maximum(least - usual, usual - most), least - usual)
+    above = ~slides & (off > allowed)
+    if np.count_nonzero(above) > RARELY * np.count_nonzero(~slides):
+        off[above] = 0.0
+    right = set(ends[slides & (off <= allowed)].ravel().tolist())
+    for k in np.flatnonzero(off > allowed).tolist():
+        if all(end in right for end in ends[k].tolist() if end < bodies):
+            yield k, usual, float(off[k]) / allowed
+
+
+def _slip(setup: Setup, moment: EngineMoment, i: IntArray, j: IntArray, normal: FloatArray) -> FloatArray:
+    """Return the velocities of the second surfaces relative to the first along the surface, (m, 3) m/s."""
+    n = len(setup)
+    second, is_body = np.minimum(j, n - 1), (j < n)[:, None]
+    slip = -moment.velocity[i] - setup.radius[i][:, None] * cross(moment.spin[i], normal)
+    other = moment.velocity[second] - setup.radius[second][:, None] * cross(moment.spin[second], normal)
+    slip = slip + np.where(is_body, other, 0.0)
+    return np.asarray(slip - np.einsum("ij,ij->i", slip, normal)[:, None] * normal)
