@@ -9,8 +9,8 @@ from types import FrameType
 
 LEAST_ADDRESS_SPACE = 1.2e9  # bytes; a run of two spheres aborts in Arrow with 0.9 GB, and completes with 1.1 GB
 DESCRIPTORS = 40  # required free descriptors: on two cores every command works with 24, and Rerun aborts below 16
-USUAL_DESCRIPTORS = 1024  # a lower limit is raised if the user may do so
-RESERVED = "64M"  # addresses that an allocator of Rerun or Arrow reserves at a time
+USUAL_DESCRIPTORS = 1024  # carom raises a lower limit if the user may do so
+RESERVED = "64M"  # the size of the blocks of addresses that Rerun's or Arrow's allocator reserves
 
 
 def main() -> None:

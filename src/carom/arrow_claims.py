@@ -12,7 +12,7 @@ from carom.arrays import IntArray
 _HEADER = 2  # field of a Message: its RecordBatch
 _DATA = 1  # field of a DictionaryBatch: its RecordBatch
 _FIELDS = 1  # field of a Schema: its columns
-_SIZE = 8  # bytes of the uncompressed size before a compressed buffer
+_SIZE = 8  # bytes before a compressed buffer, which state its uncompressed size
 _LENGTH, _NODES, _BUFFERS, _COMPRESSION = 0, 1, 2, 3  # fields of a RecordBatch
 
 
@@ -21,10 +21,10 @@ class Claims:
     """The size that a record batch claims to have."""
 
     rows: int
-    lengths: IntArray  # of each array, and of each array within it
+    lengths: IntArray  # lengths of all arrays, nested ones included
     buffer_bytes: int  # summed over all buffers
-    compressed: bool  # whether each buffer is compressed, and begins with its uncompressed size
-    buffers: IntArray  # (b, 2) offset in the body and length of each buffer
+    compressed: bool  # whether each buffer is compressed and begins with its uncompressed size
+    buffers: IntArray  # (b, 2) offset in the body, and length, of each buffer
 
 
 def claims(message: bytes, dictionary: bool = False) -> Claims:

@@ -23,9 +23,9 @@ class ContactRow(Protocol):
     """A row of the contact table."""
 
     step: int
-    time: float  # s, of the impact, or the end of the step
+    time: float  # s, time of the impact, or end of the step
     i: int  # i < j
-    j: int  # from n on: planes, as in the collision graph
+    j: int  # the second body; numbers from n on are planes, as in the collision graph
     x: float  # m, the contact point
     y: float
     z: float
@@ -67,14 +67,14 @@ def turning_impulses(
     return np.asarray(turns)
 
 
-ROUNDED_OVERLAP = 1e-13  # of a radius; largest overlap by rounding of bodies that just touch
+ROUNDED_OVERLAP = 1e-13  # largest overlap, in radii, that rounding gives to bodies that just touch
 
 
 class PairSums(NamedTuple):
     """Sums over the impacts between two groups, (k,), in the order of the pairs of groups."""
 
-    first: IntArray  # the lower number, in the ascending order of the groups
-    second: IntArray  # the number of groups stands for planes and walls
+    first: IntArray  # the lower group number of each pair; pairs are in ascending order
+    second: IntArray  # the higher group number; the number of groups stands for planes and walls
     impacts: FloatArray
     speed: FloatArray  # m/s, of approach
     restitution_loss: FloatArray  # J
@@ -86,13 +86,13 @@ class ImpactSums(NamedTuple):
 
     impacts: float
     collisions: float  # collisions of movable bodies: two in an impact of two bodies, one in an impact on a plane
-    speed: float  # m/s, Σ v_n of approach
+    speed: float  # m/s, sum of the approach speeds v_n
     speed_square: float  # m²/s², Σ v_n²
     largest_speed: float  # m/s
-    path: float  # m, length of the paths of all bodies that can move
+    path: float  # m, total length of the paths of all movable bodies
     virial_square: float  # J², Σ (ℓ λ_n)²
-    virial: FloatArray  # (3, 3) J, Σ ℓ ⊗ J; ℓ leads from the centre of i to the centre of j or to a plane, J acts on j
-    kinetic: FloatArray  # (3, 3) J, Σ m c ⊗ c in each frame, of all bodies that can move, about their centre of mass
+    virial: FloatArray  # (3, 3) J, Σ ℓ ⊗ J; ℓ leads from the centre of i to the centre of j, or to a plane; J acts on j
+    kinetic: FloatArray  # (3, 3) J, Σ m c ⊗ c in each frame over movable bodies; c is relative to their centre of mass
     pairs: PairSums
 
     def flat(self) -> FloatArray:
@@ -122,6 +122,6 @@ class ImpactSums(NamedTuple):
 
 
 _TOTALS = ImpactSums._fields.index("virial")
-TENSORS = 2 * 9  # numbers of the virial and of the kinetic tensor, which follow the totals
-SINGLE_SUMS = _TOTALS + TENSORS  # numbers of `ImpactSums.flat` before the sums of pairs
+TENSORS = 2 * 9  # size of the virial and the kinetic tensor, which follow the totals
+SINGLE_SUMS = _TOTALS + TENSORS  # index in `ImpactSums.flat` of the first sum of a pair
 NO_PAIRS = PairSums(*(np.empty(0, np.int64),) * 2, *(np.empty(0),) * 4)

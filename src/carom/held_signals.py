@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from types import FrameType
 from typing import Any
 
-ENDING = (signal.SIGTERM, signal.SIGHUP)  # sent by Slurm, Kubernetes and `kill`; by a closed terminal
+ENDING = (signal.SIGTERM, signal.SIGHUP)  # SIGTERM is sent by Slurm, Kubernetes and `kill`; SIGHUP by a closed terminal
 
 
 @contextlib.contextmanager
@@ -31,7 +31,7 @@ def signals_held() -> Iterator[None]:
     def hold(number: int, frame: FrameType | None) -> None:
         if holds:
             held.append(number)
-        else:  # while the handlers are put back
+        else:  # a signal that came while the handlers were put back
             handlers[number](number, frame)
 
     for number in handlers:
@@ -39,7 +39,7 @@ def signals_held() -> Iterator[None]:
     try:
         yield
     finally:
-        with contextlib.ExitStack() as afterwards:  # the last signal first, and all signals, even if a handler raises
+        with contextlib.ExitStack() as afterwards:  # the last signal first; all of them even if a handler raises
             for number in reversed(dict.fromkeys(held)):
                 afterwards.callback(signal.raise_signal, number)
             for number, handler in handlers.items():

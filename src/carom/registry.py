@@ -23,7 +23,7 @@ from carom.errors import SceneError
 from carom.held_signals import signals_held
 from carom.scene.wording import suggestion, told_by
 
-PREFIX = "carom."  # of the groups of entry points
+PREFIX = "carom."  # prefix of the groups of entry points
 KINDS = {  # kind → its name in messages
     "forces": "force",
     "contact_laws": "contact law",
@@ -152,7 +152,7 @@ class PartOrigin(NamedTuple):
     """Where a part comes from."""
 
     target: str  # module:attribute
-    package: str  # the distribution; empty for carom's own parts
+    package: str  # the distribution that defines the part; empty for carom's own parts
     version: str  # of the distribution
 
 
@@ -265,7 +265,7 @@ def _installed() -> Mapping[str, Mapping[str, tuple[PartOrigin, ...]]]:
             about = dict(distribution.metadata.json)
             package, version = str(about.get("name", "?")), str(about.get("version", "?"))
             entries = [each for each in distribution.entry_points if each.group.startswith(PREFIX)]
-        except Exception:  # damaged metadata, of a package that nobody may need
+        except Exception:  # metadata of a package, perhaps an unneeded one, are damaged
             continue
         for entry in entries:
             if (kind := entry.group.removeprefix(PREFIX)) in KINDS:

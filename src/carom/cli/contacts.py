@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from carom.terminal.answers import Part
 
 MOST_ROWS = 40  # printed in the table
-_ROUNDING = 1e-9  # of the normal impulse, or of the work of that impulse at the approach speed
+_ROUNDING = 1e-9  # relative rounding of the normal impulse and of its work at the approach speed
 FORMATS = (".parquet", ".csv")  # of files
 FIGURES = (".png", ".svg")  # of statistics
 
@@ -256,7 +256,7 @@ def _parts(recording: Recording, table: pa.Table, at: OptionalTime) -> Iterator[
 
     names = names_of(recording)
     count, units, moment = counted(table.num_rows, "impact" if at is None else "contact"), recording.units, ""
-    if at is not None:  # impacts have their own times within the step
+    if at is not None:  # impacts have times of their own within the step
         moment = f" in step {table['step'][0]}" if table.num_rows else f" at t = {units.text(at, TIME, '.9g')}"
     note = "" if at is None else _named_faults(recording, at)
     if not recording.engine:
@@ -276,7 +276,7 @@ def _parts(recording: Recording, table: pa.Table, at: OptionalTime) -> Iterator[
     ]
     if not table["angular_impulse_i"].null_count:
         normal, tangential = (table[f"{name}_impulse"].to_numpy() for name in ("normal", "tangential"))
-        if (tangential > _ROUNDING * normal).any():  # an angular impulse is more than rounding of the impulse
+        if (tangential > _ROUNDING * normal).any():  # a smaller angular impulse is rounding of the impulse
             ends = [ShownColumn("", itemgetter(f"angular_impulse_{end}"), ANGULAR_IMPULSE) for end in "ij"]
 
             def both(row: dict[str, Any]) -> str:

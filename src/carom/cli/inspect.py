@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 NOT_RECORDED = "not recorded, or lost"
 AROUND = 20  # frames in a clip around a moment
 
-Row = tuple[str, str | Iterable[str]]  # a name, and the text or the texts beside it
+Row = tuple[str, str | Iterable[str]]  # a name, and the text or texts printed beside it
 
 
 def inspect(
@@ -45,7 +45,7 @@ def inspect(
     mention_killed_run(file)
     with opened(file) as path:
         recording = Recording.open(path)
-        units, is_overlay = recording.units, recording.is_overlay  # read while an unpacked bundle exists
+        units, is_overlay = recording.units, recording.is_overlay  # both need the unpacked bundle
         if is_overlay:  # the runs in a comparison, and the verdict
             summary = {"title": recording.title, **recording.overlaid}
         else:

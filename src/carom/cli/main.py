@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from _typeshed import ReadableBuffer
 
 EXTENSIONS = "Extensions"  # panel of the commands of installed packages
-COMMANDS: dict[str, dict[str, str]] = {  # panel → name → module:function, in the order of a newcomer's needs
+COMMANDS: dict[str, dict[str, str]] = {  # panel → command → module:function, in the order of a newcomer's needs
     "Simulate": {
         "run": "carom.cli.run:run",
         "scenes": "carom.cli.scenes:scenes",
@@ -106,7 +106,7 @@ class Command(TyperCommand):
 
     def __init__(self, *arguments: Any, **keywords: Any) -> None:
         super().__init__(*arguments, **keywords)
-        paragraphs = inspect.cleandoc(self.help or "").split("\n\n")  # Typer joins the lines of only the first
+        paragraphs = inspect.cleandoc(self.help or "").split("\n\n")  # Typer joins lines in the first paragraph only
         self.help = "\n\n".join(paragraph.replace("\n", " ") for paragraph in paragraphs)
 
     def get_params(self, ctx: Any) -> list[Any]:
@@ -176,7 +176,7 @@ class CommandGroup(TyperGroup):
             with registry.refused_if_broken("commands", cmd_name):
                 from rich.text import Text
 
-                made = _made(cmd_name, function, EXTENSIONS)  # an error if Typer cannot make options of its parameters
+                made = _made(cmd_name, function, EXTENSIONS)  # raises if Typer cannot make options of its parameters
                 Text.from_markup(made.help or "")
             return made
         except registry.ExtensionError as error:
@@ -187,7 +187,7 @@ class CommandGroup(TyperGroup):
             def broken() -> None:
                 raise refusal
 
-            broken.__doc__ = escape(str(error))  # its help, which is rich markup
+            broken.__doc__ = escape(str(error))  # the message stands in for its help, which is rich markup
             return _made(cmd_name, broken, EXTENSIONS)
 
 
@@ -373,7 +373,7 @@ def replace_streams() -> Lossy:
 
     Characters that the encoding of a terminal lacks are printed as question marks.
     """
-    for descriptor in range(3):  # a recording must not be opened as standard error, to which libraries print
+    for descriptor in range(3):  # a recording must not get the descriptor of standard error, to which libraries print
         try:
             os.fstat(descriptor)
         except OSError:

@@ -39,9 +39,9 @@ if TYPE_CHECKING:
     from carom.scene.units.system import UnitSystem
     from carom.terminal.progress import RunProgress
 
-NAMED = 3  # descriptions of data that were not compared, printed at most
-ASKS_ABOVE = 60.0  # s; a longer replay requires consent
-NEARLY_ALL = 0.995  # of the motion; more reads as 100 %, which needs no word
+NAMED = 3  # most descriptions of uncompared data that are printed
+ASKS_ABOVE = 60.0  # s, the longest replay that needs no consent
+NEARLY_ALL = 0.995  # fraction of the motion that prints as 100 %, and is not mentioned
 _CHECKS = "Check energy and momentum every N steps. Default: as the scene says."
 
 

@@ -231,7 +231,7 @@ def _steps(cost: Cost, scene: Scene) -> str:
             f"(seen up to t = {scene.unit_system.text(cost.looked_until, TIME, '.4g')})"
         )
     shares = ", ".join(f"{limit} {_percent(share)}" for limit, share in cost.limits.items() if share >= HALF_A_PERCENT)
-    remedy = remedies_of(scene).get(next(iter(cost.limits)))  # none if the integrator's own error sets the step
+    remedy = remedies_of(scene).get(next(iter(cost.limits)))  # no remedy if the integrator's own error sets the step
     return f"{count}\n  set by: {shares}" + (f"; for fewer steps, raise {remedy}" if remedy else "")
 
 

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from carom.scene.load import Scene
 
 
-PIPE_WIDTH = 140  # width of the table, in characters, if the output is not a terminal
+PIPE_WIDTH = 140  # width of the table in characters where the output is not a terminal
 _FOLDER = Path("recordings/stress")
 
 

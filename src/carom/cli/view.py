@@ -43,12 +43,12 @@ _CAMERA = (
 _SLOW = "Slow down around the hardest impacts, or show the whole movie at one pace."
 _PICTURE = "Picture to write. Default: FILE.png, or FILE-picture.png if another command wrote FILE.png."
 _PAGE = "Folder to write. Default: FILE-page, beside FILE; of several recordings, recordings-page."
-SMALLEST, LARGEST = 100, 8192  # pixels; textures of software renderers end at 8192
+SMALLEST, LARGEST = 100, 8192  # pixels; software renderers support textures up to 8192
 ColourBy = StrEnum("ColourBy", ["GROUP", "MATERIAL", "SPEED", "GRAPH", "ISLAND"])
 Edges = StrEnum("Edges", ["IMPULSE", "STAGE"])
 Arrows = StrEnum("Arrows", ["ONE", "BOTH"])
 Theme = StrEnum("Theme", ["DARK", "LIGHT"])
-Camera = StrEnum("Camera", ["STILL", "FOLLOW", "ORBIT"])  # its motion in a movie
+Camera = StrEnum("Camera", ["STILL", "FOLLOW", "ORBIT"])  # the camera's motion in a movie
 MovieView = StrEnum(
     "MovieView", {"BODIES": "bodies", "GRAPH": "graph", "CLOSE_UP": "close-up", "ENERGY": "energy", "ALL": "all"}
 )
@@ -266,7 +266,7 @@ def publish(
 
 LONGEST = 3600.0  # s, of a movie
 FASTEST = 120.0  # pictures a second
-GIF_FPS, MP4_FPS = 20.0, 30.0  # many viewers slow down faster GIFs
+GIF_FPS, MP4_FPS = 20.0, 30.0  # many viewers play GIFs with more frames per second too slowly
 
 
 def movie(

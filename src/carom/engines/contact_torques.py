@@ -16,15 +16,15 @@ import numpy as np
 from carom.arrays import FloatArray
 from carom.engines.engine_contacts import lengths
 
-FEWEST = 8  # torques that show an engine's habit
-RUBBED = 0.05  # of an impulse times its arm, the least torque that is compared
-CLEAR = 20.0  # times the noise of an impulse
-MOSTLY = 0.75  # of the torques of an engine; deviations of the remaining ones may be faults
-SPREADS = 6.0  # of the deviation of most torques
-OFF = 0.05  # of a torque, the least deviation that is a fault
-SURELY = 0.01  # the same where another frame or another inertia explains the torques of the whole run
-EXACT = 0.02  # of a torque, the deviation of most torques of an engine whose single torques are judged; Box3D's is 0.08
-BETTER = 4.0  # times, by which another frame or another inertia must explain the torques better
+FEWEST = 8  # fewest torques that show an engine's habit
+RUBBED = 0.05  # smallest compared torque, divided by the impulse times its arm
+CLEAR = 20.0  # smallest clear torque, in multiples of the noise of an impulse
+MOSTLY = 0.75  # fraction of an engine's torques that must agree; deviations of the others may be faults
+SPREADS = 6.0  # smallest deviation of a fault, in multiples of the deviation of most torques
+OFF = 0.05  # smallest deviation of a fault, divided by the torque
+SURELY = 0.01  # the same limit where another frame or inertia explains the torques of the whole run
+EXACT = 0.02  # largest deviation of most torques, relative, if single torques are judged; Box3D's is 0.08
+BETTER = 4.0  # factor by which another frame or inertia must explain the torques better
 MOST_SAMPLES = 100_000  # torques kept for comparison
 
 
@@ -36,9 +36,9 @@ class ContactTorque:
     time: float  # s
     body: int
     change: FloatArray  # (3,) N m s, I Δω
-    turned: FloatArray | None  # (3,) the same if spins are in the frames of bodies; None where orientations are unknown
+    turned: FloatArray | None  # (3,) N m s, I Δω if spins are in body frames; None where orientations are unknown
     ways: FloatArray  # (w, 3) N m s, with each normal and each arm
-    rolls: bool  # whether a resistance to rolling could have been the difference
+    rolls: bool  # whether a resistance to rolling could explain the difference
 
 
 @dataclass(frozen=True, slots=True)

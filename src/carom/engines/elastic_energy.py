@@ -10,7 +10,7 @@ from carom.engines.engine_contacts import MARGIN, EngineMoment, Near
 from carom.engines.missed_impacts import SHALLOW
 from carom.engines.source import Setup
 
-TINY = float(np.finfo(np.float64).tiny)  # replaces 0 in a quotient
+TINY = float(np.finfo(np.float64).tiny)  # replaces 0 as a divisor
 # Soft contacts of a body with several others return up to three times the energy that they absorbed in MuJoCo, whose
 # springs have the stiffness of a contact alone; overlaps of soft contacts, of the smaller radius.
 COUPLED, DEEP = 3.0, 0.05
@@ -68,7 +68,7 @@ class ElasticEnergy:
         squares = np.maximum(-near.gap_now, SHALLOW * near.small) ** 2 * reduced_masses(self._setup, near)
         squares[near.gap_now > MARGIN * near.small] = 0.0
         squares[near.pairs[:, 1] < n] *= 0.5  # half to each body
-        weight = np.full(n, np.sqrt(TINY))  # of a body that none overlaps
+        weight = np.full(n, np.sqrt(TINY))  # weight of a body that overlaps no other
         for end in near.pairs.T:
             np.add.at(weight, end[end < n], squares[end < n])
         self.owed = np.where(clusters.touched[label], (owed / clusters.sum(weight))[label] * weight, 0.0)

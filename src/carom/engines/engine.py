@@ -104,7 +104,7 @@ def refuse(engine: str, lacks: dict[str, bool]) -> None:
         raise ExperimentError(f"{engine} cannot represent this scene: {', '.join(found)}")
 
 
-FINER = (1.0, 4.0)  # the scene's step over the compared steps
+FINER = (1.0, 4.0)  # factors by which compared steps are shorter than the scene's
 
 
 @dataclass(frozen=True, slots=True)
@@ -158,7 +158,7 @@ class SteppedEngine(Engine):
     """An engine of rigid bodies, which advances by equal steps."""
 
     name: str
-    package: str  # that is installed and imported
+    package: str  # name of the package that is installed and imported
     differences: tuple[str, ...] = ()  # of every translated scene
 
     def check(self, scene: Scene) -> None:
@@ -238,11 +238,11 @@ def engines_called(names: Iterable[str]) -> list[Engine]:
     return [engine_called(name) for name in dict.fromkeys(each)]
 
 
-ROUNDING = 1e-9  # of the duration, by which the sum of the steps may fall short
+ROUNDING = 1e-9  # fraction of the duration by which the sum of the steps may fall short
 COMPLETED = "completed"
-MOST_SEEN = 20_000  # steps examined where nothing can touch
-MOST_OVERLAP = 0.05  # of the smaller radius, beyond which an overlap tells engines apart
-FRAMES = 600  # frames of a recording, in addition to the frames that violate a law
+MOST_SEEN = 20_000  # most steps that are examined where nothing can touch
+MOST_OVERLAP = 0.05  # overlap, in smaller radii, beyond which engines differ
+FRAMES = 600  # frames of a recording, besides the frames that violate a law
 
 
 @dataclass(frozen=True, slots=True)
@@ -253,7 +253,7 @@ class Watched:
     dt: float  # s, of the steps
     trajectory: Trajectory
     extremes: Extremes
-    faults: list[Fault]  # the first of each law, in order of time
+    faults: list[Fault]  # first fault of each law, in order of time
     counts: dict[str, int]  # number of frames that violate each law
     broken: list[tuple[float, str]]  # time (s) and law of every such frame
 
@@ -301,13 +301,13 @@ class _Walk:
         self.recorder: Any = None  # None if the run is not recorded
         self._due = 0.0  # s, time of the next recorded frame
         self._simulation, self._scene, self._times = simulation, scene, times
-        self._position: list[FloatArray] = []  # at the first of the times, interpolated between the ends of steps
+        self._position: list[FloatArray] = []  # states at the first sample times, interpolated between ends of steps
         self._velocity: list[FloatArray] = []
         self._end = scene.time.duration * (1.0 - ROUNDING)
         self._met: dict[tuple[int, int], float] = {}  # when two ends first touched, in s
         self._step = 0
         many = math.ceil(scene.time.duration / simulation.dt / MOST_SEEN) if simulation.dt else 1
-        self._stride = 1 if observer.setup.collides else many  # steps between two examined ones
+        self._stride = 1 if observer.setup.collides else many  # steps from one examined step to the next
 
     def run(self, first: State, limit: float) -> str:
         """Run until the scene ends, the state is not finite, or ``limit`` s of CPU time pass; return the outcome."""
@@ -368,7 +368,7 @@ class _Walk:
         if fault is not None:
             self.observer.audit.note(fault)
             return fault.text
-        if state.time < self.frame.time:  # as in MuJoCo, which restarts when it becomes unstable
+        if state.time < self.frame.time:  # the time decreases where an engine restarts, as unstable MuJoCo does
             units = self._scene.unit_system
             back = units.text(state.time, TIME, "g")
             return f"the engine's time decreased from {units.text(self.frame.time, TIME, 'g')} to {back}."

@@ -107,8 +107,8 @@ def rows_of_graph(graph: CollisionGraph, position: FloatArray, radius: FloatArra
     return rows
 
 
-MARGIN = 0.02  # of the smaller radius: engines push bodies apart before they touch
-TOUCH = 1e-3  # of the smaller radius; bodies with a smaller gap touch
+MARGIN = 0.02  # gap, in smaller radii, at which engines may already push bodies apart
+TOUCH = 1e-3  # largest gap of touching bodies, in smaller radii
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,9 +118,9 @@ class EngineMoment:
     time: float  # s
     position: FloatArray  # (n, 3) m
     velocity: FloatArray  # (n, 3) m/s
-    spin: FloatArray  # (n, 3) rad/s; (0, 3) where unknown
-    orientation: FloatArray  # (n, 4) xyzw; (0, 4) where unknown
-    force: FloatArray  # (n, 3) N, and N m, in the step up to here; (0, 3) where none is known
+    spin: FloatArray  # (n, 3) rad/s, spins; (0, 3) where unknown
+    orientation: FloatArray  # (n, 4) xyzw, orientations; (0, 4) where unknown
+    force: FloatArray  # (n, 3) N, and torques in N m, in the step that ends here; (0, 3) where unknown
     torque: FloatArray
 
     def kinetic(self, setup: Setup) -> FloatArray:
@@ -137,10 +137,10 @@ class Near:
 
     pairs: IntArray  # (k, 2) i < j; planes from n on
     reach: FloatArray  # (k,) m, r_i + r_j
-    small: FloatArray  # (k,) m, the smaller radius
+    small: FloatArray  # (k,) m, smaller radius of the pair
     before: FloatArray  # (k, 3) m, from i to j; to a plane, from the centre to the plane
     now: FloatArray  # (k, 3) m
-    gap_before: FloatArray  # (k,) m, between the surfaces; negative where they overlap
+    gap_before: FloatArray  # (k,) m, gap between the surfaces; negative where they overlap
     gap_now: FloatArray  # (k,) m
     normal: FloatArray  # (k, 3) unit vectors from i to j, now
     relative_before: FloatArray  # (k, 3) m/s, velocity of j relative to i
@@ -194,7 +194,7 @@ class Proximity:
         moved = now.position - before.position
         drift = np.median(moved, axis=0)
         speed = lengths(moved - drift)
-        for velocity in (before.velocity, now.velocity):  # engines may stop a body before it touches
+        for velocity in (before.velocity, now.velocity):  # engines may stop a body before it touches another
             speed = np.maximum(speed, lengths(velocity - np.median(velocity, axis=0)) * dt)
         parts = [self._bodies(before, now, speed)] if self._grid else []
         parts += [self._plane(k, before, now, speed) for k in range(len(setup.planes))] if setup.collides else []

@@ -45,8 +45,8 @@ from carom.scene.units.system import SI, UnitSystem
 from carom.scene.wording import Names, told_by
 
 COMPLETED = "completed"
-CONSTANTS = {"mass": MASS, "radius": LENGTH}  # arrays of a model that must not change without ids
-LONGEST_TURN = 10.0  # s, that a thread waits for another thread within `frame`, which may never return
+CONSTANTS = {"mass": MASS, "radius": LENGTH}  # arrays of a model that must not change while bodies lack ids
+LONGEST_TURN = 10.0  # s, the longest wait of a thread for another thread's `frame`, which may never return
 
 
 class Recorder:
@@ -130,7 +130,7 @@ class Recorder:
         self.path = Path(path)
         refuse_name(self.path)
         with claimed_output(self.path, force):
-            pass  # otherwise a folder that cannot be written would be noticed only in the run
+            pass  # otherwise the run would be the first to notice a folder that cannot be written
         self._source, self._exact, self._force = source, exact, force
         self._read: Callable[[StateMemory], None] = lambda snapshot: snapshot.take(source.state())
         self._stepped = source.stepped if isinstance(source, SteppedSource) else None
@@ -142,7 +142,7 @@ class Recorder:
         self._ring: deque[tuple[int, StateMemory]] | None = None if last is None else deque(maxlen=int(last))
         first = source.state()
         self._model = source.model  # of the first bodies
-        self._setup: Setup | None = None  # of these bodies; None until there are some
+        self._setup: Setup | None = None  # the setup of these bodies; None before there are any
         self._ids: IntArray | None = None
         self._unrecorded = Unrecorded(self.path)
         if not _is_empty(first):
@@ -153,7 +153,7 @@ class Recorder:
         self._free: StateMemory | None = None  # reusable memory
         self._sink: SnapshotWriter | None = None
         self._written = self._taken = 0
-        self._lock, self._owner = threading.Lock(), 0  # the thread that records a frame; 0 for none
+        self._lock, self._owner = threading.Lock(), 0  # the thread that is recording a frame; 0 for none
         self.faults: list[Fault] = []
 
     @property
@@ -247,7 +247,7 @@ class Recorder:
             self._stepped()
         if self._ended or call % self.every:
             return
-        # memory for a copy of the state; wait for the writer if all memory is in use
+        # takes memory for a copy of the state, and waits for the writer if all of it is in use
         snapshot, self._free = self._free, None
         if snapshot is None:
             snapshot = self._new() if self._sink is None else self._sink.spare()
@@ -255,7 +255,7 @@ class Recorder:
             self._read(snapshot)
             recorded = self._keep(call, snapshot)
         except BaseException:
-            self._free = snapshot  # otherwise the writer's memory would run out, and the next call would wait for ever
+            self._free = snapshot  # otherwise the writer's memory would run out, and the next call would wait forever
             raise
         if not recorded:
             self._free = snapshot
@@ -311,7 +311,7 @@ class Recorder:
             expect_finish(self, True)
         try:
             self._sink.put(call, snapshot)
-        except Exception as error:  # from the writer's thread, for example when the disk is full
+        except Exception as error:  # an error in the writer's thread, for example when the disk is full
             self._end(call, sentence_of(error), ())
             return False
         self._taken += 1
@@ -328,7 +328,7 @@ class Recorder:
                 text = f"{setup.engine}: the {name} of {called} changed from {before} to {after}."
                 keeps = f"The recording keeps the first {name}; if bodies come and go, give ids with each state."
                 self._unrecorded.add(call, self._time, text, keeps)
-                self._constants[name] = now.astype(np.float64)  # a copy; each change is noted once
+                self._constants[name] = now.astype(np.float64)  # a copy, so that each change is noted once
 
     def _begin_with(self, first: State) -> None:
         """Check the model and the first state with bodies, before anything is allocated or written."""

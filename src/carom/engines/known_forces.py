@@ -11,12 +11,12 @@ from carom.engines.elastic_energy import TINY
 from carom.engines.engine_contacts import EngineMoment, Near, lengths
 from carom.engines.source import Setup
 
-ALIKE = 0.02  # of a rate, by which the rates of free bodies may differ from the common law
-SEVERAL = 6  # losses, of several bodies or frames, that agree on a law
+ALIKE = 0.02  # largest relative deviation of a free body's rate from the common law
+SEVERAL = 6  # fewest losses, over several bodies or frames, that show a law
 RECENT = 60  # losses that are compared
-LEAST = 1e-6  # of a speed in a frame; a smaller loss is rounding
-MOVING = 0.05  # of the largest speed; the rates of slower bodies are not measured
-BESIDE = 0.05  # of the change of a velocity, which is not along it; damping is
+LEAST = 1e-6  # smallest measurable loss of speed in a frame, relative; smaller ones are rounding
+MOVING = 0.05  # speed, relative to the largest, below which no rate is measured
+BESIDE = 0.05  # largest part of a velocity's change across the velocity; damping acts along it
 
 
 @dataclass(slots=True)
@@ -27,7 +27,7 @@ class CommonDamping:
     """
 
     rate: float = 0.0  # 1/s
-    by_speed: float = 0.0  # 1/m, or 1/rad for spins
+    by_speed: float = 0.0  # damping rate per speed in 1/m, or 1/rad for spins
     told: tuple[float, float] = (0.0, 0.0)  # the last law that was found
     losses: FloatArray = field(default_factory=lambda: np.empty((0, 2)))  # speeds and rates of the last free bodies
 
@@ -69,7 +69,7 @@ class KnownForces:
 
     def __init__(self, setup: Setup) -> None:
         self._setup = setup
-        self.measured = CommonDamping(), CommonDamping()  # of velocities and of spins
+        self.measured = CommonDamping(), CommonDamping()  # the common damping of velocities, and that of spins
         self.work = 0.0  # J, on judged bodies
 
     def applied(self, before: EngineMoment, now: EngineMoment, near: Near) -> EngineMoment:

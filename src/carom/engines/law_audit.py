@@ -41,13 +41,13 @@ from carom.state.energies import Energy
 class Tolerances:
     """Largest errors that do not violate a law."""
 
-    energy: float = 1e-3  # of the energy of the cluster, between two frames
-    drift: float = 1e-2  # of the energy scale, since the start
-    momentum: float = 1e-3  # of Σ m |v| of the cluster
-    angular_momentum: float = 1e-3  # of Σ (m |x| |v| + I |ω|) of the cluster
-    overlap: float = np.inf  # of the smaller radius; by default an accuracy of the engine, which breaks no law
-    restitution: float = 0.02  # of a coefficient of restitution
-    friction: float = 0.2  # of the work of friction, whose sign may be wrong
+    energy: float = 1e-3  # change of a cluster's energy between two frames, relative
+    drift: float = 1e-2  # change of the total energy since the start, over the energy scale
+    momentum: float = 1e-3  # change of a cluster's momentum, over its Σ m |v|
+    angular_momentum: float = 1e-3  # change of a cluster's angular momentum, over its Σ (m |x| |v| + I |ω|)
+    overlap: float = np.inf  # overlap over the smaller radius; unlimited by default, since an overlap breaks no law
+    restitution: float = 0.02  # error of a coefficient of restitution
+    friction: float = 0.2  # part of the work of friction that may have the wrong sign
 
     def __post_init__(self) -> None:
         for each in fields(self):
@@ -86,23 +86,23 @@ class AuditFinding:
     taken: float = 0.0  # J, absorbed by contacts; negative where contacts returned energy
     forced: float = 0.0  # J, work of damping and of the external forces given to the engine
     unjudged: float = 0.0  # J, lost by clusters with unjudged bodies
-    struck: float = 0.0  # J, Σ ½ μ v_n² of the contacts whose velocity reversed
+    struck: float = 0.0  # J, Σ ½ μ v_n² over contacts whose velocity reversed
     impacts: int = 0  # number of these contacts
-    hardest: float = 0.0  # J, ½ μ v_n² of the hardest of these contacts
+    hardest: float = 0.0  # J, largest ½ μ v_n² of one of these contacts
     hardest_pair: tuple[int, int] = (0, 0)
-    deepest: float = 0.0  # overlap over the smaller radius, whether or not the engine reports a contact
+    deepest: float = 0.0  # deepest overlap over the smaller radius, whether or not the engine reports a contact
     deepest_pair: tuple[int, int] = (0, 0)
 
 
-STILL = 0.05  # of the typical speed; bodies that touch and are slower may rest in a balance of forces
-AT_LEAST = 1e-2  # of a typical body's momentum or energy; smaller changes are noise
-OFF_AXIS = 0.3  # of an arm: the distance of a contact's impulse from the normal
-UNSEEN = 4 * float(np.finfo(np.float64).eps)  # of a position, which a motion must change from one frame to the next
-TURNED = 0.05  # of a rotation in a frame, which engines integrate to first order
-ROUNDED = 1e-5  # rad, of orientations in single precision
-MOST_TURN = 0.5  # rad; engines limit or approximate larger rotations in a step
+STILL = 0.05  # fraction of the typical speed below which touching bodies may rest in a balance of forces
+AT_LEAST = 1e-2  # smallest change, relative to a typical body's momentum or energy, that is not noise
+OFF_AXIS = 0.3  # largest distance of a contact's impulse from the normal, over the arm
+UNSEEN = 4 * float(np.finfo(np.float64).eps)  # relative change of a position that shows motion between frames
+TURNED = 0.05  # relative error of a rotation in a frame, which engines integrate to first order
+ROUNDED = 1e-5  # rad, rounding of orientations in single precision
+MOST_TURN = 0.5  # rad; engines limit or approximate larger rotations in one step
 MOST_NAMED = 8  # bodies in a sentence
-TOLD = 3  # events reported for each law
+TOLD = 3  # most events that are reported for each law
 
 
 class LawAudit:
@@ -113,8 +113,8 @@ class LawAudit:
         setup: Setup,
         tolerances: Tolerances,
         names: Names,  # of bodies and planes
-        units: UnitSystem = SI,  # of the numbers, and of the numbers in messages of faults
-        ends: IntArray | None = None,  # (n + p,) numbers of bodies and planes in names and faults; or their indices
+        units: UnitSystem = SI,  # units of the numbers, also in messages of faults
+        ends: IntArray | None = None,  # (n + p,) numbers of bodies and planes in names and faults; by default indices
     ) -> None:
         self._setup = setup
         self._ends = np.arange(len(setup) + len(setup.planes)) if ends is None else ends
@@ -127,13 +127,13 @@ class LawAudit:
         self._typical = 0.0  # m/s
         self._missed = MissedImpacts(setup)
         self._strikes = Strikes()
-        self._parted = 0.0  # largest part of a cluster's energy that came from parting overlapping bodies in a frame
-        self._unseen = 0.0  # m/s, too slow to change a position between two frames
-        self._allowed = 0.0  # J, errors of first-order steps in the field, of unseen motion, and of parting overlaps
+        self._parted = 0.0  # largest fraction of a cluster's energy gained in a frame by pushing overlaps apart
+        self._unseen = 0.0  # m/s, largest speed too slow to change a position between two frames
+        self._allowed = 0.0  # J, allowance for first-order steps in the field, unseen motion, and overlaps pushed apart
         self.counts: dict[str, int] = {}  # number of frames that violated each law
         self.first: dict[str, Fault] = {}
         self.worst: dict[str, float] = {}  # largest violation over tolerance of each law
-        self.broken: list[tuple[float, str]] = []  # s and law, for each of these frames
+        self.broken: list[tuple[float, str]] = []  # s, time and law of each of these frames
 
     def see(
         self,
@@ -250,7 +250,7 @@ class LawAudit:
         for end in near.pairs[bodies].T:
             np.maximum.at(deep, end, -np.minimum(near.gap_before, near.gap_now)[bodies])
         change = l1 - l0
-        # engines with several steps in a frame keep the places of contacts while bodies move and turn
+        # engines with several steps in a frame keep contact points fixed while bodies move and turn
         ways = [cross(now.position - before.position - bulk * dt, kicks)]
         if len(now.spin):
             arms = self._setup.radius * dt
@@ -264,12 +264,12 @@ class LawAudit:
             square = np.einsum("ij,ij->i", moved, moved)
             part = np.einsum("ij,ij->i", change, moved) / np.where(square > 0.0, square, 1.0)
             change = change - np.clip(part, 0.0, 1.0)[:, None] * moved
-        # several contacts may do so at different moments
+        # several contacts may act at different moments
         many = np.bincount(clusters.label, minlength=clusters.count) > 2
         off = lengths(np.where(many[:, None], l1 - l0, change))
         off -= np.where(many, sum(clusters.sum(lengths(way)) for way in ways), 0.0)
         off -= size * self._unseen + clusters.sum(deep * lengths(kicks))
-        # and an engine that parts bodies moves them without a change of speed
+        # an engine that pushes bodies apart moves them without changing their speeds
         parted = lengths(now.position - before.position - 0.5 * dt * (before.velocity + now.velocity))
         reach = np.zeros(n)
         for end in near.pairs[bodies].T:
@@ -338,7 +338,7 @@ class LawAudit:
         mass = clusters.sum(setup.mass)
         floor = AT_LEAST * mass * (self._typical**2 + strength * clusters.sum(setup.mass * setup.radius) / mass)
         scale = own + floor
-        # the energy error of a first-order step in a uniform field, and of unseen motion
+        # the energy error of a first-order step in a uniform field, and that of unseen motion
         rounding = mass * (strength * strength * dt * dt + self._unseen**2)
         self._allowed += float(rounding.sum())
         owed = clusters.sum(self._elastic.owed)
@@ -407,14 +407,14 @@ class LawAudit:
             ends = tuple(self._ends[list(inside.ends)].tolist())
             yield Fault("overlap", inside.step, inside.time, inside.depth, text, ends, inside.depth)
         still, normal = still_speed(setup, self._typical, dt), near.normals_of_touch(n)
-        # a plane does not fall, so the speed that the field adds towards the plane is not due to an impulse
+        # a plane does not fall, so speed that the field adds towards a plane is not due to an impulse
         push = np.where(near.pairs[:, 1] >= n, normal @ setup.gravity * dt, 0.0)
         closing = -np.einsum("ij,ij->i", near.relative_before, normal)
         after = -np.einsum("ij,ij->i", near.relative_now, normal) - push
         speeds = closing, after
         yield from map(self._missed_impact, self._missed.see((*place, dt), near, known, speeds, still))
         met = (near.gap_before > 0.0) & ((near.gap_now <= 0.0) | (after < TUNNELLED * closing))
-        met &= near.gap_before <= closing * dt  # otherwise another body reversed them
+        met &= near.gap_before <= closing * dt  # otherwise another body reversed their velocity
         met &= known & (closing > still)
         self._impacts(near, self._strikes.see(near, self._ends, met, (closing, after), normal), found)
         yield from self._single_contacts(place, before, now, near, closing, still)

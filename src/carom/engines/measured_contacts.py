@@ -31,10 +31,10 @@ from carom.recording.read.recorded_contacts import SCHEMA, SOURCE, table_of
 from carom.recording.read.recording import Recording
 from carom.state.checkpoint import Checkpoint
 
-LEAD = 60  # frames before an interval, from which a damping and the typical speed are known
-COEFFICIENTS = ("restitution", "restitution_error", "friction", "friction_error")  # columns beside those of carom's own
+LEAD = 60  # frames before an interval, from which the damping and the typical speed are measured
+COEFFICIENTS = ("restitution", "restitution_error", "friction", "friction_error")  # columns added to carom's own
 MEASURED = "measured from the states of successive frames"
-UNSOLVED = "unsolved"  # key of a table's metadata: impacts whose impulses are unknown
+UNSOLVED = "unsolved"  # key in a table's metadata for impacts with unknown impulses
 
 
 def setup_of(recording: Recording) -> Setup:
@@ -86,9 +86,9 @@ class MeasuredFrame:
     dt: float
     ends: IntArray  # (n + p,) numbers in the recording of the bodies that exist, and of the planes
     near: Near
-    closing: FloatArray  # (k,) m/s, of near pairs before the frame
-    slow: float  # m/s, of contacts at rest
-    measured: dict[tuple[int, int], Measurement]  # by numbers in the recording
+    closing: FloatArray  # (k,) m/s, closing speeds of near pairs before the frame
+    slow: float  # m/s, largest speed of contacts at rest
+    measured: dict[tuple[int, int], Measurement]  # measurements by the numbers of both ends in the recording
 
     def pair(self, row: int) -> tuple[int, int]:
         """Return the numbers of the ends of a near pair in the recording."""
@@ -201,7 +201,7 @@ class _Impact:
         )
         closes = one.closing > self.first.slow
         first, parting = one.closing[closes], last.parting
-        # the values of one frame belong to the same order of its contacts
+        # the values of one frame are in the order of its contacts
         e, e_error = _spread(parting[closes] / first if len(self.parts) == 1 else np.divide.outer(parting, first))
         mu, mu_error = _spread(
             np.concatenate([part.tangential / np.maximum(part.normal, part.least) for part in self.parts])

@@ -16,17 +16,17 @@ from carom.arrays import BoolArray, FloatArray
 from carom.engines.engine_contacts import MARGIN, Near, lengths
 from carom.engines.source import Setup
 
-UNCHANGED = 1e-3  # of the closing speed; a smaller change does not count as contact
-TUNNELLED = 0.5  # of the closing speed; bodies that pass through each other and keep more of it have not collided
-FOUND = 5e-3  # of the smaller radius; at this depth even a soft contact must exert a force
-SHALLOW = 1e-3  # of the smaller radius; bodies that overlap less have no elastic energy
+UNCHANGED = 1e-3  # smallest relative change of the closing speed that counts as contact
+TUNNELLED = 0.5  # fraction of the closing speed that bodies keep if they pass through each other without collision
+FOUND = 5e-3  # overlap, in smaller radii, at which even a soft contact must exert a force
+SHALLOW = 1e-3  # overlap, in smaller radii, below which bodies have no elastic energy
 OFTEN, RARELY = 20, 0.05  # impacts that show an engine's habit, and the fraction of exceptions
-ALIKE, FEWEST = 0.5, 4  # of a speed, above which impacts are compared, and their least number
-MOSTLY = 0.5  # of an engine's impacts, which take the usual number of steps
+ALIKE, FEWEST = 0.5, 4  # fraction of an impact's speed from which others are compared with it, and fewest agreeing ones
+MOSTLY = 0.5  # fraction of an engine's impacts that take the usual number of steps
 # For so many steps, overlapping bodies may approach without an impulse. Box3D finds some pairs late: at most 4 steps in
 # 30 runs.
 LONGEST = 6
-STUCK = 20  # frames in which one body may contain the centre of another; soft contacts of MuJoCo part within 16
+STUCK = 20  # frames for which one body may contain another's centre; soft contacts of MuJoCo part within 16
 
 
 @dataclass(slots=True)
@@ -39,10 +39,10 @@ class Unresolved:
     speed: float  # m/s, closing
     excess: float  # speed over that of slow contacts
     relative: FloatArray  # (3,) m/s, velocity of the second end relative to the first
-    steps: int = 1  # in which the overlapping ends closed unchanged
+    steps: int = 1  # steps in which the overlapping ends closed unchanged
     pushed: bool = False  # another contact may have closed it again
     passed: bool = False
-    later: list[tuple[int, float]] = field(default_factory=list)  # steps and times, s, of the further steps
+    later: list[tuple[int, float]] = field(default_factory=list)  # steps, and times in s, of the later steps
 
 
 def _usual(steps: FloatArray) -> int:
@@ -72,7 +72,7 @@ class MissedImpacts:
         self._touched = np.zeros(len(setup) + len(setup.planes), bool)  # ends that touched in the previous frame
         self._open: dict[int, Unresolved] = {}
         self._inside: dict[int, Inside] = {}
-        self._resolved: list[tuple[float, int]] = []  # m/s and steps that each impact took
+        self._resolved: list[tuple[float, int]] = []  # m/s, speed of each impact, and the steps that it took
         self._late: list[Unresolved] = []
 
     def see(
@@ -80,7 +80,7 @@ class MissedImpacts:
         place: tuple[int, float, float],  # step, time and length of the step in s
         near: Near,
         known: BoolArray,  # (k,) whether both ends are judged
-        speeds: tuple[FloatArray, FloatArray],  # (k,) m/s, closing in both frames
+        speeds: tuple[FloatArray, FloatArray],  # (k,) m/s, closing speeds in both frames
         still: float,  # m/s, of slow contacts
     ) -> Iterator[Unresolved]:
         """Yield the impacts that are missed for certain."""
@@ -91,9 +91,9 @@ class MissedImpacts:
         overlap = near.gap_now < -SHALLOW * near.small
         swept = (after < TUNNELLED * closing) & (near.gap_before <= closing * place[2])
         met = overlap | (near.gap_now <= 0.0) | swept
-        fresh = hits & (near.gap_before > 0.0) & met  # another body may have reversed those that did not meet
+        fresh = hits & (near.gap_before > 0.0) & met  # another body may have reversed those that never touched
         through = near.passed_deep() & (near.gap_before >= -SHALLOW * near.small) & hits & (after > TUNNELLED * closing)
-        plane = near.pairs[:, 1] >= n  # whose contact may throw a body back from the other side
+        plane = near.pairs[:, 1] >= n  # a contact with a plane may throw a body back from the other side
         beyond = np.einsum("ij,ij->i", near.now, near.directions_of_touch()) < 0.0
         through &= ~plane & (beyond | ~overlap)
         late = unchanged & overlap & (fresh | (near.gap_before < -FOUND * near.small))
@@ -165,7 +165,7 @@ class MissedImpacts:
             fast = steps[speed >= ALIKE * impact.speed]
             if len(steps) >= OFTEN and not impact.pushed and self._rare(impact, steps) and self._rare(impact, fast):
                 usual = min(_usual(steps), len(impact.later))
-                if usual:  # the step in which this engine resolves its impacts
+                if usual:  # the step in which this engine usually resolves its impacts
                     impact.step, impact.time = impact.later[usual - 1]
                 yield impact
         self._late = []

@@ -39,7 +39,7 @@ from carom.state.books import NOTHING, Books, Extreme, Extremes, MonitorState, P
 from carom.state.energies import Energy, Ledger
 from carom.state.frame import CollisionGraph, Frame
 
-DT_LIMIT = "engine"  # the recorded limit of dt
+DT_LIMIT = "engine"  # the limit that recordings name for dt
 
 
 class Observer:
@@ -50,8 +50,8 @@ class Observer:
         setup: Setup,
         first: State,
         tolerances: Tolerances,
-        units: UnitSystem = SI,  # of the numbers, and of the numbers in messages about faults
-        present: Present | None = None,  # the bodies that exist, whose constants ``setup`` has, if bodies come and go
+        units: UnitSystem = SI,  # units of the numbers, also in messages about faults
+        present: Present | None = None,  # the bodies that exist, with the constants in ``setup``, if bodies come and go
     ) -> None:
         self.setup = setup
         self.units = units
@@ -80,11 +80,11 @@ class Observer:
         self._activity = Activity(len(setup), anchored or bool(setup.gravity.any()))
         self._ledger = Ledger()
         self._lowest_error, self._gain = 0.0, NOTHING
-        self._error = 0.0  # J, the integration error at the last frame
+        self._error = 0.0  # J, integration error at the last frame
         self._pull: float | None = None  # J, gravitational energy at the last frame; None without gravity
         self._before: EngineMoment | None = None
         self._began = first.time
-        self._last_time: float | None = None  # s, of the last frame; None before the first frame
+        self._last_time: float | None = None  # s, time of the last frame; None before the first frame
 
     def continued(self, present: Present, state: State) -> Observer:
         """Return the observer for the bodies that exist from a state on.
@@ -193,7 +193,7 @@ class Observer:
             text = f"First contact: {self.names.pair(ends.tolist())}."
             events.insert(0, Event(step, time, "INFO", text, "first-contact"))
         statistics = self._statistics(contacts, seen)
-        if statistics.contacts or statistics.impacts or statistics.deepest:  # otherwise there is no extreme to name
+        if statistics.contacts or statistics.impacts or statistics.deepest:  # otherwise no frame has an extreme to name
             add_contacts(self.extremes, step, time, statistics)
         # update the extremes of the energy; energy returned by soft contacts is not a gain
         extremes = self.extremes

@@ -25,10 +25,10 @@ FIRST_PLANE = 1 << 40  # number of the first plane while the number of bodies is
 class Present:
     """The bodies that exist at some time."""
 
-    numbers: IntArray  # (k,) their numbers in the recording
+    numbers: IntArray  # (k,) numbers of these bodies in the recording
     setup: Setup  # of these bodies
-    bodies: int  # number of bodies so far
-    names: Names  # of all bodies so far, and of planes with numbers from `FIRST_PLANE` on
+    bodies: int  # number of bodies that have existed so far
+    names: Names  # names of all bodies so far, and of planes with numbers from `FIRST_PLANE` on
 
     @property
     def ends(self) -> IntArray:
@@ -50,7 +50,7 @@ class Population:
 
     def __init__(self, setup: Setup, model: Model, ids: IntArray) -> None:
         n = len(setup)
-        self.whole = setup  # of all bodies so far
+        self.whole = setup  # setup of all bodies that have existed so far
         self._known = dict(enumerate(setup.names))  # names by number
         self._names = Names(SomeNames("body", FIRST_PLANE, self._known), setup.planes.name)
         self.present = Present(np.arange(n), setup, n, self._names)
@@ -64,7 +64,7 @@ class Population:
         if state.ids is None:
             raise RecordingError(f"{engine}: the state has no ids, though the first state had some")
         ids = ids_of(engine, state.ids, len(state.position))
-        sizes = np.full((len(ids), 2), np.nan)  # kg, m; NaN where they are not given
+        sizes = np.full((len(ids), 2), np.nan)  # mass in kg and radius in m; NaN where they are not given
         for column, name in enumerate(("mass", "radius")):
             if (values := getattr(state, name)) is not None:
                 sizes[:, column] = array_of(engine, name, values, (len(ids),))
@@ -117,8 +117,8 @@ class Population:
         return numbers
 
 
-_COLUMNS = ("mass", "radius", "inertia", "fixed", "judged", "touches")  # of a setup, one value for each body
-_AGAIN = " ("  # in a name, before the number of a body that reuses the id of an earlier one
+_COLUMNS = ("mass", "radius", "inertia", "fixed", "judged", "touches")  # arrays of a setup with one value for each body
+_AGAIN = " ("  # text before the number in the name of a body that reuses the id of an earlier one
 
 
 def ids_of(engine: str, ids: Any, count: int) -> IntArray:

@@ -29,7 +29,7 @@ def judge_reported(
         return
     ease = np.append(np.where(setup.fixed, 0.0, 1.0 / setup.mass), np.zeros(len(setup.planes)))
     push, rubs = contacts["force"], lengths(contacts["friction"])
-    least = slow / np.maximum((ease[i] + ease[j]) * dt, TINY)  # N, a force that contacts at rest may have
+    least = slow / np.maximum((ease[i] + ease[j]) * dt, TINY)  # N, largest force that a contact at rest may have
     allowed = IMPULSIVE * (np.abs(push).max() + least)
     known = judged[i] & judged[j] & (ease[i] + ease[j] > 0.0)
     for k in np.flatnonzero(known & (push < -allowed)).tolist():
@@ -47,7 +47,7 @@ def judge_reported(
     slips = [_slip(setup, contacts, moment) for moment in (before, now)]
     works = [np.einsum("ij,ij->i", contacts["friction"], slip) for slip in slips]
     least_works = [rubs * (friction * lengths(slip) + slow) for slip in slips]
-    # beside another contact, the friction of a soft contact also resists the acceleration by that one
+    # beside another contact, the friction of a soft contact also resists the other's acceleration
     beside = np.bincount(np.concatenate((i, j)), minlength=len(ease)) > 1
     beside[len(setup) :] = False
     known = known & ~beside[i] & ~beside[j]

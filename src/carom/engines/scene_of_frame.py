@@ -23,9 +23,9 @@ from carom.scene.start import InitialBodies
 from carom.scene.units.dimension import TIME
 from carom.scene.wording import counted
 
-SURE = 0.1  # largest uncertainty of a coefficient that is used, if there are such ones
-DIGITS = 3  # of a measured coefficient; its uncertainty is larger than the rest
-LEAST_STEPS = 100  # of the engine, that a scene lasts, if the recording ends earlier
+SURE = 0.1  # largest uncertainty of a coefficient that is used where others are more certain
+DIGITS = 3  # digits of a measured coefficient; further digits are uncertain
+LEAST_STEPS = 100  # fewest engine steps that a scene lasts where the recording ends earlier
 
 
 def scene_of_frame(recording: Recording, at: float | None, command: str) -> str:

@@ -27,22 +27,22 @@ from carom.engines.sliding_contacts import SlidingContacts
 from carom.engines.source import Setup
 from carom.physics.contact.islands import number_sets
 
-MOST = 3  # contacts of a tree: four have 24 possible orders, one of which explains nearly any outcome
-IMPULSIVE = 0.02  # of the impulse of a contact; engines that correct positions add about 1 %
-DAMPED = 2e-3  # of m |v|, the momentum that an engine's damping may take in a frame: PyBullet takes 0.07 %
-RUBBED = 0.02  # of the impulse of a contact, the least friction that is judged, beyond the turn of its normal
-SPUN = 0.1  # of r |J_t|, the error of a torque
-ALIKE = 9  # impacts, slower and faster, that give the expected coefficient of restitution
-WAYS = 6  # values for an isolated contact: three normals, and the field before or after it
-FEWEST = 3  # fewest impacts with the same materials
-SLOWER = 0.75  # of the speed of an impact; engines let nothing rebound below some speed, which states show roughly
-KEPT = 0.25  # of J_n times the gain of speed; friction may dissipate as much as the contact keeps
-MOSTLY = 0.75  # of the impacts of an engine; deviations of the remaining impacts may be faults
-SPREADS = 6.0  # of the deviation of most impacts: in PyBullet at planes, it is as large as the coefficients
-# Least deviation of a coefficient of restitution. Those of soft contacts vary by 0.07 with the phase of a step.
+MOST = 3  # most contacts of a tree: four have 24 possible orders, one of which explains nearly any outcome
+IMPULSIVE = 0.02  # relative error of a contact's impulse; engines that correct positions add about 1 %
+DAMPED = 2e-3  # fraction of m |v| that an engine's damping may take in a frame: PyBullet takes 0.07 %
+RUBBED = 0.02  # smallest friction that is judged, beyond the turn of the normal, over the contact's impulse
+SPUN = 0.1  # error of a torque, over r |J_t|
+ALIKE = 9  # impacts at neighbouring speeds that give the expected coefficient of restitution
+WAYS = 6  # variants for an isolated contact: three normals, and the field before or after it
+FEWEST = 3  # fewest impacts between the same materials
+SLOWER = 0.75  # fraction of an impact's speed; engines stop rebounds below a speed that states show only roughly
+KEPT = 0.25  # fraction of J_n times the gain of speed; friction may dissipate as much as the contact keeps
+MOSTLY = 0.75  # fraction of an engine's impacts that must agree; deviations of the others may be faults
+SPREADS = 6.0  # factor on the deviation of most impacts: at PyBullet's planes, that is as large as the coefficients
+# Smallest deviation of a coefficient of restitution. The coefficients of soft contacts vary by 0.07 with the phase.
 OFF = 0.1
-OVER = 0.05  # of the speed of an impact; bodies that change their velocities more in the next frame still touch
-RIGID, RARELY = 10, 0.1  # impacts, and the part of them that may last longer than a frame, of engines of rigid contacts
+OVER = 0.05  # change of velocity in the next frame, over the impact's speed, that shows a lasting contact
+RIGID, RARELY = 10, 0.1  # fewest impacts of an engine with rigid contacts, and fraction that may outlast a frame
 MOST_SAMPLES = 100_000  # impacts kept for comparison
 FRICTION, RESTITUTION, PULL, SPIN = "friction", "restitution", "pull", "spin"
 
@@ -82,15 +82,15 @@ class IsolatedImpact:
 class Measurement:
     """What two states say of one contact: a value for each order of the contacts and each possible normal, (m,)."""
 
-    closing: FloatArray  # m/s, of the surfaces, before
+    closing: FloatArray  # m/s, closing speed of the surfaces before the frame
     parting: FloatArray  # m/s, after
     slip: FloatArray  # m/s, tangential, after
-    normal: FloatArray  # N s, on the second end
+    normal: FloatArray  # N s, normal impulse on the second end
     tangential: FloatArray  # N s
     lost: FloatArray  # J
     point: FloatArray  # (3,) m
-    direction: FloatArray  # (3,) from the first end to the second
-    least: float  # N s, an impulse that damping may have
+    direction: FloatArray  # (3,) unit vector from the first end to the second
+    least: float  # N s, largest impulse that damping may give
     ease: float  # 1/kg, change of the closing speed by a normal impulse
 
 
@@ -101,14 +101,14 @@ class ContactLaws:
         self._setup = setup
         self.restitution = restitution  # error of a coefficient of restitution
         self.coefficient = setup.friction
-        self.friction = friction  # work of the wrong sign that friction may do, over |J_t| times the slip
-        self._pending: list[IsolatedImpact] = []  # of the last frame; a soft contact continues in the next one
+        self.friction = friction  # work of the wrong sign that friction may do, divided by |J_t| times the slip
+        self._pending: list[IsolatedImpact] = []  # impacts of the last frame; a soft contact continues in the next one
         self.impacts: list[IsolatedImpact] = []
         self.torques = ContactTorques()
         self.slides = SlidingContacts()
-        self._lasting = 0  # impacts that the next frame continued
-        self._counts: list[tuple[int, int, int]] = []  # step, impacts that were over by then, and impacts that lasted
-        self.suspected: list[tuple[int, float, Broken]] = []  # steps, times, and laws broken unless contacts are soft
+        self._lasting = 0  # number of impacts that continued in the next frame
+        self._counts: list[tuple[int, int, int]] = []  # step, impacts that had ended by then, and impacts that lasted
+        self.suspected: list[tuple[int, float, Broken]] = []  # steps, times, and laws broken if contacts are not soft
 
     def see(
         self, step: int, before: EngineMoment, now: EngineMoment, near: Near, closing: FloatArray, still: float
@@ -140,7 +140,7 @@ class ContactLaws:
     def concluded(self) -> Iterator[tuple[int, float, Broken]]:
         """Yield the steps and times of laws that were broken, as all impacts of the run show."""
         for step, time, broken in self.suspected:
-            if self._is_rigid(step):  # no overlap stores energy in this engine
+            if self._is_rigid(step):  # overlaps in this engine store no energy
                 yield step, time, broken
         self.suspected = []
         for impact, broken in self._outliers():
@@ -200,7 +200,7 @@ class ContactLaws:
         for impact in self._pending:
             bodies = [end for end in impact.ends if end < n and not self._setup.fixed[end]]
             mass = self._setup.mass[bodies]
-            # a contact of both has changed neither more than the other one
+            # a contact of both bodies has changed neither body more than another contact
             impulse = float((mass * lengths(now.velocity[bodies] - before.velocity[bodies] - field)).min())
             if impulse * float((1.0 / mass).sum()) > OVER * impact.speed:
                 self._lasting += 1
@@ -262,7 +262,7 @@ class ContactTree:
         self._v0 = before.velocity[bodies]
         self._v1 = now.velocity[bodies]
         self._w0, self._w1 = (before.spin[bodies], now.spin[bodies]) if self._spins else (still, still)
-        self._turned_spins: FloatArray | None = None  # rad/s, changes of spins that were told in the frames of bodies
+        self._turned_spins: FloatArray | None = None  # rad/s, changes of spins measured in body frames
         if self._spins and len(now.orientation):
             real = [rotated(moment.orientation[bodies], moment.spin[bodies]) for moment in (before, now)]
             self._turned_spins = real[1] - real[0]
@@ -272,7 +272,7 @@ class ContactTree:
         self.impulses = self._solve(momentum, self._weight > 0.0)
         speed = np.maximum(lengths(self._v0), lengths(self._v1))
         self._noise = DAMPED * float((speed * np.where(fixed, 0.0, setup.mass[bodies])).sum())
-        # engines with substeps keep the normal and the arms of a contact while bodies turn and move
+        # engines with substeps keep a contact's normal and arms while bodies turn and move
         self._rolled = np.maximum(lengths(self._w0), lengths(self._w1)) * dt
         self._depth = np.maximum(-np.minimum(near.gap_before, near.gap_now)[rows], 0.0)
         # the normals at first touch, before, and now
@@ -325,7 +325,7 @@ class ContactTree:
                     first = self._slip(k, normal[k], v, w)
                     self._push(k, normal[k], v, w)
                     yield first, self._slip(k, normal[k], v, w)
-            if others:  # all at once, as solvers with one target for each contact do
+            if others:  # resolves all contacts at once, as a solver with one target for each contact does
                 v, w = self._v0 + share * self._field, self._w0.copy()
                 first = self._slip(k, normal[k], v, w)
                 for other in range(len(self._rows)):
@@ -383,7 +383,7 @@ class ContactTree:
             return
         if abs(min(along)) <= threshold:
             return
-        touched = self._near.gap_before[row] <= 0.0  # elastic energy of the contact may return
+        touched = self._near.gap_before[row] <= 0.0  # the contact may return elastic energy
         ratios, works, whole = [], [], []
         swing = self._depth[k] * sum(self._rolled[b] for b in (i, j) if b >= 0) / self._dt
         for normals in self._normals:
@@ -395,7 +395,7 @@ class ContactTree:
                 slip = lengths((u0 - (u0 @ n) * n)[None, :])[0] + lengths((u1 - (u1 @ n) * n)[None, :])[0]
                 works.append((float(Jt @ mean), lengths(Jt[None, :])[0] * (laws.friction * slip + slow + swing)))
                 ratios.append((float(-(u0 @ n)), float(u1 @ n)))
-            if len(self._rows) == 1:  # a resistance to rolling changes the slip, too
+            if len(self._rows) == 1:  # a resistance to rolling also changes the slip
                 u1 = self._slip(k, n, self._v1, self._w1)
                 slip = float(np.sqrt(max(float(u1 @ u1) - float(u1 @ n) ** 2, 0.0)))
                 works.append((float(Jt @ u1), lengths(Jt[None, :])[0] * (laws.friction * slip + slow + swing)))

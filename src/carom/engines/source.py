@@ -17,16 +17,16 @@ from carom.errors import RecordingError
 from carom.recording.schema.header import LARGEST
 from carom.scene.start import HalfSpaces
 
-MASSLESS = 1e-30  # of the largest mass; it replaces the mass 0 of a test particle
-DRAWN_RADIUS = 0.01  # of the bodies' extent; it replaces the radius 0 of a point mass
-ROUGHLY = 0.01  # largest relative error of the length of a quaternion or of a normal
+MASSLESS = 1e-30  # replaces the mass 0 of a test particle, in units of the largest mass
+DRAWN_RADIUS = 0.01  # replaces the radius 0 of a point mass, in units of the bodies' extent
+ROUGHLY = 0.01  # largest relative error in the length of a quaternion or normal
 SPHERE = 0.4  # moment of inertia / (m r²)
 CONTACT = np.dtype(
     [
-        ("i", np.int64),  # a body, or n + k for plane k
+        ("i", np.int64),  # the first body, or n + k for plane k
         ("j", np.int64),
         ("point", np.float64, 3),  # m
-        ("normal", np.float64, 3),  # of length 1, from i to j
+        ("normal", np.float64, 3),  # (3,) unit vector from i to j
         ("force", np.float64),  # N, along the normal on j; the opposite acts on i
         ("friction", np.float64, 3),  # N, the tangential force on j
     ]
@@ -37,7 +37,7 @@ class Plane(NamedTuple):
     """A static half-space; bodies are where ``normal · x > offset``."""
 
     normal: tuple[float, float, float]
-    offset: float = 0.0  # m, along the normal of length 1
+    offset: float = 0.0  # m, distance of the plane from the origin along `normal`
     name: str = ""
 
 
@@ -57,17 +57,17 @@ class Model:
     fixed: Any = None  # (n,) whether a body never moves; by default none
     judged: Any = None  # (n,)
     gravity: Sequence[float] = (0.0, 0.0, 0.0)  # m/s², a uniform field
-    constant: float = 0.0  # m³ kg⁻¹ s⁻², of the bodies' own gravity
+    constant: float = 0.0  # m³ kg⁻¹ s⁻², constant of the bodies' mutual gravity
     softening: float = 0.0  # m
     planes: Sequence[Plane] = field(default_factory=tuple)  # static half-spaces
     box: Any = None  # (3,) m, the size of a periodic box
     collides: bool = True  # whether bodies touch each other and the planes
-    restitution: float | None = None  # of all contacts, for the audit; None: unknown
+    restitution: float | None = None  # coefficient of restitution of all contacts, for the audit; None: unknown
     friction: float | None = None  # Coulomb coefficient of all contacts, for the audit; None: unknown
     time_step: float = 0.0  # s, the shortest step to expect; 0 if unknown
-    units: str = ""  # of all numbers, as in `Recorder`; empty for SI
-    damping: float | None = None  # 1/s, the rates at which velocities and spins of all bodies decrease; None: unknown,
-    angular_damping: float | None = None  # and measured where all free bodies have the same
+    units: str = ""  # units of all numbers, as in `Recorder`; empty for SI
+    damping: float | None = None  # 1/s, the rates at which velocities and spins of all bodies decay; None: unknown,
+    angular_damping: float | None = None  # and measured if all free bodies share a rate
     every: int = 1  # calls of `Recorder.frame` per recorded frame, by default; above 1 for states that are slow to copy
 
 
@@ -83,7 +83,7 @@ class State:
     contacts: Any = None  # (m,) `CONTACT` with forces, or (m, 2) touching bodies, n + k for plane k; None: unknown
     # where bodies come and go, (n,) whole numbers that identify the bodies of this state; None: the bodies of the first
     ids: Any = None
-    mass: Any = None  # (n,) kg and m, with ids: needed in states with new bodies; a body whose mass or radius changes
+    mass: Any = None  # (n,) kg and m, with ids: needed in states with new bodies; both may change during the run
     radius: Any = None  # ends, and another begins
     names: Any = None  # (n,) with ids, as in `Model`, or empty; names and flags are read only for new bodies
     fixed: Any = None
@@ -344,7 +344,7 @@ class StateMemory:
         """Copy a state. Raises RecordingError if its arrays have other shapes, or its time is no number."""
         own = self.state
         own.time = time_of(state)
-        if state.ids is not None:  # the bodies of this state
+        if state.ids is not None:  # the arrays are those of this state's bodies
             for name in ("ids", "mass", "radius", "names", "fixed", "judged"):
                 values = getattr(state, name)
                 setattr(own, name, None if values is None else np.array(values))
@@ -374,7 +374,7 @@ class StateMemory:
             return False
         if self.block.size == 0:
             return True
-        # fails if a number is NaN; Python floats are compared, since LARGEST exceeds float32
+        # also fails if a number is NaN; compares Python floats, since LARGEST exceeds float32
         return float(_LEAST(self.block, None)) >= -LARGEST and float(_MOST(self.block, None)) <= LARGEST
 
 

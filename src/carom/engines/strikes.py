@@ -17,7 +17,7 @@ class Strikes:
     """
 
     def __init__(self) -> None:
-        self._met: dict[tuple[int, int], tuple[float, FloatArray]] = {}  # m/s, closing, and the normal, by ends
+        self._met: dict[tuple[int, int], tuple[float, FloatArray]] = {}  # closing speed (m/s) and normal, by ends
 
     def see(
         self, near: Near, ends: IntArray, met: BoolArray, speeds: tuple[FloatArray, FloatArray], normal: FloatArray

@@ -33,9 +33,9 @@ from carom.state.frame import Frame
 TELLING = 5.0  # s between two lines of progress
 STEPS = (4.0, 2.0, 1.0, 0.5)  # step factors of each integrator, if only the integrator matters
 SAMPLES = 200  # times at which trajectories are compared
-EARLIER = (3.0 - 5.0**0.5) / 2.0  # of the time between two samples; the golden section avoids simple ratios
-LATE = 0.9  # of the samples; bodies that come to rest later are not expected
-ROUNDINGS = 8  # of a coordinate, by which a drift may differ from the mean velocity of a held body
+EARLIER = (3.0 - 5.0**0.5) / 2.0  # fraction of a sampling interval; the golden section avoids simple ratios
+LATE = 0.9  # fraction of the samples; a body that comes to rest later is not expected to
+ROUNDINGS = 8  # roundings of a coordinate by which a held body's drift may differ from its mean velocity
 MORE_SAMPLES_UP_TO, MORE_SAMPLES = 20, 600  # more samples of few bodies cost nothing, and their paths can be drawn
 
 
@@ -43,7 +43,7 @@ MORE_SAMPLES_UP_TO, MORE_SAMPLES = 20, 600  # more samples of few bodies cost no
 class Setting:
     """A few keys of the scene with changed values."""
 
-    name: str  # such as "integrator = euler, steps 2 times as long"
+    name: str  # a name such as "integrator = euler, steps 2 times as long"
     overrides: tuple[str, ...]  # as given to ``--set``
     threads: int | None = None  # None for the study's
     engine: str = ""  # another engine, to whose own keys `overrides` belong; empty for carom
@@ -114,7 +114,7 @@ class Trajectory:
     velocity: FloatArray  # (K, n, 3) m/s
     pair: IntArray  # (m, 2) bodies that touched, in the order of their first contacts; j ≥ n is plane j - n
     met: FloatArray  # (m,) s, the time of each pair's first contact
-    energy_error: float  # largest |integration error| over the energy scale, or energy added by contacts
+    energy_error: float  # largest |integration error|, or energy added by contacts, over the energy scale
     energy_gain: float  # largest rise of the total energy above its previous minimum, over the energy scale
     momentum_error: float  # largest error of the momentum over its scale
     angular_momentum_error: float  # largest error of the angular momentum over its scale
@@ -122,8 +122,8 @@ class Trajectory:
     sinking: float  # mean overlap over the smaller radius of contacts late in the run; NaN if nothing can be at rest
     impacts: int  # contacts that closed faster than the rest speed, summed over the steps
     steps: int
-    frames: int  # in a recording of the run; 0 for a reference, which is not recorded
-    # only in exact references: both ends of every impact, (k, 2), and its time, (k,) s
+    frames: int  # frames in a recording of the run; 0 for a reference, which is not recorded
+    # for exact references only: (k, 2) both ends of every impact, and its (k,) time in s
     struck: IntArray = field(default_factory=lambda: np.empty((0, 2), np.int64))
     struck_at: FloatArray = field(default_factory=lambda: np.empty(0))
 
@@ -260,15 +260,15 @@ class _Watch(Watch):
         self.is_over = False  # whether the run was stopped at its bound
         self.position: list[FloatArray] = []
         self.velocity: list[FloatArray] = []
-        self.met: dict[int, float] = {}  # s, by i (n + p) + j
+        self.met: dict[int, float] = {}  # s, time of the first contact of each pair, by i (n + p) + j
         self._space, self._times, self._guard = space, times, guard
         interval = auto.frame_interval(space.scene)
         self._recorded = every(interval) if interval else None  # None: every step
         self._frames, self._last_recorded = 1, True  # the initial frame
         self._ends = len(space.state) + len(space.planes)
-        self._overlaps: list[FloatArray] = []  # over the smaller radius, late in the run
+        self._overlaps: list[FloatArray] = []  # overlaps over the smaller radius, late in the run
         self._touching = np.empty(0, dtype=np.int64)  # the contacts of the previous step
-        self._began = 0.0  # s, start of that step
+        self._began = 0.0  # s, start of the previous step
         self._before: tuple[float, FloatArray, FloatArray, FloatArray]
 
     def quiet(self, step: int, time: float) -> tuple[float, float]:
@@ -350,7 +350,7 @@ class _Watch(Watch):
             way = minimum_images(way, self._space.box)
         way_end, v_end = flight.at(dt)  # of bodies without impacts
         missing, ahead = way - way_end, frame.velocity - v_end
-        # an impact at the end of the step gives another velocity there; without one, differences are rounding
+        # an impact at the end of the step changes the velocity there; otherwise differences are rounding
         gained = 2.0 / dt * missing
         gained = np.where(np.abs(gained - ahead) <= ROUNDINGS * np.spacing(np.abs(x)) / dt, ahead, gained)
         none = np.zeros_like(v)
@@ -382,7 +382,7 @@ class _Flight:
 
     def __init__(self, v: FloatArray, a: FloatArray, jerk: FloatArray, scene: Scene) -> None:
         self._way, self._v, self._a, self._jerk = np.zeros_like(v), v.copy(), a, jerk
-        self._since = np.zeros((len(v), 1))  # s, the last impact of each body
+        self._since = np.zeros((len(v), 1))  # s, time of each body's last impact
         self._drag = scene.drag
 
     def at(self, h: float | FloatArray, bodies: slice | IntArray = slice(None)) -> tuple[FloatArray, FloatArray]:
@@ -393,7 +393,7 @@ class _Flight:
             return self._way[bodies] + s * v + s * s / 2 * a + s**3 / 6 * jerk, v + s * a + s * s / 2 * jerk
         tau = self._drag.relaxation_time
         final = tau * a  # m/s
-        lost = -np.expm1(-s / tau)  # fraction of the velocity relative to the final one
+        lost = -np.expm1(-s / tau)  # lost fraction of the velocity relative to its final value
         moved = s * final + tau * lost * (v - final) + s**3 / 6 * jerk
         return self._way[bodies] + moved, v + lost * (final - v) + s * s / 2 * jerk
 

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 INK, FAINT = "#1b2a3a", "#8a94a0"
-TEXT_IN_SVG = {"svg.fonttype": "none"}  # letters stay text, which can be searched and copied
+TEXT_IN_SVG = {"svg.fonttype": "none"}  # keeps letters as text, which can be searched and copied
 
 
 def styled(size: float, what: str = "a figure", **further: Any) -> AbstractContextManager[None]:

@@ -50,7 +50,7 @@ _SIGNS: dict[type[ast.unaryop], Callable[[Any], Any]] = {
     ast.USub: operator.neg,
     ast.UAdd: operator.pos,
 }
-Evaluator = Callable[[Mapping[str, Any]], Any]  # value of a node, for a summary
+Evaluator = Callable[[Mapping[str, Any]], Any]  # computes the value of a node from a summary
 _FUNCTIONS: dict[str, Callable[..., Any]] = {"abs": abs, "min": min, "max": max, "len": len}
 
 
@@ -88,7 +88,7 @@ class Expression:
         """Return whether the condition holds; UnknownNameError if the summary lacks a name."""
         try:
             return bool(self._evaluate(summary))
-        except (TypeError, ZeroDivisionError, OverflowError):  # such as null > 1: momentum is not conserved
+        except (TypeError, ZeroDivisionError, OverflowError):  # such as null > 1 where momentum is not conserved
             return False
 
     def unknown(self, summary: Mapping[str, Any]) -> list[str]:
@@ -173,9 +173,9 @@ def _shown(value: Any) -> str:
 
 Pair = frozenset[str]  # names of both ends
 
-SUNK = 0.05  # of the smaller radius: a deeper overlap must not last
+SUNK = 0.05  # overlap, in smaller radii, beyond which an overlap must not last
 LASTING = 20  # steps
-STEADY = 0.01  # of the smaller radius: an overlap at rest changes less in `LASTING` steps
+STEADY = 0.01  # largest change in `LASTING` steps of an overlap at rest, in smaller radii
 
 
 class Touches:
@@ -215,12 +215,12 @@ class Observation:
     """A run up to a frame."""
 
     space: Space
-    initial: float  # J, the energy at the start
+    initial: float  # J, energy at the start
     frames: int
     warnings: list[Event]
     touches: Touches
     error: str = ""  # the message of a failed run
-    stated: bool = False  # whether the error is a PhysicsError, whose message gives the reason
+    stated: bool = False  # whether the error is a PhysicsError, with the reason in its message
 
     def __post_init__(self) -> None:
         self.warned = frozenset(warning.kind for warning in self.warnings)
@@ -234,7 +234,7 @@ class Observation:
     def summary(self) -> dict[str, Any]:
         """The numbers that `carom inspect --json` prints, except the numbers about the file."""
         space = self.space
-        # nest entries by the dots in their keys
+        # nests entries by the dots in their keys
         properties = closing_summary(space, space.named_extremes(), self.verdicts)
         closing: dict[str, Any] = {}
         for key, value in properties.items():

@@ -16,7 +16,7 @@ from pydantic import Field
 
 from carom.extend import VELOCITY, ContactLaw, Positive, Section
 
-BITS = 53  # bits of the fraction of an exponent; the root for the last bit differs from 1 by less than round-off
+BITS = 53  # binary digits of an exponent's fraction; the root for the last one differs from 1 by less than round-off
 
 
 class PowerLaw(Section):

@@ -14,7 +14,7 @@ from pydantic import Field, model_validator
 
 from carom.extend import VELOCITY, ContactLaw, NonNegative, Section
 
-MOST = 6  # points of a table; a kernel has a field for each
+MOST = 6  # most points of a table; a kernel has a field for each
 
 
 class RestitutionTable(Section):

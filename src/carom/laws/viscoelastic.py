@@ -24,9 +24,9 @@ from pydantic import Field, model_validator
 from carom.extend import DENSITY, LENGTH, VELOCITY, ContactLaw, Positive, Section
 
 C1, B1, B2, B3, B4 = 0.501086, 0.501086, 1.15345, 0.577977, 0.532178
-HALVINGS = 80  # of an interval of x; the last ones change nothing
+HALVINGS = 80  # halvings of an interval of x; the last ones change nothing
 MOST = 1e3  # largest x, where e = 9e-10
-NEWTON_STEPS = 5  # from 8 % to round-off
+NEWTON_STEPS = 5  # steps that reduce an error of 8 % to round-off
 
 
 class Viscoelastic(Section):

@@ -20,8 +20,8 @@ from carom.physics.world import World
 from carom.state.checkpoint import Checkpoint, IntegratorCheckpoint
 
 FREE_DT = 1.0  # s, the first step if nothing limits it; later steps are longer
-FORESEEN = 2.0  # largest ratio of the next step to the holder's last one
-MOST_STRIKES = 100  # impacts at one moment; bodies that meet after these impacts rest on each other
+FORESEEN = 2.0  # largest ratio of the next step to the last step by the holder
+MOST_STRIKES = 100  # most impacts at one moment; bodies that meet after these rest on each other
 
 
 class BatchStepper:

@@ -17,12 +17,12 @@ class Ends:
     The arrays of `Bodies` are views of the first n rows.
     """
 
-    velocity: FloatArray  # (n + p, 3) m/s
-    acceleration: FloatArray  # (n + p, 3) m/s²
-    angular_velocity: FloatArray  # (n + p, 3) rad/s; (0, 3) where nothing spins
+    velocity: FloatArray  # (n + p, 3) m/s, velocities
+    acceleration: FloatArray  # (n + p, 3) m/s², accelerations
+    angular_velocity: FloatArray  # (n + p, 3) rad/s, spins; (0, 3) where nothing spins
     inverse_mass: FloatArray  # (n + p,) 1/kg; 0 for planes and fixed bodies, infinite for test particles
     inverse_inertia: FloatArray  # (n + p,) 1/(kg m²); 0 for planes and fixed bodies, infinite for test particles
-    radius: FloatArray  # (n + p,) m; infinite for a plane
+    radius: FloatArray  # (n + p,) m, radii; infinite for a plane
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,11 +31,11 @@ class Bodies:
 
     position: FloatArray  # (n, 3) m
     velocity: FloatArray  # (n, 3) m/s
-    acceleration: FloatArray  # (n, 3) m/s², of all forces but drag
-    orientation: FloatArray  # (n, 4) unit quaternions, xyzw; like the next three, no rows if not required
+    acceleration: FloatArray  # (n, 3) m/s², acceleration by all forces but drag
+    orientation: FloatArray  # (n, 4) unit quaternions, xyzw; this and the next three arrays are empty if not required
     angular_velocity: FloatArray  # (n, 3) rad/s
-    angular_acceleration: FloatArray  # (n, 3) rad/s², mean of the last step; no rows without torques
-    torque: FloatArray  # (n, 3) N m, Σ r × J / dt of all contacts and impacts of the last step
+    angular_acceleration: FloatArray  # (n, 3) rad/s², mean over the last step; empty without torques
+    torque: FloatArray  # (n, 3) N m, Σ r × J / dt over all contacts and impacts of the last step
     mass: FloatArray  # (n,) kg
     radius: FloatArray  # (n,) m
     inertia: FloatArray  # (n,) kg m²

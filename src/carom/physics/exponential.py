@@ -17,11 +17,11 @@ import numpy as np
 from carom.physics.jit.decorators import kernel
 from carom.scene.portable_math import EXP, LN2_HIGH, LN2_LOW, LOG
 
-VANISHED = 745.0  # e^-z underflows to 0 for larger z
-TERMS = 20  # of the series on [0, 1]: 1/22! is below round-off
-LOG_TERMS = 10  # of the series of artanh up to 1/7: 7⁻²⁰ is below round-off
+VANISHED = 745.0  # e^-z underflows to 0 for z above this
+TERMS = 20  # terms of the series on [0, 1]: 1/22! is below round-off
+LOG_TERMS = 10  # terms of the series of artanh up to 1/7: 7⁻²⁰ is below round-off
 LOG_SERIES_UP_TO = 0.25
-OVERFLOWS = 709.78  # e^z is infinite for larger z
+OVERFLOWS = 709.78  # e^z is infinite for z above this
 HALF_ROOT = math.sqrt(0.5)
 
 

@@ -61,14 +61,14 @@ if TYPE_CHECKING:  # `physics.jit.cache` follows these imports, too
     from carom.physics.contact.events.steady_data import SteadyContacts
     from carom.physics.forces.drag import DragLaw
 
-MOST_STEPS = 20_000  # in one call, some milliseconds: `Space.stop` and the progress line wait for its end
+MOST_STEPS = 20_000  # steps in one call, some milliseconds: `Space.stop` and the progress line wait until it ends
 
 
 class PlanRecord(Protocol):
     """Constants of the steps and their forces."""
 
-    fixed_dt: float  # s; 0 if a rule sets the steps
-    accelerates: bool  # whether there is a force
+    fixed_dt: float  # s, length of fixed steps; 0 if a rule sets the steps
+    accelerates: bool  # whether any force acts
     attracts: bool  # whether bodies attract each other
     constant: float  # m³/(kg s²), G
     softening_squared: float  # m²
@@ -84,11 +84,11 @@ class FlightLaws(NamedTuple):
     """The forces and rules of the steps."""
 
     plan: RecordArray[PlanRecord]  # (1,)
-    substeps: FloatArray  # (s, 3) parts of the step: first kick, drift, last kick
-    uniform: FloatArray  # (f, 3) m/s², the uniform accelerations by each force that has one
+    substeps: FloatArray  # (s, 3) s, parts of the step: first kick, drift, last kick
+    uniform: FloatArray  # (f, 3) m/s², the uniform acceleration by each force that has one
     rule: RecordArray[RuleRecord]  # (1,)
     forces: Parameters  # of installed packages
-    damping: DragLaw | tuple[()]  # of the force that depends on velocities; empty without one
+    damping: DragLaw | tuple[()]  # parameters of the force that depends on velocities; empty without one
 
 
 class FlightClock(NamedTuple):
@@ -96,19 +96,19 @@ class FlightClock(NamedTuple):
 
     time: float  # s
     end: float  # s, of the run
-    until: float  # s; a step that reaches it is the last
+    until: float  # s, time at which the last step ends
     most: int  # steps
-    average: float  # s, the moving average of the step
+    average: float  # s, moving average of the step
     step: int  # number of the last step
-    stops_before: bool  # whether the step that reaches `until` is left out, for a schedule that reads the state before
+    stops_before: bool  # whether to stop before the step that reaches `until`, since a schedule reads the state there
 
 
 class FlightBuffers(NamedTuple):
     """Workspace of the steps."""
 
-    limits: RecordArray[LimitsRecord]  # for the limits of the step, see `Timestep.buffer`
+    limits: RecordArray[LimitsRecord]  # buffer for the limits of the step; see `Timestep.buffer`
     potential: FloatArray  # (n,)
-    saved: FloatArray  # (3, n, 3) positions, velocities, accelerations before a step
+    saved: FloatArray  # (3, n, 3) positions, velocities and accelerations before a step
 
 
 class Flight(NamedTuple):
@@ -119,7 +119,7 @@ class Flight(NamedTuple):
     time: float  # s, time after it
     dt: float  # s, its length
     limit: str  # what set its length
-    impact_energy: float  # J, the energy of recent impacts, see `Activity`, before the last step
+    impact_energy: float  # J, energy of recent impacts before the last step; see `Activity`
 
 
 class FewBodies:
@@ -180,8 +180,8 @@ def can_fly(world: World) -> bool:
         len(world.bodies) <= MAX_IN_ONE_BLOCK
         and world.forces.laws is not None
         and not any(part.needs_every_step for part in world.parts)
-        and world.scene.expect.contact_audit is None  # the audit needs each kick
-        and not (world.is_periodic and world.contact is None)  # only single steps refuse too many crossings
+        and world.scene.expect.contact_audit is None  # the audit needs every kick
+        and not (world.is_periodic and world.contact is None)  # only a single step refuses too many crossings
     )
 
 

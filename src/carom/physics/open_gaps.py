@@ -24,11 +24,11 @@ from carom.physics.jit.decorators import Function, for_first, inner
 from carom.physics.rotation import rotate_one
 from carom.physics.vector import is_periodic, minimum_image, square
 
-NEAR = 2.0 * TOUCHING  # of the sum of radii; twice the largest gap of bodies that touch
-ROUNDING = 2.0**-46  # of the coordinates: 64 times their last digit; the search allows for four of these
-GRAIN = 2.0**-50  # of the coordinates, more than the rounding of a drift
-BOX_FRACTION = 0.25  # of the smallest side: distance that bodies may move before they are tested again
-FAR = 1e150  # m, the smallest gap where there are no pairs
+NEAR = 2.0 * TOUCHING  # gap relative to the sum of radii; twice the largest gap of touching bodies
+ROUNDING = 2.0**-46  # relative to the coordinates: 64 times their last digit; the search allows for four of these
+GRAIN = 2.0**-50  # relative to the coordinates: more than the rounding of a drift
+BOX_FRACTION = 0.25  # fraction of the smallest side; bodies may move this far before they are tested again
+FAR = 1e150  # m, smallest gap if there are no pairs
 
 
 class MovedState(NamedTuple):
@@ -37,8 +37,8 @@ class MovedState(NamedTuple):
     position: FloatArray  # (n, 3) m
     velocity: FloatArray  # (n, 3) m/s
     acceleration: FloatArray  # (n, 3) m/s²
-    orientation: FloatArray  # (n, 4) xyzw; no rows where nothing rotates
-    angular_velocity: FloatArray  # (n, 3) rad/s; no rows where nothing rotates
+    orientation: FloatArray  # (n, 4) xyzw, orientations; empty where nothing rotates
+    angular_velocity: FloatArray  # (n, 3) rad/s, spins; empty where nothing rotates
 
 
 class KeptState(NamedTuple):
@@ -49,8 +49,8 @@ class KeptState(NamedTuple):
     inverse_mass: FloatArray  # (n + p,) 1/kg
     supported: FloatArray  # (n + p,) m/s², accelerations that contacts support; empty if no step depends on them
     field: FloatArray  # (3,) m/s², the uniform field if it accelerates all bodies alike; otherwise zeros
-    box: FloatArray  # (3,) m, zeros in open space
-    normal: FloatArray  # (p, 3) of the planes
+    box: FloatArray  # (3,) m, size of the periodic box; zeros in open space
+    normal: FloatArray  # (p, 3) unit normals of the planes
     offset: FloatArray  # (p,) m
 
 
@@ -63,17 +63,17 @@ class TotalsRecord(Protocol):
     held_restitution: float  # J, this and the next two in the first kick of the step
     held_friction: float
     held_stabilisation: float
-    impact_energy: float  # J, see `Activity`; before the last step
-    deepest: float  # overlap / smaller radius, the largest of the run
+    impact_energy: float  # J, energy of recent impacts before the last step; see `Activity`
+    deepest: float  # largest overlap of the run over the smaller radius
     deepest_i: int
     deepest_j: int
-    deepest_step: int  # 0 if it was before these steps
+    deepest_step: int  # step of the deepest overlap; 0 if it was before these steps
     deepest_time: float  # s
-    most: int  # contacts in a step, the largest of the run
-    most_step: int  # 0 if it was before these steps
+    most: int  # largest number of contacts in a step of the run
+    most_step: int  # step with the most contacts; 0 if it was before these steps
     most_time: float  # s
     contacts: int  # sum over these steps
-    last_kick: float  # s, in which contacts were held; 0 if they carry no impulses
+    last_kick: float  # s, length of the last kick in which contacts were held; 0 if they carry no impulses
     last_dt: float  # s
     sweeps: int  # of the last step
 

@@ -14,7 +14,7 @@ from carom.plan.auto import integrator
 from carom.scene.load import Scene
 from carom.state.checkpoint import Checkpoint, IntegratorCheckpoint
 
-HORIZON = "horizon"  # the limit of the last step that keeps the accuracy
+HORIZON = "horizon"  # name of the limit of the last step that keeps the accuracy
 
 
 class Stepper(Protocol):

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 Schedule = Callable[[int, float, float], bool]  # step, the times before and after it → whether it is scheduled
 
-MULTIPLE_TOLERANCE = 1e-9  # of a time: a smaller difference from a multiple of the frame interval is ignored
+MULTIPLE_TOLERANCE = 1e-9  # relative difference of a time from a multiple of the frame interval that is ignored
 
 
 class Watch(ABC):

@@ -50,22 +50,22 @@ if TYPE_CHECKING:
     from carom.physics.bodies import Bodies
     from carom.scene.schema.shear import Shear
 
-ENTRY = "shear"  # of the ledger, with the sign of a loss: -W
+ENTRY = "shear"  # name of the ledger entry, with the sign of a loss: -W
 
 
 class ShearedBoxRecord(Protocol):
     """A sheared box in a step."""
 
     flow: int  # axis of the mean velocity
-    gradient: int  # axis along which it changes
+    gradient: int  # axis along which the mean velocity changes
     rate: float  # 1/s, γ
     depth: float  # m, size of the box along the gradient
     speed: float  # m/s, velocity of the next image along the gradient
-    shift: float  # m, its displacement along the flow as the step begins, or when its contacts are found
-    period_x: float  # m, size along the other axes, `ENDLESS` along the gradient
+    shift: float  # m, displacement of that image along the flow as the step begins, or when its contacts are found
+    period_x: float  # m, size along the other axes; `ENDLESS` along the gradient
     period_y: float
     period_z: float
-    work: float  # J, of the shear in impacts since `ShearedBox.pop`
+    work: float  # J, work of the shear in impacts since `ShearedBox.pop`
 
 
 SHEARED_BOX = dtype_of(ShearedBoxRecord)
@@ -82,7 +82,7 @@ class ShearedBox:
         axes = self._flow, self._gradient
         # (1,), for kernels
         self.record = np.array([(*axes, shear.rate, self._depth, speed, 0.0, *periods, 0.0)], SHEARED_BOX)
-        self._impulse = 0.0  # N s along the flow, by wrapping
+        self._impulse = 0.0  # N s, impulse along the flow by wrapping
         self._work = 0.0  # J, by wrapping
 
     def begin(self, time: float) -> None:

@@ -42,7 +42,7 @@ from carom.state.checkpoint import Checkpoint, fingerprint_of
 from carom.state.energies import Energy
 from carom.state.frame import CollisionGraph, Frame, empty_graph
 
-WARM_UP_DT = 1e-3  # of the step that the limits allow at the start
+WARM_UP_DT = 1e-3  # fraction of the step that the limits allow at the start
 
 
 class StepStatus(NamedTuple):
@@ -53,7 +53,7 @@ class StepStatus(NamedTuple):
     dt: float  # s
     dt_limit: str  # the limit that set dt
     contacts: int  # number of contacts that touch or carry an impulse
-    energy: Energy  # as of the last check or frame
+    energy: Energy  # energies at the last check or frame
 
     @property
     def energy_error(self) -> float:
@@ -82,7 +82,7 @@ class Simulation:
         self.scene = scene
         self.names = start.name
         self.groups = start.group
-        self.mass = start.mass  # (n,) kg, also of bodies that are not there
+        self.mass = start.mass  # (n,) kg, including bodies that do not exist now
         self.entries = EntryStates(start.position, start.velocity, start.angular_velocity)
         self.threads = threads or cores()
         self.ends_with_forces = integrator(scene).ends_with_forces

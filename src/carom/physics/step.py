@@ -131,7 +131,7 @@ class KickDriftStepper:
         if is_first:
             return FIRST_IN_CONTACT * dt
         time = contact.time_to_stick(dt, tolerance)
-        return time if time <= 2.0 * dt else 0.5 * time  # far ahead, the forces may change
+        return time if time <= 2.0 * dt else 0.5 * time  # the forces may change before a time that is far ahead
 
     def _advance(self, goal: Goal) -> bool:
         """Take a step, or many if nothing touches, up to the goal; return whether a frame is due."""

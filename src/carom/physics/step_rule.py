@@ -36,7 +36,7 @@ def step_of_largest(largest: float, mean: float, softening: float, fraction: flo
     """Return the largest step in seconds, given the largest acceleration of a body in m/s² and G m in m³/s²."""
     if largest == 0.0:
         return np.inf
-    alone = np.sqrt(np.sqrt(mean / largest) / largest)  # square roots of squared units: the same bits in powers of two
+    alone = np.sqrt(np.sqrt(mean / largest) / largest)  # square roots of squares: same bits in powers of two
     step: float = fraction * max(alone, np.sqrt(softening / largest))
     return step
 
@@ -80,16 +80,16 @@ class RuleRecord(Protocol):
     """The limits of the steps."""
 
     max_dt: float  # s
-    cfl: float  # 0 for no limit, like all others below
+    cfl: float  # limits; 0 for no limit, also below
     by_fastest_body: bool  # whether only the fastest body limits the step
     target_dx: float  # m
     held_dx: float  # m, replaces ``target_dx`` for bodies held by lasting contacts
-    held_part: float  # largest motion of such a body in a step over its radius
-    smoothing: float  # weight of the new step in the average
-    anchored: bool  # whether something is fixed; speeds are then relative to it
+    held_part: float  # largest motion of a held body in a step, over its radius
+    smoothing: float  # weight of the new step in the moving average
+    anchored: bool  # whether anything is fixed; speeds are then relative to it
     measures_bodies: bool  # whether a limit needs the largest values of all bodies
     gravity_fraction: float  # η, the step as a fraction of the shortest time scale of gravity
-    examines_pairs: bool  # whether that is the time scale of a pair, not of the largest acceleration
+    examines_pairs: bool  # whether that is the time scale of a pair, rather than of the largest acceleration
     constant: float  # m³/(kg s²), G
     softening: float  # m
     mean: float  # m³/s², G times the mean mass
@@ -102,9 +102,9 @@ class LimitsRecord(Protocol):
     """The largest values of the bodies of a block."""
 
     largest_acceleration: float  # m/s²
-    largest_free_acceleration: float  # m/s², of bodies not held by contacts
+    largest_free_acceleration: float  # m/s², largest acceleration of bodies not held by contacts
     largest_supported: float  # m/s², largest acceleration supported by contacts
-    velocity_step: float  # s, smallest dt_v of all bodies; infinite at rest
+    velocity_step: float  # s, smallest dt_v of all bodies; infinite if all are at rest
     fastest_step: float  # s, dt_v of the fastest body
     fastest_squared: float  # m²/s², squared speed of the fastest body
     held_time: float  # s, shortest time in which a held body moves by its radius

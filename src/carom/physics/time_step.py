@@ -67,11 +67,11 @@ class Timestep:
         rule["held_dx"], rule["held_part"] = limits.held_dx or 0.0, limits.held_part
         rule["smoothing"], rule["anchored"] = limits.smoothing, anchored
         rule["measures_bodies"] = limits.cfl is not None or limits.target_dx is not None
-        self.fixed_dt = time.fixed_dt  # s, a constant step instead of these limits; None if there is none
+        self.fixed_dt = time.fixed_dt  # s, a constant step; None if limits set the step
         self._smoothing = limits.smoothing
         self.field = field
         self.spares_held = limits.held_dx is not None  # whether a step depends on accelerations supported by contacts
-        self.previous = 0.0  # s, the moving average; 0 before the first step
+        self.previous = 0.0  # s, moving average of the step; 0 before the first
         self._team = team
         self._found = np.empty(0, LIMITS)
 

@@ -38,13 +38,13 @@ class Clock:
     """Number, times and length of the last step."""
 
     scene: Scene
-    units: UnitSystem  # of the scene; looking them up takes 2 µs
+    units: UnitSystem  # units of the scene; looking them up takes 2 µs
     step: int = 0
     time: float = 0.0  # s
     before: float = 0.0  # s, time before the last step
     dt: float = 0.0  # s
     limit: str = "start"  # the limit that set dt
-    foreseen: dict[str, float] = field(default_factory=dict)  # number of the scene's own steps so far, by limit
+    foreseen: dict[str, float] = field(default_factory=dict)  # number so far of the scene's own steps, by limit
 
     def advance(self, steps: int, before: float, time: float, dt: float, limit: str) -> None:
         """Advance by a number of steps, given the times before and after the last (s), its length (s) and its limit.

@@ -14,17 +14,17 @@ from carom.scene.integrators import AUTO, INTEGRATORS, Integrator, integrator_ca
 from carom.scene.load import Scene
 from carom.scene.matter import body_mass, made_of, mean_mass
 
-FRAMES = 600  # of an "auto" recording: enough to scrub through smoothly, few enough to open at once
+FRAMES = 600  # frames of an "auto" recording: enough to scrub through smoothly, few enough to open at once
 FEWEST_FRAMES = 50
 AUTO_BYTES = 300_000_000  # "auto" recordings of many bodies get fewer frames, to stay below this size
 BYTES_PER_BODY_AND_FRAME = 60  # centre, quaternion, and about one arrow or edge
 
 MAX_DT = 1.0  # s, the longest step of kicks and drifts, as in the reference engine, unless a run would take
 FEWEST_STEPS = 1e6  # steps of that length: 1 s is no time scale of orbits, and would give a year 3 × 10⁷ steps
-STRAIN_PER_STEP = 1e-3  # of a sheared packing; at a packing fraction of 0.54, a strain of 0.015 halves the stress
-STEPS_PER_OSCILLATION = 100  # of a wall, at least: contacts are held against its mean velocity in a step
+STRAIN_PER_STEP = 1e-3  # of a sheared packing; a strain of 0.015 halves the stress at a packing fraction of 0.54
+STEPS_PER_OSCILLATION = 100  # fewest steps per oscillation of a wall: contacts are held against its mean velocity
 
-STEP_GROWS_UP_TO = 100  # bodies; with more, "auto" steps are a tenth of the time of a fall through the smallest radius
+STEP_GROWS_UP_TO = 100  # bodies up to which the step grows; with more, "auto" steps are a tenth of the fall time `FALL`
 STEP_PER_BODY = 1e-3  # fraction of that time for each body: steps of few bodies are cheap, so they may be shorter, for
 # accurate flights; bodies held by contacts always have the step for `STEP_GROWS_UP_TO` bodies (docs/physics.md, 3)
 
@@ -32,13 +32,13 @@ SMOOTH_UP_TO = 8  # bodies without contacts; with more, a step that ignores the 
 # fourth order costs more than it gains
 
 PAIRS_UP_TO = 100  # bodies up to which the step examines each pair; with more, that costs as much as gravity
-PAIR_FRACTION = 0.01  # of the shortest time of a pair: 890 steps in a circular orbit (docs/physics.md, 3)
-PULL_FRACTION = 0.02  # of the time scale of the largest acceleration; a pair of equal bodies has half that time scale
+PAIR_FRACTION = 0.01  # fraction of the shortest time of a pair: 890 steps in a circular orbit (docs/physics.md, 3)
+PULL_FRACTION = 0.02  # fraction of the largest acceleration's time scale; a pair of equal bodies has half that scale
 SMOOTHING = 0.2  # weight of the new step in the moving average, where contacts form and break
 
 # largest motion of a body in a step over its radius (docs/trade.md)
-LATE_CFL = 0.5  # if impacts are resolved at the end of the step
-FREE_CFL = 1.0  # with exact times of impact and without forces, where shorter steps gain nothing
+LATE_CFL = 0.5  # the same if impacts are resolved at the end of the step
+FREE_CFL = 1.0  # the same with exact times of impact and without forces, where shorter steps gain nothing
 
 
 ORBITS_UP_TO = 1000  # bodies far apart about a dominant one, without contacts; from 300 to 900, gauss-radau15 takes 0.6
@@ -47,12 +47,12 @@ ORBITS_UP_TO = 1000  # bodies far apart about a dominant one, without contacts; 
 BOUNCES_UP_TO = 200  # bouncing bodies; gauss-radau15 restarts all bodies at each impact (docs/trade.md)
 
 TREES = ("tree", "fast-multipole")  # methods that sum over boxes of bodies, with an error set by the opening angle
-TREE_FROM = 5000  # bodies, for "auto"; from here on, a tree takes a third to a half of the time of a direct sum
+TREE_FROM = 5000  # bodies from which "auto" chooses a tree, which takes a third to a half of the time of a direct sum
 
 HELD_PART = 0.01  # largest motion of a held body in a step over its radius: 600 steps per revolution of a rolling pair
 WIDEST_HELD_PART = 0.1
-WIDEST_HELD = 3.0  # times the step of held bodies
-WIDEST_FALL = 0.5  # largest step, of the time of a fall through the smallest radius
+WIDEST_HELD = 3.0  # largest step of held bodies, in multiples of their usual step
+WIDEST_FALL = 0.5  # largest step, as a fraction of the time of a fall through the smallest radius
 WIDEST_PULL_FRACTION = 0.1  # largest step over the shortest time of a pair: 90 steps in a circular orbit
 
 
@@ -313,13 +313,13 @@ def auto_interval(scene: Scene, duration: float) -> float:
 class StepLimits:
     """The limits of the step, by their keys; None where one does not apply."""
 
-    max_dt: float  # s, infinite for no limit
+    max_dt: float  # s; infinite for no limit
     cfl: float | None
     target_dx: float | None  # m
-    held_dx: float | None = None  # m, replaces ``target_dx`` for bodies held by lasting contacts; None for the same
-    held_part: float = HELD_PART  # largest motion of such a body in a step over its radius
+    held_dx: float | None = None  # m, replaces ``target_dx`` for bodies held by lasting contacts; None: no change
+    held_part: float = HELD_PART  # largest motion of a held body in a step, over its radius
     pull_fraction: float | None = None
-    smoothing: float = 1.0  # weight of the new step in the average
+    smoothing: float = 1.0  # weight of the new step in the moving average
 
 
 def step_limits(scene: Scene) -> StepLimits:
@@ -389,7 +389,7 @@ def shorter_steps(scene: Scene, stride: float) -> tuple[StepLimits, Scene]:
         limits,
         max_dt=stride * limits.max_dt,
         cfl=shorter(limits.cfl),
-        target_dx=shorter(limits.target_dx, stride * stride),  # a distance of ½ a dt²
+        target_dx=shorter(limits.target_dx, stride * stride),  # a fall over the distance ½ a dt²
         held_dx=shorter(limits.held_dx, stride * stride),
         held_part=stride * limits.held_part,
         pull_fraction=shorter(limits.pull_fraction),

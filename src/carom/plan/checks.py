@@ -24,9 +24,9 @@ from carom.scene.wall_shapes import shape_called
 from carom.scene.wording import body_key, counted
 
 EARTH = 9.81  # m/s², as a user writes it: 9.8 to 9.82
-AS_ON_EARTH = 0.01  # relative difference; the field at the poles is 0.2 % above, that at the equator 0.3 % below
-NARROWEST = 4  # largest radii: two bodies and the image of one of them side by side
-LIGHTEST = 100.0  # kg/m³; balls of cork have 200
+AS_ON_EARTH = 0.01  # relative difference; the field is 0.2 % stronger at the poles, and 0.3 % weaker at the equator
+NARROWEST = 4  # narrowest box, in largest radii: two bodies and the image of one of them side by side
+LIGHTEST = 100.0  # kg/m³, lightest solid; balls of cork have 200
 
 INTEGRATOR: KeyPath = ("time", "integrator")
 METHOD: KeyPath = ("gravity", "method")
@@ -36,11 +36,11 @@ BOUNDARY: KeyPath = ("domain", "boundary")
 # Errors of the positions in a cluster of 6000 points (docs/trade.md): relative to the size of the system at an opening
 # angle of 1 rad, and the power of the angle to which they are proportional.
 TREE_ERRORS = {
-    "tree": (6e-4, 4),  # with quadrupoles: 5 × 10⁻⁶ at 0.3, 1.2 × 10⁻⁴ at 0.7
-    "fast-multipole": (5e-4, 7),  # an upper bound: 1.8 × 10⁻⁸ at 0.3, 1.2 × 10⁻⁶ at 0.5, 1.7 × 10⁻⁵ at 0.7
+    "tree": (6e-4, 4),  # with quadrupoles: 5 × 10⁻⁶ at 0.3 rad, 1.2 × 10⁻⁴ at 0.7
+    "fast-multipole": (5e-4, 7),  # at most 1.8 × 10⁻⁸ at 0.3 rad, 1.2 × 10⁻⁶ at 0.5, 1.7 × 10⁻⁵ at 0.7
 }
-MONOPOLES = 19.0  # factor by which the error is larger without quadrupoles, at most
-SMALLEST_ANGLE = 0.1  # rad; below, a direct sum is as fast
+MONOPOLES = 19.0  # largest factor by which the error grows without quadrupoles
+SMALLEST_ANGLE = 0.1  # rad, angle below which a direct sum is as fast
 
 
 def refuse_impossible(scene: Scene) -> None:
@@ -333,7 +333,7 @@ def doubts(scene: Scene) -> list[str]:
         moving |= group.spin.dispersion > 0.0 or any(group.bulk_rotation)
     if not moving:
         found.append("nothing can move: no force acts, and every velocity is 0")
-    # the digits of the Earth's field, but another size
+    # the number has the digits of the Earth's field, but another order of magnitude
     size = math.hypot(*scene.gravity.uniform)
     same_digits = round(units.shown(size, ACCELERATION), 1) == round(EARTH, 1)
     if same_digits and not math.isclose(size, EARTH, rel_tol=AS_ON_EARTH):

@@ -39,7 +39,7 @@ from carom.scene.parts import Part, in_order
 from carom.scene.units.dimension import LENGTH, TIME
 from carom.scene.wording import counted
 
-VARIANT_SECONDS = 10.0, 40.0  # to compile the kernels of a law, of walls, or of a sheared box (docs/performance.md)
+VARIANT_SECONDS = 10.0, 40.0  # s to compile kernels for a law, walls or a sheared box (docs/performance.md)
 
 
 @dataclass(frozen=True)
@@ -66,7 +66,7 @@ class Requirements:
     friction: Part
     torque: Part
     energy: Part
-    release: Part | None = None  # only in scenes where bodies enter or leave
+    release: Part | None = None  # None in scenes where no body enters or leaves
 
     @property
     def parts(self) -> tuple[Part, ...]:

@@ -18,14 +18,14 @@ from carom.scene.matter import body_mass, made_of, mean_mass
 from carom.scene.units.dimension import LENGTH
 from carom.scene.wording import body_called
 
-DOMINANT = 0.99  # smallest fraction of the mass of a dominant body
+DOMINANT = 0.99  # smallest fraction of the total mass in a dominant body
 # revolutions of the innermost body, for "auto"; for fewer, Gauss–Radau integration to rounding is cheap
 FEWEST_ORBITS = 1000
-MOST_BODIES = 100  # for "auto"; more bodies meet more often, and Gauss–Radau integrates all of them in each encounter
-HILL_RADII_APART = 5.0  # for "auto", between orbits, so that encounters are rare; Jupiter and Saturn are 8 apart
-LEAST_DISTANCE = 8.0  # in sums of the two radii; Europa is 9 from Jupiter, the Moon 47 from the Earth
-WIDER = 1.0 + 1e-9  # factor of a distance that is beyond any rounding
-MOST_APART = 32  # bodies; as the system contracts, more would soon meet often, unless they orbit a dominant body
+MOST_BODIES = 100  # most bodies for "auto"; more meet more often, and each encounter needs Gauss–Radau for all
+HILL_RADII_APART = 5.0  # distance of two orbits for "auto", so that encounters are rare; Jupiter and Saturn are 8 apart
+LEAST_DISTANCE = 8.0  # smallest distance in sums of two radii; Europa is 9 from Jupiter, the Moon 47 from the Earth
+WIDER = 1.0 + 1e-9  # factor on a distance that exceeds any rounding
+MOST_APART = 32  # most bodies that start apart; as a system contracts, more would soon meet often, unless one dominates
 
 
 class Heaviest(NamedTuple):
@@ -163,7 +163,7 @@ def far_apart(scene: Scene) -> bool:
     reach = 2.0 * LEAST_DISTANCE * radius.max() * WIDER
     for k in range(1, len(radius)):
         apart = position[k:] - position[:-k]
-        if apart[:, 0].min() > reach:  # pairs further apart in this order are, too
+        if apart[:, 0].min() > reach:  # pairs farther apart in this order are out of reach, too
             return True
         if np.any(np.sqrt((apart**2).sum(axis=1)) < LEAST_DISTANCE * (radius[k:] + radius[:-k])):
             return False

@@ -26,7 +26,7 @@ from carom.scene.rest_speed import PER_STEP
 from carom.scene.units.dimension import TIME, VELOCITY
 
 EXACT_IMPACT = 1e-9  # largest relative error of the approach speed of an exact impact
-LAGGING = 1e-3  # rad, largest lag of an orbit that needs no note
+LAGGING = 1e-3  # rad, largest lag of an orbit that is not noted
 
 
 def inexact_impacts(scene: Scene) -> str:
@@ -72,7 +72,7 @@ def inexact_orbits(scene: Scene) -> str:
         return ""
     turn = 2.0 * math.pi * turns / scene.time.duration * (scene.time.fixed_dt or largest_step(scene))  # rad in a step
     if fraction is not None and scene.time.fixed_dt is None:
-        # the limit is that of the mean mass, which is the dominant mass by the number of bodies
+        # this limit is that of the mean mass, the dominant mass divided by the number of bodies
         turn = min(turn, fraction / scene.count**0.25)
     lag = 2.0 * math.pi * turns * turn * turn / 3.0
     if not LAGGING < lag < math.inf:
@@ -108,7 +108,7 @@ def _error_by_gravity(scene: Scene) -> float:
     most a step of κ r/v, and the acceleration limit a step in which a body falls by Δx from rest.
     """
     r, slowest = smallest_radius(scene), largest_speed(scene)
-    # of each body, and the mean mass of each group
+    # radius of each body, and mean mass of each group
     masses = [body_mass(made_of(scene, body)) for body in scene.body]
     masses += [mean_mass(made_of(scene, group)) for group in scene.group]
     a = 2.0 * scene.gravity.constant * max(masses + [float(columns.mass.max()) for columns in scene.data]) / (r * r)

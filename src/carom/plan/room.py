@@ -12,11 +12,11 @@ from carom.errors import RecordingError, SceneError
 from carom.plan.auto import frame_interval, gravity_method, integrator, step_limits
 from carom.scene.load import Scene
 
-BYTES_PER_BODY = 700  # state, workspace and the initial state; measured at 10⁵ bodies and rounded up
-RECORDED_BYTES_PER_BODY = 2000  # frames that wait or are encoded: runs of 2 × 10⁵ bodies that record each step
-TRIALS = 1.4  # memory of an estimate, which holds several runs at once, over that of a run; measured on the same scene
+BYTES_PER_BODY = 700  # bytes for state, workspace and initial state; measured at 10⁵ bodies and rounded up
+RECORDED_BYTES_PER_BODY = 2000  # bytes for waiting and encoded frames: runs of 2 × 10⁵ bodies that record every step
+TRIALS = 1.4  # memory of an estimate, which holds several runs at once, over that of a run; measured on one scene
 ADDRESSES_OF_LIBRARIES = 1_100_000_000  # bytes that a run of two bodies maps, mostly libraries
-ADDRESSES_PER_BODY = 4000  # bytes mapped by a run that records every step: with 2400, 4 × 10⁵ bodies abort
+ADDRESSES_PER_BODY = 4000  # bytes mapped by a run that records every step; with 2400, 4 × 10⁵ bodies abort
 GRAVITY_BYTES_PER_BODY = {"none": 0, "direct": 550, "tree": 130, "fast-multipole": 280}  # 16 slabs of sums; boxes
 
 LEAST_PER_BODY = 5  # bytes of a frame in the file: positions on a lattice at rest take 5.6
@@ -24,8 +24,8 @@ LEAST_PER_BODY = 5  # bytes of a frame in the file: positions on a lattice at re
 # space.
 LEAST_BODIES = (1 << 16) // 12
 
-_UNKNOWN = 2**47  # bytes: the whole address space
-_OWN_MEMORY = Path("/proc/self/statm")  # Linux; the second number is the pages in memory
+_UNKNOWN = 2**47  # bytes of the whole address space
+_OWN_MEMORY = Path("/proc/self/statm")  # on Linux; the second number counts pages in memory
 _CGROUPS = Path("/sys/fs/cgroup")
 
 
@@ -69,7 +69,7 @@ def resident_memory() -> int:
         return pages * os.sysconf("SC_PAGE_SIZE")
     except (OSError, ValueError, IndexError):
         largest = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-        return largest if sys.platform == "darwin" else 1024 * largest  # macOS counts in bytes, others in kB
+        return largest if sys.platform == "darwin" else 1024 * largest  # macOS counts bytes, others kB
 
 
 def usable_memory() -> tuple[int, str]:
@@ -99,7 +99,7 @@ def _group_limits(own: Path = Path("/proc/self/cgroup"), root: Path = _CGROUPS) 
             continue
         top, name = (root / "memory", "memory.limit_in_bytes") if kinds else (root, "memory.max")
         inner = Path(path.lstrip("/"))
-        for folder in (inner, *inner.parents):  # in a container, only the outermost may be visible
+        for folder in (inner, *inner.parents):  # only the outermost folder may be visible in a container
             try:
                 yield int((top / folder / name).read_text(encoding="ascii"))
             except (OSError, ValueError):  # "max" is no number

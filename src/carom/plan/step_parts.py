@@ -15,7 +15,7 @@ from carom.scene.scene_file import KeyPath
 class StepPart(NamedTuple):
     """An optional part of a step in a scene with contacts."""
 
-    target: str  # module:attribute that makes it for a contact pipeline, see `carom.physics.contact.hooks`
+    target: str  # module:attribute that makes the part for a contact pipeline; see `carom.physics.contact.hooks`
     is_required: Callable[[Scene, Requirements, bool], bool]  # of a scene, and whether its contacts are recorded
     key: KeyPath  # that asks for it
     remedy: Callable[[Scene], str]  # without the part

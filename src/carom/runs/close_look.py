@@ -36,16 +36,16 @@ from carom.physics.space import Space
 from carom.scene.start import InitialBodies
 from carom.state.frame import Frame
 
-LASTS = 4  # steps: a contact that presses for so long carries a load; what stops a slow impact is gone sooner
-LOOK_AFTER = LASTS + 1.0  # steps, for the loads of contacts after an interval
-RETURNS = 2.0  # steps: a longer bounce, which takes 2 v/a, may not be ended at rest by a step
-SHARED = 5e-2  # of the kinetic energy of bodies that touch, before or after: runs that differ by less may have shared
+LASTS = 4  # steps after which a pressing contact carries a load; what stops a slow impact is gone sooner
+LOOK_AFTER = LASTS + 1.0  # steps for the loads of contacts after an interval
+RETURNS = 2.0  # steps: a bounce that takes longer, 2 v/a, may not be ended at rest by a step
+SHARED = 5e-2  # fraction of touching bodies' kinetic energy, before or after, within which runs may share differently
 # impulses otherwise
-TURNED = 0.01  # rad, or of the size: change in a step of a torque that resists rolling, whose error is of first order
-FAST = 10.0  # an impact counts as one of a supported body if it is this many times faster than the uncertainty
-SURFACE = 2.5  # m r²/I of a ball: friction changes the speed of its surface so much more than its velocity
+TURNED = 0.01  # rad or sizes: change in a step of a torque that resists rolling, whose error is of first order
+FAST = 10.0  # factor by which an impact of a supported body must exceed the uncertainty of its speed
+SURFACE = 2.5  # m r²/I of a ball: the factor by which friction changes its surface speed more than its velocity
 
-Pair = tuple[int, int]  # of bodies and, from n on, planes and walls
+Pair = tuple[int, int]  # numbers of two bodies; from n on, of planes and walls
 
 
 class Load(NamedTuple):
@@ -53,7 +53,7 @@ class Load(NamedTuple):
 
     direction: FloatArray  # (3,)
     speed: float  # m/s
-    rubs: bool  # whether it is a contact's, with friction
+    rubs: bool  # whether the load is that of a contact with friction
 
 
 @dataclass(slots=True)
@@ -61,13 +61,13 @@ class RunInterval:
     """What contacts did in an interval of one run."""
 
     impacts: Records
-    pressed: dict[Pair, float]  # N s, the largest impulse in a step of each contact that was no impact
+    pressed: dict[Pair, float]  # N s, largest impulse in a step of each contact that was not an impact
     changed: set[int]  # bodies with an impact, or with a contact that began, ended or changed its mode
     loads: dict[int, list[Load]]  # by body
-    eased: dict[int, list[Load]]  # by body, what loads that last change by from one step to the next
-    depth: FloatArray  # (n,) m, the deepest overlap of each body; the time at which corrections end it may vary
+    eased: dict[int, list[Load]]  # by body, the loads by which the last step differs from the one before
+    depth: FloatArray  # (n,) m, deepest overlap of each body; corrections may end it at another time
     friction: float  # the largest ratio of a tangential to a normal impulse
-    vague: dict[Pair, float]  # the relative uncertainty of the fast impacts of supported bodies, the largest of a pair
+    vague: dict[Pair, float]  # largest relative uncertainty of fast impacts of supported bodies, by pair
 
     @property
     def pairs(self) -> set[Pair]:
@@ -81,13 +81,13 @@ class Touching:
 
     bodies: frozenset[int]
     contacts: int  # number of pairs that touched or met
-    changes: bool  # whether a contact began, ended or changed its mode, or bodies met
+    changes: bool  # whether any contact began, ended or changed its mode, or bodies met
     loads: list[Load]
     eased: list[Load]
-    last_impact: float  # s; -infinity without an impact
-    depth: float  # m, of the deepest overlap
+    last_impact: float  # s, time of the last impact; -infinity without one
+    depth: float  # m, depth of the deepest overlap
     friction: float
-    vague: float  # the relative uncertainty of what impacts did
+    vague: float  # relative uncertainty of the effects of impacts
 
     def excess(self, vector: FloatArray, share: float = 1.0) -> float:
         """Return the size of a difference beyond what loads allow, of velocities or ``share`` times as much."""
@@ -106,7 +106,7 @@ class CloseLook:
     run: RunInterval
     refined: RunInterval
     start: InitialBodies
-    _labels: IntArray = field(init=False)  # (n,) bodies that touched, directly or through other free bodies, share one
+    _labels: IntArray = field(init=False)  # (n,) label shared by bodies in contact, directly or through free bodies
     _known: dict[int, Touching] = field(init=False, default_factory=dict)  # by label
 
     def __post_init__(self) -> None:
@@ -164,9 +164,9 @@ class CloseLook:
                 continue
             approach = float(row["approach_speed"])
             if 0.5 * _reduced_mass(ends, self.start) * approach * approach <= SHARED * energy:
-                continue  # no more than what contacts may share otherwise
+                continue  # contacts may share no more otherwise
             normal = _normal(row)
-            returned = 0.0  # m/s, by loads along the normal and by friction, in a step
+            returned = 0.0  # m/s, change of speed in a step by loads along the normal and by friction
             for load in (load for end in ends for load in self.run.loads.get(end, [])):
                 along = abs(float(load.direction @ normal))
                 across = math.sqrt(max(0.0, 1.0 - along * along))
@@ -215,14 +215,14 @@ def look_closely(space: Space, frame: Frame, begin: float, end: float, dt: float
     changed: set[int] = set()
     pressed: dict[Pair, float] = {}
     depth = np.zeros(n)
-    rolls: dict[Pair, FloatArray] = {}  # m, the angular impulse over the normal one, against rolling and twisting
-    held: dict[Pair, tuple[float, FloatArray]] = {}  # N s, and the normal of contacts that last
+    rolls: dict[Pair, FloatArray] = {}  # m, angular impulse over normal impulse, against rolling and twisting
+    held: dict[Pair, tuple[float, FloatArray]] = {}  # N s, and normal, of lasting contacts
     lasting: dict[Pair, list[float]] = {}  # N s, impulses of the last steps
     pulled, modes = dict[int, Load](), set[tuple[int, int, int]]()
     vague: dict[Pair, float] = {}
-    eased: dict[Pair, tuple[float, FloatArray]] = {}  # N s, as in `held`
+    eased: dict[Pair, tuple[float, FloatArray]] = {}  # N s, and normal, as in `held`
     for one in space.run(until=end + LOOK_AFTER * dt, schedule=every(0.0)):
-        if one.step == first:  # a state that is restored has no table
+        if one.step == first:  # a restored state has no table
             continue
         inside = one.time > begin
         counts = inside and one.time <= end + dt

@@ -34,7 +34,7 @@ from carom.held_signals import ENDING
 from carom.private_folder import remove_private_folder, temporary_folder
 
 PACKAGES = ("carom", "rerun-sdk", "numpy", "scipy", "numba")
-_ABSOLUTE = re.compile(r"^([\w.-]+=)?/(?:.*/)?")  # a path, or an option or a key that holds one
+_ABSOLUTE = re.compile(r"^([\w.-]+=)?/(?:.*/)?")  # a path, or an option or key that holds one
 
 
 def versions(further: Mapping[str, str] | None = None) -> dict[str, str]:
@@ -91,7 +91,7 @@ def _cpu() -> str:
 _HASH = re.compile(r"[0-9a-f]{40}|[0-9a-f]{64}")  # SHA-1 or SHA-256
 _BRANCH = re.compile(r"ref: (refs/.+)")
 _SHA1 = 40  # digits
-_LONGEST = 4096  # characters of a file that holds one line
+_LONGEST = 4096  # most characters of a file with one line
 _TIME = 5  # s, time limit of Git
 _CONFIG = "[core]\nrepositoryformatversion = 0\n"
 _CONFIG_SHA256 = "[core]\nrepositoryformatversion = 1\n[extensions]\nobjectformat = sha256\n"
@@ -121,7 +121,7 @@ def git_revision(folder: Path) -> str:
 def _repository_around(folder: Path) -> _Repository | None:
     for root in (folder, *folder.parents):
         git = root / ".git"
-        if git.is_file():  # of a linked working tree or a submodule
+        if git.is_file():  # a linked working tree or a submodule has a file instead
             git = root / _line(git).removeprefix("gitdir: ")
         if git.is_dir():
             linked = git / "commondir"
@@ -163,7 +163,7 @@ def _changes(repository: _Repository, commit: str) -> str:
                 "GIT_WORK_TREE": str(repository.root),
                 "GIT_INDEX_FILE": str(repository.folder / "index"),
                 "GIT_OBJECT_DIRECTORY": str(repository.common / "objects"),
-                "GIT_OPTIONAL_LOCKS": "0",  # so that the index is not written
+                "GIT_OPTIONAL_LOCKS": "0",  # keeps Git from writing the index
                 "GIT_NO_LAZY_FETCH": "1",
             }
             asked = subprocess.run(
@@ -181,18 +181,18 @@ def _changes(repository: _Repository, commit: str) -> str:
     return {0: "", 1: "-dirty"}.get(asked.returncode, "-unchecked")
 
 
-AFTER_CALLBACK = 0.05  # s; llvmlite's callbacks for each kernel take microseconds
-LONGEST_IMPORT = 10.0  # s, for which a signal waits for an import; the longest takes a second
-SAME_PRESS = 0.3  # s within which interrupts count once: wrappers such as `uv run` forward the terminal's interrupt
+AFTER_CALLBACK = 0.05  # s after a callback; llvmlite's callbacks for each kernel take microseconds
+LONGEST_IMPORT = 10.0  # s, longest wait of a signal for an import; the longest import takes a second
+SAME_PRESS = 0.3  # s within which interrupts count once: wrappers such as `uv run` forward the terminal's
 
 _ARENA_MAX, _TRIM_THRESHOLD, _MMAP_THRESHOLD = -8, -1, -3  # glibc's <malloc.h>
 _KEPT = 512 << 20  # bytes of free memory to keep
-_LARGE = 64 << 20  # bytes; larger arrays get pages of their own
+_LARGE = 64 << 20  # bytes above which arrays get pages of their own
 _NEW_OBJECTS = 100_000  # the first batches create 60 000 objects, mostly modules, which remain
 
 _received: list[int] = []  # the signal that was raised as KeyboardInterrupt
-_heard: list[float] = []  # s, when this command was asked to end, in order
-_waiting: list[float] = []  # s, when it was asked within an import
+_heard: list[float] = []  # s, times at which this command was asked to end, in order
+_waiting: list[float] = []  # s, time of a request during an import
 
 
 def raise_signals(before: Sequence[Any] = ()) -> None:
@@ -260,7 +260,7 @@ def _send_later(number: int) -> None:
 
 def leave(number: int = 0) -> NoReturn:
     """End a command at once after a signal, without unwinding: closing Rerun's streams may never return."""
-    with contextlib.suppress(Exception):  # a full disk, or a signal within a write to the same stream
+    with contextlib.suppress(Exception):  # the disk is full, or the signal arrived within a write to the same stream
         sys.stdout.flush()
     with contextlib.suppress(OSError):
         os.write(2, b"carom: interrupted\n")
@@ -273,7 +273,7 @@ def _raise_later(lost: sys.UnraisableHookArgs) -> None:
     if lost.exc_type is not KeyboardInterrupt or not received():
         sys.__unraisablehook__(lost)
         return
-    _heard.clear()  # it is the same request
+    _heard.clear()  # an earlier signal of the same request
     _send_later(received())
 
 
@@ -324,9 +324,9 @@ class Interrupts:
             self._presses += 1
         self._last = now
         if self._presses > self._patience:
-            if self._before.get(number) is _raise:  # in a command, whose exit code names the signal
+            if self._before.get(number) is _raise:  # a command's exit code names the signal
                 _raise(number, frame)
-            raise KeyboardInterrupt  # in a program, which may catch it and start another run
+            raise KeyboardInterrupt  # a program may catch it and start another run
 
 
 def keep_freed_memory() -> None:

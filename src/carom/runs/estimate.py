@@ -42,11 +42,11 @@ from carom.state.frame import Frame
 TRIAL_SECONDS = 0.1
 TRIAL_STEPS = 200
 LOADING_STEPS = 3
-PULL_SECONDS, PULL_ROUNDS = 0.05, 15  # for the measurement of the cost of the potential
-# s of CPU, measured on two cores of a shared AMD EPYC
-LIBRARIES = 2.0  # at most, for the imports of a command; 1.0 on an idle machine
-LOADING = 0.005  # to load a kernel that had to be compiled here
-CLOSING = 0.3  # to open the file, write the layout, close the file and count its frames
+PULL_SECONDS, PULL_ROUNDS = 0.05, 15  # s and rounds for measuring the cost of the potential
+# s of CPU time, measured on two cores of a shared AMD EPYC
+LIBRARIES = 2.0  # s, longest time for the imports of a command; 1.0 on an idle machine
+LOADING = 0.005  # s to load a kernel that had to be compiled here
+CLOSING = 0.3  # s to open the file, write the layout, close the file and count its frames
 # bytes, measured in runs of 1 to 1000 bodies
 LIBRARY_BYTES = 310_000_000  # Python, libraries and kernels
 RECORDER_BYTES = 40_000_000  # Rerun's encoder, a batch of columns, the check of the closed file
@@ -78,8 +78,8 @@ class PartCost:
     name: str
     modelled: bool
     why: str
-    share: float | None  # fraction of the time of a run; None if it is not modelled or not measured separately
-    within: str | None  # the part whose time includes this one
+    share: float | None  # fraction of a run's time; None if it is not modelled or not measured separately
+    within: str | None  # the part whose time includes this part's
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,9 +89,9 @@ class EntityCost:
     path: str
     recorded: bool
     why: str
-    share: float | None  # fraction of the bytes of a recording; None if it is not recorded
+    share: float | None  # fraction of a recording's bytes; None if the entity is not recorded
     bytes: float  # of the whole recording
-    seconds: float  # of the whole run, in the recorder's thread
+    seconds: float  # s of the whole run in the recorder's thread
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,16 +101,16 @@ class Cost:
     steps: int
     fewest_steps: int  # lower end of the estimated range
     most_steps: int
-    limits: dict[str, float]  # fraction of the steps set by each limit, the largest first
-    looked_until: float  # s, the end of the coarse run: the end of the run, unless the coarse run took too long
-    seconds: float  # of computing, of the whole command: its start, all steps and all frames
-    start_seconds: float  # to load libraries and kernels, to find the step of an accuracy, and to close the file
+    limits: dict[str, float]  # fraction of the steps that each limit sets, the largest first
+    looked_until: float  # s, end of the coarse run, which is the end of the run unless it took too long
+    seconds: float  # s to compute everything: start, all steps and all frames
+    start_seconds: float  # s to load libraries and kernels, to find the step of an accuracy, and to close the file
     step_seconds: float  # of all steps
-    frame_seconds: float  # to copy and record a frame
-    compile_seconds: float  # for the kernels that this estimate compiled, and that a run now finds in the cache
-    compiled: int  # the number of these kernels
+    frame_seconds: float  # s to copy and record a frame
+    compile_seconds: float  # s for the kernels that this estimate compiled, and that a run now finds in the cache
+    compiled: int  # number of these kernels
     own_kernels: list[str]  # parts of the scene with kernels of their own, which every new machine compiles first
-    memory: int  # bytes of the process, with libraries and kernels
+    memory: int  # bytes of the process, including libraries and kernels
     frames: int
     size: int  # bytes of the recording
 
@@ -124,7 +124,7 @@ class Estimate:
     cost: Cost
     accuracy: dict[str, float]  # see `kept_accuracy`
     shortfall: str  # why the accuracy is not kept to the end; empty if it is
-    slow: str  # when and why steps become so short that the run takes long; empty if it does not
+    slow: str  # when and why steps become so short that the run takes long; empty if they do not
 
 
 def estimate(scene: Scene, watch_look_ahead: Watcher | None = None) -> Estimate:
@@ -139,7 +139,7 @@ def estimate(scene: Scene, watch_look_ahead: Watcher | None = None) -> Estimate:
         bodies = place(scene)
         space = recording_space(scene, None, watch_look_ahead, bodies)
         few, building, each = _measured_steps(space, clock)
-        scene = space.scene  # with the step chosen for its accuracy
+        scene = space.scene  # the scene with the step chosen for its accuracy
         flight = flight_seconds(space, bodies)
         if not space.requirements.contact.modelled:
             each = min(flight, each)
@@ -149,7 +149,7 @@ def estimate(scene: Scene, watch_look_ahead: Watcher | None = None) -> Estimate:
         with temporary_folder() as folder:
             taken = probe(folder / "trial.rrd", header, outlook.samples or few)
         kernels = clock.kernels
-    costs = []  # bytes and seconds of each entity
+    costs = []  # bytes and seconds by entity
     for content in contents(header, space.requirements):
         entity = taken.get(content.path, Taken(0, 0.0, 0.0))
         costs.append((content, entity.once + entity.bytes * frames, entity.seconds * frames))
@@ -201,7 +201,7 @@ def _bytes_of(frame: Frame) -> int:
 
 def _measured_steps(space: Space, clock: TrialClock) -> tuple[list[Frame], float, float]:
     """Run the first steps; return their last frames, the seconds so far without kernels, and the seconds of a step."""
-    # a few steps first, so that what the first one loads is not measured
+    # makes a few steps first, so that the loading in the first step is not measured
     start = space.frame().checkpoint
     for step in range(1, LOADING_STEPS + 1):
         if space.time < space.scene.time.duration:
@@ -215,7 +215,7 @@ def _measured_steps(space: Space, clock: TrialClock) -> tuple[list[Frame], float
         few = _first_frames(space, clock)
         if clock.kernels.seconds == kernels:
             return few, building, (clock.seconds - began) / space.step
-        # repeat, since the profile includes the loading of kernels, such as the kernels of the first impact
+        # repeats, since the profile includes the loading of kernels, such as those of the first impact
 
 
 def _first_frames(space: Space, clock: TrialClock) -> list[Frame]:
@@ -285,7 +285,7 @@ def _within(name: str, needs: Requirements) -> str | None:
     return (with_others | {"restitution": "contact", "friction": "contact"}).get(name)
 
 
-BATCH_FRAMES = 100  # at most, in the batch that is written to measure sizes
+BATCH_FRAMES = 100  # most frames in the batch that is written to measure sizes
 
 
 @dataclass(frozen=True, slots=True)
@@ -310,12 +310,12 @@ def probe(path: Path, header: Header, frames: Sequence[Frame]) -> dict[str, Take
     stream = Stream(path, header, batch_bytes=BATCH_BYTES, live=None)
     try:
         different = batch[: len(frames)]
-        _send(different, stream, BatchEncoder(header, origin), clock)  # loads libraries and kernels: not measured
+        _send(different, stream, BatchEncoder(header, origin), clock)  # loads libraries and kernels, unmeasured
         raw, compressed = Counter[str](), Counter[str]()
         for rows in BatchEncoder(header, origin).rows(different):
             raw[rows.path] += rows.bytes
             compressed[rows.path] += rows.compressed_bytes
-        began = time.process_time()  # all threads: Rerun has its own
+        began = time.process_time()  # the time of all threads, since Rerun has its own
         with KernelWatch(time.process_time) as kernels:
             sizes, profile = _send(batch, stream, BatchEncoder(header, origin), clock)
         computing = time.process_time() - began - kernels.seconds

@@ -33,10 +33,10 @@ class Verdict:
     name: str
     limit: float
     measured: float
-    worst: Extreme | None = None  # None if no extreme corresponds to it
+    worst: Extreme | None = None  # the worst moment; None if no extreme corresponds to the criterion
     at_least: bool = False  # whether the limit is a lower bound
-    note: str = ""  # explains the measured quantity if the name does not
-    promised_at: float | None = None  # s, the promised end, if the run ended at another time
+    note: str = ""  # explains the measured quantity where the name does not
+    promised_at: float | None = None  # s, promised end if the run ended at another time
 
     @property
     def judged(self) -> bool:
@@ -106,7 +106,7 @@ def judge(scene: Scene, extremes: Extremes, time: float, state: EndState | None 
         "contact_audit": extremes.contact_audit,
         "dissipation_error": extremes.dissipation_error,
     }
-    without = {  # values if there is no extreme
+    without = {  # values of criteria without an extreme
         **dict.fromkeys(("energy_error", "max_overlap", "dissipation_error"), 0.0),
         **dict.fromkeys(("impacts", "most_impacts"), extremes.impacts),
     }
@@ -174,7 +174,7 @@ OF_ENGINES = {"energy_error": "largest change of the energy without contact, {va
 EACH = "each"  # impacts during the drift of a step
 ONCE_A_STEP = "once a pair and step"  # impacts detected at the end of a step
 _DISK = "disk"
-COMMAND = "command, as the recording says"  # a row of the overview; whoever pastes it trusts its sender
+COMMAND = "command, as the recording says"  # a row of the overview; whoever pastes the command trusts its sender
 FAILURES = ("failed", _DISK, "error")  # statuses of runs that an error ended
 _FAILED = "recording failed"
 
@@ -226,8 +226,8 @@ def accuracy_text(accuracy: Mapping[str, float], units: UnitSystem) -> str:
 class Moment:
     """A time at which a quantity was largest."""
 
-    name: str  # of `MOMENTS`; empty for another moment
-    text: str  # the quantity, and the bodies
+    name: str  # name in `MOMENTS`; empty for another moment
+    text: str  # names the quantity and the bodies
     step: int
     time: float  # s
 

@@ -22,19 +22,19 @@ from carom.scene.start import InitialBodies
 from carom.scene.units.dimension import LENGTH, TIME
 from carom.state.frame import Frame
 
-FLIGHT_STEPS, FLIGHT_ROUNDS, FLIGHT_SECONDS = 500, 10, 0.2  # for the measurement of steps that one call makes in bulk
+FLIGHT_STEPS, FLIGHT_ROUNDS, FLIGHT_SECONDS = 500, 10, 0.2  # for measuring steps that one call makes in bulk
 KEPT_FRAMES, KEPT_BYTES = 8, 100_000_000
-FRAME_BYTES = 250  # per body in a frame
+FRAME_BYTES = 250  # bytes of a body in a frame
 STRIDES = 8.0, 64.0  # coarse steps over the steps of the scene; the second if the first would take too long
 LOOK_SECONDS = 3.0  # for each coarse run
-GLANCE_SECONDS = 0.1  # for a coarse run that would cover less than this fraction of the duration in its time
+GLANCE_SECONDS = 0.1  # s for a coarse run that would cover less than this fraction of the duration in its time
 LEAST_SEEN = 0.05
-SHORTER = 10.0  # factor by which steps shorten in a run that becomes slow
+SHORTER = 10.0  # factor by which steps must shorten before a run counts as slow
 LONG_RUN = 600.0  # s; a run that takes longer is announced
-WORTH_A_LOOK = 1e7  # conceivable steps, some 10 s of the fastest ones; with fewer, no trial is made before a run
-FORWARN_SECONDS = 1.0  # for each coarse run before a run
-MANY_STEPS = 100  # coarse steps; with more, their mean time is more accurate than the first steps' mean
-LIKELY = 2.0  # accuracy (a factor) of a complete estimate for the bundled scenes and extremes (test_estimate.py)
+WORTH_A_LOOK = 1e7  # conceivable steps, some 10 s of the fastest ones; no trial precedes a run with fewer
+FORWARN_SECONDS = 1.0  # s for each coarse run before a run
+MANY_STEPS = 100  # coarse steps from which their mean time is more accurate than that of the first steps
+LIKELY = 2.0  # factor within which a complete estimate is right for the bundled scenes and extremes (test_estimate.py)
 
 
 def frames_to_keep(space: Space) -> int:
@@ -74,13 +74,13 @@ class Outlook:
     fewest: int
     most: int
     seconds: float
-    seen: float  # fraction of the duration covered by the coarse run; 1 if it reached the end
-    limits: dict[str, float]  # fraction of the steps set by each limit, the largest first
+    seen: float  # fraction of the duration that the coarse run covered; 1 if it reached the end
+    limits: dict[str, float]  # fraction of the steps that each limit sets, the largest first
     frames: int  # of the recording
-    frame_seconds: float  # for the physics to copy a state, with its energies
-    samples: list[Frame]  # from all of the coarse run, as a recording would have them; empty if it was too short
-    short_from: float | None  # s, from which steps are `SHORTER` than some before; None if there is no such time
-    short_step: float  # s, the mean at the end of the coarse run
+    frame_seconds: float  # s for the physics to copy a state, with its energies
+    samples: list[Frame]  # frames from all of the coarse run, as a recording would have them; empty if it was too short
+    short_from: float | None  # s, time from which steps are `SHORTER` than earlier ones; None if there is none
+    short_step: float  # s, mean step at the end of the coarse run
     short_limit: str  # the limit that sets these steps
 
 
@@ -154,9 +154,9 @@ def _look(
     samples, room, interval, since = list[Frame](), frames_to_keep(space), frame_interval(scene), math.inf
     last = 0.0
     copying: list[float] = []  # s, of each frame
-    rates: list[float] = []  # 1/s, steps of the scene in a second of its time
-    times, named = list[float](), list[str]()  # s, from which each applies; the limit that sets these steps
-    known: dict[str, float] = {}  # steps so far, by limit
+    rates: list[float] = []  # 1/s, steps of the scene per second of simulated time
+    times, named = list[float](), list[str]()  # s, start of each rate, and the limit that sets these steps
+    known: dict[str, float] = {}  # numbers of steps so far, by limit
     before, total, counted, frames, seconds, touched = 0.0, 0.0, 0.0, 0.0, 0.0, 0
     with TrialClock() as clock:
         while before < duration and last < look_seconds:
@@ -167,7 +167,7 @@ def _look(
                 now = clock.seconds
                 ends = since < math.inf and space.time - since >= interval
                 if ends or (since == math.inf and space.time >= (len(samples) + 0.5) * duration / room):
-                    frame = space.frame()  # the next frame then has the impacts from here on
+                    frame = space.frame()  # the next frame then has the impacts since this one
                     copying.append(clock.seconds - now)
                     if ends:
                         samples.append(_with_impacts_of(interval, space.time - since, frame))
@@ -175,7 +175,7 @@ def _look(
             except PhysicsError:
                 if not rates:
                     raise
-                break  # the step is too long for this scene: use the results so far
+                break  # the step is too long for this scene: the results so far are used
             foreseen = sum(space.foreseen.values())
             rates.append((foreseen - total) / space.dt if fixed is None else 1.0 / fixed)
             times.append(before)

@@ -24,7 +24,7 @@ from carom.scene.schema.body import SOLID
 from carom.state.checkpoint import Checkpoint
 from carom.state.frame import Frame
 
-_ROUNDING = 1e-12  # relative, of moments of inertia that were computed from masses and radii
+_ROUNDING = 1e-12  # relative rounding of moments of inertia that were computed from masses and radii
 
 
 def contacts_of(
@@ -169,7 +169,7 @@ def _snapshot(
     vectors = state_vectors(state, body, recording.bodies.mass, recording.bodies.inertia)
     known = dict[str, float]()
     for name in energies:
-        with suppress(AttributeError):  # a series of an installed package, or no energy
+        with suppress(AttributeError):  # the series belongs to an installed package, or is no energy
             known[name] = state.energy.named(name)
     if contacts is not None:
         contacts = named_contacts(recording, contacts).replace_schema_metadata()  # the metadata belong to one step

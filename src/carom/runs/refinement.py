@@ -26,10 +26,10 @@ from carom.scene.load import Scene
 from carom.scene.start import names_of_solids
 from carom.scene.wording import Names
 
-FACTOR = 4.0  # default: an error of first order shrinks to a quarter, so three quarters of it are seen
-INSTANTS = 200  # at which the runs are compared
-MOST_TOLD = 8  # faults; the run goes on, but has been answered
-TRIAL_SECONDS = 1.0  # after stepping so long, the remaining time is estimated
+FACTOR = 4.0  # the default: an error of first order shrinks to a quarter, so three quarters of it are seen
+INSTANTS = 200  # instants at which the runs are compared
+MOST_TOLD = 8  # faults after which the run continues, but the question has been answered
+TRIAL_SECONDS = 1.0  # s of stepping after which the remaining time is estimated
 
 Consent = Callable[[float], bool]  # remaining time (s) → whether to continue
 Watcher = Callable[[StepStatus], None]
@@ -40,18 +40,18 @@ class Refinement:
     """The comparison of a run with shorter steps."""
 
     factor: float
-    begin: float  # s, of the compared part
+    begin: float  # s, start of the compared part
     end: float
-    steps: int  # of the run in this part
+    steps: int  # steps of the run in this part
     refined_steps: int
-    instants: int  # at which the runs were compared
+    instants: int  # instants at which the runs were compared
     windows: int
-    compared: float  # fraction of all bodies and instants; at the others chaos decides
+    compared: float  # compared fraction of all bodies and instants; chaos decides the others
     moved: list[Moved]
-    largest: dict[str, float]  # largest difference of each observable over its tolerance
-    shared: int  # groups of touching bodies that shared impulses otherwise, or met in another order
-    differs: int | None  # first recorded step at which the repeated run had other bits
-    ended: str  # why the comparison ended early; otherwise empty
+    largest: dict[str, float]  # largest ratio of difference to tolerance for each observable
+    shared: int  # groups of touching bodies that shared impulses differently, or met in another order
+    differs: int | None  # first recorded step at which the repeated run's bits differ
+    ended: str  # reason why the comparison ended early; empty if it did not
     seconds: float
 
     @property

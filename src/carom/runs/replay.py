@@ -34,8 +34,8 @@ from carom.scene.data.body_sources import changed_files
 from carom.scene.extensions import extensions_of, of_extensions, stamped
 from carom.state.frame import Frame
 
-TRIAL_SECONDS = 1.0  # after stepping so long, a replay estimates its remaining time
-REPAIRED = "; repaired, "  # in the outcome of a repaired recording, which may lack pieces
+TRIAL_SECONDS = 1.0  # s of stepping after which a replay estimates its remaining time
+REPAIRED = "; repaired, "  # text in the outcome of a repaired recording, which may lack pieces
 
 CHOICE = "which impacts, arrows and checkpoints were kept"
 OUTCOME = "the outcome"
@@ -53,11 +53,11 @@ class Replay:
     frames: int  # recorded frames from `begin` to the end of the window
     compared: int
     difference: Difference | None
-    ended: str  # why the replay ended before the end of the window; otherwise empty
+    ended: str  # reason why the replay ended before the end of the window; empty if it did not
     seconds: float
     recorded_with: dict[str, str]
     replayed_with: dict[str, str] = field(default_factory=versions)
-    dense: Path | None = None  # the recording of every step
+    dense: Path | None = None  # path of the recording of every step
     not_compared: list[str] = field(default_factory=list)  # descriptions of data that could not be compared
     changed_files: list[str] = field(default_factory=list)  # data files that have changed since the recording
 
@@ -172,7 +172,7 @@ class _Window:
         self.first, self.last = min(self.fingerprints, default=begin), max(self.fingerprints, default=begin)
         self.last_recorded = int(table["step"][-1].as_py())
         self.compared = 0
-        self.differs: int | None = None  # the first step with another state
+        self.differs: int | None = None  # the first step whose state differs
 
     def see(self, frame: Frame) -> None:
         """Compare the state of a frame, if it was recorded."""
@@ -209,7 +209,7 @@ def _run_again(
     try:
         for frame in space.run(schedule=every(0.0) if dense else at(window.fingerprints)):
             watch(space.status)
-            if frame.time > window.end:  # a step beyond the window
+            if frame.time > window.end:  # the step ends beyond the window
                 break
             window.see(frame)
             keep(frame)
@@ -282,7 +282,7 @@ class _Again:
             not_compared.append(OUTCOME)
         usual = auto_interval(space.scene, space.scene.time.duration)
         if recording.check_interval not in (None, usual) and "resumed.step" not in recording.properties:
-            not_compared.append(INTERVAL)  # the program that ran the scene chose it, and the replay uses the same one
+            not_compared.append(INTERVAL)  # the program that ran the scene chose the interval; the replay uses the same
         if self._recorder is None or self._last is None:
             return None, not_compared
         extremes = space.named_extremes()
@@ -323,14 +323,14 @@ class _Again:
     def _header_of(self, space: Space) -> Header:
         """Return the header that the recorder of the run had, with its circumstances."""
         recording, scene, header = self._recording, space.scene, header_of(space)
-        # groups in the order of placement: explicit bodies, data, groups
+        # checks groups in the order of placement: explicit bodies, data, groups
         given = [(-1, len(scene.body)), *((-2 - k, len(columns.mass)) for k, columns in enumerate(scene.data))]
         numbers, counts = zip(*given, *((k, group.count) for k, group in enumerate(scene.group)), strict=True)
         swept = dict(recording.parameters)
         return replace(
             header,
             group=np.repeat(np.array(numbers, np.int64), counts),
-            # all impacts and arrows, if it is not known which of them the recorder chose
+            # compares all impacts and arrows if the recorder's choice is unknown
             record_impacts=header.record_impacts if self._same_choice or not header.records_contacts else "all",
             properties={
                 name: each for name, each in recording.properties.items() if isinstance(each, str | int | float)

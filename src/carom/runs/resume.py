@@ -36,11 +36,11 @@ class ResumableRun:
     scene: Scene
     step: int  # of the checkpoint
     time: float  # s, of the checkpoint
-    _read: list[Checkpoint] = field(default_factory=list, repr=False)  # released once a space has this state
+    _read: list[Checkpoint] = field(default_factory=list, repr=False)  # dropped once a space has this state
 
     def space(self, threads: int | None = None) -> Space:
         """Build the space, which compiles kernels if necessary."""
-        records = self.recording.records_contacts  # so that both parts of the file have the same entities
+        records = self.recording.records_contacts  # both parts of the file then have the same entities
         checkpoint = self._read.pop() if self._read else self.recording.checkpoint(self.step)
         return space_of(self.recording, self.scene, checkpoint, threads, record_contacts=records)
 

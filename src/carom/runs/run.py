@@ -46,19 +46,19 @@ class Outcome:
     """How a run ended."""
 
     path: Path
-    status: str  # "completed", "expectation missed", "interrupted", "failed", "disk" or "error" (of the recorder)
+    status: str  # "completed", "expectation missed", "interrupted", "failed", "disk", or "error" (in the recorder)
     reason: str  # a sentence; empty when completed
     frames: int
     steps: int
     sim_time: float  # s
-    wall_time: float  # s, of the part from `begin` on
+    wall_time: float  # s, wall time of the part from `begin` on
     size: int  # bytes
-    payload: int  # bytes of the arrays alone
+    payload: int  # bytes of arrays alone
     moments: Extremes = field(repr=False)
     verdicts: list[Verdict] = field(default_factory=list)
     warnings: list[Event] = field(default_factory=list)  # all warnings of the run, in order of time
     impacts_counted: str = EACH  # `EACH` or `ONCE_A_STEP`
-    impacts: RecordedImpacts | None = None  # None: the scene records none
+    impacts: RecordedImpacts | None = None  # None if the scene records none
     accuracy: dict[str, float] = field(default_factory=dict)  # see `kept_accuracy`; empty if none was requested
     begin: float = 0.0  # s, time at which a resumed run continued
 
@@ -127,7 +127,7 @@ def recording_of(outcome: Outcome) -> Recording:
         raise RecorderError(outcome.reason)
     if outcome.status == "failed":
         raise PhysicsError(outcome.reason)
-    if outcome.status == "interrupted":  # the file is complete up to that time; end the caller's program, too
+    if outcome.status == "interrupted":  # the file is complete up to that time; the caller's program must end, too
         raise KeyboardInterrupt(outcome.reason)
     return Recording.open(outcome.path)
 
@@ -206,14 +206,14 @@ def simulate(
         recorder = FrameRecorder(path, header, live=live, continued=continued)
         physics = _Physics(space, recorder, continued)
         try:
-            # watch the run until it ends, or end it on request
+            # watches the run until it ends, or ends it on request
             while not physics.wait(POLL):
                 if interrupts.count:
                     space.stop()
                 try:
                     if watch:
                         watch(space.status)
-                except KeyboardInterrupt:  # raised by the calling program's own signal handler
+                except KeyboardInterrupt:  # the calling program's own signal handler raised it
                     if interrupts.count:
                         raise
                     interrupts.count = 1
@@ -224,7 +224,7 @@ def simulate(
             with contextlib.suppress(RecordingError):
                 recorder.finish(f"failed: {type(error).__name__}: {error}")
             raise
-        except KeyboardInterrupt:  # second interrupt: do not wait for the current step
+        except KeyboardInterrupt:  # a second interrupt: do not wait for the current step
             space.stop()
             raise
         extremes = space.named_extremes()

@@ -42,39 +42,39 @@ ROUGH = 20.0  # factor on the tolerances of bodies that rub under load while a c
 LEDGER = 1e-3  # tolerance of an entry over the energy that moves, as `record.energy_tolerance` by default
 SUDDEN = 0.2  # tolerance of an entry in a single interval over the kinetic energy, where little of it is uncertain
 CHAOTIC = 5e-2  # the same tolerance where chaos ends the comparison of bodies, so that entries are statistics
-REGULAR = 0.99  # of the motion; if less was compared, chaos decides
+REGULAR = 0.99  # compared fraction of the motion below which chaos decides
 OVERLAP = 5e-2  # tolerance of overlaps over the smaller radius; a step may move bodies by half a radius or more
-MOST_GROWTH = 300.0  # of a twin; beyond it, the tolerance of positions would be a third of the distance covered
-COMPARABLE = 0.5  # of the free bodies; with fewer, a new window begins
-CERTAIN = 4.0  # standard errors of the mean difference of an entry
+MOST_GROWTH = 300.0  # growth beyond which a twin's tolerance of positions would be a third of the distance covered
+COMPARABLE = 0.5  # comparable fraction of the free bodies below which a new window begins
+CERTAIN = 4.0  # standard errors of an entry's mean difference that make it certain
 FEWEST_INTERVALS = 8  # for a mean
-AT_REST = 1e-6  # of the largest speed: bodies so slow are compared as if they moved so fast
+AT_REST = 1e-6  # speed, relative to the largest, below which bodies are compared as if they moved so fast
 EPS = float(np.finfo(np.float64).eps)
 
 CALLED = {"position": "distance covered", "velocity": "velocity", "spin": "speed of the surface"}
 MOST_IMPACTS = 3  # that a message lists
 
-FRICTION, FORCES, CORRECTED = 1, 2, -1  # places among the entries of the ledger: see `_entries`
+FRICTION, FORCES, CORRECTED = 1, 2, -1  # places among the ledger's entries: see `_entries`
 
-Impacts = tuple[tuple[str, float], ...]  # the names of both ends, and the closing speed in m/s
+Impacts = tuple[tuple[str, float], ...]  # names of both ends, and closing speed in m/s
 
 
 @dataclass(frozen=True, slots=True)
 class Moved:
     """An observable that shorter steps move by more than the method allows."""
 
-    observable: str  # "position", "velocity", "spin", "overlap", or an entry of the ledger
-    begin: float  # s, the difference appeared after this time
-    time: float  # s, and by this time
-    bodies: tuple[int, ...]  # bodies and, from n on, planes; empty for an entry of the ledger
-    names: str  # of these bodies; empty for an entry of the ledger
+    observable: str  # "position", "velocity", "spin", "overlap", or the name of a ledger entry
+    begin: float  # s, time after which the difference appeared
+    time: float  # s, time by which the difference had appeared
+    bodies: tuple[int, ...]  # numbers of bodies and, from n on, planes; empty for a ledger entry
+    names: str  # names of these bodies; empty for a ledger entry
     run: float  # value in the run, in SI units; a distance from it is its size
     refined: float  # value with shorter steps
     by: float  # size of the difference
     allowed: float  # largest allowed difference
-    unit: str  # SI unit of the values; empty if they have none
-    impacts: Impacts = ()  # of the body in this interval, in the run, the first few
-    refined_impacts: Impacts = ()  # the same with shorter steps
+    unit: str  # SI unit of the values; empty for pure numbers
+    impacts: Impacts = ()  # the body's first few impacts of the run in this interval
+    refined_impacts: Impacts = ()  # the same impacts with shorter steps
 
     def text(self, units: UnitSystem = SI) -> str:
         """Describe the observable, in printed units."""
@@ -138,8 +138,8 @@ class Comparison:
         self._batches = integrator(maker.scene).controls_error
         self._twin = maker.space()
         self._fine: Space | None = None if self._batches else maker.space(1.0 / factor)
-        self._closely: tuple[Space, Space] | None = None  # of the run and the shorter steps, with contacts
-        self._rng = np.random.default_rng(0)  # directions in which twins are displaced
+        self._closely: tuple[Space, Space] | None = None  # the run and the shorter steps, with contacts
+        self._rng = np.random.default_rng(0)  # draws the directions in which twins are displaced
         self.last: Frame | None = None  # of the run
         self._last_fine: Frame | None = None
         self._last_twin: Frame | None = None
@@ -148,13 +148,13 @@ class Comparison:
         self.steps = self.refined_steps = self.instants = self.windows = self.shared = 0
         self._seen = self._bodies_seen = 0
         self._entries: tuple[str, ...] = ()
-        self._differences: list[FloatArray] = []  # of the entries, for each interval, J
+        self._differences: list[FloatArray] = []  # differences of the entries for each interval, J
         self._displaced = 0.0  # J, largest work of the forces over the differences of the positions in this window
-        self._displaced_before = 0.0  # J, the sum of these over the windows before
-        self._kinetic = 0.0  # J, the largest so far
-        self._certain = 0.0  # fraction of the kinetic energy in bodies that could be compared at the last instant
+        self._displaced_before = 0.0  # J, the sum of these works over earlier windows
+        self._kinetic = 0.0  # J, largest kinetic energy so far
+        self._certain = 0.0  # fraction of the kinetic energy in bodies that were comparable at the last instant
         self._opened: Frame | None = None
-        self._past: deque[Frame] = deque(maxlen=2 * LASTS)  # of the run, the last ones
+        self._past: deque[Frame] = deque(maxlen=2 * LASTS)  # the last frames of the run
         self._waiting: tuple[Frame, Frame] | None = None  # frames of both runs before impacts near the last instant
 
     @property
@@ -341,7 +341,7 @@ class Comparison:
         suspects: dict[int, list[str]] = {}
         for name, (vectors, least, _) in differences.items():
             ratio = np.where(compared, np.sqrt((vectors**2).sum(axis=1)) / (least * growth), 0.0)
-            if self._box is not None:  # crossed the border in one run only
+            if self._box is not None:  # the body crossed the border in one run only
                 ratio = np.where(np.abs(vectors).max(axis=1) < self._box.min() / 4.0, ratio, 0.0)
             for body in np.flatnonzero(ratio > 1.0).tolist():
                 suspects.setdefault(body, []).append(name)
@@ -358,7 +358,7 @@ class Comparison:
             if body in done:
                 continue
             touching = look.touching(body)
-            if touching.last_impact > frame.time - frame.dt:  # too near the instant: wait for the next one
+            if touching.last_impact > frame.time - frame.dt:  # too near the instant: waits for the next instant
                 waits = True
                 done |= touching.bodies
                 continue

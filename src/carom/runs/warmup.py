@@ -50,7 +50,7 @@ from carom.scene.start import half_spaces
 from carom.scene.units.system import SI
 from carom.state.energies import Ledger
 
-# Together these scenes need every kernel. Add a scene for a kernel that none of them needs (a test checks this).
+# These scenes together need every kernel. Add a scene for a kernel that none of them needs (a test checks this).
 _PAIR = [{"position": [-1.0, 0.0, 0.0], "mass": 1.0}, {"position": [0.9999, 0.1, 0.0], "mass": 1.0}]
 _CROWD = [{"count": 8, "radius": {"min": 0.1, "max": 0.4}, "velocity": {"dispersion": 1.0}}]
 _POINTS = {"gravity": {"constant": 1.0}, "contact": {"enabled": False}}
@@ -170,11 +170,11 @@ class Warmth:
     """Result of a warm-up."""
 
     seconds: float
-    compiled: int  # number of kernels; the others were in the cache
+    compiled: int  # number of compiled kernels; the others came from the cache
     cache: str  # the folder of compiled kernels; empty without a cache
 
 
-QUIET = 2.0  # s without a compilation, after which the rest of a scene is expected to compile nothing
+QUIET = 2.0  # s without a compilation after which the rest of a scene is expected to compile nothing
 
 
 def warm_up(scenes: Iterable[Scene] = ()) -> Warmth:
@@ -186,7 +186,7 @@ def warm_up(scenes: Iterable[Scene] = ()) -> Warmth:
     began = time.perf_counter()
     with Compilations() as compilations, temporary_folder() as folder, sharing_all(), compiling_all():
         for name, document in SCENES.items():
-            with contextlib.suppress(ExtensionError):  # a part that has been removed
+            with contextlib.suppress(ExtensionError):  # raised for a part that has been removed
                 run(Scene.from_dict({"title": name, **document}), folder / "warm-up.rrd", force=True)
         for scene in scenes:
             compiled, last = compilations.count, time.perf_counter()
@@ -197,7 +197,7 @@ def warm_up(scenes: Iterable[Scene] = ()) -> Warmth:
                 elif now - last > QUIET:
                     break
         nothing = np.empty(0, dtype=np.int64)
-        number_sets(nothing, nothing, nothing)  # needed by the audit of other engines
+        number_sets(nothing, nothing, nothing)  # kernels that the audit of other engines needs
         load_helpers()
     return Warmth(time.perf_counter() - began, compilations.count, cache_folder())
 
@@ -228,7 +228,7 @@ def compile_ahead() -> None:
     solver.statistics()
     solver.compile_phases()
     FrameStore(1, bodies).keep()
-    with compiling_all():  # kernels that only long runs need, after all others
+    with compiling_all():  # kernels that only long runs need come last
         rolling = Scene.from_dict({"title": "", **SCENES["a ball that rolls on"]})
         for _ in Space(rolling, threads=1, record_contacts=True).run():
             pass

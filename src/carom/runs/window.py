@@ -84,8 +84,8 @@ class Window:
         self._fingerprints = dict(zip(table["step"].to_pylist(), table["fingerprint"].to_pylist(), strict=True))
         checkpoint = checkpoint_before(recording, float(np.nextafter(before, -np.inf)))
         self.begin = checkpoint.step
-        self.differs: int | None = None  # the first recorded step with different bits
-        self.impact_sums: dict[int, ImpactSums] = {}  # by step of each frame of `impacts`, since the frame before
+        self.differs: int | None = None  # first recorded step whose bits differ
+        self.impact_sums: dict[int, ImpactSums] = {}  # since the previous frame, by step of each frame of `impacts`
         try:
             scene = recorded_scene(recording)
         except SceneError as error:

@@ -26,7 +26,7 @@ from carom.held_signals import ENDING
 from carom.private_folder import move_into, private_folder
 from carom.runs.environment import collect_garbage_rarely, keep_freed_memory, leave_pandas_out
 
-MOST_DEATHS = 4  # workers that may die on the same task before the task is abandoned
+MOST_DEATHS = 4  # workers that may die on one task before the task is abandoned
 _START = "from carom.runs.workers import work; work()"
 _SIGNALS = {signal.SIGINT, *ENDING}
 _ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
@@ -175,7 +175,7 @@ class LocalWorkers:
 
     def _start(self) -> Connection:
         ours, theirs = Pipe()
-        with theirs, _signals_blocked():  # an interrupt during a worker's start concerns only this process
+        with theirs, _signals_blocked():  # an interrupt while a worker starts concerns only this process
             process = subprocess.Popen(
                 [sys.executable, "-P", "-c", _START, str(theirs.fileno()), str(private_folder())],
                 pass_fds=(theirs.fileno(),),

@@ -15,7 +15,7 @@ from typing import Any
 from carom import registry
 from carom.scene.installed_forces import numbers_of
 
-Numbers = Mapping[str, float]  # coefficients of a law, in SI units, by name
+Numbers = Mapping[str, float]  # coefficients of a law by name, in SI units
 
 
 def geometric_mean(a: float, b: float) -> float:
@@ -55,7 +55,7 @@ class ContactLaw:
     sliding_friction: Callable[..., tuple[float, float, float]] | None = None
     sticks: Callable[..., bool] | None = None
     slides: Callable[..., bool] | None = None
-    coefficients: Callable[[Any], Numbers] = numbers_of  # of a section, in SI units
+    coefficients: Callable[[Any], Numbers] = numbers_of  # coefficients from a section, in SI units
     combined: Callable[[Numbers, Numbers], Numbers] = geometric_means  # of two materials
 
 

@@ -28,7 +28,7 @@ class Wrong:
     """A text that should be a quantity, but is not."""
 
     path: KeyPath
-    given: str | None  # None if nothing was given
+    given: str | None  # the given value; None if nothing was given
     message: str
 
 

@@ -21,10 +21,10 @@ from carom.scene.schema import Coefficients
 from carom.scene.schema.quantity import SectionError
 from carom.scene.units.system import UnitSystem
 
-LONGEST = 80  # characters of a key, or of a given text, that messages show and compare
-MOST = 4  # places that a message lists
-ALIKE, ALIKE_ELSEWHERE = 0.75, 0.8  # required similarity in the same section, and in other sections
-SHORTEST = 3  # characters of an abbreviated key
+LONGEST = 80  # characters of a key or a given text that messages show and compare
+MOST = 4  # most places that a message lists
+ALIKE, ALIKE_ELSEWHERE = 0.75, 0.8  # least similarity of keys within a section, and across sections
+SHORTEST = 3  # fewest characters of an abbreviated key
 OTHER_WORDS = {
     **dict.fromkeys(("sphere", "spheres", "ball", "balls", "particle"), "body"),
     **dict.fromkeys(("floor", "ground"), "plane"),
@@ -148,7 +148,7 @@ def with_words(details: Sequence[Any]) -> Iterator[Any]:
     for detail in details:
         key = detail["loc"][:-1]
         if detail["type"] == "too_short" and detail["loc"] in members:
-            continue  # Pydantic does not count entries that are wrong
+            continue  # Pydantic does not count wrong entries
         if key not in words or key not in numbers:
             yield detail
         elif detail is not words[key]:
@@ -185,7 +185,7 @@ def _as_written(detail: Any, path: KeyPath, data: Any) -> Any:
     try:
         for key in path:
             node = node[key]
-    except (KeyError, IndexError, TypeError):  # a default that depends on another key
+    except (KeyError, IndexError, TypeError):  # the default depends on another key
         return given
     return node if isinstance(node, str | int | float) else given
 
@@ -203,7 +203,7 @@ def _wrong(detail: Any, path: KeyPath) -> str:
             return f"must be at most {context['le']:g}"
         case "finite_number":
             return "must be a finite number"
-        case "float_type" if type(detail["input"]) is int:  # a whole number with hundreds of digits
+        case "float_type" if type(detail["input"]) is int:  # a whole number may have hundreds of digits
             return "must be a finite number"
         case "float_type" | "int_type" | "int_from_float" | "string_type" | "bool_type":
             kinds = {"float": "a number", "int": "a whole number", "string": "text in quotes", "bool": "true or false"}

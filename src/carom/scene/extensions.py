@@ -11,7 +11,7 @@ from carom import registry
 from carom.scene.scene_model import SceneModel
 from carom.scene.wording import MOST_QUOTED, in_one_line
 
-PROPERTY = "extension."  # prefix of kind.name in the properties of a recording, for its package and version
+PROPERTY = "extension."  # prefix of properties named kind.name, which hold a part's package and version
 
 
 def extensions_of(scene: SceneModel) -> dict[str, str]:

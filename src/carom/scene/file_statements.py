@@ -16,7 +16,7 @@ from carom.scene.units.dimension import GRAVITATIONAL_CONSTANT, LENGTH, TIME
 from carom.scene.units.system import UnitSystem
 
 LAW = {"constant": GRAVITATIONAL_CONSTANT, "softening": LENGTH}  # keys of [gravity] that a file may state
-_SAME_LAW = 1e-9  # relative difference that is due to the number of digits written
+_SAME_LAW = 1e-9  # relative difference due to the number of written digits
 
 
 def take_over_laws(
@@ -116,7 +116,7 @@ def compare_facts(scene: SceneModel, units: UnitSystem, each_bodies: list[Source
         elif any(axis in box.periodic and not same for axis, same in zip("xyz", alike, strict=True)):
             mine = " × ".join(f"{units.shown(each, LENGTH):g}" for each in own)
             _add_notes(scene, index, each_bodies, [f"its periodic box is {shown}, and domain.size is {mine}"])
-        # bodies beyond the walls, because the program has its box elsewhere
+        # bodies lie beyond the walls, since the program has its box elsewhere
         half = 0.5 * np.array(own)
         beyond: list[bool] = np.any(np.abs(bodies.columns.position) > half, axis=0).tolist()
         if any(beyond[axis] for axis in scene.domain.walled) and scene.bodies[index].origin is None:

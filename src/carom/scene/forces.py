@@ -21,18 +21,18 @@ class ForceKind:
     """A force: when it is modelled, and the name of its energy."""
 
     name: str  # name of the part of the model and, with underscores, of the module that computes the force
-    decide: Callable[[SceneModel], tuple[bool, str]]  # returns whether it is modelled, and why
-    potential: str = ""  # its term of the energy, if it has a potential
-    loss: str = ""  # its entry in the ledger, if it has no potential
+    decide: Callable[[SceneModel], tuple[bool, str]]  # returns whether the force is modelled, and why
+    potential: str = ""  # term of the energy, if the force has a potential
+    loss: str = ""  # entry in the ledger, if the force has no potential
     legend: str = ""  # legend of its energy series
     meaning: str = ""  # meaning of the energy series, for docs/recording.md
     colour: str = ""  # colour of the energy series, a name in the palette of curves
-    flag: str = ""  # in the properties of a recording; by default `has_` and the short name
+    flag: str = ""  # key in the properties of a recording; by default `has_` and the short name
     pushes: Callable[[SceneModel], bool] = lambda scene: False  # whether it accelerates all bodies at rest equally
-    differs: bool = False  # whether it accelerates bodies at rest differently, so that they may meet and press
-    damps: bool = False  # whether it depends on velocities, and is solved within the drift
-    part: str = ""  # part of the model without which the energy series is not recorded; by default the force itself
-    # why ``model.force`` cannot force it; empty if it can
+    differs: bool = False  # whether the force accelerates bodies at rest differently, so that they may meet and press
+    damps: bool = False  # whether the force depends on velocities, and is solved within the drift
+    part: str = ""  # part of the model that the energy series requires; by default the force itself
+    # why ``model.force`` cannot switch the force on; empty if it can
     contradiction: Callable[[SceneModel], str] = lambda scene: ""
 
     @property
@@ -113,8 +113,8 @@ DRAG = ForceKind(
     damps=True,
     contradiction=lambda scene: "there is no medium; add [drag] with a relaxation_time",
 )
-MOST_RELAXATIONS = 8.0  # of drag in a step with exact impacts; e⁻⁸ of a velocity then remains, with 12 digits
-FORCES = (GRAVITY, UNIFORM_FIELD, DRAG)  # in the order in which their accelerations are summed
+MOST_RELAXATIONS = 8.0  # largest dt/τ with drag in a step with exact impacts; e⁻⁸ of a velocity remains, with 12 digits
+FORCES = (GRAVITY, UNIFORM_FIELD, DRAG)  # forces in the order in which their accelerations are added
 
 
 @cache

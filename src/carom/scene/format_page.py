@@ -24,8 +24,8 @@ from carom.scene.scene_model import know_installed_parts
 from carom.scene.units.dimension import Dimension
 from carom.scene.wall_shapes import shape_called
 
-FILE = "scene.schema.json"  # beside the bundled scenes, whose first lines refer to it
-MARK = "#:schema"  # beginning of the first line of a scene that names its schema
+FILE = "scene.schema.json"  # file name beside the bundled scenes, whose first lines refer to it
+MARK = "#:schema"  # prefix of the first line of a scene that names its schema
 
 
 def schema_text() -> str:

@@ -27,12 +27,12 @@ class BodyForce:
 
     section: type[Any]  # in the scene: a `carom.extend.Section` whose docstring says "[forces.NAME]: what it is"
     acceleration: Callable[..., tuple[float, float, float]]  # (x, y, z, p) → m/s²
-    potential: Callable[..., float] | None = None  # (x, y, z, p) → J/kg, of a body of 1 kg; else work is booked
-    parameters: Callable[[Any], Mapping[str, float]] = numbers_of  # the fields of p, from its section, in SI units
-    legend: str = ""  # legend of its energy; by default its name
-    meaning: str = ""  # meaning of its energy, for `carom inspect`
-    colour: str = "orange"  # colour of its energy: one of `carom.recording.schema.palette.LINES`
-    periodic: bool = False  # whether it may act in a periodic box: it is the same on opposite faces
+    potential: Callable[..., float] | None = None  # (x, y, z, p) → J/kg, for a body of 1 kg; otherwise work is booked
+    parameters: Callable[[Any], Mapping[str, float]] = numbers_of  # fields of p, from its section, in SI units
+    legend: str = ""  # legend of the force's energy; by default its name
+    meaning: str = ""  # meaning of the force's energy, for `carom inspect`
+    colour: str = "orange"  # colour of the force's energy: one of `carom.recording.schema.palette.LINES`
+    periodic: bool = False  # whether the force may act in a periodic box: it is the same on opposite faces
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,7 +44,7 @@ class PairForce:
 
     section: type[Any]  # in the scene, as for `BodyForce`
     attraction: Callable[..., float]  # (d2, m_i, m_j, p) → N/m, F/d, negative if it repels; d2 is the squared distance
-    potential: Callable[..., float]  # (d2, m_i, m_j, p) → J, of the pair
+    potential: Callable[..., float]  # (d2, m_i, m_j, p) → J, potential of the pair
     parameters: Callable[[Any], Mapping[str, float]] = numbers_of
     legend: str = ""
     meaning: str = ""

@@ -22,7 +22,7 @@ from typing import NamedTuple
 
 from carom import registry
 
-AUTO = "auto"  # value of time.integrator with which carom chooses the integrator by the scene
+AUTO = "auto"  # value of time.integrator with which carom chooses an integrator
 
 
 class Substep(NamedTuple):
@@ -39,9 +39,9 @@ class Integrator:
 
     name: str  # the value of time.integrator
     title: str  # in descriptions
-    order: int  # order in dt of the error over a fixed time
-    substeps: tuple[Substep, ...]  # empty if it chooses its own steps
-    hierarchical: bool = False  # whether it needs a body that dominates all others
+    order: int  # order in dt of the error after a fixed time
+    substeps: tuple[Substep, ...]  # parts of a step; empty if the integrator chooses its own steps
+    hierarchical: bool = False  # whether the integrator needs a body that dominates all others
 
     @property
     def controls_error(self) -> bool:
@@ -96,7 +96,7 @@ class Integrator:
         return len(self.substeps) - (not self.ends_with_forces)
 
 
-ENCOUNTERS_BY = "gauss-radau15"  # takes over from hierarchical integrators in close encounters
+ENCOUNTERS_BY = "gauss-radau15"  # the integrator that takes over from hierarchical ones in close encounters
 _W1 = 1.3512071919596578  # 1 / (2 - 2^{1/3})
 _W0 = 1.0 - 2.0 * _W1
 

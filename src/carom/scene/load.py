@@ -50,10 +50,10 @@ from carom.scene.units.system import UnitSystem
 from carom.scene.wording import suggestion
 
 _LARGEST_BESIDES_BODIES = 4_000_000  # characters
-_LARGEST_BODY = 1000  # characters of a [[body]] with all its keys, a long name and comments
-_COMMENTED = 200_000  # characters; overrides keep the comments of texts up to this length, which takes a second
+_LARGEST_BODY = 1000  # most characters of a [[body]] with all its keys, a long name and comments
+_COMMENTED = 200_000  # most characters of a text whose comments overrides keep, which takes a second
 MOST_MESSAGES = 8
-_MOST_DETAILS = 1000  # mistakes that are examined; a hostile text may contain a million
+_MOST_DETAILS = 1000  # most mistakes that are examined; a hostile text may contain a million
 _TOO_DEEP = f"tables or lists nested more than {DEEPEST} levels deep"
 
 
@@ -148,7 +148,7 @@ class Scene(SceneModel):
 
     def changed(self, overrides: list[str]) -> Scene:
         """Return this scene with changed keys, in the syntax of ``--set``; raises `SceneError` like `load`."""
-        if isinstance(overrides, str | Mapping):  # it would be read letter by letter, or key by key
+        if isinstance(overrides, str | Mapping):  # a text would be read letter by letter, and a mapping key by key
             raise TypeError(f'overrides: expected a list of texts such as ["time.duration=5"], got {overrides!r}')
         return scene_from_text(self.toml, self.title, overrides, self._held)
 
@@ -218,7 +218,7 @@ def _parse(text: str, source: str) -> dict[str, Any]:
             raise SceneError(f"{source}:{line}: not TOML: a whole number of more than 4300 digits") from None
         at = re.search(r"\(at line (\d+), column (\d+)\)$", str(error))
         place = f"{source}:{at[1]}" if at else source
-        before = after = ""  # the line up to the mistake, and from there on
+        before = after = ""  # the line up to the mistake, and the line from there on
         if at:
             line_of_mistake, column = text.split("\n")[int(at[1]) - 1], int(at[2]) - 1
             before, after = line_of_mistake[:column], line_of_mistake[column:]
@@ -413,7 +413,7 @@ def _scene(
     made_of: str | None,
 ) -> Scene:
     """Build a scene from sections, kept bodies, and bodies in arrays."""
-    units = unit_system(data.get("units"), [])  # mistakes in the scene are reported when it is validated
+    units = unit_system(data.get("units"), [])  # mistakes in units are reported when the scene is validated
     numbers, _, _ = converted({key: data[key] for key in ("units", "material") if key in data})
     material: Material | None
     try:

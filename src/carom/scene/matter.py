@@ -22,7 +22,7 @@ from carom.scene.schema.body import Matter
 from carom.scene.schema.contact import DEFAULT, Surface, combined
 
 DEFAULT_DENSITY = 1000.0  # kg/m³
-SAMPLE = 4096  # radii; the mean volume of uniform radii up to r is then known to 2 %
+SAMPLE = 4096  # sampled radii; the mean volume of uniform radii up to r is then known to 2 %
 
 
 def body_mass(body: Body) -> float:
@@ -74,7 +74,7 @@ AnyMatter = TypeVar("AnyMatter", bound=Matter)
 class BodyMaterials:
     """The materials of the bodies of a scene."""
 
-    names: list[str]  # (a,) in the order of the first body with each material
+    names: list[str]  # (a,) names in the order of the first body of each material
     index: IntArray  # (n,) indices into `names`
 
 
@@ -89,9 +89,9 @@ class PairCoefficients:
 
     rows: FloatArray  # (1 + p, 3), or (a (a + p), 3): the fields of `Coefficients`
     bodies: int  # number n of bodies
-    # (n + p, 2); no rows with one material
+    # (n + p, 2) places; no rows if there is one material
     places: IntArray = field(default_factory=lambda: np.zeros((0, 2), dtype=np.int64))
-    laws: tuple[str, ...] = ()  # names of the contact laws, without Coulomb's
+    laws: tuple[str, ...] = ()  # names of the contact laws other than Coulomb's
     names: tuple[str, ...] = ()  # names of the laws' further coefficients
     further: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))  # (rows, k) their values
 

@@ -17,7 +17,7 @@ from carom.scene.schema.promise import ABOUT_THE_END
 
 TEXTS = ("title", "description", "name")  # keys that may be empty; for other keys, an empty value removes the key
 _INDEX = re.compile(r"[0-9]{1,9}")
-RENAMED = {("record", "log_freq"): ("record", "check_every")}  # section and key: old name to new name
+RENAMED = {("record", "log_freq"): ("record", "check_every")}  # section and old key → section and new key
 
 
 class OldNameWarning(FutureWarning):

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 from carom.scene.wording import suggestion
 
-OWN_FORCES = ("gravity", "uniform-field", "drag")  # in the order in which their accelerations are summed
-PARTS = (  # in the order in which a step uses them
+OWN_FORCES = ("gravity", "uniform-field", "drag")  # carom's forces in the order in which their accelerations are added
+PARTS = (  # parts in the order in which a step uses them
     "warm-up",
     "adaptive-step",
     "integrator",

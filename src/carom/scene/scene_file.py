@@ -29,7 +29,7 @@ from carom.scene.wording import command, escaped
 
 PACKAGE = Path(__file__).parents[1]
 CROSSCHECK = "crosscheck"  # the folder of scenes from bug reports of other engines
-EXTREMES = "extremes"  # the folder of numerical extremes, and the first part of their names
+EXTREMES = "extremes"  # the folder of scenes with numerical extremes, and the prefix of their names
 _BARE_KEY = re.compile(r"[A-Za-z0-9_-]+")
 
 
@@ -71,12 +71,12 @@ def starter() -> str:
     return (Path(__file__).parent / "starter.toml").read_text(encoding="utf-8")
 
 
-LARGEST_FILE = 64_000_000  # bytes; enough for 400 000 [[body]] sections, which take half a minute to read
+LARGEST_FILE = 64_000_000  # most bytes; enough for 400 000 [[body]] sections, which take half a minute to read
 PATIENCE = 30.0  # s, longest silence of a pipe
 RECORDED = b"RRF2"  # first bytes of a recording
 
 _PIECE = 1 << 20  # bytes read at a time
-_PAUSE = 0.01  # s, between two attempts to read a silent pipe
+_PAUSE = 0.01  # s between two attempts to read a silent pipe
 
 
 def scene_path(source: str | Path) -> Path:
@@ -87,7 +87,7 @@ def scene_path(source: str | Path) -> Path:
             raise SceneError(f"{path}: a folder, not a scene; name a .toml file in it")
         if path.exists():
             return path
-    except OSError as error:  # a name of 300 characters
+    except OSError as error:  # for example a name of 300 characters
         raise SceneError(f"{str(source)[:100]}: cannot be read: {error.strerror}") from None
     bundled = bundled_scenes() | extreme_scenes() | crosscheck_scenes()
     if str(source) in bundled:
@@ -129,7 +129,7 @@ def _read_bytes(path: Path) -> bytes:
             raise SceneError(f"{path}: {kind.st_size} bytes are too many for a scene; at most {LARGEST_FILE}")
         text, begun = bytearray(), time.monotonic()
         while True:
-            piece = file.read(_PIECE)  # None: nothing to read yet
+            piece = file.read(_PIECE)  # None means nothing to read yet
             if piece:
                 text += piece
                 begun = time.monotonic()
@@ -184,7 +184,7 @@ def value_text(value: Any) -> str:
     if isinstance(value, int):
         return int.__repr__(value)
     if isinstance(value, float):
-        return float.__repr__(value)  # also for subclasses, such as NumPy's
+        return float.__repr__(value)  # also serves subclasses of float, such as NumPy's
     if isinstance(value, Mapping):
         return "{" + ", ".join(f"{_key(key)} = {value_text(inner)}" for key, inner in value.items()) + "}"
     if isinstance(value, list | tuple):
@@ -194,11 +194,11 @@ def value_text(value: Any) -> str:
 
 def _string(text: str) -> str:
     """Quote text: TOML escapes the same characters as JSON, and DEL; others would steer a terminal that prints them."""
-    text.encode()  # raises if it has half a character
+    text.encode()  # raises if the text has half a character
     return escaped(json.dumps(text, ensure_ascii=False))
 
 
-_NUMBER = re.compile(r"[+-]?(\.[0-9]+|[0-9]+\.)([eE][+-]?[0-9]+)?")  # a number as people write it, but not valid TOML
+_NUMBER = re.compile(r"[+-]?(\.[0-9]+|[0-9]+\.)([eE][+-]?[0-9]+)?")  # numbers that people write, but not in TOML
 
 
 def parse_value(text: str) -> Any:
@@ -285,7 +285,7 @@ class KeyPlaces:
 
 
 # Limit on the nesting: parsing, validation and messages are recursive, or take time quadratic in the depth.
-DEEPEST = 32  # levels; the deepest key in a scene is group.0.radius.min
+DEEPEST = 32  # deepest level; the deepest key of a scene is group.0.radius.min
 
 _PART = r"""(?:[\w-]++|"(?:[^"\\\n]|\\.)*+"|'[^'\n]*+')"""
 _LONG_KEY = re.compile(rf"(?:^[ \t]*+\[{{0,2}}|[{{,])[ \t]*+(?:{_PART}[ \t]*+\.[ \t]*+){{{DEEPEST}}}", re.MULTILINE)

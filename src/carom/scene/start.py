@@ -19,7 +19,7 @@ class InitialBodies:
     """The initial bodies in SI units: explicit bodies first, then bodies from data, then groups."""
 
     name: Sequence[str]
-    group: IntArray  # (n,) index of the group; -1 for explicit bodies; -2, -3 … for the [[bodies]] tables
+    group: IntArray  # (n,) index of each body's group; -1 for explicit bodies; -2, -3 … for [[bodies]] tables
     position: FloatArray  # (n, 3)
     velocity: FloatArray  # (n, 3)
     angular_velocity: FloatArray  # (n, 3)
@@ -62,7 +62,7 @@ class HalfSpaces:
     """p solid half-spaces; bodies are where ``normal · x > offset``."""
 
     name: list[str]
-    normal: FloatArray  # (p, 3) unit vectors, out of the solid
+    normal: FloatArray  # (p, 3) unit normals that point out of the solid
     offset: FloatArray  # (p,) m
 
     def __len__(self) -> int:

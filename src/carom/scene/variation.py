@@ -14,14 +14,14 @@ from carom.scene.scene_file import parse_value
 
 Values = tuple[Any, ...]  # TOML values: numbers, strings, booleans, lists
 
-MOST_RUNS = 100_000  # a million took 8 GB and ten minutes before the first run
+MOST_RUNS = 100_000  # a million runs took 8 GB and ten minutes before the first began
 TOO_MANY_RUNS = f"more than {MOST_RUNS} runs; give fewer values"
 _NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
 _UNIT = r"[^\s:,\d\"'\[{][^:,\"'\[{]*?"
 _RANGE = re.compile(rf"\s*({_NUMBER})\s*({_UNIT})?\s*:\s*({_NUMBER})\s*({_UNIT})?\s*:\s*(\d+)\s*(log)?\s*")
 _LIKE_RANGE = re.compile(rf"\s*{_NUMBER}\s*(?:{_UNIT})?\s*:.*")
 _EXAMPLES = "a list such as 0.2,0.6, a range 0.1:0.9:5 or a range of equal ratios 1e-3:1:4log"
-_DIGITS = 12  # digits of a value in a range: 0.3, not 0.30000000000000004
+_DIGITS = 12  # significant digits of a value in a range: 0.3, not 0.30000000000000004
 
 
 def values_of(text: str) -> Values:
@@ -135,7 +135,7 @@ def _range(
     else:
         inner = [low + (high - low) * step / steps for step in range(1, steps)]
     values = [low, *(float(f"{value:.{_DIGITS}g}") for value in inner), high]
-    # without a decimal point: a count stays an integer
+    # written without a decimal point, so that a count remains an integer
     as_whole = all(number.lstrip("+-").isdigit() for number in (first, last))
     numbers = alike(map(int, values) if as_whole and all(value.is_integer() for value in values) else values)
     return tuple(f"{value} {unit}" for value in numbers) if unit else numbers

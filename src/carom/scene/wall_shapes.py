@@ -16,7 +16,7 @@ from carom import registry
 from carom.arrays import FloatArray, IntArray
 from carom.scene.installed_forces import numbers_of
 
-SIDES = 96  # of the drawn surface of revolution
+SIDES = 96  # edges around a drawn surface of revolution
 
 
 class Mesh(NamedTuple):
@@ -41,7 +41,7 @@ class WallShape:
     surface curves towards the bodies.
     """
 
-    section: type[Any]  # of the scene: a `carom.extend.Section` whose docstring says "[wall.NAME]: what it is"
+    section: type[Any]  # section in a scene: a `carom.extend.Section` whose docstring says "[wall.NAME]: what it is"
     nearest: Callable[..., tuple[float, float, float, float, float]]  # (p, x, y, z) → the unit normal that points from
     # the nearest point of the wall to the bodies, (3,); the distance in m, negative behind it; the focal distance in m
     mesh: Callable[[Any, FloatArray, float], Mesh]  # (section, centre, reach) → the wall within about reach of centre

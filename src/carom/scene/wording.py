@@ -14,14 +14,14 @@ from itertools import accumulate
 from pathlib import Path
 from typing import overload
 
-MOST_LISTED = 8  # bodies that a sentence lists by name
-MOST_QUOTED = 80  # characters of a text that is no name
+MOST_LISTED = 8  # most bodies that a sentence lists by name
+MOST_QUOTED = 80  # characters of a quoted text that is not a name
 MOST_TOLD = 1000  # characters of the text of an error
-_PLAIN_WORD = re.compile("[A-Za-z0-9][A-Za-z0-9.+!_-]{0,79}")  # names of packages, and their versions
+_PLAIN_WORD = re.compile("[A-Za-z0-9][A-Za-z0-9.+!_-]{0,79}")  # characters of packages' names and versions
 # control characters except tab and line feed, marks of the direction of writing, and lone surrogates
 _UNSAFE = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069\ud800-\udfff]")
-_MARKS = re.compile(r"[\\`*_{}\[\]<>#|~!&]|(?<=:)/(?=/)")  # of Markdown, and what makes an address a link
-_LINE_MARKS = re.compile(r"^(\d*)([-+=.)])")  # of lists and underlined headings
+_MARKS = re.compile(r"[\\`*_{}\[\]<>#|~!&]|(?<=:)/(?=/)")  # characters of Markdown, and of addresses that become links
+_LINE_MARKS = re.compile(r"^(\d*)([-+=.)])")  # marks of lists and underlined headings
 
 
 def command(*words: object) -> str:
@@ -40,7 +40,7 @@ def command_of_a_file(text: str) -> str:
     """
     try:
         words = shlex.split(text)
-    except ValueError:  # a quotation that does not end
+    except ValueError:  # a quotation has no end
         words = []
     return text if text == shlex.join(words) else shlex.quote(in_one_line(text))
 

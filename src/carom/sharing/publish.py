@@ -52,11 +52,11 @@ MOST_PROBLEMS = 20  # on a page
 _BODIES, _ENERGY = "bodies", "energy"  # views
 _PART = re.compile(r"\.[0-9a-f]{8}\.part")
 _TAKEN = {"index", "viewer", "layout", "recording"}  # stems of other files
-MOST_IMPACTS = 10  # number of impacts up to which each impact is a moment
-HARDEST = 3  # with more impacts, only this many of the hardest are moments
-FAINTEST = 0.01  # of the largest impulse; weaker impacts explain nothing
+MOST_IMPACTS = 10  # most impacts of which each is a moment
+HARDEST = 3  # number of the hardest impacts that are moments if there are more
+FAINTEST = 0.01  # impulse over the largest; weaker impacts explain nothing
 _ROUNDING = 1e-9  # of the normal impulse
-DEEP = 0.01  # of the smaller radius; a shallower overlap explains nothing
+DEEP = 0.01  # overlap over the smaller radius; shallower overlaps explain nothing
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,8 +66,8 @@ class Published:
     path: Path
     size: int  # bytes
     moments: int
-    picture: str  # the reason for missing pictures; otherwise empty
-    pages: Sequence[str]  # one for each recording, in their order
+    picture: str  # the reason for missing pictures; empty if there are pictures
+    pages: Sequence[str]  # pages of the recordings, in their order
 
 
 def publish(recordings: Sequence[Recording], folder: Path, watch: Callable[[str], None] = lambda _: None) -> Published:
@@ -79,7 +79,7 @@ def publish(recordings: Sequence[Recording], folder: Path, watch: Callable[[str]
     several = len(recordings) > 1
     all_names = [ONLY]
     if several:
-        stems: list[str] = []  # of the files of each recording, all different
+        stems: list[str] = []  # names of each recording's files, all different
         for recording in recordings:
             stem = re.sub(r"[^a-z0-9]+", "-", recording.path.stem.lower()).strip("-")[:60] or "run"
             numbered = (stem if number == 1 else f"{stem}-{number}" for number in count(1))
@@ -265,7 +265,7 @@ class TellingMoment:
     heading: str
     details: Sequence[str]
     request: Request
-    close: bool = False  # whether it is an impact, which a close-up shows
+    close: bool = False  # whether the moment is an impact, which a close-up shows
 
 
 def telling_moments(recording: Recording) -> list[TellingMoment]:
@@ -293,7 +293,7 @@ def telling_moments(recording: Recording) -> list[TellingMoment]:
                 chosen.append(moment)
         if "contacts" in extremes:
             _add(chosen, _of_extreme(extremes["contacts"]))
-    if not has_trails(recording):  # a trail shows where bodies come from
+    if not has_trails(recording):  # a trail shows where bodies came from
         _add(chosen, _frame(recording, 0, "At the start"))
     _add(chosen, _frame(recording, -1, "At the end"))
     if "overlap" in extremes and summary["moments"]["overlap"]["value"] > DEEP:

@@ -40,19 +40,19 @@ from carom.scene.units.system import UnitSystem
 from carom.scene.wording import command, counted, in_one_line, literal
 
 FRAMES = 120  # largest number of frames in the clip, half of them before the time of interest
-ROOM = 7_000_000  # bytes, largest size of the clip before compression
-FRAMES_OF_LAW, ROOM_OF_LAW = 20, 200_000  # of the clip of a broken law that the clip does not show
+ROOM = 7_000_000  # most bytes of the clip before compression
+FRAMES_OF_LAW, ROOM_OF_LAW = 20, 200_000  # most frames and bytes of a second clip, with a broken law
 REPLAY_AT_MOST = 30.0  # s, longest replay of the clip
-ENERGY_ERROR = 1e-3  # of the scale; a larger error becomes the subject of the report
+ENERGY_ERROR = 1e-3  # relative error of the energy that becomes the subject of the report
 MOST_WARNINGS = 50
-PICTURES = {"bodies": "picture.png", "close-up": "close-up.png"}  # by the names of views
-NOT_FINITE = "law-not-finite"  # detected by the audit of another engine; a run of carom fails instead
-LAWS = ("energy", "law-")  # beginnings of the kinds of events about violated laws
+PICTURES = {"bodies": "picture.png", "close-up": "close-up.png"}  # pictures by the names of views
+NOT_FINITE = "law-not-finite"  # found by the audit of another engine, while a run of carom fails
+LAWS = ("energy", "law-")  # prefixes of the kinds of events about violated laws
 WORST = {  # subjects of a report if nothing went wrong
     "impact": "the hardest impact, {value} of approach (½ μ v_n²)",
     "overlap": "the deepest overlap, {value:.3g}% of the smaller radius",
 }
-LEDGER = "energy/ledger/"  # where series of the ledger's entries begin
+LEDGER = "energy/ledger/"  # prefix of the series of ledger entries
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,11 +62,11 @@ class Report:
     path: Path
     size: int  # bytes
     time: float  # s, the time of interest
-    why: str  # the event at that time
+    why: str  # the event at the time of interest
     frames: int
     replayed: str  # a sentence
-    picture: str  # empty, or the reason for a missing picture
-    replays: bool  # whether `carom replay` accepts it
+    picture: str  # the reason for a missing picture; empty if there is one
+    replays: bool  # whether `carom replay` accepts the clip
 
 
 def report(recording: Recording, path: Path, at: float | None = None) -> Report:
@@ -146,7 +146,7 @@ def _shown(recording: Recording, moment: float, why: str) -> tuple[Request, bool
 
     That is the case if an extreme of the run occurred at this time, or if the run failed then while bodies touched.
     """
-    for name in sorted(WORST, key=lambda name: name not in why):  # both may be at this time
+    for name in sorted(WORST, key=lambda name: name not in why):  # both quantities may have their extremes at this time
         if recording.closing.get(f"moments.{name}.time") == moment and pair_of_extreme(recording, name):
             return Request(event=name), True
     for law in _laws(recording).values():
@@ -195,7 +195,7 @@ def worst_moment(recording: Recording) -> tuple[float, str]:
             return deepest["time"], _extreme("overlap", moments, recording.units)
         return event.time, event.text.splitlines()[0].rstrip(".")
     error = moments.get("energy_error")
-    if error and error["value"] > ENERGY_ERROR and not recording.engine:  # otherwise the law admits it
+    if error and error["value"] > ENERGY_ERROR and not recording.engine:  # otherwise the law permits the error
         return error["time"], f"the integration error at a check is largest, {error['value']:.3g} of the energy scale"
     for name in WORST:
         if name in moments and moments[name]["between"] and is_worth_a_look(name, summary):
@@ -322,10 +322,10 @@ def _code(text: str) -> str:
     return f"{fence} {line} {fence}" if len(fence) > 1 else f"`{line}`"
 
 
-MOST_BODIES = 2000  # in a clip without exact states; up to this number, bodies are drawn as ellipsoids
-BYTES_OF_A_BODY = 150  # of an exact state and static data, slightly less when compressed
-BYTES_DRAWN = 60  # of a body in a frame
-MOST_READ = 2_000_000_000  # bytes of frames read to cut out some bodies
+MOST_BODIES = 2000  # bodies in a clip without exact states; up to this number, they are drawn as ellipsoids
+BYTES_OF_A_BODY = 150  # bytes of a body in an exact state and static data; slightly less when compressed
+BYTES_DRAWN = 60  # bytes of a body in a frame
+MOST_READ = 2_000_000_000  # most bytes of frames that are read to cut out some bodies
 COMPRESSED = 4  # largest compression ratio (bodies at rest), which bounds the number of frames to try
 
 
@@ -369,7 +369,7 @@ def _nearest(recording: Recording, moment: float, step: int, count: int) -> list
     shown, drawn = np.asarray(recording.shown), recording.drawn_positions(step)
     if drawn is None or len(drawn) != len(shown):
         return [int(body) for body in shown[:count]]
-    # the drawn position of a body of the event; if there is none, the middle of all bodies
+    # drawn position of the event's body, or the middle of all bodies
     moments = [each for each in recording.summary()["moments"].values() if each["time"] == moment]
     places = np.concatenate([np.empty(0, np.int64), *(np.flatnonzero(np.isin(shown, m["bodies"])) for m in moments)])
     apart = drawn - (drawn[places[0]] if len(places) else np.median(drawn, axis=0))

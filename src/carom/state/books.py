@@ -22,7 +22,7 @@ class Extreme:
     value: float
     step: int
     time: float  # s
-    bodies: tuple[int, ...] = ()  # during the run, the two ends of a contact; numbers from n on are planes
+    bodies: tuple[int, ...] = ()  # numbers of both ends of a contact, during the run; from n on, of planes
     planes: tuple[int, ...] = ()  # planes involved, see `Extremes.named`
     between: str = ""  # names of bodies and planes
 
@@ -39,22 +39,22 @@ class Extremes:
     """
 
     energy_error: Extreme | None = None  # |integration error| / scale
-    energy_gain: Extreme = NOTHING  # rise of the total energy above its lowest value so far / scale
-    contact_gain: Extreme = NOTHING  # energy that contact impulses have added or given back / scale
-    kinetic: Extreme = NOTHING  # kinetic energy / scale at the last check, not the largest
-    impact: Extreme | None = None  # J, largest ½ μ v_n² of an impact
-    overlap: Extreme | None = None  # deepest overlap / smaller radius
+    energy_gain: Extreme = NOTHING  # largest rise of the total energy above its previous minimum, over the scale
+    contact_gain: Extreme = NOTHING  # energy that contact impulses added or gave back, over the scale
+    kinetic: Extreme = NOTHING  # kinetic energy over the scale at the last check, which is not the largest
+    impact: Extreme | None = None  # J, largest ½ μ v_n² of any impact
+    overlap: Extreme | None = None  # deepest overlap over the smaller radius
     contacts: Extreme | None = None  # most contacts in a step
     momentum_error: Extreme | None = NOTHING  # None where the scene does not conserve it
     angular_momentum_error: Extreme | None = NOTHING  # None where the scene does not conserve it
     total_contacts: int = 0  # sum of the numbers of contacts over the steps
     impacts: int = 0  # impacts during drifts, and once for each contact at the end of a step
     lowest_energy: float = float("inf")  # J
-    energy_scale: float = 0.0  # J, at the last check
-    most_taken: float = 0.0  # J, the largest restitution + friction of the ledger
+    energy_scale: float = 0.0  # J, energy scale at the last check
+    most_taken: float = 0.0  # J, largest restitution + friction in the ledger
     warned: tuple[str, ...] = ()  # kinds of warnings so far
     contact_audit: Extreme | None = None  # largest error of `diagnostics.impulse_audit`; None without the audit
-    dissipation_error: Extreme | None = None  # energy moved against `diagnostics.dissipation` / scale; None for nothing
+    dissipation_error: Extreme | None = None  # energy moved against `diagnostics.dissipation`, over the scale
 
     @property
     def energy_fault(self) -> Extreme | None:
@@ -118,7 +118,7 @@ class MomentumBaseline:
 
     linear: tuple[float, float, float]  # kg m/s
     angular: tuple[float, float, float]  # kg m²/s
-    centre: tuple[float, float, float]  # m, the centre of mass
+    centre: tuple[float, float, float]  # m, position of the centre of mass
     linear_scale: float  # kg m/s
     angular_scale: float  # kg m²/s
 
@@ -127,10 +127,10 @@ class MomentumBaseline:
 class MonitorState:
     """The state of the monitor between two checks."""
 
-    lowest: Energy | None = None  # the lowest total since the last warning
+    lowest: Energy | None = None  # lowest total energy since the last warning
     since: float = 0.0  # s, the time of the lowest total
     warnings: int = 0
-    lost: bool = False  # whether a large error has been reported
+    lost: bool = False  # whether the loss of a large part of the energy has been reported
     gained: bool = False  # whether energy added by contact impulses has been reported
 
 
@@ -138,8 +138,8 @@ class MonitorState:
 class PaceTally:
     """The state of the monitor between two checks."""
 
-    slow_since: float | None = None  # s, time since which all checked steps were short; None if the last one was not
-    told: bool = False  # whether the warning has been given
+    slow_since: float | None = None  # s, start of the present series of short steps; None if the last was not short
+    told: bool = False  # whether the warning about them has been given
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,7 +151,7 @@ class WrongWork:
     pair: tuple[int, int]
     step: int
     time: float  # s
-    told: bool  # whether its warning has been given
+    told: bool  # whether this part's warning has been given
 
 
 @dataclass(frozen=True, slots=True)
@@ -162,8 +162,8 @@ class Books:
     momentum: MomentumBaseline
     watch: MonitorState
     moments: Extremes
-    activity: float  # J, activity of the impacts in the last steps
+    activity: float  # J, energy of the impacts in the last steps
     phase: str
     limits: tuple[str, ...]  # limits of the method that were reached and reported so far
     pace: PaceTally
-    wrong_work: tuple[WrongWork, ...] = ()  # of `diagnostics.dissipation`; empty if nothing was wrong
+    wrong_work: tuple[WrongWork, ...] = ()  # violations by `diagnostics.dissipation`; empty if there were none

@@ -22,27 +22,27 @@ from carom.state.saved import BODY, CONTACT, ENCOUNTER, HELD, INLET, OUTLET, RUN
 class SleepCheckpoint:
     """Which bodies sleep, and their contacts. Its arrays are never written to."""
 
-    # (n,) how long each body has been slow; -1 if it sleeps
+    # (n,) s, time for which each body has been slow; -1 if it sleeps
     calm: Annotated[FloatArray, Saved("sleep_calm", "s", BODY)]
-    # (n, 3) accelerations of the sleepers when they fell asleep
+    # (n, 3) m/s², accelerations of the sleepers when they fell asleep
     reference: Annotated[FloatArray, Saved("sleep_reference", "m/s²", BODY, 3, is_squared=True)]
-    # (k, 2) of sleepers and fixed ends, sorted
+    # (k, 2) sorted pairs of sleepers and fixed ends
     pairs: Annotated[IntArray, Saved("sleep_pairs", "", SLEEPING, 2, is_pairs=True)]
-    force: Annotated[FloatArray, Saved("sleep_force", "N", SLEEPING, 4)]  # (k, 4) along the normal and tangential
+    force: Annotated[FloatArray, Saved("sleep_force", "N", SLEEPING, 4)]  # (k, 4) N, normal and tangential force
 
 
-PRESENT, GONE = -1.0, -2.0  # in place of the time since which a body waits: it is there, or it never enters again
+PRESENT, GONE = -1.0, -2.0  # replaces the time since which a body waits: it exists, or it never enters again
 
 
 @dataclass(frozen=True, slots=True)
 class ReleaseCheckpoint:
     """Which bodies wait to enter. Its arrays are never written to."""
 
-    # (n,) since when each body waits; `PRESENT` or `GONE`
+    # (n,) s, time since which each body waits; `PRESENT` or `GONE`
     since: Annotated[FloatArray, Saved("release_since", "s", BODY)]
-    # (k, 2) of each inlet: when its slots begin, in s, and how many are taken
+    # (k, 2) for each inlet: time in s at which its slots begin, and the number of taken slots
     slots: Annotated[FloatArray, Saved("release_slots", "", INLET, 2)]
-    # (l, 2) of each outlet: the number and the mass in kg of the bodies that left since the start
+    # (l, 2) for each outlet: number and mass in kg of the bodies that left since the start
     totals: Annotated[FloatArray, Saved("release_totals", "", OUTLET, 2)]
 
     def check(self) -> None:
@@ -58,19 +58,19 @@ class ContactCheckpoint:
     Its arrays are never written to.
     """
 
-    # (m, 2), sorted; includes near contacts
+    # (m, 2) sorted pairs, including near contacts
     pairs: Annotated[IntArray, Saved("contact_pairs", "", CONTACT, 2, is_pairs=True)]
     # (m,) closing speed up to which a contact is at rest
     rest_speed: Annotated[FloatArray, Saved("contact_rest_speed", "m/s", CONTACT)]
     load_speed: Annotated[FloatArray, Saved("contact_load_speed", "m/s", CONTACT)]  # (m,) see `ConstraintSystem`
     dt: Annotated[float, Saved("contact_dt", "s")]  # the step for which these speeds were computed
-    # (k, 2), sorted; usually the same as ``pairs``
+    # (k, 2) sorted pairs; usually the same as ``pairs``
     held_pairs: Annotated[IntArray, Saved("held_pairs", "", HELD, 2, is_pairs=True, repeats="pairs")]
-    # (k, 4): λ_n, λ_t; (k, 7) where the law resists rolling, with Λ
+    # (k, 4) N s: λ_n, λ_t; (k, 7) with Λ where the law resists rolling
     impulse: Annotated[FloatArray, Saved("held_impulse", "N s", HELD, 4), Saved("held_angular", "N m s", HELD, 3)]
     kick: Annotated[float, Saved("held_kick", "s")]  # length of that kick
     sleep: SleepCheckpoint | None = None  # None where no body can sleep
-    # (3,) of the piston: displacement in m, velocity in m/s, impulse of the bodies on it in N s; None without one
+    # (3,) for the piston: displacement in m, velocity in m/s, bodies' impulse on it in N s; None without one
     piston: Annotated[FloatArray | None, Saved("piston", "", RUN, 3)] = None
     release: ReleaseCheckpoint | None = None  # None where no body enters or leaves
 
@@ -102,8 +102,8 @@ class EqualSteps(NamedTuple):
     """A series of equal steps of Wisdom–Holman integration, stored as five numbers in a checkpoint."""
 
     phase: float  # one of the phases in `wisdom_holman`
-    start: float  # s, when the series began
-    steps: float  # number of steps since then
+    start: float  # s, time at which the series began
+    steps: float  # number of steps since the series began
     dt: float  # s
     limit: float  # index of the limit that set dt
 
@@ -114,8 +114,8 @@ class OrbitCheckpoint:
 
     series: Annotated[FloatArray, Saved("orbit_series", "", RUN, len(EqualSteps._fields))]  # of `EqualSteps`
     order: Annotated[FloatArray, Saved("orbit_order", "", BODY)]  # (n,) index of each body in the scene
-    near: Annotated[FloatArray, Saved("orbit_near", "m", BODY)]  # (n,) distance below which another body is close
-    # (n, 3) Jacobi coordinates after the last kick
+    near: Annotated[FloatArray, Saved("orbit_near", "m", BODY)]  # (n,) m, distance below which another body is close
+    # (n, 3) m, Jacobi coordinates after the last kick
     position: Annotated[FloatArray, Saved("orbit_position", "m", BODY, 3)]
     velocity: Annotated[FloatArray, Saved("orbit_velocity", "m/s", BODY, 3)]  # (n, 3)
 
@@ -137,10 +137,10 @@ class IntegratorCheckpoint:
 
     # `BY_LEAPFROG`, or 0 if the last step predicts nothing
     last_dt: Annotated[float, Saved("integrator_last_dt", "s")]
-    # (n, 3) accumulated rounding errors of the positions
+    # (n, 3) m, accumulated rounding errors of the positions
     position_rest: Annotated[FloatArray, Saved("integrator_position_rest", "m", ENCOUNTER, 3)]
     velocity_rest: Annotated[FloatArray, Saved("integrator_velocity_rest", "m/s", ENCOUNTER, 3)]  # (n, 3)
-    # (3 n, 8) coefficients of the last step's polynomial
+    # (3 n, 8) coefficients of the polynomial in the last step
     accepted: Annotated[FloatArray, Saved("integrator_accepted", "m/s²", ENCOUNTER, 8, rows=3)]
     # (3 n, 8) error of the predicted coefficients
     correction: Annotated[FloatArray, Saved("integrator_correction", "m/s²", ENCOUNTER, 8, rows=3)]
@@ -158,12 +158,12 @@ class Checkpoint:
 
     step: int
     time: Annotated[float, Saved("time", "s")]
-    # the smoothed step, without the cut at the end of a run
+    # s, the smoothed step, without the cut at the end of a run
     previous_dt: Annotated[float, Saved("previous_dt", "s")]
     position: Annotated[FloatArray, Saved("position", "m", BODY, 3, is_squared=True)]  # (n, 3)
     velocity: Annotated[FloatArray, Saved("velocity", "m/s", BODY, 3, is_squared=True)]  # (n, 3)
     acceleration: Annotated[FloatArray, Saved("acceleration", "m/s²", BODY, 3, is_squared=True)]  # (n, 3)
-    # (n, 4) xyzw, and (n, 3); None where the scene requires none
+    # (n, 4) xyzw and (n, 3) rad/s; None where the scene requires none
     orientation: Annotated[FloatArray | None, Saved("orientation", "", BODY, 4, is_squared=True)]
     angular_velocity: Annotated[FloatArray | None, Saved("angular_velocity", "rad/s", BODY, 3, is_squared=True)]
     energy: Energy  # J

@@ -8,7 +8,7 @@ from typing import Annotated
 
 from carom.state.saved import Saved
 
-NamedEnergies = tuple[tuple[str, float], ...]  # J, by entry of the ledger or term of the energy; hashable
+NamedEnergies = tuple[tuple[str, float], ...]  # J, energies by ledger entry or energy term; hashable
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,9 +21,9 @@ class Ledger:
 
     restitution: Annotated[float, Saved("ledger_restitution", "J")] = 0.0  # removed by normal impulses
     friction: Annotated[float, Saved("ledger_friction", "J")] = 0.0  # removed by tangential impulses
-    # added by pushing overlapping bodies apart (Baumgarte bias or split)
+    # J, added by pushing overlapping bodies apart (Baumgarte bias or split)
     stabilisation: Annotated[float, Saved("ledger_stabilisation", "J")] = 0.0
-    # removed by forces without a potential and by moving walls, by entry
+    # J, removed by forces without a potential and by moving walls, by entry
     forces: Annotated[NamedEnergies, Saved("ledger_", "J", is_named=True)] = ()
 
     def entry(self, name: str) -> float:
@@ -65,14 +65,14 @@ class Energy:
 
     translational: Annotated[float, Saved("energy_translational", "J")]  # Σ ½ m v²
     rotational: Annotated[float, Saved("energy_rotational", "J")]  # Σ ½ I ω²
-    gravitational: Annotated[float, Saved("energy_gravitational", "J")]  # -Σ G m_i m_j / √(r_ij² + ε²)
-    field: Annotated[float, Saved("energy_field", "J")]  # -Σ m g·x, of the uniform field
+    gravitational: Annotated[float, Saved("energy_gravitational", "J")]  # J, -Σ G m_i m_j / √(r_ij² + ε²)
+    field: Annotated[float, Saved("energy_field", "J")]  # J, -Σ m g·x in the uniform field
     ledger: Ledger
     integration_error: Annotated[float, Saved("energy_integration_error", "J")]
-    scale: Annotated[float, Saved("energy_scale", "J")]  # scale of relative errors; see `EnergyAccount`
-    # of the potentials of other forces, by their terms
+    scale: Annotated[float, Saved("energy_scale", "J")]  # J, scale of relative errors; see `EnergyAccount`
+    # J, potentials of other forces, by term
     others: Annotated[NamedEnergies, Saved("energy_", "J", is_named=True)] = ()
-    rounding: float = 0.0  # J, up to which a change of the total may be rounding; 0 where the scale is far above it
+    rounding: float = 0.0  # J, change of the total that may be rounding; 0 where the scale is far larger
 
     def term(self, name: str) -> float:
         """Return a term by its name in the recording, in joules."""
@@ -120,15 +120,15 @@ class Energy:
 class Origin:
     """Terms at the start, in joules, on which the energy scale is based."""
 
-    conserved: float  # kinetic + gravitational, relative to the centre of mass if nothing is fixed
+    conserved: float  # J, kinetic + gravitational energy, relative to the centre of mass if nothing is fixed
     rotational: float
-    field: float  # of the uniform field and all other forces but gravity
+    field: float  # J, energy in the uniform field and in all other forces but gravity
 
 
 @dataclass(frozen=True, slots=True)
 class EnergyBaseline:
     """Reference values of the energy."""
 
-    initial: float  # J, the total at the start of the run
-    scale: float  # J, the largest scale of the checks so far
+    initial: float  # J, total energy at the start of the run
+    scale: float  # J, largest scale of the checks so far
     origin: Origin

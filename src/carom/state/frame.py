@@ -57,37 +57,37 @@ class Frame:
 
     step: int
     time: float  # s
-    dt: float  # s, the step that ended here; 0 at step 0
+    dt: float  # s, length of the step that ended here; 0 at step 0
     dt_limit: str  # what set dt: "acceleration", "held", "velocity", "pull", "error", "impact", "cap", "fixed", "end" …
     position: FloatArray  # (n, 3) m
     velocity: FloatArray  # (n, 3) m/s
-    acceleration: FloatArray  # (n, 3) m/s², of all forces but drag
+    acceleration: FloatArray  # (n, 3) m/s², acceleration by all forces but drag
     orientation: FloatArray | None  # (n, 4) xyzw
     angular_velocity: FloatArray | None  # (n, 3) rad/s
-    torque: FloatArray | None  # (n, 3) N m, of contacts that last, in this step
-    angular_acceleration: FloatArray | None  # (n, 3) rad/s², by these torques
-    contacts: CollisionGraph  # of this step; empty where no contact is possible
+    torque: FloatArray | None  # (n, 3) N m, torque of the lasting contacts in this step
+    angular_acceleration: FloatArray | None  # (n, 3) rad/s², angular acceleration by these torques
+    contacts: CollisionGraph  # contacts of this step; empty where no contact is possible
     energy: Energy  # J
     momentum: FloatArray  # (3,) kg m/s
-    angular_momentum: FloatArray  # (3,) kg m²/s about the origin
+    angular_momentum: FloatArray  # (3,) kg m²/s, angular momentum about the origin
     sweeps: int  # passes over the colours in this step
     phase: str  # "warm-up", "free", "colliding" or "settled"
-    events: tuple[Event, ...]  # since the previous frame, in order of time
+    events: tuple[Event, ...]  # events since the previous frame, in order of time
     previous_dt: float  # s, the smoothed step, without the cut at the end of a run
     memory: ContactCheckpoint | None  # state of the lasting contacts; None if contacts cannot last
     books: Books
-    # |p - expected| relative to the largest Σ m |v| so far; None where something is fixed
+    # |p - expected| over the largest Σ m |v| so far; None where anything is fixed
     momentum_error: float | None = None
     angular_momentum_error: float | None = None  # the same of L; also None in a periodic box, which does not conserve L
     integrator: IntegratorCheckpoint | None = None  # state that the integrator's next step needs; None if it needs none
     slot: int | None = None  # slot of its arrays in a `FrameStore`; None if the frame owns them
-    # (k,) `CONTACT_ROW`, since the previous frame, in order of time; None if not requested
+    # (k,) `CONTACT_ROW` of the impacts since the previous frame, in order of time; None if not requested
     impacts: Records | None = None
-    impacts_left_out: int = 0  # number of further impacts, all with smaller impulses than `impacts`
-    impact_sums: FloatArray | None = None  # `ImpactSums.flat`, of all impacts since the previous frame; None: not known
-    contact_rows: Records | None = None  # (m,) `CONTACT_ROW`, by pair: the contacts of this step; None if not requested
-    angular_impulse: FloatArray | None = None  # (n, 3) N m s, Σ r × J of the impacts of this step
-    expected_error: float = 0.0  # of positions, relative to the size of the system; 0 without a requested accuracy
+    impacts_left_out: int = 0  # number of further impacts, all of them with smaller impulses than `impacts`
+    impact_sums: FloatArray | None = None  # `ImpactSums.flat` over all impacts since the previous frame; None: unknown
+    contact_rows: Records | None = None  # (m,) `CONTACT_ROW` of this step's contacts, by pair; None if not requested
+    angular_impulse: FloatArray | None = None  # (n, 3) N m s, Σ r × J over the impacts of this step
+    expected_error: float = 0.0  # of positions, over the size of the system; 0 without a requested accuracy
 
     @property
     def waits(self) -> BoolArray | None:

@@ -12,7 +12,7 @@ from functools import cache
 from types import NoneType
 from typing import Any, cast, get_args, get_type_hints
 
-# the things for which a field has rows; fields for `ENCOUNTER` have rows for bodies in close encounters only
+# objects for which a field has rows; only bodies in close encounters are an `ENCOUNTER`
 RUN, BODY, ENCOUNTER, CONTACT, HELD, SLEEPING = "run", "body", "encounter", "contact", "held", "sleeping"
 INLET, OUTLET = "inlet", "outlet"
 
@@ -21,15 +21,15 @@ INLET, OUTLET = "inlet", "outlet"
 class Saved:
     """One component of a checkpoint. A field with two has columns of both; the second may be absent."""
 
-    name: str  # of the component; of energies by name, its beginning
-    unit: str = ""  # in SI; empty for pure numbers
+    name: str  # name of the component; prefix of the names for energies by name
+    unit: str = ""  # SI unit; empty for pure numbers
     per: str = RUN
     width: int = 1  # numbers in a row
     rows: int = 1  # rows for each `per`
     is_pairs: bool = False  # whether a row names the two ends of a contact, in ascending order
-    is_squared: bool = False  # whether steps square the numbers, which therefore have a bound
-    is_named: bool = False  # whether these are energies by name, each a component
-    repeats: str = ""  # field that it usually equals; it is then stored without rows
+    is_squared: bool = False  # whether steps square the numbers, which then need a bound
+    is_named: bool = False  # whether these are energies by name, with a component for each
+    repeats: str = ""  # field that usually has the same values; this one is then stored without rows
 
     @property
     def bytes(self) -> int:

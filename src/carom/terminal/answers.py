@@ -19,7 +19,7 @@ from carom.terminal.printing import say, say_json
 if TYPE_CHECKING:
     from rich.table import Table
 
-COLOUR = "colour by material"  # used where `colour_by` is "material"; bodies usually have the colour of their group
+COLOUR = "colour by material"  # for `colour_by` = "material"; bodies usually have the colour of their group
 
 
 class Strong(str):
@@ -32,7 +32,7 @@ class ShownFacts(NamedTuple):
     """Names, each with the lines of text beside it; a name without lines is left out."""
 
     rows: Iterable[tuple[str, str | Iterable[str]]]
-    whole: bool = False  # numbers, indented, whose lines are wider than the terminal if necessary
+    whole: bool = False  # whether to print numbers indented and, if necessary, in lines wider than the terminal
 
     def lines(self) -> Iterator[tuple[str, str]]:
         """Yield each line with its name, which is empty for all but the first line of a name."""
@@ -45,10 +45,10 @@ class ShownColumn(NamedTuple):
     """A column of a table."""
 
     label: str
-    value: Callable[[Any], Any]  # of a row; None is an empty cell
-    dimension: Dimension | None = None  # of numbers; without one, values are written as they are
+    value: Callable[[Any], Any]  # value of a cell from its row; None leaves the cell empty
+    dimension: Dimension | None = None  # dimension of numbers; without one, values are written as they are
     form: str = ".4g"  # of numbers
-    left: bool = False  # whether cells begin at the left
+    left: bool = False  # whether cells are aligned to the left
 
     def cell(self, row: Any, units: UnitSystem) -> str:
         """Write the value of a row, which is a text, or a number in units of the simulation."""
@@ -175,7 +175,7 @@ def materials_table(materials: Sequence[dict[str, Any]]) -> ShownTable:
     for material in materials:
         first = [material["name"], str(material["bodies"]), material["colour"]]
         for other, coefficients in material["contacts"].items():
-            if other not in listed:  # else it is listed with the other material
+            if other not in listed:  # otherwise it is listed with the other material
                 rows.append([*first, other, *(f"{value:.4g}" for value in coefficients.values())])
                 first = ["", "", ""]
         listed.add(material["name"])

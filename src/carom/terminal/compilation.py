@@ -31,7 +31,7 @@ def start_compiling() -> subprocess.Popen[bytes] | None:
     try:
         helper = subprocess.Popen(
             [sys.executable, "-P", "-m", "carom.runs.warmup"],
-            stdin=subprocess.PIPE,  # closed when this process ends
+            stdin=subprocess.PIPE,  # the pipe closes when this process ends
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
         )

@@ -17,8 +17,8 @@ from carom.terminal.console import LINE_EVERY, LiveLine, bar
 # compares the numbers.
 POINTS = 11  # without contacts: figure-eight
 IMPACTS = 117  # two-spheres
-FORCES = 145  # forces press contacts together: heap
-LEAST = 5  # kernels, after which their rate is a rate
+FORCES = 145  # the scene in which forces press contacts together: heap
+LEAST = 5  # kernels after which their rate is meaningful
 
 
 class CompilationProgress(Compilations):
@@ -38,7 +38,7 @@ class CompilationProgress(Compilations):
         self._say = say
         self._began = self._last_line = time.perf_counter()
         self._had = kernels_ready()  # at the start
-        self._depth = 0  # kernels that are being compiled, one for the other
+        self._depth = 0  # kernels in compilation, each for the one before it
         LiveLine.interlude = self.interlude
 
     def on_start(self, event: object) -> None:
@@ -52,7 +52,7 @@ class CompilationProgress(Compilations):
 
     def on_end(self, event: object) -> None:
         """Note that a kernel is compiled, or could not be."""
-        self._depth = max(0, self._depth - 1)  # it may not have heard of the first one
+        self._depth = max(0, self._depth - 1)  # the event of the first kernel may have been missed
 
     def interlude(self, now: float) -> str:
         """Return what a live line shows at a time of the clock (s) in place of its own; nothing between kernels."""

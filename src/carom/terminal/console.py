@@ -25,12 +25,12 @@ if TYPE_CHECKING:
     from carom.physics.simulation import StepStatus
     from carom.recording.read.recording import Recording
 
-WIDEST = 10_000  # characters, of a table that is printed whole
+WIDEST = 10_000  # characters of the width of a table that is printed whole
 LINE_EVERY = 5.0  # s between lines where the output is not a terminal
 BAR = 24  # characters
-# s, of a movie at 1280 x 720 on two cores without a graphics card: until its first picture, for each, and for each body
+# s for a movie at 1280 x 720 on two cores without a graphics card: until the first picture, per picture, and per body
 _STARTING, _PICTURE, _PICTURE_OF_BODY = 8.0, 0.2, 0.001
-PATIENCE = 1.0  # s of work before a line names it
+PATIENCE = 1.0  # s of work before a line names the work
 
 
 class Terminal(Console):
@@ -60,8 +60,8 @@ def print_whole(table: Table) -> None:
 class LiveLine:
     """A line on stderr, rewritten in place on a terminal and printed every few seconds elsewhere."""
 
-    interlude: ClassVar[Callable[[float], str]] = staticmethod(lambda now: "")  # what it shows at a time (s) instead
-    is_live: ClassVar[bool] = False  # whether one is shown on the terminal
+    interlude: ClassVar[Callable[[float], str]] = staticmethod(lambda now: "")  # text shown instead, at a time in s
+    is_live: ClassVar[bool] = False  # whether any progress is shown on the terminal
 
     def __init__(self, quiet: bool = False) -> None:
         self._console = Terminal(stderr=True, quiet=quiet)
@@ -110,7 +110,7 @@ class Patience(LiveLine):
     def __init__(self, text: str, beside: LiveLine, *, everywhere: bool = False) -> None:
         super().__init__()
         self._everywhere = everywhere
-        self._console = beside._console  # so that text printed there appears above this line
+        self._console = beside._console  # text printed on this console appears above this line
         self._text, self._detail = text, ""
         self._timer = threading.Timer(PATIENCE, self._begin)
         self._timer.daemon = True

@@ -18,7 +18,7 @@ _NO_TIME = f'expected a time, such as 12.5 or "{TIME.example}"'
 _SECONDS = {"": 1.0, "s": 1.0, "min": 60.0, "h": 3600.0}
 _WORK_TIME = re.compile(r"\s*([0-9.]+(?:e[-+]?[0-9]+)?)\s*(s|min|h|)\s*")
 _NUMBER = re.compile(r"\s*([-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]{1,3})?)")
-PRINTED_DIGITS = 6  # of a time, at least: the default of `UnitSystem.text`
+PRINTED_DIGITS = 6  # fewest digits of a printed time: the default of `UnitSystem.text`
 OptionalTime = float | None  # a result of `seconds`, or None
 
 
@@ -26,7 +26,7 @@ class TypedTime(float):
     """A time as a person typed it: in s if it has a unit, otherwise in the unit of the scene."""
 
     has_unit = False
-    rounding = 0.0  # half a unit of the last digit that is given or that carom prints, relative to the time
+    rounding = 0.0  # half a unit of the last given or printed digit, relative to the time
 
 
 def seconds(text: str | float) -> TypedTime:
@@ -93,7 +93,7 @@ def not_a_folder(path: Path) -> Path:
     """Return the path of a recording; refuse a folder, since no output can be named after one such as ``.``."""
     from carom.errors import RecordingError
 
-    with suppress(OSError):  # such as a name that is too long, which is refused when it is opened
+    with suppress(OSError):  # for example, a name that is too long is refused when it is opened
         if path.is_dir():
             raise RecordingError(f"{path}: a folder, not a recording; give an .rrd file")
     return path

@@ -20,14 +20,14 @@ from carom.scene.units.system import UnitSystem
 from carom.scene.wording import command, escaped
 
 MINUTE, HOUR, DAY, YEAR = 60.0, 3600.0, 86400.0, 365.25 * 86400.0  # s
-SHOWN = 3  # warnings of a kind; the recording has all of them
+SHOWN = 3  # most printed warnings of one kind; the recording has all of them
 
 
 @dataclass
 class Verbosity:
     """What a command prints beside its result, as ``-q`` and ``-v`` say."""
 
-    is_quiet: bool = False  # no progress and no notes; warnings and errors remain
+    is_quiet: bool = False  # no progress and no notes, but warnings and errors
     is_verbose: bool = False  # errors with their traceback
 
 

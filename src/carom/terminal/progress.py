@@ -25,10 +25,10 @@ from carom.scene.wording import command, counted
 from carom.terminal.console import LiveLine, Patience, Terminal, bar
 from carom.terminal.printing import bytes_text, duration_text, simulated_text, warning_lines
 
-MANY_STEPS = 10_000_000  # some 10 s of the fastest steps
-LEAST_FRAMES = 0.9  # of the requested frames; if fewer are recorded, a note says so
-FEW_STEPS = 1000  # without a frame, that may all be recorded
-FEW_FRAMES = 0.2  # the same for the automatic number of frames, which nobody requested
+MANY_STEPS = 10_000_000  # number of steps that takes some 10 s for the fastest ones
+LEAST_FRAMES = 0.9  # fraction of the requested frames; a note says if fewer are recorded
+FEW_STEPS = 1000  # steps without a frame that may all be recorded
+FEW_FRAMES = 0.2  # the same fraction for the automatic number of frames, which nobody requested
 
 
 class RunProgress(LiveLine):
@@ -168,14 +168,14 @@ def _fewer_frames(scene: Scene, outcome: Outcome) -> str:
     interval = frame_interval(scene)
     if interval == 0.0:
         return ""
-    expected = outcome.sim_time / interval + 1.0  # including a frame of the initial state
+    expected = outcome.sim_time / interval + 1.0  # includes a frame of the initial state
     automatic = scene.record.every == "auto"
     if outcome.frames >= (FEW_FRAMES if automatic else LEAST_FRAMES) * expected:
         return ""
     limit = scene.unit_system.text(interval, TIME, ".3g" if automatic else "g")
     if automatic:
         long = f"frames are recorded at ends of steps, which were long; time.max_dt = {limit} gives more frames"
-        # steps shorter than the interval, such as steps in a close encounter
+        # steps may be shorter than the interval, as in a close encounter
         without = outcome.steps + 1 - outcome.frames
         if 0 < without <= FEW_STEPS:
             long += f', and record.every = "step" the {counted(without, "short step")} between them'

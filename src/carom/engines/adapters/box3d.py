@@ -26,10 +26,10 @@ from carom.lab.compared_run import Setting
 from carom.scene.load import Scene
 
 PACKAGE = "robox3d"
-_NEAR = 0.2  # largest distance of a contact point from its plane, over its distance from the centre
-_PARALLEL = 1e-4  # 1 - cosine of the angle between the normal of a contact and of a plane
-_LARGEST = 64  # points in a group whose impulses are computed from velocities
-_ROUNDED = 1e-6  # of a speed: smaller changes of velocity are rounding in single precision
+_NEAR = 0.2  # largest distance of a contact point from its plane, divided by its distance from the centre
+_PARALLEL = 1e-4  # largest 1 - cos(angle) between the normals of a contact and of its plane
+_LARGEST = 64  # largest number of points in a group whose impulses are computed from velocities
+_ROUNDED = 1e-6  # smallest change of velocity, relative to the speed, that is not rounding in single precision
 _WEIGHT = 1e-3  # weight of the engine's impulses in the fit; observed changes of velocity have errors below 1e-6
 MOST_SHAPES = 64  # shapes examined for each body
 
@@ -68,7 +68,7 @@ class Box3DSource:
         judged = [size is not None and not size[1] and not jointed for size in known]
         self._forces = Box3DForces(self._backend, world, chosen, judged, planes) if contacts else None
         mass = np.array([body.mass for body in chosen])
-        # the radii of spheres of water, as which bodies without a sphere are drawn
+        # radius of a sphere of water with the body's mass, for drawing bodies without a sphere
         water = (3.0 * np.maximum(mass, 1e-9) / (4.0e3 * np.pi)) ** (1.0 / 3.0)
         self.model = Model(
             engine=_version(),
@@ -114,8 +114,8 @@ class ChangingBox3DSource:
     def __init__(self, world: Any, planes: tuple[Plane, ...] = (), contacts: bool = False) -> None:
         self._world, self._planes, self._contacts = world, planes, contacts
         self._lib = engine_package(f"{PACKAGE}._ffi", PACKAGE).lib
-        self._ids: list[int] = []  # of the valid bodies of the world
-        self._source: Box3DSource | None = None  # of these bodies; None where none of them moves
+        self._ids: list[int] = []  # ids of the world's valid bodies
+        self._source: Box3DSource | None = None  # the source of these bodies; None if none of them moves
         self._find()
         no_body = Model(engine=_version(), mass=[], radius=[], gravity=world.gravity, planes=planes)
         self.model = no_body if self._source is None else self._source.model
@@ -168,12 +168,12 @@ class _Point(NamedTuple):
 
     ends: tuple[int, int]  # of `CONTACT`
     place: FloatArray  # (3,) m
-    normal: FloatArray  # (3,) from the first end to the second
-    arms: tuple[FloatArray, FloatArray]  # (3,) m, from the centres of the ends
+    normal: FloatArray  # (3,) unit vector from the first end to the second
+    arms: tuple[FloatArray, FloatArray]  # (3,) m, from the centre of each end to the contact
     closing: float  # m/s, before the step
-    impulse: float  # N s, if all substeps are like the last substep
-    total: float  # N s, the sum over all substeps, which may include some twice
-    friction: FloatArray  # (3,) N, in the last substep
+    impulse: float  # N s, the impulse if all substeps are like the last one
+    total: float  # N s, the sum over all substeps; some may be counted twice
+    friction: FloatArray  # (3,) N, friction in the last substep
 
 
 class Box3DForces:
@@ -204,7 +204,7 @@ class Box3DForces:
     def read(self, position: SingleArray, rates: SingleArray) -> Records:
         """Return the contacts, (m,) `CONTACT`, of bodies at (n, 3) m, with velocities and spins (n, 6)."""
         lib, points = self._lib, list[_Point]()
-        for k, body in enumerate(self._bodies if self._world.last_dt else ()):  # 0 before the first step
+        for k, body in enumerate(self._bodies if self._world.last_dt else ()):  # the time is 0 before the first step
             capacity = lib.b3Body_GetContactCapacity(body.id)
             if capacity == 0:
                 continue
@@ -212,7 +212,7 @@ class Box3DForces:
             for contact in found[0 : lib.b3Body_GetContactData(body.id, found, capacity)]:
                 shapes = (contact.shapeIdA, contact.shapeIdB)
                 ends = [self._number.get(lib.b3Shape_GetBody(shape).index1, -1) for shape in shapes]
-                if ends[0] == k or ends[0] < 0:  # otherwise the contact is reported with the other body, too
+                if ends[0] == k or ends[0] < 0:  # otherwise the other body of the contact reports it, too
                     points += self._points(contact, ends, position[k].astype(np.float64), is_first=ends[0] == k)
         impulses = self._impulses(points, rates.astype(np.float64)) if points else np.empty(0)
         step = self._world.last_dt
@@ -230,7 +230,7 @@ class Box3DForces:
                 place, outward = centre + arm, -normal if is_first else normal
                 near = _NEAR * float(np.linalg.norm(arm))
                 first, second = (self._plane(outward, place, near) if end < 0 else end for end in ends)
-                if first < 0 or second < 0:  # a shape that is neither a recorded body nor a plane
+                if first < 0 or second < 0:  # a shape belongs neither to a recorded body nor to a plane
                     continue
                 impulse, total = point.normalImpulse * step / substep, point.totalNormalImpulse
                 share = friction / (substep * manifold.pointCount)
@@ -248,7 +248,7 @@ class Box3DForces:
         mobility = inverse.sum(axis=1)
         stops = np.divide(np.maximum(0.0, closing), mobility, out=np.zeros(len(points)), where=mobility > 0.0)
         found = np.where((stops <= guess) & (guess <= total), guess, total)
-        # the change of each normal velocity in the step, without the part of the field
+        # the change of each normal velocity in the step, less the change by the field
         change, field = closing.copy(), self._world.last_dt * np.asarray(self._world.gravity)
         normal, fastest = np.array([point.normal for point in points]), np.abs(closing)
         for side, sign in ((0, -1.0), (1, 1.0)):
@@ -257,12 +257,12 @@ class Box3DForces:
             moved = rates[own, :3] + np.cross(rates[own, 3:], arm) - field
             change += np.where(inverse[:, side] > 0.0, sign * np.einsum("ij,ij->i", normal, moved), 0.0)
             fastest = np.maximum(fastest, np.where(inverse[:, side] > 0.0, np.linalg.norm(moved, axis=1), 0.0))
-        signed = inverse * (-1.0, 1.0)  # of a unit impulse on the two ends
+        signed = inverse * (-1.0, 1.0)  # velocity changes of the two ends by a unit impulse
         for group in self._groups(ends):
             if len(group) > _LARGEST or not self._spheres[ends[group]].all():
                 continue
             n, share = normal[group], signed[group]
-            matrix = np.zeros((len(group), len(group)))  # changes of normal velocities by unit impulses
+            matrix = np.zeros((len(group), len(group)))  # velocity changes at each point by unit impulses at the others
             for a in (0, 1):
                 for b in (0, 1):
                     same = ends[group, a][:, None] == ends[group, b][None, :]
@@ -309,7 +309,7 @@ def _sphere_of(backend: Any, body: Any) -> tuple[float, bool] | None:
     return float(spheres[0].radius), count > 1 or any((centre.x, centre.y, centre.z))
 
 
-SUBSTEPS = 4  # in a step, the default
+SUBSTEPS = 4  # substeps per step, Box3D's default
 
 
 class Box3D(SteppedEngine):

@@ -56,13 +56,13 @@ class MuJoCoSource:
         package.mj_comPos(model, data)
         own = [np.flatnonzero(owner == b) for b in moving]
         free = np.array([_is_free_sphere(package, model, b, geoms) for b, geoms in zip(moving, own, strict=True)])
-        radius = []  # m, of spheres that contain all shapes of a body, about its centre of mass
+        radius = []  # m, radius about the centre of mass of a sphere that contains all shapes of the body
         for b, geoms in zip(moving, own, strict=True):
             away = np.linalg.norm(data.geom_xpos[geoms] - data.xipos[b], axis=1) + model.geom_rbound[geoms]
             radius.append(away.max() if len(geoms) else np.sqrt(2.5 * model.body_inertia[b].max() / model.body_mass[b]))
         self._simple = bool(free.all())
         self._joint = model.body_jntadr[self._moving]
-        # the end of each shape: a body, a plane (numbers from n on), or -1 for none
+        # the end that each shape belongs to: a body, a plane (numbers from n on), or -1 for none
         end_of_body = np.full(model.nbody, -1)
         end_of_body[moving] = np.arange(len(moving))
         self._end_of = end_of_body[owner]
@@ -145,7 +145,7 @@ class MuJoCoSource:
         for row, contact in enumerate(known.tolist()):
             self._package.mj_contactForce(self._model, self._data, contact, self._wrench)
             local[row] = self._wrench[:3]
-        frames = contacts.frame[known].reshape(-1, 3, 3)  # the normal, from the first shape to the second, and tangents
+        frames = contacts.frame[known].reshape(-1, 3, 3)  # the normal, from first to second shape, and two tangents
         found["i"], found["j"] = ends[known].T
         found["point"], found["normal"], found["force"] = contacts.pos[known], frames[:, 0], local[:, 0]
         found["friction"] = local[:, 1:2] * frames[:, 1] + local[:, 2:] * frames[:, 2]
@@ -185,7 +185,7 @@ def _plane(model: Any, data: Any, geom: int) -> Plane:
 
 
 BOUNCE = 20.0  # steps per bounce, so that the spring is resolved
-IMPEDANCE = 0.99  # of a contact; 1 would be rigid, which MuJoCo does not allow
+IMPEDANCE = 0.99  # impedance of a contact; 1 would be rigid, which MuJoCo does not allow
 
 
 class MuJoCo(SteppedEngine):
@@ -210,7 +210,7 @@ class MuJoCo(SteppedEngine):
                 type=engine.mjtGeom.mjGEOM_PLANE, pos=place, quat=_turn(normal), size=[0.0, 0.0, 1.0]
             )
             plane.name = problem.planes.name[k]
-            plane.priority = 1  # its own coefficients take precedence
+            plane.priority = 1  # contacts then use the plane's own coefficients
             _set_law(plane, problem.at_planes[k], dt)
         start = problem.start
         alike = len(set(start.name)) < len(start.name)

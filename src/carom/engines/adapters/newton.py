@@ -25,7 +25,7 @@ from carom.scene.load import Scene
 from carom.scene.schema import Coefficients
 
 WORLD = -1  # the body that owns static shapes
-_NAMES = ("body_label", "body_key")  # attributes with the names, in newer and older versions
+_NAMES = ("body_label", "body_key")  # attributes that hold the names, in newer and older versions
 
 
 class NewtonSource:
@@ -45,7 +45,7 @@ class NewtonSource:
     def __init__(self, model: Any, now: Callable[[], tuple[Any, float]], forces: tuple[Any, Any] | None = None) -> None:
         package = engine_package("newton")
         self._now, self._centre = now, model.body_com.numpy().astype(np.float64)
-        self._off_centre = bool(self._centre.any())  # whether any centre of mass is not the origin of its body
+        self._off_centre = bool(self._centre.any())  # whether any body's centre of mass differs from its origin
         mass = model.body_mass.numpy().astype(np.float64)
         if len(mass) == 0:
             raise RecordingError("newton: the model has no rigid body")
@@ -100,7 +100,7 @@ class NewtonSource:
         found = np.zeros(len(known), CONTACT)
         found["i"], found["j"] = ends[known].T
         found["normal"] = contacts.rigid_contact_normal.numpy()[known]
-        # points, and their offsets by the thickness of a shape, are in the frame of its body
+        # contact points, and their offsets by the thickness of a shape, are in body frames
         moving = (ends[known] >= len(pose)).argmin(axis=1)
         body = ends[known, moving]
         place = [
@@ -133,7 +133,7 @@ def _turned(quaternion: FloatArray, local: FloatArray) -> FloatArray:
     return np.asarray(local + w * twice + np.cross(axis, twice))
 
 
-ITERATIONS = 2  # the default of the solver, per step
+ITERATIONS = 2  # iterations per step, the solver's default
 
 
 class Newton(SteppedEngine):
@@ -169,7 +169,7 @@ class Newton(SteppedEngine):
             problem.planes.normal, problem.planes.offset, problem.planes.name, problem.at_planes, strict=True
         ):
             equation = (*normal.tolist(), -float(offset))
-            # the mean of these and the bodies' coefficients equals the plane's own
+            # the mean of this coefficient and the bodies' equals the plane's own
             mirrored = Coefficients(*(2.0 * np.array(own) - law).tolist())
             config = _config(engine, mirrored, problem.collides)
             builder.add_shape_plane(plane=equation, width=0.0, length=0.0, cfg=config, label=name)

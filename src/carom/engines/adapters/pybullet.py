@@ -27,10 +27,10 @@ from carom.lab.compared_run import Setting
 from carom.scene.load import Scene
 
 BASE = -1  # the number of a body's first link
-SLOW = 200  # with more bodies, copying their states takes more than a thirtieth of a step
-SELDOM = 5  # steps per frame of 1000 bodies, whose states take a sixth of a step to read
-_MARK = "carom"  # key of the user data that marks bodies where they come and go
-UNNAMED = ("", "baseLink", "link0")  # the names of bodies that have none
+SLOW = 200  # number of bodies beyond which copying their states takes more than a thirtieth of a step
+SELDOM = 5  # steps per frame for 1000 bodies, whose states take a sixth of a step to read
+_MARK = "carom"  # key of the user data that marks bodies while bodies come and go
+UNNAMED = ("", "baseLink", "link0")  # names that PyBullet gives to unnamed bodies
 
 
 class PyBulletSource:
@@ -85,7 +85,7 @@ class PyBulletSource:
             engine=named_version("pybullet"),
             mass=np.where(mass > 0.0, mass, 1.0),
             radius=radius,
-            inertia=np.where(mass > 0.0, own_inertia, SPHERE * radius**2),  # of 1 kg if the mass is 0, a fixed body
+            inertia=np.where(mass > 0.0, own_inertia, SPHERE * radius**2),  # mass 0 marks a fixed body; it gets 1 kg
             names=[f"body {k}" if name in UNNAMED else name for k, name in enumerate(names)],
             fixed=mass == 0.0,
             judged=spheres,
@@ -134,8 +134,8 @@ class ChangingPyBulletSource:
         self._arguments = (time_step, gravity, *others)
         self._package, self._client, self._frames = engine_package("pybullet"), int(others[0]), 0
         self._marked = 0  # bodies so far
-        self._ids: dict[int, int] = {}  # of the bodies of the server, by their unique ids
-        self._source: PyBulletSource | None = None  # of these bodies; None where there is none
+        self._ids: dict[int, int] = {}  # carom's id of each body, by its unique id on the server
+        self._source: PyBulletSource | None = None  # the source of these bodies; None if there are none
         self._find()
         no_body = Model(engine=named_version("pybullet"), mass=[], radius=[], gravity=gravity, time_step=time_step)
         planes = _planes_of(self._package, self._client)
@@ -249,7 +249,7 @@ def _planes_of(package: Any, client: int) -> list[Plane]:
     return planes
 
 
-ITERATIONS = 50  # of the solver, its default
+ITERATIONS = 50  # iterations of the solver, PyBullet's default
 _DAMPING = ("linearDamping", "angularDamping", "rollingFriction", "spinningFriction", "contactProcessingThreshold")
 _NO_DAMPING = dict.fromkeys(_DAMPING, 0.0)
 
@@ -304,9 +304,7 @@ class PyBullet(SteppedEngine):
         x, y, z = (float(g) for g in np.asarray(problem.field))
         source = PyBulletSource(dt, (x, y, z), client)
         source.model = problem.named(source.model)
-        weakref.finalize(
-            source, engine.disconnect, client
-        )  # otherwise later calls without a client would mean this one
+        weakref.finalize(source, engine.disconnect, client)  # otherwise later calls without a client would use this one
 
         def step() -> None:
             engine.stepSimulation(client)

@@ -31,9 +31,9 @@ from carom.scene.start import half_spaces
 from carom.scene.units.dimension import TIME
 from carom.scene.units.system import WITHOUT, UnitSystem, units_of_rebound
 
-G_SI = 6.674e-11  # m³ kg⁻¹ s⁻²; REBOUND's own differs in the fifth digit
-READ = ("x", "y", "z", "vx", "vy", "vz")  # the first numbers of a particle in memory
-ROW = np.dtype((np.void, 8 * len(READ)))  # a row of READ, copied as one item: six times as fast as six numbers
+G_SI = 6.674e-11  # m³ kg⁻¹ s⁻²; REBOUND's own constant differs in the fifth digit
+READ = ("x", "y", "z", "vx", "vy", "vz")  # names of the first numbers of a particle in memory
+ROW = np.dtype((np.void, 8 * len(READ)))  # a particle's READ as one item, copied six times as fast as six numbers
 
 
 class ReboundSource:
@@ -54,7 +54,7 @@ class ReboundSource:
         self._simulation = simulation
         self._all, self._n = simulation.N, simulation.N - _variational(simulation)
         self._address = 0
-        self._particles: Records = np.empty(0, ROW)  # a view of positions and velocities in memory
+        self._particles: Records = np.empty(0, ROW)  # a view of positions and velocities in REBOUND's memory
         mass, size = np.zeros(simulation.N), np.zeros(simulation.N)
         simulation.serialize_particle_data(m=mass, r=size)
         mass, size = mass[: self._n], size[: self._n]
@@ -65,7 +65,7 @@ class ReboundSource:
         has_gravity = _setting_name(simulation, "gravity") != "none"
         periodic = _setting_name(simulation, "boundary") in ("periodic", "shear")
         roots = ("N_root_x", "N_root_y", "N_root_z")
-        si = math.isclose(simulation.G, G_SI, rel_tol=1e-3)  # where no units were set
+        si = math.isclose(simulation.G, G_SI, rel_tol=1e-3)  # true where no units were set
         self.model = Model(
             engine=named_version("rebound"),
             mass=mass,
@@ -183,13 +183,13 @@ def _size_of(particle: Any) -> int:
 
 NAME = "rebound"
 INSTALL = "the engine rebound needs the package of that name: pip install 'rebound>=5'"
-OLDEST = 5  # major version; earlier versions name the settings of integrators differently
-ANY = "leapfrog"  # the setting with the scene's own step
+OLDEST = 5  # major version; earlier versions use other names for the settings of integrators
+ANY = "leapfrog"  # the setting that runs with the scene's own step
 DOMINATED = ("whfast", "mercurius", "trace")
-UNSYNCHRONISED = ("whfast", "mercurius")  # their steps end with a readable state only on request
-TOUCHING = "leapfrog, hard spheres"  # the one setting of scenes with contacts, at several steps
-SEED = 1  # of the random order of impacts in a step; by default, REBOUND takes the seed from the clock
-PARTS = (20.0, 40.0, 80.0, 160.0)  # steps in the shortest period
+UNSYNCHRONISED = ("whfast", "mercurius")  # integrators whose steps end with a readable state only on request
+TOUCHING = "leapfrog, hard spheres"  # the only setting for scenes with contacts, at several steps
+SEED = 1  # seed of the random order of impacts in a step; by default, REBOUND takes it from the clock
+PARTS = (20.0, 40.0, 80.0, 160.0)  # numbers of steps in the shortest period
 
 
 class Rebound:
@@ -266,7 +266,7 @@ class Rebound:
             if spent > limit:
                 reached = scene.unit_system.text(simulation.t, TIME)
                 raise RunStoppedError(simulation.steps_done, spent, reached, option="--limit")
-            if simulation.t < moment:  # otherwise it would step back
+            if simulation.t < moment:  # otherwise REBOUND would step back
                 simulation.integrate(moment, exact_finish_time=0)
             sample = simulation.copy()
             sample.integrate(moment, exact_finish_time=1)
@@ -279,7 +279,7 @@ class Rebound:
             momenta.append(_momenta(simulation, mass))
         energy, momentum = np.array(energies), np.array(momenta)
         moved = np.abs(momentum - momentum[0]).max(axis=(0, 2))
-        # over Σ m |v| and Σ m |x| |v| about the centre of mass
+        # the scale is Σ m |v| and Σ m |x| |v| about the centre of mass
         speed, away = (
             np.linalg.norm(each - mass @ each / mass.sum(), axis=1) for each in (velocities[0], positions[0])
         )

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from carom.scene.units.system import UnitSystem
 
 
-SEVERAL_LIMIT = 30.0  # s, of each run and reference, if there are several scenes
+SEVERAL_LIMIT = 30.0  # s, time limit of each run and reference if there are several scenes
 _SCENES = "Scene files (.toml) or bundled scenes; `extremes` and `crosscheck` select all scenes of that folder."
 _ENGINES = "Engines to compare with, at least one: rebound, mujoco, box3d, pybullet, newton. Needs their packages."
 _LIMIT = (
@@ -56,7 +56,7 @@ def crosscheck_command(
     from carom.scene.load import Scene
     from carom.scene.scene_file import bundled_folders
 
-    chosen, known = engines_called(engines or [""]), bundled_folders()  # without an engine, the message lists them
+    chosen, known = engines_called(engines or [""]), bundled_folders()  # no name: the error lists the engines
     names = list(dict.fromkeys(name for source in scenes for name in known.get(source.rstrip("/"), [source])))
     several = len(names) > 1
     loaded = {name: Scene.load(name, overrides) for name in names}
@@ -128,7 +128,7 @@ def _parts_of_several(
     rows = [(name, k, run) for name, document in documents.items() for k, run in enumerate(document["runs"])]
     yield ShownTable(columns, rows, keys=2)
     for name in documents:
-        if link := re.match(r"# From (https://\S+)", scenes[name].toml):  # the bug report that the scene was made from
+        if link := re.match(r"# From (https://\S+)", scenes[name].toml):  # the bug report behind the scene
             yield f"{name}: {scenes[name].title} ({link[1]})"
     for name, reason in refused.items():
         yield f"{name}: {reason}"

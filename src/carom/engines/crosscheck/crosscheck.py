@@ -41,13 +41,13 @@ class Examination:
 
     name: str
     criteria: list[dict[str, Any]]  # of [expect]: name, bound, limit, measured, judged, met (None if not judged)
-    laws: dict[str, dict[str, Any]]  # violated laws, with the first frame and the number of frames
+    laws: dict[str, dict[str, Any]]  # violated laws, with the first violating frame and the number of such frames
     parting: dict[str, Any] | None  # see `Parting`; None without a divergence in the compared time
-    recording: str  # its file, in the folder
-    energy: dict[str, float | None]  # changes over the energy scale; see `energy_changes`
+    recording: str  # name of the recording in the results' folder
+    energy: dict[str, float | None]  # energy changes over the energy scale; see `energy_changes`
 
 
-# beginnings of the names of criteria that need a run of carom; samples have no spins
+# prefixes of criteria that only a run of carom can judge, since samples have no spins
 _OF_CAROM = ("contact_audit", "dissipation_error", "warned_", "angular_velocity_")
 
 
@@ -96,9 +96,9 @@ def _entry(verdict: Verdict, judged: bool = True) -> dict[str, Any]:
     }
 
 
-# Several processes follow runs of engines at the same time; nothing is timed meanwhile.
-MIN_RUNS_FOR_PROCESSES = 8  # with fewer, starting processes takes longer than they save
-_TICK = 60.0  # s, the longest wait for results at a time
+# Several processes follow runs of engines at the same time, since nothing is timed meanwhile.
+MIN_RUNS_FOR_PROCESSES = 8  # with fewer runs, starting processes takes longer than they save
+_TICK = 60.0  # s, the longest single wait for results
 
 
 @dataclass(frozen=True, slots=True)
@@ -184,7 +184,7 @@ class Runs(ExitStack):
 DOCUMENT = "crosscheck.json"
 FIGURE = "crosscheck.png"
 OVERLAY = "crosscheck.rrd"
-VERSION = 2  # of the document; in version 1, unjudged criteria counted as met, and energies were missing
+VERSION = 2  # version of the document; in version 1, unjudged criteria counted as met, and energies were missing
 OWN = Setting("carom", ())
 
 Teller = Callable[[str], None]
@@ -199,13 +199,13 @@ class Crosscheck:
 
     scene: Scene
     engines: list[Engine]  # to compare carom with
-    folder: Path  # of the results; it may hold results of an interrupted crosscheck of the same scene
+    folder: Path  # folder of the results; it may hold results of an interrupted crosscheck of the same scene
     threads: int | None = None  # of carom's kernels
     force: bool = False  # whether to start over
-    limit: float = math.inf  # s of CPU time for an engine, and s for the reference; longer runs are stopped
+    limit: float = math.inf  # s of CPU time for an engine, and s for the reference; a longer run is stopped
     runs: Runs = field(default_factory=lambda: Runs(1))
     refused: dict[str, str] = field(default_factory=dict)  # engine → why it cannot run the scene
-    examinations: dict[str, Examination] = field(default_factory=dict)  # by the names of the settings
+    examinations: dict[str, Examination] = field(default_factory=dict)  # examinations by the names of their settings
     _seen: dict[str, Watched] = field(default_factory=dict)  # observations of runs that are not examined yet
 
     def __post_init__(self) -> None:
@@ -239,7 +239,7 @@ class Crosscheck:
     def follow(self, tell: Teller) -> None:
         """Follow and examine the remaining runs; nothing is timed."""
         for result in self.study.measure(self._settings(), 0, tell):
-            self._examine(result, tell)  # runs that an interruption left unexamined
+            self._examine(result, tell)  # an interruption left these runs unexamined
 
     def time(self, repeats: int, tell: Teller) -> None:
         """Time all runs in rotation, a number of times."""

@@ -20,10 +20,10 @@ from carom.scene.units.dimension import TIME
 from carom.scene.wording import in_figure
 
 OWN_COLOUR = "#1b2a3a"
-COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")  # of the engines, in their order
+COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")  # colours of the engines, in their order
 WIDEST = 3.0  # points, width of the first line; later lines are thinner, so that they do not hide it
-STYLES = ("-", "--", ":", "-.")  # of the settings of one engine, in their order
-MOST_IMPACTS = 40  # marked at most; more would fill the figure
+STYLES = ("-", "--", ":", "-.")  # line styles of an engine's settings, in their order
+MOST_IMPACTS = 40  # most impacts that are marked; more would fill the figure
 
 
 def draw(check: Crosscheck, path: Path) -> None:

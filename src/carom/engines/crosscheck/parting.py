@@ -16,11 +16,11 @@ from carom.recording.read.recorded_impacts import impacts_by_number
 from carom.recording.read.recording import Recording
 from carom.scene.wording import Names
 
-PARTED = 0.01  # of the size of the system; runs farther apart have diverged
-OTHER_OUTCOME = 0.01  # of the speed of the system; velocities that differ by more after an impact are another outcome
+PARTED = 0.01  # distance, in sizes of the system, at which runs have diverged
+OTHER_OUTCOME = 0.01  # difference of velocities after an impact, in speeds of the system, that makes another outcome
 EARLIER = 2.0  # steps by which an impact of an engine may precede the same impact of the reference
 LATER = 40.0  # steps after the reference's impact within which a soft contact ends
-SAME_IMPACT = 0.02  # of the duration; largest time between the same impact in two runs
+SAME_IMPACT = 0.02  # largest time between the same impact in two runs, as a fraction of the duration
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,11 +56,11 @@ class NumberedImpacts:
 class Parting:
     """The divergence of a run from the reference."""
 
-    time: float  # s, of the first sample that is too far away
+    time: float  # s, time of the first sample that is too far away
     impact: int | None  # number in carom's recording of the first impact with another outcome; 0 if there is none
     between: str  # names of its bodies
     impact_time: float  # s, in the reference
-    laws: list[str]  # violated from that impact on
+    laws: list[str]  # laws that are violated from that impact on
 
 
 def parting_of(

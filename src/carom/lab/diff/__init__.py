@@ -22,9 +22,9 @@ if TYPE_CHECKING:
     from carom.scene.wording import Names
 
 ROWS = 12  # rows in the table of the growing difference
-KEYS = 50  # different keys of the scene printed at most; --json has all
-TURNED = 1e-3  # rad; smaller angles between two forces are not printed
-LONGEST_VALUE = 60  # characters of a value of such a key; two fit into a row of a wide terminal
+KEYS = 50  # most scene keys with different values that are printed; --json has all
+TURNED = 1e-3  # rad, smallest angle between two forces that is printed
+LONGEST_VALUE = 60  # characters of a printed value of a scene key; two fit into a row of a wide terminal
 
 _FIRST = "A recording (.rrd), or the zip of `carom report`."
 

@@ -44,7 +44,7 @@ class OtherLife:
 
     body: int
     name: str
-    spans: tuple[tuple[float, float] | None, tuple[float, float] | None]  # s; None where it does not exist
+    spans: tuple[tuple[float, float] | None, tuple[float, float] | None]  # s; None in a run without the body
 
     def text(self, units: UnitSystem) -> str:
         """Describe when the body exists in each recording."""
@@ -85,7 +85,7 @@ def _spans(recording: Recording, begin: float, end: float) -> FloatArray:
 
 # The first impact at which two recordings differ.
 
-MOST_SKIPPED = 1000  # surplus impacts of a pair in one run; with more, the last impacts are not matched
+MOST_SKIPPED = 1000  # most unmatched impacts of a pair in one run; with more, the last impacts are not matched
 _VALUES = ("nx", "ny", "nz", "approach_speed", "normal_impulse", "tangential_impulse", "energy_lost")
 
 
@@ -93,7 +93,7 @@ _VALUES = ("nx", "ny", "nz", "approach_speed", "normal_impulse", "tangential_imp
 class Impact:
     """One recorded impact."""
 
-    number: int  # in its own run, from 1 on
+    number: int  # number of the impact in its own run, from 1 on
     bodies: tuple[int, int]  # numbers from n on are planes and walls
     time: float  # s
     approach_speed: float  # m/s
@@ -122,9 +122,9 @@ class ImpactDivergence:
     differences of times.
     """
 
-    counts: tuple[int, int] | None  # up to the last frame at a common time; None without such a frame
+    counts: tuple[int, int] | None  # impacts up to the last common frame; None without such a frame
     compared: int  # impacts in both recordings
-    first: ImpactPair | None  # the first such pair that differs
+    first: ImpactPair | None  # the first matched pair of impacts that differs
     alone: ImpactPair | None  # the first impact that only one run has; None if the other run did not record all
 
     @property
@@ -143,7 +143,7 @@ def impact_divergence(a: Recording, b: Recording) -> ImpactDivergence | None:
     times = tuple(table["time"].to_numpy() for table in tables)
     rows = _matched(ends, times)
     common = [table.take(pa.array(row)) for table, row in zip(tables, rows, strict=True)]
-    # times may differ by the unit of the timeline, scaled nanoseconds
+    # times may differ by the timeline's unit, scaled nanoseconds
     scales = [1e-9 * float(recording.info["time_scale"]) for recording in (a, b)]
     rounding = 0.0 if scales[0] == scales[1] else max(scales)
     differs: BoolArray = np.abs(np.subtract(*(table["time"].to_numpy() for table in common))) > rounding
@@ -193,7 +193,7 @@ def _nearest_in_order(short: FloatArray, long: FloatArray) -> IntArray:
         return np.arange(len(short))
     cost, taken = np.zeros(skips + 1), np.empty((len(short), skips + 1), np.int64)
     for k, time in enumerate(short):
-        best = np.minimum.accumulate(cost)  # lowest cost with at most this many skipped before
+        best = np.minimum.accumulate(cost)  # lowest cost with at most this many skipped impacts before
         first = np.maximum.accumulate(np.where(cost == best, np.arange(skips + 1), 0))
         taken[k] = first
         cost = best + np.abs(long[k : k + skips + 1] - time)
@@ -254,7 +254,7 @@ class MomentApart:
 
     step: int  # of the first recording
     time: float  # s
-    rms: float  # m, of the distances between counterparts
+    rms: float  # m, rms distance between counterparts
     energy: float  # J, second minus first
     bodies: tuple[int, ...]  # bodies that are farthest apart, the farthest first; none if all positions are the same
     apart: tuple[float, ...]  # m
@@ -276,18 +276,18 @@ class Diff:
     """Two recordings compared."""
 
     paths: tuple[Path, Path]
-    scene: dict[str, tuple[Any, Any]]  # keys that differ; None where a key is not written
+    scene: dict[str, tuple[Any, Any]]  # keys that differ; None where a scene omits the key
     defaults: dict[str, Any]  # values of keys that one scene omits
-    environment: dict[str, tuple[Any, Any]]  # differences of versions, machine, command
+    environment: dict[str, tuple[Any, Any]]  # differences in versions, machine and command
     frames: tuple[int, int]
     matched_by: str  # "step", or "sim_time" where dt differs
     curve: DistanceCurve
     divergence: Divergence | None
     verdict: DiffVerdict
-    impacts: ImpactDivergence | None  # None if a recording has none
-    first_bits: FirstBits | None = None  # None unless both have the exact states of the first frame that differs
+    impacts: ImpactDivergence | None  # None if either recording has no impacts
+    first_bits: FirstBits | None = None  # None unless both runs have exact states of the first frame that differs
     engines: tuple[str, str] = ("", "")  # engines of the runs; empty for carom
-    lives: Sequence[OtherLife] = ()  # bodies that exist at different times in the two runs
+    lives: Sequence[OtherLife] = ()  # bodies that exist for different times in the two runs
     moment: MomentApart | None = None  # None unless a moment was given
 
     @property
@@ -316,7 +316,7 @@ def diff(a: Recording, b: Recording, moment: float | None = None) -> Diff:
     divergence = divergence_of(curve)
     engines, environment = (a.engine, b.engine), differing(a.properties, b.properties)
     written = {} if any(engines) else differing(_scene(a), _scene(b))
-    if any(engines):  # their scene and environment are unknown
+    if any(engines):  # the scene and environment of another engine's run are unknown
         environment = {key: values for key, values in environment.items() if None not in values and key != "engine"}
     same = _written_otherwise(a, b, written)
     scene = {key: values for key, values in written.items() if key not in same}

@@ -23,15 +23,15 @@ from carom.recording.read.recording import Recording
 from carom.scene.units.dimension import LENGTH, RATE, TIME
 from carom.scene.units.system import SI, UnitSystem
 
-_SATURATED = 0.1  # of the size of the system; a larger difference cannot grow freely
-_POINTS, _FACTOR = 5, 10.0  # smallest number of frames, and smallest growth, for the fit of a rate
-_ROUNDING = 16 * 2.0**-53  # of a coordinate, for the few operations on it in a step
-_GRAZING = 1000.0  # a grazing impact multiplies a difference at once by mean free path over radius
-_SURE = 3.0  # standard errors by which a rate must exceed 0 to be significant
+_SATURATED = 0.1  # difference, in sizes of the system, beyond which growth is no longer free
+_POINTS, _FACTOR = 5, 10.0  # fewest frames, and smallest growth, from which a rate is fitted
+_ROUNDING = 16 * 2.0**-53  # relative rounding of a coordinate by the few operations on it in a step
+_GRAZING = 1000.0  # mean free path over radius: a grazing impact multiplies a difference by as much at once
+_SURE = 3.0  # standard errors by which a significant rate exceeds 0
 _LARGEST_EXPONENT = 700.0  # exp overflows above 709.78
-SAME_TIME = 1e-12  # relative; times are sums of dt, whose round-off is of this order after thousands of steps
-_GAPS_AT_THE_END = 2.0  # times the largest gap between common frames, since one run may have two recording intervals
-_UNSEEN = 2.0  # largest acceleration between frames, over the second difference of three frames
+SAME_TIME = 1e-12  # relative tolerance; times are sums of dt, with this round-off after thousands of steps
+_GAPS_AT_THE_END = 2.0  # multiples of the largest gap between common frames; one run may have two recording intervals
+_UNSEEN = 2.0  # factor on the second difference of three frames, for larger accelerations between them
 _SINGLE = float(np.finfo(np.float32).eps)
 ARRAYS = ("position", "velocity", "orientation", "angular_velocity")
 
@@ -42,10 +42,10 @@ class DistanceCurve:
 
     step: IntArray  # (k,)
     time: FloatArray  # (k,) s
-    rms: FloatArray  # (k,) m, of the distances between counterparts
-    floor: FloatArray  # (k,) m; a smaller difference may be rounding of recorded positions
-    energy: FloatArray  # (k,) J, second minus first
-    differs: BoolArray  # (k,) whether the fingerprints or, without these, the positions differ
+    rms: FloatArray  # (k,) m, rms distance between counterparts
+    floor: FloatArray  # (k,) m, possible rounding of recorded positions
+    energy: FloatArray  # (k,) J, energy of the second run minus that of the first
+    differs: BoolArray  # (k,) whether fingerprints, or positions where a run has none, differ
     size: float  # m, rms distance of the bodies from their centre
     reach: float  # m, the largest coordinate, to which round-off is relative
     of_bits: bool = True  # whether fingerprints were compared, which is not possible with other engines
@@ -61,23 +61,23 @@ class Divergence:
     """A line through ln rms over the growing part of a curve."""
 
     rate: float  # 1/s, λ
-    standard_error: float  # 1/s, as if the points were independent
+    standard_error: float  # 1/s, standard error if the points were independent
     doubling_time: float  # s
     begin: float  # s
     end: float  # s
     points: int
-    factor: float  # growth of the difference in that time
-    power: float  # p of the best t^p
-    is_exponential: bool  # whether the line fits better than any power of time
+    factor: float  # factor by which the difference grew in that time
+    power: float  # exponent p of the best power law t^p
+    is_exponential: bool  # whether the exponential fits better than any power of time
 
 
 @dataclass(frozen=True, slots=True)
 class DiffVerdict:
     """The cause in one word and in one sentence, and the numbers behind it."""
 
-    kind: str  # "same", "start", "jump", "chaos", "drift" or "small"
+    kind: str  # kind of the divergence: "same", "start", "jump", "chaos", "drift" or "small"
     text: str
-    first: int | None  # the frame (index) at which the bits differ first
+    first: int | None  # index of the first frame with other bits
     jump: float  # m, difference at that frame; 0 if it is below the resolution
     allowed: float  # m, bound of the difference that round-off can cause
 
@@ -113,7 +113,7 @@ def verdict(curve: DistanceCurve, divergence: Divergence | None, units: UnitSyst
     first = int(np.argmax(curve.differs))
     when = f"step {curve.step[first]}, t = {units.text(curve.time[first], TIME)}"
     jump = float(curve.rms[first]) if curve.seen[first] else 0.0
-    # bound the growth (m) of round-off since the last identical frame
+    # bounds the growth (m) of round-off since the last identical frame
     before = max(0, first - 1)
     steps = max(1, int(curve.step[first] - curve.step[before]))
     rate = divergence.rate if divergence is not None and divergence.is_exponential else 0.0
@@ -187,14 +187,14 @@ class FrameAlignment:
         changing = a.lives is not None or b.lives is not None
         if shown[0] != shown[1] and not (changing and a.shows_all and b.shows_all):
             raise RecordingError(f"{a.path} and {b.path} contain different bodies and cannot be compared")
-        # the number of bodies that both recordings number; None if all bodies always exist
+        # the number of bodies that exist in both recordings; None if all bodies always exist
         self._common = min(map(len, shown)) if changing else None
         self._a, self._b = _Frames(a, self._common), _Frames(b, self._common)
         self._of_bits = bool(a.engine) == bool(b.engine)
         self._cell = a.cell
         _, first, second = np.intersect1d(self._a.step, self._b.step, return_indices=True)
         self.by = "step"
-        # With different steps, frames with equal numbers and times may occur at the start only, or by chance.
+        # With different steps, frames have equal numbers and times at the start only, or by chance.
         times, end = self._a.time[first], min(self._a.time[-1], self._b.time[-1])
         gap = _GAPS_AT_THE_END * np.diff(times).max(initial=0.0)
         same = len(first) > 0 and np.allclose(times, self._b.time[second], rtol=SAME_TIME, atol=0.0)
@@ -275,7 +275,7 @@ class FrameAlignment:
         if cell is None:
             return other
         apart = other - one
-        return other + (minimum_images(apart, cell) - apart)  # exactly `other` where that is nearest
+        return other + (minimum_images(apart, cell) - apart)  # returns exactly `other` where that is nearest
 
     def _bend(self, j: int, earlier: FloatArray, later: FloatArray) -> float:
         """Bound the error of linear interpolation at the midpoint: an eighth of the acceleration times h².
@@ -349,9 +349,9 @@ class FirstContact:
     """A contact of the first bodies that differ."""
 
     ends: tuple[int, int]  # numbers from n on are planes
-    forces: tuple[float | None, float | None]  # N, along the normal; None where the run lacks this contact
+    forces: tuple[float | None, float | None]  # N, forces along the normal; None where a run lacks this contact
     friction: tuple[float | None, float | None]  # N
-    turned: float  # rad, between the directions of friction; 0 where one of them is unknown
+    turned: float  # rad, angle between the directions of friction; 0 where either is unknown
 
 
 @dataclass(frozen=True, slots=True)
@@ -371,7 +371,7 @@ def first_bits(a: Recording, b: Recording, step: int) -> FirstBits | None:
     if step not in a.checkpoint_times or step not in b.checkpoint_times:
         return None
     one, other = a.checkpoint(step), b.checkpoint(step)
-    n = min(len(one.position), len(other.position))  # bodies may come in one run only
+    n = min(len(one.position), len(other.position))  # some bodies may exist in one run only
     differs, arrays = np.zeros(n, dtype=bool), list[str]()
     for name in ARRAYS:
         left, right = getattr(one, name), getattr(other, name)
@@ -393,7 +393,7 @@ def _first_contact(a: Recording, b: Recording, time: float, bodies: list[int]) -
         return None
     try:
         forces = _forces(a, time), _forces(b, time)
-    except RecordingError:  # carom's own run of another version
+    except RecordingError:  # another version of carom made the run
         return None
     own = [ends for ends in forces[0].keys() | forces[1].keys() if not set(ends).isdisjoint(bodies)]
     if not own:

@@ -23,7 +23,7 @@ class Grid:
     """Equal cells that fill a box; along periodic axes they repeat."""
 
     origin: FloatArray  # (3,) m, the corner with the lowest coordinates
-    cell: FloatArray  # (3,) m, edges of a cell
+    cell: FloatArray  # (3,) m, edges of each cell
     shape: tuple[int, int, int]  # cells along x, y and z
     periodic: tuple[bool, bool, bool]
     shear: Shear | None = None  # of the periodic box
@@ -90,7 +90,7 @@ class Grid:
         for axis in range(3):
             first = (start[:, axis] - self.origin[axis]) / self.cell[axis]
             offsets = [np.zeros(len(start))]
-            if self.shear is not None and axis == self.shear.axes[0]:  # cells of both images along the gradient
+            if self.shear is not None and axis == self.shear.axes[0]:  # the cells of both images along the gradient
                 moved = self.shift(time) / self.cell[axis]
                 offsets += [moved, -moved]
             for offset in offsets:
@@ -117,7 +117,7 @@ class Branches(NamedTuple):
 
     start: FloatArray  # (k, 3) m
     reach: FloatArray  # (k, 3) m
-    impulse: FloatArray  # (k, 3) N s, towards the end
+    impulse: FloatArray  # (k, 3) N s, impulse towards the end
     time: FloatArray  # (k,) s
 
     @classmethod
@@ -161,7 +161,7 @@ class BodySums:
         self.mass = np.zeros(grid.count)  # kg
         self.momentum = np.zeros((grid.count, 3))  # kg m/s
         self.kinetic = np.zeros((grid.count, 3, 3))  # J, Σ m c ⊗ c about the mean velocity of the cell so far
-        self.contacts = np.zeros(grid.count)  # contacts of these bodies, at moments when they are known
+        self.contacts = np.zeros(grid.count)  # contacts of the cell's bodies at moments when contacts are known
 
     def add(
         self, position: FloatArray, velocity: FloatArray, mass: FloatArray, radius: FloatArray, time: float

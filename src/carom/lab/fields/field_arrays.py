@@ -10,7 +10,7 @@ import numpy as np
 from carom.arrays import FloatArray
 from carom.scene.units.system import UnitSystem
 
-UNITS: Mapping[str, str] = {  # of the arrays of `Fields`, by name
+UNITS: Mapping[str, str] = {  # units of the arrays of `Fields`, by name
     "number_density": "1/m³",
     "solid_fraction": "",
     "density": "kg/m³",
@@ -33,20 +33,20 @@ class Fields:
 
     title: str
     units: UnitSystem
-    start: float  # s, the first frame of the interval
+    start: float  # s, time of the first frame of the interval
     end: float  # s, the last one
     moments: int  # exact states in the interval over which bodies and lasting contacts are averaged
-    bodies: int  # that can move; fixed ones are boundaries, as walls
+    bodies: int  # number of movable bodies; fixed ones are boundaries, like walls
     origin: FloatArray  # (3,) m, the corner of the grid with the lowest coordinates
-    cell: FloatArray  # (3,) m, edges of a cell
+    cell: FloatArray  # (3,) m, edges of each cell
     number_density: FloatArray  # 1/m³
     solid_fraction: FloatArray  # the whole volume of a body counts in the cell of its centre
     density: FloatArray  # kg/m³
-    velocity: FloatArray  # m/s, of the momentum per mass
+    velocity: FloatArray  # m/s, momentum over mass
     granular_temperature: FloatArray  # J, ⟨m c²⟩/3, with c relative to `velocity`
-    kinetic_stress: FloatArray  # Pa, (…, 3, 3), momentum that bodies carry; compression is positive
-    contact_stress: FloatArray  # Pa, (…, 3, 3), momentum along the second index that contacts transfer along the first
-    coordination: FloatArray  # lasting contacts of a body; a contact of two bodies counts for both
+    kinetic_stress: FloatArray  # (…, 3, 3) Pa, momentum flux of moving bodies; compression is positive
+    contact_stress: FloatArray  # (…, 3, 3) Pa, momentum along the second index that contacts carry along the first
+    coordination: FloatArray  # lasting contacts per body; a contact of two bodies counts for both
     notes: Sequence[str] = ()  # sentences about what the recording lacks
 
     @property

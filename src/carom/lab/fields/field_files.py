@@ -17,7 +17,7 @@ from carom.lab.fields.field_picture import draw
 from carom.recording.export import refuse_format
 from carom.recording.write.whole_file import refuse_output, whole_file
 
-_COMPONENTS = {0: "", 1: "XYZ", 2: [f"{a}{b}" for a in "XYZ" for b in "XYZ"]}  # by the number of trailing axes
+_COMPONENTS = {0: "", 1: "XYZ", 2: [f"{a}{b}" for a in "XYZ" for b in "XYZ"]}  # suffixes, by number of trailing axes
 
 
 def write_vti(fields: Fields, path: Path) -> None:

@@ -17,8 +17,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 COLUMNS = 3
-PANEL = 3.3  # inches, the longer side of a panel
-FLAT = 4  # cells along x and y for each along z, from which on a grid is drawn from above
+PANEL = 3.3  # length of the longer side of a panel, in inches
+FLAT = 4  # ratio of cells along x and y to cells along z from which a grid is drawn from above
 MOST_ARROWS = 14  # along a side
 _PLAIN = Dimension("number", "", (0, 0, 0, 0), "3")
 
@@ -29,7 +29,7 @@ class Panel(NamedTuple):
     label: str
     values: FloatArray  # (across, up)
     dimension: Dimension
-    arrows: tuple[FloatArray, FloatArray] | None = None  # components along the picture's axes
+    arrows: tuple[FloatArray, FloatArray] | None = None  # arrows' components along the picture's axes
 
 
 def draw(fields: Fields, path: Path) -> None:
@@ -93,7 +93,7 @@ def _show(axes: Axes, panel: Panel, fields: Fields, across: int, up: int) -> Non
         every = max(1, -(-max(values.shape) // MOST_ARROWS))
         middle = [(faces[1:] + faces[:-1])[::every] / 2.0 for faces in (x, y)]
         along, upwards = (component[::every, ::every].T for component in panel.arrows)
-        longest = np.nanmax(values) / (every * (x[1] - x[0]))  # velocity over the length of its arrow
+        longest = np.nanmax(values) / (every * (x[1] - x[0]))  # ratio of velocity to the length of its arrow
         one = units.shown(1.0, panel.dimension)
         how: Any = {"angles": "xy", "scale_units": "xy", "scale": longest, "pivot": "middle", "width": 0.006}
         axes.quiver(*middle, along * one, upwards * one, color="white", **how)

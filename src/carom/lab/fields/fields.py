@@ -24,9 +24,9 @@ from carom.scene.units.dimension import LENGTH, UnitError, nearest_float, quanti
 from carom.scene.wording import counted
 
 CELL = "5r"  # default edge of a cell, in mean radii
-MOST_CELLS = 2_000_000  # 30 numbers each, 0.5 GB
+MOST_CELLS = 2_000_000  # each cell has 30 numbers: 0.5 GB in all
 _RADII = re.compile(r"\s*([0-9]*\.?[0-9]+(?:[eE][-+]?[0-9]{1,3})?)\s*r\s*")
-_OVERLAP = 0.1  # of a radius: a body that overlaps a wall by less adds no layer of cells beyond it
+_OVERLAP = 0.1  # largest overlap with a wall, in radii, for which no layer of cells beyond it is added
 
 
 def fields(
@@ -146,9 +146,9 @@ class FieldSums:
         self._interval, self._grid = interval, grid
         self._bodies = BodySums(grid)
         self._cell_of = np.zeros(interval.bodies, np.int64)  # at the last moment
-        self._lasting = np.zeros((grid.count, 3, 3))  # J s, Σ ℓ ⊗ J over steps
+        self._lasting = np.zeros((grid.count, 3, 3))  # J s, Σ ℓ ⊗ J over the steps
         self._impacts = np.zeros((grid.count, 3, 3))
-        self._elapsed = 0.0  # s, the length of these steps
+        self._elapsed = 0.0  # s, total length of these steps
         self._knows_contacts = False
 
     def add_bodies(self, position: FloatArray, velocity: FloatArray, there: BoolArray, time: float) -> None:

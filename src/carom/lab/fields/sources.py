@@ -32,8 +32,8 @@ class Pushes(NamedTuple):
     i: IntArray  # (k,) i < j
     j: IntArray  # (k,) numbers from n on are planes and walls
     start: FloatArray  # (k, 3) m, the centre of i
-    whole: FloatArray  # (k, 3) m, from there to the centre of j, or to the surface of a plane or wall
-    impulse: FloatArray  # (k, 3) N s, on j
+    whole: FloatArray  # (k, 3) m, from that centre to the centre of j, or to the surface of a plane or wall
+    impulse: FloatArray  # (k, 3) N s, impulse on j
     time: FloatArray  # (k,) s
 
 
@@ -82,7 +82,7 @@ def _read(interval: Interval, collector: Collector) -> None:
             pushes = _of_engine(interval, state) if recording.engine else _lasting(interval, state)
             collector.add_contacts(pushes, float(dt * interval.held_part(np.array([dt]))[0]) if dt > 0.0 else 0.0)
     if recording.engine or not recording.info["collides"] or interval.duration == 0.0:
-        return  # the forces of another engine's contacts include impacts
+        return  # contact forces of another engine include impacts
     try:
         rows = interval.impacts
     except NothingThereError:
@@ -92,7 +92,7 @@ def _read(interval: Interval, collector: Collector) -> None:
     impulse = rows.impulse[:, None] * rows.normal
     collector.add_impacts(Pushes(rows.i, rows.j, start, whole, impulse, rows.time))
     known = np.einsum("ka,kb->ab", whole, impulse)
-    with suppress(RecordingError):  # a recording without sums over all impacts
+    with suppress(RecordingError):  # otherwise the recording has no sums over all impacts
         collector.add_unplaced(interval.sums.virial - known, known)
 
 
@@ -153,7 +153,7 @@ def _joined(
     whole, pair = interval.arms(i, j)[:, None] * normal, j < interval.bodies
     cell = interval.recording.cell(state.time)
     apart = position[j[pair]] - position[i[pair]]
-    touching = whole[pair]  # the image of j that touches i
+    touching = whole[pair]  # vector to the image of j that touches i
     whole[pair] = touching + (apart - touching if cell is None else minimum_images(apart - touching, cell))
     return Pushes(i, j, position[i], whole, impulse, np.full(len(i), state.time))
 

@@ -169,7 +169,7 @@ def _many(
         if outcome is not None:
             here = Chance(begin, sum(found.outcomes), len(found.outcomes))
             steps = start.recording.steps("dt")
-            last = float(steps["time"][-1].as_py() - steps["dt"][-1].as_py())  # s, at which the last step begins
+            last = float(steps["time"][-1].as_py() - steps["dt"][-1].as_py())  # s, start of the last step
             found = replace(found, chances=[here, *chances(draw, begin, end, times, last)])
         if when:
             came = bool(found.reference_outcome)

@@ -72,7 +72,7 @@ class ForkStart:
         space = space_of(self.recording, self.scene, checkpoint, threads, False, records)
         if checkpoint.step and self.recording.entries is not None:
             return _with_books(space, checkpoint)
-        begun = space.frame().checkpoint  # with the forces of the new parameters at this state
+        begun = space.frame().checkpoint  # begun with the forces of the new parameters at this state
         space.restore(
             replace(checkpoint, acceleration=begun.acceleration, energy=begun.energy, books=begun.books)
             if checkpoint.step
@@ -83,7 +83,7 @@ class ForkStart:
 
 def _with_books(space: Space, checkpoint: Checkpoint) -> Space:
     """Restore a checkpoint in which bodies may wait; its books begin there, with the forces of the new parameters."""
-    fresh = space.frame().checkpoint  # of a run in which no body has entered or left
+    fresh = space.frame().checkpoint  # a fresh state, as of a run in which no body has entered or left
     space.restore(replace(checkpoint, energy=fresh.energy, books=fresh.books))
     acceleration, now = space.accelerated(), space.frame().energy
     origin = Origin(now.translational + now.gravitational, now.rotational, now.field)
@@ -101,7 +101,7 @@ def start_of(branch: Branch) -> ForkStart:
     recording.refuse_overlay()
     recording.refuse_some_bodies()
     original = recorded_scene(recording)
-    # keys that only set the initial state, or the domain
+    # keys that only set the initial state or the domain
     for override in branch.overrides:
         key = override.partition("=")[0].strip()
         section = key.partition(".")[0]
@@ -156,7 +156,7 @@ def _checkpoint_at(recording: Recording, scene: Scene, time: float) -> Checkpoin
 OPTION = "--outcome"
 MOST_FRAMES = 200
 _MULTIPLE = 1e-9  # relative, as in `Every`
-_MOMENTS = "moments."  # prefix of keys in the summary that exist only once something has happened
+_MOMENTS = "moments."  # prefix of summary keys that exist only after the event has happened
 
 
 @dataclass(frozen=True, slots=True)
@@ -165,7 +165,7 @@ class BranchPath:
 
     time: FloatArray  # (k,) s
     position: FloatArray  # (k, n, 3) m
-    outcome: bool | None  # None if none is requested
+    outcome: bool | None  # None if no outcome is requested
 
 
 def path_of(
@@ -216,7 +216,7 @@ def outcome_of(start: ForkStart, text: str) -> Expression:
 
 def _summary(outcome: Expression, space: Space, seen: Observation) -> dict[str, Any]:
     position = space.state.position
-    # the values of single bodies in the outcome: coordinates such as ``x_3`` in m, and ``speed_3`` in m/s
+    # names of single bodies' values in the outcome: coordinates such as ``x_3`` in m, and ``speed_3`` in m/s
     found: dict[str, float] = {}
     for name in outcome.names:
         what, _, number = name.partition("_")
@@ -237,7 +237,7 @@ def _explained(outcome: Expression, name: str, summary: Mapping[str, Any], bodie
     return outcome.explain_unknown(name, summary)
 
 
-_TICK = 60.0  # s of a wait for results
+_TICK = 60.0  # s, longest single wait for results
 _STARTS = 4  # moments and reference paths that a worker keeps
 
 

@@ -33,7 +33,7 @@ from carom.runs.run import Outcome, simulate
 from carom.scene.units.dimension import LENGTH, TIME
 
 # The probability of an outcome over the time of the fork.
-_Z = 1.96  # standard deviations that contain 95 % of a normal distribution
+_Z = 1.96  # half-width in standard deviations of the interval with 95 % of a normal distribution
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,7 +72,7 @@ def chances(draw: Draw, begin: float, end: float, count: int, last_step: float =
 
 
 SURE, UNSURE, ERROR = 0.99, 0.9, 0.05
-ROUNDS = 8  # of the bisection: the interval shrinks to 1/256
+ROUNDS = 8  # rounds of bisection: the interval shrinks to 1/256
 
 Draw = Callable[[float], Iterator[bool]]  # time of the fork in s → the outcomes of its forks
 
@@ -91,9 +91,9 @@ class Tested:
 class Inevitable:
     """The time from which an outcome was inevitable."""
 
-    earliest: float  # s, the last time at which it was not inevitable, or the beginning
-    latest: float  # s, the first time at which it is inevitable
-    always: bool  # whether it was inevitable from the beginning
+    earliest: float  # s, last time at which the outcome was not inevitable, or the beginning
+    latest: float  # s, first time at which the outcome is inevitable
+    always: bool  # whether the outcome was inevitable from the beginning
     tested: list[Tested] = field(default_factory=list)  # in order of time
 
 
@@ -138,14 +138,14 @@ class Ensemble:
 
     time: FloatArray  # (k,) s
     reference: FloatArray  # (k, n, 3) m
-    rms: FloatArray  # (seeds, k) m, over the bodies of each branch
+    rms: FloatArray  # (seeds, k) m, rms distance over the bodies of each branch
     band: FloatArray  # (3, k) m, percentiles `BAND` of `rms`
-    spread: FloatArray  # (k, n) m, of each body
+    spread: FloatArray  # (k, n) m, spread of each body
     growth: Divergence | None  # of the median
     rates: FloatArray  # (r,) 1/s, λ of the branches whose distance grows exponentially
     outcomes: list[bool]  # of the branches
     reference_outcome: bool | None
-    chances: list[Chance] = field(default_factory=list)  # of the outcome, by the time of the fork
+    chances: list[Chance] = field(default_factory=list)  # probabilities of the outcome, by the time of the fork
 
     @property
     def rate_error(self) -> float:

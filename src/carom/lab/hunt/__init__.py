@@ -71,7 +71,7 @@ def _watched(hunt: Hunt, *, quiet: bool) -> Tally:
 
         def watch(tally: Tally) -> None:
             nonlocal told
-            for miss in tally.misses[told:]:  # at once, since a hunt may take hours
+            for miss in tally.misses[told:]:  # prints misses at once, since a hunt may take hours
                 console.print(_said(tally, miss), soft_wrap=True)
             told = len(tally.misses)
             if status:

@@ -19,8 +19,8 @@ from carom.runs.environment import Interrupts
 from carom.runs.workers import LocalWorkers
 from carom.scene.load import Scene
 
-POLL = 0.2  # s, between two checks of the budget
-STEPS = 400  # a longer run is abandoned
+POLL = 0.2  # s between two checks of the budget
+STEPS = 400  # most steps; a longer run is abandoned
 
 
 @dataclass(frozen=True, slots=True)

@@ -78,7 +78,7 @@ def row(values: FloatArray) -> list[float]:
     return [float(value) for value in values]
 
 
-Document = dict[str, Any]  # a scene with the keys of a TOML file, which can be changed before it is validated
+Document = dict[str, Any]  # a scene with the keys of a TOML file; it can be changed before validation
 
 
 class Scales(NamedTuple):
@@ -144,14 +144,14 @@ def meeting(
         "record": {"every": "step", "check_every": 1},
     }
     if has_gravity:
-        # The attraction of overlapping bodies without softening is unbounded, beyond the model (physics.md, 16).
+        # The model excludes overlapping bodies without softening, whose attraction is unbounded (physics.md, 16).
         soft = draw.choice(0.1, 1.0) if overlapping else draw.choice(0.0, 0.0, 0.1, 1.0)
         document["gravity"] = {"constant": decade(draw, -3, 2) * U * U * L / M, "softening": soft * L}
     if has_field:
         document["gravity"]["uniform"] = row(vector(draw) * (decade(draw, -2, 1) * U * U / L))
     if wraps:
         slack = draw.choice(0.0, 0.125, 1.0)
-        # the box has no overlaps; with a slack of 0, the outermost bodies touch through the boundary
+        # bodies in the box do not overlap; with a slack of 0, the outermost ones touch through the boundary
         position = np.array([body["position"] for body in bodies])
         radius = np.array([body["radius"] for body in bodies])[:, None]
         extent = (position + radius).max(axis=0) - (position - radius).min(axis=0)
@@ -204,7 +204,7 @@ def _clear(
     for centre, other in placed:
         along = float((centre - origin) @ ray)
         aside = centre - origin - along * ray  # Pythagoras' theorem would lose digits at large distances
-        chord = (radius + other) ** 2 - float(aside @ aside)  # square of half the chord
+        chord = (radius + other) ** 2 - float(aside @ aside)  # squared half-length of the chord
         if chord > 0.0:
             blocked.append((along - math.sqrt(chord), along + math.sqrt(chord)))
     for entry, exit_ in sorted(blocked):  # ordered by entry: no later interval begins before
@@ -222,7 +222,7 @@ def _time(draw: Draw, L: float, U: float, fixed: bool, velocity_limit: str | Non
     T = L / U
     reach = draw.choice(None, 0.001, 0.01, 0.1, 1.0)
     time: Document = {
-        "duration": 1e9 * T,  # the run ends after a number of steps
+        "duration": 1e9 * T,  # ends the run by its number of steps
         "integrator": draw.choice("euler", "leapfrog", "yoshida4"),
         "max_dt": T * decade(draw, -2, 1),
         "target_dx": "auto" if reach is None else L * reach,

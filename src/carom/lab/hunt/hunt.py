@@ -31,7 +31,7 @@ from carom.scene.load import Scene, scene_from_text
 from carom.scene.wording import command
 from carom.sharing.report import report
 
-LEDGER = 1e-9  # of the energy scale, in flight without forces: some 10⁶ roundings of 10⁻¹⁶
+LEDGER = 1e-9  # error over the energy scale in flight without forces: some 10⁶ roundings of 10⁻¹⁶
 CONSERVED = 1e-9  # of the largest momentum
 
 
@@ -55,7 +55,7 @@ def laws_of(scene: Scene, kind: str = "") -> list[HuntedLaw]:
 def _flies_exactly(scene: Scene, needs: Requirements) -> bool:
     """Return whether the integrator's only error is rounding, so that the ledger explains all energy changes."""
     exact = not auto.integrator(scene).controls_error and _falls_exactly(scene)
-    pushed = any(scene.gravity.uniform) and any(body.fixed for body in scene.body)  # booked only to the next order
+    pushed = any(scene.gravity.uniform) and any(body.fixed for body in scene.body)  # booked to next order only
     return exact and not pushed and not needs.gravity.modelled and scene.drag is None
 
 
@@ -88,7 +88,7 @@ REFINED = HuntedLaw(
     "with default steps, steps a quarter as long tell the same story",
     "shorter steps differ",
     lambda *_: True,
-)  # judged for the scene of `by_default`
+)  # the scene of `by_default` is judged
 ERROR = HuntedLaw("error", "a run reaches its end or reports an error", "crash", lambda *_: True)
 LAWS = [
     ERROR,
@@ -135,7 +135,7 @@ LAWS = [
 ]
 
 
-_METHOD = {  # keys that choose a method or its steps, by section; their defaults keep the tolerances of a refinement
+_METHOD = {  # keys, by section, that choose a method or its steps; with defaults, refinements keep their tolerances
     "time": ("max_dt", "target_dx", "cfl", "pull_fraction", "smoothing", "velocity_limit", "fixed_dt", "integrator"),
     "contact": ("timing", "stabilisation", "sweeps", "solver", "colouring"),
 }
@@ -151,9 +151,9 @@ def by_default(document: Document) -> Document | None:
     return changed
 
 
-AUDIT = 1e-9  # of a speed, unexplained by impulses: some 10⁶ roundings
-SHARE = 0.2  # fraction of the budget for shrinking one miss
-LONGEST = 60.0  # s, limit for shrinking one miss
+AUDIT = 1e-9  # speed that impulses do not explain, relative: some 10⁶ roundings
+SHARE = 0.2  # fraction of the budget for shrinking a single miss
+LONGEST = 60.0  # s, time limit for shrinking a single miss
 
 
 @dataclass(frozen=True, slots=True)
@@ -161,8 +161,8 @@ class Finding:
     """A law that a scene violates."""
 
     law: HuntedLaw
-    condition: Condition | None  # under which a smaller scene violates the law, too; None: it is not shrunk
-    index: int  # of the scene among all of the seed
+    condition: Condition | None  # a smaller scene violates the law if it meets this; None: the scene is not shrunk
+    index: int  # index among all scenes of the seed
     scene: Scene
     said: str  # what its run shows
 
@@ -172,9 +172,9 @@ class Miss:
     """A finding that was saved, or counted as similar to a saved one."""
 
     law: str
-    index: int  # of the scene among all of the seed
+    index: int  # index among all scenes of the seed
     said: str  # what its run shows
-    path: Path | None  # of the reduced scene; None if a similar one was saved before
+    path: Path | None  # path of the reduced scene; None if a similar one was saved before
     bodies: int
 
 
@@ -186,7 +186,7 @@ class Tally:
     scenes: int = 0
     refused: int = 0
     stated: int = 0  # runs that ended with a stated reason
-    given_up: int = 0  # runs of too many steps
+    given_up: int = 0  # runs that were abandoned after too many steps
     misses: list[Miss] = field(default_factory=list)
     seconds: float = 0.0
     stopped: str = ""
@@ -197,7 +197,7 @@ class Hunt:
     """Hunts for scenes that violate a law. Raises RecordingError if its folder cannot be made."""
 
     seed: int
-    folder: Path  # in which misses are saved
+    folder: Path  # folder in which misses are saved
     seconds: float = math.inf  # s, the budget
     first: int = 0  # number of the first scene
     most: int | None = None  # the largest number of scenes

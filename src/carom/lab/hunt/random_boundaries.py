@@ -11,10 +11,10 @@ import numpy as np
 
 from carom.lab.hunt.documents import Document, Draw, Scales, decade, direction, fraction, one_in, row, vector
 
-SPEEDS = (1e-3, 0.1, 1.0, 5.0)  # of the bodies, in units of the scene's speed
+SPEEDS = (1e-3, 0.1, 1.0, 5.0)  # speeds of the bodies, in units of the scene's speed
 PITCH = (2.01, 2.5)  # radii between neighbours on the lattice
 ROOM = 1.8  # extent of a boundary over the extent of the bodies
-CROSSINGS = 3.0  # times that a body of the scene's speed crosses its radius in a run
+CROSSINGS = 3.0  # body crossings of one radius per run, at the scene's speed
 
 
 def enclosed(draw: Draw, scale: Scales) -> Document:

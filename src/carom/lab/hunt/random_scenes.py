@@ -31,8 +31,8 @@ from carom.lab.hunt.random_boundaries import enclosed
 from carom.scene.parts import PARTS
 
 MOST_BODIES = 16
-DRIFT = 10.0  # common velocity of all bodies; the scale of errors excludes the rounding of its energy
-MOST_FIXED = 200  # steps of a fixed length
+DRIFT = 10.0  # speed common to all bodies; the scale of errors excludes the rounding of its energy
+MOST_FIXED = 200  # most steps of a fixed length
 SMOOTH_STEPS = 20
 ORDERED = ("leapfrog", "leapfrog-dkd", "yoshida4")  # integrators of order two or more
 
@@ -84,7 +84,7 @@ def _drawn(draw: Draw) -> Drawn:
         document = _crowd(draw, scale)
     else:
         document = meeting(draw, scale=scale, most_bodies=MOST_BODIES, drift=DRIFT)
-    # draw the keys that any scene may have; most keep their default
+    # draws the keys that any scene may have; most keep their default
     time, contact, gravity = document["time"], document["contact"], document["gravity"]
     T = scale.L / scale.U
     _bound(draw, document, scale)
@@ -235,7 +235,7 @@ def _column(draw: Draw, scale: Scales) -> Document:
     """Draw a column that gets heavier upwards, by masses or by radii of one density, over a plane or a wall."""
     L, U, M = scale
     count, gap, aside = draw.integer(2, 5), draw.choice(0.0, 1e-3, 0.01, 0.05), draw.choice(0.0, 0.0, 1e-9, 1e-3)
-    decades = draw.choice(1.0, 3.0, 6.0) / (count - 1)  # between neighbours; beyond 10⁶, rounding shows in the ledger
+    decades = draw.choice(1.0, 3.0, 6.0) / (count - 1)  # per ball; beyond 10⁶ in all, rounding shows in the ledger
     bodies: list[Document] = []
     z, grows = 0.0, draw.choice(False, True)
     for number in range(count):

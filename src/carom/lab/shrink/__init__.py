@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from carom.scene.load import Scene
     from carom.scene.start import InitialBodies
 
-EVERY = 10.0  # s between lines of progress without a terminal
+EVERY = 10.0  # s between two lines of progress where there is no terminal
 
 
 def shrink_command(
@@ -106,7 +106,7 @@ def shrink_command(
         given, reducer.before = source_of(str(path), []), known.before
     else:
         refuse_output(path, force)
-    # the command line, for the comments of the result
+    # the command line, which the comments of the result repeat
     words = ["shrink", source, *(["--while", condition] if condition else [])]
     words += ["--while-command", while_command] if while_command else []
     for override in overrides or []:

@@ -20,7 +20,7 @@ _MET = re.compile(r"\s*impact of (.+?) and (.+?)\s*")
 _PROMISE = re.compile(r"\s*expect(?:\.([a-z_]+))?\s*")
 _WARNING = re.compile(r"\s*warning(?: ([a-z-]+))?\s*")
 _INVARIANCE = re.compile(r"\s*invariance ([a-z]+)\s*")
-_ABOUT = {  # moments of a summary, by related names
+_ABOUT = {  # moments that a summary names, by related names
     "energy_error": re.compile(r"energy\.|moments\.energy_error"),
     "overlap": re.compile(r"contacts\.max_overlap|moments\.overlap"),
     "impact": re.compile(r"moments\.impact"),
@@ -67,9 +67,9 @@ def condition_from(text: str | None) -> Condition:
 class MissedPromise(Condition):
     """A missed promise of [expect]."""
 
-    name: str = ""  # empty: the first that is missed
+    name: str = ""  # name of the criterion; empty: the first missed one
     note: str | None = None  # explains the measured value; None before the first run
-    or_error: bool = False  # whether an error that ends the run also meets the condition
+    or_error: bool = False  # whether a run that ends with an error also meets the condition
 
     def check(self, seen: Observation) -> None:
         """Check the name of the promise."""
@@ -165,9 +165,9 @@ class Measured(Condition):
 class Met(Condition):
     """An impact of two bodies, or of a body and a plane."""
 
-    first: str  # a number or a name
+    first: str  # a number or name
     second: str
-    pair: Pair | None = None  # names of both ends; None before the first run
+    pair: Pair | None = None  # names of the pair's ends; None before the first run
     needs_impacts = True
 
     def check(self, seen: Observation) -> None:
@@ -270,8 +270,8 @@ class Warned(Condition):
 class Failed(Condition):
     """The end of a run by an error."""
 
-    message: str = ""  # without numbers and names of bodies; empty: any
-    stated: bool = True  # whether a PhysicsError, which states a reason, is a failure, too
+    message: str = ""  # message without numbers and names of bodies; empty: any message
+    stated: bool = True  # whether a PhysicsError, which states a reason, also counts as a failure
     about: str = ""  # text that the message must contain
 
     def pinned(self, seen: Observation) -> Failed:

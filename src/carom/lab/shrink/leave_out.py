@@ -18,7 +18,7 @@ from carom.plan.features import require
 from carom.scene.load import Scene
 from carom.state.frame import Frame
 
-Met = tuple[int, int]  # bodies that touched in a step
+Met = tuple[int, int]  # two bodies that touched in a step
 
 
 def leave_out_bodies(smallest: Smallest, trials: Trials) -> bool:
@@ -69,7 +69,7 @@ def cones(bodies: set[int], steps: list[list[Met]], count: int) -> Iterator[set[
     cone = set(bodies)
     for step in reversed(steps):
         size = -1
-        while size != len(cone):  # contacts of one step act on each other
+        while size != len(cone):  # contacts in one step act on each other
             size = len(cone)
             cone |= {end for pair in step if max(pair) < count and cone & set(pair) for end in pair}
     if cone != once and len(cone) < count:
@@ -88,7 +88,7 @@ def fewest(items: Sequence[Item], first: Callable[[list[list[Item]]], int | None
     kept, parts = list(items), 2
     while len(kept) > 1:
         count = min(parts, len(kept))
-        ends = [len(kept) * k // count for k in range(count + 1)]  # pieces of nearly equal lengths
+        ends = [len(kept) * k // count for k in range(count + 1)]  # ends of pieces of nearly equal lengths
         pieces = [kept[low:high] for low, high in itertools.pairwise(ends)]
         found = first(pieces) if parts == 2 else None
         if found is not None:
@@ -105,10 +105,10 @@ def fewest(items: Sequence[Item], first: Callable[[list[list[Item]]], int | None
     return kept
 
 
-# Parts of the model are dropped in the order of the requirements, then every key whose default fails as well.
+# Drops parts of the model in the order of their requirements, then every key whose default fails as well.
 _KEPT = {("title",), ("time", "duration")}  # keys that are never dropped
 _KEPT_OF_BODIES = {"name", "position"}
-_LISTS = ("plane", "wall", "pair", "material")  # lists of tables besides the bodies
+_LISTS = ("plane", "wall", "pair", "material")  # lists of tables other than the bodies
 
 
 def drop_parts(smallest: Smallest) -> bool:
@@ -205,10 +205,10 @@ def _of_all_bodies(smallest: Smallest, key: str) -> Document:
     return smallest.document | {BODIES: bodies}
 
 
-# Every number is written with the fewest digits that still show the failure.
+# Writes every number with the fewest digits that still show the failure.
 MOST_DIGITS = 17
 _FIXED_FRAME = ("plane", "wall", "domain", "drag")  # sections that define a position or a velocity at rest
-_NOT_ROUNDED = {"expect"}  # sections whose numbers define a failure
+_NOT_ROUNDED = {"expect"}  # sections with numbers that define a failure
 
 
 def round_numbers(smallest: Smallest) -> bool:

@@ -26,7 +26,7 @@ Document = dict[str, Any]  # a scene, as for `Scene.from_dict`
 KeyPath = tuple[str | int, ...]  # keys of tables and indices of lists
 
 BODIES = "body"
-ORIGIN = [0.0, 0.0, 0.0]  # the default of every vector of a body, which is left out
+ORIGIN = [0.0, 0.0, 0.0]  # default of each vector of a body; a vector equal to it is left out
 _NOT_COPIED = {"body", "bodies", "group", "sweep", "promise", "description", "units"}  # keys of a scene
 
 
@@ -36,7 +36,7 @@ class BodyStates:
 
     step: int
     time: float  # s
-    dt: float  # s, the step that led here
+    dt: float  # s, length of the step that led to this state
     position: FloatArray  # (n, 3) m
     velocity: FloatArray  # (n, 3) m/s
     spin: FloatArray | None  # (n, 3) rad/s
@@ -63,7 +63,7 @@ def literal(scene: Scene, start: InitialBodies) -> Document:
         )
     given = scene.model_dump(mode="python", exclude_defaults=True, exclude_none=True, exclude=_NOT_COPIED)
     document: Document = _plain(given)
-    if isinstance(scene.units, str):  # the scene is simulated in them
+    if isinstance(scene.units, str):  # the simulation uses these units
         document["units"] = scene.units
         document["gravity"] = {"constant": scene.gravity.constant} | document.get("gravity", {})
     if names := half_spaces(scene).name[: len(scene.plane)]:

@@ -20,8 +20,8 @@ from carom.scene.start import InitialBodies
 from carom.scene.wording import counted
 from carom.state.frame import Frame
 
-ROOM = 200_000_000  # bytes of stored states of a run
-ROUNDING = 1e-9  # of the duration, by which a sum of steps may fall short
+ROOM = 200_000_000  # bytes for stored states of a run
+ROUNDING = 1e-9  # fraction of the duration by which a sum of steps may fall short
 STEPS_AFTER = (0, 1, 3)  # steps added after the failure, since a shorter run has other steps
 
 
@@ -96,7 +96,7 @@ def cut_both_ends(smallest: Smallest, kept: Chronicle) -> bool:
     while lo < hi:
         middle = (lo + hi) // 2
         moment = earlier[middle]
-        duration = (end - moment.time) * (1.0 + ROUNDING) + moment.dt  # the steps from here may differ
+        duration = (end - moment.time) * (1.0 + ROUNDING) + moment.dt  # steps may differ from here on
         if smallest.takes_shorter(at_moment(document, moment, duration)):
             lo = middle + 1
         else:
@@ -126,12 +126,12 @@ def begin_late(smallest: Smallest, document: Document, kept: Chronicle) -> bool:
             duration = (kept.end.time - moment.time) * (1.0 + ROUNDING) + after * kept.end.dt
             if smallest.takes_shorter(at_moment(document, moment, duration)):
                 return True
-        back = max(back + 1, back + back // 2)  # the intervals grow by half
+        back = max(back + 1, back + back // 2)  # grows the intervals by half
     return False
 
 
 _GOES_AWAY = "the failure disappears when every body is written out, so it cannot be shrunk"
-MOST_ROUNDS = 12  # of all passes, even if the scene still changes
+MOST_ROUNDS = 12  # most rounds of all passes, even if the scene still changes
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,7 +151,7 @@ class ReducerProgress:
     stage: str = "running the scene"
     bodies: int = 0
     steps: int = 0
-    candidates: int = 0  # so far, including the running one
+    candidates: int = 0  # candidates so far, with the running one
     kept: int = 0  # of these
     seconds: float = 0.0
 
@@ -183,8 +183,8 @@ class Reducer:
 
     condition: Condition  # the failure to keep
     seconds: float = math.inf  # the budget
-    watch: Callable[[ReducerProgress], None] = lambda progress: None  # called before each candidate and after success
-    keep: Callable[[Document, str], None] = lambda document, said: None  # called with each smaller scene, its failure
+    watch: Callable[[ReducerProgress], None] = lambda progress: None  # called before each candidate and after a success
+    keep: Callable[[Document, str], None] = lambda document, said: None  # called with each smaller scene and its error
     before: tuple[int, int] | None = None  # bodies and steps of the original scene, if an earlier reduction began there
     workers: int | None = 1  # processes for candidates of delta debugging; None: one for each core; 1: this process
     _progress: ReducerProgress = field(default_factory=ReducerProgress)
@@ -249,7 +249,7 @@ class Reducer:
                 raise ExperimentError(_GOES_AWAY)
             cut_both_ends(smallest, kept)
         elif not begin_late(smallest, whole, kept):
-            # begin at the start of the run, with every body written out
+            # begins at the start of the run, with every body written out
             assert kept.end is not None
             duration = kept.end.time if kept.shown else 0.0
             ends = [duration, duration + kept.end.dt] if duration else []

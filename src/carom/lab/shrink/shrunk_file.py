@@ -20,7 +20,7 @@ from carom.scene.wording import counted, escaped
 _MARK = re.compile(
     r"^# shrink ([0-9a-f]{12}) of (\d{1,9}) bodies and (\d{1,9}) steps, (unfinished|minimal)$", re.MULTILINE
 )
-_HEAD = 10_000  # characters at the beginning of a file that are searched for the mark
+_HEAD = 10_000  # characters at the beginning of a file in which the mark is searched
 
 
 def key_of(scene_toml: str, condition: str) -> str:
@@ -33,7 +33,7 @@ class Earlier:
     """The result of an earlier reduction."""
 
     finished: bool
-    before: tuple[int, int]  # of the scene before the reduction: bodies, and steps up to the failure
+    before: tuple[int, int]  # bodies, and steps up to the failure, of the scene before the reduction
 
 
 def earlier(path: Path, key: str) -> Earlier | None:
@@ -67,7 +67,7 @@ def text_of(reduction: Reduction, asked: str, key: str, command: str) -> str:
     if reduction.steps > steps:  # steps may change with fewer bodies
         taken = f"{counted(reduction.steps, 'step')}, instead of {steps} in the original scene"
     left = f"Left: {counted(reduction.bodies, 'body')} of {bodies}, {taken}."
-    told: list[Stage] = []  # the first stage of each name, and all that changed the number of bodies or steps
+    told: list[Stage] = []  # the first stage of each name, and all stages that changed the number of bodies or steps
     for stage in reduction.stages:
         known = any(stage.name == other.name for other in told)
         if not known or (stage.bodies, stage.steps) != (told[-1].bodies, told[-1].steps):

@@ -32,8 +32,8 @@ class Condition(ABC):
     """A failure of a run. A condition is evaluated after every recorded frame, for the run so far."""
 
     text: str  # as given
-    needs_impacts = False  # whether it depends on the impacts of the run
-    of_whole_run = False  # whether it is evaluated only at the end
+    needs_impacts = False  # whether the condition depends on the impacts of the run
+    of_whole_run = False  # whether the condition is evaluated only at the end
 
     def check(self, seen: Observation) -> None:  # noqa: B027 - without names there is nothing to check
         """Check the names at the first frame of the run.
@@ -115,7 +115,7 @@ class Budget:
         self.check()
 
 
-STEPS_MORE = 4  # limit of a candidate's steps, in multiples of the steps of the smallest scene so far
+STEPS_MORE = 4  # step limit of a candidate, in multiples of the smallest scene's steps so far
 FEWEST_STEPS = 2000
 
 
@@ -177,10 +177,10 @@ class Trials:
 
     condition: Condition  # the failure to keep
     budget: Budget
-    steps: int = FEWEST_STEPS  # of the smallest scene so far
+    steps: int = FEWEST_STEPS  # steps of the smallest scene so far
     count: int = 0  # candidates that ran
     watch: Callable[[], None] = lambda: None  # called before each candidate runs
-    judges: Judges | None = None  # processes that judge several candidates at a time, if these take long
+    judges: Judges | None = None  # processes that judge several candidates at a time, where a candidate takes long
     _seconds: float = 0.0  # of the last candidate
     _rejected: set[int] = field(default_factory=set)  # hashes of candidates that do not show the failure
 
@@ -238,7 +238,7 @@ class Trials:
 
 
 START = 6.0  # s, about twice what workers take to start
-MIN_SECONDS_TO_SEND = 0.05  # s, shortest run of a candidate that is sent to a worker; sending takes about as long
+MIN_SECONDS_TO_SEND = 0.05  # s, shortest run sent to a worker; sending takes about as long
 AHEAD = 2  # candidates sent ahead to each worker
 _TICK = 0.1  # s between two checks of the budget
 

@@ -42,10 +42,10 @@ from carom.state.checkpoint import Checkpoint
 
 EPS = float(np.finfo(np.float64).eps)
 PERTURBED = 6  # runs that measure the growth of roundings
-ROUNDINGS = 1e3  # times their deviation, allowed for an image: it is rounded in each step, not once
-KNOWN = 1e-6  # of the extent; there is no verdict if roundings grow beyond it
-FINER = 16  # times as many steps: the error decreases by 16 at order 1, by 256 at order 2
-FALLS = 64.0  # smallest decrease of the error with an integrator of order 2 or more
+ROUNDINGS = 1e3  # allowed deviation of an image over that of these runs: it is rounded in each step, not once
+KNOWN = 1e-6  # growth of roundings, relative to the extent, beyond which there is no verdict
+FINER = 16  # factor on the number of steps: the error falls by 16 at order 1, by 256 at order 2
+FALLS = 64.0  # smallest decrease of the error by an integrator of order 2 or more
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,7 +59,7 @@ class Image:
     shift: FloatArray = field(default_factory=lambda: np.zeros(3))  # s
     boost: FloatArray = field(default_factory=lambda: np.zeros(3))  # u
     backwards: bool = False  # whether the order of bodies is reversed
-    exact: bool = True  # whether the bits are the same
+    exact: bool = True  # whether the bits must be the same
 
     def positions(self, position: FloatArray, time: float) -> FloatArray:
         """Return the positions of the image, (n, 3) m, at its time."""
@@ -149,7 +149,7 @@ class FinalState:
         return cls(space.step, space.time, space.state.position.copy(), space.state.velocity.copy(), error)
 
 
-INSTANTS = 50  # at which a run and its repetition with shorter steps are compared
+INSTANTS = 50  # number of times at which a run is compared with its repetition at shorter steps
 
 
 @dataclass(frozen=True, slots=True)
@@ -232,7 +232,7 @@ def applies(name: str, scene: Scene) -> bool:
         case "steps":
             return scene.time.fixed_dt is not None and not needs.contact.modelled
         case "arrays":
-            # with a group, the step follows from its smallest possible radius; with arrays, from the smallest radius
+            # with a group, the step follows from its smallest possible radius; with arrays, from the smallest of all
             draws = any(group.radius.min < group.radius.max for group in scene.group)
             return not (draws or scene.material or scene.unit_system.converts)
         case "boost" if scene.plane or scene.anchored:
@@ -307,7 +307,7 @@ def _by_shorter_steps(scene: Scene) -> str:
     assert scene.time.fixed_dt is not None, "the steps are fixed"
     shorter = scene.time.model_copy(update={"fixed_dt": scene.time.fixed_dt / FINER})
     coarse, fine = _energy_error(scene), _energy_error(scene.model_copy(update={"time": shorter}))
-    floor = 1e-11  # of the energy scale: some 10⁵ roundings
+    floor = 1e-11  # error over the energy scale: some 10⁵ roundings
     if coarse is None or fine is None or fine <= max(coarse / FALLS, floor):
         return ""
     return f"the energy error is {coarse:.3g}, and {fine:.3g} with steps {FINER} times shorter: it decreases too little"

@@ -38,10 +38,10 @@ from carom.scene.wording import command
 Watcher = Callable[[StepStatus], None]
 
 _POINT, _NORMAL, _VELOCITY = ("x", "y", "z"), ("nx", "ny", "nz"), ("vx", "vy", "vz")  # columns of tables
-MOST_STATES = 64  # exact states whose velocities are used
+MOST_STATES = 64  # most exact states whose velocities are used
 MOST_CONTACT_FRAMES = 32
-MOST_VELOCITIES = 2_000_000  # in memory, summed over these states
-MOST_CONTACTS = 2_000_000  # bodies, summed over the frames whose contacts are used
+MOST_VELOCITIES = 2_000_000  # most velocities in memory, summed over these states
+MOST_CONTACTS = 2_000_000  # most bodies, summed over the frames whose contacts are used
 
 
 class NothingThereError(RecordingError):
@@ -52,13 +52,13 @@ class ContactColumns(NamedTuple):
     """The lasting contacts that carry an impulse in the steps of selected frames."""
 
     moving: BoolArray  # (f, n) mask of the bodies that exist in each frame and are not fixed
-    elapsed: float  # s, the length of these steps in all
-    frame: IntArray  # (k,) index of the frame, from 0
+    elapsed: float  # s, total length of the steps
+    frame: IntArray  # (k,) index of each contact's frame, from 0
     i: IntArray  # (k,) i < j
-    j: IntArray  # (k,) numbers from n on are planes and walls
-    normal: FloatArray  # (k, 3) from i to j
-    impulse: FloatArray  # (k,) N s, along the normal
-    force: FloatArray  # (k,) N, along the normal
+    j: IntArray  # (k,) second body; numbers from n on are planes and walls
+    normal: FloatArray  # (k, 3) unit vector from i to j
+    impulse: FloatArray  # (k,) N s, impulse along the normal
+    force: FloatArray  # (k,) N, force along the normal
     friction: FloatArray  # (k,) N
 
 
@@ -68,11 +68,11 @@ class ImpactColumns(NamedTuple):
     step: IntArray  # (k,)
     time: FloatArray  # (k,) s
     i: IntArray  # (k,) i < j
-    j: IntArray  # (k,) numbers from n on are planes and walls
+    j: IntArray  # (k,) second body; numbers from n on are planes and walls
     point: FloatArray  # (k, 3) m
-    normal: FloatArray  # (k, 3) from i to j
+    normal: FloatArray  # (k, 3) unit vector from i to j
     speed: FloatArray  # (k,) m/s, of approach
-    impulse: FloatArray  # (k,) N s, along the normal
+    impulse: FloatArray  # (k,) N s, impulse along the normal
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from carom.lab.statistics import Interval
 from carom.lab.statistics.motion_statistics import measure_stress, peculiar
 from carom.recording.read.recording import Recording
 
-BEGINS = 0.5  # of the duration: before it, many scenes are far from a steady state
+BEGINS = 0.5  # fraction of the duration before which many scenes are far from a steady state
 COMPONENTS = (("xx", 0, 0), ("yy", 1, 1), ("zz", 2, 2), ("xy", 0, 1), ("xz", 0, 2), ("yz", 1, 2))
 
 
@@ -32,7 +32,7 @@ def late_means(recording: Recording) -> dict[str, float]:
         else:
             found["granular.temperature"] = float(np.trace(kinetic)) / (3 * np.count_nonzero(moving))
     if recording.records_contacts and (kinetic is not None or stored):
-        with contextlib.suppress(RecordingError, KeyError):  # some impacts or forces are not known
+        with contextlib.suppress(RecordingError, KeyError):  # raised if some impacts or forces are unknown
             values = measure_stress(interval).values
             stress = np.asarray(values["stress"].value)
             found["granular.pressure"] = float(values["pressure"].value)

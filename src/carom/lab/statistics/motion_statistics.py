@@ -40,7 +40,7 @@ from carom.scene.units.dimension import ENERGY, LENGTH, RATE, TIME, VELOCITY, Di
 
 _BEFORE, _IMPACT, _AFTER = range(3)  # kinds of vertices of a path, in order
 PLANES = "planes"  # the group of planes and walls
-WIDTH = 5.0  # standard deviations of a histogram of velocities, to each side
+WIDTH = 5.0  # half-width of a histogram of velocities, in standard deviations
 BINS = 50
 PRESSURE = Dimension("pressure", "Pa", (-1, -2, 1, 0), "3 kPa")
 
@@ -48,9 +48,9 @@ PRESSURE = Dimension("pressure", "Pa", (-1, -2, 1, 0), "3 kPa")
 class Paths(NamedTuple):
     """The paths of the moving bodies in an interval."""
 
-    length: float  # m, of all of them
+    length: float  # m, total length of these paths
     free_times: FloatArray  # (k,) s, from an impact of a body to its next one
-    free_paths: FloatArray  # (k,) m, the length of the path in that time
+    free_paths: FloatArray  # (k,) m, length of the path in that time
 
 
 def measure_free_paths(interval: Interval) -> Statistic:
@@ -62,7 +62,7 @@ def measure_free_paths(interval: Interval) -> Statistic:
     exposure = np.count_nonzero(moving) * interval.duration
     paths = None if left_out else paths_of(interval)
     length = sums.path if paths is None or np.isfinite(sums.path) else paths.length
-    spread = 1.0 / sqrt(sums.impacts)  # relative error of a count of independent impacts
+    spread = 1.0 / sqrt(sums.impacts)  # relative error of a number of independent impacts
 
     def known(label: str, value: float, dimension: Dimension) -> MeasuredValue:
         return MeasuredValue(label, value, dimension, value * spread)
@@ -105,7 +105,7 @@ def paths_of(interval: Interval) -> Paths:
         rows = slice(bounds[frame - 1], bounds[frame])
         columns = (impacts.i, impacts.j, impacts.time, impacts.point, impacts.normal)
         i, j, time, point, normal = (column[rows] for column in columns)
-        pair = j < n  # impacts of two bodies; the others are on planes
+        pair = j < n  # impacts between bodies; the others are on planes
         centres = point - radius[i][:, None] * normal, point[pair] + radius[j[pair]][:, None] * normal[pair]
         body, time, centre = np.concatenate([i, j[pair]]), np.concatenate([time, time[pair]]), np.concatenate(centres)
         involved = np.unique(body)
@@ -195,7 +195,7 @@ def measure_velocities(interval: Interval) -> Statistic:
     temperature = np.nanmean(weighted * weighted, axis=(1, 2))  # J, of each state
     of_axes, note = np.nanmean(weighted * weighted, axis=1).mean(axis=0), ""  # each state has the same weight
     kinetic = interval.kinetic
-    if kinetic is not None and interval.recording.lives is None:  # else the number of bodies changes
+    if kinetic is not None and interval.recording.lives is None:  # otherwise the number of bodies changes
         of_axes = kinetic.diagonal() / len(mass)
         note = "temperatures without a group come from all frames, everything else from the exact states"
     mean = float(of_axes.mean())
@@ -248,7 +248,7 @@ def fourth_cumulant(weighted: FloatArray) -> float:
     """Return a₂ of peculiar velocities (n, 3), at least two."""
     square = (weighted * weighted).sum(axis=1)
     freedom = 3 * (len(square) - 1)
-    with np.errstate(invalid="ignore"):  # bodies at rest have none
+    with np.errstate(invalid="ignore"):  # bodies at rest have no direction
         return float(0.6 * np.mean(square * square) / np.mean(square) ** 2 * (freedom + 2) / freedom - 1)
 
 
@@ -272,7 +272,7 @@ def measure_stress(interval: Interval) -> Statistic:
     except RecordingError as error:
         notes.append(f"only the kinetic part: {error}")
     try:
-        if not recording.engine:  # the forces of another engine's contacts include impacts
+        if not recording.engine:  # contact forces of another engine include impacts
             sums = interval.sums
             impacts = sums.virial / interval.duration
             spread = sqrt(sums.virial_square) / (3 * interval.duration)

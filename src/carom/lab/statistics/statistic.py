@@ -14,7 +14,7 @@ from carom.scene.units.system import UnitSystem
 
 NUMBER = Dimension("number", "", (0, 0, 0, 0), "3")
 MOST_BINS = 40  # of a histogram
-TAIL = 0.995  # fraction of the values in a histogram; the largest values would stretch the axis
+TAIL = 0.995  # fraction of the values that a histogram shows; the largest would stretch the axis
 
 
 @dataclass(frozen=True)
@@ -36,14 +36,14 @@ class MeasuredValue:
 class Histogram:
     """The distribution of a quantity, or a function of a distance: values between edges."""
 
-    label: str  # of the quantity, at the edges
+    label: str  # label of the quantity at the edges
     edges: FloatArray  # (b + 1,)
-    values: FloatArray  # (b,) the density of the distribution, in 1/dimension; or the function
+    values: FloatArray  # (b,) density of the distribution in 1/dimension, or values of the function
     dimension: Dimension = NUMBER  # of the edges
-    function: str = ""  # label of the values; empty for a density
-    expected: FloatArray | None = None  # (b,) the values in theory
+    function: str = ""  # label of the function; empty for a density
+    expected: FloatArray | None = None  # (b,) values of the theory
     theory: str = ""  # the name of the theory
-    falls: bool = False  # whether the values decay about exponentially; a figure then has a logarithmic axis
+    falls: bool = False  # whether values decay about exponentially, for a logarithmic axis in a figure
 
     @classmethod
     def of(cls, label: str, values: FloatArray, dimension: Dimension = NUMBER, *, falls: bool = False) -> Histogram:
@@ -68,7 +68,7 @@ class Statistic:
 
     values: Mapping[str, MeasuredValue] = field(default_factory=dict)
     histograms: Mapping[str, Histogram] = field(default_factory=dict)
-    rows: Sequence[Mapping[str, Any]] = ()  # of a table; its values are texts or `MeasuredValue`
+    rows: Sequence[Mapping[str, Any]] = ()  # rows of a table; their values are texts or `MeasuredValue`
     note: str = ""  # a sentence about the limits of the values
     missing: str = ""  # a sentence with the reason why there are no values
 

@@ -40,7 +40,7 @@ KINDS: Mapping[str, tuple[str, Callable[[Interval], Statistic]]] = {  # name →
 }
 MOST_ROWS = 12  # in a printed table
 COLUMNS = 3
-FEWEST_BINS = 3  # in a panel; a histogram with fewer bins shows no shape
+FEWEST_BINS = 3  # fewest bins of a panel; fewer show no shape
 PANEL = 3.5, 2.7  # inches
 MEASURED, THEORY = "#0072b2", "#d55e00"
 

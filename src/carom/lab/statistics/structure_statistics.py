@@ -35,7 +35,7 @@ from carom.lab.statistics import Interval
 from carom.lab.statistics.statistic import Histogram, MeasuredValue, Statistic
 from carom.scene.units.dimension import FORCE
 
-HOLDING = {False: 4, True: 2}  # smallest number of contacts that hold a sphere, without and with friction
+HOLDING = {False: 4, True: 2}  # fewest contacts that hold a sphere, without and with friction
 ALONG = 1 / sqrt(2)  # cos 45°
 SHORTEST = 3  # bodies of a chain
 SHELLS = 80
@@ -154,7 +154,7 @@ def chains_of(pairs: IntArray, normal: FloatArray, force: FloatArray, radius: Fl
 class Distances(NamedTuple):
     """The distances from the centres to all other bodies in a frame."""
 
-    values: FloatArray  # (k,) over the sum of the radii
+    values: FloatArray  # (k,) distances over the sum of the radii
     ideal: float  # expected number of pairs up to s = 1 in an ideal gas
 
     def counts(self, edges: FloatArray) -> FloatArray:
@@ -184,7 +184,7 @@ def measure_pair_correlation(interval: Interval) -> Statistic:
     largest = min(max(RANGE * widest, SPACINGS * spacing), float(size.min()) / (4 if box is None else 2)) / widest
     if largest <= 1.0:
         raise RecordingError("the bodies are too few, or too flat a layer, for a pair correlation in space")
-    shells = max(1, round(SHELLS / largest))  # up to s = 1
+    shells = max(1, round(SHELLS / largest))  # shells up to s = 1
     edges = np.arange(int(largest * shells) + 1) / shells
     counts, near = np.zeros((2, len(edges) - 1)), np.zeros((2, len(NEAR) - 1))
     for step in steps:
@@ -209,7 +209,7 @@ def distances_of(position: FloatArray, radius: FloatArray, box: FloatArray | Non
         place = np.where(place % box < box, place % box, 0.0)
         others, inner = n - 1, np.arange(n)
     else:
-        others = n - 7  # without the centre itself and the six bodies that define the faces
+        others = n - 7  # the centre itself and the six bodies that define the faces are excluded
         inner = np.flatnonzero(((place >= reach) & (place <= size - reach)).all(axis=1))
     inner = inner[np.unique(np.linspace(0, len(inner) - 1, min(len(inner), MOST_CENTRES_OF_FRAME)).astype(np.int64))]
     if not len(inner) or others < 1:
@@ -230,6 +230,6 @@ def value_at_contact(near: FloatArray) -> tuple[float, float]:
     found, ideal = near
     distance = (NEAR[1:] + NEAR[:-1]) / 2 - 1.0
     terms = np.stack([np.ones_like(distance), distance, distance**2], axis=1)
-    weight = ideal / np.sqrt(2 * found)  # 1/σ of g: each pair is counted from both of its ends
+    weight = ideal / np.sqrt(2 * found)  # 1/σ of g: each pair counts from both of its ends
     inverse = np.linalg.inv((terms * weight[:, None] ** 2).T @ terms)
     return float((inverse @ (terms * weight[:, None] ** 2).T @ (found / ideal))[0]), sqrt(float(inverse[0, 0]))

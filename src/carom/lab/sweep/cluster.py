@@ -18,7 +18,7 @@ from carom.errors import ExperimentError
 from carom.runs.workers import Ended, TaskDroppedError, WorkerDiedError
 
 _CONNECT = 20.0  # s
-_ANSWER = 60.0  # s within which a scheduler must answer
+_ANSWER = 60.0  # s, the longest wait for a scheduler's answer
 _RETRIES = 3  # attempts to repeat a task whose result does not arrive
 _ADDRESS = re.compile(r"\w+://\[?([^/\]]+)\]?:(\d+)/?")
 _LOGGERS = ("distributed", "distributed.client", "distributed.gc", "tornado.application")
@@ -30,16 +30,16 @@ class DaskWorkers:
 
     def __init__(self, address: str) -> None:
         self._address = address  # such as tcp://10.0.0.1:8786
-        self._keys: dict[str, Any] = {}  # keys of the tasks, by Dask's keys
-        self._futures: dict[str, Future[Any]] = {}  # futures that have not ended, by Dask's keys
-        # not a SimpleQueue, whose timed wait never ends if a signal interrupts it at the timeout
+        self._keys: dict[str, Any] = {}  # our keys of the tasks, by Dask's keys
+        self._futures: dict[str, Future[Any]] = {}  # futures that have not ended yet, by Dask's keys
+        # not a SimpleQueue, whose wait with a timeout never ends if a signal arrives just then
         self._done: queue.Queue[Future[Any]] = queue.Queue()
         self._stack = contextlib.ExitStack()
 
     def __enter__(self) -> Self:
         """Connect. Raises ExperimentError if no scheduler answers at the address."""
         for logger in _LOGGERS:
-            logging.getLogger(logger).setLevel(logging.CRITICAL)  # the command has its own reports
+            logging.getLogger(logger).setLevel(logging.CRITICAL)  # the command prints its own reports
         with self._stack:
             self._stack.enter_context(dask.config.set(_SETTINGS))
             self._client = self._stack.enter_context(_client_of(self._address))
@@ -126,7 +126,7 @@ def _ended(key: Any, future: Future[Any]) -> Ended:
         last = error.last_worker.address
         return Ended(key, error=WorkerDiedError(f"the workers died, {last} last; is there enough memory?"))
     except Exception as error:
-        if future.status != "error":  # the task has ended, and the scheduler died before it handed over the result
+        if future.status != "error":  # the task has ended, but the scheduler died before it delivered the result
             return Ended(key, error=TaskDroppedError(f"its result is lost: {error}"))
         return Ended(key, error=error)
 

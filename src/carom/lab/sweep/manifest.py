@@ -24,7 +24,7 @@ from carom.recording.write.whole_file import is_link_of_another, lock, new_name,
 from carom.runs.environment import versions
 from carom.scene.scene_file import DEEPEST, is_too_deep
 
-_ATTEMPT = re.compile(r"\.?(.+)\.[0-9a-f]{8}\.rrd(\.\w+)?")  # a recording being written, or its lock
+_ATTEMPT = re.compile(r"\.?(.+)\.[0-9a-f]{8}\.rrd(\.\w+)?")  # a recording being written, or the lock of one
 NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
@@ -33,7 +33,7 @@ class Folder:
 
     def __init__(self, root: Path) -> None:
         self.root = root
-        self.scene = root / "scene.toml"  # of all runs, without the varied values
+        self.scene = root / "scene.toml"  # scene of all runs, without the varied values
         self.data = root / "data"  # copies of the data files that the scene reads
         self.manifest = root / "manifest.json"  # the outcomes of all runs
         self.tables = root / "table.parquet", root / "table.csv"  # the summary
@@ -123,7 +123,7 @@ def put(path: Path, content: str | bytes) -> None:
                 os.fsync(file.fileno())
             move(beside, path)
     except OSError as error:
-        raise OSError(error.errno, error.strerror, str(path)) from error  # the error of a full disk names no file
+        raise OSError(error.errno, error.strerror, str(path)) from error  # the error for a full disk names no file
 
 
 def put_copy(path: Path, source: Path) -> None:
@@ -180,14 +180,14 @@ class SweepRun:
     parameters: dict[str, Any]
     seed: int
     status: str = PENDING  # "done": run and recording are complete; "failed": the run or the recording is not
-    outcome: str = ""  # a status of `Outcome`, or "refused", "error", or "lost" with its workers
+    outcome: str = ""  # a status of `Outcome`, or "refused", "error", or "lost" if its workers died
     reason: str = ""  # a sentence; empty when completed
     wall_time: float | None = None  # s
-    fingerprint: str = ""  # of the last frame, 16 hexadecimal digits
+    fingerprint: str = ""  # fingerprint of the last frame, 16 hexadecimal digits
     file: Inside = ""  # in the sweep's folder
     size: int = 0  # bytes
     worker: str = ""  # the host that ran it
-    results: dict[str, Any] = field(default_factory=dict)  # the numbers of `carom inspect` under dotted keys
+    results: dict[str, Any] = field(default_factory=dict)  # the numbers that `carom inspect` prints, under dotted keys
 
     @property
     def ok(self) -> bool:
@@ -272,8 +272,8 @@ class Manifest:
             known.setdefault(point.name, SweepRun(point.name, point.parameters, point.seed))
         begun = cls(folder, plan, known, command, files | {folder.scene.name, *data})
         folder.make()
-        begun.save()  # before the files that it lists, so that no file of a sweep lacks a manifest
-        # the data files of the scene, for workers on other machines and for later
+        begun.save()  # written before the files that it lists, so that every file of a sweep has a manifest
+        # stores the data files of the scene, for workers on other machines and for later
         for name, source in plan.files.items():
             target = folder.data / name
             output_folder(target.parent)

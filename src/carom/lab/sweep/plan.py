@@ -18,7 +18,7 @@ from carom.scene.data.body_sources import HeldBodies
 from carom.scene.load import Scene, scene_from_text
 
 SEED = "seed"
-_LONGEST_NAME = 120  # characters; a file's name has 255, and an attempt's is longer
+_LONGEST_NAME = 120  # characters of a run's name; a file's name has 255, and an attempt's is longer
 _FILE = re.compile(r"bodies\.\d+\.file")
 _UNSAFE = re.compile(r"[^A-Za-z0-9._+-]+")
 
@@ -27,8 +27,8 @@ _UNSAFE = re.compile(r"[^A-Za-z0-9._+-]+")
 class SweepPoint:
     """A planned run."""
 
-    name: str  # from the varied values; the recording has the same name
-    parameters: dict[str, Any]  # by key, without the seed
+    name: str  # made from the varied values; the recording has the same name
+    parameters: dict[str, Any]  # values by key, without the seed
     seed: int
 
     @property
@@ -43,10 +43,10 @@ class Plan:
 
     title: str
     scene: str  # TOML, without [sweep]
-    varied: tuple[str, ...]  # keys, in the order of the names; the seed last if it varies
+    varied: tuple[str, ...]  # varied keys in the order in which names have them; the seed is last if it varies
     points: tuple[SweepPoint, ...]
     files: Mapping[str, Path] = field(default_factory=dict)  # data files of the scene, by their names in it
-    units: str = "SI"  # of the results, as `UnitSystem.recorded` names them
+    units: str = "SI"  # units of the results, as `UnitSystem.recorded` names them
 
     @property
     def digest(self) -> str:
@@ -102,7 +102,7 @@ def plan(
     rows = [{**row, SEED: seed} for row in rows for seed in ([row[SEED]] if SEED in row else numbers)]
     varied = (*(key for key in axes if key != SEED), *((SEED,) if count is not None or SEED in axes else ()))
     document = tomlkit.parse(scene.toml)
-    document.pop("sweep", None)  # a run does not depend on the other runs
+    document.pop("sweep", None)  # a run must not depend on the other runs
     text = tomlkit.dumps(document).rstrip() + "\n"
     last = [key.rsplit(".", 1)[-1] for key in varied]
     short = {key: name if last.count(name) == 1 else key for key, name in zip(varied, last, strict=True)}

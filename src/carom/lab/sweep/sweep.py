@@ -35,7 +35,7 @@ from carom.terminal.printing import finite
 
 Report = dict[str, Any]  # fields of `SweepRun`
 
-_WHOLE = ("completed", "expectation missed")  # outcomes of runs that reached their end
+_WHOLE = ("completed", "expectation missed")  # outcomes of complete runs
 _NOT_RESULTS = ("scene", "outcome", "versions", "profile")  # of a recording's summary
 INTERRUPTED = "interrupted"
 GONE = "the scheduler is gone, or has dropped runs"
@@ -67,7 +67,7 @@ def execute(task: SweepTask) -> Report:
         report = _failure(status_of(error), str(error))
     except OSError as error:
         report = _failure("disk", str(error))
-    except Exception as error:  # of one run: the others continue
+    except Exception as error:  # an error of one run, after which the others continue
         report = _failure("error", f"{type(error).__name__}: {error}")
     return {"wall_time": time.perf_counter() - began, **report, "worker": socket.gethostname()}
 
@@ -108,7 +108,7 @@ def _made(task: SweepTask, folder: Folder) -> Report:
         outcome = simulate(recording_space(scene, threads=1), attempt, member=member)
         if outcome.status in _WHOLE:
             return _kept(attempt, whole, folder)
-        if outcome.status == "failed":  # by the scene, so the recording is worth keeping
+        if outcome.status == "failed":  # failed for a reason in the scene, so the recording is worth keeping
             return _kept(attempt, folder.failed(point.name), folder)
         return _failure(outcome.status, outcome.reason)
     finally:
@@ -140,11 +140,11 @@ def _granular(recording: Recording) -> dict[str, float]:
     """Return the granular temperature and the stress of the second half of a run, if the recording has them."""
     try:
         late_means = registry.imported("carom.lab.statistics.late_means:late_means")
-    except ExtensionError:  # a part that can be removed
+    except ExtensionError:  # the part that raised can be removed
         return {}
     try:
         return {key: finite(value) for key, value in late_means(recording).items()}
-    except RecordingError:  # the states of a run that failed may not be finite
+    except RecordingError:  # the states of a failed run may not be finite
         return {}
 
 
@@ -188,7 +188,7 @@ class Conductor:
         self._watch = watch
         self._left: set[str] = set()  # names of the runs that have not ended
         self._dropped = 0  # runs that the scheduler dropped, or whose report it lost
-        self._unsaved = ""  # the error that prevented the manifest from being written; empty if none did
+        self._unsaved = ""  # the error that kept the manifest from being written; empty if there was none
 
     def conduct(self, points: list[SweepPoint], interrupts: Interrupts) -> str:
         """Execute runs; return why this ended early, or an empty text.
@@ -206,7 +206,7 @@ class Conductor:
         while self._left and interrupts.count < 2:
             entered = [self._enter(ended) for ended in self._workers.ended(_TICK)]
             if any(entered):
-                # keep an error for later, since a full disk may have space again
+                # keeps an error for later, since a full disk may have space again
                 try:
                     self._manifest.save()
                     self._unsaved = ""
@@ -249,7 +249,7 @@ class SweepEnding:
 
     manifest: Manifest
     found: int  # runs that already existed
-    stopped: str  # the reason for an early end; otherwise empty
+    stopped: str  # the reason for an early end; empty if there was none
     untabled: str = ""  # why the table could not be written; empty if it was
 
     @property

@@ -147,7 +147,7 @@ def _text(value: Any) -> str:
 
 FIGURES = ".png", ".svg", ".pdf"
 MOST_LINES = 12  # in the legend
-_DECADES = 50.0  # an axis is logarithmic if the ratio of its ends is larger
+_DECADES = 50.0  # largest ratio of an axis's ends for which the axis is linear
 
 Points = dict[float, list[float]]  # all y of one x
 
@@ -163,7 +163,7 @@ def figure(rows: Sequence[Row], x: str, y: str, varied: Sequence[str], title: st
 
     others = [key for key in varied if key not in (x, y, SEED)]
     lines: dict[str, Points] = defaultdict(lambda: defaultdict(list))
-    values_of: dict[str, Row] = {}  # the other varied values of each line
+    values_of: dict[str, Row] = {}  # values of the other varied keys of each line
     units = {key: _unit(rows, key) for key in (x, y)}
     for row in rows:
         if row[x] is not None and row[y] is not None:

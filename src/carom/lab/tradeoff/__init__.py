@@ -84,13 +84,13 @@ TO_THE_HORIZON = (  # errors that are compared only while the reference is certa
 STATISTICS = tuple(  # errors that are compared to the end of the reference
     f"{error}{ending}" for error in ("size", "dispersion") for ending in ("", "_max", "_end")
 )
-VAGUE = 0.5  # relative uncertainty of a cost, from which on it is shown as a factor
-SPENT = "the budget"  # the first words of the reason for which settings are left out at the end of a budget
+VAGUE = 0.5  # relative uncertainty of a cost from which it is shown as a factor
+SPENT = "the budget"  # first words of the reason why settings are left out at the end of a budget
 STOPPED = "carom: stopped; the measurements are kept, and the same command continues"
 COSTS = "cost / s", "known to", "steps", "mean step / written"  # columns of the first table
 UNBROKEN_SLASH = "\N{NO-BREAK SPACE}/\N{NO-BREAK SPACE}"  # before a unit
-HEADING = 10  # characters of a line of a heading: about as many as a value has
-MARKS = {"front": "●", "near": "?"}  # of an error in the table; see `_legend`
+HEADING = 10  # characters of a line in a heading: about as many as a value has
+MARKS = {"front": "●", "near": "?"}  # marks of an error in the table; see `_legend`
 ADVICE = "start over with --new-study, or choose another folder with --study"
 
 

@@ -26,16 +26,16 @@ from carom.scene.schema.contact import Coefficients
 from carom.scene.start import InitialBodies, half_spaces
 from carom.scene.units.dimension import TIME
 
-AT_REST = 1e-13  # of the speed: rounding; slower rebounds and slips end
-TOUCHING = 1e-12  # of the radius: smaller gaps are contact
-ROUNDINGS = 64.0  # units in the last place of a coordinate, by which a gap may be wrong
-NUDGE = 4.0  # initial displacement of a check in units of rounding
+AT_REST = 1e-13  # smallest rebound or slip, relative to the speed, that is not rounding
+TOUCHING = 1e-12  # largest gap of a contact, relative to the radius
+ROUNDINGS = 64.0  # error of a gap in units in the last place of a coordinate
+NUDGE = 4.0  # initial displacement of the twin run of a check, in units of rounding
 TOLERANCE = 1e-13  # relative, of DOP853
-ALMOST = 1e-6  # of the speed: a slip below it stops at a constant rate
+ALMOST = 1e-6  # slip, relative to the speed, below which it decreases at a constant rate
 MOST_IMPACTS = 20_000
 EPS = float(np.finfo(np.float64).eps)
-TINY, FINEST = 1e-300, 8.0 * EPS  # absolute and relative tolerance of roots
-SERIES = 1e-8  # of the relaxation time: a shorter time needs two terms of the exponential function
+TINY, FINEST = 1e-300, 8.0 * EPS  # absolute and relative tolerances of roots
+SERIES = 1e-8  # time, in relaxation times, below which two terms of the exponential function suffice
 
 
 @dataclass
@@ -123,7 +123,7 @@ class _Ball:
     nudge: int
     ended: str = ""
     impacts: int = 0
-    settles: bool = False  # whether it has come to rest after infinitely many impacts
+    settles: bool = False  # whether the ball comes to rest after infinitely many impacts
     met: dict[int, float] = field(default_factory=dict)  # s, by plane
 
     def __post_init__(self) -> None:
@@ -162,7 +162,7 @@ class _Ball:
                 self._follow(_Path(self.x, self.v, self._acceleration(), self.rate), end)
         position, velocity = (np.array([sample[k] for sample in self.samples]).reshape(-1, 1, 3) for k in (0, 1))
         met = {(0, 1 + k): time for k, time in self.met.items()}
-        impacts = 0 if self.settles else self.impacts  # infinitely many are not compared
+        impacts = 0 if self.settles else self.impacts  # infinite numbers of impacts are not compared
         trajectory = Trajectory.exact(self.times, position, velocity, met, impacts)
         return BallSolution(trajectory, self.impacts, self.ended)
 
@@ -195,7 +195,7 @@ class _Ball:
         if self.impacts > MOST_IMPACTS:
             self.ended = f"the ball has had {MOST_IMPACTS} impacts at {self._now}"
         closing = float(n @ self.v)
-        pressed = -(1.0 + law.restitution) * closing  # m/s, the normal impulse per mass
+        pressed = -(1.0 + law.restitution) * closing  # m/s, the normal impulse over the mass
         slip = self._slip(n)
         stops = slip / (1.0 + self.turned)  # what ends the slip
         size = float(np.linalg.norm(stops))
@@ -212,7 +212,7 @@ class _Ball:
         self.v = self.v - (n @ self.v) * n
         pressed, along = -float(n @ self._acceleration()), self._along(n)
         slip = float(np.linalg.norm(self._slip(n)))
-        share = self.turned / (1.0 + self.turned)  # of the force that accelerates a rolling ball
+        share = self.turned / (1.0 + self.turned)  # fraction of the force that accelerates a rolling ball
         if not law.static_friction:
             self._follow(_Path(self.x, self.v, along, self.rate), end, plane)
         elif slip <= AT_REST * self.speed and np.linalg.norm(along) / (1.0 + self.turned) <= (
@@ -253,9 +253,9 @@ class _Ball:
         towards = along / np.linalg.norm(along) if speed <= AT_REST * self.speed else slip / speed
         sideways = float(np.linalg.norm(along - (along @ towards) * towards))
         if speed <= ALMOST * self.speed or sideways <= TOUCHING * friction:
-            # the slip keeps its direction: a closed form
+            # the slip keeps its direction, which gives a closed form
             pull, began = float(along @ towards) - friction, self.t
-            grinds = friction * self.turned  # m/s², of the slip, by the torque
+            grinds = friction * self.turned  # m/s², change of the slip by the torque
 
             def remaining(s: float) -> float:
                 return speed + pull * _grown(s, self.rate)[0] - grinds * s
@@ -270,7 +270,7 @@ class _Ball:
         elif len(self.offset) > 1:
             self.ended = f"the ball slides along a curve between several planes from {self._now} on"
         else:
-            most = speed / (friction * (1.0 + self.turned) + float(np.linalg.norm(along)))  # s, before the slip may end
+            most = speed / (friction * (1.0 + self.turned) + float(np.linalg.norm(along)))  # s, shortest remaining slip
             until = min(self._due(), end, self.t + most / 2)
             solver = DOP853(
                 lambda _, y: self._sliding(y, n, friction),

@@ -14,18 +14,18 @@ from carom.lab.tradeoff.reference import Errors
 from carom.lab.tradeoff.settings_grid import SettingResult
 from carom.runs.stopwatch import Stopwatch
 
-RUNS = 30.0  # times the time of the scene as written, the default
-LEAST = 5.0  # s, the default for short runs
-FOR_THE_REFERENCE = 0.5  # of the budget, after which the reference is not refined further
-FOR_TIMES = 0.25  # of the budget, kept for repeated timings
-FASTEST = 0.5  # of the time of the scene as written; a run begins only if this is left, since it would be stopped
-SHORT = 0.05  # s; the time of a shorter run is measured until it is known to `PRECISION`
+RUNS = 30.0  # default budget, in multiples of the time of the scene as written
+LEAST = 5.0  # s, default budget of short runs
+FOR_THE_REFERENCE = 0.5  # fraction of the budget after which the reference is not refined further
+FOR_TIMES = 0.25  # fraction of the budget that is kept for repeated timings
+FASTEST = 0.5  # time left, in times of the scene as written, without which no run begins, as it would be stopped
+SHORT = 0.05  # s; a shorter run is repeated until its time is known to `PRECISION`
 PRECISION = 0.05  # of a median
-TIMINGS = 3  # of each setting that may be on the front
+TIMINGS = 3  # timings of each setting that may be on the front
 MOST_TIMINGS = 60  # of a short run
 ALONE = 0.3  # relative noise that a single timing may have: 0.26 was measured for runs of some milliseconds
 CHEAPER = 3.0  # the estimated cost of an untimed setting over the cost of a rival; estimates err by less
-ROUNDING = 1e-11  # a smaller error is the rounding of a long run, which shorter steps do not reduce
+ROUNDING = 1e-11  # error that is the rounding of a long run, which shorter steps do not reduce
 
 
 class StudyBudget:

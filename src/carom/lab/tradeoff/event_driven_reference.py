@@ -37,17 +37,17 @@ from carom.scene.matter import pair_coefficients
 from carom.scene.units.dimension import TIME
 from carom.scene.wording import bodies_called
 
-MOST_BODIES = 20  # the pairs are examined one by one, in Python
+MOST_BODIES = 20  # most bodies; Python examines the pairs one by one
 MOST_CONTACTS = 10_000
 TIGHTEST = 1e-13  # relative tolerance of DOP853, near the smallest that it accepts
-SPEED_MARGIN = 1.5  # bound of the closing speed in a step, over the largest of its values at the ends and the middle
-TOUCHING = 1e-12  # of the sum of radii: smaller gaps, or gaps within rounding, are contact
+SPEED_MARGIN = 1.5  # bound of a step's closing speed, over the largest value at its ends and middle
+TOUCHING = 1e-12  # largest gap of a contact over the sum of radii, if rounding is smaller
 ROUNDINGS = 8.0  # units in the last place of speeds and positions, the tolerance of contact
-LOWEST_FLIGHT = 10.0  # times the largest gap of a contact; bodies that bounce less high stay in contact
-BISECTIONS = 30  # of a step in which a force begins to press
+LOWEST_FLIGHT = 10.0  # largest bounce of bodies that stay in contact, in multiples of the largest gap of a contact
+BISECTIONS = 30  # bisections of a step in which a force begins to press
 NEWTON = 12  # largest number of iterations, each of which squares the error
 NUDGE = 4.0  # initial displacement of a twin in units of rounding: more than the error of some hundred steps
-LONGER = 1.25  # longest step of a twin over the longest step of the solution: at order eight, six times the error
+LONGER = 1.25  # longest step of a twin over that of the solution: at order eight, six times the error
 EPS = float(np.finfo(np.float64).eps)
 
 
@@ -58,7 +58,7 @@ class EventDrivenSolution:
     trajectory: Trajectory
     ended: str = ""  # why it ends before the scene; empty if complete
     time: list[float] = field(default_factory=list)  # s, of every contact
-    together: list[float] = field(default_factory=list)  # s, of impacts of one body with several others at one instant
+    together: list[float] = field(default_factory=list)  # s, times at which one body strikes several others at once
 
 
 def why_not(scene: Scene) -> str:
@@ -114,13 +114,13 @@ class _Solver:
         self._max_step = (LONGER if twin else 1.0) * float(np.median(np.diff(times, prepend=0.0)))
         self._reach = start.radius[self._i] + start.radius[self._j]
         self._near = TOUCHING * self._reach  # (pairs,) m; gaps up to this are contact
-        self._touched = self._gaps(self._state()) <= self._near  # (pairs,) at the start; they have no first contact
+        self._touched = self._gaps(self._state()) <= self._near  # (pairs,) touch at the start: no first contact
         self._time = 0.0
-        self._position: list[FloatArray] = []  # (n, 3) m, at each sample so far
-        self._velocity: list[FloatArray] = []  # (n, 3) m/s, at each sample so far
+        self._position: list[FloatArray] = []  # (n, 3) m, positions at each sample so far
+        self._velocity: list[FloatArray] = []  # (n, 3) m/s, velocities at each sample so far
         self._met: dict[tuple[int, int], float] = {}
         self._struck: list[float] = []  # s, of every impact
-        self._ends: list[tuple[int, int]] = []  # the bodies of each impact
+        self._ends: list[tuple[int, int]] = []  # both bodies of each impact
         self._ended = ""
         size = np.concatenate((start.position - start.position.mean(axis=0), start.position)).ravel()
         length = max(float(np.abs(size).max()), float(start.radius.max()))
@@ -175,7 +175,7 @@ class _Solver:
                 self._end(f"DOP853 stopped at t = {self._units.text(solver.t, TIME)}: {message}")
                 break
             if self._contacts:
-                # gaps below the rounding of coordinates and clock, as for fast bodies, are contacts
+                # gaps below the rounding of coordinates and clock are contacts, as between fast bodies
                 ends = np.stack((y, solver.y))
                 largest = np.abs(ends[:, : 3 * self._n]).max(axis=0).reshape(-1, 3).max(axis=1)
                 speed = np.max([self._speeds(end) for end in ends], axis=0)
@@ -185,7 +185,7 @@ class _Solver:
             after, state = found or (solver.t, solver.y)
             pressed = self._pressed(y, state) if self._contacts else None
             if pressed is not None:
-                # bisect for the last state at which no pair is pressed; a pair that meets again within the step counts
+                # bisects for the last state in which no pair is pressed, also if a pair meets again within the step
                 # as apart
                 found, late, (after, state) = None, after, (before, y)
                 for _ in range(BISECTIONS):
@@ -343,7 +343,7 @@ class _Solver:
         for pair in np.flatnonzero(np.abs(self._gaps(state)) <= self._near):
             rate = self._closing(state, int(pair))
             if rate <= self._rate_noise(state, int(pair), self._tolerance):
-                continue  # the pair stays in touch; `_pressed` checks for a force that presses
+                continue  # the pair stays in touch; `_pressed` checks for a pressing force
             opening = self._gap_acceleration(state, int(pair))
             if opening >= 0.0:
                 continue

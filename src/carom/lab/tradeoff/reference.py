@@ -41,18 +41,18 @@ from carom.scene.wording import counted
 class Errors:
     """The errors of a run; NaN if not measured. Smaller is better for each."""
 
-    position: float  # rms over bodies and samples up to the horizon, over the size of the system
-    velocity: float  # rms over bodies and samples, over the speed of the system
-    impact: float  # s, rms over the pairs that met before the horizon, of the time of their first contact
-    missed: float  # number of pairs that had no contact by then; for `impact`, they meet at the horizon
+    position: float  # rms position error over bodies and samples up to the horizon, over the size of the system
+    velocity: float  # rms velocity error over bodies and samples, over the speed of the system
+    impact: float  # s, rms error in the time of the first contact, over the pairs that met before the horizon
+    missed: float  # number of pairs with no contact by then; `impact` counts them as meeting at the horizon
     energy: float  # largest |integration error| over the energy scale, from the ledger
-    energy_gain: float  # largest rise of the total energy above its lowest so far, over the scale
+    energy_gain: float  # largest rise of the total energy above its previous minimum, over the energy scale
     momentum: float  # largest error of the momentum over its scale
     angular_momentum: float
     overlap: float  # deepest overlap over the smaller radius
     sinking: float  # error of the mean overlap of contacts late in the run; NaN if nothing can rest
     impacts: float  # | number of impacts / number of the reference's impacts - 1 |
-    size: float  # rms error over all samples of the rms radius, over the reference's
+    size: float  # rms error of the rms radius over all samples, relative to the reference
     dispersion: float  # error of the rms speed about the centre
     # of the errors above that are compared at samples: the largest, and that at the end of the scene
     position_max: float
@@ -63,17 +63,17 @@ class Errors:
     size_end: float
     dispersion_max: float
     dispersion_end: float
-    # of a settled pile, where trajectories are not compared to the end; see `settled_pile.Settled`
-    height: float = math.nan  # over the height of the reference
-    density: float = math.nan  # over that of the reference
+    # a settled pile, where trajectories are not compared to the end; see `settled_pile.Settled`
+    height: float = math.nan  # relative to the reference
+    density: float = math.nan  # relative to the reference
     coordination: float = math.nan  # contacts per body
-    settled_energy: float = math.nan  # over that of the reference
+    settled_energy: float = math.nan  # relative to the reference
     rest_time: float = math.nan  # s
 
 
 NAMES = tuple(Errors.__dataclass_fields__)
 OVER_TIME = ("position", "velocity", "size", "dispersion")  # errors at each sample
-MEASURES = {"rms": "", "max": "_max", "end": "_end"}  # of an error over time, with the ends of their names
+MEASURES = {"rms": "", "max": "_max", "end": "_end"}  # measures of an error over time, and the suffixes of their names
 OF_SAMPLES = tuple(error + ending for error in OVER_TIME for ending in MEASURES.values())
 COMPARED = (*OF_SAMPLES, "impact", "missed", "impacts", *Settled._fields)  # with the reference
 
@@ -188,13 +188,13 @@ def _total(values: FloatArray) -> float:
     return float(np.sqrt(np.mean(values * values))) if len(values) else np.nan
 
 
-ORDER_MATTERS = 1e-10  # of the speed, more than rounding: solutions with impacts in another order that differ by more
-AGREEMENT = 1e-3  # of the size of the system; refinements that differ by more do not agree
-LOOSER = 10.0  # ratio of the tolerances of the second and first exact solution
-GAIN = 1.1  # refinement ends when the horizon grows by less than this factor
-BUDGET = 120.0  # s of computing for a reference
-DIRECT_UP_TO = 20_000  # bodies; the reference of a tree is a direct sum up to here, and uses `FINE_ANGLE` beyond
-FINE_ANGLE = 0.2  # rad; the error of a tree is a twentieth of that at the default angle
+ORDER_MATTERS = 1e-10  # relative difference of speeds beyond rounding, if impacts happen in another order
+AGREEMENT = 1e-3  # distance, in sizes of the system, at which refinements disagree
+LOOSER = 10.0  # tolerance of the second exact solution over that of the first
+GAIN = 1.1  # refinement ends when the horizon grows by a smaller factor
+BUDGET = 120.0  # s, computing time for a reference
+DIRECT_UP_TO = 20_000  # bodies up to which the reference of a tree is a direct sum; beyond, it uses `FINE_ANGLE`
+FINE_ANGLE = 0.2  # rad; a tree's error is a twentieth of that at the default angle
 
 Teller = Callable[[str], None]
 
@@ -206,10 +206,10 @@ class Reference:
     trajectory: Trajectory
     scale: ErrorScale
     kind: str  # "exact" or "refined"
-    fineness: float  # step of the scene over the step of the reference; infinite if the reference is exact
+    fineness: float  # the scene's step over the reference's; infinite if the reference is exact
     samples: int  # number of samples up to the horizon, at which positions are compared
-    whole: bool  # whether it reaches the end of the scene
-    uncertainty: Errors  # the larger errors of the checks, in the measures of settings; at least rounding
+    whole: bool  # whether the horizon is the end of the scene
+    uncertainty: Errors  # for each error, the larger one of the checks, measured as settings are; at least rounding
     text: str  # description
     pile: Pile | None = None  # whose settled state is compared, too
 
@@ -354,7 +354,7 @@ def _refined(scene: Scene, finest: float, threads: int | None, budget: float, te
     coarse = follow(_space(scene, factor, threads), times)
     reference: Reference | None = None
     _, of_gravity = _finer_gravity(scene)
-    check_is_coarser = 2.0 * watch.seconds > budget  # too long for half the step
+    check_is_coarser = 2.0 * watch.seconds > budget  # the check would take too long with half the step
     while True:
         factor, started = 2.0 * factor, watch.seconds
         if check_is_coarser:
@@ -383,7 +383,7 @@ def _with_pile(scene: Scene, reference: Reference, check: Trajectory, threads: i
         tell(f"reference: the scatter of settled piles, seed {seed}")
         other = scene.changed([f"seed={seed}"])
         bodies = Pile.of(other)
-        assert bodies is not None  # the seed does not change that
+        assert bodies is not None  # the seed does not change the bodies
         others.append(bodies.settled(follow(Space(other, threads), reference.trajectory.time)))
     apart = pile.errors(check, reference.trajectory)
     scatter = pile.scatter(others, reference.trajectory)
@@ -413,7 +413,7 @@ def _reference(
     scene: Scene, best: Trajectory, checks: list[Trajectory], *, kind: str, fineness: float, whole: bool, text: str
 ) -> Reference:
     scale = scale_of(scene, best)
-    samples = 0 if not checks else len(best)  # up to the first divergence of a check
+    samples = 0 if not checks else len(best)  # samples up to the first divergence of a check
     for check in checks:
         apart, _ = scale.apart(best, check)
         diverged = np.flatnonzero(~(apart <= AGREEMENT))

@@ -21,7 +21,7 @@ from carom.runs.stopwatch import Stopwatch
 from carom.scene.load import Scene
 from carom.scene.units.dimension import TIME
 
-EngineFollower = Callable[[Setting, FloatArray], Trajectory]  # runs a setting of another engine, sampled at times in s
+EngineFollower = Callable[[Setting, FloatArray], Trajectory]  # runs another engine's setting, sampled at times in s
 
 
 class SettingRuns:

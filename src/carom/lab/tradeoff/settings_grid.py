@@ -30,12 +30,12 @@ from carom.scene import variation
 from carom.scene.integrators import INTEGRATORS, integrator_called
 from carom.scene.load import Scene
 
-STEPS_WORD = "steps"  # the first word of the name of a factor on every step
-STEP = "step"  # a pseudo-key: a factor on the limits of the step, whichever applies
+STEPS_WORD = "steps"  # the first word in the name of a factor on every step
+STEP = "step"  # a pseudo-key: a factor on whichever limits of the step apply
 THREADS = "threads"  # threads of the kernels, which change the cost but no bits
 TIMING = "contact.timing"
-DIRECT_UP_TO = 20  # bodies; a tree is tried only for more
-MOST_ACCURATE = 100  # bodies; with more, looking ahead takes longer than all other settings
+DIRECT_UP_TO = 20  # largest number of bodies for which no tree is tried
+MOST_ACCURATE = 100  # most bodies; with more, looking ahead takes longer than all other settings
 ACCURACIES = ("1e-4", "1e-8")
 METHOD = (  # keys and sections that change how a scene is computed
     "time",
@@ -43,7 +43,7 @@ METHOD = (  # keys and sections that change how a scene is computed
     *(f"contact.{key}" for key in ("solver", "sweeps", "stabilisation", "colouring", "search", "timing", "sleep")),
     "model",
 )
-MEDIAN_INTERVAL = 0.98  # × √n, the ranks on each side of the median of n in its 95 % interval: 1.96 binomial deviations
+MEDIAN_INTERVAL = 0.98  # 1.96 binomial deviations: × √n, the ranks from the median to the ends of its 95 % interval
 STEP_KEYS = ("fixed_dt", "target_dx", "cfl", "pull_fraction", "smoothing", "velocity_limit", "integrator")
 
 
@@ -52,7 +52,7 @@ class GridPoint:
     """A setting by its coordinates: a factor on the step, and the keys with changed values."""
 
     step: float = 1.0
-    values: tuple[tuple[str, str], ...] = ()  # key and value, as given to ``--set``
+    values: tuple[tuple[str, str], ...] = ()  # keys and values, as given to ``--set``
 
     def value(self, key: str) -> str | None:
         """Return the value of a key; None if it is unchanged."""
@@ -83,7 +83,7 @@ def knobs(scene: Scene) -> dict[str, tuple[str, ...]]:
         found["time.integrator"] = tuple(name for name in _integrators(scene) if INTEGRATORS[name].holds_contacts)
         found["contact.solver"] = ("lasting", "staged")
     if parts.contact.modelled:
-        if forces or not located:  # otherwise the solver at the end of a step has almost nothing to do
+        if forces or not located:  # otherwise the solver at the end of a step has almost no work
             found["contact.sweeps"] = ("quick", "2")
             found["contact.stabilisation"] = ("split", "none", "baumgarte")
         found["contact.timing"] = ("end-of-step", "time-of-impact")
@@ -277,14 +277,14 @@ class SettingResult:
     setting: Setting
     status: str = "pending"  # "measured", "refused", "stopped", "failed" or "left out"
     reason: str = ""  # why it was refused, stopped, left out or not timed, or failed
-    costs: list[float] = field(default_factory=list)  # s, cost of each run
+    costs: list[float] = field(default_factory=list)  # s, cost of each timed run
     steps: int = 0
-    frames: int = 0  # in a recording of the run
+    frames: int = 0  # frames in a recording of the run
     errors: Errors | None = None
     spent: float = 0.0  # s of CPU time at which the run was stopped
-    followed: float = 0.0  # s, the time of the run that measured the errors; 0 if it is not known
+    followed: float = 0.0  # s, time of the run that measured the errors; 0 if unknown
     digest: str = ""  # of its trajectory
-    same_as: str = ""  # the name of an earlier setting with the same run, bit for bit, and therefore the same costs
+    same_as: str = ""  # name of an earlier setting whose run has the same bits, and therefore the same costs
 
     @property
     def cost(self) -> float:
@@ -335,7 +335,7 @@ def pareto_front(
     """
     known = ~np.isnan(cost + error)
     low, high = cost / (1.0 + noise), cost * (1.0 + noise)
-    one, other = error[:, None], error[None, :]  # [j, k]: j beside k
+    one, other = error[:, None], error[None, :]  # [j, k]: setting j beside setting k
     better = one + doubt < other
     no_worse = better | (one + doubt == other) | (one == other)
     rivals = known[:, None] & ~np.eye(len(cost), dtype=bool)

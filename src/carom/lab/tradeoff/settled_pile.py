@@ -19,19 +19,19 @@ from carom.physics.vector import minimum_images
 from carom.plan.features import require
 from carom.scene.load import Scene
 
-SEEDS = 4  # runs with other seeds, from which the scatter follows
-TOUCHING = 1e-3  # of the smaller radius, the largest gap of a contact
-AT_REST = 1e-6  # of the largest kinetic energy, below which a pile is at rest
+SEEDS = 4  # runs with other seeds that measure the scatter
+TOUCHING = 1e-3  # largest gap of a contact, in smaller radii
+AT_REST = 1e-6  # fraction of the largest kinetic energy below which a pile is at rest
 
 
 class Settled(NamedTuple):
     """The settled state of a run."""
 
-    height: float  # m, of the centre of mass above the lowest point
-    density: float  # of the bodies in a box around them, which is twice as high as their centre of mass
-    coordination: float  # contacts with other bodies per body
-    settled_energy: float  # J, kinetic and in the field
-    rest_time: float  # s, from which the kinetic energy stays below `AT_REST`; the end if it never does
+    height: float  # m, height of the centre of mass above the lowest point
+    density: float  # density of the bodies in a box around them, twice as high as their centre of mass
+    coordination: float  # contacts with other bodies, per body
+    settled_energy: float  # J, kinetic energy and energy in the field
+    rest_time: float  # s, time from which the kinetic energy stays below `AT_REST`; the end if it never does
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,7 +41,7 @@ class Pile:
     mass: FloatArray  # (n,) kg
     radius: FloatArray  # (n,) m
     field: FloatArray  # (3,) m/s²
-    box: FloatArray | None  # (3,) m, of a periodic domain
+    box: FloatArray | None  # (3,) m, size of a periodic domain
 
     @classmethod
     def of(cls, scene: Scene) -> Pile | None:
@@ -108,4 +108,4 @@ class Pile:
         return count
 
 
-RELATIVE = ("height", "density", "settled_energy")  # errors over the value of the reference
+RELATIVE = ("height", "density", "settled_energy")  # errors that are relative to the reference's value

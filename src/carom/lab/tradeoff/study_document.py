@@ -52,7 +52,7 @@ def read_document(folder: Path, scene: Scene, advice: str) -> tuple[Reference | 
             for result in results:
                 if result.status == "measured" and reference is not None:
                     result.errors = reference.errors(Trajectory.load(trajectory_path(folder, result.setting)))
-                elif result.status in ("refused", "measured", "left out"):  # another version may run it
+                elif result.status in ("refused", "measured", "left out"):  # another version may be able to run it
                     result.status = "pending"
                 if result.same_as:
                     result.share_costs_of(by_name[result.same_as])

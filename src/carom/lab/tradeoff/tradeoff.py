@@ -63,13 +63,13 @@ FIGURES = "tradeoff.png", "tradeoff.svg", "tradeoff.pdf"  # the figure, as pixel
 TABLE = "tradeoff.csv"
 OVERLAY = "tradeoff.rrd"
 ADVICE = "start over with --force, or choose another folder with -o"
-ROUND_OFF = 1e-13  # of a whole run, over its scale
-WORK = 3e7  # limit of steps × (bodies + `BODIES_PER_STEP`) of a bounded setting, some 20 s
-BODIES_PER_STEP = 30  # a step without bodies takes about as long as this many bodies
-DEARER = 30.0  # a bounded setting may always make this many times the steps of the scene as written
-CERTAIN = 6  # costs, from which on the range contains the median with 95 %
+ROUND_OFF = 1e-13  # round-off of a whole run, over its scale
+WORK = 3e7  # most steps × (bodies + `BODIES_PER_STEP`) of a bounded setting, some 20 s
+BODIES_PER_STEP = 30  # bodies whose step takes as long as a step without bodies
+DEARER = 30.0  # steps that a bounded setting may always make, in multiples of the scene's own
+CERTAIN = 6  # fewest costs whose range contains the median with 95 % probability
 WRITING = 1.0  # s between two writings of the document while short runs are timed
-MARGIN = 2.0  # smallest allowed ratio of the shortest compared steps to the steps of a refined reference
+MARGIN = 2.0  # smallest allowed ratio of the shortest compared step to the step of a refined reference
 
 Examiner = Callable[[SettingResult, Teller], None]  # examines a followed run
 
@@ -176,7 +176,7 @@ class Study:
             Whether to leave out settings that cannot be on the front.
         """
         results = [self._result(setting) for setting in settings]
-        scenes = [self.runs.scene_of(result) for result in results]  # loads their kernels, before the clock runs
+        scenes = [self.runs.scene_of(result) for result in results]  # loads their kernels before the clock runs
         if self.budget.seconds is None:
             self.budget.choose(self._run_time(tell))
         self.budget.begin()
@@ -247,7 +247,7 @@ class Study:
             tell("as written: the time of a run")
             if written.status != "measured":
                 self._follow(written, lambda text: tell(f"as written{text}"))
-            if written.status != "measured":  # such as stopped at its limit
+            if written.status != "measured":  # a run such as one stopped at its limit
                 return written.spent
             written.costs.append(self.runs.cost(written))
         return written.cost
@@ -329,7 +329,7 @@ class Study:
             budget = min(BUDGET, self.limit, FOR_THE_REFERENCE * self.budget.left)
             self.reference = make_reference(self.scene, finest, threads=self.threads, budget=budget, tell=tell)
             self.reference.trajectory.save(self.folder / REFERENCE)
-            for result in self.results:  # followed before, or in an earlier study, which had a coarser reference
+            for result in self.results:  # this setting ran before, or in an earlier study with a coarser reference
                 if result.status == "measured":
                     result.errors = self.reference.errors(self.trajectory(result))
             self._write()
@@ -378,7 +378,7 @@ class Study:
             "noise": self.noise,
             "load": self._busy,  # largest one-minute load of the machine while costs were measured
             "budget": finite(math.inf if self.budget.seconds is None else self.budget.seconds),  # s
-            "spent": self.budget.spent,  # s, by the last command
+            "spent": self.budget.spent,  # s, time spent by the last command
             "left_out": self.left_out,
             "reference": None if self.reference is None else reference_entry(self.reference),
             "settings": [

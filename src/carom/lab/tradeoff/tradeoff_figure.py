@@ -42,11 +42,11 @@ PANELS = {
 }
 MOST_PANELS = 6
 OF_THE_RUN_ALONE = ("energy", "energy_gain", "overlap", "sinking")  # errors that need no reference
-LEAST = 1e-14  # rounding; smaller errors are drawn as zeros
-ZERO_BELOW = 4.0  # factor between the least error drawn and the line of the zeros below it
+LEAST = 1e-14  # smallest error that is not drawn as zero, since smaller ones are rounding
+ZERO_BELOW = 4.0  # smallest drawn error over the height of the line for zeros
 COLOURS = ("#d55e00", "#0072b2", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#1b2a3a", "#a0522d")  # of families
 OWN, OTHERS = ("o", "s", "^"), ("D", "v", "P")  # markers of carom's families in turn, and of other engines'
-MOST_LABELLED = 100.0  # largest ratio of costs at which 2 and 5 of each decade are labelled
+MOST_LABELLED = 100.0  # largest ratio of costs at which 2 and 5 in each decade are labelled
 COLUMNS = 4  # of the legend
 
 
@@ -184,7 +184,7 @@ def _panel(
     ax.xaxis.set_minor_locator(NullLocator())
     ax.spines[["top", "right"]].set_visible(False)
     ax.tick_params(which="both", color=FAINT)
-    # the front of the medians, since a line through only the certain settings of the front would have gaps
+    # draws the front of the medians, since a line through certain settings alone would have gaps
     on, _ = pareto_front(cost, wrong, np.zeros_like(cost))
     if on.any():
         ax.step(*zip(*sorted(zip(cost[on], wrong[on], strict=True)), strict=True), where="post", color=FAINT, lw=1.0)
@@ -199,11 +199,11 @@ def _panel(
         ax.annotate(
             "zero, or rounding", (1.0, zero), xycoords=("axes fraction", "data"), ha="right", va="bottom", fontsize=6
         )
-    wider = max(1.2, (cost.max() / cost.min()) ** 0.06)  # matplotlib's own limits warn if all costs are equal
+    wider = max(1.2, (cost.max() / cost.min()) ** 0.06)  # otherwise matplotlib warns if all costs are equal
     ax.set_xlim(cost.min() / wider, cost.max() * wider)
     drawn = [*wrong, floor] if seen else wrong
     least, most = min(drawn), max(drawn)
-    room = max(1.2, (most / least) ** 0.08)  # matplotlib's own limits warn if all errors are equal
+    room = max(1.2, (most / least) ** 0.08)  # otherwise matplotlib warns if all errors are equal
     ax.set_ylim(least / room, most * room)
 
 

@@ -34,14 +34,14 @@ from carom.scene.units.dimension import TIME
 from carom.scene.wording import suggestion
 from carom.terminal.printing import finite
 
-FRAMES_KEPT = 0.95  # of the frames of the scene's recording; with fewer, motion is no longer smooth
-NEARER = 0.9  # if half the step leaves a larger fraction of the excess, no shorter step is tried
-DEAREST = 16.0  # no step is halved where a setting costs this many times as much as the scene
-HOPELESS = 2.0  # a setting that costs more than this many times as much as a rival cannot win; costs are uncertain
+FRAMES_KEPT = 0.95  # fraction of the scene's frames below which recorded motion is no longer smooth
+NEARER = 0.9  # fraction of the excess above which no shorter step is tried, if half the step leaves more
+DEAREST = 16.0  # cost, in multiples of the scene's, from which no setting's step is halved
+HOPELESS = 2.0  # cost over a rival's from which a setting cannot win, even though costs are uncertain
 SHORTEST = 2.0**-6  # of the scene's step
-BETWEEN = 1.5  # factor on the step that is tried where twice the step is too long
-FOR_CANDIDATES = 0.25  # of the budget, kept for the last timings
-CLOSE = 1.3  # times the lowest cost; settings up to this cost are timed again before one is chosen
+BETWEEN = 1.5  # factor on the step that is tried where a factor of two is too large
+FOR_CANDIDATES = 0.25  # fraction of the budget for the last timings
+CLOSE = 1.3  # cost over the lowest up to which settings are timed again before one is chosen
 
 
 class SettingSearch:
@@ -142,7 +142,7 @@ def excess(study: Study, written: SettingResult, result: SettingResult, limits: 
     factors = [found[name] / limit if limit else 1.0 + found[name] for name, limit in limits.items()]
     missed = [factor for factor, name in zip(factors, limits, strict=True) if not found[name] <= limits[name]]
     if loses_frames(study, written, result):
-        missed.append(written.frames / result.frames)  # half the step reduces this factor
+        missed.append(written.frames / result.frames)  # half the step reduces the frames that are missing
     return max((math.inf if math.isnan(factor) else factor for factor in missed), default=0.0)
 
 
@@ -163,7 +163,7 @@ def unsure(study: Study, limits: dict[str, float]) -> list[str]:
     return [name for name, limit in limits.items() if name != "missed" and limit < study.floor(name)]
 
 
-WORSE = 1.1  # times an error of the scene as written; smaller increases are not reported
+WORSE = 1.1  # smallest increase of an error, over that of the scene as written, that is reported
 
 
 @dataclass(frozen=True, slots=True)
@@ -338,7 +338,7 @@ def tuned(
             f'"time.duration={until}"'
         )
     (written,) = study.measure([AS_WRITTEN], 0, tell)
-    for name in limits if written.errors else ():  # such as overlaps where nothing can touch
+    for name in limits if written.errors else ():  # an impossible error, such as an overlap where nothing can touch
         if math.isnan(getattr(written.errors, name)):
             own = [each for each in NAMES if each in OVER_TIME or each not in OF_SAMPLES]
             known = ", ".join(each for each in own if not math.isnan(getattr(written.errors, each)))

@@ -34,11 +34,11 @@ if TYPE_CHECKING:
     from carom.scene.wording import Names
 
 
-MOST_CAUSES = 12  # printed causes of a body; --json has all
+MOST_CAUSES = 12  # most causes of a body that are printed; --json has all
 MOST_EDGES = 8
-MOST_TURNS = 3  # in a row, of one body
-_ROUNDED = 1e-3  # of the largest change of velocity in an account: smaller parts that no contact explains are rounding
-_SEEN = 0.005  # a smaller share is printed as 0%
+MOST_TURNS = 3  # most turns in a row of one body
+_ROUNDED = 1e-3  # smallest unexplained part of a velocity, over the largest change, that is not rounding
+_SEEN = 0.005  # smallest share that is not printed as 0%
 _OF_ENGINE = "Impulses are the engine's contact forces times the time between frames; the rest of a velocity's change"
 _BODY = "The body whose velocity is in question."
 _FROM = "Trace causes back to this time. Default: the earliest time that a few seconds of computing reach."

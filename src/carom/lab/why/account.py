@@ -10,7 +10,7 @@ from carom.arrays import BoolArray, FloatArray, Records
 from carom.lab.why.cone import Flow
 from carom.lab.why.history import History, Step
 
-_AT_REST = 1e-3  # largest speed of a body at rest, over the impulses (by mass) that hold it in a step
+_AT_REST = 1e-3  # largest speed of a body at rest, over the sum of impulses by mass that hold it in a step
 
 
 @dataclass(slots=True)
@@ -20,21 +20,21 @@ class Cause:
     A stop is like an impact, but of a contact that closed no faster than its rest speed (docs/physics.md, 9).
     """
 
-    partner: int  # the end that touches the body; numbers from n on are planes and walls
-    holds: bool  # whether it is a contact at rest
+    partner: int  # the end that touches this body; numbers from n on are planes and walls
+    holds: bool  # whether the cause is a contact at rest
     first: float  # s
-    last: float  # s; equal to `first` for an impact
+    last: float  # s, time of the last step; equal to `first` for an impact
     step: int  # the last one
     impulse: FloatArray  # (3,) N s, impulse on the body
     size: float  # N s, Σ |J|
-    work: float  # J, on the motion of the body's centre
-    moment: float  # s, of the impact, or of the largest impulse
-    hardest: float  # N s, the largest impulse of a step
+    work: float  # J, work on the motion of the body's centre
+    moment: float  # s, time of the impact, or of the largest impulse
+    hardest: float  # N s, largest impulse in a step
     approach_speed: float | None = None  # m/s, of an impact
     energy_lost: float | None = 0.0  # J, dissipated by restitution and friction in both bodies; None if unknown
     lasts: bool = False  # whether an impact is a force that lasts for some steps, as impacts of other engines do
-    share: float = 0.0  # net share of the velocity that the other end gave; see `Cone`
-    turned: float = 0.0  # share of the velocity that the other end, which has no speed to give, turned round
+    share: float = 0.0  # net fraction of the velocity that the other end gave; see `Cone`
+    turned: float = 0.0  # fraction of the velocity that the other end, which has no speed to give, turned round
 
     @property
     def kind(self) -> str:
@@ -71,8 +71,8 @@ class Account:
 
     body: int
     mass: float  # kg
-    velocity: FloatArray  # (3,) m/s, at the moment asked about
-    start_velocity: FloatArray  # (3,) m/s, at the beginning of the window
+    velocity: FloatArray  # (3,) m/s, velocity at the chosen moment
+    start_velocity: FloatArray  # (3,) m/s, velocity at the beginning of the window
     by_contacts: FloatArray  # (3,) m/s, Σ J / m
     by_forces: FloatArray  # (3,) m/s
     by_field: FloatArray  # (3,) m/s, the part of `by_forces` that the uniform field of another engine gave
@@ -81,10 +81,10 @@ class Account:
     forces_share: float = 0.0  # share of the velocity that forces on the body gave
     field_share: float = 0.0  # the part of `forces_share` that the uniform field of another engine gave
     causes: list[Cause] = field(default_factory=list)  # the latest first
-    _bearing: float | None = None  # m/s, Σ |J| / m of the contacts that held the body in the last step
-    _held: dict[int, tuple[Cause, int]] = field(default_factory=dict)  # by partner, with the step before their first
-    _lost: dict[int, float] = field(default_factory=dict)  # J, lost in the step by partner, without impacts
-    _before: int = 0  # the step before the present one
+    _bearing: float | None = None  # m/s, Σ |J| / m over the contacts that held the body in the last step
+    _held: dict[int, tuple[Cause, int]] = field(default_factory=dict)  # by partner, with the step before each began
+    _lost: dict[int, float] = field(default_factory=dict)  # J, lost in the step to each partner, without impacts
+    _before: int = 0  # the step before the present step
 
     @classmethod
     def at(cls, body: int, mass: float, velocity: FloatArray) -> Account:
@@ -129,13 +129,13 @@ class Account:
         that of these the uniform field of another engine gave. ``kicks`` are the body's changes of velocity by forces,
         (3,) m/s each. ``impacts`` and ``contacts`` are the `CONTACT_ROW` of the step, whose beginning has no contacts.
         """
-        self._lost, self._before = {}, step.before_step  # losses of all contacts less the losses of impacts
+        self._lost, self._before = {}, step.before_step  # losses of all contacts, less losses of impacts
         for some, sign in ((contacts, 1.0), (impacts, -1.0)) if len(contacts) else ():
             for row in some[_acts_on(self.body, some)]:
                 self._lost[self._other(row)] = self._lost.get(self._other(row), 0.0) + sign * _loss(row)
         if self._bearing is None:
             self._bearing = float(np.linalg.norm(self._impulses(rows[rows["holds"]]), axis=1).sum()) / self.mass
-        first, last = sum(kicks[:1], np.zeros(3)), sum(kicks[1:], np.zeros(3))  # before the drift, and after it
+        first, last = sum(kicks[:1], np.zeros(3)), sum(kicks[1:], np.zeros(3))  # kicks before and after the drift
         self.start_share, self.forces_share, self.field_share = shares
         late = len(rows) > 0 and rows[-1]["time"] >= step.time
         # the velocity right after the last of the impulses
@@ -194,7 +194,7 @@ class Account:
         cause = Cause(partner, holds, time, time, step, impulse, size, work, time, size, lasts=lasts)
         cause.share, cause.turned = shares
         if not holds:
-            # approach speed and energy loss come from the recorded impact
+            # approach speed and energy loss are those of the recorded impact
             low, high = sorted((self.body, partner))
             own = impacts[(impacts["i"] == low) & (impacts["j"] == high) & (impacts["time"] == time)]
             if len(own):  # a pair may meet several times at one moment

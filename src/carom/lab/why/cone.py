@@ -39,7 +39,7 @@ from scipy.sparse.csgraph import connected_components
 from carom.arrays import BoolArray, FloatArray, IntArray, Records
 from carom.lab.why.history import Step
 
-_ROUNDS = 16  # largest number of bodies through which a share passes in one instant
+_ROUNDS = 16  # most bodies through which a share passes in one instant
 NEGLIGIBLE = 1e-9  # smallest share that is passed on; smaller changes of a velocity are rounding
 
 
@@ -47,7 +47,7 @@ class Flow(NamedTuple):
     """Shares at some impulses, for each of the q bodies of the question."""
 
     net: FloatArray  # (k, q) shares passed from j to i, less shares passed from i to j
-    turned: FloatArray  # (k, q) returned by an end that has no speed to give: a plane, a wall or a fixed body
+    turned: FloatArray  # (k, q) shares returned by an end that has no speed to give: a plane, a wall or a fixed body
 
     @classmethod
     def none(cls, count: int, bodies: int) -> Flow:
@@ -89,18 +89,18 @@ class Cone:
 
     inverse_mass: FloatArray  # (n + p,) 1/kg
     count: int  # of bodies
-    drives: BoolArray  # (n + p,) whether a plane or wall moves by itself
-    weights: FloatArray  # (q,) the weight in the answer of each body that the question names
-    carried: FloatArray  # (n + p, q) share of each body's velocity that each end carries at the present moment
-    forced: FloatArray  # (n, q) share contributed by forces on each body
-    fielded: FloatArray  # (n, q) of this by the uniform field of another engine
-    reached: BoolArray  # (n,) whether it could have had an effect
-    since: FloatArray  # (n,) s, the last moment at which it could have had an effect; NaN for bodies outside
+    drives: BoolArray  # (n + p,) whether a plane or wall moves on its own
+    weights: FloatArray  # (q,) weight in the answer of each body in the question
+    carried: FloatArray  # (n + p, q) share of each body's velocity that each end carries now
+    forced: FloatArray  # (n, q) share that forces on each body contributed
+    fielded: FloatArray  # (n, q) part of `forced` that another engine's uniform field contributed
+    reached: BoolArray  # (n,) whether the body could have had an effect
+    since: FloatArray  # (n,) s, the last moment at which the body could have had an effect; NaN for bodies outside
     edges: dict[tuple[int, int], Edge] = field(default_factory=dict)
     passages: list[Passage] = field(default_factory=list)  # the latest first
-    pairs: list[IntArray] = field(default_factory=list)  # (k, 2) each: the pairs of bodies that have touched so far
-    _lasting: dict[tuple[int, int], Passage] = field(default_factory=dict)  # the earliest of each pair
-    _before_step: int = 0  # the step before the present one
+    pairs: list[IntArray] = field(default_factory=list)  # arrays (k, 2) of the pairs of bodies that have touched so far
+    _lasting: dict[tuple[int, int], Passage] = field(default_factory=dict)  # the earliest contact of each pair
+    _before_step: int = 0  # the step before the present step
 
     @classmethod
     def of(
@@ -172,7 +172,7 @@ class Cone:
 
     def reach(self, rows: Records) -> BoolArray:
         """Add the bodies connected to the cone by contacts of a moment; return a mask of the rows in the cone."""
-        if len(rows) == 1:  # the usual case, five times as fast
+        if len(rows) == 1:  # a single row is the usual case, and is five times as fast here
             i, j = int(rows["i"][0]), int(rows["j"][0])
             ends = [end for end in (i, j) if end < self.count]
             inside = any(self.reached[end] for end in ends)
@@ -230,7 +230,7 @@ class Cone:
         forces, field = acting_forces
         n, m, some = self.count, len(own), rows[own]
         bodies = np.flatnonzero((self.carried[:n] > NEGLIGIBLE).any(axis=1))
-        net = np.zeros((len(self.inverse_mass), 3))  # along N, of length 1
+        net = np.zeros((len(self.inverse_mass), 3))  # unit vectors along the changes
         rate = np.zeros(self.carried.shape)  # share contributed by a component of 1 m/s
         net[bodies] = _units(after[bodies] - before[bodies])
         to, J = np.concatenate((some["i"], some["j"])), np.concatenate((-_vectors(some), _vectors(some)))
@@ -285,7 +285,7 @@ class Cone:
         self.carried[ends[moves]] = (rate * kept[:, None])[moves]
         passing = given[:, None] * rate[to]
         opposite = np.roll(np.arange(2 * m), m)
-        others = np.maximum(0.0, total[origin] - taken[opposite])  # of the further impulses on the other end
+        others = np.maximum(0.0, total[origin] - taken[opposite])  # impulses on the other end from further contacts
         further = np.where(~bodies[origin] | (others <= NEGLIGIBLE * total[origin]), 0.0, others)
         kept_away, back_again = np.zeros((2, 2 * m, len(self.weights)))
         for _ in range(_ROUNDS):
@@ -424,7 +424,7 @@ def _units(vectors: FloatArray) -> FloatArray:
 
 # The chain of causes: the strongest path back from the bodies of the question.
 MOST_LINKS = 50
-_WEAKEST = 0.1  # of the share that led to a body; below it, the body's own motion is the cause
+_WEAKEST = 0.1  # fraction of the share that led to a body; below it, the body's own motion is the cause
 _AT_ONCE = 0.5  # weight of an impact at the same instant as another, since their order is unknown
 
 
@@ -433,14 +433,14 @@ class Link:
     """An impact that gave a body its velocity, or in which an end at rest turned the body round."""
 
     step: int
-    instant: int  # number within the step; impacts of one instant act together
+    instant: int  # number of the instant within the step; impacts of one instant act together
     time: float  # s
     body: int
-    by: int  # numbers from n on are planes and walls
+    by: int  # the end that acted; numbers from n on are planes and walls
     impulse: float  # N s
-    share: float  # of the answer, that passed from `by` to `body`
-    turned: float = 0.0  # of the answer, that `by`, which has no speed to give, turned round
-    turns: bool = False  # whether it is in the chain because it turned the body round
+    share: float  # share of the answer that passed from `by` to `body`
+    turned: float = 0.0  # share of the answer that `by`, which has no speed to give, turned round
+    turns: bool = False  # whether the impact is in the chain because it turned the body round
 
 
 def chain_of(cone: Cone, bodies: tuple[int, ...]) -> list[Link]:
@@ -464,14 +464,14 @@ def chain_of(cone: Cone, bodies: tuple[int, ...]) -> list[Link]:
             for number, link in earlier
             if link.turned >= _WEAKEST * share and (found is None or (link.body == found.body and number < place))
         ]
-        if found is None and turns:  # of one body, if two are asked about
+        if found is None and turns:  # turns of only one body, if the question names two
             body = max(turns, key=lambda link: link.turned).body
             turns = [link for link in turns if link.body == body]
         links += turns
         if found is None:
             break
         links.append(found)
-        if found.by >= cone.count:  # a wall that moves by itself
+        if found.by >= cone.count:  # a wall that moves on its own
             break
         followed, current, share = followed + 1, {found.by}, found.share
         left = [p for number, p in enumerate(left) if _moment(p) <= _moment(found) and number != place]

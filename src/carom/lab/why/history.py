@@ -34,26 +34,26 @@ Watcher = Callable[[StepStatus], None]
 IMPULSE = np.dtype(
     [
         ("step", np.int64),
-        ("instant", np.int64),  # number within the step; impulses of one instant act together
+        ("instant", np.int64),  # number of the instant within the step; impulses of one instant act together
         ("time", np.float64),  # s
         ("i", np.int64),  # i < j
-        ("j", np.int64),  # numbers from n on are planes and walls
+        ("j", np.int64),  # the second end; numbers from n on are planes and walls
         ("x", np.float64),  # N s, the impulse on j; the impulse on i is the opposite
         ("y", np.float64),
         ("z", np.float64),
-        ("holds", np.bool_),  # whether it holds a contact at rest
-        ("impact", np.bool_),  # whether the contact closed faster than its rest speed; if neither, it is a stop
-        ("approach", np.float64),  # m/s, closing speed of an impact; 0 if it is unknown
-        ("lasts", np.bool_),  # whether the impulse is a force over the whole step, as in other engines
+        ("holds", np.bool_),  # whether the impulse holds a contact at rest
+        ("impact", np.bool_),  # whether the contact closed faster than its rest speed; if neither, it was stopped
+        ("approach", np.float64),  # m/s, closing speed of an impact; 0 if unknown
+        ("lasts", np.bool_),  # whether the impulse is a force over the whole step, as other engines have
     ]
 )
 
-_AUDIT = 1e-12  # makes the run audit its kicks; the bound itself is not used
+_AUDIT = 1e-12  # makes the run audit its kicks; the bound is not used
 
 
-MOST_FRAMES = 2_000  # read by default; a few seconds
+MOST_FRAMES = 2_000  # most frames that are read by default; a few seconds
 MOST_BODY_FRAMES = 100_000
-_ROUNDED = 1e-5  # of Σ |J| / m: contacts are recorded in float32, and some engines compute in it
+_ROUNDED = 1e-5  # relative rounding of Σ |J| / m: contacts are recorded in float32, and some engines compute in it
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,12 +64,12 @@ class Step:
     before_step: int  # the previous step; for another engine, the step of the previous exact state
     time: float  # s, at its end
     began: float  # s
-    before: FloatArray  # (n, 3) m/s, velocities at its beginning
-    after: FloatArray  # (n, 3) m/s, velocities at its end
+    before: FloatArray  # (n, 3) m/s, velocities at the beginning of the step
+    after: FloatArray  # (n, 3) m/s, velocities at the end of the step
     impulses: Records  # (k,) `IMPULSE`, in order
-    kicks: list[FloatArray]  # each (b, 3) m/s, changes of the velocities of the asked bodies by forces
+    kicks: list[FloatArray]  # arrays (b, 3) in m/s, changes by forces of the velocities of the bodies in question
     contacts: Records  # (m,) `CONTACT_ROW`, the contacts of these bodies
-    by_field: FloatArray = field(default_factory=lambda: np.zeros(3))  # (3,) m/s, of the kicks, by an engine's field
+    by_field: FloatArray = field(default_factory=lambda: np.zeros(3))  # (3,) m/s, part of kicks by an engine's field
 
 
 @dataclass(slots=True)
@@ -78,10 +78,10 @@ class History:
 
     begin: Checkpoint
     inverse_mass: FloatArray  # (n + p,) 1/kg
-    drives: BoolArray  # (n + p,) whether a plane or wall moves by itself
+    drives: BoolArray  # (n + p,) whether a plane or wall moves on its own
     steps: list[Step] = field(default_factory=list)
     impacts: Records = field(default_factory=lambda: np.empty(0, CONTACT_ROW))
-    differs: int | None = None  # the first recorded step with different bits
+    differs: int | None = None  # first recorded step whose bits differ
 
     @classmethod
     def replay(
@@ -92,7 +92,7 @@ class History:
         audited = scene.expect.model_copy(update={"contact_audit": _AUDIT})  # records the kicks of forces
         space = space_of(recording, scene.model_copy(update={"expect": audited}), begin, record_contacts=True)
         inverse_mass, entries = space.state.ends.inverse_mass.copy(), recording.entries
-        if entries is not None:  # until bodies enter, they count as moving as they will enter
+        if entries is not None:  # before they enter, bodies count as moving with their velocities of entry
             n = len(space.mass)
             inverse_mass[:n] = np.divide(1.0, space.mass, out=np.zeros(n), where=~fixed_of(scene))
             begin = replace(begin, velocity=_with_entries(begin.velocity, space.frame().waits, entries))
@@ -168,8 +168,8 @@ def _impulses(space: Space, touching: Records) -> Records:
 class Question:
     """The subject of a question: a body at a given time, or both ends of an impact."""
 
-    bodies: tuple[int, ...]  # the body, or the ends of the impact that are bodies
-    ends: tuple[int, int] | None  # of the impact, i < j; planes have numbers from n on
+    bodies: tuple[int, ...]  # the body, or both bodies of the impact
+    ends: tuple[int, int] | None  # ends i < j of the impact; planes have numbers from n on
     time: float  # s
     text: str  # the question in words
     event: str | None = None  # name of the event
@@ -267,7 +267,7 @@ def _steps(recording: Recording, question: Question, start: float | None) -> lis
         if not recording.present(known[-1])[body]:
             moment = recording.units.text(question.time, TIME, ".9g")
             raise ExperimentError(f"{names_of(recording).of(body)} does not exist at t = {moment}")
-    if recording.lives is not None:  # an account begins when its body has come
+    if recording.lives is not None:  # an account begins when its body has entered
         came = max(int(recording.lives[body, 0]) for body in question.bodies)
         known = [step for step in known if step >= came]
     if start is None:

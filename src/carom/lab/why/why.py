@@ -27,16 +27,16 @@ class Answer:
     """The velocities of the bodies of a question, the terms that sum to them, and their causes."""
 
     question: Question
-    time: float  # s, to which the velocities belong
+    time: float  # s, time of the velocities
     step: int
-    begin: float  # s, the start of the window
+    begin: float  # s, start of the window
     begin_step: int
-    source: str  # source of the numbers, in words
-    accounts: list[Account]  # of the bodies of the question
+    source: str  # origin of the numbers, in words
+    accounts: list[Account]  # accounts of the bodies in question
     cone: Cone
     chain: list[Link]  # the latest first
-    engine: str = ""  # whose recorded contact forces the answer uses; empty for carom
-    knows_field: bool = False  # whether a uniform field of this engine acts, and is recorded
+    engine: str = ""  # engine whose recorded contact forces the answer uses; empty for carom
+    knows_field: bool = False  # whether this engine has a uniform field, and recorded it
 
     @property
     def is_flow(self) -> bool:
@@ -79,7 +79,7 @@ class Answer:
         return last.body if last.turns else last.by
 
 
-MOST_BODY_STEPS = 100_000  # run again by default; about a second for 500 bodies in a pile
+MOST_BODY_STEPS = 100_000  # most body steps that are run again by default; about a second for 500 bodies in a pile
 
 
 def why(

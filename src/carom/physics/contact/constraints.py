@@ -44,7 +44,7 @@ ENOUGH_AS_NEEDED = 1e-5
 
 BODIES_PER_BLOCK = 1024
 CONTACTS_PER_BLOCK = 1024
-SHARED_FROM = 2048  # contacts; with fewer, threads cost as much time as they save
+SHARED_FROM = 2048  # number of contacts below which threads cost as much time as they save
 # Contacts or bodies per task. Either all phases are shared or none, since sharing moves records between the caches of
 # cores.
 MIN_PER_TASK = SHARED_FROM // 2
@@ -92,22 +92,22 @@ class ConstraintSystem(NamedTuple):
     """m contacts in the order in which they are resolved, and the n bodies and p planes at their ends."""
 
     pairs: IntArray  # (m, 2)
-    pieces: IntArray  # (k, 2) first contact of each, and the end of its range
+    pieces: IntArray  # (k, 2) first contact of each piece, and the end of its range
     edges: IntArray  # (s + 1,) first piece of each colour, and k
-    contacts: RecordArray[ContactRecord]  # (m,), or ROLLING_CONTACT if the law resists rolling
+    contacts: RecordArray[ContactRecord]  # (m,) contacts, or ROLLING_CONTACT if the law resists rolling
     held: BoolArray  # (m,) whether each contact is held; impacts and open gaps are not
     enough: FloatArray  # (m,) `ENOUGH`, or `ENOUGH_AS_NEEDED` where small changes end the iterations
-    small_change: FloatArray  # (m,) m/s, a smaller change of a contact's velocities needs no further iteration
+    small_change: FloatArray  # (m,) m/s, change of a contact's velocities below which it needs no further iteration
     states: RecordArray[ContactStateRecord]  # (m,)
-    load_speed: FloatArray  # (m,) m/s, which the largest acceleration of its island causes in a step; see `islands`
+    load_speed: FloatArray  # (m,) m/s, the largest acceleration in its island times the step; see `islands`
     search: RecordArray[SearchRecord]  # (m,)
     measured: RecordArray[MeasuredRecord]  # (m,)
-    recorded: RecordArray[ImpulseRecord]  # (m,), or ROLLING_RECORDED; no rows unless contacts are recorded
-    velocity: FloatArray  # (n + p, 3) m/s
-    spin: FloatArray  # (n + p, 3) rad/s; no rows without friction
-    acceleration: FloatArray  # (n + p, 3) m/s²
+    recorded: RecordArray[ImpulseRecord]  # (m,) impulses, or ROLLING_RECORDED; empty unless contacts are recorded
+    velocity: FloatArray  # (n + p, 3) m/s, velocities
+    spin: FloatArray  # (n + p, 3) rad/s, spins; empty without friction
+    acceleration: FloatArray  # (n + p, 3) m/s², accelerations
     inverse_mass: FloatArray  # (n + p,) 1/kg
-    box: FloatArray  # (3,) m, zeros in open space; or the record of a sheared box
+    box: FloatArray  # (3,) m, size of the periodic box, zeros in open space; or the record of a sheared box
     position: FloatArray  # (n, 3) m
     surface: FloatArray  # (p, 3) normals of the planes, or records of planes and walls: see `solids`
     offset: FloatArray  # (p,) m
@@ -115,13 +115,13 @@ class ConstraintSystem(NamedTuple):
     pushed: RecordArray[PushedBodyRecord]  # (n + p,)
     pushed_in: IntArray  # (n + p,) iteration in which the position correction last moved each end, or `NEVER`
     materials: RecordArray[Coefficients]  # (k,) MATERIAL, by `law.material_index`
-    places: IntArray  # (n + p, 2) for `law.material_index`; no rows where all bodies have one material
+    places: IntArray  # (n + p, 2) places for `law.material_index`; empty where all bodies have one material
     island: IntArray  # (n + p,) workspace, the root of each body's island
     islands: RecordArray[IslandRecord]  # (n + p,) workspace
     active: IntArray  # (b,) bodies and planes with a contact
     # (n + p,) whether contacts have pressed each body since the last step; False for fixed ends
     pressed: BoolArray
-    loads: RecordArray[LoadRecord]  # (n + p,) `LOAD`, of the last kick; 0 for fixed ends
+    loads: RecordArray[LoadRecord]  # (n + p,) `LOAD` of the last kick; 0 for fixed ends
     piece_results: RecordArray[PieceResultsRecord]  # (k,)
     sums: RecordArray[BlockSumsRecord]  # (b / BODIES_PER_BLOCK,)
     settings: RecordArray[SettingsRecord]  # (1,)

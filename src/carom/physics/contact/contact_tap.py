@@ -52,23 +52,23 @@ from carom.state.frame import empty_graph
 if TYPE_CHECKING:
     from carom.physics.contact.pipeline import ContactPipeline
 
-MOST_IMPACTS = 100_000  # impacts stored between two frames, 15 MB; beyond, the largest are stored, and all are counted
+MOST_IMPACTS = 100_000  # most impacts stored between two frames, 15 MB; beyond, the hardest ones, but all are counted
 
 
 class Impulses(NamedTuple):
     """The impulses of contacts at one moment of a step; a pair may occur more than once."""
 
     pairs: IntArray  # (k, 2)
-    normal: FloatArray  # (k, 3) from i to j
+    normal: FloatArray  # (k, 3) normals from i to j
     arms: FloatArray  # (k, 2) m
     values: FloatArray  # (k, 4) N s, λ_n and λ_t
     time: FloatArray  # (k,) s
-    turns: bool = True  # whether λ_t acts at the contact point; otherwise at the centres
+    turns: bool = True  # whether λ_t acts at the contact point; otherwise at both centres
     # (k,) whether the contact closed faster than its rest speed; None: all contacts were held
     impact: BoolArray | None = None
     approach: FloatArray | None = None  # (k,) m/s, closing speed before the impulses; None: all contacts were held
-    angular: FloatArray = NO_ANGULAR_IMPULSES  # (k, 3) N m s, Λ, if the law resists rolling
-    ordered: bool = False  # whether impulses acted one by one; otherwise all of a moment acted together
+    angular: FloatArray = NO_ANGULAR_IMPULSES  # (k, 3) N m s, Λ if the law resists rolling
+    ordered: bool = False  # whether impulses acted one by one; otherwise all impulses of a moment acted together
 
 
 class RowData(NamedTuple):
@@ -84,16 +84,16 @@ class Held(NamedTuple):
     """Contacts as held after the first kick."""
 
     pairs: IntArray  # (m, 2), sorted
-    place: IntArray  # (m,) of each contact's record
+    place: IntArray  # (m,) index of each contact's record
     contacts: RecordArray[ContactRecord]  # (m,) CONTACT
-    terms: FloatArray  # (m, 3) J, by place
+    terms: FloatArray  # (m, 3) J, ledger of each record
 
 
 class Resolved(NamedTuple):
     """Contacts that were resolved at the end of the step."""
 
     pairs: IntArray  # (m, 2), sorted
-    place: IntArray  # (m,) of each contact's records
+    place: IntArray  # (m,) index of each contact's records
     contacts: RecordArray[ContactRecord]  # (m,) CONTACT
     states: RecordArray[ContactStateRecord]  # (m,) CONTACT_STATE
     recorded: RecordArray[ImpulseRecord]  # (m,) RECORDED
@@ -113,7 +113,7 @@ class ContactTap(OptionalPart):
         friction, world = contacts.needs.friction.modelled, contacts.world
         self._data = RowData(contacts.bodies.position, world.solver_box, world.materials, friction)
         self._buffer = Buffer(CONTACT_ROW)
-        self._largest_count = 0  # rows of a step so far; a buffer with fewer is enlarged before use
+        self._largest_count = 0  # most rows of a step so far; a buffer with fewer is enlarged before use
         self.forget()
 
     def compile(self) -> None:
@@ -187,7 +187,7 @@ class ContactTap(OptionalPart):
         buffer = Buffer(CONTACT_ROW) if buffer is None else buffer
         rows = buffer.whole if len(buffer.whole) > self._largest_count else buffer.take(self._largest_count + 1)
         count = _merge(*merged, rows)
-        if count >= len(rows):  # more than in any step before
+        if count >= len(rows):  # the buffer holds no more than in the steps before
             rows = buffer.take(count + 1)
             _merge(*merged, rows)
         self._largest_count = max(self._largest_count, count)
@@ -277,7 +277,7 @@ class ImpactStore:
         """Return the impacts in order of time, at most `MOST_IMPACTS`."""
         if self._count > MOST_IMPACTS:
             self._leave_out()
-        if len(self._pieces) < 2:  # to join them takes 7 of the 60 µs for a frame of few bodies
+        if len(self._pieces) < 2:  # joining them takes 7 of the 60 µs for a frame with few bodies
             return self._pieces[0] if self._pieces else NO_ROWS
         return joined(self._pieces, CONTACT_ROW)
 

@@ -25,7 +25,7 @@ from carom.physics.jit.instructions import from_front, lowest_bit
 from carom.physics.jit.vectors import WIDTH
 
 OVERFLOW = 64  # colour of contacts that do not fit into 64 colours; they are resolved last, one by one
-CONTACTS_PER_PIECE = 256  # largest number, unless a full block needs more; an iteration over them takes microseconds
+CONTACTS_PER_PIECE = 256  # most contacts of a piece, unless a full block needs more; an iteration over it takes some µs
 
 
 @inline
@@ -86,7 +86,7 @@ def _colour_contacts(
         c = from_front(k + len(pairs) if k < 0 else order[k])
         (i, j), colour = ends_of(pairs, c), colours[c]
         if k >= 0:
-            colour = lowest_bit(~(used[i] | used[j]))  # 64, `OVERFLOW`, if all are used
+            colour = lowest_bit(~(used[i] | used[j]))  # 64, which is `OVERFLOW`, if all colours are used
             colours[c] = colour
         if 0 <= colour < OVERFLOW:
             bit = np.uint64(1) << np.uint64(colour)
@@ -149,9 +149,9 @@ def _colour_bodies(offsets: IntArray, neighbours: IntArray, bodies: IntArray) ->
 class SolveOrder:
     """The order of m contacts, colour by colour."""
 
-    place: IntArray  # (m,) index of each contact in this order
-    pairs: IntArray  # (m, 2) in this order
-    pieces: IntArray  # (k, 2) first index and end of the range of each piece; a piece has one colour
+    place: IntArray  # (m,) index of each contact in this order of pieces
+    pairs: IntArray  # (m, 2) pairs in the order of pieces
+    pieces: IntArray  # (k, 2) first index and end of each piece's range; a piece has one colour
     edges: IntArray  # (s + 1,) first piece of each colour, and k
     independent: int  # number of leading colours whose contacts share no moving body
 
@@ -214,7 +214,7 @@ def _lay_out(
 class OrderedContacts:
     """The contacts of a step by pair, and their order in the solver."""
 
-    pairs: IntArray  # (m, 2), sorted; j ≥ n is plane j - n
+    pairs: IntArray  # (m, 2) sorted pairs; j ≥ n is plane j - n
     colours: IntArray  # (m,)
     body_colours: IntArray | None  # as in `CollisionGraph`
     order: SolveOrder

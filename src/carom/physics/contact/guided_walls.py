@@ -30,7 +30,7 @@ from carom.arrays import FloatArray
 from carom.physics.jit.decorators import inline, with_field
 from carom.physics.vector import Vector
 
-GUIDE = (  # of a solid in a drift; zeros if contacts do not move the solid
+GUIDE = (  # a solid's motion in a drift; zeros if contacts do not move the solid
     "guide_start",  # m, r₀
     "guide_speed",  # m/s, u
     "guide_bend",  # m/s², a; 0 if contacts hold the wall, so that its path is straight

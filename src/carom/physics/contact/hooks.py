@@ -43,18 +43,18 @@ class PresentStep:
     """The present step."""
 
     profile: Profile
-    before: float = 0.0  # s, the time at which it begins
-    time: float = 0.0  # s, the time at which it ends
+    before: float = 0.0  # s, time at the beginning of the step
+    time: float = 0.0  # s, time at the end of the step
     dt: float = 0.0  # s
-    drift: float = 0.0  # s, the present drift; some integrators have several drifts in a step
-    kick: float = 0.0  # s, the kick before the drift; after the first kick, the contacts of the last step are held
-    booked: float = 0.0  # s, the part of the drift for which the work of the forces is booked by then
-    last_kick: float = 0.0  # s, the kick after it
+    drift: float = 0.0  # s, length of the present drift; some integrators have several in a step
+    kick: float = 0.0  # s, length of the kick before the drift; the first kick holds the contacts of the last step
+    booked: float = 0.0  # s, the part of the drift for which the work of the forces is already booked
+    last_kick: float = 0.0  # s, length of the kick after the drift
     path: DampedPath = STRAIGHT
-    against: FloatArray | None = None  # (n + p, 3) m/s², against which contacts hold; None: the bodies' accelerations
+    against: FloatArray | None = None  # (n + p, 3) m/s² that contacts act against; None: the bodies' accelerations
     impacts: Impacts = NO_IMPACTS  # of the drift
     audit: KickAudit | None = None
-    pushed: float = 0.0  # m, by which the correction of overlaps moved a solid along its normal
+    pushed: float = 0.0  # m, displacement of a solid along its normal by the correction of overlaps
 
     def set_kicks(self, before: float, drift: float, after: float) -> None:
         """Set a drift and the plain kicks before and after it, in s."""
@@ -97,8 +97,8 @@ class WorldForces(Protocol):
 class OptionalPart:
     """An optional part of the model. It overrides the hooks that it needs."""
 
-    entries: tuple[str, ...] = ()  # of the ledger, with the sign of a loss
-    needs_every_step = True  # whether also steps in which nothing touches cannot be left to `few_bodies`
+    entries: tuple[str, ...] = ()  # ledger entries, with the sign of a loss
+    needs_every_step = True  # whether `few_bodies` must leave even steps in which nothing touches to this part
 
     # Between steps
 
@@ -153,7 +153,7 @@ class OptionalPart:
     def book(self, account: LedgerAccount) -> None:
         """Book what the last step exchanged with the bodies."""
 
-    # In a step, in this order
+    # the methods below are called in this order in a step
 
     def begin(self, step: int, began: float, ended: float) -> None:
         """Begin the records of a step with a number, given the times of its beginning and end in s."""

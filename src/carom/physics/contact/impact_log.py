@@ -16,8 +16,8 @@ from carom.physics.aligned import columns
 from carom.physics.contact.records import ImpactRecord, RollingImpactRecord
 from carom.physics.diagnostics.ledger import terms_of
 
-ROUNDING = 1e-14  # of the speed of a body, and of a radius per drift; slower closing is a rounding error
-MAX_IN_COLLAPSE = 100  # a body is held after so many impacts in a drift, where e < 1 and no force presses
+ROUNDING = 1e-14  # relative to a body's speed, and to one radius per drift: a slower approach is rounding
+MAX_IN_COLLAPSE = 100  # impacts in a drift after which a body is held, where e < 1 and no force presses
 # Number of impacts of a body in a drift after which it rattles among others that press it, though no contact has yet
 # carried a load: with e < 1, its slow impacts then end at the load speed. Without this, bodies in the densest steps of
 # `hopper` have 1300 impacts instead of 160 and are exhausted.

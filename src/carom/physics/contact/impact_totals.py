@@ -55,7 +55,7 @@ class _Corners(NamedTuple):
     mass: FloatArray  # (n,) kg
     moves: BoolArray  # (n,)
     group: IntArray  # (n,) from 0 on
-    groups: int  # their number, which stands for planes and walls
+    groups: int  # number of groups, which also stands for planes and walls
     last: FloatArray  # (n, 3) m
     box: FloatArray  # (3,) m
 
@@ -76,9 +76,9 @@ class ImpactTotals:
         self._totals = self._row[:-TENSORS].view(TOTALS)
         self._virial, self._kinetic = self._row[-TENSORS:].reshape(2, 3, 3)
         self._pairs = np.zeros((len(groups) + 1) ** 2, PAIR_TOTALS)  # row after row
-        self._quiet = True  # whether there was no impact since the last `pop`
+        self._quiet = True  # whether no impact happened since the last `pop`
         self.forget()
-        self.add(NO_ROWS)  # loads its kernel, so that the first impact does not wait for a compiler
+        self.add(NO_ROWS)  # loads the kernel now, so that the first impact does not wait for a compiler
 
     def forget(self) -> None:
         """Begin at the present positions."""
@@ -96,7 +96,7 @@ class ImpactTotals:
         _end_paths(bodies.position, velocity, self._corners, self._totals, self._kinetic)
         row = self._row.copy()
         self._row[:] = 0.0
-        if self._quiet:  # saves 7 of the 30 µs of a frame of few bodies
+        if self._quiet:  # saves 7 of the 30 µs for a frame with few bodies
             return row
         numbers = np.flatnonzero(self._pairs["impacts"])
         ends, met = np.stack(np.divmod(numbers, self._corners.groups + 1), axis=1), columns(self._pairs, PAIRS)[numbers]

@@ -34,8 +34,8 @@ from carom.scene.rest_speed import PER_STEP
 if TYPE_CHECKING:
     from carom.physics.contact.events.trajectories import Trajectories
 
-MESHED = 1.5  # contacts per body of a meshed island; a column or an arch has about one, a heap two to three
-MOST_EXACT = 1024  # contacts; smaller islands converge in every step
+MESHED = 1.5  # contacts per body above which an island is meshed; a column or arch has about one, a heap two to three
+MOST_EXACT = 1024  # number of contacts up to which an island converges in every step
 
 UNEQUAL, PRESSES = range(2)  # flags: accelerations of bodies differ; a contact has a rest speed
 
@@ -57,7 +57,7 @@ class Islands:
     def __init__(self, ends: int, team: Team) -> None:
         self._team = team
         self._parent = np.empty(ends, dtype=np.int64)  # these arrays are used only for bodies with contacts
-        self._largest = np.empty(ends)  # m²/s⁴, |a|² of a body; at the root of an island, the largest |a|² in it
+        self._largest = np.empty(ends)  # m²/s⁴, |a|² of each body; at an island's root, the largest in the island
 
     def write_load_speeds(
         self,
@@ -314,7 +314,7 @@ def join_shared(parent: IntArray, i: int, j: int) -> None:
     """Join the sets of two bodies while other threads join sets; the roots do not depend on their order."""
     i, j = root_of(parent, i), root_of(parent, j)
     while i != j and not atomic_replace(parent, max(i, j), max(i, j), min(i, j)):
-        i, j = root_of(parent, i), root_of(parent, j)  # another thread has moved one of the roots
+        i, j = root_of(parent, i), root_of(parent, j)  # another thread may have moved one of the roots
 
 
 @inline
@@ -341,6 +341,6 @@ def number_sets(first: IntArray, second: IntArray, label: IntArray) -> int:
         if label[i] == i:
             label[i] = count
             count += 1
-        else:  # the parent is lower, so it already has its number
+        else:  # the parent has a lower index, so it already has its number
             label[i] = label[label[i]]
     return count

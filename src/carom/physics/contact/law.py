@@ -38,20 +38,20 @@ from carom.scene.matter import PairCoefficients
 from carom.scene.schema import Coefficients
 
 MATERIAL = dtype_of(Coefficients)
-IMPULSES = ("normal_impulse", "friction_x", "friction_y", "friction_z")  # N s, λ_n and λ_t: fields of `CONTACT`
+IMPULSES = ("normal_impulse", "friction_x", "friction_y", "friction_z")  # N s, components λ_n and λ_t in `CONTACT`
 NORMAL, FRICTION_X, FRICTION_Y, FRICTION_Z = range(len(IMPULSES))  # their columns in arrays
-LAW = coulomb  # for plain Python, which supports this law only
+LAW = coulomb  # the law of plain Python, which supports no other
 
 _ONLY_KERNELS = "only kernels call it"
-_MARK = "contact_law_"  # prefix of the first field of a material whose law is not Coulomb's
-_laws: dict[str, dict[str, Callable[..., Any]]] = {}  # functions by the name of that field and by their own names
+_MARK = "contact_law_"  # prefix of the first field in materials whose law is not Coulomb's
+_laws: dict[str, dict[str, Callable[..., Any]]] = {}  # functions by the name of that field, and by their own names
 
 
 class Materials(NamedTuple):
     """The coefficients of each pair of ends that may touch; see `carom.scene.matter.PairCoefficients`."""
 
     rows: RecordArray[Coefficients]  # (k,) MATERIAL, with further fields if the law is not Coulomb's
-    places: IntArray  # (n + p, 2) for `material_index`; no rows where all bodies have one material
+    places: IntArray  # (n + p, 2) places for `material_index`; empty where all bodies have one material
 
 
 def materials_of(pairs: PairCoefficients) -> Materials:

@@ -29,7 +29,7 @@ from carom.physics.jit.instructions import from_front
 from carom.physics.vector import Vector, between, vector
 from carom.scene.rest_speed import PER_STEP
 
-UNKNOWN = 1e200  # m/s², a load in all directions: the rest speed is then the load speed
+UNKNOWN = 1e200  # m/s², a load in all directions, for which the rest speed is the load speed
 
 
 LOAD = dtype_of(LoadRecord)

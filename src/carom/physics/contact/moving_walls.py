@@ -27,8 +27,8 @@ from carom.physics.contact.translating_walls import displacement_in_drift, shift
 from carom.physics.jit.decorators import chosen_by_type, inline, kernel, with_field
 from carom.physics.vector import Vector
 
-ENTRY = "walls"  # of the ledger, with the sign of a loss: -W
-MOTION = ("motion_spin_x", "motion_spin_y", "motion_spin_z", "motion_x", "motion_y", "motion_z")  # Ω and c, of a solid
+ENTRY = "walls"  # name of the ledger entry, with the sign of a loss: -W
+MOTION = ("motion_spin_x", "motion_spin_y", "motion_spin_z", "motion_x", "motion_y", "motion_z")  # Ω and c of a solid
 
 
 def slip_on_wall(contact: Any, ux: float, uy: float, uz: float) -> tuple[float, float, float]:

@@ -44,17 +44,17 @@ from carom.scene.start import HalfSpaces
 
 ROUNDING = 4  # units in the last place of the largest coordinate; pairs with a smaller gap touch
 LARGEST_SKIN = 0.1  # of the smallest radius
-MIN_BODIES_PER_TASK = 4000  # about 10 µs of work
+MIN_BODIES_PER_TASK = 4000  # bodies for about 10 µs of work
 SQUARE, COORDINATE = range(2)  # indices into the array of largest values
-LEAST_MARGIN, MOST_MARGIN = 0.2, 1.0  # of the smallest radius; in a heap they give 1.3 and 3 times as many pairs
-CALLS = 10  # number of calls for which a list is made
-LEAST_SEARCHES = 4  # searches that a list must save at the present speed; making a list with a margin costs two
-LIST_ROUNDING = 1e-14  # of the largest coordinate and distance; the test of a pair errs by about 1e-16
-OF_HALF_A_BOX = 0.9  # largest search distance with its margin; a pair farther apart may be nearer to another image
-BODIES_PER_BLOCK = 2048  # 48 KiB of positions, when displacements are measured
-PAIRS_PER_BLOCK = 4096  # 64 KiB of listed pairs, when they are tested
+LEAST_MARGIN, MOST_MARGIN = 0.2, 1.0  # margins in smallest radii; in a heap they give 1.3 and 3 times as many pairs
+CALLS = 10  # calls for which a list is made
+LEAST_SEARCHES = 4  # searches that a list must save at the present speed, since making one with a margin costs two
+LIST_ROUNDING = 1e-14  # error relative to the largest coordinate and distance; the test of a pair errs by about 1e-16
+OF_HALF_A_BOX = 0.9  # largest search distance and margin, in half box sizes; beyond, another image may be nearer
+BODIES_PER_BLOCK = 2048  # bodies whose displacements are measured at a time: 48 KiB of positions
+PAIRS_PER_BLOCK = 4096  # pairs of the list that are tested at a time: 64 KiB
 MIN_BLOCKS_PER_TASK = 2
-BODIES_PER_MERGE = 1024  # 24 KiB of positions, when pairs with planes are added
+BODIES_PER_MERGE = 1024  # bodies for which pairs with planes are added at a time: 24 KiB of positions
 MIN_MERGES_PER_TASK = 1
 
 
@@ -105,7 +105,7 @@ class NearPairs:
         self._planes = PlaneSearch(bodies.radius, bodies.ends.inverse_mass, planes, team)
         self.has_statics = len(planes) > 0 or bool((bodies.ends.inverse_mass[: len(bodies)] == 0.0).any())
         self._smallest, self._press_alone = float(bodies.radius.min()), planes.press_alone
-        self.pressing = bodies.acceleration  # (n, 3) m/s², the accelerations that press contacts together
+        self.pressing = bodies.acceleration  # (n, 3) m/s², accelerations that press contacts together
         self._lift = planes.largest_acceleration
         self._shear = world.shear
         # m/s², acceleration of a guided wall, or of contacts that a flow closes
@@ -140,7 +140,7 @@ class NearPairs:
         own = max(np.sqrt(square), self._presses)
         fall = (own + self._lift) * dt * dt
         self.loading = 1.0 + self._lift / own if own > 0.0 else 1.0
-        if (own == 0.0 or fall == 0.0) and not self._press_alone:  # all contacts are impacts, which need no near pairs
+        if (own == 0.0 or fall == 0.0) and not self._press_alone:  # all contacts are impacts, without a list
             self.rounding = 0.0
             return 1.0, 0.0
         self.rounding = ROUNDING * float(np.spacing(coordinate))
@@ -242,8 +242,8 @@ class PairList:
         self._start = np.full((len(radius), 3), np.inf)  # m, positions when the list was made, or at the last call
         self._moves = np.zeros(-(-len(radius) // BODIES_PER_BLOCK), FARTHEST)
         self._scale, self._skin = 0.0, -np.inf  # distance within which the list holds all pairs
-        self._least = -np.inf  # m, the same without the margin
-        self._calls = self._searches = 1  # calls since the list was made, and calls that need its margin
+        self._least = -np.inf  # m, the distance without the margin
+        self._calls = self._searches = 1  # calls since the list was made, and calls that need the margin
         self._within_reach(self._start, 1.0, 0.0)  # loads the kernels
         self._farthest_move(self._start)
 

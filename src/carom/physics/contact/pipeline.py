@@ -68,7 +68,7 @@ class ContactPipeline:
         self.near = NearPairs(contact, bodies, world, self.lasts, team)
         self.most_sweeps = contact.sweeps if isinstance(contact.sweeps, int) else MOST_SWEEPS[contact.sweeps]
         self._pushes = contact.stabilisation == "split"
-        self.warned: set[str] = set()  # texts of the limits reported so far
+        self.warned: set[str] = set()  # messages of the limits reported so far
         friction = requirements.friction.modelled
         # islands are of interest only where contacts last
         sweeps = contact.sweeps if self.lasts or contact.sweeps != "auto" else "converged"
@@ -80,9 +80,9 @@ class ContactPipeline:
             self.solver.assume_loads()
         self.near.pressing = self.solver.pressing[: len(bodies)]
         self.torques = Torques(bodies, team)
-        self.contacts = OrderedContacts.of(empty_graph().pairs, bodies, contact.colouring)  # the contacts of the step
+        self.contacts = OrderedContacts.of(empty_graph().pairs, bodies, contact.colouring)  # the step's contacts
         self.snapshots = SnapshotSource(self.solver, bodies.ends.inverse_mass)
-        # with fewer sweeps than the default, sticking contacts may slip, and their works do not cancel
+        # with fewer sweeps than the default, sticking contacts may slip, and their works in both kicks do not cancel
         sticks = world.is_still and self.most_sweeps >= MOST_SWEEPS["auto"]
         self.signs = SignsOfDissipation(bodies, world.materials, sticks, world.planes)
         names = required(scene, requirements, totals is not None)
@@ -101,20 +101,20 @@ class ContactPipeline:
 
     def forget(self) -> None:
         """Return to the state before the first step."""
-        self.impulses = ImpulseCache.empty()  # with which the next kick starts
+        self.impulses = ImpulseCache.empty()  # impulses with which the next kick starts
         self.idle: IdleContacts | None = None  # of the step
-        self.unmoved: BoolArray | None = None  # (n,) bodies that no kick moves in the step
-        self.absent: BoolArray | None = None  # (n,) bodies that are not there, which touch nothing
+        self.unmoved: BoolArray | None = None  # (n,) bodies that no kick of this step moves
+        self.absent: BoolArray | None = None  # (n,) bodies that do not exist now, and touch nothing
         self.presses = False  # whether something presses contacts together
         if self.lasts:
             self.solver.find_loads(0.0)
         self._order_contacts(empty_graph().pairs, 0.0)
         if self.needs.torque.modelled:
             self.torques.remember()
-        self.ledger_apart = NO_ENTRIES  # (k, 3) J, entries of the step that belong to no contact
+        self.ledger_apart = NO_ENTRIES  # (k, 3) J, ledger entries of the step that belong to no contact
         self.impacts: Impacts = NO_IMPACTS  # of the drift
         self.statistics = NO_CONTACTS  # of the step
-        self.counts_impacts = True  # whether statistics include the impacts of the drift; a look-ahead needs none
+        self.counts_impacts = True  # whether statistics include the impacts of the drift; a look-ahead does without
         self.snapshots.forget()
         self.signs.forget()
         for part in self.parts:
@@ -311,7 +311,7 @@ class ContactPipeline:
             self._resolve(step)
         else:
             self.impulses = ImpulseCache.empty()
-        self.solver.find_pressing()  # of the state that a checkpoint stores
+        self.solver.find_pressing()  # the pressing contacts of the state in the checkpoint
         self.snapshots.set_step(self.contacts, self.idle, self.impacts, step.dt)
         self.statistics = self.solver.statistics() if len(self.contacts) else NO_CONTACTS
         for conclude in self.hooks.conclude:
@@ -335,7 +335,7 @@ class ContactPipeline:
 
     def _order_contacts(self, pairs: IntArray, dt: float) -> None:
         """Begin the contacts of a step of dt s: order them, lay out their records, and find their rest speeds."""
-        # a pile at rest keeps its contacts, and therefore their order
+        # a pile at rest keeps its contacts in the same order
         if not np.array_equal(pairs, self.contacts.pairs):
             self.contacts = OrderedContacts.of(pairs, self.bodies, self.settings.colouring)
         self.solver.lay(self.contacts.order, self.impulses.contacts, self.near.rounding)

@@ -28,17 +28,17 @@ if TYPE_CHECKING:
     from carom.physics.bodies import Ends
 
 _AXES = ("x", "y", "z")
-MOST_MOVED = 0.1  # of the smallest radius, by which the piston may move in a step if impacts are late by as much
-MOST_FALLEN = 0.01  # of the smallest radius, by which its acceleration may move it from rest in a step
+MOST_MOVED = 0.1  # piston's displacement in a step, in smallest radii, if impacts are up to one step late
+MOST_FALLEN = 0.01  # piston's displacement from rest by its acceleration in a step, in smallest radii
 
 
 class PistonPlane(NamedTuple):
     """The piston of a scene."""
 
-    row: int  # its number among the solids
+    row: int  # number of the piston among the solids
     normal: FloatArray  # (3,)
     mass: float  # kg
-    acceleration: float  # m/s², a, along the normal
+    acceleration: float  # m/s², acceleration a along the normal
     velocity: float  # m/s, at the start
     late: bool  # whether impacts are resolved at the end of a step
 
@@ -76,8 +76,8 @@ class PistonMotion(WallTranslation):
         smallest: float,
     ) -> None:
         self._piston, self._smallest = piston, smallest
-        self._drift = self._booked = 0.0  # s, length of the step, and its first kick
-        # displacement in m, velocity in m/s, and the impulse of the bodies on the piston since the start in N s
+        self._drift = self._booked = 0.0  # s, length of the step, and of its first kick
+        # displacement in m, velocity in m/s, and impulse in N s by the bodies since the start
         self.state = np.array([0.0, piston.velocity, 0.0])
         self._begun_state = self.state.copy()
         ends.inverse_mass[len(ends.velocity) - len(records) + piston.row] = 1.0 / piston.mass

@@ -28,9 +28,9 @@ if TYPE_CHECKING:
     from carom.physics.contact.pipeline import ContactPipeline
 
 MIN_BODIES_PER_TASK = 5000
-DEPTH = 1e-6  # of the radius: overlap of a body put back on a plane; enough to be detected, too small to be visible
-ROUNDING = 8  # units in the last place of the coordinates, added to that overlap
-DEEPEST = 0.5  # of the radius: upper limit of that overlap where coordinates are coarse
+DEPTH = 1e-6  # overlap, in radii, of a body put back on a plane; enough to be detected, too small to be visible
+ROUNDING = 8  # units in the last place of the coordinates that are added to that overlap
+DEEPEST = 0.5  # largest such overlap, in radii, where coordinates are coarse
 
 
 class PlaneGuard(OptionalPart):
@@ -40,8 +40,8 @@ class PlaneGuard(OptionalPart):
 
     def __init__(self, contacts: ContactPipeline) -> None:
         self._contacts, self._bodies, self._planes = contacts, contacts.bodies, contacts.world.planes
-        self._start = self._bodies.position.copy()  # m, at the beginning of the step
-        self._stopped: list[tuple[NDArray[np.intp], FloatArray]] = []  # bodies, and their displacements in m
+        self._start = self._bodies.position.copy()  # m, positions at the beginning of the step
+        self._stopped: list[tuple[NDArray[np.intp], FloatArray]] = []  # stopped bodies, and their displacements in m
         self._was_crossed = False  # whether a drift of the step ended behind a plane
 
     def forget(self) -> None:
@@ -89,7 +89,7 @@ class PlaneGuard(OptionalPart):
             return False
         crossed = (self._planes.heights(position) < 0.0) & (self._planes.heights_before(self._start) >= 0.0)
         stopped = np.flatnonzero(crossed.any(axis=1))
-        if len(stopped) == 0:  # bodies already behind a plane were behind it at the start
+        if len(stopped) == 0:  # bodies behind a plane now were behind it at the start
             return False
         places = self._first_touch(stopped, crossed[stopped])
         self._stopped.append((stopped, places - position[stopped]))
@@ -115,11 +115,11 @@ class PlaneGuard(OptionalPart):
         if self._planes.curves:
             fraction = self._fraction_before_walls(start, end, crossed, radius - depth)
         else:
-            with np.errstate(invalid="ignore", divide="ignore"):  # for planes that were not crossed
+            with np.errstate(invalid="ignore", divide="ignore"):  # planes that were not crossed give invalid values
                 fraction = np.where(crossed, (before - (radius - depth)[:, None]) / (before - after), 1.0).min(axis=1)
         places: FloatArray = start + np.clip(fraction, 0.0, 1.0)[:, None] * (end - start)
         lost = ((self._planes.heights(places) < 0.0) & (before >= 0.0)).any(axis=1)
-        places[lost] = start[lost]  # due to rounding, if a radius is only a few units in the last place
+        places[lost] = start[lost]  # rounding moved bodies with a radius of only a few units in the last place
         return places
 
     def _fraction_before_walls(

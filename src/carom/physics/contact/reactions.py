@@ -23,9 +23,9 @@ from carom.physics.contact.solver.prepare import ImpulseCache
 from carom.physics.jit.decorators import kernel, long_kernel
 from carom.physics.jit.team import Team
 
-MIN_BODIES_PER_TASK, MIN_BODIES_PER_COPY = 1000, 10_000  # about 10 µs of work
+MIN_BODIES_PER_TASK, MIN_BODIES_PER_COPY = 1000, 10_000  # bodies for about 10 µs of work
 NO_SUPPORT = np.empty(0)  # m/s², without lasting contacts
-_ROUNDING = 8.0 * np.finfo(np.float64).eps  # of an angular impulse or a spin: a cross product, three factors and a sum
+_ROUNDING = 8.0 * np.finfo(np.float64).eps  # relative, of N m s or rad/s: a cross product, three factors and a sum
 
 
 class Torques:
@@ -33,7 +33,7 @@ class Torques:
 
     def __init__(self, bodies: Bodies, team: Team) -> None:
         self._bodies, self._team = bodies, team
-        self._spin = np.zeros_like(bodies.torque)  # rad/s, at the beginning of the step
+        self._spin = np.zeros_like(bodies.torque)  # rad/s, spins at the beginning of the step
 
     def remember(self) -> None:
         """Begin a step at the present spins."""
@@ -51,8 +51,8 @@ class Torques:
 class ImpactTurns:
     """The angular impulses of the impacts of a step on each body."""
 
-    sum: FloatArray  # (n, 3) N m s
-    size: FloatArray  # (n,) N m s, Σ of their magnitudes
+    sum: FloatArray  # (n, 3) N m s, sum of the angular impulses on each body
+    size: FloatArray  # (n,) N m s, sum of their magnitudes
     count: IntArray  # (n,) of impacts
 
     @classmethod
@@ -86,7 +86,7 @@ class ImpactTurns:
         whole = dt * torque[struck]
         left = whole - self.sum[struck]
         most = self.size[struck] + np.linalg.norm(whole, axis=1)
-        most += inertia[struck] * np.linalg.norm(spin[struck], axis=1)  # of I ω in the step
+        most += inertia[struck] * np.linalg.norm(spin[struck], axis=1)  # N m s, with I ω after the step
         left[np.linalg.norm(left, axis=1) <= _ROUNDING * self.count[struck] * most] = 0.0
         torque[struck] = left / dt
         angular_acceleration[struck] = torque[struck] / inertia[struck, None]

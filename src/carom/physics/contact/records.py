@@ -14,10 +14,10 @@ from carom.physics.diagnostics.ledger import LedgerRecord
 class ContactGeometry(Protocol):
     """The geometry of a contact or an impact."""
 
-    nx: float  # the normal, from i to j
+    nx: float  # components of the normal from i to j
     ny: float
     nz: float
-    arm_i: float  # m, from each centre to the contact point
+    arm_i: float  # m, distance from each centre to the contact point
     arm_j: float
 
 
@@ -32,7 +32,7 @@ class AngularImpulse(Protocol):
 class RollingFields(AngularImpulse, Protocol):
     """Further fields of a contact whose law resists rolling or twisting."""
 
-    change_x: float  # N m s, the change of Λ in the last iteration
+    change_x: float  # N m s, change of Λ in the last iteration
     change_y: float
     change_z: float
     spin_x: float  # rad/s, Ω before `hold`
@@ -43,14 +43,14 @@ class RollingFields(AngularImpulse, Protocol):
 class ContactRecord(ContactGeometry, Protocol):
     """The fields of a contact that the iterations use."""
 
-    normal_mass: float  # kg, effective masses of normal and tangential impulses
+    normal_mass: float  # kg, effective masses for normal and tangential impulses
     tangent_mass: float
-    velocity_bias: float  # m/s, c: the contact may close at up to c; it has to separate if c is negative
-    normal_impulse: float  # N s, λ_n and λ_t
+    velocity_bias: float  # m/s, c: the contact may close at up to c; if c is negative, it has to separate
+    normal_impulse: float  # N s, components λ_n and λ_t of the impulse
     friction_x: float
     friction_y: float
     friction_z: float
-    delta_normal: float  # N s, s: their change in the last iteration
+    delta_normal: float  # N s, s: changes of λ_n and λ_t in the last iteration
     delta_x: float
     delta_y: float
     delta_z: float
@@ -63,7 +63,7 @@ class RollingContactRecord(RollingFields, ContactRecord, Protocol):
 class TurningNormal(Protocol):
     """Fields of contacts in a scene with walls that may curve, and with friction."""
 
-    turn_x: float  # m/s, q at a wall before a drift, see `body_state.half_turn`
+    turn_x: float  # m/s, q at a wall before a drift; see `body_state.half_turn`
     turn_y: float
     turn_z: float
 
@@ -79,7 +79,7 @@ class RollingWallContactRecord(TurningNormal, RollingContactRecord, Protocol):
 class SurfaceVelocity(Protocol):
     """Fields of contacts in a scene with moving walls."""
 
-    surface_x: float  # m/s, s of the wall; 0 between bodies
+    surface_x: float  # m/s, velocity s of the wall's surface; 0 between bodies
     surface_y: float
     surface_z: float
 
@@ -95,7 +95,7 @@ class RollingSlidingWallContactRecord(SurfaceVelocity, RollingWallContactRecord,
 class ImageVelocity(Protocol):
     """Fields of lasting contacts in a sheared box."""
 
-    image_x: float  # m/s, w: the velocity of the image of j that touches i, relative to j
+    image_x: float  # m/s, w: velocity relative to j of the image of j that touches i
     image_y: float
     image_z: float
 
@@ -111,24 +111,24 @@ class RollingImageContactRecord(ImageVelocity, RollingContactRecord, Protocol):
 class ContactStateRecord(Protocol):
     """The fields of a contact that only the phases before and after the iterations use."""
 
-    overlap: float  # m, at present; negative for a gap
-    detected_overlap: float  # m, before the position correction; 0 for a gap
+    overlap: float  # m, present overlap; negative for a gap
+    detected_overlap: float  # m, overlap before the position correction; 0 for a gap
     rest_speed: float  # m/s, largest approach speed of a contact at rest
     approach_speed: float  # m/s, before the impulses
     normal_before: float  # m/s, v_n and u before `hold`
     slip_x: float
     slip_y: float
     slip_z: float
-    restitution_loss: float  # J, its ledger, as in `LedgerRecord`
+    restitution_loss: float  # J, ledger of the contact, as in `LedgerRecord`
     friction_loss: float
     stabilisation_gain: float
-    push_x: float  # m, Σ δ n of the position corrections
+    push_x: float  # m, Σ δ n over the position corrections
     push_y: float
     push_z: float
     push_fraction: float  # fraction of the overlap that one position correction removes
-    apart: bool  # whether the contact was detected with a gap
-    biased: bool  # whether Baumgarte's bias makes it separate
-    slides: bool  # whether it slid in the last iterations and may not stick again
+    apart: bool  # whether the contact was detected as a gap
+    biased: bool  # whether Baumgarte's bias makes the contact separate
+    slides: bool  # whether the contact slid in the last iterations and may not stick again
 
 
 class BodyStateRecord(Protocol):
@@ -149,13 +149,13 @@ class BodyStateRecord(Protocol):
     dwy: float
     dwz: float
     mass: float  # kg; 0 if fixed
-    inertia: float  # kg m²; 0 if fixed
+    inertia: float  # kg m², moment of inertia; 0 if fixed
 
 
 class Guide(Protocol):
     """Fields of bodies in a scene with a guided wall."""
 
-    axis_x: float  # the axis along which the wall moves; 0 for bodies, which move freely
+    axis_x: float  # axis along which a wall moves; 0 for bodies, which move freely
     axis_y: float
     axis_z: float
 
@@ -180,10 +180,10 @@ class PushedBodyRecord(Protocol):
 class LoadRecord(Protocol):
     """What contacts did to a body in the last kick, over its mass and the kick."""
 
-    x: float  # m/s², the acceleration by its contacts, Σ J/(m h)
+    x: float  # m/s², acceleration Σ J/(m h) by the body's contacts
     y: float
     z: float
-    xx: float  # m/s², the load Σ λ n nᵀ/(m h), symmetric
+    xx: float  # m/s², symmetric load Σ λ n nᵀ/(m h)
     yy: float
     zz: float
     xy: float
@@ -194,7 +194,7 @@ class LoadRecord(Protocol):
 class SearchRecord(Protocol):
     """A contact in conjugate gradients."""
 
-    step_normal: float  # N s, s: the change of the impulses
+    step_normal: float  # N s, s: change of the impulses
     step_x: float
     step_y: float
     step_z: float
@@ -223,11 +223,11 @@ class HasImpulse(Protocol):
 class ImpulseRecord(Protocol):
     """Impulses of a contact that is recorded."""
 
-    normal_impulse: float  # N s, Σ of the impulses by `solver.impacts`
+    normal_impulse: float  # N s, sum of the impulses by `solver.impacts`
     friction_x: float
     friction_y: float
     friction_z: float
-    correction_x: float  # N s, Σ of the changes of momentum by `solver.positions`
+    correction_x: float  # N s, sum of the changes of momentum by `solver.positions`
     correction_y: float
     correction_z: float
 
@@ -239,19 +239,19 @@ class RollingImpulseRecord(AngularImpulse, ImpulseRecord, Protocol):
 class PieceResultsRecord(Protocol):
     """Results of a phase for one piece of contacts."""
 
-    residual: float  # m/s, the largest change or violation; for position corrections, 1 if another iteration is needed
+    residual: float  # m/s, largest change or violation; for position corrections, 1 if another iteration is needed
     residual_norm: float  # r·z, of conjugate gradients
-    exact_norm: float  # r·z of the contacts that are to converge to rounding
-    largest_push: float  # N s, the largest impulses of either sign
+    exact_norm: float  # r·z over the contacts that are to converge to rounding
+    largest_push: float  # N s, largest impulses of either sign
     largest_pull: float
-    slope: float  # J, s·c of the line search
-    step_limit: float  # largest α of the line search at which no impulse is attractive
+    slope: float  # J, s·c for the line search
+    step_limit: float  # largest α in the line search at which no impulse is attractive
     fastest: float  # m/s, the fastest approach
-    restitution_loss: float  # J, the ledger of the piece
+    restitution_loss: float  # J, ledger of the piece
     friction_loss: float
     stabilisation_gain: float
-    any_rests: bool  # whether a contact is at rest
-    is_exact: bool  # whether conjugate gradients go on here when they leave meshed islands
+    any_rests: bool  # whether any contact is at rest
+    is_exact: bool  # whether conjugate gradients continue here when they leave meshed islands
 
 
 class BlockSumsRecord(Protocol):
@@ -276,30 +276,30 @@ class SettingsRecord(Protocol):
 
     independent: int  # number of leading colours whose contacts share no moving body
     iteration: int  # number of iterations before the present one
-    dt: float  # s, the step for which the rest speeds were found; before a drift, the previous one
-    drift: float  # s, the coming drift; 0 after the last kick
+    dt: float  # s, step for which the rest speeds were found; before a drift, the previous one
+    drift: float  # s, length of the coming drift; 0 after the last kick
     booked: float  # s, the part of the drift for which the work of the forces is already booked
     bias_rate: float  # 1/s, Baumgarte's separation speed per overlap
-    alpha: float  # α, of the line search and of conjugate gradients
-    beta: float  # β of conjugate gradients, weight of the last direction in the next one
-    negligible: float  # m/s, slower approaches are no violation
+    alpha: float  # α of the line search and of conjugate gradients
+    beta: float  # β of conjugate gradients, the weight of the last direction in the next one
+    negligible: float  # m/s; a slower approach is no violation
     tolerance: float  # in multiples of `tolerated`
-    fastest: float  # m/s, the fastest approach before the impulses of impacts
-    any_rests: bool  # whether a contact was at rest before them
+    fastest: float  # m/s, fastest approach before the impulses of impacts
+    any_rests: bool  # whether any contact was at rest before these impulses
     spins: bool  # whether impulses exert torques
     impacts_only: bool  # whether resting contacts are skipped
-    solved: float  # fraction of its first r·z at which a round of conjugate gradients ends
-    meshed_iterations: int  # of a round of conjugate gradients, after which it leaves meshed islands; 0 for no limit
+    solved: float  # fraction of the first r·z in a round of conjugate gradients at which the round ends
+    meshed_iterations: int  # most iterations of conjugate gradients in a round with meshed islands; 0 for no limit
     refines: bool  # whether conjugate gradients follow the iterations
     keeps_iterating: bool  # whether iterations follow conjugate gradients that did not converge
-    spares_meshed: bool  # whether these iterations ignore the contacts of meshed islands
+    spares_meshed: bool  # whether the further iterations ignore contacts of meshed islands
     ignores_meshed: bool  # whether contacts of meshed islands are ignored now
     slides_meshed: bool  # whether contacts of meshed islands that have slid keep sliding in all iterations
     is_lenient: bool  # whether contacts of meshed islands may close by their rest speed
     slides_above: float  # contacts with a larger `enough` that have slid since the kick keep sliding
     islands_known: bool  # whether the bodies' islands are found
     measures: bool  # whether the audit writes `MEASURED`
-    scaled_back: bool  # whether impulses were too large for the energy bound
+    scaled_back: bool  # whether impulses were too large for the energy bound, and were scaled back
 
 
 class ImpactRecord(ContactGeometry, LedgerRecord, Protocol):
@@ -307,11 +307,11 @@ class ImpactRecord(ContactGeometry, LedgerRecord, Protocol):
 
     i: int  # i < j
     j: int
-    time: float  # s from the beginning of the drift
-    clock: float  # s, the clock σ of the straight paths, see `events.trajectories`
+    time: float  # s from the beginning of the drift, time of the impact
+    clock: float  # s, clock σ of the straight paths; see `events.trajectories`
     approach: float  # m/s, closing speed
     rest_speed: float  # m/s, closing speed up to which a contact is at rest
-    vix: float  # m/s, velocities right after the impact
+    vix: float  # m/s, velocities of both ends right after the impact
     viy: float
     viz: float
     vjx: float

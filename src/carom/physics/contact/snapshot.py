@@ -40,11 +40,11 @@ class ContactSnapshot:
     """The contacts of a step, each pair once, in the order of the graph."""
 
     graph: CollisionGraph
-    approach: FloatArray  # (m,) m/s, closing speed before the impulses; the largest of several
+    approach: FloatArray  # (m,) m/s, closing speed before the impulses; the largest where a pair has several
     rest_speed: FloatArray  # (m,) m/s, closing speed up to which a contact is at rest
-    impacts: int  # number of contacts that closed faster; a pair may be among them more than once
+    impacts: int  # number of contacts that closed faster; a pair may count more than once
     _order: IntArray | None = None  # (l,) order of contacts and impacts by pair; None without impacts
-    _first: IntArray | None = None  # (m,) index of each pair's first entry in that order
+    _first: IntArray | None = None  # (m,) index of each pair's first entry in `_order`
 
     @classmethod
     def of(cls, graph: CollisionGraph, approach: FloatArray, rest_speed: FloatArray) -> ContactSnapshot:
@@ -80,7 +80,7 @@ class ContactSnapshot:
         graph, log, late = self.graph, impacts.log, len(self.graph)
         approach = np.concatenate((self.approach, impacts.approach))
         ends = (graph.pairs[:, 0], log["i"]), (graph.pairs[:, 1], log["j"])
-        pair = np.concatenate(ends[0]) * len(inverse_mass) + np.concatenate(ends[1])  # a number for each pair
+        pair = np.concatenate(ends[0]) * len(inverse_mass) + np.concatenate(ends[1])  # a unique number for each pair
         # entries of a pair are in this order: the contact at the end, then impacts, the hardest first
         softness = -approach
         softness[:late] = -np.inf
@@ -142,7 +142,7 @@ class SnapshotSource:
     def forget(self) -> None:
         """Return to the state before the first step."""
         self._snapshot: ContactSnapshot | None = EMPTY_SNAPSHOT  # None: not yet made
-        self._place = np.empty(0, dtype=np.int64)  # (m,) indices of the records of its contacts; -1 for idle contacts
+        self._place = np.empty(0, dtype=np.int64)  # (m,) indices of the contacts' records; -1 for idle contacts
         self._impacts = NO_IMPACTS
 
     def set_step(self, contacts: OrderedContacts, idle: IdleContacts | None, impacts: Impacts, dt: float) -> None:
@@ -152,7 +152,7 @@ class SnapshotSource:
 
     def set_quiet(self, contacts: OrderedContacts) -> None:
         """Set steps without contacts, after a step without contacts."""
-        if self._snapshot is None or self._snapshot is EMPTY_SNAPSHOT:  # the snapshot of an earlier step is empty, too
+        if self._snapshot is None or self._snapshot is EMPTY_SNAPSHOT:  # the previous step's snapshot is empty, too
             self.set_step(contacts, None, NO_IMPACTS, 0.0)
 
     @property

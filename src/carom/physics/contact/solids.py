@@ -38,10 +38,10 @@ from carom.scene.schema.wall import Wall
 from carom.scene.start import HalfSpaces, half_spaces
 from carom.scene.wall_shapes import shape_called
 
-_MARK = "walls_"  # prefix of the name of the records' first field
+_MARK = "walls_"  # prefix of the first field's name in the records
 _PLANE = ("plane_x", "plane_y", "plane_z", "plane_offset")
-_nearest: dict[str, Callable[..., Any]] = {}  # functions by the name of that field
-ARC_PASSES = 3  # of Newton's method; each doubles the number of correct digits
+_nearest: dict[str, Callable[..., Any]] = {}  # nearest-point functions by the name of that field
+ARC_PASSES = 3  # passes of Newton's method; each doubles the number of correct digits
 LARGEST_ARC = 0.5  # fraction of the focal distance by which a body may move along a wall in a step
 
 
@@ -78,9 +78,9 @@ class SolidsWithWalls(HalfSpaces):
     """The half-spaces and walls of a scene with walls; ``normal`` and ``offset`` have rows of zeros for walls."""
 
     records: Records  # (p,)
-    before: Records  # (p,) the records as the step began, if walls translate
+    before: Records  # (p,) records at the beginning of the step, if walls translate
     motions: Sequence[WallMotion | None]  # (p,)
-    guided: GuidedPlane | None = None  # the plane that contacts move
+    guided: GuidedPlane | None = None  # the plane that contacts move, if any
     press_alone: bool = False
 
     @property
@@ -149,7 +149,7 @@ def solids_of(scene: Scene) -> HalfSpaces:
         return flat
     shapes = sorted({*registry.HOUSE["walls"], *(wall.shape for wall in scene.wall)})
     parameters = [_parameters(scene, wall) for wall in scene.wall]
-    # fields of all shapes, so that the type of the records depends on the shapes only
+    # fields of all shapes, so that the records have one type for a set of shapes
     names = sorted({name for shape in shapes for name in shape_called(shape).fields})
     spins = np.array([_spin_of(wall) for wall in scene.wall]).reshape(-1, len(MOTION))
     names += [*(MOTION if spins.any() else ()), *(TRANSLATION if translates else ())]

@@ -29,13 +29,13 @@ MIN_BLOCKS_PER_TASK = 2
 class BlockCountsRecord(LedgerRecord, Protocol):
     """Statistics of one block of contacts."""
 
-    contacts: float  # number of contacts; the next field is the number of impacts
+    contacts: float  # number of contacts; the next field has the number of impacts
     impacts: float
-    struck: float  # J, Σ ½ μ v_n² of the impacts
+    struck: float  # J, Σ ½ μ v_n² over the impacts
     hardest: float  # J
     hardest_i: float  # ends of the hardest impact
     hardest_j: float
-    deepest: float  # deepest overlap / smaller radius
+    deepest: float  # deepest overlap over the smaller radius
     deepest_i: float  # ends of the deepest overlap
     deepest_j: float
 
@@ -46,12 +46,12 @@ BLOCK_COUNTS = dtype_of(BlockCountsRecord)
 class ContactStatistics(NamedTuple):
     """Statistics of the contacts in a step that touch or carry an impulse, and the work of all contacts."""
 
-    work: FloatArray  # (k, 3) J, the ledger, summed over blocks of contacts
+    work: FloatArray  # (k, 3) J, ledger of each block of contacts
     contacts: int
-    impacts: int  # every impact during the drift; at the end of the step, contacts faster than the rest speed
-    struck: float  # J, Σ ½ μ v_n² of the counted impacts
+    impacts: int  # every impact in the drift, and contacts at the end of the step that are faster than the rest speed
+    struck: float  # J, Σ ½ μ v_n² over the counted impacts
     hardest: float  # J, energy of the hardest impact; 0 without impacts
-    hardest_pair: tuple[int, int]  # ends of the hardest impact, the first of equally hard ones
+    hardest_pair: tuple[int, int]  # ends of the hardest impact, or of the first of equally hard ones
     deepest: float  # overlap / smaller radius
     deepest_pair: tuple[int, int]
 
@@ -112,7 +112,7 @@ class ContactStatistics(NamedTuple):
         mine, theirs = (self.hardest, self.hardest_pair), (hardest, (i, j))
         first = max(mine, theirs, key=lambda impact: (impact[0], -impact[1][0], -impact[1][1]))
         deepest_pair = self.deepest_pair
-        if self.deepest == 0.0 and len(log) > 0:  # the first pair that touched, without an overlap
+        if self.deepest == 0.0 and len(log) > 0:  # the first pair that touched, if none overlaps
             touching = int(log["i"][order[0]]), int(log["j"][order[0]])
             deepest_pair = touching if self.contacts == 0 else min(touching, deepest_pair)
         return self._replace(
@@ -248,7 +248,7 @@ def _comes_first(value: float, i: float, j: float, largest: float, first: float,
     return value > largest or (value == largest and comes_before(i, j, first, second))
 
 
-DEEP_OVERLAP = 0.1  # of the smaller radius; rigid spheres do not overlap at all
+DEEP_OVERLAP = 0.1  # overlap, in smaller radii, that is too deep; rigid spheres do not overlap at all
 OVERLAPS = f"Bodies overlap by more than {DEEP_OVERLAP:.0%} of the smaller radius"
 
 

@@ -18,8 +18,8 @@ from carom.physics.bodies import Ends
 from carom.physics.contact.law import IMPULSES
 from carom.physics.contact.records import ContactRecord
 
-NEGLIGIBLE = 1e-2  # of the requested error; a motion that is slower than this in a step may end anywhere in it
-SOON = 1e-3  # of the next step; a motion that ends before may end in it, with a millionth of the largest error
+NEGLIGIBLE = 1e-2  # relative to the requested error; a slower motion in a step may end anywhere in it
+SOON = 1e-3  # relative to the next step; a motion that ends earlier may end in it, with 1e-6 of the largest error
 
 
 class SlidingContacts(NamedTuple):
@@ -27,9 +27,9 @@ class SlidingContacts(NamedTuple):
 
     pairs: IntArray  # (m, 2)
     place: IntArray  # (m,) index of each contact's record
-    contacts: RecordArray[ContactRecord]  # (m,) at the end of the step
-    impulse: FloatArray  # (m, 4) N s, λ_n and λ_t, or (m, 7) with Λ if the law resists rolling
-    kick: float  # s, in which they acted
+    contacts: RecordArray[ContactRecord]  # (m,) contacts at the end of the step
+    impulse: FloatArray  # (m, 4) N s, components λ_n and λ_t, or (m, 7) with Λ if the law resists rolling
+    kick: float  # s, length of the kick in which they acted
 
 
 def time_to_stick(held: SlidingContacts, ends: Ends, dt: float, tolerance: float) -> float:

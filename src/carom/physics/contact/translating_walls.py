@@ -41,7 +41,7 @@ from carom.scene.schema.motion import WallMotion
 if TYPE_CHECKING:
     from carom.physics.bodies import Ends
 
-_SHIFT = ("motion_shift_x", "motion_shift_y", "motion_shift_z")  # m, D at the present phase of the step
+_SHIFT = ("motion_shift_x", "motion_shift_y", "motion_shift_z")  # m, components of D at the present phase of the step
 TRANSLATION = (
     *_SHIFT,
     *("motion_velocity_x", "motion_velocity_y", "motion_velocity_z"),  # m/s, V_k
@@ -49,7 +49,7 @@ TRANSLATION = (
     "motion_since",  # s, t_k
     *("motion_amplitude_x", "motion_amplitude_y", "motion_amplitude_z"),  # m, A
     *("motion_frequency", "motion_phase"),  # 1/s, f; φ/2π
-    "motion_angle",  # rad, θ at the beginning of the step, less whole turns
+    "motion_angle",  # rad, θ at the beginning of the step, without whole turns
     "motion_fastest",  # m/s², |A| (2π f)²
     *GUIDE,
 )
@@ -107,9 +107,9 @@ class WallTranslation:
         self._pieces = {k: _pieces_of(motion) for k, motion in enumerate(motions) if motion and motion.times}
         self._changes = sorted({float(time) for pieces in self._pieces.values() for time in pieces[1:, -1]})  # s
         self._velocity, self._acceleration = ends.velocity[bodies:], ends.acceleration[bodies:]
-        self._begun = np.zeros_like(self._velocity)  # m/s, Ḋ as the step began
+        self._begun = np.zeros_like(self._velocity)  # m/s, Ḋ at the beginning of the step
         self._mean = np.zeros_like(self._velocity)  # m/s, v̄
-        self._after = 0.0  # s, from the middle of the step to its end
+        self._after = 0.0  # s, time from the middle of the step to its end
         self.place(0.0)
         mean_velocities(self._records, 0.0, 1.0, self._mean)  # loads the kernel
 

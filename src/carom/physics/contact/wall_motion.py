@@ -37,8 +37,8 @@ class MovingWalls(OptionalPart):
             moving = solids.records, solids.before, bodies.ends, solids.motions
             guided, smallest = solids.guided, float(bodies.radius.min())
             self._translation = guided.motion(*moving, smallest) if guided else WallTranslation(*moving)
-        self._velocity = NO_VELOCITIES  # (p, 3) m/s, of solids that translate, at which their work is computed
-        self._work = 0.0  # J, work of moving walls on bodies in the step
+        self._velocity = NO_VELOCITIES  # (p, 3) m/s, velocities at which the work of translating solids is computed
+        self._work = 0.0  # J, work of moving walls on bodies in this step
         self.entries = (ENTRY,) if solids.moves else ()
 
     def forget(self) -> None:

@@ -36,7 +36,7 @@ from carom.state.books import NOTHING, Books, Extreme, Extremes, PaceTally
 from carom.state.checkpoint import Checkpoint
 from carom.state.energies import Energy, EnergyBaseline, Ledger
 
-ROUNDING = 1e-10  # upper bound of the rounding of a sum over 10⁶ bodies
+ROUNDING = 1e-10  # upper bound of the relative rounding in a sum over 10⁶ bodies
 
 
 class BalanceAudit:
@@ -53,16 +53,16 @@ class BalanceAudit:
         self.ledger = Ledger(forces=tuple((entry, 0.0) for entry in losses))
         self.energy: Energy
         self.momentum: Momentum
-        self.step = -1  # step of the last frame or check
+        self.step = -1  # number of the step at the last frame or check
         self._bodies = bodies
         self._units = scene.unit_system
         held = scene.anchored or acts_from_outside(scene)
         self._energy = EnergyAccount(bodies, uniform, held, constant)
-        booked = len(self.ledger.forces) > 0  # then even the field is booked step by step
+        booked = len(self.ledger.forces) > 0  # then even the field's work is booked step by step
         self.momenta = MomentumAccount(bodies, np.zeros(3) if booked else uniform, periodic, held)
         self.monitor = EnergyMonitor(scene.record.energy_tolerance, names, integrator(scene), scene.unit_system)
         self._suspects: Suspects | None = None
-        self._spent: Suspects | None = None  # suspects of the last check, whose arrays are reused
+        self._spent: Suspects | None = None  # suspects of the last check; their arrays are reused
 
     @property
     def energy_baseline(self) -> EnergyBaseline:
@@ -187,10 +187,10 @@ class Bookkeeper:
         self.change: AbstractContextManager[None] = self.impulse_audit or nullcontext()
         self.pace: PaceMonitor | None = None  # where limits set the steps
         self._events: list[Event] = []
-        # s, up to which the accuracy is promised; infinite if nothing is promised, or its end is already logged
+        # s, time up to which the accuracy is promised; infinite if nothing is promised, or the end is already logged
         self.kept_until = np.inf if scene.promise is None else scene.promise.kept_until
         if world.contact:
-            self._measure_contacts(world.contact, Extremes())  # without contacts: loads the kernels
+            self._measure_contacts(world.contact, Extremes())  # without contacts, this only loads the kernels
 
     @property
     def state(self) -> Books:

@@ -45,7 +45,7 @@ if TYPE_CHECKING:
     from carom.physics.contact.solver.contact_solver import ContactSolver
     from carom.physics.contact.solver.prepare import ImpulseCache
 
-RESTITUTION, STOPPED, GAIN, HOLDING = range(4)  # the statements above, when they are wrong
+RESTITUTION, STOPPED, GAIN, HOLDING = range(4)  # names of the statements above when they are violated
 WRONG = (
     "Impacts have not removed the energy that the coefficient of restitution says",
     "Impacts that no force presses together have ended without their rebound",
@@ -59,10 +59,10 @@ ROUNDED = 1e-9
 # remainder is of the order of the angle by which normals and loads turn in a step, at most 0.2. A work of first order
 # in the step does not cancel at all.
 CANCELLED = 0.25
-LARGEST_TURN = 0.2  # of a normal in a step; islands that turn further are not judged
-ALIKE = 0.1  # of the length of a kick; with drag, both kicks of a step differ, and the works cancel nevertheless
-SLOWEST = 1e-100  # m/s, for the coefficient of a contact of a held group that does not close
-SIGNIFICANT = 1e-6  # of the energy scale; what sweeps leave that end early is less in every extreme
+LARGEST_TURN = 0.2  # rad, largest turn of a normal in a step; islands that turn further are not judged
+ALIKE = 0.1  # relative difference of the kicks' lengths; with drag they differ, and the works cancel nevertheless
+SLOWEST = 1e-100  # m/s, replaces 0 for a contact of a held group that does not close
+SIGNIFICANT = 1e-6  # smallest violation, over the energy scale; sweeps that end early leave less in every extreme
 
 _ROUNDED = np.array([ROUNDED])
 _IDLE, _STUCK, _OTHER = 1, 2, 4  # what a contact did in the kicks, as bits
@@ -72,8 +72,8 @@ class WrongWorkRecord(Protocol):
     """The energy that one of the statements does not allow."""
 
     energy: float  # J, so far
-    worst: float  # J, largest of a contact in a step
-    i: int  # the ends of that contact
+    worst: float  # J, largest violation by a single contact in a step
+    i: int  # ends of that contact
     j: int
     step: int
     time: float  # s
@@ -86,7 +86,7 @@ class HeldContacts(Protocol):
     """What a contact did in the kicks around the last drift."""
 
     did: int  # bits
-    friction: float  # J, lost in the first kick
+    friction: float  # J, dissipated by friction in the first kick
 
 
 HELD = dtype_of(HeldContacts)
@@ -100,8 +100,8 @@ class JudgedEnds(NamedTuple):
     places: IntArray
     inverse_mass: FloatArray  # (n + p,) 1/kg
     bodies: int  # n
-    walls_move: bool  # a wall that accelerates presses bodies, too, so impacts at walls may stop
-    walls_curve: bool  # at the end of a step, a body that follows a curved wall closes, too
+    walls_move: bool  # walls that accelerate press bodies, too, so impacts at walls may stop
+    walls_curve: bool  # a body that follows a curved wall also closes at the end of a step
 
 
 class SignsOfDissipation:
@@ -156,7 +156,7 @@ class SignsOfDissipation:
         for k, row in enumerate(memory):
             self.rows[k] = row.energy, row.worst, *row.pair, row.step, row.time
             self._told[k] = row.told
-        self._known = float(self.rows["energy"].sum())  # J, at the last check
+        self._known = float(self.rows["energy"].sum())  # J, energy of the rows at the last check
 
     def before_hold(self, contacts: OrderedContacts, solver: ContactSolver, last: ImpulseCache) -> None:
         """Note what contacts did in the last kick, before the first kick of a judged step.
@@ -280,7 +280,7 @@ def _what(Jn: float, friction: Vector, material: Coefficients) -> int:
     """Return what a contact with these impulses (N s) does."""
     if not Jn > 0.0:
         return _IDLE
-    if exerts_torque(material):  # work of the torque on spins is booked as friction
+    if exerts_torque(material):  # the work of the torque on spins is booked as friction
         return _OTHER
     return _OTHER if slides(material, Jn, friction[0], friction[1], friction[2]) else _STUCK
 
@@ -327,17 +327,17 @@ def judge_impacts(
         if entry.friction_loss < -tolerated:
             found = _add(wrong[GAIN], -entry.friction_loss, i, j, step, time)
         excess = entry.restitution_loss - (1.0 - e * e) * struck
-        if np.isnan(e):  # unknown; it is at most 1
+        if np.isnan(e):  # the coefficient is unknown, but at most 1
             excess = min(0.0, entry.restitution_loss)
         if abs(excess) <= tolerated:
             continue
-        is_impact = v > entry.rest_speed or v == 0.0  # only a held group has contacts that do not close
+        is_impact = v > entry.rest_speed or v == 0.0  # only held groups have contacts that do not close
         if not is_impact:
             may_stop = walls_move and j >= bodies
             normal = entry.nx, entry.ny, entry.nz
             if may_stop or not v > PER_STEP * dt * pressing(i, j, normal, acceleration, loads):
                 continue
-        if not e >= 1.0 and len(impacts) == 0:  # also if e is unknown
+        if not e >= 1.0 and len(impacts) == 0:  # also true if e is unknown
             impacts = _count_impacts(log, bodies)
         most = 0 if e >= 1.0 else max(impacts[i], impacts[j] if j < bodies else 0)
         if is_impact and most < MAX_IN_COLLAPSE:

@@ -22,10 +22,10 @@ from carom.scene.forces import GRAVITY, UNIFORM_FIELD
 from carom.state.energies import Energy, EnergyBaseline, Ledger, Origin
 
 _PULL, _FIELD = GRAVITY.potential, UNIFORM_FIELD.potential
-CANCELLED = 1e-8  # of the sum of magnitudes; a smaller sum of kinetic and gravitational energy is taken as 0
+CANCELLED = 1e-8  # a sum of kinetic and gravitational energy, relative to their magnitudes, that counts as 0
 EPSILON = float(np.finfo(np.float64).eps)
 WALKS = 4.0  # standard deviations of a random walk of roundings; see `Energy.rounding`
-RESOLVED = 1e-10  # of the energy scale; smaller roundings cannot be mistaken for an error
+RESOLVED = 1e-10  # rounding, over the energy scale, that cannot be mistaken for an error
 
 
 class EnergyAccount:
@@ -57,8 +57,8 @@ class EnergyAccount:
         self._anchored = anchored
         self._constant = constant
         lift = np.sqrt((field**2).sum()) * (bodies.mass * bodies.radius).sum()
-        self._lift = float(lift)  # J, Σ m |g| r
-        self.baseline: EnergyBaseline | None = None  # None before the first call
+        self._lift = float(lift)  # J, Σ m |g| r of the bodies
+        self.baseline: EnergyBaseline | None = None  # the energy at the start; None before the first call
 
     def balance(
         self,
@@ -99,7 +99,7 @@ class EnergyAccount:
             self.baseline = replace(known, scale=scale)
         # each term of a sum, and each change of a velocity, is rounded up or down at random
         changing = translational + abs(gravitational - self._constant) + abs(external)
-        changing += rotational if ledger.friction else 0.0  # otherwise nothing has changed the spins
+        changing += rotational if ledger.friction else 0.0  # without friction, nothing has changed the spins
         summed = changing + rotational + abs(self._constant) + abs(known.initial)
         walk = changing * math.sqrt(roundings) + summed * math.sqrt(1.0 + len(self._bodies))
         rounding = WALKS * EPSILON * walk

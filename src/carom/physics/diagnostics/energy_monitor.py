@@ -23,9 +23,9 @@ from carom.state.books import MonitorState
 from carom.state.energies import Energy
 from carom.state.frame import CollisionGraph
 
-MOST_CONTACTS = 6  # listed in a warning, the largest added energies first
-LOST = 0.1  # of the energy scale; such an error changes the size and the period of an orbit
-MOST_WARNINGS = 100  # of rises in a run; more would be redundant
+MOST_CONTACTS = 6  # most contacts that a warning lists, those with the largest added energies first
+LOST = 0.1  # error over the energy scale; one this large changes the size and the period of an orbit
+MOST_WARNINGS = 100  # most warnings of rises in a run
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,8 +35,8 @@ class Suspects:
     step: int
     graph: CollisionGraph
     contributions: Callable[[], FloatArray]  # returns each contact's ledger, (m, 3) J
-    velocity: FloatArray  # (n + p, 3) m/s
-    angular_velocity: FloatArray | None  # (n + p, 3) rad/s
+    velocity: FloatArray  # (n + p, 3) m/s, velocities
+    angular_velocity: FloatArray | None  # (n + p, 3) rad/s, spins; None without spins
 
     @classmethod
     def of(cls, step: int, contact: ContactPipeline, bodies: Bodies, spent: Suspects | None = None) -> Suspects:

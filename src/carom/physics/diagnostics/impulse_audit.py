@@ -37,7 +37,7 @@ class ImpulseAudit:
         bodies = self._bodies
         self._ledger = _terms(ledger)
         self._velocity, self._spin = bodies.velocity.copy(), bodies.angular_velocity.copy()
-        self.kicks: list[FloatArray] = []  # (n, 3) m/s each, by forces in this step so far, in order
+        self.kicks: list[FloatArray] = []  # arrays (n, 3) in m/s, changes by forces in this step so far, in order
         self._fastest = _largest(self._velocity)  # m/s
 
     def add_kick(self, acceleration: FloatArray, dt: float) -> None:
@@ -95,8 +95,8 @@ class _Given:
     """Changes of the bodies by the impulses of a step."""
 
     velocity: FloatArray  # (n, 3) m/s
-    spin: FloatArray  # (n, 3) rad/s; (0, 3) where nothing spins
-    speed: FloatArray  # (n,) m/s, Σ |J| / m: the speed if all impulses had one direction
+    spin: FloatArray  # (n, 3) rad/s, spins; (0, 3) where nothing spins
+    speed: FloatArray  # (n,) m/s, Σ |J| / m: change of speed if all impulses had one direction
 
     @classmethod
     def of(cls, impulses: Iterable[Impulses], bodies: Bodies) -> _Given:

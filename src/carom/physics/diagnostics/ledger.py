@@ -15,7 +15,7 @@ from carom.physics.aligned import columns
 from carom.physics.jit.decorators import inline, kernel
 from carom.state.energies import Ledger
 
-RESTITUTION, FRICTION, STABILISATION = range(3)  # columns of (m, 3) arrays, J
+RESTITUTION, FRICTION, STABILISATION = range(3)  # columns of arrays (m, 3) in J
 
 
 class LedgerRecord(Protocol):

@@ -30,7 +30,7 @@ class TotalMotion(NamedTuple):
     """The total motion of all bodies."""
 
     linear: FloatArray  # (3,) kg m/s, Σ m v
-    angular: FloatArray  # (3,) kg m²/s about the origin, Σ (m x × v + I ω)
+    angular: FloatArray  # (3,) kg m²/s, Σ (m x × v + I ω) about the origin
     linear_scale: float  # kg m/s, Σ m |v|
     angular_scale: float  # kg m²/s, Σ (m |x| |v| + I |ω|)
     translational: float  # J, Σ ½ m v²
@@ -113,9 +113,9 @@ class Momentum:
     """Momentum at one time and its relative errors."""
 
     linear: FloatArray  # (3,) kg m/s
-    angular: FloatArray  # (3,) kg m²/s about the origin
-    linear_error: float | None  # relative to the largest Σ m |v| of the checks so far; None if something is fixed
-    # relative to the largest Σ (m |x| |v| + I |ω|); None without a scale, and in a periodic box
+    angular: FloatArray  # (3,) kg m²/s, angular momentum about the origin
+    linear_error: float | None  # error over the largest Σ m |v| of all checks; None if anything is fixed
+    # error over the largest Σ (m |x| |v| + I |ω|); None without a scale, and in a periodic box
     angular_error: float | None
 
 
@@ -131,7 +131,7 @@ class MomentumAccount:
         self._mass = float(bodies.mass.sum())
         moment = (bodies.mass[:, np.newaxis] * bodies.position).sum(axis=0)
         self._centre = moment / self._mass if self._mass > 0.0 else moment  # at first, all bodies may wait to enter
-        self._baseline: MomentumBaseline | None = None  # None if it has changed since the last access
+        self._baseline: MomentumBaseline | None = None  # None if the momentum has changed since the last access
 
     @property
     def baseline(self) -> MomentumBaseline:

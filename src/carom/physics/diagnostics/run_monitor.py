@@ -64,15 +64,15 @@ def refuse_many_crossings(
 def _find_infinities(lo: int, hi: int, position: FloatArray, velocity: FloatArray, lost: BoolArray) -> None:
     """Set ``lost`` if one of the numbers [lo, hi) is not finite; NumPy would allocate three arrays for this."""
     x, v, infinities = position[lo:hi], velocity[lo:hi], 0
-    for k in range(len(x)):  # from 0, so that it is vectorised
+    for k in range(len(x)):  # starts at 0, so that the loop is vectorised
         infinities += (x[k] - x[k] != 0.0) | (v[k] - v[k] != 0.0)  # ∞ - ∞ is NaN, which does not equal 0
     if infinities > 0:
         lost[0] = True
 
 
 STEPS_REMEMBERED = 50  # steps over which the energy of impacts is averaged
-SETTLED_BELOW = 1e-3  # of the energy scale; a pile has settled if the energy of its recent impacts is less
-STILL_BELOW = 1e-4  # of the energy scale; with more kinetic energy, bodies roll, slide or fall
+SETTLED_BELOW = 1e-3  # energy of recent impacts, over the energy scale, below which a pile has settled
+STILL_BELOW = 1e-4  # kinetic energy, over the energy scale, above which bodies roll, slide or fall
 
 
 class Activity:
@@ -88,7 +88,7 @@ class Activity:
         self.impact_energy = 0.0  # J, ½ μ v_n² of recent impacts
         self._bodies = bodies
         self._from_rest = from_rest
-        self._contacts: int | None = None  # of the last step; None before the first one of a new or resumed run
+        self._contacts: int | None = None  # contacts of the last step; None before the first of a new or resumed run
 
     def reopen(self, phase: str, impact_energy: float) -> None:
         """Continue an earlier run."""
@@ -118,10 +118,10 @@ def remembered(energy: float, impacts: float) -> float:
     return energy + (impacts - energy / STEPS_REMEMBERED)
 
 
-CRAWL = 5.0  # a run crawls if it takes this many times as many steps as the first step foretells
-MIN_STEPS = 50_000  # a shorter run would end before a warning is useful
+CRAWL = 5.0  # a run crawls if it takes this many times as many steps as its first step predicts
+MIN_STEPS = 50_000  # number of steps below which a run would end before a warning is useful
 
-REMEDY = {  # the key that allows longer steps, by the limit that sets them
+REMEDY = {  # the key that allows longer steps, by the limit that shortens them
     "acceleration": "time.target_dx",
     "held": "time.target_dx, to more than 1 % of the smallest radius",  # the automatic value for held bodies
     "velocity": "time.cfl",

@@ -59,13 +59,13 @@ class DragSumsRecord(Protocol):
     px: float  # kg m/s, impulse of all external forces
     py: float
     pz: float
-    Lx: float  # kg m²/s, their angular impulse
+    Lx: float  # kg m²/s, angular impulse of all external forces
     Ly: float
     Lz: float
 
 
 SUMS = dtype_of(DragSumsRecord)
-BEFORE, AFTER = range(2)  # the drift: rows of sums
+BEFORE, AFTER = range(2)  # rows of sums, before and after the drift
 
 
 class DragLaw(NamedTuple):
@@ -73,7 +73,7 @@ class DragLaw(NamedTuple):
 
     rate: float  # 1/s
     wind: FloatArray  # (3,) m/s², u/τ
-    outer: FloatArray  # (3,) m/s², u/τ plus the other accelerations that are the same for all bodies
+    outer: FloatArray  # (3,) m/s², u/τ plus all other accelerations that are the same for every body
     sums: RecordArray[DragSumsRecord]  # (2,) of a step
     held: FloatArray  # (1,) J, the part of the loss in a step that is due to held contacts
     against: FloatArray  # (n + p, 3) m/s², a - v/τ at the beginning of the step; 0 for planes
@@ -103,7 +103,7 @@ class StokesDrag(Damping):
         self._kicked = KickedBodies(*arrays, bodies.ends.inverse_mass)
         self._team = team
         self._step, self._before = _step_of(rate, 1.0), bodies.ends.velocity.copy()
-        self._exchanges: list[Exchange] = []  # of the bodies with the medium, in this step
+        self._exchanges: list[Exchange] = []  # exchanges of the bodies with the medium in this step
 
     def accelerate(self, position: FloatArray, acceleration: FloatArray, *, first: bool, potential: bool) -> float:
         """Add u/τ, the constant part; see `Force`."""

@@ -17,7 +17,7 @@ from carom.physics.jit.team import Team
 from carom.scene.forces import UNIFORM_FIELD
 from carom.scene.load import Scene
 
-MIN_BODIES_PER_TASK = 5000  # about 10 µs of work
+MIN_BODIES_PER_TASK = 5000  # bodies for about 10 µs of work
 
 
 class UniformField:

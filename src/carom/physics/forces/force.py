@@ -38,7 +38,7 @@ from carom.plan.features import Requirements
 from carom.scene.forces import FORCES, UNIFORM_FIELD, ForceKind
 from carom.scene.load import Scene
 
-Potentials = dict[str, float]  # J, by term of the energy
+Potentials = dict[str, float]  # J, energy by term
 DRIVING_FIELD = "driving_field"  # entry of the ledger: the negative work of the uniform field along periodic axes
 
 _INNER, _OUTER = sqrt(5.0 - 2.0 * sqrt(10.0 / 7.0)) / 3.0, sqrt(5.0 + 2.0 * sqrt(10.0 / 7.0)) / 3.0
@@ -50,7 +50,7 @@ QUADRATURE = ((-_OUTER, _LIGHT), (-_INNER, _HEAVY), (0.0, 128.0 / 225.0), (_INNE
 class Force(Protocol):
     """A force that accelerates bodies."""
 
-    kind: ForceKind  # its condition in a scene, and the name of its energy
+    kind: ForceKind  # its condition in a scene, and the name of its energy term
     uniform: FloatArray  # (3,) m/s², the part of the acceleration that is the same for every body
 
     def accelerate(self, position: FloatArray, acceleration: FloatArray, *, first: bool, potential: bool) -> float:
@@ -65,7 +65,7 @@ class Exchange(NamedTuple):
 
     loss: float  # J
     impulse: FloatArray  # (3,) N s
-    angular_impulse: FloatArray  # (3,) N m s, about the origin
+    angular_impulse: FloatArray  # (3,) N m s, angular impulse about the origin
 
 
 def accelerate(
@@ -87,15 +87,15 @@ class ForceLaws(NamedTuple):
     attracts: bool  # whether bodies attract each other
     constant: float  # m³/(kg s²), G
     softening: float  # m
-    uniform: FloatArray  # (f, 3) m/s², of each force that accelerates all bodies alike, in the order of summation
-    others: Parameters  # forces of installed packages, as for `add_forces`
+    uniform: FloatArray  # (f, 3) m/s², uniform acceleration of each force that has one, in the order of summation
+    others: Parameters  # parameters of forces from installed packages, as for `add_forces`
     damping: tuple[Any, ...]  # `Damping.law`, for `kick_before_drift`; empty without such a force
 
 
 class Damping(OptionalPart):
     """A force that depends on velocities, and a part of a step with its own kicks."""
 
-    law: tuple[Any, ...]  # the force for kernels, which recognise it by its type
+    law: tuple[Any, ...]  # parameters of the force for kernels, which recognise the force by their type
 
 
 class PathWork(OptionalPart):
@@ -168,7 +168,7 @@ class TotalForce:
         self._team = team
         self._profile = profile
         self.find_fixed()
-        # in the order in which accelerations are summed
+        # in the order in which accelerations are added
         kinds = [kind for kind in FORCES if needs.forces[kind.name].modelled]
         self._forces: list[Force] = [registry.load("forces", kind.name)(scene, bodies, team) for kind in kinds]
         self._forces += [kernel_forces.make(name, scene, bodies, team) for name in scene.forces.given]

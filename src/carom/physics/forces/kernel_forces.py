@@ -35,11 +35,11 @@ _BODY, _PAIR = "body_force_", "pair_force_"  # prefixes of the first field of a 
 class _Compiled(NamedTuple):
     """The functions of a force, which kernels inline."""
 
-    acceleration: Any  # or the attraction of a pair
-    potential: Any  # None for a force without one
+    acceleration: Any  # acceleration function, or attraction of a pair
+    potential: Any  # potential function; None for a force without one
 
 
-_compiled: dict[str, _Compiled] = {}  # by the name of the first field of their records
+_compiled: dict[str, _Compiled] = {}  # compiled functions by the first field of their records
 
 
 class KernelForce:

@@ -16,14 +16,14 @@ from carom.plan.features import Requirements
 from carom.scene.load import Scene
 from carom.state.checkpoint import IntegratorCheckpoint
 
-BY_LEAPFROG = -1.0  # value of ``last_dt`` where contacts came to rest, and leapfrog takes the steps
+BY_LEAPFROG = -1.0  # value of ``last_dt`` where contacts came to rest and leapfrog takes over
 
 
 class Meeting(NamedTuple):
     """Two ends that touch: bodies, or n + p for plane p."""
 
     ends: tuple[int, int]
-    rests: bool  # whether forces press them together so that they do not separate
+    rests: bool  # whether forces press the pair together so that it does not separate
 
 
 class Batch(NamedTuple):
@@ -34,7 +34,7 @@ class Batch(NamedTuple):
     time: float  # s, time after it
     dt: float  # s, its length
     limit: str  # what set its length
-    meeting: Meeting | None = None  # the pair that touches at the end; to be resolved before the next call
+    meeting: Meeting | None = None  # the pair that touches at the end, which must be resolved before the next call
 
 
 class BatchIntegrator(Protocol):

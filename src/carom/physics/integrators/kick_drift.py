@@ -51,11 +51,11 @@ class DampedStep(NamedTuple):
 
     length: float  # s
     first_kick: float  # s
-    before: float  # factor of the velocities before the drift, which makes them the mean velocities of the drift
+    before: float  # factor on the velocities before the drift, which turns them into mean velocities of the drift
     after: float  # factor after the drift
     last_kick: float  # s
-    booked: float  # s, part of the drift for which the work of the other forces is booked before it
-    held_kick: float  # s, effective length of the first kick at held contacts
+    booked: float  # s, part of the drift for which the work of other forces is booked beforehand
+    held_kick: float  # s, effective length of the first kick for held contacts
     path: DampedPath
 
 

@@ -23,8 +23,8 @@ class Located(types.Type):  # type: ignore[misc] # untyped, like all of Numba's 
     """Numba's type of the address of a named tuple in memory that nobody writes."""
 
     def __init__(self, of: Any) -> None:
-        self.of = of  # the type of the tuple
-        self.fields, self.types = of.fields, of.types  # of its members, by name
+        self.of = of  # type of the tuple
+        self.fields, self.types = of.fields, of.types  # names and types of its members
         super().__init__(f"Located({of})")
 
     def member(self, field: str) -> Any:

@@ -38,8 +38,8 @@ from carom.held_signals import signals_held
 from carom.physics.jit.inside import MISSING, PLAIN, compiler, config, serialize
 from carom.private_folder import is_own
 
-CHECKSUM = 16  # bytes of each of the two checksums at the start of a file: one of all, one of the sources alone
-CLAIMS = "claims.lock"  # a file in each folder; one of its bytes is locked while a kernel is compiled
+CHECKSUM = 16  # bytes of each checksum at the start of a file: one of everything, one of the sources alone
+CLAIMS = "claims.lock"  # name of a file in each folder; one of its bytes is locked while a kernel is compiled
 PATIENCE = 120.0  # s, longest wait for another process, which usually takes a few seconds
 POLL = 0.02  # s, between two checks of a claim
 # The sources that kernels of carom are compiled from. Other modules affect a kernel only through its arguments and
@@ -146,7 +146,7 @@ class KernelCache:
         with signals_held():
             try:
                 content = pickle.loads(data)
-            except (ImportError, AttributeError):  # a class named in it was moved, as by an upgrade of a library
+            except (ImportError, AttributeError):  # a class named in the data was moved, as by an upgrade of a library
                 return None
             return compiler.CompileResult._rebuild(target_context, *content)
 
@@ -225,7 +225,7 @@ def _claims(folder: Path) -> int | None:
 
 
 def _byte_of(path: Path) -> int:
-    return xxhash.xxh3_64_intdigest(path.name.encode()) >> 2  # within the range of a file's offset
+    return xxhash.xxh3_64_intdigest(path.name.encode()) >> 2  # a number within the range of offsets in a file
 
 
 def _claim(path: Path) -> bool:
@@ -243,7 +243,7 @@ def _claim(path: Path) -> bool:
             fcntl.lockf(claims, fcntl.LOCK_EX | fcntl.LOCK_NB, 1, _byte_of(path))
         except BlockingIOError:
             time.sleep(POLL)
-        except OSError:  # a file system without locks
+        except OSError:  # the file system has no locks
             return False
         else:
             return True
@@ -278,7 +278,7 @@ def _types(sig: Any, codegen: Any, processor: str = "") -> bytes:
 
 def _named_tuples(kind: Any) -> list[tuple[str, str, tuple[str, ...]]]:
     """Return module, class and fields of the named tuples in a type."""
-    kind = getattr(kind, "of", kind)  # of a tuple that is passed by address
+    kind = getattr(kind, "of", kind)  # a tuple may be passed by address
     if not isinstance(kind, numba.types.BaseTuple):
         return []
     made_by = getattr(kind, "instance_class", None)

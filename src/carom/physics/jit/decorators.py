@@ -155,7 +155,7 @@ def entry_if_worthwhile(function: Callable[..., Any], calls: float, *arguments: 
 @contextmanager
 def compiling_all() -> Iterator[None]:
     """Compile or load even kernels that are not worthwhile."""
-    global _compiles_all  # noqa: PLW0603 - of this process, like the kernels
+    global _compiles_all  # noqa: PLW0603 - a choice for the process, like its kernels
     before, _compiles_all = _compiles_all, True
     try:
         yield

@@ -90,7 +90,7 @@ types: Any = numba.types  # documented, but without type hints
 # and functions in the order in which a process meets them, so that two processes give one name to functions over two
 # layouts, or to two functions made by one factory. Here a name contains a digest of the layout, and functions are
 # numbered from a random start in each process, forked ones included.
-RANDOM_BYTES = 8  # of the first number: 10^5 processes of 10^4 functions each overlap with a probability of 10^-5
+RANDOM_BYTES = 8  # bytes of the first number: 10⁵ processes of 10⁴ functions each overlap with a probability of 10⁻⁵
 
 
 def _name_of_layout(record: Any) -> tuple[str, tuple[str, ...]]:

@@ -8,7 +8,7 @@ from typing import Any
 from carom.physics.jit.inside import event
 
 COMPILED = "numba:compile"
-LOADED_OR_COMPILED = "numba:compiler_lock"  # Numba holds this lock while it does either
+LOADED_OR_COMPILED = "numba:compiler_lock"  # Numba holds this lock while it loads or compiles
 
 
 class KernelWatch(event.Listener):  # type: ignore[misc] # untyped, like all of Numba's inside
@@ -18,11 +18,11 @@ class KernelWatch(event.Listener):  # type: ignore[misc] # untyped, like all of 
     """
 
     def __init__(self, clock: Callable[[], float]) -> None:
-        self.compiled = 0  # kernels; the others were in the cache
+        self.compiled = 0  # number of compiled kernels; the others came from the cache
         self._clock = clock
         self._seconds = dict.fromkeys((COMPILED, LOADED_OR_COMPILED), 0.0)
         self._since = dict(self._seconds)
-        self._depth = dict.fromkeys(self._seconds, 0)  # a kernel loads and compiles those that it calls
+        self._depth = dict.fromkeys(self._seconds, 0)  # kernels load and compile the kernels that they call
 
     @property
     def seconds(self) -> float:

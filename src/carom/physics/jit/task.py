@@ -24,10 +24,10 @@ from carom.physics.jit.decorators import Function
 from carom.physics.jit.inside import PLAIN, callconv, cgutils, ir, types
 from carom.physics.jit.instructions import WORD, Code, instruction
 
-# arguments: address of the job, first piece, end of the pieces
+# arguments of a kernel: address of the job, first piece, end of the pieces
 PIECES_OF = ir.FunctionType(ir.VoidType(), [WORD, WORD, WORD])
-FAULT, INFO, KERNEL, COUNT, PIECES, ARGUMENTS = range(6)  # words of a job; error code (0: none), exception
-CODE: Any = np.object_ if PLAIN else np.int64  # type of `code_for`, for arrays
+FAULT, INFO, KERNEL, COUNT, PIECES, ARGUMENTS = range(6)  # words of a job; FAULT: error code (0: none), INFO: exception
+CODE: Any = np.object_ if PLAIN else np.int64  # type of arrays of `code_for`
 
 
 def leading(compile_as: Callable[[Function], Function]) -> Callable[[Function], Function]:

@@ -38,21 +38,21 @@ from carom.physics.jit.inside import PLAIN
 from carom.physics.jit.instructions import atomic_add, atomic_load, atomic_store
 from carom.physics.jit.task import address_of, c_function, call, do, kind_of, lay_out, raise_fault
 
-LEFT, BACK, DONE, DOER = 0, 8, 16, 24  # words of the board, each in a cache line of its own
-JOB, FIRST = DOER + 1, DOER + 2  # written by the leader only, like DOER
+LEFT, BACK, DONE, DOER = 0, 8, 16, 24  # indices of words on the board, each in a cache line of its own
+JOB, FIRST = DOER + 1, DOER + 2  # like DOER, written by the leader only
 WORDS = 32
 PATIENCE = 5000  # polls of the board, about 20 µs, before an idle helper yields its core
-# polls between two jobs before a helper sleeps; with a fifth of them, two threads gain 1.38, not 1.53
+# polls between two jobs before a helper sleeps; with a fifth, two threads gain a factor of 1.38, not 1.53
 LOOKOUT = 50 * PATIENCE
 SHIFT = 32  # pieces, some tenths of a millisecond, before a busy helper yields its core
-SHARED = 0  # result of `_lead` when the job is done; otherwise it is the kind of arguments that needs code
+SHARED = 0  # result of `_lead` when the job is done; any other is the kind of arguments that needs code
 PIECES = 16  # most pieces per thread: enough for all threads to finish at about the same time
 
 
 class Team:
     """A leader and its helpers; ``threads`` is their number. Only one thread at a time may lead."""
 
-    least = 2  # grains; smaller work is not shared
+    least = 2  # fewest grains of work that are shared
 
     def __init__(self, threads: int) -> None:
         self.size = threads = 1 if PLAIN else threads
@@ -60,7 +60,7 @@ class Team:
         self._board = np.zeros(WORDS, dtype=np.int64)
         self._falling_asleep = threading.Lock()
         self._awake = [True] + [False] * (threads - 1)
-        self._code: dict[Callable[..., None], tuple[int, int]] = {}  # of kernels: address, and kind of arguments
+        self._code: dict[Callable[..., None], tuple[int, int]] = {}  # address, and kind of arguments, of each kernel
         self._leading = threading.Lock()
 
     @contextmanager
@@ -69,7 +69,7 @@ class Team:
         if self._pool is None:
             yield ALONE
             return
-        if not self._leading.acquire(blocking=False):  # both would share one board
+        if not self._leading.acquire(blocking=False):  # two leaders would share one board
             raise RuntimeError("two threads use one team at once; only one thread may use a Space at a time")
         try:
             self._rouse()
@@ -92,7 +92,7 @@ class Team:
         ``work`` is a `long_kernel`, which releases the interpreter's lock; ``alone`` is its `entry_of` for these
         arguments, called if the work is not shared. The smallest piece has ``grain`` elements, about 10 µs of work.
         """
-        # tested first, because with few bodies such calls take most of a step
+        # tested first, since such calls take most of a step with few bodies
         if self._pool is None or count < self.least * grain:
             (alone or work)(0, count, *arguments)
         else:

@@ -32,7 +32,7 @@ from carom.physics.jit.inside import cgutils, ir
 WIDTH = 8  # doubles in a cache line
 HALF = WIDTH // 2
 DOUBLE, WORD, BIT, BYTE, INDEX = ir.DoubleType(), ir.IntType(64), ir.IntType(1), ir.IntType(8), ir.IntType(32)
-NOTHING = DOUBLE(-0.0)  # adding it preserves all bits, even those of -0.0
+NOTHING = DOUBLE(-0.0)  # adding this keeps all bits, even those of -0.0
 VECTOR, MASK = ir.VectorType(DOUBLE, WIDTH), ir.VectorType(BIT, WIDTH)
 
 

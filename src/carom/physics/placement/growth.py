@@ -39,16 +39,16 @@ from carom.scene.portable_math import cube_root
 from carom.scene.schema import BodyGroup, Region
 from carom.scene.units.system import UnitSystem
 
-DENSEST = 0.62  # equal spheres jam at 0.634 to 0.64; just below that, growth takes very long
+DENSEST = 0.62  # largest packing: equal spheres jam at 0.634 to 0.64, and growth takes very long just below
 BY_SPREAD, BY_SKEWNESS = 0.0658, 0.0857  # coefficients, see `densest`
 LOOSE = 0.2  # packing of the random start
-INFLATED = 1e-6  # of the radius: spheres grow slightly too large, so that rounding leaves no overlap
-SKIN = 0.3  # of the radius, distance that a sphere may move until neighbours are searched again
+INFLATED = 1e-6  # excess growth, in radii, so that rounding leaves no overlap
+SKIN = 0.3  # distance, in radii, that a sphere may move until neighbours are searched again
 PASS = 0.1  # s, longest time until speeds are reset to 1 radius/s per axis
 FASTEST, SLOWEST = 1.0, 1e-3  # 1/s, rates of growth
-EASE = 10.0  # 1/s², the rate of growth times the impacts of a sphere per second
-MOST_IMPACTS = 5000  # of a sphere, on average; more is a jam
-MOST_AT_ONCE = 30  # of a sphere in a pass, on average
+EASE = 10.0  # 1/s², rate of growth times the impacts of a sphere per second
+MOST_IMPACTS = 5000  # mean number of impacts per sphere above which spheres have jammed
+MOST_AT_ONCE = 30  # mean number of impacts per sphere in a pass
 
 
 def densest(radius: FloatArray) -> float:
@@ -95,7 +95,7 @@ def _arrange(
         sphere[f"v{axis}"][:n] = radius * (2.0 * rng.random(n) - 1.0)
     sphere["radius"][n:] = fixed_radius
     sphere["skin"][:n] = SKIN * radius
-    sphere["inverse_mass"][:n] = radius * radius  # speeds are then equal in radii per second
+    sphere["inverse_mass"][:n] = radius * radius  # speeds in radii per second are then equal
     border, queue = _borders(region, around), np.empty(n, dtype=np.int64)
     full, widest = 1.0 + INFLATED, float(max(radius.max(), fixed_radius.max(initial=0.0)))
     images = 1 if around.box is not None and box.min() < 4.0 * widest + 8.0 * SKIN * radius.max() else 0
@@ -155,23 +155,23 @@ def _borders(region: Region, around: Surroundings) -> Records:
 class GrowingSphereRecord(Protocol):
     """A sphere in a flight."""
 
-    x: float  # m, at the time `now`
+    x: float  # m, position at the time `now`
     y: float
     z: float
     vx: float  # m/s
     vy: float
     vz: float
-    radius: float  # m, at the beginning of the flight
-    growth: float  # m/s; 0 for fixed spheres
-    inverse_mass: float  # in any unit; 0 for fixed spheres
-    skin: float  # m that it may move until neighbours are searched again
-    start_x: float  # m, at the beginning of the flight
+    radius: float  # m, radius at the beginning of the flight
+    growth: float  # m/s, growth of the radius; 0 for fixed spheres
+    inverse_mass: float  # inverse mass in any unit; 0 for fixed spheres
+    skin: float  # m, distance that the sphere may move until neighbours are searched again
+    start_x: float  # m, position at the beginning of the flight
     start_y: float
     start_z: float
-    now: float  # s from the beginning of the flight
-    impacts: int  # impacts so far in this flight
-    impact_time: float  # s, of its next impact; infinite if there is none
-    partner: int  # the other end of that impact: sphere j, or the number of spheres + k for border k
+    now: float  # s, time of the position from the beginning of the flight
+    impacts: int  # impacts of the sphere so far in this flight
+    impact_time: float  # s, time of the next impact; infinite if there is none
+    partner: int  # other end of that impact: sphere j, or the number of spheres + k for border k
     partner_impacts: int  # impacts of the partner when this impact was predicted
     queue_place: int  # see `put`
 
@@ -182,14 +182,14 @@ SPHERE = dtype_of(GrowingSphereRecord)
 class BorderRecord(Protocol):
     """A border of the region."""
 
-    flat: bool  # a plane; spheres have `normal · x > offset`
+    flat: bool  # whether the border is a plane; spheres have `normal · x > offset`
     nx: float
     ny: float
     nz: float
     offset: float  # m
     radius: float  # m, radius of a round border about the origin
-    around: bool  # whether spheres are inside it; otherwise they are outside
-    upright: bool  # a cylinder along z; otherwise a ball
+    around: bool  # whether spheres are inside the border; otherwise they are outside
+    upright: bool  # whether the border is a cylinder along z; otherwise a ball
 
 
 BORDER = dtype_of(BorderRecord)
@@ -201,7 +201,7 @@ class FlightSpace(NamedTuple):
     border: RecordArray[BorderRecord]  # (b,)
     ends: IntArray  # (n + 1,) the neighbours of sphere i are ``others[ends[i]:ends[i + 1]]``
     others: IntArray
-    box: FloatArray  # (3,) m; zeros in open space
+    box: FloatArray  # (3,) m, size of the periodic box; zeros in open space
     images: int  # further images on either side that a body can meet, in a box of a few radii
 
 

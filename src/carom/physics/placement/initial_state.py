@@ -70,13 +70,13 @@ def place(scene: Scene) -> InitialBodies:
         streams = [np.random.default_rng(seed) for seed in np.random.SeedSequence(scene.seed).spawn(len(scene.group))]
         _refuse_full_box(scene)
         units = scene.unit_system
-        centres: dict[int, FloatArray] = {}  # centres of groups that were compressed together with an earlier one
+        centres: dict[int, FloatArray] = {}  # centres of groups that were compressed together with an earlier group
         radii: dict[int, FloatArray] = {}
         for index, group in enumerate(scene.group):
             if index not in centres:
                 mixture = _mixture(scene, index)
                 radii |= {member: drawn_radii(scene.group[member], streams[member]) for member in mixture}
-                # bodies that enter later are not there yet, and find what is there in another place
+                # bodies that enter later do not exist yet, and look for a free place when they enter
                 there = [part for part in parts if not _enters(scene, part)] if group.release is None else []
                 spheres = [(part.position, part.radius) for part in there]
                 spheres += [
@@ -282,9 +282,9 @@ def _refuse_full_box(scene: Scene) -> None:
 
 
 # checks of initial states: overlaps, and numbers out of range
-MOST_PAIRS = 3  # pairs that a message names
+MOST_PAIRS = 3  # most pairs that a message names
 WRITTEN = 5e-7  # half a unit in the last of seven digits, the fewest that files and people write
-MOST_WRITTEN = 1e-3  # of a radius; a larger overlap is not due to the rounding of a file
+MOST_WRITTEN = 1e-3  # largest overlap, in radii, that is due to the rounding of a file
 
 
 def key_of(scene: Scene, number: int) -> KeyPath:

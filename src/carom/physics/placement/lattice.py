@@ -29,9 +29,9 @@ CELLS = {
         ((0.0, 0.0, 0.0), (0.5, 0.5, 0.0), (0.5, 5.0 / 6.0, 0.5), (0.0, 1.0 / 3.0, 0.5)),
     ),
 }
-WIDEST = 1.2  # times the spacing at which a region without a border would hold exactly that many points
+WIDEST = 1.2  # factor on the spacing at which a region without a border would hold exactly that many points
 NARROWER = 0.995  # factor on the spacing whenever the region holds too few points
-TOUCHING = 1.0 + 1e-9  # of the sum of radii, so that rounding makes no two neighbours overlap
+TOUCHING = 1.0 + 1e-9  # factor on the sum of radii, so that rounding makes no neighbours overlap
 MOST_POINTS = 50_000_000
 
 

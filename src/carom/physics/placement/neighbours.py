@@ -24,8 +24,8 @@ if TYPE_CHECKING:
     from scipy.spatial import cKDTree
 
 
-ALL_PAIRS_UP_TO = 64  # bodies; importing SciPy takes longer than a short run
-MOST_CANDIDATES = 5_000_000  # pairs, of 16 bytes each, and some copies of them: some 100 bytes
+ALL_PAIRS_UP_TO = 64  # number of bodies up to which importing SciPy takes longer than testing all pairs
+MOST_CANDIDATES = 5_000_000  # most candidate pairs: some 100 bytes each, with copies
 CANDIDATES_PER_BODY = 30  # spheres of radii r to 2 r that fill 0.74 of space have at most 24 within 4 r
 # the tree compares rounded distances, so it is queried slightly beyond, and the exact test follows
 QUERY_MARGIN = 1.0 + 1e-9

@@ -31,10 +31,10 @@ from carom.scene.units.system import UnitSystem
 
 FULLEST = 0.38  # random sequential addition of equal spheres jams at 0.384 (Torquato & Stillinger, RMP 82, 2633)
 FINE_CELL = 0.34  # of the smallest radius
-MOST_CELLS = 100_000_000  # of the fine grid, one byte each
+MOST_CELLS = 100_000_000  # most cells of the fine grid, one byte each
 MOST_CELLS_PER_BODY = 4000  # a region with more is nearly empty: few candidates collide, and a plain search is fast
 MARGIN = 1.0 + 1e-9  # allowance for the rounding of the positions of cells
-AT_ONCE = 4096  # spheres accepted together, for some 10 MB of cells
+AT_ONCE = 4096  # spheres that are accepted together, for some 10 MB of cells
 CELLS_AT_ONCE = 16  # cells examined at a time; most candidates touch something in the first of them
 
 
@@ -123,8 +123,8 @@ class Occupancy:
 
 
 CANDIDATES_PER_BODY = 1.2
-MOST_ROUNDS = 400  # of generating and filtering, for one size class
-MOST_DRAWN = 50_000_000  # candidates, for one size class
+MOST_ROUNDS = 400  # rounds of generating and filtering for one size class
+MOST_DRAWN = 50_000_000  # candidates for one size class
 
 
 def positions(

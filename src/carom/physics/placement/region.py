@@ -20,10 +20,10 @@ from carom.scene.units.system import UnitSystem
 if TYPE_CHECKING:
     from carom.physics.placement.neighbours import Surroundings
 
-DEFAULT_PACKING = 0.1  # of a group without a region
-LEAST_SIZE = 1.01  # of that region, in radii of the largest body, which then has room to be placed
-FARTHEST = 10.0  # times the scale of a plummer region: its default radius, which contains 98.5 % of the mass
-ROUNDING = 1e-12  # of the size of a region
+DEFAULT_PACKING = 0.1  # packing of a group without a region
+LEAST_SIZE = 1.01  # smallest size of such a region, in radii of the largest body, so that it has room to be placed
+FARTHEST = 10.0  # default radius of a plummer region, in its scale; it contains 98.5 % of the mass
+ROUNDING = 1e-12  # rounding relative to the size of a region
 
 
 class Arrange(Protocol):
@@ -51,7 +51,7 @@ class Arrangement(NamedTuple):
     """An arrangement of groups, listed in `carom.registry` under its name in scenes."""
 
     arrange: Arrange
-    fullest: Callable[[FloatArray], float]  # largest packing of spheres with given radii, (n,); inf if unknown
+    fullest: Callable[[FloatArray], float]  # largest packing of spheres with the given radii (n,); inf if unknown
     limit: str = ""  # beginning of the message that names this packing
 
 

@@ -22,11 +22,11 @@ from carom.scene.start import HalfSpaces, InitialBodies
 from carom.scene.units.dimension import TIME
 from carom.scene.wall_shapes import shape_called
 
-TOUCHING = 1e-6  # of the size of a wall; walls may touch, and their coordinates may be rounded to seven digits
-OPPOSED = 1e-12  # difference of the normals of two parallel planes
-LONGEST_STEP = 1.0 / 512.0  # of the run, where the distance of touching walls allows no longer step
-MOST_STEPS = 4096  # later times are not checked, for walls that oscillate close to each other
-HALVINGS = 3  # of the sides of drawn triangles
+TOUCHING = 1e-6  # distance, in sizes of a wall, of walls that touch with coordinates rounded to seven digits
+OPPOSED = 1e-12  # largest difference of the normals of parallel planes
+LONGEST_STEP = 1.0 / 512.0  # longest step as a fraction of the run, where the distance of touching walls allows more
+MOST_STEPS = 4096  # most steps that are checked, for walls that oscillate close to each other
+HALVINGS = 3  # halvings of the sides of drawn triangles
 ENOUGH_TRIANGLES = 256
 
 

@@ -19,7 +19,7 @@ from carom.private_folder import temporary_folder
 from carom.recording.write.whole_file import Claim, whole_file
 
 CLIP = "clip.rrd"
-LARGEST = 10_000_000  # bytes of a bundle, a common limit of attachments
+LARGEST = 10_000_000  # most bytes of a bundle, a common limit for attachments
 MOST_UNPACKED = 1_000_000_000  # bytes
 MOST_TIMES = 1000  # highest compression ratio of deflate; a higher ratio is a zip bomb
 MOST_MEMBERS = 100

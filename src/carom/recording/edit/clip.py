@@ -41,18 +41,18 @@ class Selection:
 
     def __init__(
         self,
-        numbers: Sequence[int],  # of the bodies to keep
+        numbers: Sequence[int],  # numbers of the bodies to keep
         shown: Sequence[int],  # numbers of the bodies that the source shows
-        box: FloatArray | None,  # (3,) m, of a periodic domain
+        box: FloatArray | None,  # (3,) m, size of a periodic domain
         bodies: int,  # number of all bodies
     ) -> None:
         self._numbers = np.array(sorted(set(numbers)), dtype=np.int64)
-        # indices among the bodies that the source shows
+        # indices of the kept bodies among those that the source shows
         self._places = np.searchsorted(np.asarray(shown), self._numbers)
         self._shown = len(shown)
         self._box = box
         self._bodies_in_all = bodies
-        self._centres: dict[int, SingleArray] = {}  # of all bodies, by step, until the step's contacts are read
+        self._centres: dict[int, SingleArray] = {}  # centres of all bodies, by step, until the step's contacts are read
 
     def of(self, chunk: Chunk) -> Chunk:
         """Return a chunk with only the values of the kept bodies."""
@@ -126,7 +126,7 @@ def _masked(chunk: Chunk, masks: list[BoolArray]) -> Chunk:
     columns = {}
     for name in chunk.components:
         found = pc.list_value_length(chunk.batch[name]).to_pylist()
-        if name in ("impact_count", paths.IMPACT_SUMS, paths.FLOOR):  # of a row, whatever the number of contacts
+        if name in ("impact_count", paths.IMPACT_SUMS, paths.FLOOR):  # describe a whole row, whatever its contacts
             continue
         if found == lengths:
             columns[name] = _lists(chunk.batch[name], np.flatnonzero(mask), each)
@@ -149,7 +149,7 @@ def _replaced(chunk: Chunk, columns: dict[str, pa.Array]) -> Chunk:
 
 PROPERTY = "clip"
 
-_STATES = (paths.PHASE, paths.DT_LIMIT)  # rows only at changes: the last row before the cut still applies
+_STATES = (paths.PHASE, paths.DT_LIMIT)  # entities with rows only at changes: the last row before the cut still applies
 _PATH, _KIND, _COMPONENT = b"rerun:entity_path", b"rerun:kind", b"rerun:component"
 
 
@@ -162,8 +162,8 @@ class Clip:
     frames: int
     first_step: int
     last_step: int
-    start: float  # s, of the first frame
-    end: float  # s, of the last frame
+    start: float  # s, time of the first frame
+    end: float  # s, time of the last frame
     replays_from: int | None  # step of the exact state in /state/start; None without one
     bodies: list[int] | None  # bodies in the clip; None for all
 
@@ -206,7 +206,7 @@ def clip(
         selection = None if bodies is None else _selection(recording, bodies)
         first = _start(recording, cut) if exact else None
         with Writer(Path(out), recording.store.application_id, str(uuid.uuid4())) as writer:
-            # first of all: without it, a killed clip would claim to end as the whole run does
+            # written first: otherwise a killed clip would claim to end as the whole run does
             about: dict[str, Scalar | IntArray] = {"source": recording.path.name, "from": cut.start, "to": cut.end}
             about["recording_id"] = recording.store.store_id
             if not exact:
@@ -320,7 +320,7 @@ def _within(chunk: Chunk, cut: _Cut) -> Chunk:
     before = np.flatnonzero(steps < cut.first)
     if chunk.entity_path in _STATES and len(before) and not np.any(steps == cut.first):
         inside[before[-1]] = True
-        # move rows from before the cut to its first frame
+        # moves rows from before the cut to its first frame
         batch = chunk.batch.filter(pa.array(inside))
         early = pc.less(batch[STEP], cut.first)
         shown = pa.scalar(cut.first_shown, pa.int64()).cast(pa.duration("ns"))

@@ -57,11 +57,11 @@ PROPERTY = "repair"
 class Repaired:
     """Result of a repair."""
 
-    path: Path | None  # None if there was nothing to repair
+    path: Path | None  # path of the new file; None if there was nothing to repair
     size: int = 0  # bytes
     frames: int = 0
     last_step: int | None = None
-    end: float | None = None  # s, of the last frame
+    end: float | None = None  # s, time of the last frame
     lost: list[str] = field(default_factory=list)
     added: list[str] = field(default_factory=list)
 
@@ -88,9 +88,9 @@ def repair(source: str | Path, out: str | Path) -> Repaired:
         recording.refuse_other_schema()
         if found.finished:
             with contextlib.suppress(RecordingError):
-                recording.fingerprints()  # the table of frames, which everything else needs
+                recording.fingerprints()  # reads the table of frames, which everything else needs
                 return Repaired(None)
-        try:  # refuse a file without the static data that its frames require
+        try:  # refuses a file without the static data that its frames require
             known = bool(recording.info)
         except RecordingError:
             known = False
@@ -119,7 +119,7 @@ def _rewrite(recording: Recording, out: Path, found: Salvage) -> Repaired:
                     if chunk.entity_path == paths.FINGERPRINT:  # a wrong time would make all frames unreadable
                         kept.append(rising(join_rows(paths.FINGERPRINT, [chunk], FINGERPRINTS)))
                     writer.send(chunk)
-            except DamageError as error:  # carom or Rerun would not have written it
+            except DamageError as error:  # neither carom nor Rerun would have written it
                 lost.append(f"{_named(entry)} ({error})")
         steps, times = ([row for table in kept for row in table[name].to_pylist()] for name in (STEP, "time"))
         step, end = max(steps, default=None), max(times, default=None)
@@ -139,7 +139,7 @@ def _rewrite(recording: Recording, out: Path, found: Salvage) -> Repaired:
     try:
         Recording.open(out).fingerprints()
     except RecordingError as error:
-        out.unlink()  # without frames, it is useless
+        out.unlink()  # a file without frames is useless
         reason = error.__cause__ if isinstance(error.__cause__, DamageError) else error
         raise RecordingError(f"nothing of {recording.path} can be recovered: its frames have {reason}") from error
     if recording.lives is not None:
@@ -184,7 +184,7 @@ def _named(entry: Entry) -> str:
 
 
 _WITH_ENDS = (paths.CONTACTS, paths.FORCE_NORMAL, paths.FORCE_FRICTION)
-_RENEWED = (paths.ABOUT, paths.SCENE, paths.BODIES, paths.STATIC_STATE, paths.LIVES)  # again if bodies come or go
+_RENEWED = (paths.ABOUT, paths.SCENE, paths.BODIES, paths.STATIC_STATE, paths.LIVES)  # rewritten if bodies come or go
 
 
 def widen(path: Path) -> None:
@@ -195,7 +195,7 @@ def widen(path: Path) -> None:
     fit = None
     with Writer(path, recording.store.application_id, recording.store.store_id) as writer:
         statics = sorted((e for e in recording.store.entries if e.is_static), key=lambda entry: entry.offset)
-        last = {entry.entity_path: entry for entry in statics}  # of these, only the last is sent
+        last = {entry.entity_path: entry for entry in statics}  # only the last row of each of these entities is sent
         kept = [entry for entry in statics if entry.entity_path not in _RENEWED or last[entry.entity_path] is entry]
         for chunk in recording.chunks(kept):
             writer.send(chunk)

@@ -25,13 +25,13 @@ class Snapshot:
     """The bodies that exist and that a recording shows, at the end of a step, in float64 and SI units."""
 
     step: int
-    time: float  # s, at the end of the step
+    time: float  # s, time at the end of the step
     body: IntArray  # (n,) numbers of the shown bodies
     mass: FloatArray  # (n,) kg
     radius: FloatArray  # (n,) m
     others: Mapping[str, NDArray[Any]]  # (n,) further columns that a [[bodies]] section needs
-    vectors: VectorsByName  # the state by quantity, (n, k) each, without what is not modelled; see `STATE_QUANTITIES`
-    energies: Mapping[str, float]  # J, of all bodies, by the names of `Recording.energy`
+    vectors: VectorsByName  # quantities of the state that are modelled, (n, k) each; see `STATE_QUANTITIES`
+    energies: Mapping[str, float]  # J, energies of all bodies, by the names of `Recording.energy`
     contacts: pa.Table | None = None  # of the step, with names and units, see `Recording.contacts`; None: not known
     cell: FloatArray | None = None  # (3,) m, size of a periodic domain about the origin; or (3, 3) m, see `Shear.cell`
 
@@ -45,10 +45,10 @@ class StepFiles:
 
     write: Callable[[Path, Snapshot], None]
     write_list: Callable[[Path, Sequence[tuple[str, float]]], None]  # writes the names of files and their times in s
-    list_suffix: str  # of the list, after the name that is asked for
+    list_suffix: str  # suffix of the list, after the requested name
 
 
-CONTACTS, ENERGIES = "contacts", "energies"  # tables beside the table of the bodies
+CONTACTS, ENERGIES = "contacts", "energies"  # names of the tables beside the table of bodies
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,7 +103,7 @@ def write(path: Path, snapshots: Iterator[Snapshot], series: bool) -> tuple[Path
     Several steps of `StepFiles`, such as a .vtk, go into a folder ``NAME-vtk`` beside the list of their times. Raises
     RecordingError if it cannot be written.
     """
-    numbers = itertools.count()  # the next one is the number of steps that have been written
+    numbers = itertools.count()  # the next number is the number of steps that have been written
     counted = (snapshot for snapshot, _ in zip(snapshots, numbers, strict=False))
     made = registry.load("export_formats", path.suffix[1:])
     try:
@@ -114,7 +114,7 @@ def write(path: Path, snapshots: Iterator[Snapshot], series: bool) -> tuple[Path
             first = next(counted)
             made.write(part, first) if isinstance(made, StepFiles) else made(part, first, counted)
             for file, final in zip((*others_of(part), part), (*others_of(path), path), strict=True):
-                if file.exists():  # a run without contacts has no table of them
+                if file.exists():  # a run without contacts has no contact table
                     file.replace(final)
                 else:
                     final.unlink(missing_ok=True)

@@ -32,7 +32,7 @@ def _shown(column: pa.ChunkedArray) -> pa.ChunkedArray:
     kind = column.type.value_type if pa.types.is_dictionary(column.type) else column.type
     if not (pa.types.is_string(kind) or pa.types.is_large_string(kind)):
         return column
-    encoded = column.dictionary_encode().combine_chunks()  # each text once, however many rows have it
+    encoded = column.dictionary_encode().combine_chunks()  # encodes each text once, however many rows have it
     texts = pa.array([None if text is None else _text(text) for text in encoded.dictionary.to_pylist()], pa.string())
     return pa.chunked_array([texts.take(encoded.indices)])
 

@@ -40,9 +40,9 @@ def _write(
                 writers[file].write_table(shown)
 
 
-PARQUET = TableFiles(partial(_write, pq.ParquetWriter))  # with a row group for each step
+PARQUET = TableFiles(partial(_write, pq.ParquetWriter))  # Parquet, with a row group for each step
 ARROW = TableFiles(partial(_write, pa.ipc.new_file))  # Feather, with a record batch for each step
-CSV = TableFiles(partial(_write, pc.CSVWriter, shaped=in_csv))  # numbers keep all their digits
+CSV = TableFiles(partial(_write, pc.CSVWriter, shaped=in_csv))  # CSV, in which numbers keep all their digits
 
 
 def table_of(snapshot: Snapshot) -> pa.Table:

@@ -26,7 +26,7 @@ from carom.recording.schema.properties import checked
 from carom.recording.timelines import SIM_TIME, STEP
 from carom.scene.wording import command
 
-# Exceptions caused by wrong names, types or lengths in a file.
+# Exceptions that wrong names, types or lengths in a file raise.
 _SURPRISES = (
     *(LookupError, ValueError, TypeError, AttributeError, ArithmeticError, MemoryError, RecursionError),
     pa.ArrowException,
@@ -57,7 +57,7 @@ def _damaged(path: Path, reason: str) -> str:
     return f"{path} is not a recording, or is damaged ({reason}); {advice}"
 
 
-_MOST_TEXT = 1 << 26  # bytes of all texts in a table; a run logs a few hundred lines
+_MOST_TEXT = 1 << 26  # most bytes of all texts in a table; a run logs a few hundred lines
 
 
 @dataclass(frozen=True, slots=True)

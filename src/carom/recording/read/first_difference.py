@@ -25,17 +25,17 @@ from carom.scene.units.system import SI, UnitSystem
 from carom.scene.wording import body_called
 
 Value = float | str
-Reduce = Callable[[Chunk], Chunk]  # keeps the data of selected bodies
-Told = tuple[int, int, str, str, str]  # step, ns on the timeline, level, kind and text of an event
+Reduce = Callable[[Chunk], Chunk]  # keeps only the data of selected bodies
+Told = tuple[int, int, str, str, str]  # an event: its step, ns on the timeline, level, kind and text
 
 _OF_IMPACTS = {"approach_speed": "m/s", "energy_lost": "J", "normal_impulse": "N s", "tangential_impulse": "N s"}
-_LONG = 80  # characters of a text, above which a difference shows a part of it
+_LONG = 80  # characters of a text above which only part of it is shown
 _ROW_ID = "rerun.controls.RowId"
-_ARROWS = (paths.FORCE_NORMAL, paths.FORCE_FRICTION)  # lists that begin with the largest impulses
-_REACHING = (paths.PLANES, paths.SHAPES, paths.MOVING)  # drawn as large as the bodies of the first frame require
-_STATES = (paths.STATIC_STATE, paths.GIVEN_STATE, paths.SCENE_TOML)  # the initial data of a run
+_ARROWS = (paths.FORCE_NORMAL, paths.FORCE_FRICTION)  # entities whose rows begin with the largest impulses
+_REACHING = (paths.PLANES, paths.SHAPES, paths.MOVING)  # entities drawn as far as the bodies of the first frame reach
+_STATES = (paths.STATIC_STATE, paths.GIVEN_STATE, paths.SCENE_TOML)  # entities with the initial data of a run
 _PROPERTY, _CLOSING, _REFERENCES = "__properties/", "__properties/outcome", "__properties/arrows"
-# the circumstances of the run, the place of a clip, the layout
+# entities about the circumstances of the run, the place of a clip, and the layout
 _CIRCUMSTANCES = ("__properties/run", "__properties/clip", "__properties/repair", paths.START, paths.MAGNIFIED)
 _NEVER_SAME = ("RecordingInfo:start_time", "wall_time", "profile.")  # prefixes of static components
 
@@ -51,7 +51,7 @@ class Difference:
     recorded: Value
     replayed: Value
     name: str = ""  # of the body
-    unit: str = ""  # of both values, in SI; empty if they have none
+    unit: str = ""  # SI unit of both values; empty if they have none
 
     @property
     def by(self) -> float | None:
@@ -82,14 +82,14 @@ class Difference:
 class Extent:
     """The part of two recordings that is compared."""
 
-    after: int  # step of the last frame before it; -1 for none
-    last: int  # step of its last frame
-    to_the_end: bool  # whether the recorded run ends there, so that later rows are a difference
-    # whether both recorders chose with the same budget which impacts, arrows and checkpoints to keep
+    after: int  # step of the last frame before this interval; -1 for none
+    last: int  # step of the last frame in this interval
+    to_the_end: bool  # whether the recorded run ends with it, so that later rows are a difference
+    # whether both recorders chose impacts, arrows and checkpoints with the same budget
     same_choice: bool
-    closed: bool  # whether both have an outcome of the same run
+    closed: bool  # whether both recordings have an outcome of the same run
     is_complete: bool  # whether the recording has lost no rows
-    same_version: bool  # whether the same version made both, with the same words, styles and series
+    same_version: bool  # whether the same version made both, so that words, styles and series agree
 
 
 def first_difference(
@@ -160,7 +160,7 @@ class _Comparison:
                     self.excused[f"rows of /{path}, which the recording lacks"] = None
                 if lacks_some or is_chosen:
                     return there
-                # a file ends with a checkpoint; in the recording, a warning may add one there
+                # the file of the new run ends with a checkpoint; in the recording, a warning may have added one there
                 return there | (keys < extent.last) if not extent.to_the_end else np.ones(len(keys), np.bool_)
 
             theirs = _selected(theirs, present)
@@ -270,7 +270,7 @@ class _Comparison:
             own, other = ours.get(path, {}), theirs.get(path, {})
             for name in dict.fromkeys([*own, *other]):
                 if name.startswith(_NEVER_SAME) or (
-                    # references that later frames chose
+                    # reference frames that were chosen for later frames
                     path == _REFERENCES and name not in other and not (extent.to_the_end and extent.same_choice)
                 ):
                     continue

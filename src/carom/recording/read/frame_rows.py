@@ -24,7 +24,7 @@ from carom.recording.schema.paths import CLOSING
 from carom.recording.timelines import IMPACT, STEP
 from carom.state.checkpoint import Checkpoint
 
-_KEPT = 3  # chunks of each entity in memory; neighbouring frames may be in different ones
+_KEPT = 3  # most chunks of an entity in memory; neighbouring frames may be in different ones
 
 
 class RecordedRows:
@@ -103,7 +103,7 @@ class DrawnPaths(NamedTuple):
 
     steps: IntArray  # (k,)
     position: SingleArray  # (k, b, 3) m from the recording's origin
-    orientation: SingleArray | None  # (k, b, 4) xyzw; None where none are recorded
+    orientation: SingleArray | None  # (k, b, 4) xyzw, orientations; None where none are recorded
 
 
 def drawn_paths(recording: Recording, places: Sequence[int]) -> DrawnPaths:

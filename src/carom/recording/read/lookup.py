@@ -28,7 +28,7 @@ from carom.scene.wording import Names, bodies_called, body_called
 if TYPE_CHECKING:
     from carom.recording.read.recorded_data import RecordedData
 
-_MOST_NAMED = 8  # bodies that a message lists
+_MOST_NAMED = 8  # most bodies that a message lists
 
 
 def body_number(recording: RecordedData, body: int | str) -> int:
@@ -112,7 +112,7 @@ def moment(recording: RecordedData, at: float | None) -> float:
         _refuse_outside(recording, times, at, at, recording.units.text(at, TIME, ".9g"))
         return at
     if not recording.shows_all:
-        # a clip of some bodies: the recorded impact with the largest impulse, or the end
+        # in a clip of some bodies, the recorded impact with the largest impulse, or else the end
         last = float(times[-1])
         if not recording.records_contacts:
             return last

@@ -17,8 +17,8 @@ class Pair:
     """Two ends of a contact."""
 
     i: int
-    j: int | None  # None if i touches a plane or a wall
-    plane: int | None = None  # number of that plane or wall
+    j: int | None  # the second body; None if i touches a plane or wall
+    plane: int | None = None  # number of the touched plane or wall
 
     @property
     def bodies(self) -> tuple[int, ...]:
@@ -55,9 +55,9 @@ def pair_of_extreme(recording: Recording, name: str) -> Pair | None:
     return Pair(found[0], None, planes[0] if planes else None)
 
 
-_IMPACT = "impact:"  # before the number of an impact
+_IMPACT = "impact:"  # prefix of the number of an impact
 _FIRST_CONTACT = "first-contact"  # a kind of event
-_DIGITS = 18  # this many fit into 64 bits
+_DIGITS = 18  # most digits of a number that fits into 64 bits
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,8 +65,8 @@ class NamedEvent:
     """An event of a run."""
 
     time: float  # s
-    pair: Pair | None = None  # None if it is not a meeting of two
-    step: int | None = None  # step of an impact: at the end of one step, it may belong to the next
+    pair: Pair | None = None  # the pair that meets; None for any other event
+    step: int | None = None  # step of an impact: one at the end of a step may belong to the next step
     is_impact: bool = False
 
     def end(self, recording: Recording) -> float:

@@ -28,20 +28,20 @@ if TYPE_CHECKING:
 
 _COLUMNS = (  # name, type and unit
     ("step", pa.int64(), ""),
-    ("time", pa.float64(), "s"),  # of the impact, or the end of the step
+    ("time", pa.float64(), "s"),  # time of the impact, or end of the step
     ("i", pa.int64(), ""),  # i < j
-    ("j", pa.int64(), ""),  # n and above: planes and walls
+    ("j", pa.int64(), ""),  # the second body; numbers from n on are planes and walls
     *((name, pa.float64(), "m") for name in ("x", "y", "z")),  # the contact point
-    *((name, pa.float64(), "") for name in ("nx", "ny", "nz")),  # the normal, from i to j
+    *((name, pa.float64(), "") for name in ("nx", "ny", "nz")),  # the normal from i to j
     ("approach_speed", pa.float64(), "m/s"),
     ("normal_impulse", pa.float64(), "N s"),
     ("tangential_impulse", pa.float64(), "N s"),
     ("mode", pa.string(), ""),
     ("energy_lost", pa.float64(), "J"),
-    ("normal_force", pa.float64(), "N"),  # the impulse over the length of the step; null for impacts
+    ("normal_force", pa.float64(), "N"),  # the impulse over the length of the step; null for an impact
     ("tangential_force", pa.float64(), "N"),  # null for impacts
-    ("angular_impulse_i", pa.float64(), "N m s"),  # |r × J| about the centre; null without spins
-    ("angular_impulse_j", pa.float64(), "N m s"),  # null for planes and walls, too
+    ("angular_impulse_i", pa.float64(), "N m s"),  # |r × J| about the centre of i; null without spins
+    ("angular_impulse_j", pa.float64(), "N m s"),  # the same about the centre of j; null for planes and walls, too
 )
 SCHEMA = pa.schema([(name, kind) for name, kind, _ in _COLUMNS])
 UNITS = {name: unit for name, _, unit in _COLUMNS if unit}
@@ -89,7 +89,7 @@ def modes(numbers: NDArray[np.uint8], path: str) -> pa.Array:
 def named_contacts(recording: RecordedData, table: pa.Table) -> pa.Table:
     """Add the names of both bodies or planes, and to each field its unit."""
     names, named = names_of(recording), with_units(table, UNITS)
-    for place, number in ((4, "i"), (5, "j")):  # after step, time, i and j
+    for place, number in ((4, "i"), (5, "j")):  # columns after step, time, i and j
         texts = [names.of(each) for each in table[number].to_pylist()]
         named = named.add_column(place, f"name_{number}", pa.array(texts, pa.string()))
     return named
@@ -137,7 +137,7 @@ def check_pairs(pairs: IntArray, bodies: int, path: str) -> None:
         raise DamageError(f"/{path} has contacts of bodies that do not exist")
 
 
-_SAME = 1e-5  # relative error of sums of float32 impulses, and of the length of a float32 line
+_SAME = 1e-5  # relative error of a sum of float32 impulses, or of the length of a float32 line
 _TIME_AND_PLACE = ("time", "x", "y", "z", "nx", "ny", "nz")  # of an impact
 
 

@@ -181,7 +181,7 @@ def sums_between(recording: RecordedData, first: int, last: int) -> ImpactSums |
 def _recorded(recording: RecordedData, first: float, last: float) -> pa.Table:
     frames = recording.fingerprints()
     steps, times = frames[STEP].to_numpy(), frames["time"].to_numpy()
-    # skip the chunks of other steps: the impacts of a step are not later than its end
+    # skips chunks of other steps: no impact of a step is later than its end
     lowest = int(steps[max(0, int(np.searchsorted(times, first)) - 1)])
     later = int(np.searchsorted(times, last, side="right"))
     highest = int(steps[later]) if later < len(steps) else int(steps[-1]) + 1

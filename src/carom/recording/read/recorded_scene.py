@@ -63,7 +63,7 @@ def recorded_scene(recording: RecordedData, overrides: list[str] | None = None) 
 
 def materials_of(recording: RecordedData) -> ShownMaterials | None:
     """Return the materials of a recording; None if the scene has none, or this version cannot read the scene."""
-    if "material" not in recording.scene_toml:  # reading a scene of many bodies takes seconds
+    if "material" not in recording.scene_toml:  # does not read the scene, since that takes seconds for many bodies
         return None
     try:
         return ShownMaterials.of(recorded_scene(recording))
@@ -127,11 +127,11 @@ def header_of_recording(recording: RecordedData) -> Header:
     extensions = stamped(info)
     static = {entry.entity_path for entry in recording.store.entries if entry.is_static}
     drives, scene = bool(info.get("drives", False)), None
-    if drives or "piston" in info or "material" in recording.scene_toml:  # reading it may take seconds
-        with suppress(RecordingError, SceneError):  # this version may be unable to read it
+    if drives or "piston" in info or "material" in recording.scene_toml:  # reading the scene may take seconds
+        with suppress(RecordingError, SceneError):  # this version may be unable to read the scene
             scene = recorded_scene(recording)
     planes = None
-    if paths.PLANES in static:  # as drawn, without sides, unless a piston moves along its normal
+    if paths.PLANES in static:  # planes as drawn, without sides, unless a piston moves along its normal
         planes = planes_of(scene) if scene and "piston" in info else recording.drawn_planes()
     colour_by = str(info["colour_by"]) if info["colour_by"] in COLOUR_BY else "auto"
     stated = fields_read(info) | {"title": recording.title, "colour_by": colour_by}
@@ -180,7 +180,7 @@ def recorded_curves(recording: RecordedData, until: int | None = None) -> dict[s
     end = np.inf if until is None else frames["time"].to_numpy()[frames[STEP].to_numpy() <= until].max()
     scale = 1e-9 * float(recording.info["time_scale"])
     entries = [entry for entry in recording.store.entries if entry.is_within_steps and entry.entity_path in curves]
-    for chunk in recording.chunks(entries):  # with the values before and after impacts
+    for chunk in recording.chunks(entries):  # the values before and after impacts
         times = chunk.batch[SIM_TIME].cast(pa.int64()).to_numpy() * scale
         values = flat(chunk, "Scalars:scalars", SCALARS["Scalars:scalars"]).to_numpy()
         curves[chunk.entity_path].insert(times[times < end], values[times < end])

@@ -61,7 +61,7 @@ class Recording(RecordedData):
         if version == paths.SCHEMA_VERSION:
             return
         writer = ""
-        with suppress(RecordingError):  # the properties of another schema may differ
+        with suppress(RecordingError):  # properties of another schema may differ
             writer = self.versions.get("carom", "")
         reader = "the version of carom that recorded it reads it"
         if RELEASE.fullmatch(writer) and writer != installed_version("carom"):

@@ -17,7 +17,7 @@ from carom.state.frame import Frame
 State: TypeAlias = "Checkpoint | Frame"
 
 VectorsByName = Mapping[str, FloatArray]  # quantity → (n, k), one row for each body
-UNIT = "unit"  # key in the metadata of a field
+UNIT = "unit"  # key of a unit in the metadata of a field
 
 
 class StateQuantity(NamedTuple):
@@ -26,7 +26,7 @@ class StateQuantity(NamedTuple):
     name: str
     columns: tuple[str, ...]
     unit: str
-    of: Callable[[State, FloatArray, FloatArray], FloatArray | None]  # of a state, masses and moments of inertia
+    of: Callable[[State, FloatArray, FloatArray], FloatArray | None]  # from state, masses and moments of inertia
 
 
 def _kept(name: str) -> Callable[[State, FloatArray, FloatArray], FloatArray | None]:
@@ -58,7 +58,7 @@ STATE_QUANTITIES = (
     StateQuantity("velocity", _along("v"), "m/s", _kept("velocity")),
     StateQuantity("orientation", ("qx", "qy", "qz", "qw"), "", _kept("orientation")),
     StateQuantity("angular_velocity", _along("w"), "rad/s", _kept("angular_velocity")),
-    StateQuantity("acceleration", _along("a"), "m/s²", _kept("acceleration")),  # of forces but drag; without contacts
+    StateQuantity("acceleration", _along("a"), "m/s²", _kept("acceleration")),  # by forces other than drag and contacts
     StateQuantity("torque", _along("torque_"), "N m", _kept("torque")),
     StateQuantity("angular_acceleration", _along("angular_acceleration_"), "rad/s²", _kept("angular_acceleration")),
     StateQuantity("angular_impulse", _along("angular_impulse_"), "N m s", _kept("angular_impulse")),
@@ -120,8 +120,8 @@ class BodyTrajectories(NamedTuple):
     body: IntArray  # (n,) numbers
     step: IntArray  # (K,)
     time: FloatArray  # (K,) s
-    exact: NDArray[np.bool_]  # (K,) whether positions are in float64, and the other values known
-    vectors: VectorsByName  # quantity → (K, n, k), such as velocity, (K, n, 3) m/s; see `STATE_QUANTITIES`
+    exact: NDArray[np.bool_]  # (K,) whether positions are in float64, and all other values are known
+    vectors: VectorsByName  # quantity → (K, n, k), for example velocity → (K, n, 3) m/s; see `STATE_QUANTITIES`
     source: str
 
     @property

@@ -83,7 +83,7 @@ def named(
 
     @wraps(read)
     def reads(self: _Own, /, *args: _Parameters.args, **kwargs: _Parameters.kwargs) -> _Result:
-        arguments.bind(self, *args, **kwargs)  # a TypeError here is a mistake of the caller, not damage of the file
+        arguments.bind(self, *args, **kwargs)  # a TypeError here is a mistake of the caller, not damage to the file
         with reading(self.path):
             return read(self, *args, **kwargs)
 
@@ -95,7 +95,7 @@ class Statics:
 
     def __init__(self, container: Container, store: Store) -> None:
         self.path = container.path
-        self.finished = container.finished  # whether the file has its footer, that is, the run closed it
+        self.finished = container.finished  # whether the file has its footer, that is, the run closed the file
         self.store = store
         self._entities = Entities(container, store)
 
@@ -223,7 +223,7 @@ class Statics:
     @named
     def records_contacts(self) -> bool:
         """Whether impacts and the contact table are recorded."""
-        return bool(self.info.get("records_contacts", False))  # an overlay does not state it
+        return bool(self.info.get("records_contacts", False))  # an overlay does not state this
 
     @property
     @named

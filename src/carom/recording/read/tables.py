@@ -116,7 +116,7 @@ def frames_with(recording: RecordedData, body: int | str, start: float, end: flo
     return number, steps[inside], times[inside]
 
 
-_OF_STATES = ("velocity", "orientation", "angular_velocity")  # unknown without an exact state
+_OF_STATES = ("velocity", "orientation", "angular_velocity")  # quantities that are unknown without an exact state
 
 
 def _recorded_paths(
@@ -166,10 +166,10 @@ def checkpoints_at(recording: RecordedData, start: dict[str, Values], steps: Ite
 
     frames = recording.fingerprints()
     known, bits = frames[STEP].to_numpy(), frames["fingerprint"].to_numpy()
-    chunk: Chunk | None = None  # read once for consecutive steps
+    chunk: Chunk | None = None  # one chunk serves consecutive steps
     for step in steps:
         if chunk is None or step not in chunk.batch[STEP].to_numpy():
-            chunk = None  # free it before the next one is read: it may have 400 MB
+            chunk = None  # freed before the next chunk is read, since a chunk may have 400 MB
             chunk, _ = recording.row(paths.CHECKPOINT, step) or (None, 0)
         if chunk is not None:
             place = int(np.flatnonzero(chunk.batch[STEP].to_numpy() == step)[-1])

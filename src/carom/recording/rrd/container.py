@@ -31,8 +31,8 @@ from carom.recording.rrd.messages import (
 )
 from carom.recording.timelines import STEP
 
-_ZIP = b"PK\x03\x04"  # start of a zip file, such as a bug report's
-_SHORTEST = 100  # bytes of a chunk's message, whose schema alone is longer
+_ZIP = b"PK\x03\x04"  # first bytes of a zip file, such as a bug report
+_SHORTEST = 100  # fewest bytes of a chunk's message, whose schema alone is longer
 _MANIFEST = {
     "chunk_entity_path": pa.string(),
     "chunk_is_static": pa.bool_(),
@@ -48,7 +48,7 @@ class Container:
     def __init__(self, path: Path, stores: list[Store], finished: bool) -> None:
         self.path = path
         self.stores = stores
-        self.finished = finished  # whether it has its footer
+        self.finished = finished  # whether the file has its footer
 
     @classmethod
     def open(cls, path: Path) -> Self:
@@ -151,8 +151,8 @@ def _manifest_column(manifest: pa.RecordBatch, name: str, kind: pa.DataType) -> 
 
 
 _WINDOW = 1 << 22  # bytes searched at a time
-_MESSAGE = re.compile(rb"[\x00-\x03]\x00{7}[\x00-\xff]{5}\x00{3}\n", re.DOTALL)  # its body starts with field 1, bytes
-_PATIENCE = 4  # largest number of bytes read in the search for messages, over the size of the file
+_MESSAGE = re.compile(rb"[\x00-\x03]\x00{7}[\x00-\xff]{5}\x00{3}\n", re.DOTALL)  # a message: field 1, bytes
+_PATIENCE = 4  # most bytes read in the search for messages, over the size of the file
 
 
 @dataclass(frozen=True, slots=True)
@@ -170,9 +170,9 @@ class Salvage:
 
     stores: list[Store] = field(default_factory=list)
     gaps: list[Gap] = field(default_factory=list)
-    missing: list[Entry] = field(default_factory=list)  # listed in the footer, but unreadable
+    missing: list[Entry] = field(default_factory=list)  # entries that the footer lists, but that are unreadable
     layout_lost: bool = False
-    finished: bool = False  # whether it has a footer that matches its chunks
+    finished: bool = False  # whether the file has a footer that matches its chunks
 
 
 def salvage(path: Path) -> Salvage:
@@ -182,7 +182,7 @@ def salvage(path: Path) -> Salvage:
     with path.open("rb") as file:
         _Pass(file, path.stat().st_size, found).go()
     if listed is not None:
-        # keep only chunks that match the footer
+        # keeps only chunks that match the footer
         readable = {(store.kind, store.store_id): set(store.entries) for store in found.stores}
         for store in listed:
             gone = [entry for entry in store.entries if entry not in readable.get((store.kind, store.store_id), set())]
@@ -239,7 +239,7 @@ class _Pass:
                 continue
             at = message.end
             if message.kind == END:
-                # bytes after the footer are lost
+                # the bytes after the footer are lost
                 more = self._size - (at + STREAM_FOOTER)
                 if more > 0:
                     self._found.gaps.append(Gap(at + STREAM_FOOTER, more, "bytes after its end"))

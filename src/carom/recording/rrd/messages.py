@@ -25,20 +25,20 @@ from carom.recording.timelines import SIM_TIME, STEP
 # can represent 10⁸ rows: nulls, run-end encoding, fixed-size lists, views, dictionaries. Buffers can be compressed a
 # second time, or shared. carom writes none of these and refuses them.
 
-LARGEST = 1 << 31  # bytes of a chunk; carom writes about 4 MB, or 1.3 GB for the state of 10⁷ spinning bodies
+LARGEST = 1 << 31  # most bytes of a chunk; carom writes about 4 MB, or 1.3 GB for the state of 10⁷ spinning bodies
 
-_LARGE = 50_000_000  # bytes in one allocation by Arrow, above which memory is released
+_LARGE = 50_000_000  # bytes in one allocation by Arrow above which memory is returned to the system
 
 _NOT_COMPRESSED, _LZ4 = (0, 1), 2
 _LZ4_RATIO, _LZ4_SLACK = 255, 64  # largest compression by LZ4
-_ROOMY = 1 << 26  # bytes that a chunk of any file may unpack to; batches have 4 MB, and a clip takes six times a chunk
-# a larger chunk, over its file: with 10⁷ spinning bodies at rest on a lattice, 1.3 GB of a state over 200 MB
+_ROOMY = 1 << 26  # bytes to which a chunk of any file may unpack; batches have 4 MB, and a clip takes six times a chunk
+# the same for a larger chunk, over its file: 1.3 GB over 200 MB with 10⁷ spinning bodies at rest on a lattice
 _MOST_TIMES = 8
-_LEAST_ROW = 8  # bytes of the file that a row takes; 18 in a run of 20 000 equal steps, mostly its identity and time
-_DEEPEST = 8  # nested types; Rerun's layouts have five levels
-_WIDEST = 16  # values in a list of fixed size: a quaternion has 4, an identifier 16
-_MOST_COLUMNS = 10_000  # in an index, which has four columns per component
-_BITS = 8  # values per byte, at most: no value takes less than one bit
+_LEAST_ROW = 8  # fewest bytes of the file per row; 18 in a run of 20 000 equal steps, mostly its identity and time
+_DEEPEST = 8  # most levels of nested types; Rerun's layouts have five
+_WIDEST = 16  # most values in a list of fixed size: a quaternion has 4, an identifier 16
+_MOST_COLUMNS = 10_000  # most columns of an index, which has four per component
+_BITS = 8  # most values per byte, since each takes at least one bit
 
 _LEAVES = {
     *(pa.bool_(), pa.string(), pa.binary(16), pa.timestamp("ns"), pa.duration("ns"), pa.float32(), pa.float64()),
@@ -90,7 +90,7 @@ def release_memory() -> None:
     pool = pa.default_memory_pool()
     if pool.max_memory() > _LARGE:
         pool.release_unused()
-        with contextlib.suppress(OSError, AttributeError):  # another C library than glibc
+        with contextlib.suppress(OSError, AttributeError):  # the C library is not glibc
             ctypes.CDLL(None).malloc_trim(0)
 
 
@@ -123,12 +123,12 @@ def _admit(column: pa.Field, depth: int = 0) -> None:
         _admit(kind.field(k), depth + 1)
 
 
-# Decodes the fields of Protocol Buffers that the messages of an .rrd use.
+# Decodes the fields of Protocol Buffers in the messages of an .rrd.
 
 Fields = dict[int, list["int | memoryview"]]
 
 _LONGEST_VARINT = 64  # bits
-_MOST_FIELDS = 1000  # fields in a message; messages of an .rrd have up to six
+_MOST_FIELDS = 1000  # most fields in a message; messages of an .rrd have up to six
 
 
 def fields(message: memoryview) -> Fields:
@@ -235,7 +235,7 @@ class Entry:
     entity_path: str
     is_static: bool
     rows: int
-    first_step: int | None  # None for static chunks, and for chunks not on the timeline of steps
+    first_step: int | None  # None for static chunks, and for chunks that are not on the timeline of steps
     last_step: int | None
     offset: int
     length: int
@@ -304,7 +304,7 @@ def decode(body: bytes, stored: int = 0) -> tuple[Store, Chunk]:
 def entry_of(chunk: Chunk, message: Message) -> Entry:
     """Make the index entry of a decoded chunk."""
     first = last = None
-    if STEP in chunk.timelines and chunk.batch.num_rows:  # in the exact start of a clip, a component has that name
+    if STEP in chunk.timelines and chunk.batch.num_rows:  # a component has that name in the exact start of a clip
         ends = pc.min_max(chunk.batch[STEP])
         first, last = ends["min"].as_py(), ends["max"].as_py()
     return Entry(chunk.entity_path, chunk.is_static, chunk.batch.num_rows, first, last, message.offset, message.length)

@@ -36,15 +36,15 @@ from carom.state.saved import (
 )
 
 Values = NDArray[Any] | list[str]
-Column = tuple[Values, list[int]]  # the values of all rows, and their number in each row
+Column = tuple[Values, list[int]]  # the values of all rows, and the number of values in each row
 
 _DIGEST = "digest"
 _NOT_DIGESTED = (_DIGEST, STEP)  # in a clip, the step is a component, too
 _BOOKS = TypeAdapter(Books)
-_BY_NAME = ("forces", "others")  # energies by name, in JSON an object
-_IF_FOUND = ("contact_audit", "dissipation_error", "wrong_work")  # what only some runs measure or find
+_BY_NAME = ("forces", "others")  # columns of energies by name, an object in JSON
+_IF_FOUND = ("contact_audit", "dissipation_error", "wrong_work")  # columns that only some runs measure or find
 _BOOKS_BYTES = 1200  # bytes as JSON
-_FULL = 7  # contacts per body in a dense packing, including near ones
+_FULL = 7  # contacts per body in a dense packing, with near ones
 _PRESENT = "present"
 _OF_BODIES = tuple(name for name, (first, *_) in saved_fields(Checkpoint).items() if first.per == BODY)
 
@@ -136,7 +136,7 @@ def encode(checkpoints: Sequence[Checkpoint]) -> dict[str, Column]:
 def _column(parts: Sequence[Values]) -> Column:
     """Join the values of a component in all rows."""
     each = [len(part) for part in parts]
-    if len(parts) == 1:  # not copied, since it takes 130 MB for a million bodies
+    if len(parts) == 1:  # not a copy, which would take 130 MB for a million bodies
         return parts[0], each
     texts = [text for part in parts if isinstance(part, list) for text in part]
     return (texts, each) if texts else (np.concatenate(parts), each)
@@ -156,7 +156,7 @@ def _row_of(checkpoint: Checkpoint) -> dict[str, Values]:
     """Return the components of a checkpoint."""
     if isinstance(checkpoint, PartialCheckpoint):
         return {**_row_of(checkpoint.among_present()), _PRESENT: checkpoint.present.astype(np.uint32)}
-    # the books as JSON, without terms that the run does not model or audit
+    # the books as JSON, without terms that the run neither models nor audits
     return {**_components_of(checkpoint), "books": [json.dumps(_plain(checkpoint.books))]}
 
 

@@ -34,7 +34,7 @@ from carom.scene.units.system import SI, UnitSystem
 class ShownMaterials:
     """Materials of a scene with [[material]]."""
 
-    names: list[str]  # (a,) names of the materials that bodies have
+    names: list[str]  # (a,) names of the bodies' materials
     colours: list[int]  # (a,) 0xRRGGBBAA
     index: IntArray  # (n,) index of each body's material
     has_colours: bool  # whether the scene gives a material a colour
@@ -81,12 +81,12 @@ _FLAGS = {
     "accuracy": "promises",
     "contact": "collides",
     "friction": "has_friction",
-    "record.impacts": "records_contacts",  # not a part of the model, but required by series of contacts
-    "wall.motion": "drives",  # not a part of the model, but required by the work of moving walls
-    "piston": "has_piston",  # not a part of the model, but required by the motion of a piston
-    "release": "admits",  # not a part of the model, but required by the energy of bodies that enter
-    "driving-field": "has_driving_field",  # not a part of the model, but required by its work along periodic axes
-    "shear": "shears",  # not a part of the model, but required by the work of a sheared box
+    "record.impacts": "records_contacts",  # not parts of the model, but required, here by series of contacts
+    "wall.motion": "drives",  # the work of moving walls requires it
+    "piston": "has_piston",  # the motion of a piston requires it
+    "release": "admits",  # the energy of bodies that enter requires it
+    "driving-field": "has_driving_field",  # its work along periodic axes requires it
+    "shear": "shears",  # the work of a sheared box requires it
     "spin": "spins",
     "stabilisation": "stabilises",
 }
@@ -105,8 +105,8 @@ def flag_of(part: str) -> str:
 class SweepMember:
     """The place of a run in its sweep."""
 
-    name: str  # shown instead of the title
-    parameters: Mapping[str, Any]  # the varied keys and the random seed, as in TOML
+    name: str  # name shown instead of the title
+    parameters: Mapping[str, Any]  # values of the varied keys and the random seed, as in TOML
     command: str  # the command that started the sweep
 
 
@@ -121,52 +121,52 @@ class Header:
     description: str  # Markdown, for people
     scene_toml: str  # the exact text
     seed: int
-    run_id: str  # a UUID; the recording id
+    run_id: str  # a UUID, which is the recording id
     names: Sequence[str]  # (n,)
-    group: IntArray  # (n,); bodies of one group share a hue
+    group: IntArray  # (n,) group of each body; bodies of one group share a hue
     mass: FloatArray  # (n,) kg
     radius: FloatArray  # (n,) m
     inertia: FloatArray  # (n,) kg m²
     spins: bool  # whether bodies have angular velocities and rotational energy
     has_orientation: bool
-    has_torque: bool  # whether they also have angular accelerations
+    has_torque: bool  # whether bodies also have angular accelerations
     has_friction: bool
-    forces: frozenset[str]  # named as in `scene.forces` or by extensions
+    forces: frozenset[str]  # names as in `scene.forces` or in extensions
     collides: bool
     stabilises: bool  # whether position correction removes overlaps, which adds energy
     body_colouring: bool  # contact.colouring = "bodies": bodies have colours in the collision graph
-    duration: float  # s of simulated time, as requested
-    shortest_dt_hint: float  # s, the finest step to expect; 0 if unknown
-    check_interval: float | None = None  # s, between checks of energy and momentum; None if they are at the frames
-    promises: bool = False  # whether it promises an accuracy
+    duration: float  # s, requested simulated time
+    shortest_dt_hint: float  # s, shortest step to expect; 0 if unknown
+    check_interval: float | None = None  # s between checks of energy and momentum; None if only frames are checked
+    promises: bool = False  # whether the run promises an accuracy
     drives: bool = False  # whether a wall moves
-    motions: Mapping[str, WallMotion] = field(default_factory=dict)  # of walls that move, by their entities
+    motions: Mapping[str, WallMotion] = field(default_factory=dict)  # motions of moving walls, by entity
     piston: int | None = None  # number of the plane that contacts move
-    entries: EntryStates | None = None  # how bodies enter; None if all are there from the start
+    entries: EntryStates | None = None  # how bodies enter; None if all exist from the start
     outlets: Sequence[str] = ()  # names of the places where bodies leave
     has_driving_field: bool = False  # whether a uniform field has a component along a periodic axis
     shear: Shear | None = None  # of a periodic domain
-    record_impacts: Literal["auto", "all", "none"] = "none"  # applies to the contact table, too
+    record_impacts: Literal["auto", "all", "none"] = "none"  # for impacts, and for the contact table
     box: FloatArray | None = None  # (3,) m, size of a periodic domain, `ENDLESS` along axes that do not repeat
     units: UnitSystem = SI  # units of the recorded and of the printed numbers
     walls: FloatArray | None = None  # (3,) m, size of a walled domain
     planes: HalfSpaces | None = None  # the static half-spaces other than the walls
     shapes: Sequence[Wall] | None = None  # walls of other shapes; empty if only their drawing is known
     colour_by: str = "auto"  # record.colour_by
-    data: tuple[BodyColumns, ...] = ()  # the bodies of each [[bodies]] table of the scene
-    data_notes: Sequence[Sequence[str]] = ()  # for each [[bodies]] table: unused columns of its file
+    data: tuple[BodyColumns, ...] = ()  # the bodies of each [[bodies]] table in the scene
+    data_notes: Sequence[Sequence[str]] = ()  # notes on unused columns in the file of each [[bodies]] table
     materials: ShownMaterials | None = None  # None in a scene without [[material]]
     properties: Mapping[str, Scalar] = field(default_factory=dict)  # versions, command, git, cpu …
     member: SweepMember | None = None  # None for a single run
     engine: str = ""  # name and version of the engine that computed the run; empty for carom
-    uniform_field: FloatArray | None = None  # (3,) m/s², field of another engine; None for carom, and if unknown
-    gravity_constant: float = 0.0  # m³ kg⁻¹ s⁻², of another engine's own gravity; 0 for carom
+    uniform_field: FloatArray | None = None  # (3,) m/s², field of another engine; None for carom, or if unknown
+    gravity_constant: float = 0.0  # m³ kg⁻¹ s⁻², constant of another engine's own gravity; 0 for carom
     gravity_softening: float = 0.0  # m
     exact: bool = False  # whether every frame has a checkpoint
     fixed: BoolArray | None = None  # (n,) bodies of another engine that never move; for carom, the scene names them
     judged: BoolArray | None = None  # (n,) bodies of another engine whose laws are known; None: all
-    drawn_as: str = ""  # the shape of drawn bodies, where it does not follow from their number
-    extensions: Mapping[str, str] = field(default_factory=dict)  # versions by name, see `extensions_of`
+    drawn_as: str = ""  # the shape of drawn bodies, where their number does not determine it
+    extensions: Mapping[str, str] = field(default_factory=dict)  # versions of extensions by name; see `extensions_of`
 
     def models(self, part: str) -> bool:
         """Return whether the scene requires a part of the model, by its name in `carom explain`."""
@@ -271,9 +271,9 @@ LARGEST = 1e150  # largest coordinate or speed, so that squares do not overflow
 NOTES = re.compile(r"data_notes\.[0-9]{1,9}")  # keys of notes on data files, one for each [[bodies]] table
 
 _LONGEST = 9.0e9  # s; 2⁶³ ns are 9.22e9 s, or 292 years
-_PAST_THE_END = 1.02  # of `_LONGEST`, up to which a time still fits into 2⁶³ ns
-_SMALLEST_POWER = -300  # of ten, of a scale; 1e-308 is the smallest normal number
-_COARSEST = 1.0e-6  # s; with shorter steps, times of impact would have fewer than three digits
+_PAST_THE_END = 1.02  # factor on `_LONGEST` up to which a time still fits into 2⁶³ ns
+_SMALLEST_POWER = -300  # smallest power of ten of a scale; 1e-308 is the smallest normal number
+_COARSEST = 1.0e-6  # s, longest scaled step; with shorter ones, times of impact would have fewer than three digits
 _FINE = 1.0e-3  # s, shortest step after scaling, so that times within a step have six digits
 
 

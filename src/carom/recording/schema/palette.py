@@ -27,7 +27,7 @@ GREY = 0x9A9A9AFF
 WHITE = 0xFFFFFFFF
 BACKGROUND = 0x0B0E14FF
 GROUNDS = {"dark": BACKGROUND, "light": WHITE}  # of 3D views
-INKS = {"dark": WHITE, "light": 0x16181DFF}  # colours of text and lines on these
+INKS = {"dark": WHITE, "light": 0x16181DFF}  # colours of text and lines on these grounds
 
 # A search maximised the smallest difference between two colours, with and without colour blindness: ΔE ≥ 18 (CIE76).
 LINES = {
@@ -38,7 +38,7 @@ LINES = {
     "grey": 0x6C6C6CFF,
     "orange": 0xF0690FFF,
 }
-PLOT_GROUNDS = {"light": 0xFFFFFFFF, "dark": 0x0D0D0DFF}  # of plots, in the viewer's two themes
+PLOT_GROUNDS = {"light": 0xFFFFFFFF, "dark": 0x0D0D0DFF}  # grounds of plots in the viewer's two themes
 
 # Neighbouring stages must be distinct at a glance, so the order alternates warm and cold.
 STAGES = (VERMILION, SKY, YELLOW, GREEN, PURPLE, ORANGE, BLUE)
@@ -57,7 +57,7 @@ OLIVE = 0x9FA041FF
 MINT = 0x63F897FF
 BODIES = (SKY, CLAY, INDIGO, MINT, SAGE, ROSE, OLIVE)  # on white, olive resembles the yellow of impulses
 
-NAMED = {  # of materials in scenes, those of bodies first
+NAMED = {  # names for colours of materials in scenes; colours of bodies come first
     "sky-blue": SKY,
     "clay": CLAY,
     "indigo": INDIGO,
@@ -79,7 +79,7 @@ NAMED = {  # of materials in scenes, those of bodies first
 MAGENTA = 0xF018F0FF
 CRIMSON = 0xF01848FF
 
-ARROWS = {  # by entity: an arrow has one colour in every view
+ARROWS = {  # colours by entity: an arrow has one colour in every view
     paths.TORQUE: ORANGE,
     paths.ANGULAR_ACCELERATION: GREEN,
     paths.ANGULAR_IMPULSE: MAGENTA,
@@ -108,12 +108,12 @@ DT_LIMITS = {
     "end": GREEN,
 }
 
-MOST_SINGLE = 70  # most single bodies with hues in rotation; with more, a hue would have more than ten bodies
+MOST_SINGLE = 70  # most single bodies with hues in rotation; with more, a hue would have over ten bodies
 
-_GOLDEN = 0.6180339887498949  # the fractional parts of its first k multiples fill (0, 1) evenly for every k
+_GOLDEN = 0.6180339887498949  # fractional parts of its first k multiples fill (0, 1) evenly for every k
 _SHADE = 0.45  # fraction by which the darkest body of a group is darker than its hue
-_BRIGHTEST_TEXT, _DARKEST_TEXT = 0.15, 0.24  # with a contrast of 4.5 to 1 on labels, #efefef and #1b1d20 in pictures
-_BRIGHTEST, _DARKEST = 0.3, 0.12  # luminance with a contrast of 3 to 1 on white, and on a dark plot
+_BRIGHTEST_TEXT, _DARKEST_TEXT = 0.15, 0.24  # for a contrast of 4.5 to 1 on labels, #efefef and #1b1d20 in pictures
+_BRIGHTEST, _DARKEST = 0.3, 0.12  # luminances with a contrast of 3 to 1 on white, and on a dark plot
 
 
 def legible(colours: Iterable[int], theme: str = "") -> NDArray[np.uint32]:

@@ -5,20 +5,20 @@ The entities of scalars are in `series`.
 
 from __future__ import annotations
 
-SCHEMA_VERSION = 5  # of recordings; a version of carom reads the schema that it writes
+SCHEMA_VERSION = 5  # schema of recordings; a version of carom reads only the schema that it writes
 
 ABOUT = "about"  # texts for readers without carom
-LEGEND = "legend"  # with the drawn legend of a viewer beside it
+LEGEND = "legend"  # the drawn legend beside a viewer
 SCENE = "scene"
 SCENE_TOML = "scene/toml"
 WORLD = "world"
 MAGNIFIED = "magnified"  # transforms with which views magnify small scenes
 BODIES = "world/bodies"
 PLANES = "world/planes"
-PLANE_LINES = 13  # of the grid that shows a plane, in each direction
+PLANE_LINES = 13  # lines, in each direction, of the grid that shows a plane
 WALLS = "world/walls"  # of the domain
 SHAPES = "world/shapes"  # walls of other shapes
-MOVING = "world/moving"  # planes and walls, each an entity, where one of them moves
+MOVING = "world/moving"  # folder of planes and walls, each an entity, where one of them moves
 PERIODIC_BOX = "world/box"
 TORQUE = "world/torque"  # of contacts that last
 ANGULAR_ACCELERATION = "world/angular_acceleration"
@@ -28,8 +28,8 @@ CONTACTS = "world/contacts"
 FORCE_NORMAL = "world/forces/normal"
 FORCE_FRICTION = "world/forces/friction"
 IMPACTS = "impacts"
-IMPACT_SPINS = "impacts/spins"  # on the timeline of impacts only
-IMPACT_ENERGY = "impacts.energy"  # not an entity, but a key in the property `arrows`
+IMPACT_SPINS = "impacts/spins"  # exists on the timeline of impacts only
+IMPACT_ENERGY = "impacts.energy"  # not an entity, but a key of the property `arrows`
 ENERGY = "energy"
 STEPS = "step"
 DT_LIMIT = "step/limit"
@@ -38,20 +38,20 @@ EVENTS = "events"
 FINGERPRINT = "state/fingerprint"
 MOMENTUM = "state/momentum"
 CHECKPOINT = "state/checkpoint"
-START = "state/start"  # in a clip: the exact state before its first frame
+START = "state/start"  # exact state before the first frame of a clip
 STATIC_STATE = "state/bodies"
-ENTRY = "entry_"  # beginning of its components that state how bodies enter
+ENTRY = "entry_"  # prefix of the components that state how bodies enter
 LIVES = "state/lives"  # steps of the first and the last frame of each body, where bodies come and go
 GIVEN_STATE = "scene/bodies"  # the initial bodies of [[bodies]] tables
 
-IMPACT_SUMS = "impact_sums"  # component of the contacts: the sums over all impacts since the previous frame
-NUMBERS, NUMBERS_AT = "numbers", "numbers_at"  # components of arrows of few bodies: texts beside them, and their places
-FLOOR = "floor"  # component of arrows: the magnitude below which none is drawn
+IMPACT_SUMS = "impact_sums"  # component of contacts: the sums over all impacts since the previous frame
+NUMBERS, NUMBERS_AT = "numbers", "numbers_at"  # components of the arrows of few bodies: texts, and their places
+FLOOR = "floor"  # component of arrows: the magnitude below which no arrow is drawn
 OF_LASTING = (TORQUE, ANGULAR_ACCELERATION)
 OF_IMPACTS = (ANGULAR_IMPULSE, SPIN_CHANGE)
-PARALLEL = {TORQUE: ANGULAR_ACCELERATION, ANGULAR_IMPULSE: SPIN_CHANGE}  # arrows to the arrows with the same directions
+PARALLEL = {TORQUE: ANGULAR_ACCELERATION, ANGULAR_IMPULSE: SPIN_CHANGE}  # arrows → arrows with the same directions
 WITH_FLOOR = (*OF_LASTING, *OF_IMPACTS, FORCE_NORMAL)
-MAGNITUDES = {  # component of the arrows of an entity: their magnitudes in SI, which lengths show by their cube roots
+MAGNITUDES = {  # component of an entity's arrows: magnitudes in SI, which lengths show by their cube roots
     TORQUE: "torque",
     ANGULAR_ACCELERATION: "angular_acceleration",
     ANGULAR_IMPULSE: "angular_impulse",
@@ -61,4 +61,4 @@ MAGNITUDES = {  # component of the arrows of an entity: their magnitudes in SI, 
 }
 
 CENTRES = ("Ellipsoids3D:centers", "Points3D:positions", "InstancePoses3D:translations")  # of drawn bodies
-CLOSING = frozenset({"extreme", "end"})  # written when a run ends; a resumed run writes its own
+CLOSING = frozenset({"extreme", "end"})  # events written when a run ends; a resumed run writes its own

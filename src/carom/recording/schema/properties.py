@@ -54,9 +54,9 @@ class Property:
 
     key: str
     kind: str
-    # the value for a header, or values by key; None is not written, and without a function another module writes it
+    # returns the value for a header, or values by key; None is not written, and other rows are written elsewhere
     write: Callable[[Header], Any] | None = None
-    is_field: bool = False  # whether it is read into the field of the header with this name
+    is_field: bool = False  # whether the property is read into the header's field with this name
     is_required: bool = False
 
 
@@ -133,12 +133,12 @@ PROPERTIES: dict[str, list[Property]] = {
         *_rows(VECTOR, "origin"),
         *_rows(NUMBER, "arrow_length.*"),
     ],
-    "run": [  # with what a caller adds
+    "run": [  # with rows that a caller adds
         *_rows(TEXT, "version.* command git platform cpu"),
         *_rows(WHOLE, "threads"),
         *_rows(ANY, "*"),
     ],
-    "sweep": [*_rows(TEXT, "name"), *_rows(ANY, "*")],  # with the values that vary
+    "sweep": [*_rows(TEXT, "name"), *_rows(ANY, "*")],  # with rows for the varying values
     "arrows": _rows(NUMBER, "*"),
     "clip": [
         *(Property(key, kind, is_required=True) for key, kind in (("source", TEXT), ("from", NUMBER), ("to", NUMBER))),

@@ -28,7 +28,7 @@ from carom.state.energies import Energy
 from carom.state.frame import Frame
 
 BLUE, RED, GREEN, PURPLE, GREY, ORANGE = (LINES[name] for name in ("blue", "red", "green", "purple", "grey", "orange"))
-THIN, THICK = 2.0, 4.0  # widths of curves in points of the screen; thinner curves would be blended with the background
+THIN, THICK = 2.0, 4.0  # widths of curves in screen points; thinner curves would blend with the background
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,31 +46,31 @@ class Plot:
         return title if unit == "1" else f"{title} ({unit})"
 
 
-PLOTS = (  # from left to right; the plots of a column are tabs
+PLOTS = (  # plots from left to right; the plots of a column are tabs
     (Plot("Energy", "J"),),
     (Plot("Energy lost", "J"), Plot("Relative error", "1")),
     (Plot("Contacts", "1"), Plot("Contact force", "N"), Plot("Impacts", "1/s"), Plot("Solver", "1")),
     (Plot("Overlap / radius", "1"), Plot("dt", "s"), Plot("Piston", "m")),
 )
 (_ENERGY,), (_TAKEN, _ERROR), (CONTACTS, _FORCE, _IMPACTS, _SOLVER), (_OVERLAP, _DT, _PISTON) = PLOTS
-_OUTFLOW = Plot("Outflow", "1/s")  # only in scenes with outlets
-_TABLE = "record.impacts"  # key of the scene, which must not be "none", for series of the contact table
-# what does recorded work on the bodies; not parts of the model
+_OUTFLOW = Plot("Outflow", "1/s")  # exists only in scenes with outlets
+_TABLE = "record.impacts"  # key of the scene that must not be "none" for series of the contact table
+# works on bodies that are recorded, but not parts of the model
 _DRIVES = ("wall.motion", "piston", "release", "driving-field", "shear")
 # Component of a series or impact: the value in the unit of its plot. The viewer cannot scale a curve (Rerun 0.41), so
 # the scaled values are recorded, too, if the scene has a section [units].
 IN_PLOT = "in_plot"
-IMPULSES = Plot("Impulse of impacts", "N s")  # one point for each recorded impact, from its own row
+IMPULSES = Plot("Impulse of impacts", "N s")  # has one point for each recorded impact, from its own row
 
 
 class Sample(NamedTuple):
     """The arguments from which a scalar is computed."""
 
     frame: Frame
-    before: Frame | Checkpoint | None  # the previous frame; None at the first frame
-    overlap: float  # m, the deepest of the frame's contacts; 0 without any
-    relative_overlap: float  # the largest overlap over the smaller radius of the contact's bodies
-    colours: float  # number of colours of the contacts
+    before: Frame | Checkpoint | None  # the previous frame; None for the first frame
+    overlap: float  # m, deepest overlap of the frame's contacts; 0 without contacts
+    relative_overlap: float  # largest overlap over the smaller radius of its two bodies
+    colours: float  # number of colours that contacts have
     energy: Energy  # of the frame, J
     mass: FloatArray  # (n,) kg
     radius: FloatArray  # (n,) m
@@ -82,12 +82,12 @@ class Series:
 
     path: str
     unit: str
-    legend: str  # in the legend of the plot
+    legend: str  # name in the legend of the plot
     colour: int  # 0xRRGGBBAA
-    plot: Plot | None  # one of `PLOTS`; None if it is recorded, but not plotted
+    plot: Plot | None  # one of `PLOTS`; None if the series is recorded, but not plotted
     value: Callable[[Sample], float]
     meaning: str  # for docs/recording.md
-    # the part of the model (`carom explain`) that it is recorded with; None: it is always recorded
+    # part of the model (`carom explain`) that the series requires; None: it is always recorded
     part: str | None = None
     width: float = THIN
     inside: bool = False  # whether the series is internal to carom's solver, so that runs of other engines lack it
@@ -174,7 +174,7 @@ def outlet_series(names: Iterable[str]) -> Iterator[Series]:
         yield Series(f"step/outlet_{k}_mass", "kg/s", name, colour, None, mass, f"mass that left by {name}", "release")
 
 
-# A table, two lines a series: its name and style; its value, meaning and part of the model.
+# A table with two lines for each series: its name and style; its value, meaning and part of the model.
 # fmt: off
 SERIES = (
     Series("energy/translational", "J", "translational", BLUE, _ENERGY,
@@ -242,7 +242,7 @@ SERIES = (
 # fmt: on
 
 
-# For other engines, whose impulses are unknown: legend and meaning by path.
+# Legend and meaning by path for other engines, whose impulses are unknown.
 OF_ENGINES = {
     "energy/ledger/restitution": (
         "lost while touching",
@@ -306,7 +306,7 @@ ONCE = "once, however long it is"
 
 # entity → the part of the model that it requires
 _PARTS = {paths.CONTACTS: "contact", paths.TORQUE: "torque", paths.ANGULAR_ACCELERATION: "torque"}
-_ALWAYS = {  # entity → why it is recorded
+_ALWAYS = {  # entity → why it is always recorded
     paths.DT_LIMIT: "adaptive or not",
     paths.PHASE: "where it changes",
     paths.EVENTS: "where something happens",

@@ -18,31 +18,31 @@ from carom.errors import SceneError
 from carom.scene.data.facts import Facts
 from carom.scene.wording import suggestion
 
-MOST_ROWS = 50_000_000  # a run takes 1 kB per body
-MOST_BYTES = 100 * MOST_ROWS  # of one column as an array
+MOST_ROWS = 50_000_000  # most rows; a run takes 1 kB per body
+MOST_BYTES = 100 * MOST_ROWS  # most bytes of a column as an array
 MOST_COLUMNS = 10_000
 ROOMY = 250_000_000  # bytes to which the columns of any file may decompress
 NUMBER = 8  # bytes of a number in memory
-MOST_TIMES = 12  # largest ratio of the decompressed size to the size of the file; distinct positions hardly compress
-FREE_ROWS = 2_000_000  # in a file of any size; a body takes 170 bytes until it is placed, and up to 210 from a text
-LEAST_ROW = 10  # bytes of the file for each body beyond; three coordinates in single precision take 12
+MOST_TIMES = 12  # largest ratio of the decompressed size to the file's size; distinct positions hardly compress
+FREE_ROWS = 2_000_000  # rows allowed in any file; a body takes 170 bytes until it is placed, and up to 210 from a text
+LEAST_ROW = 10  # bytes of the file for each further body; three coordinates in single precision take 12
 
 _FORTRAN = re.compile(r"([+-]?\d*\.?\d*)[dD]?([+-]?\d+)")  # 1.0D-01, or 1.0-101 where the exponent has three digits
 _LONGEST_NUMBER = 60  # characters
-_EXACT = 2**53  # whole numbers below this are represented exactly by floats
+_EXACT = 2**53  # floats represent whole numbers below this exactly
 
-Raw = NDArray[Any]  # (n,) or (n, 3), with steps first if there are several
+Raw = NDArray[Any]  # (n,) or (n, 3), with an axis of steps first if there are several
 
 
 class MotionLaw(NamedTuple):
     """The law of motion of the simulation in a file; its numbers are in the units of the table."""
 
-    constant: float  # gravitational constant; 0 without gravity
+    constant: float  # gravitational constant of the file; 0 without gravity
     softening: float
     collides: bool
-    integrated: str = ""  # its integrator and step, in words
-    integrator: str = ""  # the same method in carom, if there is one
-    ghosts: tuple[int, int, int] = (0, 0, 0)  # images of its box on each side along x, y and z
+    integrated: str = ""  # integrator and step of the file's program, in words
+    integrator: str = ""  # the same integrator in carom, if there is one
+    ghosts: tuple[int, int, int] = (0, 0, 0)  # images of the file's box on each side along x, y and z
 
 
 class DataTable:
@@ -50,13 +50,13 @@ class DataTable:
 
     called: str  # its name in messages
     names: Sequence[str]  # names of its columns
-    hidden: Sequence[str] = ()  # names of further columns, read only if the scene names them
-    unnamed: int = 0  # number of its columns if they have no names
-    paths: bool = False  # whether the names are paths of HDF5, whose last part is the name of the column
+    hidden: Sequence[str] = ()  # names of further columns, which are read only if the scene names them
+    unnamed: int = 0  # number of columns if they have no names
+    paths: bool = False  # whether names are paths of HDF5, which end with the name of the column
     vectors: Collection[str] = ()  # names of the columns that hold three numbers for each body
-    facts: Facts = Facts()  # units and whatever else the file states about its numbers
+    facts: Facts = Facts()  # units, and whatever else the file states about its numbers
     law: MotionLaw | None = None  # None if unknown
-    timed: bool = False  # whether its format finds a snapshot by its time
+    timed: bool = False  # whether the format finds a snapshot by its time
     notes: tuple[str, ...] = ()  # notes on columns that are unused or reinterpreted
 
     def read(self, names: Sequence[str], texts: Sequence[str] = ()) -> dict[str, Raw]:
@@ -74,8 +74,8 @@ class DataTable:
 class DataFormat(NamedTuple):
     """A format of data files, registered in `carom.registry` under the suffix of its files."""
 
-    called: str  # a file of this format in messages: "an Arrow file"
-    open: Callable[[Path, str, int], DataTable]  # opens a path, given its name in messages and the index of a step
+    called: str  # what messages call a file of this format: "an Arrow file"
+    open: Callable[[Path, str, int], DataTable]  # opens a path, given the name in messages and the index of a step
     # times of the steps in a file, ascending, in the units of its numbers; None if the format states no times
     times: Callable[[Path, str], Sequence[float]] | None = None
 
@@ -191,7 +191,7 @@ def texts_of(raw: Raw) -> list[str]:
 
 
 def _text(value: Any) -> str:
-    if value is None or (isinstance(value, float) and math.isnan(value)):  # pandas' mark of a missing value
+    if value is None or (isinstance(value, float) and math.isnan(value)):  # pandas' mark for a missing value
         return ""
     # pandas' form of 5 in a column with a gap
     if isinstance(value, float) and value.is_integer() and abs(value) < _EXACT:
@@ -203,12 +203,12 @@ def _shown(value: Any) -> str:
     return "empty, which" if value is None or value == "" else repr(value)[:60]
 
 
-_CONVERTED = {  # point clouds and meshes, which have no radii or masses of bodies
+_CONVERTED = {  # formats of point clouds and meshes, which have no radii or masses of bodies
     ".ply": "open it in ParaView, and save its points as .vtp or .csv",
     ".pcd": "write it as .xyz, a row of x y z for each point, with pcl_convert or Open3D",
 }
 _ROUNDED = 1e-8  # relative error of a time that was printed and typed again
-_LONGEST_REASON = 200  # characters of a library's message
+_LONGEST_REASON = 200  # most characters of a library's message
 
 
 def open_table(
@@ -228,7 +228,7 @@ def open_table(
         raise SceneError(f'{called}: no format has the suffix "{path.suffix}"; {remedy}')
     form: DataFormat = registry.load("data_formats", ending[1:])
     with _reading(called, form):
-        if time is not None and form.times is not None:  # otherwise a column of the table may have times
+        if time is not None and form.times is not None:  # otherwise a column of the table may hold times
             times = np.asarray(form.times(path, called), dtype=np.float64)
             rounding = _ROUNDED * float(np.abs(times).max())
             if not times.min() - rounding <= time <= times.max() + rounding:

@@ -35,13 +35,13 @@ from carom.scene.data.facts import Facts, FileBox
 from carom.scene.units.system import UnitSystem
 
 _MOST_DATASETS = 10_000
-_MOST_NODES = 20_000  # groups and datasets; looking through them takes half a second
-_LONGEST_PATH = 1000  # characters; the time that HDF5 takes grows as the square of the depth
-_HEADER = "Header"  # group in the snapshots of Gadget, AREPO, GIZMO and SWIFT
+_MOST_NODES = 20_000  # most groups and datasets; looking through them takes half a second
+_LONGEST_PATH = 1000  # most characters of a path; HDF5's time grows as the square of the depth
+_HEADER = "Header"  # name of a group in the snapshots of Gadget, AREPO, GIZMO and SWIFT
 _OF_TYPE = re.compile(r"PartType(\d)/(\w+)")
 _MASSES = "Masses"
 _UNIT_KEYS = ("units", "unit", "Units", "Unit", "UNITS")  # attributes of AMUSE, unyt, pint, PyTables, and of H5MD
-_OF_AMUSE = {"length": "m", "time": "s", "mass": "kg"}  # base units in the texts of AMUSE's files
+_OF_AMUSE = {"length": "m", "time": "s", "mass": "kg"}  # base units in texts of AMUSE's files
 _OF_AMUSE_SET = re.compile(r"particles/\d{10}/")
 _OF_UNITS = ("Parameters", "Units")  # groups in which Gadget-4 and SWIFT state units
 _SIZES = {  # key of [units] → unit, and attributes of Gadget and AREPO, GIZMO, SWIFT
@@ -50,7 +50,7 @@ _SIZES = {  # key of [units] → unit, and attributes of Gadget and AREPO, GIZMO
     "velocity": ("cm/s", ("UnitVelocity_in_cm_per_s", "UnitVelocity_In_CGS")),
     "time": ("s", ("Unit time in cgs (U_t)",)),
 }
-_OF_GAS = ("Density",)  # of the gas around a particle, not of a sphere
+_OF_GAS = ("Density",)  # columns about the gas around a particle, not about a sphere
 _SUFFIX = ".npy"
 _LARGEST_HEADER = 10_000  # characters
 
@@ -87,7 +87,7 @@ def open_hdf5(path: Path, called: str, snapshot: int) -> DataTable:
     chosen = sets[step_at(called, snapshot, len(sets))] if len(sets) > 1 else ""
     table = _Datasets(path, called, [name for name in names if name.startswith(chosen)], vectors)
     table.facts = Facts(of_columns=of_columns)
-    if chosen:  # each save of AMUSE appends a set
+    if chosen:  # each save by AMUSE appends a set
         table.hidden = [name for name in names if not name.startswith(chosen)]
         table.notes = (f"{called}: {chosen.rstrip('/')} is read, set {sets.index(chosen)} of {len(sets)} (from 0)",)
     return table

@@ -41,12 +41,12 @@ _SIGNS = {
     re.compile(rb"ITEM: TIMESTEP"): "dump",
     re.compile(rb"Des'n|" + _MPC_LINE, re.MULTILINE): "mpcorb",
 }
-_UNIT_KEYS = (b"unit", b"units")  # in the metadata of a field
-_PARQUET_END = 8  # bytes at the end: the length of the footer, and a mark
-_FOOTER_HEAD = 32  # first bytes of a footer, which contain the number of its elements
-_FOOTER = re.compile(rb"\x15[\x80-\xff]*[\x00-\x7f]\x19\xfc([\x80-\xff]*[\x00-\x7f])", re.S)  # of 15 or more elements
+_UNIT_KEYS = (b"unit", b"units")  # keys of units in the metadata of a field
+_PARQUET_END = 8  # bytes at the end of a file: the length of the footer, and a mark
+_FOOTER_HEAD = 32  # first bytes of a footer; they contain the number of its elements
+_FOOTER = re.compile(rb"\x15[\x80-\xff]*[\x00-\x7f]\x19\xfc([\x80-\xff]*[\x00-\x7f])", re.S)  # with 15 or more elements
 _BLOCK = 1 << 20  # bytes of a file that are read at a time
-_ELEMENTS = 4  # largest number of elements of a schema for a column; a list has three
+_ELEMENTS = 4  # most elements of a schema per column; a list has three
 _Read = Callable[[list[str], Sequence[str]], pa.Table]
 
 
@@ -93,7 +93,7 @@ def _columns_of_parquet(path: Path) -> int:
     if found is None:
         return 0
     digits: bytes = found[1]
-    return sum((byte & 0x7F) << 7 * place for place, byte in enumerate(digits)) - 1  # the first one is their root
+    return sum((byte & 0x7F) << 7 * place for place, byte in enumerate(digits)) - 1  # the first element is the root
 
 
 def _claimed(metadata: pq.FileMetaData, wanted: Set[str]) -> int:
@@ -174,7 +174,7 @@ class _ArrowTable(DataTable):
     def __init__(
         self, called: str, names: Sequence[str], read: _Read, stored: int, schema: pa.Schema | None = None
     ) -> None:
-        self.called, self._stored = called, stored  # size of the file in bytes
+        self.called, self._stored = called, stored  # name in messages, and size of the file in bytes
         self.names = list(names)
         self._read = read
         if schema is not None:
@@ -243,18 +243,18 @@ class _TextTable(_ArrowTable):
         skipped, separator = (self._dialect.skipped, self._dialect.separator) if rows is None else (0, ",")
         options = pyarrow.csv.ReadOptions(column_names=self.names, skip_rows=skipped)
         parse = pyarrow.csv.ParseOptions(delimiter=separator)
-        # read as bytes: otherwise 007 would become a number, and null a missing value
+        # reads columns as bytes: otherwise 007 would become a number, and null a missing value
         kinds = dict.fromkeys(texts, pa.binary())
         convert = pyarrow.csv.ConvertOptions(include_columns=wanted, column_types=kinds)
         try:
             table = pyarrow.csv.read_csv(source, options, parse_options=parse, convert_options=convert)
         except pa.ArrowInvalid:
-            if rows is None:  # name the first line with another number of values
+            if rows is None:  # names the first line with another number of values
                 with self._path.open(encoding="utf-8-sig", errors="surrogateescape", newline="") as file:
                     rewritten(TextLines(file), self._dialect, False, skipped, self.called)
             raise
         for text in texts:
-            # 5 for 5.0 in a column of whole numbers, which pandas writes as floats if one is missing
+            # 5.0 in a column of whole numbers means 5: pandas writes floats if a value is missing
             column = table[text]
             if pc.all(pc.match_substring_regex(column, r"^((0|[1-9][0-9]*)\.0)?$")).as_py():
                 column = pc.replace_substring_regex(column, r"\.0$", "")

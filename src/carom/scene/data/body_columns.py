@@ -47,7 +47,7 @@ class BodyColumns:
     radius: FloatArray  # (n,) m
     inertia: FloatArray  # (n,) kg m²
     fixed: BoolArray  # (n,)
-    name: list[str] | None = None  # (n,); None if they are numbered
+    name: list[str] | None = None  # (n,) names; None if bodies are numbered
 
     def __len__(self) -> int:
         return len(self.mass)
@@ -114,7 +114,7 @@ class BodyColumns:
 _POSITIVE = ("density", "radius", "diameter")
 _NOT_NEGATIVE = ("mass", "inertia")  # both are 0 for a test particle
 _SIZES = ("radius", "diameter", "density")  # quantities for which 0 is a missing value
-_SAME_DISTANCE = 0.02  # relative; distances from the Sun nearly equal distances from the barycentre
+_SAME_DISTANCE = 0.02  # relative difference of distances from the Sun and from the barycentre
 
 
 class ReadBodies(NamedTuple):
@@ -234,7 +234,7 @@ class _Reader:
         for name, array in self._raw.items():
             if len(array) != self._rows:
                 raise SceneError(f"{table.called}: column {name} has {len(array)} rows, and {first} has {self._rows}")
-        self.kept = np.arange(self._rows)  # numbers of the rows of the file that are read
+        self.kept = np.arange(self._rows)  # indices of the rows of the file that are read
         if any(raw[name].ndim > dimensions for name, dimensions in own.items()):
             steps = Steps([], [])  # each array has its steps
         mask, note, self.choosing = rows_of_step(section, table, steps, raw, self._rows, units)
@@ -242,7 +242,7 @@ class _Reader:
         if mask is not None:
             self._keep(mask)
         if section.missing is not None and section.missing.leave_out and "position" in mapping:
-            # leave out the rows without a position
+            # leaves out rows without a position
             there = np.ones(self._rows, dtype=np.bool_)
             for column in self._mapping["position"]:
                 gaps = np.isnan(numbers_of(self._called, column.name, self._raw[column.name], with_gaps=True))

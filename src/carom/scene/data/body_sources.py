@@ -20,7 +20,7 @@ from carom.scene.schema.contact import Material
 from carom.scene.units.dimension import TIME
 from carom.scene.units.system import SI, UnitSystem
 
-LARGEST_DATA = 10**11  # bytes of a file; its digest then takes a minute
+LARGEST_DATA = 10**11  # most bytes of a file; its digest then takes a minute
 
 
 class SourcedBodies(NamedTuple):
@@ -28,11 +28,11 @@ class SourcedBodies(NamedTuple):
 
     columns: BodyColumns
     sha256: str
-    material: Material | None = None  # material that defined their density, if known
+    material: Material | None = None  # material that determined the density, if known
     notes: tuple[str, ...] = ()  # notes on parts of the source that are unused or reinterpreted
-    law: MotionLaw | None = None  # law of motion in the source, if known
-    facts: Facts = Facts()  # what the source states about its numbers
-    centre: Centre | None = None  # of the orbits, if they come from orbital elements
+    law: MotionLaw | None = None  # law of motion that the source states, if any
+    facts: Facts = Facts()  # statements of the source about its numbers
+    centre: Centre | None = None  # centre of the orbits, if positions come from orbital elements
 
 
 @dataclass(frozen=True)
@@ -40,12 +40,12 @@ class Wanted:
     """The [[bodies]] table whose bodies are requested."""
 
     section: BodyData
-    index: int  # its number among the [[bodies]] tables of the scene
-    first: int  # number of its first body in the scene
-    row: int  # number of its first body among the bodies of all [[bodies]]
+    index: int  # number of the table among the scene's [[bodies]] tables
+    first: int  # number of the table's first body in the scene
+    row: int  # number of the table's first body among the bodies of all [[bodies]]
     units: UnitSystem  # units of the numbers in files
     material: Material | None = None  # of the section
-    centre: Centre | None = None  # of the orbits, if the section has any
+    centre: Centre | None = None  # centre of the orbits, if the section has one
 
 
 class BodySource(Protocol):

@@ -21,15 +21,15 @@ from carom.scene.units.system import OWN, SI, UnitSystem
 
 ECLIPTIC = "ecliptic of J2000"
 SUN = "Sun"
-_SAME_EPOCH = 1e-5  # days; printed Julian dates have seven digits or more after the point
-_LONGEST_NAME = 40  # characters of a name that messages show
-_LONGEST_SPLIT = 200  # characters of a name in which a unit is looked for
+_SAME_EPOCH = 1e-5  # days within which epochs agree; printed Julian dates have seven digits or more after the point
+_LONGEST_NAME = 40  # most characters of a name in a message
+_LONGEST_SPLIT = 200  # most characters of a name in which a unit is searched
 _NAMES_KEPT = 100_000  # names of columns whose reading is remembered; a wide table has some thousands
 _WITH_UNIT = re.compile(r"(.*?)\s*(?:\[([^\[\]]*)\]|\(([^()]*(?:\([^()]*\)[^()]*)*)\))\s*")  # "x [au]", "mass (kg)"
 _OVER = re.compile(r"([^/]+?)\s*/\s*\(?([^()]+?)\)?")  # "x/m" and "v/(m/s)", as ISO 80000 writes headers
-_INDEX = re.compile(r"[\s_:.\[(-]+([012])[\])]?\Z")  # of a component: "Points:0", "v_2", "velocity[1]"
+_INDEX = re.compile(r"[\s_:.\[(-]+([012])[\])]?\Z")  # index of a component: "Points:0", "v_2", "velocity[1]"
 _SEPARATORS = re.compile(r"[\s_.:-]+")
-_NO_UNIT = ("", "1", "-", "none", "dimensionless", "unitless")  # texts in the place of a unit
+_NO_UNIT = ("", "1", "-", "none", "dimensionless", "unitless")  # texts that stand in the place of a unit
 # Units at the end of a name, and their spellings. Other abbreviations are also words: "radius_in" is an inner radius.
 _SUFFIXES = {
     **{name: name for name in ("m", "cm", "mm", "um", "nm", "km", "au", "AU", "pc", "kpc", "Mpc", "kg", "g")},
@@ -52,7 +52,7 @@ class FileBox(NamedTuple):
 
     low: tuple[float, ...]  # lower corner
     size: tuple[float, ...]
-    periodic: str = ""  # axes along which it repeats, such as "xy"
+    periodic: str = ""  # axes along which the box repeats, such as "xy"
 
     def scaled(self, factor: float) -> FileBox:
         """Return the box in other units."""
@@ -70,7 +70,7 @@ class Facts:
     frame: str = ""  # directions of the axes, such as "ICRF" or `ECLIPTIC`
     centre: str = ""  # body at the origin
     epoch: float | None = None  # Julian date (TDB)
-    time: float | None = None  # of the step that is read, in the units of the file
+    time: float | None = None  # time of the step that is read, in the file's units
     box: FileBox | None = None
 
     def states(self, dimension: Dimension) -> bool:
@@ -87,9 +87,9 @@ class FileColumn:
     """A column of a file: its name, and the unit that stands in the name or that the file states for it."""
 
     name: str  # in the file
-    proper: str  # without the unit and, in HDF5, the path
+    proper: str  # name without the unit and, in HDF5, without the path
     unit: str = ""
-    odd: str = ""  # text where a unit is expected, but which is no unit
+    odd: str = ""  # text in the place of a unit that is no unit
 
     @property
     def plain(self) -> str:
@@ -112,7 +112,7 @@ class FileColumn:
         for place in (k for k, char in enumerate(self.proper) if char == "_"):
             base, end = self.proper[:place], self.proper[place + 1 :]
             named = _SUFFIXES.get(end) or _SUFFIXES.get(end.lower(), "")
-            spellings = (named, "m/s") if end == "ms" else (named,)  # milliseconds, or metres per second
+            spellings = (named, "m/s") if end == "ms" else (named,)  # "ms" is milliseconds or metres per second
             text = next((each for each in spellings if each and _has_dimension(each, dimension)), "")
             if base and text and (brief or len(base) > 1 or len(end) > 1):
                 return replace(self, proper=base, unit=text)

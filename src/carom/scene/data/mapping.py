@@ -52,7 +52,7 @@ USUAL_AXES: dict[str, tuple[str, ...]] = {  # with x, y and z instead of the sta
     "velocity": (*(f"{name}*" for name in USUAL["velocity"]), "*velocity", "*vel"),
     "angular_velocity": ("w*", *(f"{name}*" for name in USUAL["angular_velocity"]), "*angularvelocity"),
 }
-_LOST = {  # beginnings of the names of vectors that may hold a quantity under an unknown name
+_LOST = {  # beginnings of names of vectors that may hold a quantity under an unknown name
     "velocity": ("v", "lin", "momenta", "momentum"),
     "angular_velocity": ("ang", "om", "rot", "spin"),
 }
@@ -79,19 +79,19 @@ _OF_ELEMENTS = {
 }
 ORIENTED = ("e", "i", "node", "peri")  # the elements that every orbit needs; others may replace each other
 _RIVALS = (("mass", "density"), ("radius", "diameter"))  # pairs of quantities that determine each other
-_MOST_SHOWN = 12  # columns that a message lists
-_MOST_NOTED = 200  # columns that a note lists
+_MOST_SHOWN = 12  # most columns that a message lists
+_MOST_NOTED = 200  # most columns that a note lists
 
 # further columns of elements
 _ORBIT = frozenset(("a", "e", "ecc", "inc", "incl", "om", "node", "peri", "ma", "tp", "epoch", "moid"))
 _SPHERICAL = frozenset(("theta", "phi", "lat", "lon", "ra", "dec", "delta", "rdot", "rr"))
-_MEANINGS = {  # names with several meanings: the meanings, and columns that suggest one of them
+_MEANINGS = {  # ambiguous names: their meanings, and columns that suggest one of them
     "r": ("a distance or a colour", _ORBIT | _SPHERICAL | {"g", "b"}),
     "rho": ("a distance", _SPHERICAL),
     "m": ("a mean anomaly or a magnitude", frozenset[str]()),
 }
 _COEFFICIENTS = "[contact] or a [[material]] gives coefficients"
-_ELSEWHERE = {  # why some columns of spheres are not used, by their plain names
+_ELSEWHERE = {  # why some columns with data of spheres are not used, by plain name
     **dict.fromkeys(("mu", "friction", "frictioncoefficient", "mus", "muk"), _COEFFICIENTS),
     **dict.fromkeys(("restitution", "cor", "coefficientofrestitution"), _COEFFICIENTS),
     **dict.fromkeys((f"quat{axis}" for axis in "wxyzijk"), "a sphere starts without a rotation"),
@@ -142,7 +142,7 @@ def mapping_of(section: BodyData, columns: Sequence[FileColumn], table: DataTabl
                 mapping |= {quantity: part} if part else {}
         if quantity == "position":
             _refuse_missing(section, mapping, columns, called, ("position",))
-    for first, second in _RIVALS:  # the scene must name the column of one
+    for first, second in _RIVALS:  # the scene must name the column for one of both
         if first in mapping and second in mapping:
             asked = [quantity for quantity in (first, second) if getattr(section.columns, quantity) is not None]
             if len(asked) != 1:
@@ -290,7 +290,7 @@ def _refuse_doubtful(quantity: str, column: FileColumn, columns: Sequence[FileCo
     if not others or column.unit:
         return
     place, proper = plain.index(column.plain), {each.proper for each in columns}
-    if "m" in plain[max(0, place - 1) : place + 2] and own == "r" and "M" not in proper:  # "m, r", as in REBOUND
+    if "m" in plain[max(0, place - 1) : place + 2] and own == "r" and "M" not in proper:  # "m, r", the order in REBOUND
         return
     if beside := [each for each in columns if each.plain in signs]:
         raise question(called, column, quantity, f"{others}, since there is a column {printable(beside[0].name)}")

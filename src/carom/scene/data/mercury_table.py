@@ -17,7 +17,7 @@ from carom.scene.data import Arrays, DataFormat, DataTable, number_in, numbers_o
 from carom.scene.data.facts import Facts, FileBox, printable
 from carom.scene.data.text_rows import TextRows
 
-_COLUMNS = {  # by the number of words in the line of a step
+_COLUMNS = {  # columns by the number of words in a step's line
     6: ("x", "y", "vx", "vy", "radius", "angle", "-wz", "info"),
     8: (*("x", "y", "z", "vx", "vy", "vz", "radius"), *("angle x", "angle y", "angle z", "wx", "wy", "wz", "info")),
 }
@@ -27,8 +27,8 @@ _LONGEST = 100_000  # characters in a line
 class _Step(NamedTuple):
     """The first line of a step."""
 
-    offset: int  # of the line after it
-    line: int  # number of the line after it, from 1
+    offset: int  # offset of the next line
+    line: int  # number of the next line, from 1
     rows: int
     numbers: tuple[float, ...]  # time, lower and upper corner
 

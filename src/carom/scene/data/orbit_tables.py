@@ -83,7 +83,7 @@ def open_horizons(path: Path, called: str, snapshot: int) -> DataTable:
                     f"all bodies with one {what}"
                 )
     length, time = first.units
-    # in the units of the first block
+    # the units are those of the first block
     values = np.array([block.values for block in blocks])
     for row, block in enumerate(blocks):
         if block.units != first.units:
@@ -163,7 +163,7 @@ def open_mpc(path: Path, called: str, snapshot: int) -> DataTable:
     columns: dict[str, list[float]] = {name: [] for name in _PLACES}
     names = list[str]()
     for number, line in enumerate(lines[begin:], start=begin + 1):
-        if not line.strip():  # between numbered and unnumbered objects
+        if not line.strip():  # a blank line separates numbered from unnumbered objects
             continue
         for name, (first, last) in _PLACES.items():
             text = line[first - 1 : last].strip()

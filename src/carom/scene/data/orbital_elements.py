@@ -36,7 +36,7 @@ from carom.scene.units.system import UnitSystem
 _ANGLES = ("i", "node", "peri", "M")
 _TURNING = ("i", "node", "peri")  # angles that every program writes within one turn
 _DEGREE = math.pi / 180.0
-_TURN = 2.0 * math.pi * (1.0 + 1e-9)  # radians, with the error of printed digits
+_TURN = 2.0 * math.pi * (1.0 + 1e-9)  # radians in a turn, with the error of printed digits
 _OF_JPL = {"full_name", "pdes", "spkid"}  # columns that identify a table of JPL's small bodies
 _UNITS_OF_JPL = {
     **{"a": "au", "q": "au", "tp": "day", "epoch": "day", "diameter": "km"},
@@ -45,7 +45,7 @@ _UNITS_OF_JPL = {
 _IN_DEGREES = {"i", "om", "w", "ma"}  # JPL's names of angles, which it writes in degrees
 _JULIAN = (2.2e6, 2.7e6)  # Julian dates of the years 1311 to 2680; an epoch outside of these is counted otherwise
 _TERMS = 9  # terms in the series of Stumpff's functions; the next one is less than 1e-18
-_MOST_STEPS = 1000  # of Newton's method: about 6 for an ellipse, one per unit of the anomaly for a hyperbola
+_MOST_STEPS = 1000  # most steps of Newton's method: some 6 for an ellipse, one per unit of the anomaly for a hyperbola
 
 
 class Centre(NamedTuple):
@@ -53,7 +53,7 @@ class Centre(NamedTuple):
 
     constant: float  # gravitational constant
     mass: float
-    name: str = ""  # of the [[body]]; empty for a mass at rest at the origin
+    name: str = ""  # name of the [[body]]; empty for a mass at rest at the origin
     position: tuple[float, ...] = (0.0, 0.0, 0.0)
     velocity: tuple[float, ...] = (0.0, 0.0, 0.0)
 
@@ -76,10 +76,10 @@ class OrbitTable(DataTable):
         is_of_jpl = bool(_OF_JPL & set(table.names))
         if is_of_jpl:
             self.facts = replace(table.facts, of_columns=_UNITS_OF_JPL, frame=ECLIPTIC, centre=SUN)
-        # a designation, for an object without a name
+        # the designation stands for the name of an unnamed object
         names = [name for name in table.names if name != "name" or "full_name" not in table.names]
         self._columns = elements_in(columns_of(names, self.facts, self.paths))
-        # refuse a table that lacks an element
+        # refuses a table that lacks an element
         there = self._columns
         missing = [f"{element} ({ELEMENTS[element][0]})" for element in ORIENTED if element not in there]
         missing += [] if {"a", "q"} & set(there) else ["a or q"]
@@ -183,7 +183,7 @@ class OrbitTable(DataTable):
         self._kept = kept
         e = self._element("e")
         beta, q = self._shape(e)
-        # √μ t since the pericentre, for an ellipse since the nearest one
+        # √μ t since the pericentre; for an ellipse, since the nearest one
         ellipse, root_mu = beta > 0.0, np.sqrt(self._centre.constant * (self._centre.mass + mass))
         rate = np.abs(beta) * np.sqrt(np.abs(beta))  # rate of the mean anomaly with √μ t
         elapsed = self._elapsed(len(e)) * root_mu

@@ -34,7 +34,7 @@ from carom.scene.units.system import SI, WITHOUT, UnitSystem
 
 _STEP = b"ITEM: TIMESTEP"
 _BEFORE = re.compile(rb"(?:ITEM: (?:UNITS|TIME)[ \t]*\r?\n[^\n]{0,100}\n)*(?=ITEM: TIMESTEP)")  # in the first step
-_TAIL = re.compile(r"(?m)^ITEM: TIME\n")  # of the next step, after the rows of a step
+_TAIL = re.compile(r"(?m)^ITEM: TIME\n")  # head of the next step, after the rows of a step
 # Names of units in LAMMPS (its command `units`) and in carom; a mass in g/mol is the mass of one atom in daltons.
 REDUCED = "lj"
 _OF_ATOMS = {"length": "angstrom", "mass": "dalton", "density": "g/cm^3"}
@@ -47,15 +47,15 @@ UNITS = {
     "metal": UnitSystem({**_OF_ATOMS, "time": "ps"}),
     REDUCED: UnitSystem.of_text(WITHOUT),
 }
-_IN_TITLE = re.compile(rb"[^\n]*\bunits = (\w{1,20})")  # in the first line, as write_data has it
+_IN_TITLE = re.compile(rb"[^\n]*\bunits = (\w{1,20})")  # statement in the first line, as write_data writes it
 _MOST_STEPS = 10_000_000
-_COUNT = re.compile(rb"^\s*([0-9]{1,18})\s+atoms\b", re.MULTILINE)  # in the header of a data file
-_HEAD = 10_000  # bytes of a data file that have its header
-_LINES = 20  # lines of a data file per atom, with bonds, angles and dihedrals
-_HEADER_LINES = 1000  # further ones: header, masses, coefficients
+_COUNT = re.compile(rb"^\s*([0-9]{1,18})\s+atoms\b", re.MULTILINE)  # number of atoms in the header of a data file
+_HEAD = 10_000  # bytes at the beginning of a data file that contain its header
+_LINES = 20  # most lines of a data file per atom, including bonds, angles and dihedrals
+_HEADER_LINES = 1000  # most further lines: header, masses, coefficients
 _LONGEST = 1_000_000  # characters in a line
-_DIGITS = 20  # of a number of rows, which has at most 19 below 2⁶³
-_WIDEST = 100  # numbers of a property in a row
+_DIGITS = 20  # most digits of a number of rows; numbers below 2⁶³ have at most 19
+_WIDEST = 100  # most numbers of a property in a row
 _PROPERTIES = re.compile(r'\bProperties="?([^\s"]+)"?', re.IGNORECASE)
 _PERIODIC = re.compile(r'\bpbc="?([TF01][TFrueals01 ]*)', re.IGNORECASE)
 _LATTICE = re.compile(r'\bLattice="([^"]*)"', re.IGNORECASE)
@@ -119,7 +119,7 @@ class _Dump(DataTable):
         self.names = [self._scaled.get(name, name) for name in self._written]
         units = "".join(items.get("UNITS", [])[:1]).strip() or units
         self.notes = (f"{called}: step {printable(step)} of LAMMPS{f', units {printable(units)}' if units else ''}",)
-        ends = bounds[0].split()[-3:]  # such as pp pp ff; old versions write none
+        ends = bounds[0].split()[-3:]  # boundaries such as pp pp ff; old versions write none
         repeated = "".join(axis for axis, end in zip("xyz", ends, strict=False) if end in ("pp", "p"))
         box = None
         if self._box is not None and not self._skewed:
@@ -171,13 +171,13 @@ def _box(called: str, rows: Sequence[str]) -> FloatArray | None:
 class _Section(NamedTuple):
     """A section of a data file."""
 
-    style: str  # in the comment after its name
+    style: str  # style of the atoms, in the comment after the name of their section
     line: int  # of its first row
     rows: list[str]
 
 
 _TITLE = re.compile(r"([A-Z][A-Za-z /]*[A-Za-z])\s*(?:#\s*(.*?)\s*)?")
-_COLUMNS = {  # of the section Atoms, by style
+_COLUMNS = {  # columns of the section Atoms, by style
     "atomic": "id type x y z",
     "charge": "id type q x y z",
     "molecular": "id molecule type x y z",
@@ -272,7 +272,7 @@ DATA = DataFormat("a data file of LAMMPS", open_data)
 def open_xyz(path: Path, called: str, snapshot: int) -> DataTable:
     """Open an XYZ file at one of its steps."""
     with path.open(encoding="utf-8", errors="surrogateescape", newline="\n") as file:
-        places = list[tuple[int, int, int]]()  # of each step: offset, line, number of rows
+        places = list[tuple[int, int, int]]()  # offset, line and number of rows of each step
         line, stored = 1, path.stat().st_size
         while True:
             offset = file.tell()
@@ -314,7 +314,7 @@ def _lattice(comment: str) -> FileBox | None:
     corner = _ORIGIN.search(comment)
     low = [number_in(word) or 0.0 for word in corner[1].split()] if corner else [0.0, 0.0, 0.0]
     repeated = _PERIODIC.search(comment)
-    signs = repeated[1].split() if repeated else ["T", "T", "T"]  # ASE and OVITO: a lattice repeats by default
+    signs = repeated[1].split() if repeated else ["T", "T", "T"]  # ASE and OVITO: the lattice repeats by default
     periodic = "".join(axis for axis, sign in zip("xyz", signs, strict=False) if sign.upper()[:1] in ("T", "1"))
     return FileBox((*low[:3],), tuple(float(vectors[k] or 0.0) for k in (0, 4, 8)), periodic) if len(low) == 3 else None
 

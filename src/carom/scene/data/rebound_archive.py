@@ -22,8 +22,8 @@ _INTEGRATORS = {  # REBOUND's name → the same method in carom
     "whfast": "wisdom-holman",
 }
 _CHOOSING = ("ias15", "bs", "none")  # integrators without a fixed step
-_FUNCTIONS = "function pointers"  # in the warning about a simulation with function pointers
-_DAMAGED = "corrupted"  # in the warning about a truncated archive
+_FUNCTIONS = "function pointers"  # words in the warning about a simulation with function pointers
+_DAMAGED = "corrupted"  # words in the warning about a truncated archive
 _KNOWN = (
     "test particle (type 0) has finite mass",
     "might not be synchronized",
@@ -67,8 +67,8 @@ def open_rebound(path: Path, called: str, snapshot: int) -> DataTable:
     refuse_many_rows(called, simulation.N, path.stat().st_size)
     if simulation.N_var:
         notes.append(f"{counted(simulation.N_var, 'variational particle')} not used")
-    particles = len(simulation.particles)  # without variational particles, which N includes before version 5
-    # without radii or masses if these are all 0
+    particles = len(simulation.particles)  # excludes variational particles, which N includes before version 5
+    # without radii or masses if all of them are 0
     everything = simulation.N
     position, velocity = np.zeros((everything, 3)), np.zeros((everything, 3))
     mass, radius = np.zeros(everything), np.zeros(everything)
@@ -118,7 +118,7 @@ def _package(called: str) -> Any:
 def _attracting(simulation: Any, mass: FloatArray, called: str, notes: list[str]) -> FloatArray:
     """Return the attracting masses: 0 for REBOUND's test particles, which attract nothing even if they have a mass."""
     n, active = len(mass), int(simulation.N_active)
-    # by default all are active: N_active is -1 or the largest integer
+    # N_active of -1 or the largest integer, the default, means that all are active
     light = mass[active:] if 0 <= active < n else mass[n:]
     if not light.any():
         return mass

@@ -30,7 +30,7 @@ _BODIES = (
     *("id", "bodyid", "particleid", "objectid", "planetid", "starid", "noradid"),
     *("name", "names", "label", "fullname", "body", "particle", "object", "planet", "target", "hash"),
 )
-_BRACKETS = re.compile(r"\s*[\[(]")  # before a remark, as in "date (JD)"
+_BRACKETS = re.compile(r"\s*[\[(]")  # start of a remark in brackets, as in "date (JD)"
 _ROUNDED = 1e-8  # relative error of a time that was printed and typed again
 
 

@@ -17,14 +17,14 @@ from carom.scene.data.facts import Facts, printable
 from carom.scene.data.mapping import usual_names
 from carom.scene.wording import counted
 
-HEAD = 1_000_000  # bytes by which a file is recognised; a longer line is refused
+HEAD = 1_000_000  # bytes from which a format is recognised; a longer line is refused
 _SAMPLE = 50  # lines of these bytes
 _LARGEST = 500_000_000  # bytes of the largest file that is rewritten in memory
 _COMMENTS = ("#", "%", "!", "//")
 _SEPARATORS = {";": "semicolons", "\t": "tabs", "|": "bars", ",": "commas", " ": "blanks"}
-_USUAL = {".csv": ",", ".tsv": "\t"}  # by suffix, if no separator divides all lines alike
+_USUAL = {".csv": ",", ".tsv": "\t"}  # separators by suffix, if none divides all lines alike
 _COMMA = re.compile(r"[+-]?\d*,\d+(?:[eEdD][+-]?\d+)?")  # a number with a decimal comma
-_TITLE = re.compile(r"(?:format|columns?)\s*:\s*", re.IGNORECASE)  # before the names in a comment
+_TITLE = re.compile(r"(?:format|columns?)\s*:\s*", re.IGNORECASE)  # words before the names in a comment
 _YADE = re.compile(r"#\s*format\s+(\S+)")  # columns in YADE's text export, such as x_y_z_r
 _UNIT = re.compile(r"\s+(?=[\[(])")  # blanks before the unit of a name
 _NASA = re.compile(r"(?m)^COLUMN (\w+):.*\[([^\[\]]+)\]")  # "COLUMN pl_bmassj: Planet Mass [Jupiter mass]"
@@ -38,12 +38,12 @@ _J2000 = 2_451_545.0  # Julian date
 class TextDialect:
     """The dialect of a text file."""
 
-    names: list[str]  # of the columns; empty if no line has them
+    names: list[str]  # names of the columns; empty if no line has them
     columns: int  # their number
     separator: str  # character between values
     skipped: int  # lines before the first row, in a file that pyarrow reads unchanged
     rows: bytes | None = None  # the rows as plain CSV, if the file must be rewritten
-    note: str = ""  # what was recognised; empty for plain tables
+    note: str = ""  # note on the recognised dialect; empty for plain tables
 
 
 def dialect_of(path: Path, called: str) -> TextDialect:
@@ -56,7 +56,7 @@ def dialect_of(path: Path, called: str) -> TextDialect:
     if max(map(len, head.split(b"\n", MOST_COLUMNS))) >= HEAD:
         raise SceneError(f"{called}: not a table of values: a line has more than {HEAD} characters")
     text = head[: head.rfind(b"\n") + 1 or None].decode(encoding, "replace")
-    if text.partition("\n")[0].count('"') % 2:  # a quoted name that continues in the next line
+    if text.partition("\n")[0].count('"') % 2:  # a quoted name continues in the next line
         separator = _USUAL.get(path.suffix.lower(), ",")
         reader = csv.reader(io.StringIO(text), delimiter=separator)
         names = next(reader)
@@ -83,7 +83,7 @@ def dialect_of(path: Path, called: str) -> TextDialect:
         and not lines.comments
         and lines.first == 1
     )
-    if plain:  # comments may also follow the sample
+    if plain:  # comments may also follow after the sample
         with path.open("rb") as raw, mmap.mmap(raw.fileno(), 0, access=mmap.ACCESS_READ) as content:
             plain = not any(content.find(b"\n" + sign.encode()) >= 0 for sign in _COMMENTS)
     dialect = TextDialect(names, columns, separator, int(has_header))
@@ -118,7 +118,7 @@ class TextLines(Iterator[str]):
         while True:
             text = next(self._lines).strip("\r\n ")
             self.number += 1
-            if not text or (self.number == 1 and text.startswith("sep=")):  # Excel's hint of the separator
+            if not text or (self.number == 1 and text.startswith("sep=")):  # Excel's hint at the separator
                 continue
             if text.startswith(_COMMENTS):
                 self.comments += 1

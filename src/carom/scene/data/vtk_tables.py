@@ -38,7 +38,7 @@ _KINDS = {
 _DATASETS = ("POLYDATA", "UNSTRUCTURED_GRID")
 _CELLS = ("VERTICES", "LINES", "POLYGONS", "TRIANGLE_STRIPS", "CELLS")
 _LONGEST = 10_000  # characters in a line
-_DIGITS = 12  # of a number of values; a file of `_LARGEST` bytes has fewer
+_DIGITS = 12  # most digits of a number of values; a file of `_LARGEST` bytes has fewer
 _DIGITS_OF_WIDTH = 4
 _MOST_FIELDS = 10_000  # arrays of a file
 _APPENDED = re.compile(rb'<AppendedData\s+encoding="(raw|base64)"\s*>\s*_')
@@ -119,7 +119,7 @@ def _arrays(reader: _Reader) -> dict[str, Raw]:
 
     def add(name: str, kind: str, width: int, rows: int) -> None:
         refuse_many_rows(reader.called, rows, reader.size)
-        if kind.lower() == "string":  # names of points, a line each
+        if kind.lower() == "string":  # names of points, one in a line
             for _ in range(rows * width):
                 reader.line()
             return
@@ -175,12 +175,12 @@ class _Blocks(NamedTuple):
     """The encoding of a file's arrays."""
 
     called: str
-    stored: int  # size of the file in bytes
+    stored: int  # bytes of the file
     order: str  # byte order
     header: np.dtype[np.uint64] | np.dtype[np.uint32]
     compressed: bool
     appended: bytes
-    raw: bool  # whether the appended data are not in base64
+    raw: bool  # whether the appended data are raw bytes, not base64
 
 
 _MOST_TAGS = 100_000

@@ -84,7 +84,7 @@ class Body(Matter):
 
 Axes = tuple[Name, Name, Name] | tuple[Name, Name]
 DIGEST = r"^[0-9a-f]{64}$"
-# pairs that determine each other
+# pairs of keys that determine each other
 _RIVALS = {"mass": "density", "density": "mass", "inertia": "inertia_factor", "diameter": "radius"}
 
 
@@ -232,7 +232,7 @@ class BodyData(Matter):
         )
 
 
-STEEPEST = 300  # decades that a power of the radii may span
+STEEPEST = 300  # largest ratio of radii in decades, for a power of them
 LATTICES = ("cubic", "fcc", "hcp")
 
 

@@ -28,9 +28,9 @@ from carom.scene.schema.quantity import (
 from carom.scene.units.dimension import ACCELERATION, DENSITY, GRAVITATIONAL_CONSTANT, LENGTH, TIME, VELOCITY
 from carom.scene.wording import suggestion
 
-DEFAULT = "default"  # name of the material of [contact]
+DEFAULT = "default"  # name of the material that [contact] describes
 STATIC, KINETIC = 0.6, 0.4  # default coefficients of friction, about as for dry stone
-BODY_COLOURS = ("sky-blue", "clay", "indigo", "mint", "olive", "sage", "rose")  # which no arrow and no edge has
+BODY_COLOURS = ("sky-blue", "clay", "indigo", "mint", "olive", "sage", "rose")  # colours that no arrow and no edge has
 COLOURS = (*BODY_COLOURS, "orange", "green", "yellow", "blue", "vermilion", "purple", "grey", "white")
 _HEX = re.compile(r"#[0-9a-fA-F]{6}")
 
@@ -379,7 +379,7 @@ class ContactSettings(Section):
         return Coefficients(self.restitution, self.static_friction, self.kinetic_friction)
 
 
-KNOWN_LAWS: list[str] = []  # contact laws with a section; see `know_installed_parts`
+KNOWN_LAWS: list[str] = []  # contact laws that have a section; see `know_installed_parts`
 
 
 def law_sections(holder: Surface | ContactSettings) -> list[str]:

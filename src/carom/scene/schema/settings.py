@@ -63,7 +63,7 @@ else:
 
 
 LARGEST_ACCURACY = 1e-2
-_STEP_KEYS = {  # keys of [time] that set the step, unless they have these defaults
+_STEP_KEYS = {  # keys of [time] that set the step, and defaults with which they do not
     "fixed_dt": None,
     **dict.fromkeys(("target_dx", "cfl", "pull_fraction", "smoothing"), "auto"),
     "velocity_limit": "every-body",

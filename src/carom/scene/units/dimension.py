@@ -49,7 +49,7 @@ _TAKEN: dict[str, Iterable[str]] = {
     "calorie": ("kilo",),
 }
 _IRREGULAR = ("s", "x", "z", "i", "ch", "y", "foot", "feet")  # endings of words that take no plural s
-_SHORT = ("day", "deg", "erg", "hr", "lb", "min", "rev", "sec", "yr")  # exceptions with a plural s
+_SHORT = ("day", "deg", "erg", "hr", "lb", "min", "rev", "sec", "yr")  # exceptions that take a plural s
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,10 +57,10 @@ class Dimension:
     """A dimension, such as energy."""
 
     name: str
-    unit: str  # SI unit, as it is printed and accepted in texts
+    unit: str  # SI unit in the form that is printed, and accepted in texts
     exponents: Exponents
-    example: str  # a quantity, as a person writes it
-    plain: str = ""  # the key of [units] that sets its unit; empty for a derived unit
+    example: str  # an example of a quantity, as a person writes it
+    plain: str = ""  # the key of [units] that sets the dimension's unit; empty for a derived unit
 
     def __get_pydantic_json_schema__(self, core: Any, handler: Any) -> dict[str, Any]:
         """Describe a quantity in the JSON schema: a text with a unit may replace each number."""
@@ -99,9 +99,9 @@ PRESSURE = Dimension("pressure", "Pa", (-1, -2, 1, 0), "100 kPa")
 ENERGY = Dimension("energy", "J", (2, -2, 1, 0), "3 kJ", "energy")
 
 DIMENSIONS: Sequence[Dimension] = [each for each in list(globals().values()) if isinstance(each, Dimension)]
-NAMED = {dimension.plain: dimension for dimension in DIMENSIONS if dimension.plain}  # by the key of [units]
+NAMED = {dimension.plain: dimension for dimension in DIMENSIONS if dimension.plain}  # dimensions by the key of [units]
 OF_UNIT = {dimension.unit: dimension for dimension in DIMENSIONS}  # by SI unit
-# an energy, which has the exponents of a torque, replaces it
+# an energy, which has the same exponents, takes the place of a torque
 OF_EXPONENTS = {dimension.exponents: dimension for dimension in DIMENSIONS}
 
 
@@ -126,7 +126,7 @@ _FOREIGN = {
     **{"Angstrom": "angstrom", "u": "dalton", "Da": "dalton"},
 }
 
-LONGEST = 80  # characters of a text that are read
+LONGEST = 80  # characters up to which a text is read
 DEFINITIONS = Path(__file__).with_name("definitions.txt")
 
 _SUPERSCRIPTS = str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "-0123456789")
@@ -152,7 +152,7 @@ class UnknownUnitError(UnitError):
 
     def __init__(self, name: str, known: Iterable[str]) -> None:
         near = _nearest(name, known)
-        # the usual form of a name of several words; symbols with capitals are unchanged
+        # the usual form of a name with several words; symbols with capitals are unchanged
         hint = f' (did you mean "{near.replace("_", " ") if near.islower() else near}"?)' if near else ""
         super().__init__(f'there is no unit "{name}"{hint}')
         self.name = name
@@ -189,7 +189,7 @@ def unit(text: str) -> Unit:
     try:
         size, base = known.get_root_units(_with_signs(written))
         dimensions = known.get_dimensionality(base)
-    except Exception:  # from another package's parser: a user's text must never cause a traceback
+    except Exception:  # another package's parser may raise anything, but a user's text must never cause a traceback
         raise UnitError(f'"{text}" is not a unit') from None
     length, time, mass, angle = (int(dimensions.get(f"[{name}]", 0)) for name in BASE)
     return Unit(Fraction(size) / Fraction(1000) ** mass, (length, time, mass, angle))

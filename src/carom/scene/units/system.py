@@ -119,7 +119,7 @@ class UnitSystem:
             return number
         try:
             return nearest_float(Fraction(float.__repr__(float(number))) * self.size(dimension))
-        except (ValueError, OverflowError):  # not finite: the schema will refuse it
+        except (ValueError, OverflowError):  # the result is not finite: the schema will refuse it
             return number
 
     def literal(self, number: float, dimension: Dimension) -> str:

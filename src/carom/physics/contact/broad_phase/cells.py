@@ -32,32 +32,32 @@ from carom.physics.vector import Vector, is_periodic, sizes, vector
 from carom.scene.portable_math import ENDLESS
 
 WIDER = 1.0 + 1e-6  # margin of the cell width, so that rounding cannot move a neighbour beyond the neighbouring cells
-MOST_CELLS = 2**30  # along an axis; with more, the rounding of a cell index would exceed that margin
-MAX_CELLS_PER_BODY = 16  # in a grid that is numbered row by row
-SPARSE = 2.5  # cells per body; above this, cells are broader across rows
-BROAD = 1.75  # factor of the width across rows; along rows, cells are shorter by its square
-WIDE = 2.0  # factor of the cell width if a grid would otherwise exceed `MAX_CELLS_PER_BODY`
-MAX_SHARED_BODIES = 0.5  # per cell; above this, octaves do not share a grid
-MAX_PAIRS_PER_BODY = 1.0  # within cells; above this, an octave gets its own cells of the smallest width
-STRIP = 64  # adjacent cells of a row that are adjacent in a hashed table, too
-MAX_ROWS_PER_BODY = 8.0  # mean number of rows that a small body searches in the grid of much larger ones
+MOST_CELLS = 2**30  # most cells along an axis; with more, the rounding of a cell index would exceed the margin `WIDER`
+MAX_CELLS_PER_BODY = 16  # most cells in a grid that is numbered row by row
+SPARSE = 2.5  # number of cells per body above which cells are broader across rows
+BROAD = 1.75  # factor on the width across rows; cells are shorter along rows by its square
+WIDE = 2.0  # factor on the cell width if a grid would otherwise exceed `MAX_CELLS_PER_BODY`
+MAX_SHARED_BODIES = 0.5  # bodies per cell above which octaves do not share a grid
+MAX_PAIRS_PER_BODY = 1.0  # pairs within cells above which an octave gets its own cells of the smallest width
+STRIP = 64  # length of a strip: cells that are neighbours in a row, and also in a hashed table
+MAX_ROWS_PER_BODY = 8.0  # mean number of rows that a small body searches in the grid of much larger bodies
 MIN_BODIES_PER_TASK = 1000
 
 
 class OctaveRecord(Protocol):
     """The bodies of an octave of diameters."""
 
-    diameter: float  # m, of its largest body, slightly enlarged
-    begin: int  # its bodies in the order of the table
+    diameter: float  # m, diameter of the octave's largest body, slightly enlarged
+    begin: int  # range of the octave's bodies in the order of the table
     end: int
-    crowded: bool  # whether it has exceeded `MAX_PAIRS_PER_BODY`
+    crowded: bool  # whether the octave has exceeded `MAX_PAIRS_PER_BODY`
 
 
 class GridRecord(Protocol):
     """The cells of one width."""
 
-    diameter: float  # m, of its largest body, slightly enlarged
-    begin: int  # its bodies in the order of the table
+    diameter: float  # m, diameter of the grid's largest body, slightly enlarged
+    begin: int  # range of the grid's bodies in the order of the table
     end: int
     first_bucket: int
     end_bucket: int
@@ -69,7 +69,7 @@ class GridRecord(Protocol):
     nz: int
     mask: int  # mask of the hash, if cells are hashed
     hashed: bool  # False: cells are numbered row by row
-    crowded: bool  # whether its largest octave is crowded
+    crowded: bool  # whether the largest octave is crowded
 
 
 class SphereRecord(Protocol):
@@ -93,13 +93,13 @@ class Layout(NamedTuple):
     grid: RecordArray[GridRecord]  # (k,)
     into: BoolArray  # (k, k) whether the bodies of a grid search another grid
     origin: FloatArray  # (3,) m, the corner where cells begin
-    box: FloatArray  # (3,) m, zeros in open space
+    box: FloatArray  # (3,) m, size of the periodic box; zeros in open space
 
 
 class Table(NamedTuple):
     """The bodies of a step in the order of their buckets."""
 
-    ends: Int32Array  # (buckets + 1,) first body of each, and n
+    ends: Int32Array  # (buckets + 1,) first body of each bucket, and n
     body: Int32Array  # (n,)
     sphere: RecordArray[SphereRecord]  # (n,)
 

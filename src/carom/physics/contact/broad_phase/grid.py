@@ -38,7 +38,7 @@ from carom.physics.vector import Vector, between, is_periodic, sizes
 
 PAIRS_PER_CLAIM = 256  # rows of the buffer that a thread claims at a time
 ALL_PAIRS_UP_TO = 100  # bodies up to which testing every pair is faster than sorting into cells
-NARROW = 4  # cells within the search distance; with more, each row is shortened to its chord of the sphere
+NARROW = 4  # most cells within the search distance; with more, each row is shortened to its chord of the sphere
 MIN_BODIES_PER_TASK = 200
 
 
@@ -56,7 +56,7 @@ class HierarchicalGrid:
         self._counts = np.zeros(n + 1, dtype=np.int64)
         self._claimed = np.zeros(1, dtype=np.int64)  # rows of the buffer that threads have claimed
         rows = 2 * n + 64 if n > ALL_PAIRS_UP_TO else n * (n - 1) // 2
-        self._buffer = np.empty((2, rows, 2), dtype=np.int64)  # pairs, and space to sort them
+        self._buffer = np.empty((2, rows, 2), dtype=np.int64)  # found pairs, and space to sort them
 
     def pairs(self, position: FloatArray, scale: float = 1.0, skin: float = 0.0) -> IntArray:
         """Return the pairs no farther apart than ``(r_i + r_j) scale + skin``, (m, 2), sorted by (i, j).
@@ -102,7 +102,7 @@ class Scope(NamedTuple):
     scale: float
     skin: float  # m
     claimed: IntArray  # (1,) rows of the buffer that threads have claimed
-    buffer: IntArray  # (2, k, 2) of pairs
+    buffer: IntArray  # (2, k, 2) found pairs, and space to sort them
 
 
 class Row(NamedTuple):
@@ -162,7 +162,7 @@ def search(
                         m, end = _search_cells(a, Row(x, x + cells, y, z), after, grid, scope, m, end)
                         ix += cells
                         if half:
-                            after = 0  # the index applies to the first cells of the row only
+                            after = 0  # the index is that of the row's first cells
     for unused in range(m, min(end, buffer.shape[1])):
         buffer[0, unused, 1] = -1
 

@@ -56,11 +56,11 @@ from carom.physics.vector import between, vector
 if TYPE_CHECKING:
     from carom.physics.contact.pipeline import ContactPipeline
 
-LOG_ROWS = 4096  # largest number of impacts in one call
-MOST_TOUCHING = 16  # contacts per body at one moment, on average
-SINGLE_ROWS = 4  # one row in so many, in the log of bodies that touch, is for single impacts, the rest for groups
-GAP_ROUNDING = 16 * 2.0**-53  # of the coordinates and of the sum of radii
-WIDEST = 2.0  # times the radii; up to this width, the contact grids also find neighbours
+LOG_ROWS = 4096  # most impacts in one call
+MOST_TOUCHING = 16  # mean number of contacts per body at one moment
+SINGLE_ROWS = 4  # in the log of bodies that touch, one row in this many is for single impacts, the rest for groups
+GAP_ROUNDING = 16 * 2.0**-53  # relative rounding of the coordinates and of the sum of radii
+WIDEST = 2.0  # width, in radii, up to which the contact grids also find neighbours
 # Limits of the largest search radius, in body radii, for `narrow`: it saves time, and the squares are finite.
 NARROWED = 0.25, 1e100
 
@@ -81,10 +81,10 @@ class EventDrivenDrift(Mover):
         self._fixed = ends.inverse_mass[:n] == 0.0
         self.pressing = solver.pressing  # (n + p, 3) m/s², the accelerations that press contacts together
         self.field, self.bending = world.field, world.bending
-        self._group = empty_group()  # workspace of contacts that are held
-        self._absent: BoolArray | None = None  # (n,) bodies that are not there, as `trajectories.everyone`
+        self._group = empty_group()  # workspace of held contacts
+        self._absent: BoolArray | None = None  # (n,) bodies that do not exist now, as `trajectories.everyone`
         self._is_open = not (shear or world.box.any())  # no axis is periodic
-        # of the impacts of a call; it grows with the number of impacts in a step
+        # log of the impacts in a call; it grows with the number of impacts in a step
         self.log = np.empty(LOG_ROWS, dtype=ROLLING_IMPACT if has_torque(materials.rows.dtype) else IMPACT)
         zeros = np.zeros(n, dtype=np.int64)
         self.trajectories = Trajectories(
@@ -278,7 +278,7 @@ class EventDrivenDrift(Mover):
                 logs[-1] = logs[-1].copy()  # the log is written again
             count = step(neighbours, T, self.log, group)
             logs.append(self.log[:count])
-            if count + MOST_CONTACTS <= len(self.log):  # not because the log is full: a body is exhausted
+            if count + MOST_CONTACTS <= len(self.log):  # the log is not full, so a body is exhausted
                 step, group = resolve, self._group
         total = sum(map(len, logs))
         if total > len(self.log):  # the next step may have as many impacts

@@ -58,8 +58,8 @@ from carom.physics.jit.decorators import inline, inner
 from carom.physics.sheared_box import add_work, is_sheared, nearest_in_drift
 from carom.physics.vector import Vector, along, between, vector
 
-MOST_RELEASES = 3  # of an exhausted elastic body in a drift; a chain of impacts between masses needs one or two
-SPEED_ROUNDING = 10.0 * ROUNDING  # of the fastest body; slower closing needs no impulse
+MOST_RELEASES = 3  # releases of an exhausted elastic body in a drift; a chain of impacts between masses needs 1 or 2
+SPEED_ROUNDING = 10.0 * ROUNDING  # closing speed, relative to the fastest body, that needs no impulse
 
 
 @inner
@@ -104,7 +104,7 @@ def hold_group(
     count = 0
     for k in range(bodies):
         b = group.body[k]
-        if b >= len(T.x):  # a guided wall: until its contacts are logged, the change of its velocity
+        if b >= len(T.x):  # a guided wall: the change of its velocity until its contacts are logged
             T.v[b, 0], T.v[b, 1], T.v[b, 2] = vector(group.v, k)
             continue
         moved = b in (i, j)

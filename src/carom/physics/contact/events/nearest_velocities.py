@@ -19,32 +19,32 @@ import numpy as np
 from carom.arrays import BoolArray, FloatArray, IntArray
 from carom.physics.jit.decorators import inline, inner, long_kernel
 
-MOST_BODIES = 48  # in a group; further bodies are held in groups of their own
+MOST_BODIES = 48  # most bodies in a group; further bodies are held in other groups
 MOST_CONTACTS = 3 * MOST_BODIES
-MOST_CHANGES = 20  # of the set of held contacts, for each contact; rounding could exchange two of them without end
-DEPENDENT = 1e-29  # of the square of a direction; a smaller orthogonal component is rounding
+MOST_CHANGES = 20  # most changes, per contact, of the set of held contacts; rounding could exchange two without end
+DEPENDENT = 1e-29  # squared orthogonal component of a direction, relative, that is rounding
 
 
 class Group(NamedTuple):
     """Bodies and contacts that are held together, and workspace."""
 
-    body: IntArray  # (MOST_BODIES,) the bodies that move, and guided walls
-    v: FloatArray  # (MOST_BODIES, 3) m/s, their velocities in the drift; of a guided wall only the change
-    root: FloatArray  # (MOST_BODIES,) square root of the inverse mass, in the unit of the group
-    changed: IntArray  # (MOST_BODIES,) the bodies whose velocities the group has changed
-    ends: IntArray  # (MOST_CONTACTS, 2) body, and body or plane
-    place: IntArray  # (MOST_CONTACTS, 2) indices of the ends in `body`; -1 for an end that does not move
-    normal: FloatArray  # (MOST_CONTACTS, 3) from the first to the second end
+    body: IntArray  # (MOST_BODIES,) moving bodies and guided walls
+    v: FloatArray  # (MOST_BODIES, 3) m/s, velocities of the bodies in the drift; for a guided wall, only their change
+    root: FloatArray  # (MOST_BODIES,) square root of the inverse mass, in the group's unit
+    changed: IntArray  # (MOST_BODIES,) bodies whose velocities the group has changed
+    ends: IntArray  # (MOST_CONTACTS, 2) a body, and a body or plane
+    place: IntArray  # (MOST_CONTACTS, 2) indices of both ends in `body`; -1 for an end that does not move
+    normal: FloatArray  # (MOST_CONTACTS, 3) normal from the first to the second end
     before: FloatArray  # (MOST_CONTACTS,) m/s, v_n in the drift before the group is held
-    allowed: FloatArray  # (MOST_CONTACTS,) m/s, closing speed that the gap allows, or of an elastic contact at rest
-    impulse: FloatArray  # (MOST_CONTACTS,) N s after division by the unit of the group
+    allowed: FloatArray  # (MOST_CONTACTS,) m/s, closing speed that the gap allows, or an elastic contact's at rest
+    impulse: FloatArray  # (MOST_CONTACTS,) N s, impulse divided by the group's unit
     scale: FloatArray  # (MOST_CONTACTS,) square root of the inverse reduced mass
     ignored: BoolArray  # (MOST_CONTACTS,) whether no impulse can open a contact
-    active: IntArray  # (MOST_CONTACTS,) the contacts that are held
-    load: FloatArray  # (MOST_CONTACTS,) √kg m/s, of the held contacts
-    weight: FloatArray  # (MOST_CONTACTS,) rates at which their loads fall
+    active: IntArray  # (MOST_CONTACTS,) held contacts
+    load: FloatArray  # (MOST_CONTACTS,) √kg m/s, loads of the held contacts
+    weight: FloatArray  # (MOST_CONTACTS,) rates at which the loads decrease
     z: FloatArray  # (3 MOST_BODIES,) a direction
-    Q: FloatArray  # (MOST_CONTACTS, 3 MOST_BODIES) with `R`: QR factors of the directions of the held contacts
+    Q: FloatArray  # (MOST_CONTACTS, 3 MOST_BODIES) with `R`: QR factors of the held contacts' directions
     R: FloatArray  # (MOST_CONTACTS, MOST_CONTACTS)
 
 

@@ -23,7 +23,7 @@ Words = tuple[IntArray, ...]  # five, see `SteadyContacts.words`
 class SteadyRules(NamedTuple):
     """How contacts are resolved."""
 
-    board: IntArray  # empty; this and the next two fields are arguments of `phases.run_job`
+    board: IntArray  # an empty array; this and the next two fields are arguments of `phases.run_job`
     addresses: IntArray
     kind: int
     most_sweeps: int
@@ -32,16 +32,16 @@ class SteadyRules(NamedTuple):
     pushes: bool  # whether overlaps are corrected
     bends: bool  # whether a uniform field bends the paths of bodies
     anchored: bool  # whether something is fixed
-    deepest: float  # overlap over the smaller radius, above which a run warns
+    deepest: float  # overlap over the smaller radius above which a run warns
     field: FloatArray  # (3,) m/s², the uniform field if it accelerates all bodies alike; otherwise zeros
 
 
 class SteadyBuffers(NamedTuple):
     """Copies of the records at the beginning of a step, and workspaces."""
 
-    saved: Words  # the words of `SteadyContacts.words` at the beginning of the step
-    spins: FloatArray  # (n, 3) rad/s, the last of these; no rows where nothing spins
-    held: RecordArray[ContactRecord]  # (m,) the contacts as held, before the positions change
+    saved: Words  # the words in `SteadyContacts.words` at the beginning of the step
+    spins: FloatArray  # (n, 3) rad/s, spins at the beginning of the step; empty where nothing spins
+    held: RecordArray[ContactRecord]  # (m,) the contacts as they are held, before positions change
     held_words: IntArray  # the words of ``held``
     parent: IntArray  # (n + p,)
     largest: FloatArray  # (n + p,)
@@ -62,14 +62,14 @@ class SteadyContacts(NamedTuple):
     pairs: IntArray  # (m, 2), sorted
     place: IntArray  # (m,) index of each contact's record
     counts: IntArray  # (n + p,) contacts of each body and plane
-    normals: FloatArray  # (m, 3) before the position correction
-    words: Words  # of `CONTACT`, `CONTACT_STATE` and `RECORDED` records, of the normals and spins
+    normals: FloatArray  # (m, 3) normals before the position correction
+    words: Words  # sizes in words of `CONTACT`, `CONTACT_STATE` and `RECORDED` records, and of normals and spins
     supported: FloatArray  # (n + p,) m/s², accelerations that contacts support; empty if no step depends on them
-    spins: FloatArray  # (n, 3) rad/s; no rows where nothing spins
+    spins: FloatArray  # (n, 3) rad/s, spins; empty where nothing spins
     mass: FloatArray  # (n,) kg
     inertia: FloatArray  # (n,) kg m²
-    torque: FloatArray  # (n, 3) N m; no rows where none are modelled
-    angular_acceleration: FloatArray  # (n, 3) rad/s²; no rows where no torques are modelled
+    torque: FloatArray  # (n, 3) N m, torques; empty where none are modelled
+    angular_acceleration: FloatArray  # (n, 3) rad/s², angular accelerations; empty where no torques are modelled
 
     @classmethod
     def of(

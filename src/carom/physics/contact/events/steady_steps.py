@@ -32,8 +32,8 @@ from carom.physics.time_step import Timestep
 from carom.physics.world import World
 from carom.plan.auto import integrator
 
-PATIENCE = 256  # single steps after which it is decided, each time, whether to load or compile the kernel
-LONGEST_PAUSE = 16  # single steps between two calls if each call ends at a step that Python must process
+PATIENCE = 256  # single steps after which carom decides, again and again, whether to load or compile the kernel
+LONGEST_PAUSE = 16  # most single steps between two calls, if each call ends at a step that Python must process
 
 
 class SteadySteps:
@@ -48,10 +48,10 @@ class SteadySteps:
         self._arguments = laws, moved, kept._replace(supported=self._supported), buffers
         self._totals = np.zeros(1, TOTALS)
         self._jobs = (IMPACTS, POSITIONS) if contact.settings.stabilisation == "split" else (IMPACTS,)
-        self._last: OrderedContacts | None = None  # the contacts of the last step that was examined
+        self._last: OrderedContacts | None = None  # contacts of the last examined step
         self._go_on: Callable[..., tuple[Any, ...]] | None = None  # the kernel; None until it is worthwhile
-        self._first: float = np.inf  # number of the first step that was examined
-        self._pause, self._next_pause = 0, 1  # single steps before the next call, and after it if it is in vain
+        self._first: float = np.inf  # number of the first examined step
+        self._pause, self._next_pause = 0, 1  # single steps before the next call, and after it if the call is in vain
         self._waited = 0  # single steps that the kernel could have made
         self._next_decision = PATIENCE  # number of such steps at which to decide again whether the kernel is worthwhile
 
@@ -112,7 +112,7 @@ def make(world: World, books: Bookkeeper, timestep: Timestep, flight: FewBodies)
     contact, substeps = world.contact, integrator(world.scene).substeps
     if PLAIN or contact is None or contact.part(EventDrivenDrift) is None or len(substeps) > 1:
         return None
-    known = EventDrivenDrift, PlaneGuard, ContactTap, type(world.forces.damping)  # parts that its kernel replaces
+    known = EventDrivenDrift, PlaneGuard, ContactTap, type(world.forces.damping)  # parts that the kernel replaces
     if not all(isinstance(part, known) for part in contact.parts):
         return None
     settings, is_held_twice = contact.settings, min(substeps[0]) > 0.0

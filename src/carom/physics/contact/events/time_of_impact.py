@@ -38,15 +38,15 @@ from carom.physics.jit.decorators import inline, kernel, with_field
 from carom.physics.sheared_box import along_gradient, in_axes
 from carom.physics.vector import Vector, between, nearest_image, vector
 
-CLEARANCE = 1e-6  # of the squared distance; it is above the rounding of times of impact
+CLEARANCE = 1e-6  # clearance relative to the squared distance; it exceeds the rounding of times of impact
 MOST_PASSES = 100
-GAP_TOLERANCE = 2.0**-50  # of the sum of radii; a smaller gap is rounding
+GAP_TOLERANCE = 2.0**-50  # gap, relative to the sum of radii, that is rounding
 
 # Constants of `step_by_impacts`.
-PASSES = 3  # each uses the mean velocity up to the impact found by the previous pass
+PASSES = 3  # passes, each of which uses the mean velocity up to the impact found before
 SLOW_CONTACT = 2.0  # least closing speed of an impact, over the speed that a contact at rest may gain in the span
-APPROACH = 0.9  # fraction of the time until the impact that a step covers
-SHORT = 1e-4  # fraction of the span; a step of this length passes a nearer impact
+APPROACH = 0.9  # fraction of the time to an impact that a step covers
+SHORT = 1e-4  # fraction of the span; a step of this length passes over an impact that is nearer
 
 
 @inline
@@ -78,7 +78,7 @@ def time_of_impact(d: Vector, v: Vector, a: Vector, R: float, span: float, since
         tau = -b / v2
         px, py, pz = dx + vx * tau, dy + vy * tau, dz + vz * tau
         half_chord2 = R * R - (px * px + py * py + pz * pz)
-        if not half_chord2 > 0.0:  # a grazing pass does not close
+        if not half_chord2 > 0.0:  # bodies in a grazing pass do not close
             return np.inf
         tau = max(0.0, tau - np.sqrt(half_chord2 / v2))
         if tau > span:
@@ -104,7 +104,7 @@ def time_of_impact_on_parabola(
     if damping > 0.0:
         decay, phi1, phi2 = exponentials(damping * span)
     ux, uy, uz = phi1 * wx + phi2 * span * bx, phi1 * wy + phi2 * span * by, phi1 * wz + phi2 * span * bz  # mean
-    near = R + 0.125 * b * span * span  # from the chord of the path
+    near = R + 0.125 * b * span * span  # distance from the chord of the path
     t = 0.0
     if dx * dx + dy * dy + dz * dz > near * near:
         t = time_of_impact(separation, (ux, uy, uz), (0.0, 0.0, 0.0), near, span, 0.0, -np.inf)

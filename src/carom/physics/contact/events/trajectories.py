@@ -43,42 +43,42 @@ from carom.physics.vector import Vector, add, along, between, vector
 from carom.scene.rest_speed import PER_STEP
 from carom.scene.schema import Coefficients
 
-FIRST_STANDOFF = 1e-9  # of the radius, the standoff of a body that is exhausted for the first time
-MOST_HOLDS = 100  # of an exhausted body in a drift; its standoff then exceeds every gap, so it meets only other bodies
-MAX_SEARCH_RADIUS = 1e150  # m; its square is finite
+FIRST_STANDOFF = 1e-9  # standoff, in radii, of a body that is exhausted for the first time
+MOST_HOLDS = 100  # holds of an exhausted body in a drift; then its standoff exceeds every gap, and it meets only bodies
+MAX_SEARCH_RADIUS = 1e150  # m; finite when squared
 
 
 class QueuedRecord(Protocol):
     """A body in the event queue."""
 
-    impact_time: float  # s, of the next impact of the body; infinite without one
-    partner: int  # the other end of that impact: body j, or n + p for plane p
-    queue_place: int  # in the event queue; -1 outside
+    impact_time: float  # s, time of the body's next impact; infinite without one
+    partner: int  # other end of that impact: body j, or n + p for plane p
+    queue_place: int  # place in the event queue; -1 outside
 
 
 class TrajectoryRecord(QueuedRecord, Protocol):
     """The path of a body in a drift."""
 
-    now: float  # s from the beginning of the drift, the time of the body's position
-    impacts: int  # impacts so far in this drift
-    partner_impacts: int  # impacts of its next partner when that impact was predicted; 0 for a solid at rest
-    negligible_speed: float  # m/s; slower closing is rounding, not an impact
-    search_radius: float  # m, displacement relative to the bulk up to which its neighbours are known
-    start_x: float  # m, its position at the beginning of the drift, or the middle of its path, see `narrow`
+    now: float  # s from the beginning of the drift, time of the body's position
+    impacts: int  # impacts of the body so far in this drift
+    partner_impacts: int  # impacts of the next partner when the next impact was predicted; 0 for a solid at rest
+    negligible_speed: float  # m/s; a slower approach is rounding, not an impact
+    search_radius: float  # m, displacement relative to the bulk up to which the body's neighbours are known
+    start_x: float  # m, position at the beginning of the drift, or at the middle of the path; see `narrow`
     start_y: float
     start_z: float
-    standoff: float  # m, gap up to which its contacts are held once it is exhausted, see `held_group`
-    holds: int  # how often its contacts were held in this drift, or since it was last released
-    released: int  # its impacts when it was last released; 0 before
-    releases: int  # how often it was released in this drift
-    later_x: float  # m/s, velocity that it regains at the end of the drift; meaningful if it is exhausted
+    standoff: float  # m, gap up to which the contacts of an exhausted body are held; see `held_group`
+    holds: int  # how often the body's contacts were held in this drift, or since its last release
+    released: int  # impacts of the body at its last release; 0 before
+    releases: int  # how often the body was released in this drift
+    later_x: float  # m/s, velocity that the body regains at the end of the drift; meaningful if it is exhausted
     later_y: float
     later_z: float
-    rattles: bool  # whether it has had so many impacts in this drift that slow ones no longer rebound
-    strays: bool  # whether its path leaves the search radius
-    is_straight: bool  # whether its path does not bend with the field, because it is held or fixed
-    is_free: bool  # whether it has touched nothing since the last step, so that it bounces at any speed
-    exhausted: bool  # whether it has had its largest number of impacts
+    rattles: bool  # whether the body has had so many impacts in this drift that slow ones no longer rebound
+    strays: bool  # whether the path leaves the search radius
+    is_straight: bool  # whether the path does not bend with the field, because the body is held or fixed
+    is_free: bool  # whether the body has touched nothing since the last step, so that it bounces at any speed
+    exhausted: bool  # whether the body has had its largest number of impacts
 
 
 TRAJECTORY = dtype_of(TrajectoryRecord)
@@ -88,20 +88,20 @@ class DriftRecord(Protocol):
     """The drift of a step."""
 
     dt: float  # s, length of the drift
-    kick: float  # s, length of the kick before it: the time in the drift to which velocities belong
+    kick: float  # s, length of the kick before the drift: velocities belong to this time in the drift
     damping: float  # 1/s, rate at which drag slows bodies down; 0 without drag
     clock: float  # s, the present time
-    slow: float  # of the rest speed; slower contacts are left to the end of the step
-    loading: float  # s, the step times `NearPairs.loading`
+    slow: float  # fraction of the rest speed; slower contacts are left to the end of the step
+    loading: float  # s, length of the step times `NearPairs.loading`
     field_x: float  # m/s², the uniform field that bends paths; zeros where no path bends
     field_y: float
     field_z: float
-    bulk_x: float  # m/s, the velocity that search radii are relative to
+    bulk_x: float  # m/s, velocity to which search radii are relative
     bulk_y: float
     bulk_z: float
-    queued: int  # bodies in the event queue
-    strays: int  # bodies that left their search radius
-    exhausted: int  # bodies that reached the largest number of impacts
+    queued: int  # number of bodies in the event queue
+    strays: int  # number of bodies that left their search radius
+    exhausted: int  # number of bodies that reached the largest number of impacts
 
 
 DRIFT = dtype_of(DriftRecord)
@@ -120,24 +120,24 @@ class Trajectories(NamedTuple):
 
     body: RecordArray[TrajectoryRecord]  # (n,)
     drift: RecordArray[DriftRecord]  # (1,)
-    x: FloatArray  # (n, 3) m, at the time `now` of each
-    v: FloatArray  # (n + p, 3) m/s, of the straight paths
-    a: FloatArray  # (n + p, 3) m/s², without drag
-    q: FloatArray  # (n, 4) xyzw at the end of the drift; (0, 4) where nothing spins
-    omega: FloatArray  # (n + p, 3) rad/s; (0, 3) without friction
+    x: FloatArray  # (n, 3) m, position of each body at its time `now`
+    v: FloatArray  # (n + p, 3) m/s, velocities along the straight paths
+    a: FloatArray  # (n + p, 3) m/s², accelerations without drag
+    q: FloatArray  # (n, 4) xyzw, orientations at the end of the drift; (0, 4) where nothing spins
+    omega: FloatArray  # (n + p, 3) rad/s, spins; (0, 3) without friction
     inverse_mass: FloatArray  # (n + p,) 1/kg
-    inverse_inertia: FloatArray  # (n + p,) 1/(kg m²)
+    inverse_inertia: FloatArray  # (n + p,) 1/(kg m²), inverse moments of inertia
     radius: FloatArray  # (n + p,) m
-    load_speed: FloatArray  # (n + p,) m/s, which the largest acceleration of the body's island causes in a step
-    loads: RecordArray[LoadRecord]  # (n + p,) of the contacts that are held
-    box: FloatArray  # (3,) m, zeros in open space; or the record of a sheared box
-    surface: FloatArray  # (p, 3) normals, or records: see `solids`
+    load_speed: FloatArray  # (n + p,) m/s, change of speed in a step by the largest acceleration in the body's island
+    loads: RecordArray[LoadRecord]  # (n + p,) loads of the held contacts
+    box: FloatArray  # (3,) m, size of the periodic box, zeros in open space; or the record of a sheared box
+    surface: FloatArray  # (p, 3) normals, or records of solids; see `solids`
     offset: FloatArray  # (p,) m
     materials: RecordArray[Coefficients]  # (k,) `MATERIAL`, by `law.material_index`
-    places: IntArray  # (n + p, 2) for `law.material_index`; no rows where all bodies have one material
+    places: IntArray  # (n + p, 2) places for `law.material_index`; empty where all bodies have one material
     queue: IntArray  # (n,) the event queue
     everyone: Neighbours  # all bodies
-    strays: Neighbours  # the bodies that left their search radius
+    strays: Neighbours  # neighbours of the bodies that left their search radius
 
 
 @kernel
@@ -210,7 +210,7 @@ def narrow(pairs: IntArray, scale: float, skin: float, T: Trajectories, near: In
         body.start_z += half * wz
         body.search_radius -= half * np.sqrt(wx * wx + wy * wy + wz * wz)
     gx, gy, gz = drift.field_x, drift.field_y, drift.field_z
-    bends = 2.0 * skin + 0.25 * drift.dt * drift.dt * np.sqrt(gx * gx + gy * gy + gz * gz)  # both paths, off the chords
+    bends = 2.0 * skin + 0.25 * drift.dt * drift.dt * np.sqrt(gx * gx + gy * gy + gz * gz)  # sagittas of both paths
     for c in range(len(pairs)):
         i, j = from_front(pairs[c, 0]), from_front(pairs[c, 1])
         one, other = T.body[i], T.body[j]
@@ -296,7 +296,7 @@ def relative_velocity(i: int, j: int, T: Trajectories) -> Vector:
     if is_sheared(T.box):
         wx, wy, wz = velocity_of_partner(i, j, T)
         return vx + wx, vy + wy, vz + wz
-    if walls_translate(T.surface) and j >= len(T.x):  # the velocities of such walls are 0 in ``v``
+    if walls_translate(T.surface) and j >= len(T.x):  # ``v`` has 0 for walls that translate
         wx, wy, wz = velocity_in_drift(T.surface, j - len(T.x), elapsed(T))
         return vx + wx, vy + wy, vz + wz
     return vx, vy, vz
@@ -389,7 +389,7 @@ def leaves_search_radius(i: int, T: Trajectories) -> bool:
     x = x - drift.bulk_x * drift.dt - body.start_x
     y = y - drift.bulk_y * drift.dt - body.start_y
     z = z - drift.bulk_z * drift.dt - body.start_z
-    if is_sheared(T.box):  # search radii are relative to the flow
+    if is_sheared(T.box):  # search radii are relative to the local flow
         ux, uy, uz = flow_in_drift(T.box, body.start_x, body.start_y, body.start_z, drift.dt)
         x, y, z = x - ux, y - uy, z - uz
     return bool(x * x + y * y + z * z > body.search_radius * body.search_radius)

@@ -27,7 +27,7 @@ from carom.physics.contact.translating_walls import (
 from carom.physics.jit.decorators import inner
 from carom.physics.vector import Vector, along, vector
 
-FOCAL_FRACTION = 0.5  # of the focal distance, by which a body may move in a pass
+FOCAL_FRACTION = 0.5  # fraction of the focal distance by which a body may move in a pass
 
 
 def predict_with_walls(lo: int, hi: int, T: Trajectories, surface: FloatArray) -> None:
@@ -49,7 +49,7 @@ def predict_with_walls(lo: int, hi: int, T: Trajectories, surface: FloatArray) -
         x, y, z = x - behind * gx, y - behind * gy, z - behind * gz
         wx, wy, wz = vx + since_kick * gx, vy + since_kick * gy, vz + since_kick * gz
         bend = np.sqrt(gx * gx + gy * gy + gz * gz)
-        held = body.is_straight and not body.is_free  # if it rolls, its contacts close again at the end of the drift
+        held = body.is_straight and not body.is_free  # the contacts of a rolling body close again as the drift ends
         share = 1.0 if held else drift.slow
         for solid in range(len(T.offset)):
             wait = _time_to_wall(solid, (x, y, z), (wx, wy, wz), (gx, gy, gz), bend, T.radius[i], span, T)
@@ -68,7 +68,7 @@ def predict_with_walls(lo: int, hi: int, T: Trajectories, surface: FloatArray) -
                 ux, uy, uz = ux - sx - bx * s, uy - sy - by * s, uz - sz - bz * s
             nx, ny, nz, _, focal = nearest_point(surface, solid, px, py, pz)
             closing = -(ux * nx + uy * ny + uz * nz)
-            turning = 0.0  # m/s, closing speed of a body that rolls along the wall, at the end of the drift
+            turning = 0.0  # m/s, closing speed at the end of the drift of a body that rolls along the wall
             if not body.is_free and focal > 0.0:
                 turning = max(0.0, ux * ux + uy * uy + uz * uz - closing * closing) * dt / focal
             slow = share * rest_speed(i, n + solid, (-nx, -ny, -nz), T)

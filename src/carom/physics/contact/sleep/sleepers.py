@@ -43,7 +43,7 @@ from carom.state.frame import CollisionGraph, empty_graph
 if TYPE_CHECKING:
     from carom.physics.contact.pipeline import ContactPipeline
 
-SPIN = 10.0  # allowed surface speed over the speed: nothing brakes a spin about a normal, and it moves no neighbour
+SPIN = 10.0  # largest surface speed over the speed: nothing brakes a spin about a normal, and it moves no neighbour
 ASLEEP = -1.0  # marks a sleeping body, in place of the time for which it has been slow
 
 
@@ -52,7 +52,7 @@ class SleepingContacts:
     """The contacts between sleepers, and of sleepers with fixed ends; sorted by pair and never written to."""
 
     pairs: IntArray  # (k, 2)
-    force: FloatArray  # (k, 4) N, the normal and the tangential force
+    force: FloatArray  # (k, 4) N, normal and tangential force
     contacts: Records  # (k,) CONTACT, with the impulses of one second
     states: Records  # (k,) CONTACT_STATE
     normals: FloatArray  # (k, 3)
@@ -116,12 +116,12 @@ class Sleepers(OptionalPart):
     def forget(self) -> None:
         """Wake all bodies, as before the first step."""
         n = len(self._bodies)
-        self._calm = np.zeros(n)  # s, how long each body has been slow, or `ASLEEP`
-        self._still = self._fixed.copy()  # (n + p,) fixed ends and sleepers
+        self._calm = np.zeros(n)  # s, time for which each body has been slow, or `ASLEEP`
+        self._still = self._fixed.copy()  # (n + p,) whether an end is fixed or asleep
         self._reference = np.zeros((n, 3))  # m/s², accelerations of the sleepers when they fell asleep
         self._count = 0  # number of sleepers
         self.contacts = NO_SLEEPERS
-        self._fell_asleep = False  # whether contacts fell asleep at the end of the last step
+        self._fell_asleep = False  # whether any contact fell asleep at the end of the last step
         self._slept = NO_SLEEPERS  # contacts that slept in the last step
         self._first_kick = 0.0  # s, of the step
         self._lost = NO_ENTRIES  # J, ledger of the contacts that woke in this step or fell asleep after it
@@ -239,7 +239,7 @@ class Sleepers(OptionalPart):
         length = cache.kick if cache.kick > 0.0 else dt
         joined = np.concatenate((cache.pairs, slept.pairs[awake]))
         given = cache.impulse
-        impulse = np.zeros((len(joined), given.shape[1]))  # rolling resistance starts at 0
+        impulse = np.zeros((len(joined), given.shape[1]))  # the impulse of rolling resistance starts at 0
         impulse[: len(given)], impulse[len(given) :, : len(IMPULSES)] = given, length * slept.force[awake]
         order = np.lexsort((joined[:, 1], joined[:, 0]))
         lost = np.zeros((1, len(TERMS)))

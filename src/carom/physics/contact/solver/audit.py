@@ -65,7 +65,7 @@ def _audit(piece: int, system: ConstraintSystem) -> None:
         vn, ux, uy, uz = relative_velocity(contact, body_i, body_j)
         kx, ky, kz = (a[j, 0] - a[i, 0]) * booked, (a[j, 1] - a[i, 1]) * booked, (a[j, 2] - a[i, 2]) * booked
         kn = kx * nx + ky * ny + kz * nz
-        if state.biased:  # without the bias v_n' would be 0; the difference is the work of the bias
+        if state.biased:  # without the bias, v_n' would be 0; the difference is the work of the bias
             lost = -Jn * (0.5 * state.normal_before - kn)
             state.stabilisation_gain += 0.5 * Jn * vn
             stabilisation += 0.5 * Jn * vn
@@ -147,7 +147,7 @@ def _find_islands(system: ConstraintSystem) -> None:
     for k in range(len(active)):
         island[active[k]] = active[k]
     join_islands(system.pairs, system.inverse_mass, island)
-    for k in range(len(active)):  # in ascending order: the parent is lower, so its root is known
+    for k in range(len(active)):  # in ascending order of indices: the parent's is lower, so its root is known
         island[active[k]] = island[island[active[k]]]
 
 

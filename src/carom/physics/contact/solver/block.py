@@ -28,7 +28,7 @@ from carom.physics.jit.vectors import (
     spread,
 )
 
-VELOCITY, CHANGE = range(2)  # lines of a body's record
+VELOCITY, CHANGE = range(2)  # lines of a body's record, by name
 
 
 @inline

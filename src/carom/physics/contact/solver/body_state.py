@@ -25,7 +25,7 @@ from carom.physics.jit.vectors import where
 from carom.physics.sheared_box import relative_to_image
 from carom.physics.vector import Vector
 
-LARGEST_DEVIATION = 0.5  # of q over v_t; in a step, a faster spin turns the path of a body by a radian
+LARGEST_DEVIATION = 0.5  # largest q over v_t; a faster spin turns the path of a body by a radian in a step
 
 
 class Moving(Protocol):

@@ -50,7 +50,7 @@ from carom.scene.start import HalfSpaces
 # overlaps.
 SOLVED_BY_SWEEPS: dict[Sweeps | int, float] = {"auto": 0.3, "converged": SOLVED, "as-needed": SOLVED}
 AS_NEEDED: tuple[Sweeps, ...] = ("as-needed", "quick")  # values with which small changes end the iterations
-CONTACTS_PER_BODY = 8  # contacts per body of an island, about the most
+CONTACTS_PER_BODY = 8  # about the most contacts per body of an island
 
 
 # Iterations for each `contact.sweeps` that is not a number. A step of a falling heap with "quick" takes 1.24 ms with
@@ -104,13 +104,13 @@ class ContactSolver:
         self._workspace = Workspace(bodies, planes, materials, box, self._spin, records)
         self._normals = Buffer(columns=3)
         self._islands = Islands(len(bodies.ends.velocity), team)
-        # (n + p, 3) m/s², the accelerations that press contacts together
+        # (n + p, 3) m/s², accelerations that press contacts together
         self.pressing = np.zeros_like(bodies.ends.acceleration) if planes.press_alone else bodies.ends.acceleration
-        self.turning = 0.0  # 1/s, the fastest turning of a normal; known where walls alone press
+        self.turning = 0.0  # 1/s, fastest turning of a normal; known where only walls press
         self.order = solve_order_of(np.zeros((0, 2), dtype=np.int64), np.zeros(0, dtype=np.int64))
         self._active = np.zeros(0, dtype=np.int64)  # bodies and planes with a contact
-        self._loaded = self._active  # bodies and planes that may have a load
-        self._counts: IntArray | None = None  # (n + p,) number of contacts of each end, once needed
+        self._loaded = self._active  # bodies and planes that may carry a load
+        self._counts: IntArray | None = None  # (n + p,) number of contacts of each end; None until needed
         self._settings = np.zeros(1, SETTINGS)
         self._settings["spins"] = friction
         self._settings["refines"] = sweeps in SOLVED_BY_SWEEPS
@@ -278,7 +278,7 @@ class ContactSolver:
         moving = bodies.position, ends.velocity
         gathered = (*moving, ends.radius, ends.inverse_mass), system.pushed, system.pushed_in
         guided, end = self._planes.guided, len(bodies) + (self._planes.guided.row if self._planes.guided else 0)
-        if guided:  # also where nothing touches it, since the displacement is returned
+        if guided:  # also where nothing touches the wall, since the displacement is returned
             for axis in ("x", "y", "z"):
                 system.pushed[axis][end] = 0.0
         team.divide(len(active), MIN_PER_TASK, gather_positions, active, *gathered)

@@ -47,7 +47,7 @@ from carom.physics.jit.decorators import inline, inner, long_kernel
 from carom.physics.sheared_box import relative_to_image
 from carom.physics.vector import between
 
-CONVERGED = 1e-9  # of the largest change of a velocity in the first iteration; smaller changes end the iterations
+CONVERGED = 1e-9  # change of a velocity, over the largest in the first iteration, below which iterations end
 
 
 @inner
@@ -77,7 +77,7 @@ def resolve_impacts(first: int, end: int, system: ConstraintSystem) -> None:
                 state.approach_speed = max(0.0, -vn)
                 fastest, any_rests = max(fastest, -vn), any_rests or rests
             if impacts_only and (rests or (state.overlap < 0.0 and state.apart)):
-                continue  # `hold` resolves resting contacts; an open gap may close in the next step
+                continue  # `hold` resolves contacts at rest; an open gap may close in the next step
             material = system.materials[material_index(i, j, count, places)]
             Kn = body_i.inverse_mass + body_j.inverse_mass
             e = restitution_of_impact(material, -vn, state.rest_speed, Kn, contact.arm_i, contact.arm_j)

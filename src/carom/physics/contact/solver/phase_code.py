@@ -77,8 +77,8 @@ class PhaseCode:
     """
 
     def __init__(self, spins: bool) -> None:
-        self.addresses = np.zeros(sum(map(len, PHASES.values())), dtype=CODE)  # of the code, by phase
-        self.kind = 0  # of the systems, see `kind_of`
+        self.addresses = np.zeros(sum(map(len, PHASES.values())), dtype=CODE)  # addresses of the code, by phase
+        self.kind = 0  # kind of the systems; see `kind_of`
         self._spins = spins
         self._ready: set[int] = set()
 

@@ -47,24 +47,24 @@ MAX_ITERATIONS = 100  # in a round
 # In meshed islands that need not converge. Where grains flow, gaps and sliding make the equations contradict each
 # other: in a drum, 85 iterations leave the overlaps and closing speeds that 8 leave, and no round twice the overlaps.
 MAX_MESHED_ITERATIONS = 8
-MAX_FURTHER_ITERATIONS = 256  # Gauss-Seidel iterations after the last round
+MAX_FURTHER_ITERATIONS = 256  # most Gauss–Seidel iterations after the last round
 # After these iterations, a contact of a meshed island is unsolved only if it closes faster than its rest speed, where a
 # run would warn. With 8, a heap of 1000 falls 1.2 times as fast, but takes longer to settle. Rejected: to go on while
 # 16 iterations halve the violation, 1.3 times as slow; to go on in heaps that hardly move. Both leave the same
 # overlaps.
 MAX_MESHED_FURTHER = 16
 GROWN = 1e6  # growth of the largest impulse in a search; more shows that there is no solution
-MOST_LEFT = 0.5  # fraction of the previous violation; a round that leaves more is the last one
-SOLVED = 1e-3  # fraction of r·z at the start of a round, at which its iterations end, where contacts are to converge
+MOST_LEFT = 0.5  # fraction of the previous violation; a round that leaves more is the last
+SOLVED = 1e-3  # fraction of a round's first r·z at which its iterations end, for contacts that are to converge
 
 
 class Phases(NamedTuple):
     """The data of the leader: the code of the phases, and the arrays that it uses between phases."""
 
-    addresses: IntArray  # of the code, by phase
+    addresses: IntArray  # addresses of the code, by phase
     doer: int  # address of the function that processes a piece of a task
     task: int  # address of the task: a phase's code and the system, see `lay_out`
-    edges: IntArray  # this and the following fields as in `ConstraintSystem`
+    edges: IntArray  # this and the following fields are those of `ConstraintSystem`
     piece_results: RecordArray[PieceResultsRecord]
     sums: RecordArray[BlockSumsRecord]
     settings: RecordArray[SettingsRecord]

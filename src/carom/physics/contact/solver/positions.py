@@ -57,7 +57,7 @@ BAUMGARTE = 0.2  # fraction of the overlap that the bias removes in a step
 # energy error in the worst step); with 0, a pile would keep overlaps (a quarter of a radius while it forms).
 MAX_SEPARATION = 0.1
 
-NEVER = -2  # "iteration" of a body that was not pushed; less than any iteration minus 1
+NEVER = -2  # the "iteration" of a body that was never pushed; less than any iteration minus 1
 AMOUNTS = 1  # line of `CONTACT_STATE` with the ledger, the pushes and the flags
 
 

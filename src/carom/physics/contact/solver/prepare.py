@@ -63,8 +63,8 @@ from carom.physics.jit.instructions import AHEAD, prefetch_record
 from carom.physics.jit.team import Team
 from carom.physics.vector import vector
 
-TOUCHING = 1e-9  # of the sum of radii; pairs with a smaller gap touch: iterations and rounding leave such gaps
-CACHED_CONTACTS = 64  # contacts whose records fit into the first-level cache
+TOUCHING = 1e-9  # gap of touching bodies, relative to the sum of radii; iterations and rounding leave such gaps
+CACHED_CONTACTS = 64  # number of contacts whose records fit into the first-level cache
 
 LOADED = 1e-5  # weight, in the scale of convergence, of the velocity change by the warm-start impulse;
 # rounding is 1e-16 of that velocity change
@@ -72,7 +72,7 @@ LOADED = 1e-5  # weight, in the scale of convergence, of the velocity change by 
 # A change of a contact's velocities that needs no further iteration. A smaller change stays in the impulses with which
 # the next kick starts, so a pile at rest converges from step to step.
 SMALL_OF_REST = 1e-4  # of the rest speed
-SMALL_OF_RADIUS = 3e-6  # of the smaller radius, per step
+SMALL_OF_RADIUS = 3e-6  # the same change in smaller radii per step
 
 
 @long_kernel
@@ -128,7 +128,7 @@ def prepare(first: int, end: int, system: ConstraintSystem) -> None:
     count = body_count(system)
     for piece in range(first, end):
         lo, hi = contacts_of(piece, piece + 1, system)
-        largest = 0.0  # m/s, velocity that a contact removes
+        largest = 0.0  # m/s, largest velocity that a contact removes
         for c in range(lo, hi):
             prefetch_ends(bodies, pairs, c)
             i, j = ends_of(pairs, c)
@@ -200,7 +200,7 @@ class ImpulseCache:
     pairs: IntArray  # (m, 2), sorted
     place: IntArray  # (m,) index of each contact's record
     contacts: RecordArray[ContactRecord]  # (m,) CONTACT
-    kick: float  # s, length of that kick
+    kick: float  # s, length of the kick in which the impulses acted
 
     @classmethod
     def empty(cls) -> ImpulseCache:

@@ -62,19 +62,19 @@ from carom.physics.jit.instructions import Code, from_front, instruction
 from carom.physics.jit.vectors import BIT, DOUBLE, WIDTH, Lanes, line_of, mask_of, spread
 from carom.physics.sheared_box import slope_of_image
 
-MOTION = 6  # fields of each line: v and ω, or p and t; masses and inertias follow
+MOTION = 6  # fields of each line before masses and inertias: v and ω, or p and t
 
 # The closing speed that the search may leave to a contact. Chosen so that the columns of test_convergence.py stay
 # upright. With a tenth of REST_TOLERANCE, cloud-collapse takes twice as long, and none of its errors changes by a
 # tenth.
-INTOLERABLE = 10.0  # closing speed over the tolerated one, above which the search starts
+INTOLERABLE = 10.0  # factor on the tolerated closing speed above which the search starts
 REST_TOLERANCE = 0.3  # of the rest speed
-APPROACH_TOLERANCE = 0.03  # of the closing speed of the impact
-RADIUS_TOLERANCE = 3e-5  # of the smaller radius, per step
+APPROACH_TOLERANCE = 0.03  # tolerated closing speed relative to the impact's
+RADIUS_TOLERANCE = 3e-5  # tolerated closing speed, in smaller radii per step
 # Rejected: 10⁻³ in meshed islands. A heap of 1000 (benchmarks/heap.py) then falls 1.1 times as fast, with the same
 # overlaps, but at rest its steps take 1.7 times as long.
-DEEP = 5e-3  # of the smaller radius; a resting contact with more overlap has been sinking for many steps
-DEEP_TOLERANCE = 1e-2  # of the rest speed, for such a contact
+DEEP = 5e-3  # overlap, in smaller radii, of a resting contact that has been sinking for many steps
+DEEP_TOLERANCE = 1e-2  # tolerated closing speed of such a contact, relative to the rest speed
 
 
 @inner

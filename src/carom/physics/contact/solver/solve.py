@@ -100,7 +100,7 @@ from carom.physics.jit.vectors import (
 from carom.physics.sheared_box import along_image, slope_of_image
 from carom.scene.schema import Coefficients
 
-HOLD_CONVERGED = 1e-8  # of the largest velocity that a contact removes; smaller changes end the iterations
+HOLD_CONVERGED = 1e-8  # change, relative to the largest velocity that a contact removes, below which iterations end
 Vector = Sequence[Lanes]
 KINDS = (
     *(CONTACT, CONTACT_ON_WALL, CONTACT_ON_MOVING_WALL, CONTACT_OF_IMAGE),
@@ -165,7 +165,7 @@ def _solve_each(
         vn, ux, uy, uz = relative_velocity(contact, body_i, body_j)
         bias = bias_of(contact, j < count, ux, uy, uz, drift)
         old = contact.normal_impulse + alpha * contact.delta_normal
-        normal = max(0.0, old - (vn + bias) * contact.normal_mass)  # clamp the total, not the increment
+        normal = max(0.0, old - (vn + bias) * contact.normal_mass)  # clamps the total, not the increment
         more = normal - old
         contact.normal_impulse, contact.delta_normal = normal, more
         largest = abs(more)
@@ -428,7 +428,7 @@ class _Solution:
         records = [block.kind_of(name).dtype for name in ("states", "materials")]
         kinds = [*records, "boolean", *["float64"] * 4]
         enough = read_doubles(builder, block.address("enough", block.places[0]))
-        keeps_sliding = self._held & (enough > block.setting("slides_above"))  # only contacts that are held are marked
+        keeps_sliding = self._held & (enough > block.setting("slides_above"))  # only held contacts are marked
         impulses = []
         for k, material in enumerate(block.materials()):
             numbers = [value.lane(k) for value in (normal, *ending)]

@@ -26,11 +26,11 @@ from carom.physics.jit.team import SOLO, Team
 
 LEAF = 12  # largest number of bodies in a leaf, unless they coincide
 GROUP = 128  # largest number of bodies that share a walk; 64 is 8 % slower at equal error
-# largest number of bodies that a thread sorts alone; it queues one half of a larger range for other threads
+# most bodies that a thread sorts alone; it queues half of a larger range for other threads
 GRAIN = 2048
-MIN_BODIES_PER_TASK = 20_000  # bodies per task of copying
+MIN_BODIES_PER_TASK = 20_000  # bodies per copying task
 
-UNSORTED, PUT, TAKEN = 0, 8, 16  # words of the queue's counters, each in a cache line of its own
+UNSORTED, PUT, TAKEN = 0, 8, 16  # indices of the queue's counters, each in a cache line of its own
 COUNTERS = 24
 
 
@@ -57,10 +57,10 @@ BODY = dtype_of(SortedBodyRecord)
 class Queue(NamedTuple):
     """A queue of ranges of bodies to be sorted."""
 
-    counters: IntArray  # (COUNTERS,) unsorted bodies, ranges put into the queue, ranges taken from it
+    counters: IntArray  # (COUNTERS,) numbers of unsorted bodies, ranges put into the queue, and ranges taken from it
     end: IntArray  # (k,) end of each range; 0 until the range is written
     begin: IntArray  # (k,)
-    box: IntArray  # (k,) the index of its first box
+    box: IntArray  # (k,) index of the first box of each range
 
 
 class Sorting(NamedTuple):
@@ -93,12 +93,12 @@ class Boxes:
     def __init__(self, mass: FloatArray, team: Team = SOLO) -> None:
         n = len(mass)
         self.most = 2 * n  # each halving leaves bodies on both sides; unused pages take no memory
-        # of the sorted bodies: (3, n) m, (n,) kg, and their indices
+        # arrays of the sorted bodies: (3, n) m, (n,) kg, and their indices
         self.position, self.mass, self.body = np.empty((3, n)), np.empty(n), np.empty(n, np.int64)
         self.count = 0  # number of boxes
-        # of each box: its sorted bodies, from first to last - 1, and the next box outside it
+        # sorted bodies of each box, from first to last - 1, and the next box outside it
         self.first, self.last, self.skip = (np.empty(self.most, np.int64) for _ in range(3))
-        self.groups = np.empty(0, np.int64)  # where each group of the sorted bodies begins, and where the last one ends
+        self.groups = np.empty(0, np.int64)  # (g + 1,) start of each group of sorted bodies, and the last one's end
         self._mass = mass
         self._team = team
         ranges = n + team.size
@@ -228,7 +228,7 @@ def _longest_side(ax: float, bx: float, ay: float, by: float, az: float, bz: flo
     if bz - az > high - low:
         axis, low, high = 2, az, bz
     middle = low + 0.5 * (high - low)
-    return axis, middle if middle > low else high  # of neighbouring numbers, the higher number separates them
+    return axis, middle if middle > low else high  # the higher of two neighbouring numbers separates them
 
 
 @long_kernel

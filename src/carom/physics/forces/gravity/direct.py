@@ -35,9 +35,9 @@ AX, AY, AZ, PHI = range(4)  # rows of the sums
 
 LANES = 32
 MAX_IN_ONE_BLOCK = LANES  # bodies
-# bodies; with fewer, waking threads costs the time they save, and the recorder needs the other core
+# number of bodies below which waking threads costs the time saved, and the recorder needs the other core
 PARALLEL_FROM = 2048
-SLABS = 16  # of equal work, each with its own sums: the largest number of threads that can share a sum
+SLABS = 16  # slabs of equal work, each with its own sums: the largest number of threads that can share a sum
 
 
 class DirectGravity:
@@ -150,7 +150,7 @@ def _sum_blocks(
                 bx[k] = by[k] = bz[k] = bp[k] = 0.0
             for targets in range(block + 1):
                 i = np.uint64(targets) * L
-                weight = 1.0 if i < first else 0.0  # within its block, each body is a source once, without reactions
+                weight = 1.0 if i < first else 0.0  # within a block, each body is a source once, without reactions
                 for k in range(L):
                     tx[k], ty[k], tz[k] = source[X, i + k], source[Y, i + k], source[Z, i + k]
                     tm[k] = weight * source[MASS, i + k]

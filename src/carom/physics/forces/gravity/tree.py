@@ -38,7 +38,7 @@ from carom.physics.jit.team import SOLO, Team
 from carom.scene.schema import Gravity
 
 BOXES_PER_TASK = 64  # about 10 µs
-EXACT_UP_TO = 4  # bodies; so few are summed one by one, which is exact and about as fast as their moments
+EXACT_UP_TO = 4  # number of bodies that are summed one by one, which is exact and about as fast as using their moments
 
 
 class CentreRecord(Protocol):
@@ -67,7 +67,7 @@ class MomentsRecord(Protocol):
 
 
 MOMENTS = dtype_of(MomentsRecord)
-X, Y, Z, AX, AY, AZ, PHI = range(7)  # rows of the lanes: positions of a group's bodies, and their sums
+X, Y, Z, AX, AY, AZ, PHI = range(7)  # rows of the lanes: positions of a group's bodies, then sums
 LANES_PER_REGISTER = 8  # float64 in the widest registers; loops over whole registers leave no remainder
 
 
@@ -76,8 +76,8 @@ class BoxTree(NamedTuple):
 
     boxes: int  # number of boxes; the arrays may be longer
     first: IntArray  # first body of each box
-    last: IntArray  # the end of the range of its bodies
-    skip: IntArray  # the next box outside it
+    last: IntArray  # end of the range of each box's bodies
+    skip: IntArray  # the next box outside each box
     centres: RecordArray[CentreRecord]
     moments: RecordArray[MomentsRecord]
     x: FloatArray  # (3, n) m
@@ -99,7 +99,7 @@ class TreeBuffers(NamedTuple):
 
     lanes: FloatArray  # (threads, 7, GROUP) a group's bodies and their sums
     far: IntArray  # (threads, ·) boxes that attract as a whole
-    near: Records  # (threads, ·) RANGE, ranges of bodies that attract one by one
+    near: Records  # (threads, ·) RANGE of bodies that attract one by one
 
 
 @long_kernel
@@ -124,7 +124,7 @@ def expand(lo: int, hi: int, taken_so_far: IntArray, tree: BoxTree, theta: float
                 X += m[i] * (x[0, i] - x0)
                 Y += m[i] * (x[1, i] - y0)
                 Z += m[i] * (x[2, i] - z0)
-            if M > 0.0:  # otherwise all are test particles, and any centre will do
+            if M > 0.0:  # without mass, all are test particles, and any centre will do
                 X, Y, Z = X / M, Y / M, Z / M
             X, Y, Z = x0 + X, y0 + Y, z0 + Z
             xx = xy = xz = yy = yz = zz = b2 = 0.0
@@ -211,7 +211,7 @@ def _walk(
         dy = max(y0 - centre.y, 0.0, centre.y - y1)
         dz = max(z0 - centre.z, 0.0, centre.z - z1)
         if dx * dx + dy * dy + dz * dz > centre.far_squared:
-            # saves 2 to 5 % of the whole, and more if other processes use the cache
+            # saves 2 to 5 % of the time, and more if other processes use the cache
             prefetch_to_read(tree.moments, box)
             far[fars] = box
             fars += 1

@@ -69,10 +69,10 @@ from carom.scene.start import half_spaces
 from carom.state.checkpoint import IntegratorCheckpoint
 
 STEP_FRACTION = 0.17506702932189996  # η
-LARGEST_CHANGE_AFTER_IMPACT = 1.5  # the largest change after an impact, since the previous step had other velocities
-MOST_CORRECTIONS = 4  # of the length of a step that ends at an impact; two are enough to reach rounding
+LARGEST_CHANGE_AFTER_IMPACT = 1.5  # largest factor on the step after an impact, which had other velocities before
+MOST_CORRECTIONS = 4  # corrections to the length of a step that ends at an impact; two are enough to reach rounding
 IMPACT_ROUNDING = 2.0**-51  # of that length
-LIMITS = ("error", "cap", "fixed", "end", "impact")  # limits that set a step
+LIMITS = ("error", "cap", "fixed", "end", "impact")  # limits that shorten a step
 ERROR, CAP, FIXED, END, IMPACT = range(len(LIMITS))
 
 
@@ -101,7 +101,7 @@ class GaussRadau15:
         self._progress = np.zeros(1, PROGRESS)
         kinds = self._motion, solids, self._progress, 0.0, 0.0, 0, self._max_dt, self._adapts
         self._advance: Callable[..., None] = entry_of(advance, *kinds)
-        self._arrival = motion.velocity  # at the end of the last step, before its impacts
+        self._arrival = motion.velocity  # velocities at the end of the last step, before its impacts
 
     @property
     def next_dt(self) -> float:
@@ -145,7 +145,7 @@ class GaussRadau15:
         a = motion.start + motion.field * motion.moves[:, np.newaxis]
         b = motion.accepted.reshape(*a.shape, WIDTH)[..., :TERMS]
         k = np.arange(TERMS)
-        # h, h²…; results of matrix products and powers differ between processors
+        # powers h, h²…; matrix products and `pow` have other bits on other processors
         powers = np.cumprod(np.full(TERMS + 2, h))
         turned = dt * ((1.0 - h) * a + (b * ((1.0 - powers[1:-1]) / (k + 2))).sum(axis=-1))
         v = self._arrival - turned

@@ -28,23 +28,23 @@ from carom.physics.contact.impact_log import ROUNDING
 from carom.physics.integrators.gauss_radau.radau_step import TERMS, Motion, ProgressRecord, acceleration_at_start
 from carom.physics.jit.decorators import inline, inner
 
-COEFFICIENTS = TERMS + 3  # of a position, a polynomial in h
-TOUCHING = 8 * 2.0**-53  # of the coordinates and of R: a smaller gap is rounding
+COEFFICIENTS = TERMS + 3  # coefficients of a position as a polynomial in h
+TOUCHING = 8 * 2.0**-53  # gap, relative to the coordinates and R, that is rounding
 SLACK = 1.0 + 1e-9  # allowance for the rounding of the bounds
-NARROWEST = 2.0**-44  # of a step; a shorter overlap is a grazing pass
-MOST_INTERVALS = 20_000  # a contact that needs more is at rest, up to rounding
-REST = 1e-6  # of a step: the shortest flight between two impacts. Its height is at most 10⁻¹⁴ R, near rounding.
+NARROWEST = 2.0**-44  # fraction of a step; a shorter overlap is a grazing pass
+MOST_INTERVALS = 20_000  # most intervals; a contact that needs more is at rest, up to rounding
+REST = 1e-6  # fraction of a step: the shortest flight between impacts, at most 10⁻¹⁴ R high, near rounding
 NONE = np.inf  # no impact
-AT_REST = -1.0  # a contact that forces press together
+AT_REST = -1.0  # marks a contact that forces press together
 
 
 class Solids(NamedTuple):
     """The bodies and planes that may touch."""
 
     radius: FloatArray  # (n,) m
-    surface: FloatArray  # (p, 3) normals of planes
+    surface: FloatArray  # (p, 3) unit normals of the planes
     offset: FloatArray  # (p,) m
-    path: FloatArray  # (COEFFICIENTS, 3) m, of d; overwritten for each pair
+    path: FloatArray  # (COEFFICIENTS, 3) m, coefficients of d; overwritten for each pair
 
     @classmethod
     def of(cls, radius: FloatArray, surface: FloatArray | None = None, offset: FloatArray | None = None) -> Solids:
@@ -68,7 +68,7 @@ def first_impact(motion: Motion, solids: Solids, run: ProgressRecord, dt: float,
             d2, R = dx * dx + dy * dy + dz * dz, radius[i] + radius[j]
             is_clear = clearance > 2.0 * displacement and d2 > (R + clearance) * (R + clearance)
             if is_clear or moves[i] + moves[j] == 0.0:
-                continue  # both cannot be nearer than the nearest pair
+                continue  # this pair cannot be nearer than the nearest one
             gap = np.sqrt(d2) - R
             clearance = min(clearance, gap)
             if gap <= 2.0 * displacement:
@@ -91,7 +91,7 @@ def _earlier(
     i: int, j: int, R: float, motion: Motion, solids: Solids, run: ProgressRecord, dt: float, first: float
 ) -> float:
     """Return the earlier of two impacts, the first one so far and a pair's first one, and note the pair."""
-    v, distance = motion.velocity, R  # m, the sum of R and of the distances that both bodies move
+    v, distance = motion.velocity, R  # m, R plus the distances that both bodies move
     for k in range(3):
         distance += dt * (abs(v[i, k]) + (abs(v[j, k]) if j < len(v) else 0.0))
     negligible = ROUNDING * distance

@@ -30,14 +30,14 @@ NODES = tuple(
         "0.97752061356128750189117450042915494",
     )
 )
-TERMS = 7  # of the polynomial, b₀ to b₆
-WIDTH = 8  # length of a row: the terms and a 0, which fill a cache line
-LANES_FROM = 16  # bodies from which SIMD lanes are used
+TERMS = 7  # terms b₀ to b₆ of the polynomial
+WIDTH = 8  # length of a row: the terms and a 0 fill a cache line
+LANES_FROM = 16  # number of bodies from which SIMD lanes are used
 # (τ / τ')² below which an acceleration passes through 0; on Kepler orbits up to e = 0.99 it never does
 PASSING = 1.0 / 16.0
-LARGEST_CHANGE = 4.0  # a step that was too long by more than this factor is repeated; no step grows by more
+LARGEST_CHANGE = 4.0  # largest factor by which a step grows; a step too long by more is repeated
 SHRINKING = 2.0  # a step is repeated again only if the ratio of wanted to tried step has risen by this factor
-MAX_ITERATIONS = 12  # in a step; rounding prevents some from converging
+MAX_ITERATIONS = 12  # most iterations of a step; rounding keeps some from converging
 CONVERGED = 1e-16  # tolerated residual at a node over the largest acceleration: half a last bit
 # Refinements below which a residual is tolerated. On orbits of eccentricity 0.05 to 0.9, these residuals add less to
 # the error of 1000 orbits than the steps themselves, which take 2.0 to 3.0 iterations.
@@ -63,7 +63,7 @@ def _table(rows: list[list[Fraction]]) -> FloatArray:
 
 POWERS = _table(_newton_to_powers())  # [k, j]: coefficient of g_k in b_j
 NODE = np.array([float(node) for node in NODES])
-# [s, k]: coefficients of b_k in the acceleration at a node, and in the position there over T²
+# [s, k]: coefficients of b_k in the acceleration at a node, and in the position there divided by T²
 ON_ACCELERATION = _table([[h ** (k + 1) for k in range(TERMS)] for h in NODES])
 ON_POSITION = _table([[h ** (k + 3) / ((k + 2) * (k + 3)) for k in range(TERMS)] for h in NODES])
 TO_DIFFERENCE = np.array([0.0] + [float(1 / prod(NODES[s] - h for h in NODES[:s])) for s in range(1, len(NODES))])
@@ -74,9 +74,9 @@ class ProgressRecord(Protocol):
     """The progress of an integration."""
 
     time: float  # s
-    before: float  # s, the time before the last step
+    before: float  # s, time before the last step
     next_dt: float  # s
-    last_dt: float  # s, 0 before the first step
+    last_dt: float  # s, length of the last step; 0 before the first
     fraction: float  # η
     tolerance: float  # residual at a node over the largest acceleration
     steps: int
@@ -84,10 +84,10 @@ class ProgressRecord(Protocol):
     iterations: int
     after_impact: bool  # whether the last step ended at an impact, so that it predicts nothing
     meets: bool  # whether bodies meet at the end of the last step
-    rests: bool  # whether their contact is at rest
-    i: int  # the two that meet: bodies, or n + p for plane p
+    rests: bool  # whether the contact of these bodies is at rest
+    i: int  # both ends that meet: bodies, or n + p for plane p
     j: int
-    clearance: float  # m, smallest gap of any pair at the last test
+    clearance: float  # m, smallest gap between any pair at the last test
 
 
 PROGRESS = dtype_of(ProgressRecord)
@@ -103,18 +103,18 @@ class Motion(NamedTuple):
     start: FloatArray  # (n, 3) m/s², a₀
     there: FloatArray  # (n, 3) m/s², acceleration at a node
     at: FloatArray  # (n, 3) m, positions at a node
-    expected: FloatArray  # (n, 3) m/s², acceleration there by the polynomial
+    expected: FloatArray  # (n, 3) m/s², the polynomial's acceleration there
     b: FloatArray  # (3 n, 8) m/s²
     predicted: FloatArray  # (3 n, 8) m/s², b before the iterations
     accepted: FloatArray  # (3 n, 8) m/s², b of the last step
     correction: FloatArray  # (3 n, 8) m/s², error of the predicted b
     gm: FloatArray  # (n,) m³/s², G m
-    moves: FloatArray  # (n,) 1, or 0 for fixed bodies
+    moves: FloatArray  # (n,) 1 for movable bodies, 0 for fixed ones
     field: FloatArray  # (3,) m/s², the uniform field
     eps2: float  # m², the softening squared
-    lanes: FloatArray  # (4, n), workspace of `accelerate`
+    lanes: FloatArray  # (4, n) workspace of `accelerate`
     mass: FloatArray  # (n,) kg
-    box: FloatArray  # (3,) zeros: space is open
+    box: FloatArray  # (3,) zeros, since space is open
     forces: Parameters  # of installed packages
 
 
@@ -288,7 +288,7 @@ def next_step(motion: Motion, dt: float, fraction: float) -> float:
     start, b = motion.start, motion.b
     shortest = np.inf
     for i in range(len(start)):
-        a, jerk, snap, crackle = 0.0, 0.0, 0.0, 0.0  # squared, times powers of dt
+        a, jerk, snap, crackle = 0.0, 0.0, 0.0, 0.0  # squared derivatives, times powers of dt
         for k in range(3):
             c = 3 * i + k
             a1, j1, s1, c1 = start[i, k], 0.0, 0.0, 0.0
@@ -314,7 +314,7 @@ def move(motion: Motion, dt: float) -> None:
             c = 3 * i + k
             position_sum, velocity_sum = 0.0, 0.0
             for j in range(TERMS - 1, -1, -1):
-                # division, because rounded reciprocals would cause a drift
+                # divides, since rounded reciprocals would cause a drift
                 position_sum += b[c, j] / ((j + 2) * (j + 3))
                 velocity_sum += b[c, j] / (j + 2)
                 motion.correction[c, j] = b[c, j] - motion.predicted[c, j]

@@ -40,8 +40,8 @@ from carom.plan.auto import largest_step
 from carom.scene.load import Scene
 from carom.scene.start import InitialBodies
 
-FIRST_FRACTION = 1e-3  # of the duration: the first trial step
-MOST_AT_ONCE, PAIRS_AT_ONCE = 500, 200_000  # steps in one call, and pairs in them: 1 ms for two bodies, 5 ms for 100
+FIRST_FRACTION = 1e-3  # the first trial step, as a fraction of the duration
+MOST_AT_ONCE, PAIRS_AT_ONCE = 500, 200_000  # most steps in a call, and most pairs: 1 ms for two bodies, 5 ms for 100
 CONVERGES = MAX_ITERATIONS  # iterations of a twin
 
 GoesOn = Callable[[int, float], bool]
@@ -56,15 +56,15 @@ class TwinSamples(NamedTuple):
     """Times at which orbits are compared with their twins, and the results."""
 
     times: FloatArray  # (K,) s
-    path: FloatArray  # (K, n, 3) m, written
-    apart: FloatArray  # (K,) m, rms distance of the twins, written
+    path: FloatArray  # (K, n, 3) m, output positions
+    apart: FloatArray  # (K,) m, output rms distance between the twins
 
 
 class TwinRule(NamedTuple):
     """Conditions under which the comparison of orbits with their twins ends; see `diverge`."""
 
     max_dt: float  # s
-    enough: float  # m, distance from the orbit at which the twin ends
+    enough: float  # m, distance from the orbit at which a twin ends
     iterations: int
 
 
@@ -74,7 +74,7 @@ class FollowedOrbits(NamedTuple):
     times: FloatArray  # (K,) s
     path: FloatArray  # (K, n, 3) m, infinite beyond
     steps: int
-    known: int  # number of times up to which they are known
+    known: int  # number of times up to which positions are known
 
     def at(self, sample: int) -> FloatArray | None:
         """Return the positions at one of the times, (n, 3) m; None if they are not known."""
@@ -143,7 +143,7 @@ def _follow(
         fresh, counted = int(progress["iterations"][0]) - counted, int(progress["iterations"][0])
         lasts = goes_on(fresh, float(progress["time"][0]))
         if int(progress["steps"][0]) < steps:
-            break  # at the end, far enough apart, or with a step too short to change the clock
+            break  # the end is reached, the twins are far enough apart, or the step is too short to change the clock
         if not lasts:
             known = k
             break

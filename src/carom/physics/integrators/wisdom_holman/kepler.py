@@ -26,25 +26,25 @@ from carom.arrays import FloatArray
 from carom.physics.jit.decorators import inner
 from carom.physics.vector import vector, write
 
-SERIES_UP_TO = 0.3  # of |z|; up to here the omitted terms are below half a last bit
+SERIES_UP_TO = 0.3  # largest |z| at which the omitted terms are below half a last bit
 TERMS = 7  # terms of the series
 C2 = tuple(float(Fraction((-1) ** j, factorial(2 + 2 * j))) for j in range(TERMS))
 C3 = tuple(float(Fraction((-1) ** j, factorial(3 + 2 * j))) for j in range(TERMS))
 C2_0, C2_1, C2_2, C2_3, C2_4, C2_5, C2_6 = C2
 C3_0, C3_1, C3_2, C3_3, C3_4, C3_5, C3_6 = C3
-CONVERGED = 1e-5  # of X; after a step this small, the error of fourth order is below rounding
-PATIENCE = 8  # steps; later, every other one is a bisection, since steps down an exponential are short
-MAX_STEPS = 150  # half of them bisections, of which about 60 suffice
-NEARLY = 1e-8  # of X: like `CONVERGED`, but for a last step of second order
+CONVERGED = 1e-5  # relative step of X after which the error of fourth order is below rounding
+PATIENCE = 8  # steps after which every other one is a bisection, since steps down an exponential are short
+MAX_STEPS = 150  # most steps, half of them bisections, of which about 60 suffice
+NEARLY = 1e-8  # relative step of X, like `CONVERGED`, but for a last step of second order
 LANES = 64  # bodies in SIMD lanes
-WIDEST = 8  # numbers in a vector on any processor
+WIDEST = 8  # most numbers in a vector on any processor
 # First columns of the arrays in the workspace: positions in m, velocities in m/s, μ, positions and velocities at the
 # end, and whether two steps for the anomaly were enough. They share one array, so that the compiler knows that they do
 # not overlap.
 X, Y, Z, VX, VY, VZ, MU, END_X, END_Y, END_Z, END_VX, END_VY, END_VZ, ENOUGH = range(0, 14 * LANES, LANES)
 WORKSPACE = 14 * LANES  # numbers
 TWO_PI = 6.283185307179586  # rad
-WIDER = 1.01  # times a period: the bracket of a time within it, with room for rounding
+WIDER = 1.01  # times the period: the bracket of a time within one period, with room for rounding
 
 
 @inner
@@ -91,7 +91,7 @@ def revolve(x: FloatArray, v: FloatArray, i: int, mu: float, h: float) -> None:
     s = t * over_r
     bend = 0.5 * s * over_r * eta
     if abs(bend) < 0.5:
-        s *= 1.0 - bend  # to second order in t
+        s *= 1.0 - bend  # a starting value to second order in t
     if s > high:
         s = 0.5 * high
     g0, g1, g2, g3 = 1.0, 0.0, 0.0, 0.0
@@ -175,7 +175,7 @@ def _revolve_lanes(lanes: FloatArray, count: int, t: float) -> None:
         zeta = mu - beta * r
         s = t * over_r
         bend = 0.5 * s * over_r * eta
-        s *= 1.0 - bend + (2.0 * bend * bend - s * s * over_r * zeta * (1.0 / 6.0))  # to third order in t
+        s *= 1.0 - bend + (2.0 * bend * bend - s * s * over_r * zeta * (1.0 / 6.0))  # a start to third order in t
         # the first step
         square = s * s
         z = beta * square

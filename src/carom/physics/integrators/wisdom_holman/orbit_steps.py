@@ -30,29 +30,29 @@ from carom.physics.vector import Vector, add, between, square, vector, write
 class RunRecord(Protocol):
     """The progress of an integration."""
 
-    start: float  # s, the time at which the present series of equal steps began
+    start: float  # s, start of the present series of equal steps
     count: int  # steps since then
     dt: float  # s
     time: float  # s, the present time
-    before: float  # s, the time before the last step
+    before: float  # s, time before the last step
     steps: int  # steps in this call
     close: int  # 1 if the next step would meet a close encounter
 
 
 RUN = dtype_of(RunRecord)
-LANES_FROM = 64  # bodies from which pairs are summed in SIMD lanes
+LANES_FROM = 64  # number of bodies from which pairs are summed in SIMD lanes
 STAGES = 4  # stages of the corrector
 SPREAD = Fraction(2, 5)
-UNRESOLVED = 2.0  # a step longer than √(r³/μ) over this is an eighth of an orbit or more
-SEPARATED = 1.2  # times the distance at which an encounter begins: it ends at this distance
+UNRESOLVED = 2.0  # a step longer than √(r³/μ) divided by this is an eighth of an orbit or more
+SEPARATED = 1.2  # distance at which an encounter ends, over the distance at which it begins
 
 
 class OrbitArrays(NamedTuple):
     """Arrays of an integration; all but the first two are in the order of the Jacobi coordinates."""
 
-    position: FloatArray  # (n, 3) m, the output, in the order of the scene
-    velocity: FloatArray  # (n, 3) m/s, in the order of the scene
-    order: IntArray  # (n,) index in the scene
+    position: FloatArray  # (n, 3) m, output positions in the order of the scene
+    velocity: FloatArray  # (n, 3) m/s, output velocities in the order of the scene
+    order: IntArray  # (n,) index of each body in the scene
     mu: FloatArray  # (n,) m³/s², G M_i
     gm: FloatArray  # (n,) m³/s², G m_i
     mass_fraction: FloatArray  # (n,) m_i / M_i
@@ -61,10 +61,10 @@ class OrbitArrays(NamedTuple):
     v: FloatArray  # (n, 3) m/s
     x_spare: FloatArray  # (n, 3) m
     v_spare: FloatArray  # (n, 3) m/s
-    place: FloatArray  # (n, 3) m, relative to the centre of mass
-    speed: FloatArray  # (n, 3) m/s, relative to the centre of mass
+    place: FloatArray  # (n, 3) m, positions relative to the centre of mass
+    speed: FloatArray  # (n, 3) m/s, velocities relative to the centre of mass
     acceleration: FloatArray  # (n, 3) m/s²
-    max_displacement: FloatArray  # (n,) m, of each body in the time that `meets` tests
+    max_displacement: FloatArray  # (n,) m, largest displacement of each body in the time that `meets` tests
     lanes: FloatArray  # workspace of the Kepler orbits and of the gravity of many bodies
 
 
@@ -109,7 +109,7 @@ def kick(o: OrbitArrays, x: FloatArray, v: FloatArray, h: float) -> None:
         _mutual(o.place, o.gm, o.acceleration)
     else:
         _mutual_in_lanes(o.place, o.gm, o.acceleration, o.lanes)
-    # from Cartesian accelerations to accelerations of Jacobi coordinates, without those of the Kepler orbits
+    # turns Cartesian into Jacobi accelerations, without those of the Kepler orbits
     a, mass_fraction = o.acceleration, o.mass_fraction
     rx, ry, rz = vector(a, 0)  # acceleration of the centre of mass of the bodies before i
     for i in range(1, len(x)):
@@ -201,7 +201,7 @@ def drift(x: FloatArray, v: FloatArray, mu: FloatArray, lanes: FloatArray, h: fl
 @inner
 def correct(o: OrbitArrays, x: FloatArray, v: FloatArray, h: float, into: bool) -> None:
     """Apply the corrector, or its inverse: into the variables of the steps or out of them."""
-    pending = 0.0  # drift that is still to be done
+    pending = 0.0  # s, length of the drift that is still pending
     for stage in range(STAGES):
         k = stage if into else STAGES - 1 - stage
         a, b = CORRECTOR_DRIFT[k], CORRECTOR_KICK[k]

@@ -41,27 +41,27 @@ from carom.scene.load import Scene
 from carom.scene.portable_math import cube_root
 from carom.state.checkpoint import EqualSteps, IntegratorCheckpoint, OrbitCheckpoint
 
-HILL_RADII = 12.0  # bodies on crossing orbits are close within these (docs/validation.md)
-FEWEST_HILL_RADII = 3.0  # bodies whose orbits are farther apart than this never come close
-GAP_FRACTION = 0.9  # of the distance between two orbits: bodies nearer than this have left their orbits
-NEAREST = 0.03  # of the semi-major axis: closer passages are left to Gauss–Radau integration
+HILL_RADII = 12.0  # distance, in Hill radii, within which bodies on crossing orbits are close (docs/validation.md)
+FEWEST_HILL_RADII = 3.0  # distance of two orbits, in Hill radii, beyond which their bodies never come close
+GAP_FRACTION = 0.9  # fraction of the distance between two orbits; bodies nearer than this have left their orbits
+NEAREST = 0.03  # fraction of the semi-major axis; closer passages are left to Gauss–Radau integration
 STEPS_PER_ORBIT = 20.0  # of the shortest orbit
 # The same for bodies above `HEAVY`: the error of their encounters grows as the square of the mass and of the step.
 STEPS_OF_HEAVY = 50.0
 HEAVY = 2e-5  # mass relative to the dominant body
-FIRST_FRACTION = 0.01  # of a step: the first step that Gauss–Radau integration tries
+FIRST_FRACTION = 0.01  # the first step that Gauss–Radau integration tries, as a fraction of the last step
 ANEW, FAR, CLOSE = range(3)  # phases: from the present state; in equal steps; by Gauss–Radau integration
-LIMITS = ("orbit", "cap", "fixed")  # limits that set a step
+LIMITS = ("orbit", "cap", "fixed")  # limits that shorten a step
 
 
 class Conics(NamedTuple):
     """Orbits about the dominant body, (n,) each."""
 
-    axis: FloatArray  # m, semi-major; infinite if unbound
-    size: FloatArray  # m, semi-major; its modulus if unbound
+    axis: FloatArray  # m, semi-major axis; infinite if unbound
+    size: FloatArray  # m, semi-major axis; its modulus if unbound
     pericentre: FloatArray  # m
     apocentre: FloatArray  # m
-    period: FloatArray  # s, of a circular motion with the angular speed at the pericentre
+    period: FloatArray  # s, period of a circular motion with the angular speed at the pericentre
 
 
 def conics(position: FloatArray, velocity: FloatArray, gm: FloatArray, first: int) -> Conics:
@@ -137,7 +137,7 @@ class WisdomHolman:
         )
         self._gm = gm
         self._first = int(np.argmax(gm))
-        self._hill = cube_root(gm / (3.0 * gm[self._first]))  # Hill radii over semi-major axes
+        self._hill = cube_root(gm / (3.0 * gm[self._first]))  # Hill radii divided by semi-major axes
         self._max_dt, self._fixed_dt = max_dt, fixed_dt
         self._limit, self._resolves, self._refinement = LIMITS[0], resolves, refinement
         self._run = np.zeros(1, RUN)

@@ -51,8 +51,8 @@ from carom.physics.jit.decorators import inner, long_kernel
 from carom.physics.jit.instructions import atomic_add
 from carom.physics.jit.vectors import WIDTH as LANES
 
-FEW_PAIRS = 128  # pairs of bodies, which take as long as a pair of boxes
-MANY_PAIRS = 1024  # pairs of bodies; 512 and 2048 are as fast at equal error
+FEW_PAIRS = 128  # pairs of bodies that take as long as a pair of boxes
+MANY_PAIRS = 1024  # most pairs of bodies; 512 and 2048 are as fast at equal error
 
 
 class BoxRecord(Protocol):
@@ -63,9 +63,9 @@ class BoxRecord(Protocol):
     z: float
     radius: float  # m, r
     first: int  # its first sorted body
-    last: int  # the end of the range of its bodies
-    half: int  # the box that is its second half; the first half follows it. 0 for a leaf
-    skip: int  # the next box outside it
+    last: int  # end of the range of the box's bodies
+    half: int  # the box of the second half; the first half follows this box. 0 for a leaf
+    skip: int  # the next box outside this box
 
 
 BOX = dtype_of(BoxRecord)
@@ -75,7 +75,7 @@ class EntryRecord(Protocol):
     """A box to be walked."""
 
     box: int
-    begin: int  # range of the boxes that its parent left undecided
+    begin: int  # range of the boxes that the parent left undecided
     end: int
     depth: int
 
@@ -86,9 +86,9 @@ ENTRY = dtype_of(EntryRecord)
 class MultipoleBoxes(NamedTuple):
     """Boxes with their multipoles, and the bodies in their order."""
 
-    branches: RecordArray[RangeRecord]  # the first box of each branch
+    branches: RecordArray[RangeRecord]  # first box of each branch
     boxes: RecordArray[BoxRecord]
-    poles: FloatArray  # (boxes + 1, ·), the last row for a box without mass
+    poles: FloatArray  # (boxes + 1, ·) multipoles; the last row is for a box without mass
     x: FloatArray  # (3, n) m
     m: FloatArray  # (n,) kg
     body: IntArray  # (n,) index of each body in the scene
@@ -100,7 +100,7 @@ class MultipoleLaw(NamedTuple):
     G: float  # m³/(kg s²)
     eps2: float  # m², softening squared
     theta2: float  # opening angle squared
-    unit: float  # 1/m; factor of lengths in multipoles and local expansions
+    unit: float  # 1/m; factor on lengths in multipoles and local expansions
 
 
 class MultipoleSums(NamedTuple):
@@ -117,12 +117,12 @@ class WalkBuffers(NamedTuple):
     far: IntArray  # (threads, ·) boxes that attract as a whole
     near: IntArray  # boxes that attract body by body
     opened: IntArray  # boxes that are being opened
-    left: IntArray  # boxes left to the halves of a box
-    entries: RecordArray[Any]  # `ENTRY`, boxes to be walked
+    left: IntArray  # boxes left to both halves of a box
+    entries: RecordArray[Any]  # `ENTRY`, boxes still to be walked
     local: FloatArray  # (threads, depth, LOCAL + 3) local expansions with their centres
     expansion: FloatArray  # (threads, LOCAL * LANES) a local expansion in lanes
     powers: FloatArray  # (threads, LOCAL) v^n / n!
-    lanes: FloatArray  # (threads, 7, LANES) bodies, and their sums
+    lanes: FloatArray  # (threads, 7, LANES) positions and sums of bodies in lanes
 
 
 @long_kernel

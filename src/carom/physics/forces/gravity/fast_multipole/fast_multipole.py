@@ -54,8 +54,8 @@ from carom.scene.schema import Gravity
 
 # largest number of bodies in a branch, the work of one thread; the walks down to the branches repeat 2 % of the work
 BRANCH = 2048
-DEEPEST = 6400  # nested boxes: each side can be halved 2100 times from the largest float to the smallest
-UNIT_BITS = 300  # lengths are multiplied by 2^k with |k| up to this, so that no power of a length overflows
+DEEPEST = 6400  # most nested boxes: each side can be halved 2100 times from the largest float to the smallest
+UNIT_BITS = 300  # largest |k| of the unit 2^k of lengths, so that no power of a length overflows
 
 
 @long_kernel
@@ -136,7 +136,7 @@ def expand(
                 weight = poles[box.half, MASS]
                 M = poles[b + 1, MASS] + weight
                 X, Y, Z = weight * (other.x - x0), weight * (other.y - y0), weight * (other.z - z0)
-            if M > 0.0:  # otherwise all are test particles, and any centre will do
+            if M > 0.0:  # without mass, all are test particles, and any centre will do
                 X, Y, Z = X / M, Y / M, Z / M
             X, Y, Z = x0 + X, y0 + Y, z0 + Z
             box.x, box.y, box.z = X, Y, Z
@@ -194,7 +194,7 @@ class FastMultipoleGravity:
         size, depth = self._team.size, min(n, DEEPEST) + 2
         self._powers = np.empty((size, LOCAL))
         self._needed = np.zeros(size, np.int64)
-        # for each thread; unused pages take no memory
+        # workspace for each thread; unused pages take no memory
         self._buffers = WalkBuffers(
             far=np.empty((size, n + LANES), np.int64),
             near=np.empty((size, n), np.int64),

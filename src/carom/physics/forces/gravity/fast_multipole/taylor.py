@@ -35,7 +35,7 @@ from carom.physics.vector import Vector
 
 Index = tuple[int, int, int]
 
-ORDER = 6  # p; at equal error, 5 is slower for errors below 1e-3, and 7 is as fast only below 1e-4
+ORDER = 6  # order p; at equal error, 5 is slower for errors below 1e-3, and 7 is as fast only below 1e-4
 ZERO: Index = (0, 0, 0)
 AXES: tuple[Index, ...] = ((1, 0, 0), (0, 1, 0), (0, 0, 1))
 
@@ -59,12 +59,12 @@ def _contains(a: Index, b: Index) -> bool:
 
 _LOCAL = _indices(ORDER)
 _POLES = _indices(ORDER - 1)
-_PLACE = {n: place for place, n in enumerate(_LOCAL)}  # of a multi-index in a row
+_PLACE = {n: place for place, n in enumerate(_LOCAL)}  # place of a multi-index in a row
 
-LOCAL = len(_LOCAL)  # coefficients of a local expansion
+LOCAL = len(_LOCAL)  # number of coefficients in a local expansion
 POLES = len(_POLES)  # multipoles of a box
-MASS = 0  # column of the mass in a row of multipoles
-CENTRE = 1  # first of the three columns of the centre of mass in a row of multipoles
+MASS = 0  # column of the mass in multipoles
+CENTRE = 1  # first of three columns of the centre of mass in multipoles
 assert POLES % LANES == 0  # a row is loaded in whole vectors
 
 
