@@ -79,7 +79,7 @@ def _root(buffer: bytes) -> int:
 
 
 def _field(buffer: bytes, table: int, number: int) -> int | None:
-    """Return the offset of a field of a table; None if it is absent."""
+    """Return the offset of a table's field; None if the field is absent."""
     vtable = table - struct.unpack_from("<i", buffer, table)[0]
     place = 4 + 2 * number
     if vtable < 0 or place >= struct.unpack_from("<H", buffer, vtable)[0]:

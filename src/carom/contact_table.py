@@ -1,7 +1,7 @@
 """The contact table: impulses, mode and energies of the contacts of a step, one row per contact; sums over impacts.
 
-Impulses have the sign for body j, which receives ``normal_impulse`` along the normal, ``friction`` and ``angular``;
-body i receives the opposite. docs/physics.md, section 9, defines impulses, modes and energies.
+Signs of impulses are those for body j, which receives ``normal_impulse`` along the normal, ``friction`` and
+``angular``; body i receives the opposite impulses. docs/physics.md, section 9, defines impulses, modes and energies.
 """
 
 from __future__ import annotations
@@ -58,8 +58,8 @@ def turning_impulses(
 ) -> FloatArray:
     """Return the angular impulses of contacts on both bodies about their centres, (k, 2, 3) N m s: ρ λ_t × n ± Λ.
 
-    Given are the normals, (k, 3), the arms ρ, (k, 2) m, the friction λ_t, (k, 3) N s, and the angular impulses Λ, (k,
-    3) N m s. Where no law resists rolling, Λ has no columns.
+    The arguments are the normals, (k, 3), the arms ρ, (k, 2) m, the friction λ_t, (k, 3) N s, and the angular impulses
+    Λ, (k, 3) N m s. Where no law resists rolling, Λ has no columns.
     """
     turns = arms[:, :, None] * np.cross(friction, normal)[:, None, :]
     if angular.shape[1]:

@@ -14,11 +14,11 @@ ENDING = (signal.SIGTERM, signal.SIGHUP)  # SIGTERM is sent by Slurm, Kubernetes
 
 @contextlib.contextmanager
 def signals_held() -> Iterator[None]:
-    """Let the handlers of signals run afterwards, each once, in the order in which the signals came.
+    """Delay the handlers of signals until the block ends; each runs once, in the order in which the signals came.
 
     A handler may raise an exception, as the handler of Ctrl-C does. An import that an exception ends leaves modules
     half made, which a later import takes for whole: Numba and NumPy then fail until the process ends. LLVM's callbacks
-    drop the exception, and link a kernel to address zero. Outside the main thread, where no handler runs, nothing is
+    drop the exception, and link a kernel to address zero. Outside the main thread, handlers do not run, so no signal is
     held.
     """
     if threading.current_thread() is not threading.main_thread():

@@ -1,4 +1,4 @@
-"""The `carom` command: the table of commands, and the process with its streams, signals, messages and exit code.
+"""The `carom` command: the table of commands; the process's streams, signals, messages and exit code.
 
 A command is a function. Its module is imported when the command runs or shows its help. Other packages are imported
 only when it runs: `carom --help` then does not load a compiler and a viewer.
@@ -277,7 +277,7 @@ def _root(
 
 
 def _say_warnings_once() -> None:
-    """Print a warning about an old key of a scene or a dropped run once, in one line; leave others to Python."""
+    """Print a warning about a renamed key or a dropped run once, in one line; leave other warnings to Python."""
     show, said = warnings.showwarning, set[str]()
 
     def say_once(message: Warning | str, category: type[Warning], *place: Any, **more: Any) -> None:
@@ -385,7 +385,7 @@ def replace_streams() -> Lossy:
 
 
 def _text(raw: Lossy, before: TextIO | None) -> io.TextIOWrapper:
-    """Return a text stream with the encoding of the one that it replaces; None if the descriptor was closed."""
+    """Return a text stream with the encoding of the replaced stream; None if the descriptor was closed."""
     encoding = before.encoding if before is not None else "utf-8"
     buffered = io.BufferedWriter(raw)
     return io.TextIOWrapper(buffered, encoding, errors="replace", line_buffering=raw.isatty() or raw.fileno() == 2)

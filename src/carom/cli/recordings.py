@@ -160,7 +160,7 @@ def export(
 ) -> None:
     """Write bodies, contacts and energies, in double precision, for ParaView, OVITO, pandas or NumPy.
 
-    States between checkpoints are computed again. Tables have contacts and energies in separate files beside the file
+    States between checkpoints are computed again. Tables put contacts and energies into separate files beside the file
     of the bodies. With --all, a format with one step in a file, such as .vtk, becomes a folder of files and a list.
     """
     from carom.errors import RecordingError

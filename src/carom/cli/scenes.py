@@ -67,8 +67,8 @@ def new(
 ) -> None:
     """Write a scene file to start from, with comments on the most important keys.
 
-    From a recording, it has the exact state at the moment and, of another engine, the coefficients that its impacts
-    show.
+    From a recording, the scene has the exact state at the moment. If another engine made the recording, the scene has
+    the coefficients that the impacts show.
     """
     from carom.errors import SceneError
     from carom.recording.write.whole_file import whole_file, write_whole

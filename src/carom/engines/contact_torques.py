@@ -1,9 +1,9 @@
 """The spins that contacts change, compared over a whole run with the impulses of these contacts.
 
 A contact of spheres changes a spin by r n × J / I. Engines differ in the normal and in the arm that they use, and a
-resistance to rolling adds a torque. At the end of a run, the normal and the arm are known with which most contacts of
-this engine agree, and how well they agree. A contact whose torque is far from this breaks the law. So do all contacts
-of an engine if they agree on another moment of inertia, or on spins in the frames of the bodies.
+resistance to rolling adds a torque. At the end of a run, it is known which normal and arm explain most torques of this
+engine, and how well. A contact whose torque is far from this explanation breaks the law. All contacts of an engine
+break the law if together they show another moment of inertia, or spins in the bodies' frames.
 """
 
 from __future__ import annotations
@@ -59,13 +59,13 @@ class ContactTorques:
     samples: list[ContactTorque] = field(default_factory=list)
 
     def add(self, sample: ContactTorque, largest: float, noise: float) -> None:
-        """Keep a torque that is clear beside the largest one that its impulses could have, and beside noise, N m s."""
+        """Keep a torque that is clear of noise, N m s, and not small beside the largest possible for its impulses."""
         size = float(lengths(sample.ways).min())
         if size > max(RUBBED * largest, CLEAR * noise) and len(self.samples) < MOST_SAMPLES:
             self.samples.append(sample)
 
     def concluded(self) -> Iterator[WrongTorque]:
-        """Yield the torques that break the law, as all torques of the run show."""
+        """Yield the torques that break the law, judged by all torques of the run."""
         if len(self.samples) < FEWEST:
             return
         ways = np.array([sample.ways for sample in self.samples])
@@ -91,9 +91,9 @@ class ContactTorques:
             yield from self._above(off, max(OFF, SPREADS * usual), "changes its spin otherwise than its contacts tell")
 
     def _above(self, off: FloatArray, allowed: float, what: str) -> Iterator[WrongTorque]:
-        """Yield the torques off by more than is allowed.
+        """Yield the torques whose deviations exceed the allowed one.
 
-        If every torque on a body is off, those that could be a resistance to rolling are taken to be one.
+        If every torque on a body deviates, a torque that could be a resistance to rolling is taken to be one.
         """
         wrong = off > allowed
         right = {sample.body for sample, each in zip(self.samples, wrong, strict=True) if not each}
@@ -105,12 +105,12 @@ class ContactTorques:
 
 
 def _usual_way(ways: FloatArray, seen: FloatArray) -> tuple[int, FloatArray]:
-    """Return the column of ways (m, w, 3) on which most torques agree, and how far these are off, (m,)."""
+    """Return the column of ways (m, w, 3) that explains most torques, and the deviations from it, (m,)."""
     off = np.stack([_off(ways[:, way], seen) for way in range(ways.shape[1])])
     best = int(np.argmin(np.quantile(off, MOSTLY, axis=1)))
     return best, off[best]
 
 
 def _off(expected: FloatArray, seen: FloatArray) -> FloatArray:
-    """Return how far torques (m, 3) are off, in terms of those that are expected, (m,)."""
+    """Return the deviations (m,) of torques (m, 3), relative to the expected torques."""
     return np.asarray(lengths(seen - expected) / lengths(expected))

@@ -26,7 +26,7 @@ class ElasticEnergy:
         self.owed = np.zeros(len(setup))  # J, by body
 
     def credit(self, near: Near, clusters: Clusters) -> FloatArray:
-        """Return how many times the energy that each cluster's contacts absorbed they may return, (count,)."""
+        """Return the factor (count,) on the absorbed energy that each cluster's contacts may return."""
         plane = near.pairs[:, 1] >= len(self._setup)
         owner = np.where(plane | ~self._setup.fixed[near.pairs[:, 0]], near.pairs[:, 0], near.pairs[:, 1] * ~plane)
         deep = np.bincount(clusters.label[owner], near.gap_now < -DEEP * near.small, clusters.count)
@@ -35,7 +35,8 @@ class ElasticEnergy:
     def by_parting(self, before: EngineMoment, now: EngineMoment, near: Near, clusters: Clusters) -> FloatArray:
         """Return the energy (count,) that an engine may add to each cluster when it parts overlapping bodies.
 
-        It lifts them in the field, by at most their overlap, or gives them a speed of `PARTED` of it in a step.
+        The engine lifts bodies in the field by at most their overlap, or gives them the speed of `PARTED` overlaps per
+        step.
         """
         setup, dt = self._setup, now.time - before.time
         if not dt > 0.0 or len(near) == 0:
@@ -62,7 +63,8 @@ class ElasticEnergy:
     def book(self, clusters: Clusters, near: Near, owed: FloatArray) -> None:
         """Divide the energy absorbed by contacts among each cluster's bodies, like the energy of springs.
 
-        It is where bodies overlap, and stays there when others part. Without contacts, nothing is owed.
+        The energy belongs to overlapping bodies, and stays with them when others part. Bodies without contacts have
+        none.
         """
         label, n = clusters.label, len(self._setup)
         squares = np.maximum(-near.gap_now, SHALLOW * near.small) ** 2 * reduced_masses(self._setup, near)

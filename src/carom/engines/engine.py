@@ -53,7 +53,7 @@ class Problem:
 
     @property
     def reach(self) -> float:
-        """Extent (m) of a plane, for bodies that keep the largest speed for the whole run."""
+        """Extent (m) that a plane needs if bodies keep the largest speed for the whole run."""
         start = self.start
         away = np.linalg.norm(start.position - start.position.mean(axis=0), axis=1)
         speed = float(np.linalg.norm(start.velocity, axis=1).max())
@@ -117,7 +117,7 @@ class EngineSimulation:
 
 
 class Engine(Protocol):
-    """An engine that runs a scene with one of its own settings."""
+    """An engine that runs a scene with one of the engine's own settings."""
 
     @property
     def name(self) -> str:
@@ -261,7 +261,7 @@ class Watched:
 def watch(
     simulation: EngineSimulation, scene: Scene, times: FloatArray, path: Path | None = None, limit: float = np.inf
 ) -> Watched:
-    """Run a simulation from its start to the end of its scene, and sample it at some times, (K,) s.
+    """Run a simulation from its start to the end of its scene, and sample it at the given times, (K,) s.
 
     If nothing can touch, at most `MOST_SEEN` steps are examined. The run is recorded to ``path``, where it replaces a
     file. ExperimentError if it is not recorded and its state is no longer finite, or it takes longer than the limit, in

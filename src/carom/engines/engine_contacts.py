@@ -1,4 +1,4 @@
-"""Contacts of other engines: with the forces that they report, or found by the distances of bodies."""
+"""Contacts of other engines: reported with forces, or found by the distances between bodies."""
 
 from __future__ import annotations
 
@@ -205,7 +205,7 @@ class Proximity:
         return Near(**{name: np.concatenate([getattr(part, name) for part in parts]) for name in names})
 
     def graph(self, near: Near, known: IntArray | None) -> CollisionGraph:
-        """Return the contacts at a moment: the pairs reported by the engine, or otherwise all near pairs."""
+        """Return the contacts at a moment: the pairs that the engine reports, or all near pairs if it reports none."""
         which = near.gap_now <= TOUCH * near.small
         if known is not None:
             total = len(self._setup) + len(self._setup.planes)
@@ -299,7 +299,7 @@ def cross(a: FloatArray, b: FloatArray) -> FloatArray:
 
 
 def rotated(orientation: FloatArray, vectors: FloatArray) -> FloatArray:
-    """Return vectors (n, 3) in the frames of bodies in the frame of the world, by quaternions (n, 4) xyzw."""
+    """Rotate vectors (n, 3) from the bodies' frames into the world frame, by quaternions (n, 4) xyzw."""
     axis, w = orientation[:, :3], orientation[:, 3:]
     twice = 2.0 * cross(axis, vectors)
     return np.asarray(vectors + w * twice + cross(axis, twice))

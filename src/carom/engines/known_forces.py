@@ -1,4 +1,4 @@
-"""Forces that an engine was told, and a damping that all free bodies show: laws are judged beyond them."""
+"""Applied forces that an engine reports, and a damping that all free bodies share: the audit accounts for both."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ BESIDE = 0.05  # largest part of a velocity's change across the velocity; dampin
 
 @dataclass(slots=True)
 class CommonDamping:
-    """The rate at which free bodies lose speed or spin, as far as they have it in common: ``rate + by_speed |v|``.
+    """The rate at which all free bodies lose speed or spin, ``rate + by_speed |v|``, if they share one.
 
     PyBullet's own damping has both terms, with the same coefficient.
     """
@@ -36,7 +36,7 @@ class CommonDamping:
         return np.asarray((self.rate + self.by_speed * speed)[:, None])
 
     def learn(self, start: FloatArray, change: FloatArray, free: BoolArray, dt: float, other: CommonDamping) -> None:
-        """Compare the changes (n, 3) of the velocities of free bodies with those before, and with another damping."""
+        """Measure the damping from the changes (n, 3) of free bodies' velocities."""
         speed = lengths(start)
         chosen = free & (speed > MOVING * speed.max())
         if not chosen.any():
@@ -73,7 +73,7 @@ class KnownForces:
         self.work = 0.0  # J, on judged bodies
 
     def applied(self, before: EngineMoment, now: EngineMoment, near: Near) -> EngineMoment:
-        """Return the earlier moment with the velocities that these forces would give its bodies until now."""
+        """Return the earlier moment, with the velocities that these forces would have given its bodies by now."""
         setup, dt = self._setup, now.time - before.time
         if not dt > 0.0:
             return before
@@ -102,5 +102,5 @@ class KnownForces:
         return moment
 
     def go_on(self, earlier: KnownForces) -> None:
-        """Keep what is known of the same engine, with other bodies."""
+        """Take over what an earlier set of bodies showed of the same engine."""
         self.measured, self.work = earlier.measured, earlier.work

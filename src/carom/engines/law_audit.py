@@ -144,7 +144,7 @@ class LawAudit:
         potentials: tuple[float, float] | None,
         reported: Records | None = None,
     ) -> AuditFinding:
-        """Judge a moment, given the pairs that may have touched since the moment of the previous frame.
+        """Judge a moment, given the pairs that may have touched since the previous frame.
 
         The engine's own contacts of the last step, (m,) `CONTACT`, are judged, too, if they have forces.
 
@@ -187,7 +187,7 @@ class LawAudit:
     def closing(self) -> Iterator[tuple[str, str | int | float]]:
         """Yield the first fault of each law and the number of frames with one, under the dotted keys of `outcome`.
 
-        Before them come the number of judged bodies, unless all were judged, and the energy added by parting overlaps.
+        The number of judged bodies, unless all were judged, and the energy added by pushing overlaps apart come first.
         """
         self.conclude()
         if not self._setup.judged.all():
@@ -463,7 +463,7 @@ class LawAudit:
         return Fault("missed-impact", impact.step, impact.time, impact.speed, text, ends, impact.excess)
 
     def conclude(self) -> None:
-        """Judge impacts that differ from all other impacts of the run, at its end."""
+        """At the end of the run, judge impacts that differ from all others."""
         for late in self._missed.unusual():
             self.note(self._missed_impact(late))
         for step, time, broken in sorted(self._laws.concluded(), key=lambda found: found[0]):
@@ -494,7 +494,7 @@ def still_speed(setup: Setup, typical: float, dt: float) -> float:
 
 
 def rotation_between(before: FloatArray, now: FloatArray) -> FloatArray:
-    """Return the rotation vectors (n, 3), in the frame of the world, from quaternions (n, 4), xyzw, to others."""
+    """Return the rotation vectors (n, 3) in the world frame between two sets of quaternions (n, 4), xyzw."""
     u, a = before[:, :3], before[:, 3]
     v, b = now[:, :3], now[:, 3]
     half = a[:, None] * v - b[:, None] * u - cross(v, u)

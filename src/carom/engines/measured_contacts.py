@@ -1,10 +1,10 @@
 """Contacts and impacts of another engine's recording, measured from the states of successive frames.
 
 Impulses follow from the momenta where the bodies that may have touched between two frames form a tree of at most three
-contacts (`single_contacts`). Each quantity has a value for each order of these contacts and each possible normal; the
-table has their median, or the value in the way in which isolated impacts of the same materials agree best, and the
-largest deviation as the uncertainty. An impact of a soft contact lasts for
-several frames: its approach is that of the first, its rebound that of the last.
+contacts (`single_contacts`). Each quantity has a value for each order of these contacts and each possible normal. The
+table has the median of these values, and the largest deviation from it as the uncertainty. If isolated impacts of the
+same materials agree best for one normal and field, the table has the value for these. An impact of a soft contact lasts
+for several frames: the first frame gives its approach, the last its rebound.
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ def setup_of(recording: Recording) -> Setup:
 
 
 def smallest_gap(recording: Recording, state: Checkpoint) -> float:
-    """Return the smallest distance (m) between the surfaces of bodies and planes near each other; inf without any."""
+    """Return the smallest gap (m) between neighbouring bodies or planes; inf if there are no neighbours."""
     there = np.asarray(np.isfinite(state.position).all(axis=1))
     bodies = _Bodies.of(recording, setup_of(recording), there)
     moment = bodies.moment(state)
@@ -91,13 +91,13 @@ class MeasuredFrame:
     measured: dict[tuple[int, int], Measurement]  # measurements by the numbers of both ends in the recording
 
     def pair(self, row: int) -> tuple[int, int]:
-        """Return the numbers of the ends of a near pair in the recording."""
+        """Return the numbers in the recording of both ends of a near pair."""
         i, j = self.near.pairs[row]
         return int(self.ends[i]), int(self.ends[j])
 
 
 def frames_of(recording: Recording, start: float, end: float) -> Iterator[MeasuredFrame]:
-    """Yield the contacts between successive frames up to an end, from a few frames before a start on; times in s.
+    """Yield the contacts between successive frames, from a few frames before a start (s) up to an end (s).
 
     Raises
     ------
@@ -183,18 +183,18 @@ class _Impact:
 
     @property
     def parting(self) -> float:
-        """m/s, after the last frame so far."""
+        """Speed of separation after the last frame so far, in m/s."""
         return float(np.median(self.parts[-1].parting))
 
     @property
     def ways(self) -> FloatArray:
-        """The coefficient of restitution of an isolated impact of one frame, (`WAYS`,); empty for other impacts."""
+        """The restitution coefficients, (`WAYS`,), of an isolated impact of one frame; empty for other impacts."""
         one = self.parts[0]
         isolated = len(self.parts) == 1 and len(one.closing) == WAYS and bool((one.closing > self.first.slow).all())
         return np.asarray(one.parting / one.closing if isolated else np.empty(0))
 
     def row(self, way: int | None) -> dict[str, Any]:
-        """Return the row of the table of impacts, by the way in which the engine resolves them, if it is known."""
+        """Return the impact's row of the table, computed in the engine's usual way if that is known."""
         one, last = self.parts[0], self.parts[-1]
         normal, tangential = (
             sum((np.median(getattr(part, name)) for part in self.parts), 0.0) for name in ("normal", "tangential")
@@ -234,7 +234,7 @@ class _Impact:
 
 
 def _way_of(impacts: list[_Impact], bodies: int) -> int | None:
-    """Return the way of the normal and of the field with which coefficients of the same materials agree best."""
+    """Return the choice of normal and field for which coefficients of the same materials agree best."""
     groups: dict[int, list[FloatArray]] = {}
     for impact in impacts:
         if len(ways := impact.ways):
@@ -254,7 +254,7 @@ def _spread(values: FloatArray) -> tuple[float, float]:
 def measured_impacts(recording: Recording, start: float | None = None, end: float | None = None) -> pa.Table:
     """Return the impacts of an interval (s), as `Recording.impacts` does, with `COEFFICIENTS`.
 
-    Impacts in clusters of more contacts have no row; their number is in the metadata, under `UNSOLVED`.
+    Impacts in clusters with more contacts have no row; the metadata have the number of such impacts under `UNSOLVED`.
     """
     first, last = interval(recording, start, end)
     found, unsolved = list[_Impact](), 0
@@ -314,8 +314,8 @@ def _table(rows: list[dict[str, Any]], source: str, unsolved: int = 0) -> pa.Tab
 def measured_contacts(recording: Recording, at: float | None = None) -> pa.Table:
     """Return the contacts of the frame that contains a time (s), as `Recording.contacts` does.
 
-    Forces are the engine's own where it reports them. Approach speeds and losses follow from the states, as do the
-    impulses where it does not. Bodies that touch although the engine reports no contact have a row, too.
+    Forces are the engine's own where it reports them; elsewhere, impulses follow from the states. Approach speeds and
+    losses always follow from the states. Bodies that touch although the engine reports no contact have a row, too.
     """
     moment = recording.moment(at)
     recorded: list[dict[str, Any]] = recording.contacts(moment).to_pylist() if recording.records_contacts else []

@@ -1,8 +1,8 @@
-"""Impacts that an engine missed: bodies that passed through each other, or closed unchanged for longer than is usual.
+"""Impacts that an engine missed: bodies passed through each other, or closed unchanged for unusually long.
 
-Engines that find contacts at the start of a step resolve each impact one step after the bodies meet; others take more
-steps for some. An impact counts as missed only where it took longer than this engine's impacts do, or where nothing
-separates the bodies at all.
+Engines that find contacts at the start of a step resolve each impact one step after the bodies meet; other engines take
+more steps for some impacts. An impact counts as missed only if it took longer than impacts usually take in this engine,
+or if nothing separates the bodies at all.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ class Unresolved:
 
 
 def _usual(steps: FloatArray) -> int:
-    """Return the number of steps that an engine's impacts take, but for a few."""
+    """Return the number of steps that all but a few of an engine's impacts take."""
     usual = 0
     while np.count_nonzero(steps > usual) > max(RARELY * len(steps), 1.0):
         usual += 1
@@ -55,7 +55,7 @@ def _usual(steps: FloatArray) -> int:
 
 @dataclass(slots=True)
 class Inside:
-    """Two ends of which one contains the other's centre."""
+    """A pair in which one end contains the other's centre."""
 
     step: int  # the first one
     time: float  # s
@@ -65,7 +65,7 @@ class Inside:
 
 
 class MissedImpacts:
-    """Follows the impacts of one set of bodies from the frame in which they meet to the one that separates them."""
+    """Follows each impact of one set of bodies from the frame where they meet to the frame that separates them."""
 
     def __init__(self, setup: Setup) -> None:
         self._setup = setup
@@ -83,7 +83,7 @@ class MissedImpacts:
         speeds: tuple[FloatArray, FloatArray],  # (k,) m/s, closing speeds in both frames
         still: float,  # m/s, of slow contacts
     ) -> Iterator[Unresolved]:
-        """Yield the impacts that are missed for certain."""
+        """Yield the impacts that were certainly missed."""
         closing, after = speeds
         n, ends = len(self._setup), len(self._setup) + len(self._setup.planes)
         hits = known & (closing > still)
@@ -142,7 +142,7 @@ class MissedImpacts:
             self._resolve(impact)
 
     def contained(self, place: tuple[int, float], near: Near, depth: FloatArray) -> Iterator[Inside]:
-        """Yield the ends of which one has contained the other's centre for `STUCK` frames, given relative overlaps."""
+        """Yield the pairs in which one end has held the other's centre for `STUCK` frames, given relative overlaps."""
         ends = len(self._setup) + len(self._setup.planes)
         before, self._inside = self._inside, {}
         for row in np.flatnonzero(depth > 1.0).tolist():
@@ -155,10 +155,10 @@ class MissedImpacts:
                 yield found
 
     def unusual(self) -> Iterator[Unresolved]:
-        """Yield the impacts that took more steps than is usual; none where an engine has no such habit.
+        """Yield the impacts that took more steps than usual; none if the engine has no usual number.
 
-        Engines that find contacts within a margin resolve slow impacts earlier than fast ones, so that an impact is
-        also compared with those that are not much slower alone.
+        Engines that find contacts within a margin resolve slow impacts earlier than fast ones. An impact is therefore
+        also compared with only those impacts that are not much slower.
         """
         speed, steps = np.array(self._resolved, dtype=np.float64).reshape(-1, 2).T
         for impact in self._late:
@@ -177,7 +177,7 @@ class MissedImpacts:
         return impact.steps > usual and bool(np.count_nonzero(steps == usual) >= max(MOSTLY * len(steps), FEWEST))
 
     def go_on(self, earlier: MissedImpacts) -> None:
-        """Keep the habit of the same engine with other bodies."""
+        """Take over the usual number of steps from an earlier set of bodies of the same engine."""
         self._resolved = earlier._resolved
 
     def _begun(

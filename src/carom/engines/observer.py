@@ -87,10 +87,10 @@ class Observer:
         self._last_time: float | None = None  # s, time of the last frame; None before the first frame
 
     def continued(self, present: Present, state: State) -> Observer:
-        """Return the observer for the bodies that exist from a state on.
+        """Return the observer for the bodies that exist in and after a state.
 
-        The change of energy since the previous frame is due to the bodies that came and went. This change is neither an
-        error nor absorbed by contacts. Momenta are compared with the momenta of this state.
+        Bodies that came and went cause the change of energy since the previous frame, which is neither an error nor
+        absorbed by contacts. Momenta are compared with the momenta of this state.
         """
         new = Observer(present.setup, state, self._tolerances, self.units, present)
         new.extremes, new._ledger, new._last_time = self.extremes, self._ledger, self._last_time

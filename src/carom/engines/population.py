@@ -37,7 +37,7 @@ class Present:
 
     @property
     def lasting_ends(self) -> IntArray:
-        """The same, but the numbers of planes do not change when bodies come."""
+        """The same numbers, but with numbers of planes that do not change when bodies come."""
         return np.concatenate((self.numbers, FIRST_PLANE + np.arange(len(self.setup.planes))))
 
 

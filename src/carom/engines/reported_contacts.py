@@ -1,4 +1,4 @@
-"""Laws of the contacts and forces that an engine reports: pull, friction with the slip, friction beyond μ N."""
+"""Laws for the contacts that an engine reports: no pull, no friction along the slip, no friction above μ N."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ def judge_reported(
 ) -> Iterator[Broken]:
     """Yield the laws that reported contacts, (m,) `CONTACT`, break between two moments.
 
-    ``friction`` is the part of a friction's work that may have the wrong sign, and ``slow`` the speed (m/s) of contacts
-    at rest. Friction works with the slip only if it does so before and after the step: the contacts of a step may have
-    been computed for either.
+    ``friction`` is the fraction of the work of friction that may have the wrong sign, and ``slow`` the speed (m/s) of
+    contacts at rest. Friction counts as acting along the slip only if it does so before and after the step, since an
+    engine may have computed contacts at either time.
     """
     dt = now.time - before.time
     i, j = contacts["i"], contacts["j"]
@@ -64,7 +64,7 @@ def _ends(contacts: Records, k: int) -> tuple[int, int]:
 
 
 def _slip(setup: Setup, contacts: Records, moment: EngineMoment) -> FloatArray:
-    """Return the tangential velocities (m, 3) of the second surfaces relative to the first."""
+    """Return the tangential velocities (m, 3) of the second ends' surfaces relative to the first ends'."""
     normal = contacts["normal"]
     slip = np.zeros((len(contacts), 3))
     for end, sign, out in (("i", -1.0, 1.0), ("j", 1.0, -1.0)):

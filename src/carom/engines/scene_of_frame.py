@@ -31,8 +31,8 @@ LEAST_STEPS = 100  # fewest engine steps that a scene lasts where the recording 
 def scene_of_frame(recording: Recording, at: float | None, command: str) -> str:
     """Return the text of a scene that begins with the state at the end of the step that contains a time (s).
 
-    The default of the time is the frame before the worst broken law, or the first frame. Coefficients of another engine
-    are those that its impacts show.
+    By default, the time is that of the frame before the worst broken law, or of the first frame. For another engine,
+    the coefficients are measured from its impacts.
 
     Raises
     ------
@@ -123,7 +123,7 @@ def _of_engine(recording: Recording, moment: float) -> tuple[Document, list[str]
 
 
 def _coefficients(recording: Recording, setup: Setup) -> tuple[dict[str, Any], list[dict[str, Any]], list[str]]:
-    """Return the measured coefficients between bodies, and of each plane, and comments on them."""
+    """Return the measured coefficients between bodies and with each plane, and comments on them."""
     table = measured_impacts(recording) if setup.collides else None
     found, said, n = list[dict[str, Any]](), list[str](), len(setup)
     for plane in (None, *range(len(setup.planes))):
@@ -165,7 +165,7 @@ def _slides(rows: pa.Table) -> pa.Table:
 
 
 def _sure(rows: pa.Table, name: str) -> FloatArray:
-    """Return the measured values whose uncertainty is small; all, if it is large in each."""
+    """Return the measured values with small uncertainties; all values if every uncertainty is large."""
     values, errors = (rows[key].to_numpy() for key in (name, f"{name}_error"))
     known = np.isfinite(values)
     sure = known & (errors <= SURE)

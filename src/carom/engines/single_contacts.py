@@ -2,11 +2,10 @@
 
 Where the bodies that may have touched between two frames form a tree of at most `MOST` contacts, the impulse of each
 contact follows from the momenta: a leaf of the tree has one unknown impulse. The engine may have resolved the contacts
-in any order, at the places of either frame, and the field may have acted before or after them. A law is reported as
-broken only if every possible order and normal breaks it.
+in any order, with the positions of either frame, and the field may have acted before or after the contacts. A law is
+reported as broken only if every possible order and normal breaks it.
 
-At the end of the run, coefficients of restitution are also compared with one another, over all impacts of the same
-materials.
+At the end of the run, restitution coefficients are also compared between all impacts of the same materials.
 """
 
 from __future__ import annotations
@@ -49,7 +48,7 @@ FRICTION, RESTITUTION, PULL, SPIN = "friction", "restitution", "pull", "spin"
 
 @dataclass(frozen=True, slots=True)
 class Broken:
-    """A law that a contact broke, before it is told."""
+    """A law that a contact broke, not yet reported."""
 
     law: str
     excess: float  # violation over tolerance
@@ -80,7 +79,7 @@ class IsolatedImpact:
 
 @dataclass(frozen=True, slots=True)
 class Measurement:
-    """What two states say of one contact: a value for each order of the contacts and each possible normal, (m,)."""
+    """Measured quantities of one contact: a value for each order of the contacts and each possible normal, (m,)."""
 
     closing: FloatArray  # m/s, closing speed of the surfaces before the frame
     parting: FloatArray  # m/s, after
@@ -113,7 +112,7 @@ class ContactLaws:
     def see(
         self, step: int, before: EngineMoment, now: EngineMoment, near: Near, closing: FloatArray, still: float
     ) -> list[Broken]:
-        """Judge the contacts between two moments, given earlier closing speeds of pairs, and the slow speed, m/s."""
+        """Judge the contacts between two moments, given earlier closing speeds and the speed of slow contacts, m/s."""
         dt = now.time - before.time
         self._settle(step, before, now, dt)
         if self._setup.constant or not dt > 0.0 or not self._setup.touches.any():
@@ -138,7 +137,7 @@ class ContactLaws:
             yield impact.unlike(known, self.restitution, "the model says")
 
     def concluded(self) -> Iterator[tuple[int, float, Broken]]:
-        """Yield the steps and times of laws that were broken, as all impacts of the run show."""
+        """Yield the steps and times of broken laws, judged by all impacts of the run."""
         for step, time, broken in self.suspected:
             if self._is_rigid(step):  # overlaps in this engine store no energy
                 yield step, time, broken
@@ -151,7 +150,7 @@ class ContactLaws:
             yield rubbing.step, rubbing.time, Broken(FRICTION, rubbing.excess, rubbing.ends, rubbing.what)
 
     def _is_rigid(self, step: int) -> bool:
-        """Return whether impacts lasted for a frame, up to a step or to the step in which enough had been seen.
+        """Return whether impacts last at most one frame, judged by the impacts up to a step or until there were enough.
 
         Later impacts do not count: a fault may let a pile sink, whose contacts then last in any engine.
         """
@@ -162,7 +161,7 @@ class ContactLaws:
     def _outliers(self) -> Iterator[tuple[IsolatedImpact, Broken]]:
         """Yield the impacts whose coefficient of restitution differs from impacts of the same materials and speed.
 
-        A faulty coefficient differs from the coefficients of the next slower and the next faster impact, since it may
+        A faulty coefficient differs from those of the next slower and the next faster impacts, since coefficients may
         depend on the speed.
         """
         groups: dict[int, list[IsolatedImpact]] = {}
@@ -190,7 +189,7 @@ class ContactLaws:
                 yield impact, impact.unlike(usual, allowed, "others of this speed have")
 
     def go_on(self, earlier: ContactLaws) -> None:
-        """Forget what an earlier set of bodies had not finished; its impacts have other numbers."""
+        """Drop the unfinished impacts of an earlier set of bodies, which have other numbers."""
         if len(earlier._setup) == len(self._setup):
             self.impacts, self.torques, self.slides = earlier.impacts, earlier.torques, earlier.slides
 
@@ -214,8 +213,8 @@ class ContactLaws:
 def trees_of(setup: Setup, near: Near, closing: FloatArray, dt: float) -> Iterator[IntArray]:
     """Yield the rows of each set of near pairs that may have touched in a frame of dt s, and whose impulses are known.
 
-    It is a tree of at most `MOST` contacts with at most one end that does not move. ``closing`` are earlier closing
-    speeds, (k,) m/s.
+    Such a set is a tree of at most `MOST` contacts with at most one fixed end. ``closing`` are earlier closing speeds,
+    (k,) m/s.
     """
     fall, after = setup.field_strength * dt, near.closing_now
     reach = np.minimum(
@@ -241,7 +240,7 @@ def trees_of(setup: Setup, near: Near, closing: FloatArray, dt: float) -> Iterat
 
 
 class ContactTree:
-    """A tree of contacts between two moments, and the impulses of each."""
+    """A tree of contacts between two moments, and the impulse of each contact."""
 
     def __init__(self, setup: Setup, before: EngineMoment, now: EngineMoment, near: Near, rows: IntArray) -> None:
         n, dt = len(setup), now.time - before.time
@@ -333,7 +332,7 @@ class ContactTree:
                 yield first, self._slip(k, normal[k], v, w)
 
     def measured(self, k: int) -> Measurement:
-        """Return what the states say of contact k."""
+        """Return the quantities of contact k that the states determine."""
         J, (i, j), found = self.impulses[k], self._ends[k], list[tuple[float, ...]]()
         size = float(J @ J)
         for normals in self._normals:
@@ -367,7 +366,7 @@ class ContactTree:
         return np.asarray(slip)
 
     def _contact(self, k: int, laws: ContactLaws, slow: float) -> Iterator[Broken]:
-        """Judge one contact: a fault is a deviation that remains in each order of the impacts and with each normal."""
+        """Judge one contact: a fault is a deviation for every order of the impacts and every normal."""
         J, pair = self.impulses[k], self._pairs[k]
         row = self._rows[k]
         i, j = self._ends[k]

@@ -181,7 +181,7 @@ class SnapshotWriter:
             self._error = error
 
     def _find_bodies(self, state: State) -> Present | None:
-        """Return the bodies of a state, and observe them from now on; None if bodies do not come and go."""
+        """Return the bodies of a state, and observe them from there on; None if bodies do not come and go."""
         population, before = self._population, self._present
         if population is None:
             return None

@@ -253,7 +253,7 @@ def _numbers(engine: str, name: str, values: Any) -> FloatArray:
 
 
 def _unfit(values: Any) -> str:
-    """Name what an array has that NumPy would turn into numbers without a word; empty if there is nothing."""
+    """Name contents of an array that NumPy would silently convert to numbers; empty if there are none."""
     kind = getattr(getattr(values, "dtype", None), "kind", "f")
     if kind == "c":  # the imaginary parts would be dropped
         return "complex numbers"

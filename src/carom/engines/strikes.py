@@ -1,4 +1,4 @@
-"""The step of each impact: engines may resolve it later than the step in which the bodies meet."""
+"""The step of each impact: engines may resolve an impact later than the step in which the bodies meet."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from carom.engines.missed_impacts import TUNNELLED
 class Strikes:
     """Impacts from the frame in which their bodies meet to the frame in which they lose half of their closing speed.
 
-    Contacts of the engine have their force there, not where the bodies meet. Bodies that part again without this
-    change have missed their impact.
+    The engine's contact forces act in that last frame, not in the first. Bodies that part again without this loss have
+    missed their impact.
     """
 
     def __init__(self) -> None:

@@ -1,9 +1,9 @@
 """The data by which runs are compared: states at common times, first contacts and extremes.
 
 Common times fall within steps, and steps cut there would change the run. Within a step, a body therefore flies freely,
-with a correction by which it arrives at its state at the end of the step: a polynomial of degree five, or of degree
-three if the integrator computes no forces at the ends. A body in contact is corrected by a constant acceleration, since
-contacts are held at the mean velocity of a step. After an impact, a body flies freely until its next one.
+with a correction that leads to its state at the end of the step: a polynomial of degree five, or three if the
+integrator computes no forces at the ends. A body in contact is corrected by a constant acceleration, since contacts are
+held at the mean velocity of a step. After an impact, a body flies freely until its next one.
 """
 
 from __future__ import annotations
@@ -398,7 +398,7 @@ class _Flight:
         return self._way[bodies] + moved, v + lost * (final - v) + s * s / 2 * jerk
 
     def behind(self, h: float, ahead: FloatArray) -> FloatArray:
-        """Return what the acceleration lacks a time h (s) after the start: the drag of the velocities that it lacks."""
+        """Return the missing acceleration a time h (s) after the start: the drag of the missing velocities."""
         if self._drag is None:
             return np.zeros_like(ahead)
         return np.asarray(-(ahead + h * h / 2 * self._jerk) / self._drag.relaxation_time)

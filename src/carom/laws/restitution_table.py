@@ -37,7 +37,7 @@ class RestitutionTable(Section):
 
 
 def numbers(section: RestitutionTable) -> dict[str, float]:
-    """Return e₀, the speeds v_k and the changes of the slope; points that the table lacks change nothing."""
+    """Return e₀, the speeds v_k and the changes of the slope; missing points of the table change nothing."""
     points = list(zip(section.speeds, section.restitutions, strict=True))
     slopes = [0.0, *((e2 - e1) / (v2 - v1) for (v1, e1), (v2, e2) in pairwise(points)), 0.0]
     bends = [after - before for before, after in pairwise(slopes)]

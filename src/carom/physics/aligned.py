@@ -85,7 +85,7 @@ def columns(records: RecordArray[object], names: tuple[str, ...]) -> FloatArray:
 
 @cache
 def _place_of(kind: np.dtype[np.void], names: tuple[str, ...]) -> tuple[np.dtype[Any], int]:
-    """Return one type for all of the adjacent fields, and their offset in a record in bytes."""
+    """Return one type for all adjacent fields, and their offset in a record in bytes."""
     assert kind.fields is not None and kind.names is not None
     first = kind.names.index(names[0])
     assert kind.names[first : first + len(names)] == names, "the fields are adjacent and in this order"

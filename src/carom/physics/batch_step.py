@@ -62,7 +62,7 @@ class BatchStepper:
 
     @property
     def first_dt(self) -> float:
-        """The step (s) that the scene's limits allow in the present state; `FREE_DT` if nothing limits it."""
+        """The step (s) that the scene's limits allow in the present state; `FREE_DT` without a limit."""
         dt = self.timestep.first(self._world.bodies)
         return dt if math.isfinite(dt) else FREE_DT
 

@@ -12,7 +12,7 @@ from carom.scene.start import InitialBodies
 
 @dataclass(frozen=True, slots=True)
 class Ends:
-    """The possible ends of a contact: n bodies, followed by p planes and walls, whose velocities here are 0.
+    """The possible ends of a contact: n bodies, then p planes and walls, which have velocities of 0 here.
 
     The arrays of `Bodies` are views of the first n rows.
     """

@@ -182,8 +182,8 @@ class Box3DForces:
     Box3D has the impulses of its last substep, and sums over all substeps, which may include a substep twice. Neither
     is the impulse of a step with an impact. Among spheres, impulses are therefore fitted to the observed changes of
     normal velocities, as close as possible to the impulses of the last substep. For other shapes and in large piles,
-    they are the impulses of the last substep or, in an impact, their sum over the step. Friction is always the friction
-    of the last substep.
+    the recorded impulses are those of the last substep or, in an impact, the sum over the step. Friction is always the
+    friction of the last substep.
 
     ``backend`` is robox3d._ffi; ``spheres`` says which recorded bodies are spheres about their centres, and ``planes``
     are the planes of static shapes.

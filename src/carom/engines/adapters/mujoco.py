@@ -171,7 +171,7 @@ def _is_free_sphere(package: Any, model: Any, body: int, geoms: IntArray) -> boo
 
 
 def _common_friction(package: Any, model: Any, solid: BoolArray) -> float | None:
-    """Return the coefficient of friction of all contacts; None if shapes or pairs of shapes have different ones."""
+    """Return the friction coefficient that all contacts share; None if shapes or pairs of shapes differ."""
     overridden = model.opt.enableflags & package.mjtEnableBit.mjENBL_OVERRIDE
     rubs = np.where(model.geom_condim[solid] > 1, model.geom_friction[solid, 0], 0.0)
     alike = len(rubs) > 0 and model.npair == 0 and not overridden and np.ptp(rubs) == 0.0

@@ -4,7 +4,7 @@ Newton moves rigid bodies by extended position-based dynamics (XPBD), on the pro
 recorder audits free spheres; bodies with other joints or shapes are only drawn.
 
 Newton combines coefficients of restitution and friction by the mean. Bodies get the coefficients of the scene; a plane
-gets the values for which the mean equals its own coefficients. A contact acts only on bodies that overlap.
+gets values such that each mean equals the plane's own coefficient. A contact acts only on bodies that overlap.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class NewtonSource:
         Returns the present state and its time in s, ``lambda: (state_0, time)``: Newton's states do not contain their
         time, and a step swaps them.
     forces
-        newton.Contacts that the solver steps with, and the array ``contact_f`` of the observables that it fills.
+        The newton.Contacts of the solver's steps, and the array ``contact_f`` that the solver fills.
     """
 
     def __init__(self, model: Any, now: Callable[[], tuple[Any, float]], forces: tuple[Any, Any] | None = None) -> None:

@@ -4,7 +4,8 @@ PyBullet moves rigid bodies by impulses with one coefficient of friction, in dou
 spheres. Bodies with joints or other shapes are drawn, but not judged.
 
 PyBullet multiplies the coefficients of two bodies. Bodies therefore get the square root of the scene's coefficients,
-and a plane the values for which the product equals its own. The damping that PyBullet has by default is switched off.
+and a plane gets values such that each product equals the plane's own coefficient. PyBullet's default damping is
+switched off.
 """
 
 from __future__ import annotations
@@ -37,7 +38,7 @@ class PyBulletSource:
     """The bodies of a physics server.
 
     The state of a body takes two calls, so a `Recorder` of 1000 bodies records every fifth frame by default. PyBullet
-    reports neither the time nor the field: pass both, as they were set.
+    reports neither the time step nor the field: pass both, as they were set.
 
     Parameters
     ----------
@@ -219,7 +220,7 @@ def _constrained(package: Any, client: int) -> list[int]:
 
 
 def _common_friction(package: Any, bodies: list[int], client: int) -> float | None:
-    """Return the coefficient of friction of all contacts, a product; None if bodies have different ones, or links."""
+    """Return the friction coefficient that all contacts share, a product; None if bodies or links differ."""
     if any(package.getNumJoints(body, client) for body in bodies):
         return None
     own = {package.getDynamicsInfo(body, BASE, client)[1] for body in bodies}

@@ -41,8 +41,8 @@ def diff_command(
 ) -> None:
     """Compare two recordings: where they differ first, and whether chaos explains it. Exit with 1 if they differ.
 
-    Impacts of the same bodies are compared in their order. A moment of A adds a list of the bodies that are farthest
-    apart at that moment.
+    Impacts of the same two bodies are compared in order of time. A moment of A adds a list of the bodies that are
+    farthest apart at that moment.
     """
     from dataclasses import replace
 
@@ -170,7 +170,7 @@ def _first_lines(lines: list[str], noun: str) -> list[str]:
 
 
 def _bits_lines(found: FirstBits, names: Names, units: UnitSystem) -> Iterator[str]:
-    """Describe the first bodies whose bits differ, their contact and the laws that were broken there."""
+    """Describe the first bodies whose bits differ, their contact, and the laws broken in that step."""
     who, when = bodies_called(found.bodies, names.bodies), units.text(found.time, TIME, ".9g")
     yield f"step {found.step}, t = {when}: {', '.join(found.arrays)} of {who}"
     if found.contact is not None:
@@ -183,7 +183,7 @@ def _bits_lines(found: FirstBits, names: Names, units: UnitSystem) -> Iterator[s
 
 
 def _both(what: str, forces: tuple[float | None, float | None], units: UnitSystem) -> str:
-    """Describe a force (N) in both runs; empty for no friction in either."""
+    """Describe a force (N) in both runs; empty if neither run has friction."""
     one, other = ("none" if force is None else units.text(force, FORCE, ".9g") for force in forces)
     if what == "friction" and not any(forces):
         return ""

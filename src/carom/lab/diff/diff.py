@@ -212,7 +212,7 @@ def _alone(
     times: tuple[FloatArray, ...],
     rows: tuple[IntArray, IntArray],
 ) -> ImpactPair | None:
-    """Return the first impact within the common time that certainly only one run has; None if all impacts match."""
+    """Return the first impact within the common time that only one run certainly has; None if all impacts match."""
     spans = [recording.fingerprints()["time"].to_numpy() for recording in recordings]
     begin, end = max(span[0] for span in spans), min(span[-1] for span in spans)
     found: list[ImpactPair] = []
@@ -250,7 +250,7 @@ MOST_APART = 3  # bodies that are named
 
 @dataclass(frozen=True, slots=True)
 class MomentApart:
-    """The difference in one common frame, and the bodies that are furthest apart in it."""
+    """The difference in one common frame, and the bodies that are farthest apart there."""
 
     step: int  # of the first recording
     time: float  # s
@@ -297,7 +297,7 @@ class Diff:
 
 
 def diff(a: Recording, b: Recording, moment: float | None = None) -> Diff:
-    """Compare two recordings, with their frames matched as in `FrameAlignment`, and the frame nearest to a time (s).
+    """Compare two recordings, with frames matched as in `FrameAlignment`; detail the frame nearest to a time (s).
 
     Raises
     ------

@@ -221,7 +221,7 @@ class FrameAlignment:
         return one[both], other[both], rounding
 
     def everywhere(self, k: int) -> tuple[FloatArray, FloatArray, float]:
-        """Return the same as `at` for all bodies; a body that does not exist has the position NaN."""
+        """Return the result of `at` for all bodies; a body that does not exist has the position NaN."""
         i, j, part = self._place(k)
         if part == 1.0:
             exact = self._a.exact(i), self._b.exact(j)
@@ -262,7 +262,7 @@ class FrameAlignment:
         )
 
     def _place(self, k: int) -> tuple[int, int, float]:
-        """Return frames i of the first and j of the second recording, and where i lies between j - 1 (0) and j (1)."""
+        """Return frame i of the first, frame j of the second recording, and the place of i from j - 1 (0) to j (1)."""
         i, j = int(self._first[k]), int(self._second[k])
         time, reached = self._a.time[i], self._b.time[j]
         if self.by == "step" or abs(reached - time) <= SAME_TIME * abs(time) or j == 0:
@@ -278,7 +278,7 @@ class FrameAlignment:
         return other + (minimum_images(apart, cell) - apart)  # returns exactly `other` where that is nearest
 
     def _bend(self, j: int, earlier: FloatArray, later: FloatArray) -> float:
-        """Bound the error of linear interpolation at the midpoint: an eighth of the acceleration times h².
+        """Bound the interpolation error at the midpoint by an eighth of the acceleration times h².
 
         Frames need not be equally spaced. The acceleration is at most twice the larger second difference at both ends:
         three frames understate the curvature of an orbit between them.
@@ -388,7 +388,7 @@ def first_bits(a: Recording, b: Recording, step: int) -> FirstBits | None:
 
 
 def _first_contact(a: Recording, b: Recording, time: float, bodies: list[int]) -> FirstContact | None:
-    """Among the contacts of the given bodies, return the contact whose force differs most."""
+    """Return the contact of the given bodies whose force differs most."""
     if not (a.records_contacts and b.records_contacts):
         return None
     try:
@@ -412,7 +412,7 @@ def _first_contact(a: Recording, b: Recording, time: float, bodies: list[int]) -
 
 
 def _forces(run: Recording, time: float) -> dict[tuple[int, int], FloatArray]:
-    """Return the normal force and the vector of friction, (4,) N, of each contact; in carom's own, only its size."""
+    """Return the normal force and friction vector of each contact, (4,) N; in carom's own, only its magnitude."""
     row = frame_of(run, time) if run.engine else None
     if row is None:
         rows = run.contacts(time).to_pylist()

@@ -1,9 +1,9 @@
 """Coarse-graining on a grid: bodies and contacts become densities that are constant in each cell.
 
-Goldhirsch, Granular Matter 12, 239 (2010), with the function φ(r - r') that is 1/V where r' is in the cell of r, of
-volume V, and 0 elsewhere. It is the only choice that needs no body beyond a wall, and sums over the cells are exactly
-sums over the bodies. A branch vector, along which a contact transfers momentum, counts in each cell with the part of
-its length in that cell, which is the integral of φ along it.
+Goldhirsch, Granular Matter 12, 239 (2010), with the function φ(r - r') that is 1/V where r' is in the cell of r, whose
+volume is V, and 0 elsewhere. No other φ does without bodies beyond a wall and makes sums over the cells exactly equal
+to sums over the bodies. A branch vector, along which a contact transfers momentum, counts in each cell with the
+fraction of its length in that cell, which is the integral of φ along the vector.
 """
 
 from __future__ import annotations
@@ -58,7 +58,8 @@ class Grid:
     def cells(self, point: FloatArray, time: FloatArray) -> IntArray:
         """Return the numbers of the cells that contain points, (k, 3) m, at times (k,) s; bodies on a face count once.
 
-        A point outside of a face that does not repeat, by the overlap of a body with a wall, counts in the cell inside.
+        If a body overlaps a wall, its centre may be outside a face that does not repeat; it then counts in the cell
+        inside.
         """
         place = point - self.origin
         if self.shear is not None:
@@ -166,10 +167,10 @@ class BodySums:
     def add(
         self, position: FloatArray, velocity: FloatArray, mass: FloatArray, radius: FloatArray, time: float
     ) -> IntArray:
-        """Add bodies at a time (s), given (n, 3) m, (n, 3) m/s, (n,) kg and (n,) m; return the cells of all.
+        """Add bodies at a time (s): positions, velocities (n, 3), masses and radii (n,), all in SI; return their cells.
 
-        Sums of squares are about the mean, and the sums of two moments are joined as in Chan, Golub & LeVeque (1983):
-        the rounding of a common velocity does not change a temperature.
+        Sums of squares are about the mean, and the sums of two moments are joined as in Chan, Golub & LeVeque (1983),
+        so that rounding of a common velocity does not change a temperature.
         """
         cell = self.grid.cells(position, np.full(len(position), time))
         used, place = np.unique(cell, return_inverse=True)

@@ -27,8 +27,8 @@ UNITS: Mapping[str, str] = {  # units of the arrays of `Fields`, by name
 class Fields:
     """Means over an interval in the cells of a grid, in the units of the recording; see docs/physics.md, section 13.
 
-    Arrays have the shape (nx, ny, nz), vectors and tensors also their components at the end. Velocity, temperature and
-    coordination of a cell without bodies are NaN, and so are all values that the recording lacks.
+    Arrays have the shape (nx, ny, nz); vectors and tensors have further axes for their components. Velocity,
+    temperature and coordination of a cell without bodies are NaN, and so are all values that the recording lacks.
     """
 
     title: str

@@ -43,7 +43,7 @@ def fields(
     """Average the bodies and contacts of a recording in the cells of a grid, over an interval.
 
     Nothing is simulated unless ``replay`` is given: bodies and lasting contacts come from at most 64 exact states, and
-    only impacts with rows of their own count. The attribute ``notes`` of the result says what is missing.
+    only impacts with rows of their own count. The result's attribute ``notes`` names what is missing.
 
     Parameters
     ----------
@@ -152,7 +152,7 @@ class FieldSums:
         self._knows_contacts = False
 
     def add_bodies(self, position: FloatArray, velocity: FloatArray, there: BoolArray, time: float) -> None:
-        """Add the bodies, (n, 3) m and m/s, that exist, by a mask (n,), at a time (s)."""
+        """Add bodies at a time (s): positions (m), velocities (m/s), both (n, 3), and a mask of existing ones, (n,)."""
         kept, bodies = self._interval.moving & there, self._interval.recording.bodies
         self._cell_of[:] = -1
         self._cell_of[kept] = self._bodies.add(
@@ -175,7 +175,7 @@ class FieldSums:
     def add_unplaced(self, virial: FloatArray, of: FloatArray) -> None:
         """Add Σ ℓ ⊗ J, (3, 3) J, of impacts without places, given the sum over the impacts with places, (3, 3) J.
 
-        Each cell gets of it what it has of the trace of the others, without parts in fixed bodies.
+        Each cell gets the fraction that it has of the trace of the sum with places, without parts in fixed bodies.
         """
         share = np.trace(self._impacts, axis1=1, axis2=2)
         if np.trace(of) > 0.0:
@@ -227,7 +227,7 @@ class FieldSums:
         )
 
     def _notes(self, known: bool) -> list[str]:
-        """Say what the values lack."""
+        """Describe the data that the values lack."""
         interval, recording, notes = self._interval, self._interval.recording, list[str]()
         largest = float(recording.bodies.radius[interval.moving].max())
         if self._grid.cell.min() < 2.0 * largest:
@@ -254,7 +254,7 @@ class FieldSums:
 
 
 def _left_out(interval: Interval) -> str:
-    """Say how many impacts have no rows, and what they contribute; empty if all have."""
+    """State how many impacts have no rows, and what these contribute; empty if all impacts have rows."""
     try:
         rows, left_out = interval.impacts, interval.impacts_left_out
     except RecordingError:

@@ -1,9 +1,9 @@
-"""What fields are made of: bodies and contacts at exact states, and the impacts between them, read or computed again.
+"""The data of fields: bodies and contacts at exact states, and the impacts between them, read or recomputed.
 
-A recording has exact velocities at its checkpoints. There, lasting contacts have their impulses of the whole step; the
-friction has the magnitude of the step, and the direction that it had in the last kick, which is part of the exact
-state. Of the largest impacts, a recording has point, normal and normal impulse, but no direction of their friction; of
-all impacts, friction included, it has the sum of ℓ ⊗ J.
+A recording has exact velocities at its checkpoints. There, lasting contacts have the impulses of the whole step.
+Friction has the magnitude of the whole step, and the direction of the last kick, which the exact state contains. For
+the largest impacts, a recording has point, normal and normal impulse, but no direction of friction; for all impacts,
+friction included, it has the sum of ℓ ⊗ J.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ class Collector(Protocol):
     """Takes the data of an interval."""
 
     def add_bodies(self, position: FloatArray, velocity: FloatArray, there: BoolArray, time: float) -> None:
-        """Add the bodies, (n, 3) m and m/s, that exist, by a mask (n,), at a time (s)."""
+        """Add bodies at a time (s): positions (m), velocities (m/s), both (n, 3), and a mask of existing ones, (n,)."""
 
     def add_contacts(self, pushes: Pushes, elapsed: float) -> None:
         """Add the lasting contacts of a step, whose impulses balance constant forces for a time (s).
@@ -118,7 +118,7 @@ def _replay(interval: Interval, collector: Collector) -> None:
 
 
 def _of_rows(rows: Records, centre: FloatArray) -> Pushes:
-    """Return rows of the contact table, (k,), given the centres of the bodies i, (k, 3) m."""
+    """Return rows of the contact table, (k,), given the centres (k, 3) in m of the bodies i."""
     normal = _vectors(rows, ("nx", "ny", "nz"))
     whole = (rows["arm_i"] + rows["arm_j"])[:, None] * normal
     impulse = rows["normal_impulse"][:, None] * normal + _vectors(rows, ("friction_x", "friction_y", "friction_z"))

@@ -107,7 +107,7 @@ def fork_command(
 
 
 def _one(start: ForkStart, target: Path, shift: int | None, ulps: int) -> tuple[dict[str, Any], list[str], bool]:
-    """Make one fork; return its document, its description, and whether it ended early."""
+    """Run one fork; return its document, its description, and whether it ended early."""
     from carom.lab.diff.divergence import rate_text
     from carom.lab.fork.fork import ended_early, text_of
     from carom.lab.fork.fork import fork as go_on

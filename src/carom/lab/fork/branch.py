@@ -95,7 +95,7 @@ def _with_books(space: Space, checkpoint: Checkpoint) -> Space:
 def start_of(branch: Branch) -> ForkStart:
     """Return the state at the end of the step that contains the time of the fork.
 
-    Recordings that cannot be run again are refused, and overrides that change properties in a checkpoint.
+    Refuse recordings that cannot be run again, and overrides that change properties stored in a checkpoint.
     """
     recording = Recording.open(branch.path)
     recording.refuse_overlay()
@@ -173,8 +173,8 @@ def path_of(
 ) -> BranchPath:
     """Run a branch to its end.
 
-    Branches are compared at the end, and at multiples of the interval of frames; with many frames, of a longer
-    interval. Each branch has a frame at the first step at or after a multiple. Since steps differ between branches,
+    Branches are compared at the end, and at multiples of the frame interval, or of a longer interval if there are many
+    frames. Each branch has a frame at the first step at or after a multiple. Since steps differ between branches,
     bodies are moved back along their velocities to the exact multiple.
     """
     begin, end = start.checkpoint.time, start.scene.time.duration

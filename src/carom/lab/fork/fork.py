@@ -38,7 +38,7 @@ _Z = 1.96  # half-width in standard deviations of the interval with 95 % of a no
 
 @dataclass(frozen=True, slots=True)
 class Chance:
-    """The number of forks at a time, and how many of them have an outcome."""
+    """The number of forks at one time, and the number of these with the outcome."""
 
     time: float  # s, of the fork
     hits: int
@@ -79,7 +79,7 @@ Draw = Callable[[float], Iterator[bool]]  # time of the fork in s → the outcom
 
 @dataclass(frozen=True, slots=True)
 class Tested:
-    """A time of the fork that was tested."""
+    """A tested time for the fork."""
 
     time: float  # s
     hits: int
@@ -149,7 +149,7 @@ class Ensemble:
 
     @property
     def rate_error(self) -> float:
-        """Standard deviation of λ between branches, in 1/s; infinite if fewer than two have one."""
+        """Standard deviation of λ between branches, in 1/s; infinite if fewer than two branches have a λ."""
         return float(self.rates.std(ddof=1)) if len(self.rates) > 1 else np.inf
 
 

@@ -33,9 +33,9 @@ class Ending:
 
 
 def last_ending(scenes: Sequence[tuple[int, int]]) -> Ending | None:
-    """Run scenes, each given by its seed and number, one after the other; return the end of the last scene.
+    """Run scenes, each given by its seed and number, one after the other; return the last scene's end.
 
-    It is None if the scene is refused or abandoned.
+    The end is None if that scene is refused or abandoned.
     """
     last = None
     with Interrupts() as interrupts:
@@ -61,7 +61,7 @@ def in_new_processes(tasks: Iterable[Sequence[tuple[int, int]]], budget: Budget)
 
 
 def difference(seed: int, index: int, here: Ending, before: Sequence[int], budget: Budget) -> str:
-    """Compare the end of a scene in this process with its end alone; return a sentence if they differ, else nothing.
+    """Compare a scene's end in this process with its end alone; return a sentence if they differ, else nothing.
 
     ``before`` are the numbers of the scenes that ran before it in this process.
     """

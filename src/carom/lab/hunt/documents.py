@@ -1,7 +1,7 @@
 """Random scenes as documents: bodies about to meet, softened bodies that attract each other, pairs that meet once.
 
-Sizes, speeds and masses span decades, in units that are not powers of two, so that sums are rounded. A random number
-generator or a test library draws numbers from coarse grids. Ties, exact contacts and exact zeros, which reveal
+Sizes, speeds and masses span decades, in units that are not powers of two, so that sums are rounded. Numbers are drawn
+from coarse grids, by a random number generator or a test library. Ties, exact contacts and exact zeros, which reveal
 mistakes, are therefore frequent.
 """
 
@@ -238,8 +238,8 @@ def _time(draw: Draw, L: float, U: float, fixed: bool, velocity_limit: str | Non
 def smooth(draw: Draw, *, steps: int, integrators: tuple[str, ...]) -> Document:
     """Draw softened bodies that attract and pass through each other, so that their motion is smooth.
 
-    The step is a fraction of 1/λ, λ² = 2 G M/ε³, such that the run lasts at most half of 1/λ. The gradient of Plummer's
-    force is at most G m/ε³, so two runs diverge no faster than exp(λ t).
+    The step is a fraction of 1/λ, with λ² = 2 G M/ε³, such that the run lasts at most half of 1/λ. The gradient of
+    Plummer's force is at most G m/ε³, so two runs diverge no faster than exp(λ t).
     """
     count = draw.integer(2, 8)
     L, M = decade(draw, -3, 4), decade(draw, -3, 9)

@@ -60,7 +60,7 @@ def _flies_exactly(scene: Scene, needs: Requirements) -> bool:
 
 
 def _falls_exactly(scene: Scene) -> bool:
-    """Return whether falls conserve energy; with semi-implicit Euler, they lose ½ M g² dt² in each step."""
+    """Return whether falling bodies conserve energy; with semi-implicit Euler, they lose ½ M g² dt² in each step."""
     return auto.integrator(scene).order > 1 or not any(scene.gravity.uniform)
 
 

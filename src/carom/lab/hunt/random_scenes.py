@@ -1,7 +1,7 @@
 """The random scenes of a hunt: meeting bodies, crowds, columns, groups, planets, boundaries, and smooth motions.
 
 Most scenes also get random values of other keys: forces, walls, planes (some of which move), materials and pairs,
-units, steps, and the search and solution of contacts. The schema refuses some combinations; these are only counted.
+units, steps, and the search and solution of contacts. Combinations that the schema refuses are only counted.
 """
 
 from __future__ import annotations
@@ -172,7 +172,7 @@ def _bound(draw: Draw, document: Document, scale: Scales) -> None:
 
 
 def _move_planes(draw: Draw, document: Document) -> None:
-    """Let planes move in some scenes, by their own random numbers: by about a radius in the time of the run."""
+    """Let planes move in some scenes, by about a radius during the run, with random numbers of their own."""
     time, planes, bodies = document["time"], document.get("plane", []), document.get("body", [])
     steps_by_impulse = time.get("integrator", "auto") in ("auto", "leapfrog") and "accuracy" not in time
     refused = not steps_by_impulse or "drag" in document or document["contact"].get("enabled") is False
@@ -267,7 +267,7 @@ def _column(draw: Draw, scale: Scales) -> Document:
 
 
 def _groups(draw: Draw, scale: Scales) -> Document:
-    """Draw groups, whose bodies carom places, some beside a body or over a plane."""
+    """Draw groups, whose bodies carom places; some groups are beside a body or over a plane."""
     document, L = meeting(draw, scale=scale, most_bodies=1), scale.L
     extent = L * draw.choice(6.0, 10.0)
     document["group"] = [_group(draw, scale, extent) for _ in range(draw.choice(1, 1, 2))]

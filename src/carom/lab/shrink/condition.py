@@ -106,7 +106,7 @@ class MissedPromise(Condition):
         return "; ".join(str(verdict) for verdict in self._missed(seen))
 
     def bodies(self, seen: Observation) -> set[str]:
-        """Return the bodies where it was worst."""
+        """Return the bodies where the promise was missed most."""
         worst = [verdict.worst for verdict in self._missed(seen) if verdict.worst]
         return {seen.space.names[body] for extreme in worst for body in extreme.bodies}
 
@@ -122,7 +122,7 @@ class Measured(Condition):
     failed: bool = False  # whether the run ends with a PhysicsError
 
     def check(self, seen: Observation) -> None:
-        """Check all names but the names of moments, which may not exist yet."""
+        """Check all names except those of moments, which may not exist yet."""
         for name in self.expression.unknown(seen.summary):
             if not name.startswith("moments."):
                 raise ExperimentError(self.expression.explain_unknown(name, seen.summary))
@@ -146,7 +146,7 @@ class Measured(Condition):
             return False
 
     def said(self, seen: Observation) -> str:
-        """Return the values of its names."""
+        """Return the values of the expression's names."""
         return self.expression.measured(seen.summary)
 
     def bodies(self, seen: Observation) -> set[str]:
@@ -253,7 +253,7 @@ class Warned(Condition):
         return replace(self, kind=self.kind or min(seen.warned))
 
     def holds(self, seen: Observation) -> bool:
-        """Return whether the run gave it."""
+        """Return whether the run gave the warning."""
         return not seen.error and (self.kind in seen.warned if self.kind else bool(seen.warned))
 
     def said(self, seen: Observation) -> str:

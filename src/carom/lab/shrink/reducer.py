@@ -78,7 +78,7 @@ def cut_time(smallest: Smallest, trials: Trials) -> bool:
 
 
 def cut_both_ends(smallest: Smallest, kept: Chronicle) -> bool:
-    """Bisect for the earliest end and the latest beginning of a failure of whole runs; return whether they are shorter.
+    """Bisect for the earliest end and latest beginning of a whole run that fails; return whether it became shorter.
 
     Candidates are expensive, so there are few: twice the logarithm of the number of states.
     """
@@ -193,8 +193,9 @@ class Reducer:
     def reduce(self, scene: Scene, start: InitialBodies | None = None) -> Reduction:
         """Return the smallest scene found that shows the failure of a scene.
 
-        ``start`` has its bodies at time 0; by default, the scene places them. Raises ExperimentError if the scene does
-        not show the failure, or time ran out before it was reproduced, and SceneError if the scene cannot run.
+        ``start`` has the scene's bodies at time 0; by default, the scene places them. Raises ExperimentError if the
+        scene does not show the failure, or time ran out before it was reproduced, and SceneError if the scene cannot
+        run.
         """
         with Interrupts() as interrupts, Judges(self.workers) as judges:
             budget = Budget(self.seconds, interrupts)
@@ -222,7 +223,7 @@ class Reducer:
             )
 
     def _begin(self, scene: Scene, start: InitialBodies, trials: Trials) -> tuple[Smallest, Callable[[], None]]:
-        """Run the scene up to the failure; return it with its bodies written out, and its first pass over the time."""
+        """Run the scene up to the failure; return it with bodies written out, and the first pass over its time."""
         trials.budget.check()
         threads = 1 if trials.condition.of_whole_run else None  # the condition compares numbers of threads
         space = Space(scene, threads, start, record_contacts=trials.condition.needs_impacts)

@@ -83,7 +83,7 @@ class Budget:
 
     @property
     def reason(self) -> str:
-        """Why the reduction has ended; empty while it goes on."""
+        """Why the reduction has ended; empty while it continues."""
         if self._interrupts.count:
             return f"stopped by {self._interrupts.sender}"
         return "the budget was spent" if self.spent > self._seconds else ""

@@ -154,7 +154,7 @@ INSTANTS = 50  # number of times at which a run is compared with its repetition 
 
 @dataclass(frozen=True, slots=True)
 class MovesWithSteps(Condition):
-    """Another story with steps a quarter as long."""
+    """A run that steps a quarter as long change noticeably."""
 
     of_whole_run = True
 
@@ -165,7 +165,7 @@ class MovesWithSteps(Condition):
         return self
 
     def holds(self, seen: Observation) -> bool:
-        """Return whether shorter steps tell another story."""
+        """Return whether shorter steps change the run noticeably."""
         return bool(self.said(seen))
 
     def said(self, seen: Observation) -> str:
@@ -176,7 +176,7 @@ class MovesWithSteps(Condition):
 def moved_by_shorter_steps(
     scene: Scene, most_steps: float = math.inf, watch: Callable[[StepStatus], None] = lambda status: None
 ) -> str:
-    """Describe what steps a quarter as long move first; empty if nothing, or a run fails."""
+    """Describe the first change by steps a quarter as long; empty if there is none, or if a run fails."""
     try:
         moved = refine(scene, threads=1, instants=INSTANTS, most_steps=most_steps, watch=watch).moved
     except (SceneError, PhysicsError):
@@ -242,7 +242,7 @@ def applies(name: str, scene: Scene) -> bool:
 
 
 def _by_arrays(scene: Scene) -> str:
-    """Compare the bits with a run of the same scene whose bodies are given as arrays."""
+    """Compare the bits with a run of the same scene with bodies given as arrays."""
     start = place(scene)
     kept = {key: value for key, value in tomllib.loads(scene.toml).items() if key not in (BODIES, "group")}
     names = ("position", "velocity", "angular_velocity", "mass", "radius", "inertia", "fixed")

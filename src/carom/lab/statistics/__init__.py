@@ -163,7 +163,7 @@ class Interval:
 
     @cached_property
     def _impact_table(self) -> tuple[pa.Table, ImpactSums | None]:
-        """The impacts that have rows, and the sums over all impacts; None if they are not known."""
+        """The impacts that have rows, and the sums over all impacts; None if unknown."""
         first, last = self.step[[0, -1]].tolist()
         if self.recording.records_contacts and not self.replay:
             table = self.recording.impacts(self.time[0], self.time[-1])
@@ -197,7 +197,7 @@ class Interval:
 
     @property
     def _sums(self) -> ImpactSums | None:
-        """The sums that the recording or the replay has; None if there are none."""
+        """The sums in the recording or the replay; None if there are none."""
         if self.recording.engine or self.duration == 0.0:
             return None
         self._require_contacts()
@@ -265,7 +265,7 @@ class Interval:
     def _impacts_of_engine(self) -> ImpactColumns:
         """Return the impacts in a recording of another engine: contacts that begin, between bodies that close.
 
-        A contact begins in a frame if its pair has none in the frame before. Its approach speed follows
+        A contact begins in a frame if its pair has no contact in the frame before. Its approach speed follows
         from the exact states of the previous frame, since an engine may resolve an impact over several steps.
         """
         recording, steps = self.recording, self.step.tolist()
@@ -351,8 +351,8 @@ class Interval:
     def held_part(self, dt: FloatArray) -> FloatArray:
         """Return the impulse that balances a constant force in steps of lengths dt (s), over force times dt; (k,).
 
-        It is 1 but with drag, which removes a part of the momentum of the first kick: (h φ₂ + k₂)/h of
-        docs/physics.md, section 6.
+        Without drag, the ratio is 1. Drag removes a part of the first kick's momentum, so the ratio is (h φ₂ + k₂)/h
+        (docs/physics.md, section 6).
         """
         if self.scene is None or self.scene.drag is None:
             return np.ones(len(dt))

@@ -47,7 +47,7 @@ class Histogram:
 
     @classmethod
     def of(cls, label: str, values: FloatArray, dimension: Dimension = NUMBER, *, falls: bool = False) -> Histogram:
-        """Return the density of values from 0 to the largest ones."""
+        """Return the density of values, from 0 up to the largest ones."""
         high = float(np.quantile(values, TAIL)) if len(values) else 1.0
         bins = max(1, min(MOST_BINS, round(2 * len(values) ** (1 / 3))))  # Rice's rule
         edges = np.linspace(0.0, high if high > 0.0 else 1.0, bins + 1)

@@ -73,7 +73,7 @@ class Statistics(NamedTuple):
         return self.interval.recording.units
 
     def document(self) -> dict[str, Any]:
-        """Return them as JSON, in the units of the recording."""
+        """Return the statistics as JSON, in the units of the recording."""
         first, last = self.interval.time[[0, -1]].tolist()
         return {
             "units": self.units.recorded,
@@ -84,7 +84,7 @@ class Statistics(NamedTuple):
         }
 
     def table(self) -> pa.Table:
-        """Return them as a table in the units of the recording: a row for each number and each bin of a histogram."""
+        """Return a table in the units of the recording, with a row for each number and each bin of a histogram."""
         columns = ("statistic", "quantity", "index", "low", "high", "value", "error", "unit")
         rows = [dict(zip(columns, row, strict=True)) for name in self.kinds for row in self._rows(name)]
         kinds = [pa.string()] * 3 + [pa.float64()] * 4 + [pa.string()]
@@ -109,7 +109,7 @@ class Statistics(NamedTuple):
                 yield name, key, "", low, high, value, None, unit
 
     def answer(self) -> CommandAnswer:
-        """Return them for programs, and for people in the units of the scene."""
+        """Return the statistics for programs, and for people in the units of the scene."""
         return CommandAnswer(self.document(), self._parts())
 
     def _parts(self) -> Iterator[Part]:
@@ -129,7 +129,7 @@ class Statistics(NamedTuple):
                 yield f"  {kind.note}"
 
     def _column(self, key: str, first: Any) -> ShownColumn:
-        """Return a column of a table of a statistic, given its first value."""
+        """Return a column of a statistic's table, given its first value."""
         if isinstance(first, MeasuredValue):
             return ShownColumn(first.label, lambda row: text(row[key], self.units, unit=False), first.dimension)
         return ShownColumn(key, lambda row: row[key], left=True)

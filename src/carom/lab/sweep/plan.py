@@ -75,7 +75,7 @@ def plan(
     overrides
         ``key=value``, for all runs.
     vary
-        ``key=values`` as `carom.scene.variation.values_of` reads them; in place of the same key of ``[sweep]``.
+        ``key=values`` as `carom.scene.variation.values_of` reads them; they replace the same key of ``[sweep]``.
     seeds
         Number of runs of each combination, with consecutive seeds from the seed of the scene.
     zipped

@@ -44,7 +44,7 @@ _TICK = 0.2  # s between two updates of a running sweep
 
 @dataclass(frozen=True, slots=True)
 class SweepTask:
-    """What a worker needs besides the scene, which is in the folder."""
+    """The data that a worker needs besides the scene, which is in the folder."""
 
     root: str  # the sweep's folder on the client
     scene: str  # digest of the scene's text
@@ -191,7 +191,7 @@ class Conductor:
         self._unsaved = ""  # the error that kept the manifest from being written; empty if there was none
 
     def conduct(self, points: list[SweepPoint], interrupts: Interrupts) -> str:
-        """Execute runs; return why this ended early, or an empty text.
+        """Make the runs; return why this ended early, or an empty text.
 
         The first interrupt lets current runs finish, the second drops them. Raises OSError if the final manifest could
         not be written.

@@ -64,9 +64,9 @@ def _table(rows: Sequence[Row]) -> pa.Table:
 def chosen(rows: Sequence[Row], conditions: Sequence[str], sort: str | None) -> list[Row]:
     """Return the rows that meet all conditions, sorted by a column.
 
-    Conditions are such as ``contact.restitution>=0.5``, ``body.0.radius<60 cm`` or ``outcome=completed``; missing
-    values meet none. With a minus before the column, the largest value comes first. Rows without a value come last.
-    Raises ExperimentError if there is no such column, or a condition cannot be read.
+    Examples of conditions are ``contact.restitution>=0.5``, ``body.0.radius<60 cm`` and ``outcome=completed``; missing
+    values meet no condition. With a minus before the column, the largest value comes first. Rows without a value come
+    last. Raises ExperimentError if there is no such column, or a condition cannot be read.
     """
     met = [_met(condition, rows) for condition in conditions]
     found = [row for k, row in enumerate(rows) if all(one[k] for one in met)]

@@ -236,7 +236,7 @@ def _parts(study: Study) -> Iterator[Part]:
 
 
 def notes_on_rows(study: Study) -> Iterator[str]:
-    """Name the settings that share a row of the table, and those that were left out or not timed, by reason."""
+    """Name the settings that share a row of the table, and the settings that were left out or not timed, by reason."""
     equal: dict[str, list[str]] = {}
     for result in study.results:
         if result.same_as:

@@ -4,7 +4,7 @@ It shares no code with the engine. Between events the acceleration of the ball i
 drag gives k = 1/τ. For a rolling ball, both are smaller, since friction also has to spin the ball. These paths are
 closed forms, and the times of impacts are their roots. A sliding ball changes its direction, so DOP853 integrates it up
 to the moment at which its contact point stands still. A ball that bounces ever lower comes to rest after infinitely
-many impacts; the reference holds it from the impact on that leaves less than `AT_REST` of the speed.
+many impacts; the reference holds the ball after the first impact that leaves less than `AT_REST` of its speed.
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ def solve_ball(scene: Scene, start: InitialBodies, times: FloatArray, *, nudge: 
 
 
 def _grown(s: float, rate: float) -> tuple[float, float]:
-    """Return ∫ exp(-k s) ds from 0 to s, and its integral."""
+    """Return ∫ exp(-k s) ds from 0 to s, and the integral of this function."""
     if rate * s < SERIES:
         return s - rate * s * s / 2, s * s / 2 - rate * s**3 / 6
     first = -math.expm1(-rate * s) / rate
@@ -174,7 +174,7 @@ class _Ball:
         return np.asarray(self.field + self.rate * wind)
 
     def _is_held(self, plane: int) -> bool:
-        """Return whether a plane that the ball touches holds it: nothing lifts it, and the forces press."""
+        """Return whether a touched plane holds the ball: nothing lifts the ball, and the forces press it."""
         n = self.normal[plane]
         return bool(n @ self.v <= AT_REST * self.speed and n @ self._acceleration() < 0.0)
 
@@ -207,7 +207,7 @@ class _Ball:
             self.v = self.v - (n @ self.v) * n
 
     def _hold(self, plane: int, end: float) -> None:
-        """Roll or slide along a plane, up to another one."""
+        """Roll or slide along a plane, up to another plane."""
         n, law = self.normal[plane], self.coefficients[plane]
         self.v = self.v - (n @ self.v) * n
         pressed, along = -float(n @ self._acceleration()), self._along(n)
@@ -224,7 +224,7 @@ class _Ball:
             self._slide(n, law.kinetic_friction * pressed, end, plane)
 
     def _follow(self, path: _Path, end: float, plane: int = -1) -> None:
-        """Follow a path to the first plane on it, apart from the one that holds the ball."""
+        """Follow a path to the first plane on it, other than the plane that holds the ball."""
         left, first = end - self.t, math.inf
         for k in range(len(self.offset)):
             if k != plane:
@@ -247,7 +247,7 @@ class _Ball:
         return float(self.times[len(self.samples)]) if len(self.samples) < len(self.times) else math.inf
 
     def _slide(self, n: FloatArray, friction: float, end: float, plane: int) -> None:
-        """Slide with a friction (m/s²) until the contact point stands still, or for a part of that time."""
+        """Slide under a friction (m/s²) until the contact point stands still, or for part of that time."""
         along, slip = self._along(n), self._slip(n)
         speed = float(np.linalg.norm(slip))
         towards = along / np.linalg.norm(along) if speed <= AT_REST * self.speed else slip / speed

@@ -1,8 +1,8 @@
-"""The time that a study may take, and which settings are worth timing: the ones that may be on the front.
+"""The time that a study may take, and the settings worth timing, which are those that may be on the front.
 
-A setting is left out before its first run if its steps are shorter than the steps of a setting that errs by rounding
-alone. A setting is not timed if another setting is as accurate and clearly cheaper. Timings are repeated where the
-front is uncertain.
+A setting is left out before its first run if its steps are shorter than those of a setting with rounding errors alone.
+A setting is not timed if another setting is as accurate and clearly cheaper. Timings are repeated where the front is
+uncertain.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ class StudyBudget:
 
     @property
     def text(self) -> str:
-        """What is left; empty without a budget."""
+        """The remaining time in words; empty without a budget."""
         return "" if math.isinf(self.left) else f"; {self.left:.2g} s of {self.seconds:.3g} s left"
 
 

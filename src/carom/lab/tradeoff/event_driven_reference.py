@@ -1,8 +1,8 @@
 """Event-driven reference for a few bodies: an adaptive method of order eight between contacts, each contact an event.
 
 SciPy's DOP853 integrates the forces with tolerances near round-off, from contact to contact. If two bodies may meet in
-a step, conservative advancement finds their first contact. The bodies cannot meet before the time of the gap over a
-bound of the closing speed, so no contact is missed. The time is then refined with steps from the same beginning, and
+a step, conservative advancement finds their first contact. The bodies cannot meet before the gap divided by a bound of
+the closing speed, so no contact is missed. The time is then refined with steps from the same beginning, and
 `physics/reference_api.py` resolves the contact. Samples do not shorten the steps. Each sample is a separate, shorter
 step, which is more accurate than DOP853's interpolation.
 
@@ -10,7 +10,7 @@ Bodies may stay in contact without force, as after a plastic impact; the next im
 solution ends where a force presses touching bodies together or where contacts accumulate, because lasting contacts are
 not events.
 
-The tolerance bounds the error of flights only. A *twin* measures how contacts amplify rounding: the same scene,
+The tolerance bounds only the error of flights. A *twin* measures how contacts amplify rounding: the same scene,
 displaced by rounding errors, with simultaneous contacts resolved in another order. Each order of the impacts obeys the
 impulse law of a pair, but in a row of touching bodies the velocities depend on the order: no law of pairs determines
 them. The solution resolves all closing pairs at once, and then the pairs that close again. The twins resolve one pair
@@ -81,7 +81,7 @@ def solve(
 ) -> EventDrivenSolution:
     """Solve a scene from the start of its space, which does not change; keep the solution at times (K,) in s.
 
-    The relative ``tolerance`` of DOP853, times the largest coordinate and speed at the start, is also the absolute one.
+    The relative ``tolerance`` of DOP853 times the largest coordinate and speed at the start is the absolute tolerance.
     A ``twin`` of 1 or 2 starts displaced by rounding and resolves simultaneous contacts in another order. The solution
     ends after a ``budget`` of CPU time in s.
     """
@@ -276,7 +276,7 @@ class _Solver:
         return None if which < 0 else self._refined(before, y, earliest, which)
 
     def _first_touch(self, dense: OdeSolution, pair: int, time: float, end: float, bound: float) -> float:
-        """Return the time of the first contact of a pair, by conservative advancement; infinite if there is none."""
+        """Return the time of a pair's first contact, by conservative advancement; infinite if there is none."""
         near = self._near[pair]
         while time < end:
             gap = self._gap(dense(time), pair)

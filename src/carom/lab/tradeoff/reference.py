@@ -101,7 +101,7 @@ PHRASES = {  # descriptions of errors whose names say too little
 
 @dataclass(frozen=True, slots=True)
 class ErrorScale:
-    """The units of errors in position and velocity."""
+    """The length and speed by which errors in position and velocity are divided."""
 
     length: float  # m, the largest rms distance from the centre, or half the box
     speed: float  # m/s, the largest rms speed about the mean velocity
@@ -159,7 +159,7 @@ def compare(run: Trajectory, reference: Trajectory, scale: ErrorScale, samples: 
 
 
 def _over_time(name: str, errors: FloatArray, reaches_end: bool) -> dict[str, float]:
-    """Return the measures of an error at the samples; the last sample is the end, if samples reach it."""
+    """Return the measures of an error over the samples; the last sample is the end if the samples reach it."""
     largest = float(np.abs(errors).max()) if len(errors) else np.nan
     end = float(abs(errors[-1])) if len(errors) and reaches_end else np.nan
     return {name: _total(errors), f"{name}_max": largest, f"{name}_end": end}
@@ -270,13 +270,13 @@ def refined(scene: Scene, factor: float) -> list[str]:
 
 
 def _largest_step(scene: Scene) -> float:
-    """Return the largest step in s: where there is no limit, the time between automatic frames."""
+    """Return the largest step in s; without a limit, the time between automatic frames."""
     largest = auto.largest_step(scene)
     return largest if math.isfinite(largest) else auto.auto_interval(scene, scene.time.duration)
 
 
 def fineness(scene: Scene, setting: Scene) -> float:
-    """Return the steps of the scene over the steps of a setting, for the limit that shrank most.
+    """Return the ratio of the scene's steps to a setting's, for the limit that shrank most.
 
     It is 1 if an integrator chooses its steps by its own error, since no limit then changes its steps.
     """
@@ -333,7 +333,7 @@ def _exact(scene: Scene, threads: int | None, budget: float, tell: Teller) -> tu
 
 
 def _undetermined(scene: Scene, best: EventDrivenSolution, checks: list[Trajectory]) -> str:
-    """Say at which simultaneous impacts the order decides the solution; empty if it never decides."""
+    """Name the simultaneous impacts whose order decides the solution; empty if there are none."""
     scale = scale_of(scene, best.trajectory)
     for check in checks:
         _, apart = scale.apart(best.trajectory, check)

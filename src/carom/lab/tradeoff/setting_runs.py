@@ -30,7 +30,7 @@ class SettingRuns:
     Parameters
     ----------
     threads
-        Of settings without a number of their own; None for all cores.
+        Number of threads for settings that give none; None for all cores.
     limit
         s of CPU time at which a run of another engine is stopped.
     """

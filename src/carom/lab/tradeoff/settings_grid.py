@@ -49,7 +49,7 @@ STEP_KEYS = ("fixed_dt", "target_dx", "cfl", "pull_fraction", "smoothing", "velo
 
 @dataclass(frozen=True, slots=True)
 class GridPoint:
-    """A setting by its coordinates: a factor on the step, and the keys with changed values."""
+    """A setting given by its coordinates: a factor on the step, and the keys with changed values."""
 
     step: float = 1.0
     values: tuple[tuple[str, str], ...] = ()  # keys and values, as given to ``--set``
@@ -256,8 +256,8 @@ def _longer(step: float) -> str:
 def scales_steps(scene: Scene) -> bool:
     """Return whether a factor on the limits of the step scales every step.
 
-    It is not if the integrator chooses its steps by its own error, or if bodies held by contacts have an automatic
-    limit of their own, for which there is no key.
+    A factor does not if the integrator chooses its steps by its own error, or if bodies held by contacts have an
+    automatic limit of their own, for which there is no key.
     """
     if scene.time.fixed_dt is not None:
         return True

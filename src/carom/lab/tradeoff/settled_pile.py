@@ -1,4 +1,4 @@
-"""What is compared of a pile once chaos ends the comparison of trajectories: quantities of the settled state.
+"""Quantities of a settled pile, which are compared once chaos ends the comparison of trajectories.
 
 No two runs of a pile agree in where each body ends. They agree in its height, density, number of contacts and energy,
 and in how long it takes to come to rest, to within the scatter between seeds. That scatter is the uncertainty of these
@@ -75,7 +75,7 @@ class Pile:
         )
 
     def errors(self, run: Trajectory, reference: Trajectory) -> dict[str, float]:
-        """Return the differences of the settled states: relative ones, of contacts per body, and s."""
+        """Return the differences of the settled states: relative, in contacts per body, or in s."""
         if len(run) < len(reference):
             return {}
         found, exact = self.settled(run), self.settled(reference)

@@ -144,7 +144,7 @@ class Study:
 
     @property
     def noise(self) -> float:
-        """The relative uncertainty of every cost: the median of the settings' intervals or, for few costs, ranges.
+        """The relative uncertainty of every cost: the median of the intervals or, if costs are few, of the ranges.
 
         A single run deviates by half the range, but two of three runs, and with them the median, may deviate in the
         same direction by chance. A setting with a larger range has the larger uncertainty. 0 if nothing was run twice.
@@ -157,7 +157,7 @@ class Study:
         return median(ranges) if ranges else 0.0
 
     def doubt(self, result: SettingResult) -> float:
-        """Return the relative uncertainty of a cost: its own if that is certain, or at least the noise of all."""
+        """Return the relative uncertainty of a cost: its own if certain, otherwise at least the noise of all costs."""
         return result.spread if len(result.costs) >= CERTAIN else max(result.spread, self.noise)
 
     def measure(
@@ -262,7 +262,7 @@ class Study:
         return Errors(**{name: self.floor(name) for name in NAMES})
 
     def _exact_and_cheaper(self, scene: Scene) -> str:
-        """Name a timed setting that errs by rounding alone and is cheaper than a scene with shorter steps, if any."""
+        """Name a timed setting with rounding errors alone that is cheaper than a scene with shorter steps, if any."""
         written = self._written
         finer = fineness(self.scene, scene)
         if written is None or not written.complete or finer <= 1.0:
@@ -294,7 +294,7 @@ class Study:
         )
 
     def _needs_a_run(self, result: SettingResult, repeats: int | None) -> bool:
-        """Return whether to time a setting once more: without a number of repeats, where the front is uncertain."""
+        """Return whether to time a setting again; if no number of repeats is given, while the front is uncertain."""
         timed = len(result.costs)
         if result.status != "measured" or result.same_as:
             return False
@@ -428,7 +428,7 @@ def _key(setting: Setting) -> tuple[tuple[str, ...], int | None, str]:
 
 
 def _machine(result: SettingResult) -> tuple[int | None, str]:
-    """Return what changes the cost of a run, but not its bits: threads and engine."""
+    """Return the properties that change the cost of a run but not its bits: threads and engine."""
     return result.setting.threads, result.setting.engine
 
 

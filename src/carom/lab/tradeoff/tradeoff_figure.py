@@ -118,7 +118,7 @@ def draw(document: dict[str, Any], *paths: Path, units: UnitSystem = SI) -> None
 def write_table(document: dict[str, Any], path: Path) -> None:
     """Write a CSV file with a row for each measured setting: its cost (s), its steps and its errors, which may be 0.
 
-    What is not known is empty. Times of first contacts are in s.
+    Unknown values are empty. Times of first contacts are in s.
     """
     measured = [entry for entry in document["settings"] if entry["errors"]]
     columns = {key: [entry[key] for entry in measured] for key in ("name", "engine", "cost", "spread", "steps")}

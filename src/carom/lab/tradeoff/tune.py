@@ -91,7 +91,7 @@ class SettingSearch:
         return here
 
     def _cannot_win(self, point: GridPoint, best: GridPoint | None) -> bool:
-        """Return whether a point is too expensive, either now or with steps short enough to keep the limits.
+        """Return whether a point is too expensive, now or with steps short enough to keep the limits.
 
         Half the step costs twice as much, and reduces errors by at most 2^p at the integrator's order p.
         """
@@ -179,9 +179,9 @@ class Tuning:
     def best(self) -> SettingResult | None:
         """The cheapest setting measured to keep every limit and the scene's frames; None if there is none.
 
-        It is the scene as written if that keeps them, too, and no other is certainly faster. An unmeasured error, such
-        as a position beyond the horizon, keeps no limit. A limit below the uncertainty of the reference is not kept
-        either, because it cannot be checked.
+        The best setting is the scene as written if the scene keeps them, too, and no other setting is certainly faster.
+        An unmeasured error, such as a position beyond the horizon, keeps no limit. A limit below the uncertainty of the
+        reference is not kept either, because it cannot be checked.
         """
         if unsure(self.study, self.limits):
             return None
@@ -193,7 +193,7 @@ class Tuning:
 
     @property
     def speed(self) -> float:
-        """How many times as fast as the scene as written the best setting is; NaN if one of them has no cost."""
+        """The best setting's speed over that of the scene as written; NaN if either has no cost."""
         return math.nan if self.best is None else self.written.cost / self.best.cost
 
     @property
@@ -203,7 +203,7 @@ class Tuning:
 
     @property
     def claim(self) -> str:
-        """What is certain of the speed of the best setting, beside the scene as written; empty for the scene itself."""
+        """The certain gain in speed of the best setting over the scene as written; empty for the scene itself."""
         low, high = self.speed_range
         if self.best is self.written or math.isnan(low):
             return ""
@@ -214,7 +214,7 @@ class Tuning:
         return "as fast as the original scene within the noise"
 
     def _gain(self, result: SettingResult) -> tuple[float, float]:
-        """Return the least and the largest speed of a setting, in units of the speed of the scene as written."""
+        """Return the least and the largest speed of a setting, relative to the scene as written."""
         doubt = 1.0
         for each in (result, self.written):
             doubt *= 1.0 + (self.study.doubt(each) if len(each.costs) > 1 else ALONE)

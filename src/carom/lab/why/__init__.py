@@ -227,7 +227,7 @@ def _causes(account: Account, names: Names, units: UnitSystem) -> ShownTable:
 
 
 def _share(cause: Cause) -> str:
-    """Return the share of the velocity that a cause gave or, if it gave next to nothing, turned round."""
+    """Return the fraction of the velocity that a cause gave or, if that is almost 0, turned round."""
     turns = cause.turned > abs(cause.share)
     return f"turned {cause.turned:.1%}" if turns else f"{cause.share:.1%}"
 
@@ -300,7 +300,7 @@ def _behind(answer: Answer, names: Names, units: UnitSystem) -> Iterator[str]:
 
 
 def _whose(answer: Answer, names: Names) -> str:
-    """Name the bodies whose velocities at the start contributed, if others than those of the question did."""
+    """Name the bodies whose velocities at the start contributed, if there are any other than those in question."""
     shares = answer.cone.shares
     largest = [body for body in np.argsort(-shares, kind="stable")[:MOST_TURNS].tolist() if shares[body] > _SEEN]
     if set(largest) <= set(answer.question.bodies):

@@ -17,7 +17,7 @@ _AT_REST = 1e-3  # largest speed of a body at rest, over the sum of impulses by 
 class Cause:
     """An impact, a stop, or a contact that held for some steps in a row.
 
-    A stop is like an impact, but of a contact that closed no faster than its rest speed (docs/physics.md, 9).
+    A stop resembles an impact, but its contact closed no faster than the rest speed (docs/physics.md, 9).
     """
 
     partner: int  # the end that touches this body; numbers from n on are planes and walls
@@ -44,7 +44,7 @@ class Cause:
         return "stop" if self.approach_speed is None else "impact"
 
     def takes(self, earlier: Cause, adjoins: bool) -> bool:
-        """Return whether this contact continues an earlier one; ``adjoins``: one of the previous step."""
+        """Return whether this contact continues an earlier contact; ``adjoins``: a contact of the previous step."""
         goes_on = self.holds or (self.lasts and earlier.lasts)
         return adjoins and goes_on and earlier.holds == self.holds and earlier.partner == self.partner
 
@@ -125,9 +125,10 @@ class Account:
         """Go back through a step, or through its beginning up to a moment.
 
         ``rows`` are the impulses on this body up to the moment, in order, and ``flow`` their shares of its velocity,
-        (k, 1). ``shares`` are the shares that the body carries before the step, that forces have given it so far, and
-        that of these the uniform field of another engine gave. ``kicks`` are the body's changes of velocity by forces,
-        (3,) m/s each. ``impacts`` and ``contacts`` are the `CONTACT_ROW` of the step, whose beginning has no contacts.
+        (k, 1). ``shares`` are three: the share that the body carries before the step, the share that forces have given
+        it so far, and the part of the latter by another engine's uniform field. ``kicks`` are the body's changes of
+        velocity by forces, (3,) m/s each. ``impacts`` and ``contacts`` are the `CONTACT_ROW` of the step, whose
+        beginning has no contacts.
         """
         self._lost, self._before = {}, step.before_step  # losses of all contacts, less losses of impacts
         for some, sign in ((contacts, 1.0), (impacts, -1.0)) if len(contacts) else ():
@@ -226,7 +227,7 @@ def _acts_on(body: int, rows: Records) -> BoolArray:
 
 
 def impulses_on(body: int, rows: Records, flow: Flow, place: int) -> tuple[Records, Flow]:
-    """Return the impulses on a body, and their shares of its velocity, which are in a column of the flow, (k, 1)."""
+    """Return the impulses on a body, and their shares of its velocity, a column of the flow, (k, 1)."""
     own = _acts_on(body, rows)
     found: Records = rows[own]
     sign = np.where(found["i"] == body, 1.0, -1.0)[:, None]

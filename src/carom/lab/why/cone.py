@@ -16,11 +16,11 @@ engines last for some steps, so their shares are divided like the shares of forc
 reached its cause. A share that reaches a contact is divided between the two ends, in proportion to their speeds along
 the impulse before the impact: these speeds cause the impulse. If several bodies touch in an instant, a share may also
 come from further impulses on the other end. A plane at rest has no speed, so it returns the whole share: it turns a
-body round. A wall that moves by itself keeps its part, which has then reached its cause.
+body round. A wall that moves on its own keeps its part, which has then reached its cause.
 
-All that is said about shares follows from these flows. The net share that passes over a contact is what the contact
-gave the body; it is negative if the body gave it to the other end and got it back later. For each body of the question,
-three shares therefore sum to 1: the shares of its start, of the forces on it, and of its contacts.
+All statements about shares follow from these flows. The net share that passes over a contact is the share that the
+contact gave the body; it is negative if the body gave it to the other end and got it back later. For each body of the
+question, three shares therefore sum to 1: the shares of its start, of the forces on it, and of its contacts.
 
 Membership is exact: going back in time, a body belongs to the cone from its first contact with a body of the cone.
 """
@@ -132,19 +132,19 @@ class Cone:
 
     @property
     def from_field(self) -> FloatArray:
-        """Share of the answer contributed by the uniform field of another engine to each body, (n,)."""
+        """Share of the answer that another engine's uniform field contributed to each body, (n,)."""
         return np.asarray(self.fielded @ self.weights)
 
     @property
     def from_walls(self) -> FloatArray:
-        """Share of the answer contributed by each plane and wall that moves by itself, (p,)."""
+        """Share of the answer that each plane or wall contributed by its own motion, (p,)."""
         return np.asarray(self.carried[self.count :] @ self.weights)
 
     def take(self, step: Step, rows: Records, velocity: FloatArray, kicked: bool) -> Flow:
         """Go back through a step, or through its beginning up to a moment; return the flow over each of its impulses.
 
-        ``rows`` are its impulses up to the moment, in order, and ``velocity``, (n, 3) m/s, follows the last of them.
-        Forces act if it is ``kicked``.
+        ``rows`` are the step's impulses up to the moment, in order, and ``velocity``, (n, 3) m/s, follows the last
+        impulse. Forces act if the step is ``kicked``.
         """
         between = rows["j"] < self.count
         self.pairs.append(np.stack([rows["i"][between], rows["j"][between]], axis=1))
@@ -398,7 +398,7 @@ def directions(after: FloatArray, before: FloatArray, total: FloatArray) -> Floa
 
 
 def components(vectors: FloatArray, along: FloatArray) -> FloatArray:
-    """Return the sizes of components of vectors along directions, (k, 3) each; whole sizes for directions of zeros."""
+    """Return the magnitudes of components along directions, (k, 3) each; of whole vectors if a direction is 0."""
     whole = np.sqrt((vectors * vectors).sum(axis=1))
     result: FloatArray = np.where(along.any(axis=1), np.abs((vectors * along).sum(axis=1)), whole)
     return result

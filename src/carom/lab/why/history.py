@@ -124,12 +124,12 @@ class History:
 
 
 def _with_entries(velocity: FloatArray, waits: BoolArray | None, entries: EntryStates) -> FloatArray:
-    """Return velocities, (n, 3) m/s, in which bodies that wait have those with which they enter."""
+    """Return velocities, (n, 3) m/s; bodies that wait have the velocities with which they will enter."""
     return velocity if waits is None else np.where(waits[:, None], entries.velocity, velocity)
 
 
 def _drives(scene: Scene, space: Space) -> BoolArray:
-    """Return which of the bodies, planes and walls are planes or walls that move by themselves, (n + p,)."""
+    """Return a mask (n + p,) over bodies, planes and walls that marks planes and walls moving on their own."""
     n, ends = len(space.state), len(space.state.ends.inverse_mass)
     drives = np.zeros(ends, dtype=np.bool_)
     drives[n : n + len(scene.plane)] = [plane.motion is not None for plane in scene.plane]
@@ -138,7 +138,7 @@ def _drives(scene: Scene, space: Space) -> BoolArray:
 
 
 def _impulses(space: Space, touching: Records) -> Records:
-    """Return the impulses of the last step, and the contacts without an impulse at its end; the end is one instant."""
+    """Return the impulses of the last step, and the contacts without an impulse at its end, which is one instant."""
     instant, time, parts = -1, -np.inf, list[Records]()
     for some in space.impulses():
         J = some.values[:, :1] * some.normal + some.values[:, 1:]

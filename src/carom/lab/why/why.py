@@ -24,7 +24,7 @@ from carom.scene.units.dimension import TIME
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """The velocities of the bodies of a question, the terms that sum to them, and their causes."""
+    """The velocities of the bodies in question, the terms that add up to them, and their causes."""
 
     question: Question
     time: float  # s, time of the velocities
@@ -72,7 +72,7 @@ class Answer:
 
     @property
     def first_cause(self) -> int:
-        """The body at the beginning of the chain, or the wall that moves by itself; its number is then from n on."""
+        """The body at the beginning of the chain, or the wall that moves on its own, with a number from n on."""
         if not self.chain:
             return self.question.bodies[0]
         last = self.chain[-1]
@@ -87,9 +87,8 @@ def why(
 ) -> Answer:
     """Answer a question about a window that begins at the last checkpoint before ``start`` (s).
 
-    By default the window begins where its replay is still cheap, and at the latest at the last checkpoint before the
-    moment. ``watch``
-    receives the progress of the replay after every step.
+    By default, the window begins at the earliest checkpoint from which a replay is cheap, but at the latest at the last
+    checkpoint before the moment. ``watch`` receives the progress of the replay after every step.
 
     Raises
     ------
@@ -115,7 +114,7 @@ def why(
 
 
 def answer_from(question: Question, histories: Iterable[History], mass: FloatArray) -> Answer:
-    """Answer a question from windows, latest first; the first window contains the moment. Masses are (n,) kg."""
+    """Answer a question from windows, the latest first, which contains the moment. Masses are (n,) kg."""
     windows = iter(histories)
     back = _Backwards(question, next(windows), mass)
     for history in windows:

@@ -2,7 +2,7 @@
 
 The tap only reads the solver's records, so it does not change the run:
 
-- contacts of the previous step, held after the first kick: `held`
+- contacts of the previous step, which are held after the first kick: `held`
 - impacts during the drift: `struck`, from their log
 - impacts at the end of the step: `after_impacts`; contacts held after the last kick: read from the solver's records
 
@@ -117,7 +117,7 @@ class ContactTap(OptionalPart):
         self.forget()
 
     def compile(self) -> None:
-        """Run the kernels of the hooks without contacts."""
+        """Run the hooks' kernels once without contacts, to load them."""
         self._rows_of_drift()
         self.rows()
 
@@ -166,7 +166,7 @@ class ContactTap(OptionalPart):
             self._store(raw(rows[:count]).copy().view(CONTACT_ROW))
 
     def pop_impacts(self) -> tuple[Records, int, FloatArray]:
-        """Return the impacts since the last call, (k,) `CONTACT_ROW` in order of time, and the number left out.
+        """Return the impacts since the last call, (k,) `CONTACT_ROW` in order of time, and the number of omitted ones.
 
         The last value is `ImpactSums.flat` of all impacts.
         """

@@ -2,8 +2,8 @@
 
 A pair within an octave is found by the body in the earlier cell. A pair of two octaves is found by one of the bodies.
 Either the smaller bodies search the few cells of larger bodies near them, or the larger bodies search the many cells
-that they cover: the choice with fewer cells in all. Gravel on a planet is the first case, power-law radii are the
-second.
+that they cover: the choice with fewer cells in all. Gravel on a planet is an example of the first case, power-law radii
+are one of the second.
 
 Rejected: searching from the smaller bodies always, with each octave in a hashed grid of its own (4 times the time for
 10⁵ radii from 1 to 100).
@@ -181,7 +181,7 @@ def _chord(row: Row, ox: float, oy: float, oz: float, search_radius: float, grid
 
 @inline
 def _search_cells(a: int, row: Row, after: int, grid: GridRecord, scope: Scope, m: int, end: int) -> tuple[int, int]:
-    """Store the pairs of a body with bodies in consecutive buckets, from an index of the table on.
+    """Store the pairs of a body with bodies in consecutive buckets, starting at an index of the table.
 
     ``m`` and ``end`` are the next row of the buffer and the end of the claimed rows; return both.
     """
