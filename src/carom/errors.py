@@ -85,7 +85,7 @@ _EXTRA = re.compile(r"""extra\s*==\s*["']([\w-]+)["']""")
 def install_extra(extra: str) -> str:
     """Return the command that installs the packages of an extra into the environment of this process.
 
-    It lists the packages themselves, because carom may have been installed from a folder or an archive.
+    The command lists the packages themselves, because carom may have been installed from a folder or an archive.
     """
     from importlib.metadata import requires  # noqa: PLC0415 - takes 20 ms, which few processes need
 

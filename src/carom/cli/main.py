@@ -1,7 +1,7 @@
 """The `carom` command: the table of commands; the process's streams, signals, messages and exit code.
 
-A command is a function. Its module is imported when the command runs or shows its help. Other packages are imported
-only when it runs: `carom --help` then does not load a compiler and a viewer.
+A command is a function. The function's module is imported when the command runs or shows its help. Other packages are
+imported only when the command runs: `carom --help` then does not load a compiler and a viewer.
 """
 
 from __future__ import annotations

@@ -60,7 +60,7 @@ class Tolerances:
 class Fault:
     """A violated law.
 
-    It is "energy", "momentum", "angular-momentum", "overlap", "missed-impact", "friction", "restitution", "pull",
+    The law is "energy", "momentum", "angular-momentum", "overlap", "missed-impact", "friction", "restitution", "pull",
     "spin" or "not-finite".
     """
 

@@ -7,7 +7,7 @@ solution of the equation of motion at any speed:
     e(v) = (1 + c₁ x) / (1 + b₁ x + b₂ x² + b₃ x³ + b₄ x⁴),    x ∝ v^{1/10} (√r/m)^{1/5}
 
 with the reduced radius r and the reduced mass m of the two bodies. For slow impacts, e = 1 - b₂ x² + … is the series
-1 - C₁ A v^{1/5} + … of Ramírez et al. (1999). A scene states one measured coefficient and its speed. These fix the
+1 - C₁ A v^{1/5} + … of Ramírez et al. (1999). A scene states one measured coefficient and its speed, which fix the
 factor of x for spheres like the measured ones, and thereby the curve. If the scene also states the radius and the
 density of these spheres, larger bodies rebound faster and smaller ones more slowly, as 1 - e ∝ 1/R for equal spheres of
 one material. Otherwise all pairs of two materials have the same curve.

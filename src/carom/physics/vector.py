@@ -1,6 +1,6 @@
 """Vectors in kernels: rows of (n, 3) arrays by name, and separations in a periodic box.
 
-They are inlined, as fast as indices and with the same bits.
+The functions are inlined, as fast as indices and with the same bits.
 """
 
 from __future__ import annotations

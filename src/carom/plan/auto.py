@@ -262,7 +262,8 @@ def cfl(scene: Scene) -> float | None:
 def pull_fraction(scene: Scene) -> float | None:
     """Return the step as a fraction of the shortest time scale of the forces; None for no limit.
 
-    By default it replaces the limits by radius in scenes without contacts, unless the scene sets ``target_dx``.
+    By default, this limit replaces the limits by radius in scenes without contacts, unless the scene sets
+    ``target_dx``.
     """
     if not interactions.gravity(scene).modelled:
         return None

@@ -1,4 +1,4 @@
-"""What a run errs by before it starts: sentences about impacts, bounces and orbits under the steps of a scene."""
+"""Errors of a run that are known before it starts: sentences on impacts, bounces and orbits at a scene's steps."""
 
 from __future__ import annotations
 

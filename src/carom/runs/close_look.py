@@ -1,4 +1,4 @@
-"""What contacts did in an interval of a run and of its repetition with shorter steps, and which differences it allows.
+"""Effects of contacts in an interval of a run and of its repetition with shorter steps, and allowed differences.
 
 A step treats the load of a contact as acting at one instant. If an impact, or the end of sliding, lies within the step,
 velocities differ by up to 2 J/m along the contact's normal, with J the impulse of the load in a step, and by 2 a dt
@@ -58,7 +58,7 @@ class Load(NamedTuple):
 
 @dataclass(slots=True)
 class RunInterval:
-    """What contacts did in an interval of one run."""
+    """The effects of contacts in an interval of one run."""
 
     impacts: Records
     pressed: dict[Pair, float]  # N s, largest impulse in a step of each contact that was not an impact
@@ -189,8 +189,9 @@ def _movable(ends: Pair, start: InitialBodies) -> list[int]:
 def _beyond(vector: FloatArray, loads: list[Load], share: float) -> float:
     """Return what is left of a difference by the changes of velocity that loads allow, times a share.
 
-    Each load allows twice its change in a step, since an impact may turn it round. Together they may leave less than
-    one by one: a light ball between two heavy ones is pushed out across two normals that are nearly opposite.
+    Each load allows a difference of twice its change in a step, since an impact may reverse the load. Together they may
+    leave less than one by one: a light ball between two heavy ones is pushed out across two normals that are nearly
+    opposite.
     """
     rest, along = vector, np.array([2.0 * load.speed * share * load.direction for load in loads]).T
     size = float(np.abs(along).max(initial=0.0))

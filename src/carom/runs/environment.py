@@ -280,8 +280,8 @@ def _raise_later(lost: sys.UnraisableHookArgs) -> None:
 class Interrupts:
     """Counts requests to end while its context lasts, in the main thread only.
 
-    It raises nothing until the interrupt key has been pressed more often than ``patience``, so that work is not
-    interrupted. Other signals count once, because their senders repeat them.
+    The handler raises nothing until the interrupt key has been pressed more often than ``patience``, so that work is
+    not interrupted. Other signals count once, because their senders repeat them.
 
     Parameters
     ----------

@@ -2,8 +2,9 @@
 
 The ledger and the bits show that a run agrees with itself; this comparison can show that it is wrong. The run is
 compared with a second one whose steps are k times as short, at a few hundred instants: positions, velocities and spins
-of all bodies, overlaps, and the entries of the ledger. What differs by more than a tolerance depends on the step, so it
-cannot be what the scene's laws say. `shorter_steps` tells chaos from a fault, and `close_look` what loads allow.
+of all bodies, overlaps, and the entries of the ledger. A quantity that differs by more than a tolerance depends on the
+step, so it does not follow from the scene's laws. `shorter_steps` tells chaos from a fault, and `close_look` what loads
+allow.
 """
 
 from __future__ import annotations

@@ -80,8 +80,8 @@ def replay(
 ) -> Replay:
     """Run a recording again, and compare every frame with the recorded one, bit for bit.
 
-    It begins at the last checkpoint before the window, and ends at the first frame whose state differs. The new frames
-    are recorded in a temporary file, which needs as much space as the frames of the recording.
+    The replay begins at the last checkpoint before the window, and ends at the first frame whose state differs. The new
+    frames are recorded in a temporary file, which needs as much space as the frames of the recording.
 
     Parameters
     ----------

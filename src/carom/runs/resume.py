@@ -218,7 +218,7 @@ def continued_scene(recording: Recording, scene: Scene, overrides: list[str]) ->
     """Return the ``scene`` of a recording with overrides, for a run that continues from one of its checkpoints.
 
     Some values of "auto" depend on the duration: the interval between frames, the integrator of orbits, and the longest
-    step. They do not change unless the overrides set them.
+    step. These values do not change unless the overrides set them.
 
     Raises
     ------

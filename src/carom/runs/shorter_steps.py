@@ -201,10 +201,10 @@ class Comparison:
         """Compare the entries of one interval, at whose start bodies with nearly all the energy moved with certainty.
 
         Chaos within it may change who has the energy, but hardly how much of it is left. An entry is judged if the twin
-        agrees with the run, or with the shorter steps: then the run alone is wrong. It must also differ two steps
-        later, since an impact may be just before or after the instant. Where positions differ, forces have done other
-        work, and contacts take out what corrections of positions put in. Forces may let held bodies close within a
-        step; with shorter steps, these bodies bounce.
+        agrees with the run, or with the shorter steps: then the run alone is wrong. The quantity must also differ two
+        steps later, since an impact may be just before or after the instant. Where positions differ, forces have done
+        other work, and contacts take out what corrections of positions put in. Forces may let held bodies close within
+        a step; with shorter steps, these bodies bounce.
         """
         certain, self._certain = self._certain, self._certain_share(frame)
         taken, refined = _booked(before, frame), _booked(fine_before, fine)
@@ -256,9 +256,9 @@ class Comparison:
     def finish(self) -> None:
         """Judge the entries of the ledger, over all intervals.
 
-        A heavy body whose overlap is corrected by a part in a million of its radius may gain more than a thousandth of
-        the kinetic energies, so the work over the differences of the positions is allowed, too. Each window begins
-        without a difference, so the sum over the windows is allowed.
+        If the overlap of a heavy body is corrected by a millionth of its radius, its energy may change by more than a
+        thousandth of the kinetic energy. Therefore the work of the forces over the difference of the positions is
+        allowed, too. Each window begins without a difference, so the sum over the windows is allowed.
         """
         if len(self._differences) < FEWEST_INTERVALS or self.last is None:
             return

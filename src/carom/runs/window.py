@@ -37,8 +37,8 @@ def rerun(
 ) -> Window:
     """Run a recording again from its last checkpoint before a time (s), for data that the file does not hold.
 
-    It has the bodies, contacts, impacts and trajectories of a `Recording`, but computed, in float64. A rerun goes
-    forward only: ask for later times after earlier ones.
+    The result has the bodies, contacts, impacts and trajectories of a `Recording`, but computed, in float64. A rerun
+    goes forward only: ask for later times after earlier ones.
 
     Parameters
     ----------

@@ -1,8 +1,8 @@
 """Runs tasks in processes of this machine, one at a time in each. `sweep.cluster` runs them on a Dask cluster.
 
-A worker is a Python process that imports nothing from the folder in which the command runs (``-P``). It receives its
-tasks over a socket without a name, which no other user can open. It ignores signals that request its end, because the
-command handles them, and it ends as soon as the command has ended in any way.
+A worker is a Python process that imports nothing from the folder in which the command runs (``-P``). The worker
+receives its tasks over a socket without a name, which no other user can open. The worker ignores signals that request
+its end, because the command handles them, and ends as soon as the command has ended in any way.
 """
 
 from __future__ import annotations

@@ -1,1 +1,1 @@
-"""What to simulate: validated data, and the initial state of the bodies."""
+"""Scenes: validated data, and the initial state of the bodies."""

@@ -1,4 +1,4 @@
-"""What data files state about gravity, their time and their box, compared with the scene and with each other."""
+"""Statements of data files about gravity, time and box, compared with the scene and with each other."""
 
 from __future__ import annotations
 

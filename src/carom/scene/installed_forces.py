@@ -10,7 +10,7 @@ from carom import registry
 
 
 def numbers_of(section: Any) -> Mapping[str, float]:
-    """Return the numbers in a section: by default the parameters of a force, or the coefficients of a contact law."""
+    """Return the numbers of a section: the default parameters of a force, or coefficients of a contact law."""
     values = dict(section)
     return {name: float(value) for name, value in values.items() if type(value) in (int, float)}
 
@@ -19,7 +19,7 @@ def numbers_of(section: Any) -> Mapping[str, float]:
 class BodyForce:
     """A force on each body that depends on its position.
 
-    Its energy is the energy of its potential. Without a potential, the ledger has an entry for its work.
+    The energy of such a force is that of its potential. Without a potential, the ledger has an entry for its work.
 
     carom compiles both functions with Numba: they may use only sums, products, quotients and `math.sqrt` of numbers,
     and call only functions decorated by `carom.extend.kernel`. ``p`` is a record of the parameters.

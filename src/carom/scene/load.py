@@ -58,7 +58,7 @@ _TOO_DEEP = f"tables or lists nested more than {DEEPEST} levels deep"
 
 
 class Scene(SceneModel):
-    """What to simulate: validated, complete, immutable.
+    """A scene to simulate: validated, complete, immutable.
 
     Examples
     --------

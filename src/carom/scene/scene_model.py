@@ -462,7 +462,8 @@ def naming_places(scene: SceneModel) -> Iterator[None]:
 def know_installed_parts() -> None:
     """Add a field for each force, contact law and shape of walls to the models that hold its section.
 
-    This is done when a scene is first used, not when this module is imported, since modules of these parts import it.
+    Parts are added when a scene is first used, not when this module is imported, since modules of these parts import
+    it.
     """
     surfaces: tuple[type[Section], ...] = (ContactSettings, Material, MaterialPair, SolidPlane, Wall)
     parts: tuple[tuple[str, tuple[str, ...], tuple[type[Section], ...], list[str]], ...] = (

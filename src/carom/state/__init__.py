@@ -1,1 +1,1 @@
-"""A run at one moment, as data: frames, checkpoints, energies and totals. It contains no kernels."""
+"""A run at one moment, as data: frames, checkpoints, energies and totals. This package contains no kernels."""

@@ -1,1 +1,1 @@
-"""What commands share: options, progress, and text, tables and JSON on the terminal."""
+"""Code that commands share: options, progress, and text, tables and JSON on the terminal."""

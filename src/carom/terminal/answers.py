@@ -81,7 +81,7 @@ Part = str | ShownFacts | ShownTable
 
 
 class CommandAnswer(NamedTuple):
-    """What a command answers: a document for programs, and parts for people."""
+    """The answer of a command: a document for programs, and parts for people."""
 
     document: Any
     parts: Iterable[Part]

@@ -38,8 +38,8 @@ def typed_time_or_none(recording: Recording, given: float | None) -> float | Non
 def typed_time(recording: Recording, given: float) -> float:
     """Return the time (s) of a recording for a time that was typed.
 
-    It is the nearest end of a recorded step, or the nearest moment of `carom inspect`, that is printed with the same
-    digits; without one, the time as typed.
+    The moment is the nearest end of a recorded step, or the nearest moment of `carom inspect`, that prints with the
+    same digits; if there is none, it is the time as typed.
     """
     time = simulated(given, recording.units)
     if isinstance(given, TypedTime):

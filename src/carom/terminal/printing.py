@@ -25,7 +25,7 @@ SHOWN = 3  # most printed warnings of one kind; the recording has all of them
 
 @dataclass
 class Verbosity:
-    """What a command prints beside its result, as ``-q`` and ``-v`` say."""
+    """The output of a command besides its result, as ``-q`` and ``-v`` select."""
 
     is_quiet: bool = False  # no progress and no notes, but warnings and errors
     is_verbose: bool = False  # errors with their traceback

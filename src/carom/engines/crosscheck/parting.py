@@ -74,9 +74,9 @@ def parting_of(
     """Return the divergence of a run from a reference up to the reference's horizon; None without one.
 
     The run has steps of ``dt`` s. ``broken`` has the times (s) and laws of the frames that violate one, in order, and
-    ``numbered`` the impacts of carom's own run. These are the impacts whose outcomes are compared, unless the reference
-    is exact and has its own. First contacts do not suffice: a pair that touches at the start has no impact then, but
-    may have impacts later.
+    ``numbered`` the impacts of carom's own run. The outcomes of these impacts are compared, unless the reference is
+    exact and has impacts of its own. First contacts do not suffice: a pair that touches at the start has no impact
+    then, but may have impacts later.
     """
     best = reference.trajectory.until(reference.samples)
     apart, _ = reference.scale.apart(run.until(reference.samples), best)

@@ -185,8 +185,8 @@ def _rows_by_ends(ends: IntArray) -> dict[tuple[int, int], IntArray]:
 def _nearest_in_order(short: FloatArray, long: FloatArray) -> IntArray:
     """Match each time of the shorter list, in order, with a time of the longer; minimise the sum of differences.
 
-    This is dynamic programming over the number of skipped times. Of a list with more than `MOST_SKIPPED` surplus times,
-    the last are ignored.
+    The method is dynamic programming over the number of skipped times. If a list has more than `MOST_SKIPPED` surplus
+    times, its last times are ignored.
     """
     skips = min(len(long) - len(short), MOST_SKIPPED)
     if skips == 0:

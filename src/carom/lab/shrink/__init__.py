@@ -74,8 +74,8 @@ def shrink_command(
 ) -> None:
     """Find the smallest scene that still fails in the same way, and write it as a scene file.
 
-    It removes time, bodies, parts of the model, keys and digits, as long as the failure remains. After Ctrl-C or the
-    end of the budget, the file contains the smallest scene so far; the same command continues from it.
+    The search removes time, bodies, parts of the model, keys and digits, as long as the failure remains. After Ctrl-C
+    or the end of the budget, the file contains the smallest scene so far; the same command continues from it.
     """
     from dataclasses import asdict
     from math import inf

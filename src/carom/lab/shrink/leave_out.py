@@ -24,7 +24,7 @@ Met = tuple[int, int]  # two bodies that touched in a step
 def leave_out_bodies(smallest: Smallest, trials: Trials) -> bool:
     """Leave out bodies; return whether any was left out.
 
-    It first tries to keep only the bodies involved, and bodies that affect them by contacts or are near.
+    First try to keep only the bodies involved, and bodies that affect them by contacts or are near.
     """
     base, before = smallest.document, smallest.bodies
     suspects = {number for number, body in enumerate(base[BODIES]) if body["name"] in smallest.suspects}

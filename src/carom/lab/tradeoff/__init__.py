@@ -366,9 +366,9 @@ def tune_command(
 ) -> None:
     """Find the cheapest setting that keeps every error limit, and write it as a scene file.
 
-    The search starts from about a dozen settings. It then changes the step, and one key at a time, until nothing
-    improves. It leaves out settings whose recording would have fewer frames. Measurements are kept; the same command
-    continues where it stopped.
+    The search starts from about a dozen settings, then changes the step, and one key at a time, until nothing improves.
+    Settings whose recording would have fewer frames are left out. Measurements are kept; the same command continues
+    where it stopped.
     """
     from carom.lab.tradeoff.tune import limits, stopped, tuned, write
     from carom.recording.write.whole_file import refuse_scene_output

@@ -1,10 +1,11 @@
 """Exact reference for one ball and planes: flights, impacts, rolling and sliding under a uniform field, with drag.
 
-It shares no code with the engine. Between events the acceleration of the ball is a - k v with a constant a. In flight,
-drag gives k = 1/τ. For a rolling ball, both are smaller, since friction also has to spin the ball. These paths are
-closed forms, and the times of impacts are their roots. A sliding ball changes its direction, so DOP853 integrates it up
-to the moment at which its contact point stands still. A ball that bounces ever lower comes to rest after infinitely
-many impacts; the reference holds the ball after the first impact that leaves less than `AT_REST` of its speed.
+The reference shares no code with the engine. Between events the acceleration of the ball is a - k v with a constant a.
+In flight, drag gives k = 1/τ. For a rolling ball, both are smaller, since friction also has to spin the ball. These
+paths are closed forms, and the times of impacts are their roots. A sliding ball changes its direction, so DOP853
+integrates it up to the moment at which its contact point stands still. A ball that bounces ever lower comes to rest
+after infinitely many impacts; the reference holds the ball after the first impact that leaves less than `AT_REST` of
+its speed.
 """
 
 from __future__ import annotations

@@ -278,7 +278,7 @@ def _largest_step(scene: Scene) -> float:
 def fineness(scene: Scene, setting: Scene) -> float:
     """Return the ratio of the scene's steps to a setting's, for the limit that shrank most.
 
-    It is 1 if an integrator chooses its steps by its own error, since no limit then changes its steps.
+    The ratio is 1 if an integrator chooses its steps by its own error, since no limit then changes the steps.
     """
     if auto.integrator(scene).controls_error or auto.integrator(setting).controls_error:
         return 1.0

@@ -1,8 +1,8 @@
 """Quantities of a settled pile, which are compared once chaos ends the comparison of trajectories.
 
-No two runs of a pile agree in where each body ends. They agree in its height, density, number of contacts and energy,
-and in how long it takes to come to rest, to within the scatter between seeds. That scatter is the uncertainty of these
-errors: a setting whose pile differs by less is as good as any other.
+No two runs of a pile agree in where each body ends. Within the scatter between seeds, runs agree in the pile's height,
+density, number of contacts and energy, and in the time that the pile takes to come to rest. That scatter is the
+uncertainty of these errors: a setting whose pile differs by less is as good as any other.
 """
 
 from __future__ import annotations

@@ -176,8 +176,8 @@ class ContactTap(OptionalPart):
     def rows(self, buffer: Buffer | None = None) -> Records:
         """Return the contact table of this step, (m,) `CONTACT_ROW`, sorted by pair, in the buffer if it is given.
 
-        It contains the contacts of the graph, contacts that exerted an impulse and have opened since, and idle contacts
-        with the forces that they had in the solver.
+        The table contains the contacts of the graph, contacts that exerted an impulse and have opened since, and idle
+        contacts with their last forces from the solver.
         """
         impacts, idle = NO_ROWS, self._contacts.idle
         if len(self._drift):

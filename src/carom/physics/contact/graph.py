@@ -221,7 +221,7 @@ class OrderedContacts:
 
     @classmethod
     def of(cls, pairs: IntArray, bodies: Bodies, colouring: str) -> Self:
-        """Colour contacts as `contact.colouring` says."""
+        """Colour contacts as `contact.colouring` requests."""
         if colouring == "bodies":
             colours, body_colours = colour_bodies(pairs, len(bodies))
             return cls(pairs, colours, body_colours, solve_order_of(pairs, colours, independent=False))

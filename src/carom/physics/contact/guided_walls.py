@@ -1,25 +1,25 @@
 """Guided walls: planes with one degree of freedom, which contacts move.
 
-Such a plane has a mass M and moves along its normal N only. A guided wall has a row among the ends of contacts, with
+A guided plane has a mass M and moves along its normal N only. A guided wall has a row among the ends of contacts, with
 the inverse mass 1/M, so the contact solver moves it like a body. Only two things differ from a body: an impulse changes
 its velocity along N only, and the effective mass of friction does not contain M,
 
     Δu = J·N / M,    K_n = 1/m + 1/M,    K_t = 1/m + ρ²/I
 
-The correction of overlaps moves the wall, too. Its load and its motion are an optional part, such as the piston's
-(`piston_motion`): the part returns a `solids.GuidedPlane` for a scene, whose motion extends `WallTranslation`. Records
-of bodies have the fields of a guide only in scenes with such a plane; see `moving_walls`.
+The correction of overlaps moves the wall, too. The load and the motion of a guided plane belong to an optional part,
+such as the piston's (`piston_motion`), which returns a `solids.GuidedPlane` whose motion extends `WallTranslation`.
+Records of bodies have the fields of a guide only in scenes with such a plane; see `moving_walls`.
 
 **Impacts during a drift.** As for bodies, the velocity u of the drift is the velocity in the middle of the step, and
-the path bends with the acceleration a between contacts. A time τ into a drift of dt, such a plane is displaced along N
+the path bends with the acceleration a between contacts. At a time τ into a drift of dt, the plane is displaced along N
 by
 
     r(τ) = r₀ + u τ - ½ a τ (dt - τ)
 
 and its velocity is u + a (τ - ½ dt). An impact at τ changes u by Δu and r₀ by -Δu τ. Bodies only push a plane away:
 after an impact, it meets no other body sooner than before. Impacts predicted along its earlier paths therefore come too
-early, never too late, and each is predicted again when its turn comes. An impact with the plane does not touch the
-predictions of all other bodies.
+early, never too late, and each is predicted again when its turn comes. An impact with the plane does not change the
+predictions of any other body.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
-"""The hooks of a step: what an optional part of the model does in it, and when.
+"""The hooks of a step: the interface of an optional part of the model, and the order in which a step calls it.
 
 `carom.physics.step` and `carom.physics.contact.pipeline` name no optional part. They call hooks, each with the step,
-and a part implements the hooks that it needs. The list of a hook has only the methods of the parts that implement it,
-so a scene without parts calls nothing. `carom.plan.step_parts` has a row for each part, in the order in which hooks
-call them.
+and a part implements the hooks that it needs. A hook's list has only the methods of parts that implement the hook, so a
+scene without parts calls nothing. `carom.plan.step_parts` has a row for each part, in the order in which hooks call
+them.
 """
 
 from __future__ import annotations
@@ -76,7 +76,7 @@ class LedgerAccount(Protocol):
         ...
 
     def exchange_up_to(self, entry: str, exchanged: FloatArray) -> None:
-        """Set what `exchanged` returns."""
+        """Set the values that `exchanged` returns."""
 
 
 class WorldForces(Protocol):
@@ -95,7 +95,7 @@ class WorldForces(Protocol):
 
 
 class OptionalPart:
-    """An optional part of the model. It overrides the hooks that it needs."""
+    """An optional part of the model, which overrides the hooks that it needs."""
 
     entries: tuple[str, ...] = ()  # ledger entries, with the sign of a loss
     needs_every_step = True  # whether `few_bodies` must leave even steps in which nothing touches to this part
@@ -119,13 +119,13 @@ class OptionalPart:
         """Return to the state of a checkpoint."""
 
     def discard(self) -> None:
-        """Discard what steps of the warm-up have left to be booked."""
+        """Discard unbooked energies of the warm-up's steps."""
 
     def place(self, time: float) -> None:
-        """Place what moves by itself where it is at a time (s)."""
+        """Move walls and images with a prescribed motion to their places at a time (s)."""
 
     def latest_end(self, time: float, adaptive: bool) -> float:
-        """Return when (s) a step that begins at a time has to end; ``adaptive``: whether the scene sets no step."""
+        """Return the latest end (s) of a step that begins at a time; ``adaptive``: whether the scene sets no step."""
         return np.inf
 
     def is_busy(self) -> bool:
@@ -133,7 +133,7 @@ class OptionalPart:
         return False
 
     def support(self, by_solver: FloatArray) -> FloatArray:
-        """Return the supported accelerations, (n + p,) m/s², given the ones that the solver's contacts support."""
+        """Return the supported accelerations, (n + p,) m/s², given those that the solver's contacts support."""
         return by_solver
 
     def warnings(self) -> Iterable[str]:
@@ -148,10 +148,10 @@ class OptionalPart:
         """Let kernels that take many steps continue the entries of the ledger."""
 
     def settle(self, account: LedgerAccount) -> None:
-        """Book what these kernels have added."""
+        """Book the amounts that these kernels have added."""
 
     def book(self, account: LedgerAccount) -> None:
-        """Book what the last step exchanged with the bodies."""
+        """Book the energy and impulses that the last step exchanged with the bodies."""
 
     # the methods below are called in this order in a step
 
@@ -180,10 +180,10 @@ class OptionalPart:
         """Note impacts during the drift."""
 
     def arrive(self, step: PresentStep) -> None:
-        """Move everything but bodies to the end of the step, and bodies to places where they can be."""
+        """Move everything but bodies to the end of the step, and put bodies back where they are allowed."""
 
     def search(self, step: PresentStep, others: Callable[[PresentStep], IntArray]) -> IntArray:
-        """Return the pairs that are contacts, (m, 2), among the pairs that the search of ``others`` returns."""
+        """Return the contacts, (m, 2), among the pairs that the search of ``others`` returns."""
         return others(step)
 
     def restarted(self) -> None:
@@ -208,7 +208,7 @@ class OptionalPart:
         """Note the last kick, before contacts are resolved."""
 
     def before_impacts(self, step: PresentStep) -> None:
-        """Give what is not a body its acceleration in the last kick, before contacts are resolved."""
+        """Give walls the accelerations of the last kick, before contacts are resolved."""
 
     def after_impacts(self, step: PresentStep) -> None:
         """Note the impacts at the end of the step, before contacts are held."""

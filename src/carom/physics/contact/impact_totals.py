@@ -1,9 +1,9 @@
-"""Sums over all impacts between two frames: what statistics need although most impacts have no row of their own.
+"""Sums over all impacts between two frames, for statistics, since most impacts have no row of their own.
 
 The rows of a busy run do not fit into memory or into its file, and the rows that remain are the largest, so they are no
-sample. These sums have every impact, in the order in which rows are made: by steps, and in a step by time.
+sample. These sums include every impact, in the order in which rows are made: by step, and within a step by time.
 
-The stress also needs Σ m c ⊗ c, which checkpoints have at few moments only.
+The stress also needs Σ m c ⊗ c, which checkpoints give at only a few moments.
 
 A path is the polyline through a body's positions in the frames and its centres at impacts, as in docs/statistics.md.
 """
@@ -49,7 +49,7 @@ PAIRS = tuple(PairTotalsRecord.__annotations__)
 
 
 class _Corners(NamedTuple):
-    """The bodies, and the last corner of each one's path."""
+    """The bodies, and the last corner of each body's path."""
 
     radius: FloatArray  # (n,) m
     mass: FloatArray  # (n,) kg

@@ -1,4 +1,4 @@
-"""Load speeds: how fast a contact at rest may close in a step, whatever its direction.
+"""Load speeds: the largest speed with which a contact at rest may close in a step, whatever its direction.
 
 A contact at rest closes no faster than the acceleration of gravity can make it in one step. The bodies of an island
 share its load, so the largest acceleration of the whole island decides: in the middle of a pile nothing accelerates,
@@ -111,7 +111,7 @@ def mark_meshed(
 ) -> None:
     """Write `ENOUGH_AS_NEEDED` for the contacts of large islands with many contacts per body.
 
-    Their load has many paths, so sweeps converge fast, and forces at the contacts have no unique solution.
+    The load of such islands has many paths, so sweeps converge fast, and contact forces have no unique solution.
 
     Parameters
     ----------

@@ -2,12 +2,12 @@
 
 The functions below are the ones that `carom.scene.contact_laws.ContactLaw` defines. Kernels call them with
 ``material``, the record of a contact's coefficients. The type of the record names the law, by default Coulomb's
-(`coulomb`). Numba selects the functions by that type when it compiles a kernel, so a call costs nothing, and what a law
-lacks is not compiled. Kernels are compiled separately for each law, and `KernelCache` stores them under these types.
-The other arguments are
+(`coulomb`). Numba selects the functions by that type when it compiles a kernel, so a call costs nothing, and functions
+that a law lacks are not compiled. Kernels are compiled separately for each law, and `KernelCache` stores them under
+these types. The other arguments are
 
 - ``approach``, ``rest_speed`` in m/s: the closing speed, and the closing speed up to which the contact is at rest
-- ``normal`` in N s: the normal impulse, of an impact or in all since the kick
+- ``normal`` in N s: the normal impulse of an impact, or the total since the kick
 - ``stopping``, (tx, ty, tz) in N s, (x, y, z) in N m s: the impulse that would end the relative motion
 - ``mass`` in kg: m_i m_j / (m_i + m_j), or the mass of the body at a plane
 - ``radius`` in m: r_i r_j / (r_i + r_j), or the radius of the body at a plane
@@ -143,7 +143,7 @@ def lasting_friction(material: Coefficients, normal: float, tx: float, ty: float
 def sliding_friction(material: Coefficients, normal: float, tx: float, ty: float, tz: float) -> Vector:
     """Return the tangential impulse of a lasting contact that has slid and does not stick again.
 
-    It must be continuous in its arguments, which are the arguments of `lasting_friction`; see `solver.phases`.
+    The impulse must be continuous in the arguments, which are those of `lasting_friction`; see `solver.phases`.
     """
     raise NotImplementedError(_ONLY_KERNELS)
 
@@ -215,8 +215,8 @@ def _restitution_of_impact(material: Any, *arguments: Any) -> Any:
 def material_index(i: int, j: int, bodies: int, places: IntArray) -> int:
     """Return the row of the coefficients of ends i < j; with a single material, 0 between bodies and 1 + p at plane p.
 
-    It is not inlined, since Numba would then count references to the array: a sweep over 5·10⁴ contacts would take 20
-    ms instead of 15.
+    This function is not inlined, since Numba would then count references to the array: a sweep over 5·10⁴ contacts
+    would take 20 ms instead of 15.
     """
     if len(places) == 0:
         return max(0, j - bodies + 1)
@@ -228,8 +228,8 @@ def material_index(i: int, j: int, bodies: int, places: IntArray) -> int:
 def restitution_at_depth(e: float, vn: float, overlap: float, acceleration: float) -> float:
     """Return the restitution coefficient of an impact that is detected late; see `solver.impacts`.
 
-    It is ``e`` at the surface. At the detection, the bodies have the normal velocity ``vn`` in m/s and an overlap in m,
-    and a relative acceleration (m/s²) presses them together.
+    The coefficient is ``e`` at the surface. At the detection, the bodies have the normal velocity ``vn`` (m/s), an
+    overlap (m), and a relative acceleration (m/s²) that presses them together.
     """
     at_depth: float = np.sqrt(e * e + (1.0 - e * e) * min(1.0, 2.0 * overlap * acceleration / (vn * vn)))
     return at_depth

@@ -1,17 +1,17 @@
 """The load of each body, and the restitution threshold of a contact that follows from it.
 
-A contact is at rest if its pair would be pressed together again within about a step. What presses a pair along its
-normal is, per unit of mass,
+A contact is at rest if its pair would be pressed together again within about a step. The acceleration that presses a
+pair along its normal is
 
     A = max(0, (a_i - a_j)·n, max(0, b_i·n) + max(0, -b_j·n)) + n·(L_i + L_j)·n,
     b = a + Σ J/(m h),    L = Σ λ n nᵀ/(m h)
 
-with the sums over the contacts of a body in the last kick h, J their impulses on it and λ the normal ones. The first
-term is the relative acceleration, without and with the contacts. With them, each body is judged by itself, because in a
-high column two bodies that still fall alike are stopped one after the other. The second term is the load that contacts
-carry in the direction of the normal: in a pile, where nothing accelerates, a body that leaves one contact is pressed
-back by the others. Marbles side by side on a floor carry a load, but none along their common normal, so they bounce at
-any speed.
+with the sums over the contacts of a body in the last kick h, where J are their impulses on the body and λ the normal
+impulses. The first term is the relative acceleration, without and with the contacts. With them, each body is judged by
+itself, because in a high column two bodies that still fall alike are stopped one after the other. The second term is
+the load that contacts carry in the direction of the normal: in a pile, where nothing accelerates, a body that leaves
+one contact is pressed back by the others. Marbles side by side on a floor carry a load, but none along their common
+normal, so they bounce at any speed.
 
 The rest speed is `PER_STEP` A dt, and at most the load speed of the island (`islands`): no load accelerates a body more
 than the largest acceleration.

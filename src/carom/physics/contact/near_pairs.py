@@ -4,12 +4,12 @@ Pairs that touch are near. If contacts last, so are pairs that a fall from rest 
 that end early leave small gaps. If such pairs were not listed, their contacts would start without an impulse in the
 next step, and a pile would never come to rest: 300 bodies kept 5 × 10⁻⁴ of their energy instead of 10⁻²².
 
-A list of pairs avoids most searches (Verlet 1967). It is made anew only when bodies have moved far enough, and contains
-all pairs within the search distance, and pairs farther apart by at most a margin. Two bodies that have each moved by at
-most d since then have come closer by at most 2d. As long as 2d is within the margin, the list holds all pairs within
-the search distance. The listed pairs pass the same exact test, in the same order, so the result equals the result of a
-search. A search for shorter distances has the difference as a margin, too: a step whose drift searches farther finds
-its contacts in the same list, however fast bodies are.
+A list of pairs avoids most searches (Verlet 1967). The list is rebuilt only when bodies have moved far enough, and
+contains all pairs within the search distance, and pairs farther apart by at most a margin. Two bodies that have each
+moved by at most d since then have come closer by at most 2d. As long as 2d is within the margin, the list holds all
+pairs within the search distance. The listed pairs pass the same exact test, in the same order, so the result equals the
+result of a search. A search for shorter distances has the difference as a margin, too: a step whose drift searches
+farther finds its contacts in the same list, however fast bodies are.
 
 The margin is chosen by the speed of the bodies so that a list lasts for `CALLS` calls, within limits. A wider list
 costs more to test but is rebuilt less often. For 10⁴ spheres that fill 0.3 of a box and move by up to 0.05 of their
@@ -60,7 +60,7 @@ MIN_MERGES_PER_TASK = 1
 
 @dataclass(frozen=True, slots=True)
 class ContactWorld:
-    """Everything besides the bodies that the contacts of a scene depend on."""
+    """The data besides the bodies that the contacts of a scene depend on."""
 
     planes: HalfSpaces
     materials: Materials  # coefficients of the contact law
@@ -402,7 +402,7 @@ def _merge(
 
 @kernel
 def between_present(pairs: IntArray, absent: BoolArray) -> IntArray:
-    """Return the pairs of which both ends are there, given which bodies are absent, (n,)."""
+    """Return the pairs whose ends both exist now, given a mask (n,) of absent bodies."""
     kept, count, n = np.empty_like(pairs), 0, len(absent)
     for c in range(len(pairs)):
         i, j = pairs[c, 0], pairs[c, 1]

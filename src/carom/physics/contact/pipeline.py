@@ -7,7 +7,8 @@
 3. `resolve`: after the last kick, find the impulses at the final positions
 4. `torques.write`: torques and angular accelerations of the step
 
-What only some scenes require is in parts, which this module does not name; it calls their hooks (`contact.hooks`).
+Features that only some scenes require are in parts, which this module does not name; it calls their hooks
+(`contact.hooks`).
 
 An integrator that ends its steps at impacts calls `begin_batch`, `resolve_meeting` at each impact, and `end_batch`.
 """
@@ -146,7 +147,7 @@ class ContactPipeline:
         return supported
 
     def recall(self, memory: ContactCheckpoint | None) -> None:
-        """Restore the state of `memory`; positions must already be restored to the same step."""
+        """Restore the state of `memory`; positions must already be those of the same step."""
         self.forget()
         if memory is not None:
             if memory.highest >= len(self.bodies.ends.radius):

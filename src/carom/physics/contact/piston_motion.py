@@ -1,7 +1,7 @@
 """A piston: a plane with a mass M that moves along its normal N only, under a constant force and gravity.
 
 Contacts move it like any guided wall (`guided_walls`). Kicks change its velocity u by a h, with a = F/M + g·N. Drifts
-change its displacement s along N by r(dt): by u dt, and by what its impacts change at their own times.
+change its displacement s along N by r(dt): by u dt, and by the changes due to impacts at their own times.
 
 The bodies give it the energy ½ M u² - M a s, whose change the ledger books in its entry for walls. The impulse of the
 bodies on its face, which a load cell there would measure, is
@@ -56,7 +56,7 @@ class PistonPlane(NamedTuple):
     def motion(
         self, records: Records, before: Records, ends: Ends, motions: Sequence[WallMotion | None], smallest: float
     ) -> PistonMotion:
-        """Return what moves it, and walls with a prescribed motion; see `PistonMotion`."""
+        """Return the motion of the piston, and of walls with a prescribed motion; see `PistonMotion`."""
         return PistonMotion(records, before, ends, motions, self, smallest)
 
 
@@ -108,7 +108,7 @@ class PistonMotion(WallTranslation):
         return longest
 
     def place(self, time: float) -> None:
-        """Write where the piston is; see `WallTranslation`."""
+        """Write the place of the piston; see `WallTranslation`."""
         super().place(time)
         self._write()
 
@@ -184,5 +184,5 @@ class PistonMotion(WallTranslation):
         self._acceleration[row] = self._piston.acceleration * normal
 
     def _read(self) -> None:
-        """Read the velocity, which contacts have changed."""
+        """Read the piston's velocity, which contacts have changed."""
         self.state[1] = float((self._velocity[self._piston.row] * self._piston.normal).sum())

@@ -127,7 +127,7 @@ class PlaneGuard(OptionalPart):
     ) -> FloatArray:
         """Return the fraction of each path, (k,), up to which the body is ``touching`` m or more from crossed walls.
 
-        It is found by bisection, since the distance from a curved wall is not linear along the path.
+        The fraction is found by bisection, since the distance from a curved wall is not linear along the path.
         """
         low, high = np.zeros(len(start)), np.ones(len(start))
         for _ in range(np.finfo(np.float64).nmant):

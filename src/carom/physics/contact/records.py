@@ -178,7 +178,7 @@ class PushedBodyRecord(Protocol):
 
 
 class LoadRecord(Protocol):
-    """What contacts did to a body in the last kick, over its mass and the kick."""
+    """The impulses of contacts on a body in the last kick, over its mass and the kick."""
 
     x: float  # m/s², acceleration Σ J/(m h) by the body's contacts
     y: float

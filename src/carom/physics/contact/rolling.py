@@ -1,6 +1,7 @@
 """Angular impulses of contacts, where the law resists rolling or twisting.
 
-A contact exerts an angular impulse Λ on body j and -Λ on body i. It changes their relative rotation and removes energy:
+A contact exerts an angular impulse Λ on body j and -Λ on body i. The angular impulse changes their relative rotation
+and removes energy:
 
     ΔΩ = K Λ,    Ω = ω_j - ω_i,    K = 1/I_i + 1/I_j,    ΔE = -Λ·(Ω + ½ K Λ)
 

@@ -50,7 +50,7 @@ class GuidedPlane(Protocol):
 
     @property
     def row(self) -> int:
-        """Its number among the solids."""
+        """The number of the plane among the solids."""
         ...
 
     @property
@@ -66,7 +66,7 @@ class GuidedPlane(Protocol):
     def motion(
         self, records: Records, before: Records, ends: Ends, motions: Sequence[WallMotion | None], smallest: float
     ) -> WallTranslation:
-        """Return what moves it, and the walls with a prescribed motion, through the phases of a step.
+        """Return the object that moves the plane, and walls with a prescribed motion, through the phases of a step.
 
         ``smallest`` is the radius of the smallest body in m; for the other parameters see `WallTranslation`.
         """
@@ -349,7 +349,7 @@ def add_arc_speeds(
 def add_load_of_walls(
     pairs: IntArray, x: FloatArray, v: FloatArray, surface: FloatArray, lift: float, presses: FloatArray
 ) -> float:
-    """Add what presses bodies onto walls near them, v_t²/f and ``lift``; return the largest v_t/f in 1/s.
+    """Add the accelerations that press bodies onto near walls, v_t²/f and ``lift``; return the largest v_t/f in 1/s.
 
     ``lift`` is the largest acceleration of a wall, and ``presses``, (n + p, 3), the accelerations that press contacts
     together, both in m/s².

@@ -102,7 +102,7 @@ class ContactStatistics(NamedTuple):
     ) -> ContactStatistics:
         """Add the impacts during the drift of a step; a pair is one contact, with its hardest impact.
 
-        These statistics describe the contacts at the end of the step, whose arrays are as in `ConstraintSystem`.
+        These statistics describe the contacts at the end of the step, with arrays as in `ConstraintSystem`.
         """
         log, place = impacts.log, ordered.order.place
         order = np.argsort(log["i"] * len(inverse_mass) + log["j"], kind="stable")
@@ -244,7 +244,7 @@ def _keep_deepest(block: BlockCountsRecord, depth: float, i: float, j: float) ->
 
 @inline
 def _comes_first(value: float, i: float, j: float, largest: float, first: float, second: float) -> bool:
-    """Return whether a value is larger than the largest so far, or equal and of an earlier pair."""
+    """Return whether a value is larger than the largest so far, or equal but from an earlier pair."""
     return value > largest or (value == largest and comes_before(i, j, first, second))
 
 

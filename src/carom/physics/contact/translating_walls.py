@@ -210,7 +210,7 @@ def place(surface: Any, time: float, velocity: FloatArray) -> None:
 
 @kernel
 def mean_velocities(surface: Any, time: float, dt: float, velocity: FloatArray) -> None:
-    """Write the mean velocity (m/s) of each wall from where it is to a time, over dt, both in s."""
+    """Write the mean velocity (m/s) of each wall from its present place to its place at a time (s), over dt (s)."""
     for k in range(len(surface)):
         wall = surface[k]
         cycles = wall.motion_frequency * time + wall.motion_phase

@@ -77,7 +77,7 @@ class BalanceAudit:
         self._suspects = None
 
     def refer_to(self, books: Books) -> bool:
-        """Adopt the references of a recorded start that differ only by rounding; return whether there are any.
+        """Adopt those reference values of a recorded start that differ only by rounding; return whether there are any.
 
         Versions before 23 November 2026 summed the centre of mass and Σ m |g| r with BLAS, whose rounding depends on
         the processor.

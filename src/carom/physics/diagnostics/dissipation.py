@@ -83,7 +83,7 @@ WRONG_WORK = dtype_of(WrongWorkRecord)
 
 
 class HeldContacts(Protocol):
-    """What a contact did in the kicks around the last drift."""
+    """The behaviour of a contact in the kicks around the last drift."""
 
     did: int  # bits
     friction: float  # J, dissipated by friction in the first kick
@@ -105,7 +105,7 @@ class JudgedEnds(NamedTuple):
 
 
 class SignsOfDissipation:
-    """Judges what the contacts of a run dissipate.
+    """Judges the energy that the contacts of a run dissipate.
 
     Parameters
     ----------
@@ -135,7 +135,7 @@ class SignsOfDissipation:
         self.recall(())
 
     def begin(self, step: int, time: float, judged: bool) -> None:
-        """Begin a step, which ends at a time (s); whether the energy is checked then."""
+        """Begin a step that ends at a time (s), and state whether the energy is checked then."""
         self._step, self._time, self.judges = step, time, judged
         if judged:
             self._held_pairs, self._held, self._kick = NO_PAIRS, np.empty(0, HELD), 0.0
@@ -159,16 +159,16 @@ class SignsOfDissipation:
         self._known = float(self.rows["energy"].sum())  # J, energy of the rows at the last check
 
     def before_hold(self, contacts: OrderedContacts, solver: ContactSolver, last: ImpulseCache) -> None:
-        """Note what contacts did in the last kick, before the first kick of a judged step.
+        """Note the contacts' behaviour in the last kick, before the first kick of a judged step.
 
-        Their records in ``solver`` have the same impulses, but not after a checkpoint.
+        Contacts' records in ``solver`` have the same impulses, except after a checkpoint.
         """
         self._held = np.zeros(len(contacts.pairs), HELD)
         held = contacts.pairs, contacts.order.place, solver.states
         note_last(*held, last.pairs, last.impulse, self._ends, self._held)
 
     def after_hold(self, contacts: OrderedContacts, solver: ContactSolver, kick: float) -> None:
-        """Note what the contacts did in the first kick, given its length in s."""
+        """Note the contacts' behaviour in the first kick, given its length in s."""
         self._held_pairs, self._kick = contacts.pairs, kick
         held = contacts.pairs, contacts.order.place, solver.contacts, solver.states
         asked = *held, self._ends, self._held
@@ -236,7 +236,7 @@ def note_last(
     ends: JudgedEnds,
     held: RecordArray[HeldContacts],
 ) -> None:
-    """Note what each contact did in the last kick, and clear its work, which is in the ledger.
+    """Note each contact's behaviour in the last kick, and clear its work, which is in the ledger.
 
     ``last_pairs``, (m, 2), sorted, and ``last_impulse``, (m, 4) N s, are an `ImpulseCache`.
     """
@@ -262,7 +262,7 @@ def note_held(
     ends: JudgedEnds,
     held: RecordArray[HeldContacts],
 ) -> None:
-    """Note what each contact did in the first kick, in the order of the pairs, and the work of its friction."""
+    """Note each contact's behaviour in the first kick, in the order of the pairs, and the work of its friction."""
     rows, places, bodies = ends.rows, ends.places, ends.bodies
     for k in range(len(pairs)):
         (i, j), contact = ends_of(pairs, k), contacts[place[k]]
@@ -277,7 +277,7 @@ def _what_it_does(contact: ContactRecord, material: Coefficients) -> int:
 
 @inline
 def _what(Jn: float, friction: Vector, material: Coefficients) -> int:
-    """Return what a contact with these impulses (N s) does."""
+    """Return the behaviour of a contact with these impulses (N s)."""
     if not Jn > 0.0:
         return _IDLE
     if exerts_torque(material):  # the work of the torque on spins is booked as friction
@@ -305,7 +305,7 @@ def judge_impacts(
 ) -> bool:
     """Compare the loss of each impact with the loss that its closing speed requires; return whether one is wrong.
 
-    ``tolerance``, of each impact or of all, is the error that is not wrong, relative to ½ μ v_n².
+    ``tolerance``, for each impact or for all, is the allowed error relative to ½ μ v_n².
     The impulses of a group that is held act at one time, and their energies have a meaning only together.
     """
     rows, places, inverse_mass, bodies, walls_move, _ = ends

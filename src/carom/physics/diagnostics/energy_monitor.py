@@ -91,8 +91,8 @@ class EnergyMonitor:
         """Return the warnings of a check at a step.
 
         ``contact_gain`` is the largest energy that contact impulses have added so far, relative to the energy scale. A
-        warning lists the contacts of the previous and of this step, ``suspects()``. This is a function, because copying
-        them takes as long as the rest of a check, and warnings are rare.
+        warning lists the contacts of the previous and of this step, ``suspects()``. The argument is a function, because
+        copying the contacts takes as long as the rest of a check, and warnings are rare.
         """
         tally = self.tally
         lowest = tally.lowest or energy

@@ -5,7 +5,7 @@ For every body, in each step,
     Δv = Σ J/m + Σ a h,    Δω = Σ (ρ λ_t × n ± Λ) / I,    J = λ_n n + λ_t, which acts on j, and -J on i
 
 with the impulses that the contact tap reports and the kicks of the integrator. The change of the ledger is compared
-with the sum over the contacts. A kick is a h. Drag multiplies velocities, so its effect is measured instead.
+with the sum of the contacts' work. A kick is a h. Drag multiplies velocities, so its effect is measured instead.
 """
 
 from __future__ import annotations

@@ -132,7 +132,7 @@ REMEDY = {  # the key that allows longer steps, by the limit that shortens them
 
 
 def remedies_of(scene: Scene) -> Mapping[str, str]:
-    """Return the scene key to raise for fewer steps, by the limit that sets them.
+    """Return, for each limit of the step, the scene key that gives fewer steps if it is raised.
 
     An accuracy replaces the keys that set the step. Without forces, steps with an accuracy already have their longest
     useful length. Integrators that choose steps by their error use time.max_dt directly. Leapfrog, which computes
@@ -160,7 +160,8 @@ class PaceMonitor:
     def check(self, step: int, time: float, dt: float, limit: str) -> Event | None:
         """Check the next step, of dt seconds, and the limit that sets it; return the warning at most once.
 
-        It warns if the run would take too many steps both at the mean pace so far and at the pace of the next step.
+        The monitor warns if the run would take too many steps both at the mean pace so far and at the pace of the next
+        step.
         """
         short = CRAWL * dt < self._first_dt
         since = self.tally.slow_since if self.tally.slow_since is not None else time

@@ -118,7 +118,7 @@ class StokesDrag(Damping):
         self.law.exchanged[:] = account.exchanged(self.kind.loss)
 
     def settle(self, account: LedgerAccount) -> None:
-        """Book what kernels have exchanged."""
+        """Book the exchanges that kernels have added."""
         account.exchange_up_to(self.kind.loss, self.law.exchanged)
 
     def book(self, account: LedgerAccount) -> None:

@@ -1,8 +1,9 @@
 """The protocols of forces, the forces of a scene, and their sum.
 
-A force that depends only on positions adds an acceleration and may have a potential. Its kind states when a scene
-requires it, and its recorded energy (`carom.scene.forces`). Each of carom's own forces has a function ``make(scene,
-bodies, team)``, named in `carom.registry`. `carom.physics.forces.kernel_forces` makes the forces of installed packages.
+A force that depends only on positions adds an acceleration and may have a potential. The kind of a force states which
+scenes require the force, and how its energy is recorded (`carom.scene.forces`). Each of carom's own forces has a
+function ``make(scene, bodies, team)``, named in `carom.registry`. `carom.physics.forces.kernel_forces` makes the forces
+of installed packages.
 
 Forces without a potential do work along the paths of the bodies. On a drift from x to x + Δx, with the accelerations a
 and a' by the force at its ends,

@@ -2,8 +2,8 @@
 
 Every kernel that sums accelerations calls `add_forces` with a tuple of records that hold the parameters, one for each
 force. The type of a record names the force and a hash of its sources. Numba compiles a kernel for each tuple of types,
-with the functions of these forces in it. It is stored on disk under these types. Without such forces the tuple is empty
-and the call compiles to nothing.
+with the functions of these forces in it, and the kernel is stored on disk under these types. Without such forces the
+tuple is empty and the call compiles to nothing.
 
 A body's terms are added in the order of their sources, whichever thread computes them, so all integrators and any
 number of threads give the same bits. A pair is computed twice, once for each body.

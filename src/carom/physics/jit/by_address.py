@@ -19,7 +19,7 @@ from carom.physics.jit.instructions import Code, instruction
 BYTES = ir.IntType(8).as_pointer()
 
 
-class Located(types.Type):  # type: ignore[misc] # untyped, like all of Numba's inside
+class Located(types.Type):  # type: ignore[misc] # untyped, like Numba's internals
     """Numba's type of the address of a named tuple in memory that nobody writes."""
 
     def __init__(self, of: Any) -> None:
@@ -37,7 +37,7 @@ extending.register_model(Located)(extending.models.OpaqueModel)
 
 
 @templates.infer_getattr
-class _LocatedFields(templates.AttributeTemplate):  # type: ignore[misc] # untyped, like all of Numba's inside
+class _LocatedFields(templates.AttributeTemplate):  # type: ignore[misc] # untyped, like Numba's internals
     key = Located
 
     def generic_resolve(self, kind: Any, field: str) -> Any:

@@ -9,8 +9,8 @@ depend on. Damaged, exchanged or outdated files are ignored and the kernel is co
 kernel and types, and no index that two processes could write at once. A process that compiles a kernel claims it, so
 that others wait for the result, and removes the files of the kernel that other sources or versions left.
 
-A wheel may carry kernels for a `BASELINE` of processors (``.ci/wheel`` makes one). They lie beside the sources, are
-verified like all others, and give the same bits as kernels for this processor.
+A wheel may carry kernels for a `BASELINE` of processors (``.ci/wheel`` makes one). Such kernels lie beside the sources,
+are verified like all others, and give the same bits as kernels for this processor.
 """
 
 from __future__ import annotations

@@ -38,7 +38,7 @@ WORTH_LOADING = 1_000  # 0.17 s, where loading takes 0.05 s, or 0.12 s on a busy
 
 
 def kernel(function: Function) -> Function:
-    """Compile a short function on its first call, or load it from the cache. It holds the interpreter lock.
+    """Compile a short function on its first call, or load it from the cache. The function holds the interpreter lock.
 
     Releasing the lock for microseconds does not pay: the recorder acquires it, and the physics waits. (When all kernels
     released it, recording every step of 1000 bodies cost 19 % instead of 11 %.)
@@ -49,7 +49,7 @@ def kernel(function: Function) -> Function:
 def long_kernel(function: Function) -> Function:
     """Compile a function that runs for tens of microseconds or more; it releases the interpreter lock.
 
-    It neither creates nor stores arrays, as for `inner`.
+    The function neither creates nor stores arrays, as for `inner`.
     """
     return _compiled(function, nogil=True, _nrt=False)
 
@@ -127,9 +127,9 @@ def entry_of(function: Callable[..., Any], *arguments: Any) -> Callable[..., Any
     """Compile a kernel for the types of these arguments, or load it; return it as a function of such arguments only.
 
     Numba looks up the types of all arguments at each call: 3 to 5 µs for a tuple of 25 arrays. A call of the returned
-    function takes 0.5 µs, or 2 µs if it counts references. It misreads arguments of other types, so it may be used only
-    for arrays whose types its owner sets. Without it, a step of few spheres at rest takes 1.3 times as long. In the
-    plain form, the kernel itself is returned.
+    function takes 0.5 µs, or 2 µs if it counts references. The returned function misreads arguments of other types, so
+    it may be used only for arrays whose types its owner sets. Without it, a step of few spheres at rest takes 1.3 times
+    as long. In the plain form, the kernel itself is returned.
     """
     if PLAIN:
         return function

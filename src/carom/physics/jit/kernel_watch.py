@@ -11,7 +11,7 @@ COMPILED = "numba:compile"
 LOADED_OR_COMPILED = "numba:compiler_lock"  # Numba holds this lock while it loads or compiles
 
 
-class KernelWatch(event.Listener):  # type: ignore[misc] # untyped, like all of Numba's inside
+class KernelWatch(event.Listener):  # type: ignore[misc] # untyped, like Numba's internals
     """Seconds in which kernels are loaded or compiled while it is active, and the number of the compiled ones.
 
     ``clock`` returns seconds.

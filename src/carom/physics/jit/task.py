@@ -114,7 +114,7 @@ def lay_out(code: Code, kernel: Any, count: Any, pieces: Any, arguments: Any) ->
 def _doer(context: Any, module: Any, layout: Any, kinds: Sequence[Any]) -> Any:
     """Write the function that calls the kernel of a job for some pieces.
 
-    It stores the first exception of a job in the job, for `raise_fault`.
+    The function stores a job's first exception in the job, for `raise_fault`.
     """
     doer = ir.Function(module, PIECES_OF, module.get_unique_name("do_pieces"))
     doer.linkage = "internal"

@@ -1,9 +1,9 @@
 """Vectors: the same arithmetic on eight records or bodies at once, in the processor's vector registers.
 
 `Lanes` is a value in the code of an instruction (see `instructions`) with one double for each of `WIDTH` records;
-`Mask` has one bit for each. Their operators emit strict IEEE arithmetic, so each lane has the bits that a loop over the
-records would give. Processors with narrower registers use two or four instructions for each operation, with the same
-bits. Formulas are written once, for doubles: `in_lanes` compiles the same Python code for lanes.
+`Mask` has one bit for each. The operators of both emit strict IEEE arithmetic, so each lane has the bits that a loop
+over the records would give. Processors with narrower registers use two or four instructions for each operation, with
+the same bits. Formulas are written once, for doubles: `in_lanes` compiles the same Python code for lanes.
 
 `RecordLanes` are eight records whose fields are lanes. Records are read and written as whole cache lines, which are
 transposed in registers. A transposition takes 24 instructions, so a change that belongs to several lines is transposed

@@ -35,8 +35,8 @@ class Selection:
     """Keeps the spheres and arrows of selected bodies, and the contacts among them.
 
     A contact is kept if both of its bodies are kept, or if its body is kept and the other end is a plane. With
-    ``record.impacts = "none"``, a recording has the lines of contacts without the numbers of their bodies. They are
-    derived from the ends of a line, so the chunk with the centres must come before the chunk with the contacts.
+    ``record.impacts = "none"``, a recording has the lines of contacts without the numbers of their bodies. The numbers
+    are derived from the ends of a line, so the chunk with the centres must come before the chunk with the contacts.
     """
 
     def __init__(

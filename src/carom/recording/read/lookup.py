@@ -1,4 +1,4 @@
-"""What a reader asks for: bodies by number or name, moments and intervals of time.
+"""Looks up bodies by number or name, moments, and intervals of time in a recording.
 
 By default, the moment of the hardest impact is shown or, without impacts, the moment of the most contacts. If no later
 step has more contacts than the first, as on a slope, the end is shown, since nothing has moved yet in the first step.

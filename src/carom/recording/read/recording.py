@@ -161,8 +161,8 @@ class Recording(RecordedData):
         contacts
             The columns of `impacts`; forces are impulses over the step. Point and normal are given at the end of the
             step or, for a pair that has separated by then, at its hardest impact. Recorded contacts have approach_speed
-            and energy_lost only for impacts (null otherwise). They do not include contacts that held after the first
-            kick but opened within the step. The metadata of the schema state the ``source``.
+            and energy_lost only for impacts (null otherwise). Recorded contacts do not include those that held after
+            the first kick but opened within the step. The metadata of the schema state the ``source``.
         """
         check_times(at=at)
         return contacts(self, at)

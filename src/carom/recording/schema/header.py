@@ -81,12 +81,12 @@ _FLAGS = {
     "accuracy": "promises",
     "contact": "collides",
     "friction": "has_friction",
-    "record.impacts": "records_contacts",  # not parts of the model, but required, here by series of contacts
-    "wall.motion": "drives",  # the work of moving walls requires it
-    "piston": "has_piston",  # the motion of a piston requires it
-    "release": "admits",  # the energy of bodies that enter requires it
-    "driving-field": "has_driving_field",  # its work along periodic axes requires it
-    "shear": "shears",  # the work of a sheared box requires it
+    "record.impacts": "records_contacts",  # no part of the model; series of contacts depend on it
+    "wall.motion": "drives",  # no part of the model; the series of moving walls' work depends on it
+    "piston": "has_piston",  # no part of the model; the series of the piston's motion depend on it
+    "release": "admits",  # no part of the model; the series of entering bodies' energy depends on it
+    "driving-field": "has_driving_field",  # the same for the series of the field's work on periodic axes
+    "shear": "shears",  # no part of the model; the series of the sheared box's work depends on it
     "spin": "spins",
     "stabilisation": "stabilises",
 }

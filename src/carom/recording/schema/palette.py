@@ -1,8 +1,8 @@
 """Colours, as 0xRRGGBBAA, that colour-blind readers can distinguish.
 
 The 3D views use Okabe and Ito's palette on a dark background; on paper, in the light theme, its bright colours are
-darkened (`legible`). Plots have the background of the theme. Their curves use `LINES`, whose colours have a contrast of
-at least 3 to 1 on both backgrounds.
+darkened (`legible`). Plots have the background of the theme. The curves of plots use `LINES`, whose colours have a
+contrast of at least 3 to 1 on both backgrounds.
 """
 
 from __future__ import annotations

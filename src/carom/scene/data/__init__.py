@@ -228,7 +228,7 @@ def open_table(
         raise SceneError(f'{called}: no format has the suffix "{path.suffix}"; {remedy}')
     form: DataFormat = registry.load("data_formats", ending[1:])
     with _reading(called, form):
-        if time is not None and form.times is not None:  # otherwise a column of the table may hold times
+        if time is not None and form.times is not None:  # without a time, a column of the table may hold times
             times = np.asarray(form.times(path, called), dtype=np.float64)
             rounding = _ROUNDED * float(np.abs(times).max())
             if not times.min() - rounding <= time <= times.max() + rounding:

@@ -1,4 +1,4 @@
-"""What a file states about its numbers beside its columns: units, angles, frame of reference, epoch, time and box.
+"""Statements of a file about its numbers, besides columns: units, angles, frame of reference, epoch, time and box.
 
 Each reader fills a `Facts`, `column_factor` converts a column or refuses it, and `contradiction` compares the tables of
 a scene. The unit of a column is stated by the scene (``columns = { mass = "mass [g]" }``); otherwise by the column in
@@ -63,7 +63,7 @@ class FileBox(NamedTuple):
 
 @dataclass(frozen=True)
 class Facts:
-    """What a file states about its numbers, beside the names of its columns; empty where it states nothing."""
+    """Statements of a file about its numbers, besides the names of columns; empty where it states nothing."""
 
     units: UnitSystem = SI  # units of the columns that state no unit, for some dimensions or for all
     of_columns: Mapping[str, str] = field(default_factory=dict)  # units of single columns, as the file writes them

@@ -14,8 +14,8 @@ from carom.scene.units.dimension import LENGTH, RATE, TIME
 class Release(Section):
     """[group.release]: when the bodies of a group enter.
 
-    A body that waits is outside of the physics. It enters at its place, with the velocity and the spin of the scene, if
-    nothing overlaps it there, else as soon as nothing does.
+    A body that waits is outside of the physics. The body enters at its place, with the velocity and the spin of the
+    scene, as soon as nothing overlaps it there.
     """
 
     at: Annotated[NonNegative, TIME] = Field(0.0, description="s, when the first body enters; not negative")

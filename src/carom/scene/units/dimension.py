@@ -1,6 +1,6 @@
 """The dimensions of quantities with their SI units, and all units: names, sizes in SI, and texts such as "3 km".
 
-This is the only module that imports pint. The definitions of units are carom's own and exact (`definitions.txt`). A
+Only this module imports pint. The definitions of units are carom's own and exact (`definitions.txt`). A
 conversion is a product of fractions that is rounded once, with the same bits for every version of pint and on every
 machine. pint takes a quarter of a second to import, so it is imported when the first unit is read. Prefixes are
 accepted only where they are customary: with all prefixes, typing errors such as "12 hh" would be valid units

@@ -210,7 +210,7 @@ class EventDrivenDrift(Mover):
         return impacts
 
     def _leave_out(self, absent: BoolArray | None) -> None:
-        """Let strays meet only bodies that are there."""
+        """Let strays meet only bodies that exist now."""
         if absent is not self._absent and absent is not None:
             present = np.flatnonzero(~absent)
             everyone = self.trajectories.everyone
@@ -245,7 +245,7 @@ class EventDrivenDrift(Mover):
         return step_by_impacts(*moving, T.surface, T.offset, pairs, span)
 
     def _straighten(self, held: ImpulseCache, unmoved: BoolArray | None) -> None:
-        """Make the paths of held bodies and of unmoved ones straight, and mark held bodies as not free."""
+        """Make the paths of held and of unmoved bodies straight, and mark held bodies as not free."""
         straighten(held.pairs, held.place, held.contacts, self.trajectories)
         if unmoved is not None:
             self.trajectories.body["is_straight"][unmoved] = True

@@ -138,7 +138,8 @@ def resolve(neighbours: Neighbours, T: Trajectories, log: RecordArray[ImpactReco
 def _go_to_next(neighbours: Neighbours, T: Trajectories) -> int:
     """Move two bodies to the next impact; return the body that predicted it, or -1 if no impact follows.
 
-    A prediction is stale if the partner has had another impact since. A guided wall then comes later (`guided_walls`).
+    A prediction is stale if the partner has had another impact since. In the case of a guided wall, the impact then
+    comes later (`guided_walls`).
     """
     n, drift = len(T.x), T.drift[0]
     while drift.queued > 0:

@@ -17,12 +17,12 @@ are held doubles, until it covers the whole drift.
 Where no contact of the group dissipates (e = 1), the impulses are twice the impulses that end the closing at the
 present time. That reverses the component of √m v that they remove, so the energy is conserved. A light ball between a
 heavy one and a wall then turns the heavy ball round as its remaining impacts would, only earlier, by twice the time in
-which the heavy ball would cover the remaining gap. As soon as an impact has acted on several contacts, the bodies go on
-with single impacts. A body that is exhausted again and again, such as a ball between two walls that nearly touch it,
-stays in its place, closes no contact, and rebounds at the end of the drift.
+which the heavy ball would cover the remaining gap. As soon as an impact has acted on several contacts, the bodies
+continue with single impacts. A body that is exhausted again and again, such as a ball between two walls that nearly
+touch it, stays in its place, closes no contact, and rebounds at the end of the drift.
 
-Rejected: impulses with e = 0 one by one, as numerous as the impacts; leaving an exhausted body out of the drift, so
-that others pass through it.
+Rejected: impulses with e = 0 one by one, which are as many as the impacts; leaving an exhausted body out of the drift,
+so that others pass through it.
 """
 
 from __future__ import annotations
@@ -144,7 +144,7 @@ def _is_elastic(contacts: int, group: Group, T: Trajectories) -> bool:
 
 @inner
 def _further_closing(ends: tuple[int, int], normal: Vector, T: Trajectories) -> float:
-    """Return what the kick so far, walls and shear add to the normal velocity of a contact in the drift, in m/s."""
+    """Return the change of a contact's normal velocity in the drift by the kick so far, walls and shear, in m/s."""
     (i, j), (nx, ny, nz), s = ends, normal, T.drift[0].clock - T.drift[0].kick
     ax, ay, az = between(T.a, i, j)
     further = s * (ax * nx + ay * ny + az * nz)
@@ -259,7 +259,7 @@ def _add(i: int, j: int, bodies: int, contacts: int, T: Trajectories, group: Gro
 
 @inner
 def _rebound(k: int, waits: bool, group: Group, T: Trajectories) -> None:
-    """Give a body without closing contacts the velocity that it has lost a second time; if it ``waits``, later."""
+    """Give a body without closing contacts the velocity that it has lost a second time; if it ``waits``, at the end."""
     x, y, z = vector(T.v, group.body[k])
     x, y, z = group.v[k, 0] - x, group.v[k, 1] - y, group.v[k, 2] - z
     if not waits:
@@ -316,7 +316,7 @@ def _log(contacts: int, elastic: bool, T: Trajectories, group: Group, log: Recor
 
 @inner
 def _book_where_energy_is_lost(first: int, last: int, T: Trajectories, log: RecordArray[ImpactRecord]) -> None:
-    """Book what the rows [first, last) lost at elastic contacts at the others, in proportion to their impulses."""
+    """Move losses of elastic contacts in the rows [first, last) to the other contacts, in proportion to impulses."""
     lost, impulse, n = 0.0, 0.0, len(T.x)
     for row in range(first, last):
         if dissipates(T.materials[material_index(log[row].i, log[row].j, n, T.places)]):

@@ -2,9 +2,9 @@
 
 Of all velocities at which each contact closes no faster than its gap allows, the solution is nearest to the previous
 velocities in kinetic energy, see `held_group`. The dual method finds it in finitely many steps: it adds the contact
-that closes fastest, and opens contacts whose impulse would become negative. It works with orthogonal directions of the
-scaled velocities √m v. At mass ratios above 10¹², the matrix of the contacts would lose a light body between heavy
-ones to rounding.
+that closes fastest, and opens contacts whose impulse would become negative. The method works with orthogonal directions
+of the scaled velocities √m v. At mass ratios above 10¹², the matrix of the contacts would lose a light body between
+heavy ones to rounding.
 
 Goldfarb, D., Idnani, A.: A numerically stable dual method for solving strictly convex quadratic programs. Mathematical
 Programming 27 (1983) 1–33.

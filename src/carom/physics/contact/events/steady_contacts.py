@@ -2,12 +2,12 @@
 
 `ContactPipeline` calls some forty kernels a step. With few bodies, that takes a hundred times as long as the kernels
 themselves. The functions here call the same kernels in the same order without Python in between, so the bits are the
-same. They are variants of the functions in `carom.physics.open_gaps`, for contacts that rest, slide or roll, and for
+same. These functions are variants of those in `carom.physics.open_gaps`, for contacts that rest, slide or roll, and for
 contacts without impulses, which no force presses together.
 
-They return False if Python must process the step: it has other pairs than the previous step, an impact, a body behind a
-plane, a deep overlap, a contact that still closes, a force that begins or ceases to press contacts together, or a
-number that is not finite.
+The functions return False if Python must process the step: if it has other pairs than the previous step, an impact, a
+body behind a plane, a deep overlap, a contact that still closes, a force that begins or ceases to press contacts
+together, or a number that is not finite.
 """
 
 from __future__ import annotations
@@ -108,7 +108,7 @@ def _hold_contacts(contacts: SteadyContacts, totals: Totals, damped: DampedStep)
 
 @inner
 def _release(contacts: SteadyContacts) -> None:
-    """Begin a step whose contacts carry no impulses."""
+    """Begin a step with contacts that carry no impulses."""
     system = contacts.system
     if contacts.rules.lasts:
         for i in range(len(system.pressed)):

@@ -1,10 +1,10 @@
 """Many steps of few bodies in contact, by the kernel of `carom.physics.few_bodies`.
 
-`KickDriftStepper` leaves the steps before the next frame or check to this module, as long as the same contacts last. It
-makes the step that ends at the frame or check itself, since Python needs the contacts of this step.
+`KickDriftStepper` leaves the steps before the next frame or check to this module, as long as the same contacts last.
+`KickDriftStepper` itself makes the step that ends at the frame or check, since Python needs the contacts of that step.
 
-Entries of the books are summed in the kernel, in the same order: the ledger, the numbers of contacts, the deepest
-overlap. `steady_contacts` lists the steps that Python must process.
+The kernel sums entries of the books in the same order: the ledger, the numbers of contacts, the deepest overlap.
+`steady_contacts` lists the steps that Python must process.
 """
 
 from __future__ import annotations

@@ -66,7 +66,7 @@ def time_of_impact(d: Vector, v: Vector, a: Vector, R: float, span: float, since
 
     One body has the separation d (m), the velocity v (m/s) and the acceleration a (m/s²) relative to the other. R is
     the sum of their radii in m, ``since_kick`` the present time minus the time of the velocities in s, and ``slow`` the
-    largest closing speed that is no impact in m/s.
+    largest closing speed in m/s that is not an impact.
     """
     (dx, dy, dz), (vx, vy, vz), (ax, ay, az) = d, v, a
     b = dx * vx + dy * vy + dz * vz
@@ -197,7 +197,7 @@ def time_of_impact_in_box(
 def _each_on_its_line(
     d: Vector, v: Vector, a: Vector, R: float, slow: float, times: tuple[float, float, float], box: Any
 ) -> float:
-    """Test the images that come within R along the gradient; along the other axes, space repeats as without shear."""
+    """Test the images that come within R along the gradient; along the other axes, the box repeats as without shear."""
     span, since_kick, clock = times
     B = box[0]
     (dx, dy, dz), (vx, vy, vz) = d, v
@@ -249,13 +249,13 @@ def step_by_impacts(
 ) -> float:
     """Return the longest step (s) that the next impact allows; infinite if there is none within a span (s).
 
-    ``pairs``, (m, 2), sorted, are the contacts of the last step. Those that touch are held, not impacts: they close at
-    speeds within the tolerance of the solver.
+    ``pairs``, (m, 2), sorted, are the contacts of the last step. Contacts that touch are held and are not impacts: they
+    close at speeds within the tolerance of the solver.
 
     A held contact acts on its bodies with one impulse for the whole step. An impact in the middle of the step meets
-    velocities that lack part of this impulse, and bodies that separate there keep too much of it: errors of first order
-    in the step. Each step therefore covers nine tenths of the time to the impact, until a very short step passes it.
-    The prediction ignores held contacts, an error of second order.
+    velocities that lack part of this impulse, and bodies that separate there keep too much of the impulse. Both are
+    errors of first order in the step. Each step therefore covers nine tenths of the time to the impact, until a very
+    short step passes it. The prediction ignores held contacts, an error of second order.
     """
     first, n, k = np.inf, len(radius), 0
     for i in range(n):

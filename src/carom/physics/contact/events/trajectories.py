@@ -153,8 +153,8 @@ def write_search_radii(
     """Write the search radius of each body for dt, and the bulk velocity; return the largest radius in body radii.
 
     A search radius is the distance that a body covers at its own speed plus the mean speed of all bodies, relative to
-    the centre of mass or to fixed objects. This search suffices after most impacts, and a fast body does not widen the
-    radii of other bodies.
+    the centre of mass or to fixed objects. Such a radius suffices after most impacts, and a fast body does not widen
+    the radii of other bodies.
     """
     ux, uy, uz = (0.0, 0.0, 0.0) if anchored else centre_velocity(v, mass)
     drift[0].bulk_x, drift[0].bulk_y, drift[0].bulk_z = ux, uy, uz
@@ -233,7 +233,7 @@ def arrive(i: int, T: Trajectories) -> None:
 
 @inner
 def release(i: int, T: Trajectories) -> None:
-    """Let an exhausted body go on with as many single impacts as before."""
+    """Allow an exhausted body as many further single impacts as before."""
     body = T.body[i]
     body.exhausted, body.released, body.releases = False, body.impacts, body.releases + 1
     body.standoff, body.holds = FIRST_STANDOFF * T.radius[i], 0
@@ -397,7 +397,7 @@ def leaves_search_radius(i: int, T: Trajectories) -> bool:
 
 @long_kernel
 def finish(lo: int, hi: int, T: Trajectories) -> None:
-    """Move the bodies [lo, hi) to the end of the drift, where exhausted bodies regain what `hold_group` kept."""
+    """Move bodies [lo, hi) to the end of the drift, where exhausted ones regain the velocity that `hold_group` kept."""
     dt = T.drift[0].dt
     for i in range(lo, hi):
         body = T.body[i]

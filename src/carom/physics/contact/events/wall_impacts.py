@@ -1,11 +1,11 @@
 """Times of impact of bodies with walls.
 
 The path of a body in a drift is x + v t + ½ g t², with g the field that bends it. At the signed distance d(x) from a
-wall, the gap of a body of radius r is d - r. It has two bounds. The gap cannot close before the path is as long as the
-gap, and its second derivative is at least -(g + u²/f), where u is the speed and f the distance of the nearest centre of
-curvature. Steps by either bound lead to the first root from below; with the second, they converge as fast as Newton's
-method, as in `time_of_impact`. If a wall translates, the path is relative to the wall, and the wall's largest
-acceleration is added to g.
+wall, the gap of a body of radius r is d - r. The time until this gap closes has two bounds. The gap cannot close before
+the path is as long as the gap, and its second derivative is at least -(g + u²/f), where u is the speed and f the
+distance of the nearest centre of curvature. Steps by either bound lead to the first root from below; with the second,
+they converge as fast as Newton's method, as in `time_of_impact`. If a wall translates, the path is relative to the
+wall, and the wall's largest acceleration is added to g.
 """
 
 from __future__ import annotations

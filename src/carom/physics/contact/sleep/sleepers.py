@@ -1,9 +1,9 @@
 """Sleep: islands at rest on something fixed are not computed until something disturbs them.
 
 A body is slow while |v| ≤ s and |ω| r ≤ 10 s, with s = `contact.sleep.speed`. An island whose bodies have all been slow
-for `contact.sleep.after` falls asleep if a contact presses it against something fixed. Its velocities become 0, and its
-contacts keep the forces of the last kick. Forces do not move sleepers, and pairs of sleepers are not contacts of the
-solver.
+for `contact.sleep.after` falls asleep if a contact presses it against something fixed. The velocities of its bodies
+become 0, and its contacts keep the forces of the last kick. Forces do not move sleepers, and pairs of sleepers are not
+contacts of the solver.
 
 An island wakes as a whole when
 
@@ -11,7 +11,7 @@ An island wakes as a whole when
 - an awake body comes near it, or
 - the acceleration of one of its bodies has changed by more than s / after.
 
-Its contacts then start with their stored forces.
+The contacts of a woken island start with their stored forces.
 
 Rejected: single bodies that sleep (bodies resting on them would wake them in the next step).
 """
@@ -142,7 +142,7 @@ class Sleepers(OptionalPart):
         return replace(memory.among(awake, held), sleep=slept)
 
     def recall(self, memory: ContactCheckpoint) -> None:
-        """Restore the state of a checkpoint; positions must already be restored to the same step."""
+        """Restore the state of a checkpoint; positions must already be those of the same step."""
         self.forget()
         if memory.sleep is not None:
             self._calm, self._reference = memory.sleep.calm.copy(), memory.sleep.reference.copy()

@@ -271,10 +271,11 @@ def slip(
 def half_turn(
     contact: ContactRecord, a: BodyStateRecord, b: BodyStateRecord, tx: float, ty: float, tz: float, drift: float
 ) -> Vector:
-    """Return how much slip (m/s) the first half of a drift (s) ends, as the normal of two bodies turns, given v_t.
+    """Return the slip (m/s) that the first half of a drift (s) ends as the normal of two bodies turns, given v_t.
 
     The slip of bodies that drift changes by -w × δn, with w = ρ_i ω_i + ρ_j ω_j and the turn δn = v_t dt/d of the
-    normal. Its tangential component is -w_n n × δn. Where the turn or the spin is too large for this, q is 0.
+    normal. The tangential component of this change is -w_n n × δn. Where the turn or the spin is too large for this, q
+    is 0.
     """
     nx, ny, nz, ri, rj = contact.nx, contact.ny, contact.nz, contact.arm_i, contact.arm_j
     about = (ri * a.wx + rj * b.wx) * nx + (ri * a.wy + rj * b.wy) * ny + (ri * a.wz + rj * b.wz) * nz
@@ -311,9 +312,10 @@ def set_half_turn(
     moves: tuple[Vector, Vector, float, float, float],
     end: Vector,
 ) -> None:
-    """Store `half_turn` of a contact with a wall: half of what the slip s - ρ ω × n loses in the drift.
+    """Store `half_turn` of a contact with a wall: half of the decrease of the slip s - ρ ω × n in the drift.
 
-    Both slips are compared after a rotation of the normal at the end of the drift, ``end``, to that at its beginning.
+    Before the slips at both ends of the drift are compared, the slip at the end is rotated by the turn of the normal
+    from ``end`` back to the beginning.
 
     Parameters
     ----------

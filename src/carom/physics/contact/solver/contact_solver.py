@@ -135,8 +135,7 @@ class ContactSolver:
         Parameters
         ----------
         order
-            The contacts in the order of solving.
-        keep
+            The contacts in the order of solving. keep
             `contacts` of an earlier step, not to be overwritten.
         rounding
             m, rounding of the coordinates; a pair with a gap up to this touches.
@@ -330,7 +329,7 @@ class ContactSolver:
         return self._workspace.loads
 
     def assume_loads(self) -> None:
-        """Take all bodies as loaded in all directions, where no impulses of contacts are kept that could tell."""
+        """Assume that all bodies are loaded in all directions, since no stored impulses show their loads."""
         for axis in ("xx", "yy", "zz"):
             self.loads[axis][: len(self._bodies)] = UNKNOWN
 

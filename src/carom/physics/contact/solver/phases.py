@@ -91,7 +91,7 @@ def run_job(
     job
         `POSITIONS`, `IMPACTS` or `RESTING`.
     addresses, kind
-        Of the phases' code, and of the systems it is compiled for; see `PhaseCode`.
+        Addresses of the phases' code, and the kind of the systems that it is compiled for; see `PhaseCode`.
     system
         The contacts, located.
     """

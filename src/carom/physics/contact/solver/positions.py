@@ -6,7 +6,7 @@ velocity of the centres). Scaling v_t by d/(d + δ) conserves it:
 
     (d + δ) n × (v_t d/(d + δ)) = d n × v_t
 
-This is `contact.stabilisation = "split"`. With `"baumgarte"`, the pipeline instead requests a velocity bias from
+This method is `contact.stabilisation = "split"`. With `"baumgarte"`, the pipeline instead requests a velocity bias from
 `impacts` and `prepare`: `BAUMGARTE` times the overlap per step.
 
 Only resting contacts are pushed. Bodies in an impact separate by their rebound, and pushing them would take tangential
@@ -16,8 +16,8 @@ The ledger books the change of the energy. For the scaling, the booked energy is
 first kick. For the potential, it is the work against gravity at the new positions, with an error of (δ/d)² of the
 pair's potential.
 
-Rejected: the mean of the forces at the start and the end of the step, of the next order. In the collapse of 500
-boulders, both have errors of 10⁻⁶ of the energy scale.
+Rejected: using the mean of the forces at the start and the end of the step, which is of the next order. In the collapse
+of 500 boulders, both have errors of 10⁻⁶ of the energy scale.
 
 Contacts of a colour are corrected eight at a time (`correct_block`), with the same bits. Both forms call the same
 formulas, which accept doubles or lanes.

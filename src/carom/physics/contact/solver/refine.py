@@ -151,7 +151,7 @@ def repeat_change(code: Code, bodies: Any, body: Any, alpha: Any) -> None:
 
 @inner
 def measure_violation(first: int, end: int, system: ConstraintSystem) -> None:
-    """Compute by how much the worst contact of each piece exceeds its tolerance, in m/s; 0 within it."""
+    """Compute the excess of each piece's worst contact over its tolerance, in m/s; 0 within the tolerance."""
     for piece in range(first, end):
         system.piece_results[piece].residual = _violation(piece, system)
 
@@ -248,7 +248,7 @@ def conjugate_step(first: int, end: int, system: ConstraintSystem) -> None:
 
 @inline
 def _is_searched(c: int, search: SearchRecord, system: ConstraintSystem) -> bool:
-    """Return whether the search goes on for a contact: it has free impulses, and its island is not left as it is."""
+    """Return whether the search continues for a contact: it has free impulses, and its island is not left as it is."""
     if not (search.free_normal or search.free_tangent):
         return False
     return not (system.settings[0].ignores_meshed and system.enough[c] > ENOUGH)
@@ -256,7 +256,7 @@ def _is_searched(c: int, search: SearchRecord, system: ConstraintSystem) -> bool
 
 @inline
 def _is_left(results: PieceResultsRecord, system: ConstraintSystem) -> bool:
-    """Return whether the search goes on for no contact of a piece: all of its islands are left as they are.
+    """Return whether the search ends for all contacts of a piece: all of its islands are left as they are.
 
     In a drum with 10⁴ spheres, half of the iterations serve ten contacts.
     """
@@ -267,7 +267,7 @@ def _is_left(results: PieceResultsRecord, system: ConstraintSystem) -> bool:
 def begin_search(lo: int, hi: int, system: ConstraintSystem) -> bool:
     """Determine the free impulses: λ_n of contacts that carry a load or are closing, and λ_t of contacts that stick.
 
-    Return whether the search goes on for one of the contacts when it leaves meshed islands.
+    Return whether the search continues for any of the contacts when it leaves meshed islands.
     """
     spins, drift = system.settings[0].spins, system.settings[0].drift
     count, places, is_exact = body_count(system), system.places, False

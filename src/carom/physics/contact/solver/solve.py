@@ -336,7 +336,7 @@ class _Solution:
         return either(builder, block.drifts, before_drift, lambda: nothing)
 
     def _at_walls(self, contact: RecordLanes, name: str) -> dict[str, Lanes]:
-        """Return a vector that is 0 between bodies. It is read only if a contact is with a wall: a drum is faster."""
+        """Return a vector that is 0 between bodies. Memory is read only for contacts with walls: a drum is faster."""
         block, names = self._block, [f"{name}_{axis}" for axis in "xyz"]
         zero = spread(self._builder, DOUBLE(0.0))
         at_walls = (~block.between_bodies).any

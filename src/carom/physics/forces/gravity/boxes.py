@@ -153,9 +153,9 @@ def _sort(
 ) -> None:
     """Sort the bodies: each of the threads from lo to hi takes ranges from the queue until all bodies are sorted.
 
-    A range of k bodies has space for 2 k - 1 boxes, the largest possible number. It can therefore be sorted while the
-    number of boxes in earlier ranges is still unknown. At the first box, ``skip`` temporarily holds their number, or 0
-    if a box was halved and its halves were queued separately.
+    A range of k bodies has space for 2 k - 1 boxes, the largest possible number. The range can therefore be sorted
+    while the number of boxes in earlier ranges is still unknown. At the first box, ``skip`` temporarily holds their
+    number, or 0 if a box was halved and its halves were queued separately.
 
     The function is not divided, because each call with arrays as arguments counts references in memory that all threads
     write to. With calls, it took 1.5 times as long.

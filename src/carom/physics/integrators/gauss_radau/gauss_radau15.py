@@ -6,8 +6,9 @@ Within a step of length T the acceleration of a coordinate is a polynomial in h 
     x(h) = x₀ + h T v₀ + (h T)² (a₀/2 + Σ b_k h^{k+1} / ((k+2)(k+3)))
     v(h) = v₀ + h T (a₀ + Σ b_k h^{k+1} / (k+2))
 
-that interpolates the accelerations at the eight Gauss–Radau nodes h₀ = 0, …, h₇. These depend on the positions, so the
-coefficients are determined by iteration, starting from the extrapolated polynomial of the previous step. Newton's form
+that interpolates the accelerations at the eight Gauss–Radau nodes h₀ = 0, …, h₇. The accelerations depend on the
+positions, so the coefficients are determined by iteration, starting from the extrapolated polynomial of the previous
+step. Newton's form
 
     a(h) = a₀ + g₀ h + g₁ h (h - h₁) + g₂ h (h - h₁)(h - h₂) + …
 

@@ -1,10 +1,10 @@
 """Divergence of two nearby orbits under Gauss–Radau integration.
 
-The twin takes the same steps as the orbit. Their polynomials differ as little as their orbits, so the twin starts its
-iterations from the coefficients that the orbit had before its last iteration. With a single iteration, the twin costs a
-third of a separate run. The error of their distance is less than a hundredth, but very eccentric orbits then diverge
-too fast: with e = 0.999 by 10³⁰ in 13 orbits. A twin that iterates until it converges costs as much as a separate run
-and has its own rounding errors, so that their distance measures the error by rounding.
+The twin takes the same steps as the orbit. The polynomials of both differ as little as the orbits, so the twin starts
+its iterations from the coefficients that the orbit had before its last iteration. With a single iteration, the twin
+costs a third of a separate run. The error of their distance is less than a hundredth, but very eccentric orbits then
+diverge too fast: with e = 0.999 by 10³⁰ in 13 orbits. A twin that iterates until it converges costs as much as a
+separate run and has its own rounding errors, so that their distance measures the error by rounding.
 """
 
 from __future__ import annotations
@@ -104,7 +104,7 @@ def diverge(
     refinement
         Ratio of the usual step to the step taken.
     iterations
-        Of the twin in each step; `CONVERGES` for as many as it needs.
+        Number of the twin's iterations in each step; `CONVERGES` for as many as it needs.
     goes_on
         Called after every `MOST_AT_ONCE` steps, or fewer of many bodies, with the iterations since the last call and
         the time in s; if it returns False, both integrations end.

@@ -9,8 +9,8 @@ and the state after a time h is
     x' = f x + g v,     f = 1 - μ G₂/r,      g = h - μ G₃
     v' = ḟ x + ġ v,     ḟ = -μ G₁/(r r'),    ġ = 1 - μ G₂/r',      r' = r + η G₁ + ζ G₂
 
-The left side of the equation for X increases with X, because its derivative is r'. It is solved by steps that use the
-first three derivatives (Danby 1988), and by bisection where one of them leaves the bracket. Whole periods are
+The left side of the equation for X increases with X, because its derivative is r'. The equation is solved by steps that
+use the first three derivatives (Danby 1988), and by bisection if a step leaves the bracket. Whole periods are
 subtracted first. All computations are sums, products, quotients and square roots, so the bits are the same on any
 processor.
 """
