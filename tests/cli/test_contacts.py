@@ -5,6 +5,8 @@ from __future__ import annotations
 import csv
 import io
 import json
+import subprocess
+import sys
 from pathlib import Path
 
 import pyarrow.parquet as pq
@@ -21,6 +23,18 @@ def test_impacts_are_printed_with_the_names_of_the_bodies(folder: Path) -> None:
     assert done.returncode == 0, done.stderr
     assert done.stdout.startswith("1 impact, recorded\n")
     assert "body 0 and body 1" in done.stdout
+
+
+def test_recorded_contacts_are_printed_without_the_compiler_and_the_viewer(folder: Path) -> None:
+    code = (
+        "import sys, carom.cli.main as m\n"
+        "try: m.app(['contacts', 'run.rrd', '--impacts'])\n"
+        "except SystemExit: pass\n"
+        "print([name for name in ('numba', 'rerun') if name in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], cwd=folder, capture_output=True, text=True, check=True)
+    assert done.stdout.startswith("1 impact, recorded\n")
+    assert done.stdout.endswith("[]\n")
 
 
 def test_friction_and_losses_that_are_rounding_are_printed_as_0(tmp_path: Path) -> None:

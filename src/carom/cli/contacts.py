@@ -130,7 +130,6 @@ def _table(
     again: bool,
 ) -> pa.Table:
     """Return the contacts of the recording that concern the bodies."""
-    from carom.engines.measured_contacts import measured_contacts, measured_impacts
     from carom.errors import RecordingError
     from carom.recording.read.lookup import names_of, shown_body
     from carom.recording.read.recorded_contacts import of_body
@@ -143,6 +142,8 @@ def _table(
     at = _hardest(recording, numbers) if at is None and numbers and not impacts else at
     with replaying(recording) as watch:
         if recording.engine and not again:
+            from carom.engines.measured_contacts import measured_contacts, measured_impacts
+
             table = measured_impacts(recording, start, end) if impacts else measured_contacts(recording, at)
         elif impacts:
             table = impacts_of(recording, start, end, replay=again, watch=watch)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pyarrow as pa
@@ -19,10 +19,12 @@ from carom.recording.read.recorded_contacts import MEASURED, named_contacts
 from carom.recording.read.recording import Recording
 from carom.recording.read.state_columns import state_vectors
 from carom.recording.timelines import STEP
-from carom.runs.window import Watcher, Window
 from carom.scene.schema.body import SOLID
 from carom.state.checkpoint import Checkpoint
 from carom.state.frame import Frame
+
+if TYPE_CHECKING:
+    from carom.runs.window import Watcher, Window
 
 _ROUNDING = 1e-12  # relative rounding of moments of inertia that were computed from masses and radii
 
@@ -37,7 +39,7 @@ def contacts_of(
     moment = recording.moment(at)
 
     def computed() -> pa.Table:
-        return Window(recording, goal_of(recording, moment), contacts=True, watch=watch).contacts(moment)
+        return _window(recording, goal_of(recording, moment), contacts=True, watch=watch).contacts(moment)
 
     return computed() if replay else _recorded_or(computed, lambda: recording.contacts(moment))
 
@@ -59,7 +61,7 @@ def impacts_of(
     first, last = first - tolerance(first), last + tolerance(last)
 
     def computed() -> pa.Table:
-        return Window(recording, first, contacts=True, watch=watch).impacts(first, last)
+        return _window(recording, first, contacts=True, watch=watch).impacts(first, last)
 
     return computed() if replay else _recorded_or(computed, lambda: recording.impacts(start, end))
 
@@ -81,10 +83,17 @@ def time_of_step(recording: Recording, step: int, watch: Watcher | None = None) 
         known = f"the nearest are steps {steps[row - 1]} and {steps[row]}"
         raise RecordingError(f"{recording.path} has no frame of step {step}, and cannot be rerun; {known}")
     begin = float(times[row - 1])
-    for frame in Window(recording, begin, watch=watch).frames(begin):
+    for frame in _window(recording, begin, watch=watch).frames(begin):
         if frame.step >= step:
             return frame.time
     raise RecordingError(f"{recording.path} ends before step {step} when it is rerun; its bits differ")
+
+
+def _window(recording: Recording, begin: float, *, contacts: bool = False, watch: Watcher | None = None) -> Window:
+    """Return a rerun from a time (s)."""
+    from carom.runs.window import Window  # noqa: PLC0415 - most files hold what is asked for; kernels take 0.4 s to import
+
+    return Window(recording, begin, contacts=contacts, watch=watch)
 
 
 def _recorded_or(computed: Callable[[], pa.Table], recorded: Callable[[], pa.Table]) -> pa.Table:
@@ -115,7 +124,7 @@ def snapshots(
     if recording.engine:
         yield from _kept(recording, steps if everything else steps[[int(np.searchsorted(times, goal))]], energies)
         return
-    window = Window(recording, goal, contacts=True, watch=watch)
+    window = _window(recording, goal, contacts=True, watch=watch)
     own = _own(recording, window.fixed)
     wanted, left = (set(steps.tolist()), len(steps)) if everything else (set[int](), 1)
     frames = window.frames(np.inf if everything else goal)
