@@ -1,8 +1,9 @@
 """The one temporary folder of a process: its own, closed to other users, and removed when the process ends.
 
-Where several users share a machine, each can make a folder of any name in the system's temporary folder. So this folder
-has a random name and mode 0700, and a location where no other user can replace it. Every temporary file of carom is in
-it. A process that is killed leaves its folder behind; the next process of the same user removes it.
+Where several users share a machine, each can make a folder of any name in the system's temporary folder. This folder
+therefore has a random name and mode 0700, and a location where no other user can replace it. It contains every
+temporary file of carom. A process that is killed leaves its folder behind; the next process of the same user removes
+it.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The parts that carom is made of, by kind and name: its own, and parts of installed packages.
+"""The parts of carom by kind and name: its own, and those of installed packages.
 
 An installed package adds a part through an entry point, whose group is the kind with ``carom.`` before it:
 
@@ -6,7 +6,7 @@ An installed package adds a part through an entry point, whose group is the kind
     harmonic-trap = "carom_example.trap:TRAP"
 
 `carom.extend` has the classes and functions for such parts. A part is imported when it is used for the first time.
-Using a name that two packages define, or carom and a package, is an error.
+It is an error to use a name that two packages define, or that carom and a package define.
 """
 
 from __future__ import annotations
@@ -211,7 +211,7 @@ def load(kind: str, name: str) -> Any:
 def refused_if_broken(kind: str, name: str) -> Iterator[None]:
     """Raise `ExtensionError` for whatever the code of a package raises, such as SystemExit or KeyboardInterrupt.
 
-    Signals wait meanwhile: an interrupt that is raised here is none of the user's.
+    Signals wait meanwhile, so an interrupt raised here does not come from the user.
     """
     with signals_held():
         try:

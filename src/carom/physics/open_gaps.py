@@ -1,7 +1,8 @@
 """The stages of contacts in the kernel of few bodies, where nothing touches: gaps that stay open.
 
 `carom.physics.few_bodies` calls these functions in each step, with the contacts of the step as the first argument.
-Here it is an empty tuple. `carom.physics.contact.events.steady_contacts` has their forms for contacts that last.
+Here this argument is an empty tuple. `carom.physics.contact.events.steady_contacts` has forms of the functions for
+contacts that last.
 
 All gaps must stay larger than rounding and than a fall from rest in one step, within which `contact.pipeline` searches
 for contacts. Paths are straight, so two bodies approach each other by at most |v_j - v_i| dt; with drag, v is the mean
@@ -55,7 +56,7 @@ class KeptState(NamedTuple):
 
 
 class TotalsRecord(Protocol):
-    """Totals of the steps, to be added to the books, and what a step needs of the last one."""
+    """Totals of the steps, to be added to the books, and values of the last step that the next step needs."""
 
     restitution: float  # J, this and the next two as in `Ledger`
     friction: float
@@ -92,7 +93,7 @@ def _without_contacts(function: Function) -> Function:
 
 
 def with_contacts(function: Callable[..., Any]) -> Callable[[Function], Function]:
-    """Let kernels call the decorated function in place of one of this module, where there are contacts."""
+    """Let kernels call the decorated function in place of a function of this module if there are contacts."""
     return for_first(function, lambda contacts: hasattr(contacts, "fields"))
 
 
@@ -173,7 +174,7 @@ def _fastest(velocity: FloatArray, acceleration: FloatArray) -> tuple[float, flo
 
 @inner
 def _smallest_gap(x: FloatArray, v: FloatArray, kept: KeptState, dt: float, skin: float) -> tuple[float, float]:
-    """Return the smallest gap (m), 0 if one may close to the skin in a drift of dt s, and the rounding of a drift."""
+    """Return the smallest gap (m), 0 if any may close to the skin in a drift of dt s, and the drift's rounding."""
     radius, inverse_mass, box, normal, offset = kept.radius, kept.inverse_mass, kept.box, kept.normal, kept.offset
     size = 0.0  # m, of the coordinates
     for i in range(len(x)):

@@ -1,4 +1,4 @@
-"""Steps of an accuracy up to the end of its promise, and ordinary steps from there on."""
+"""Steps that keep an accuracy up to the end of its promise, and ordinary steps from there on."""
 
 from __future__ import annotations
 
@@ -56,10 +56,10 @@ class Stepper(Protocol):
 
 
 class PromisedStepper:
-    """Advances a world by the steps of an accuracy until its promise ends, then by ordinary ones.
+    """Advances a world by the steps that keep an accuracy until the promise ends, then by ordinary steps.
 
-    A step ends where the promise does (``until``, s). A checkpoint at that time is therefore one of the accurate
-    stepper, and any later one of the ordinary stepper, which ``ordinary`` makes when it is needed.
+    A step ends where the promise does (``until``, s). A checkpoint at that time therefore belongs to the accurate
+    stepper, and any later one to the ordinary stepper, which ``ordinary`` makes when needed.
     """
 
     def __init__(self, clock: Clock, until: float, accurate: Stepper, ordinary: Callable[[], Stepper]) -> None:
@@ -133,7 +133,7 @@ class PromisedStepper:
 
 
 def without_accuracy(scene: Scene) -> Scene:
-    """Return a scene with a promise as it goes on once the promise has ended: with its ordinary steps.
+    """Return a scene with a promise in the form that it has after the promise: with ordinary steps.
 
     Impacts keep their exact times, and an integrator that chooses its own steps stays, since its state is recorded.
     """

@@ -21,7 +21,7 @@ MULTIPLE_TOLERANCE = 1e-9  # relative difference of a time from a multiple of th
 
 
 class Watch(ABC):
-    """A schedule that reads the state before each step for which it is called, and says which steps it need not see."""
+    """A schedule that reads the state before each step for which it is called, and states which steps it can skip."""
 
     @abstractmethod
     def __call__(self, step: int, before: float, time: float) -> bool:
@@ -120,8 +120,8 @@ def quiet(schedule: Schedule, step: int, time: float) -> tuple[float, float]:
 def looks_before(schedule: Schedule) -> bool:
     """Return whether a schedule may read the state before each step.
 
-    Schedules of this module do not read it. Any other schedule may, so many steps in one call end before the step that
-    is due.
+    Schedules of this module do not read the state. Any other schedule may, so many steps in one call end before the
+    step that is due.
     """
     return not isinstance(schedule, Every | At | Pause)
 

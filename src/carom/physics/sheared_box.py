@@ -14,9 +14,9 @@ are found for each image that comes near (`time_of_impact.first_of_images`), and
 the image. Bodies are wrapped at the end of the step.
 
 An impact with an image that has the velocity w relative to its body, and the impulse J on it, changes the energy of
-both bodies by what it dissipates, and by the work -J·w. Together with the change of Σ ½ m v² by wrapping, this is the
-work of the shear, which the ledger books as an entry, with the sign of a loss. The momentum that bodies gain by
-wrapping is added to the expected one. In coordinates that the shear carries along,
+both bodies by the dissipated energy, and by the work -J·w. Together with the change of Σ ½ m v² by wrapping, this is
+the work of the shear, which the ledger books as an entry, with the sign of a loss. The momentum that bodies gain by
+wrapping is added to the expected momentum. In coordinates that the shear carries along,
 
     x' = x - (s/L_y) y
 
@@ -285,7 +285,7 @@ def velocity_of_image(dx: float, dy: float, dz: float, box: Any) -> Vector:
 
 @with_field("shift", _flow)
 def flow_in_drift(box: Any, x: float, y: float, z: float, dt: float) -> Vector:
-    """Return the displacement (m) by the flow at a place in a time (s)."""
+    """Return the displacement (m) by the flow at a place over a time (s)."""
     return 0.0, 0.0, 0.0
 
 

@@ -250,7 +250,7 @@ class Simulation:
         return (contact.statistics.contacts, contact.sweeps, len(contact.impacts)) if contact else (0, 0, 0)
 
     def count_no_impacts(self) -> None:
-        """Exclude impacts during drifts from the statistics, which takes a fourth less time in a look-ahead."""
+        """Exclude impacts during drifts from the statistics, which saves a quarter of the time of a look-ahead."""
         if self._contact:
             self._contact.counts_impacts = False
 
@@ -313,7 +313,7 @@ class Simulation:
         )
 
     def without_impacts(self, torque: FloatArray, angular_acceleration: FloatArray) -> FloatArray:
-        """Leave the torques of contacts that last in copies of the last step's, (n, 3) N m and rad/s².
+        """Keep only the torques of lasting contacts in copies of the last step's arrays, (n, 3) N m and rad/s².
 
         Return the angular impulses of the impacts of the step, (n, 3) N m s, which may not be written to.
         """
@@ -350,7 +350,7 @@ def _stepper_of(world: World, books: Bookkeeper, stride: float) -> Stepper:
 
 
 def _own_stepper_of(world: World, books: Bookkeeper, stride: float) -> KickDriftStepper | BatchStepper:
-    """Return the stepper of a world that takes all steps alike."""
+    """Return a stepper that takes all steps of a world in the same way."""
     scene = world.scene
 
     def timestep(limits: StepLimits, scene: Scene) -> Timestep:

@@ -125,7 +125,7 @@ class KickDriftStepper:
         return due
 
     def _time_to_stick(self, contact: ContactPipeline, tolerance: float) -> float:
-        """Return the time (s) at which a step is to end so that no contact stops sliding or rolling within it."""
+        """Return the latest time (s) of a step's end before a contact stops sliding or rolling within the step."""
         is_first, self._is_first = self._is_first and len(contact.contacts) > 0, False
         dt = self.timestep.first(self._world.bodies, self.supported_acceleration())
         if is_first:
@@ -215,8 +215,8 @@ class KickDriftStepper:
         """Take a step of dt seconds; return the potential energies at its end if requested.
 
         Overlaps are corrected after the last drift, so that forces belong to the final positions. The reference engine
-        corrects them at the end of the step. Its forces then belong to other positions, the next kick is not central,
-        and angular momentum drifts by overlap × force, unless forces are computed twice.
+        corrects them at the end of the step. There, the forces then belong to other positions, the next kick is not
+        central, and angular momentum drifts by overlap × force, unless forces are computed twice.
         """
         world, contact, hooks, step = self._world, self._world.contact, self._hooks, self._now
         potentials: Potentials = {}

@@ -234,7 +234,7 @@ def find_limits(
 
 @kernel
 def _strictest(found: RecordArray[LimitsRecord]) -> tuple[float, float, float, float, float, float]:
-    """Return the first five fields of `LIMITS` and the last, each for the body of all blocks that limits it most."""
+    """Return the first five fields of `LIMITS` and the last, each for the body of all blocks that limits most."""
     a_max, a_free, b_max, every, fastest, v2_max, held_time = 0.0, 0.0, 0.0, np.inf, np.inf, 0.0, np.inf
     for block in range(len(found)):
         limits = found[block]

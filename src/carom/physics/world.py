@@ -1,4 +1,4 @@
-"""The world: the bodies, everything that acts on them, and the clock."""
+"""The world: the bodies, the forces and contacts that act on them, and the clock."""
 
 from __future__ import annotations
 

@@ -112,7 +112,7 @@ def most_steps(scene: Scene, first: float) -> float:
     """Return how many steps a run may take, given its first step (s) and the fastest conceivable contacts.
 
     Bodies that fall onto the surface of another reach its escape speed, v = √(2 G m/r). The velocity limit then allows
-    κ r/v to the smallest body that slides or rolls there.
+    a step of κ r/v to the smallest body that slides or rolls there.
     """
     duration, fixed, limit = scene.time.duration, scene.time.fixed_dt, cfl(scene)
     if fixed is not None or limit is None:
@@ -156,7 +156,7 @@ def _meets_seldom(scene: Scene) -> bool:
 
 
 def _orbits_apart(scene: Scene) -> bool:
-    """Return whether many bodies, none of which can touch, orbit a dominant one far from each other."""
+    """Return whether many bodies that cannot touch orbit a dominant one far from each other."""
     if interactions.contact(scene).modelled or interactions.damping(scene) or not _leaves_step_free(scene):
         return False
     many = MOST_APART < scene.count <= ORBITS_UP_TO
@@ -208,7 +208,7 @@ def largest_step(scene: Scene, duration: float | None = None) -> float:
     """Return the largest step (s); infinite if the integrator sets its steps by its error or by the orbits.
 
     With a limit of 1 s, two years of the Earth's orbit would take 63 million Gauss–Radau steps instead of 79 steps.
-    The default of ``duration`` (s) is the duration of the scene.
+    The default of ``duration`` (s) is that of the scene.
     """
     if scene.time.max_dt != "auto":
         return scene.time.max_dt
@@ -338,7 +338,7 @@ def step_limits(scene: Scene) -> StepLimits:
 
 
 def accurate_limits(scene: Scene, refinement: float, until: float) -> StepLimits:
-    """Return limits for steps shorter than the longest useful ones by a factor, with impacts at their exact times.
+    """Return step limits for runs with exact times of impact: the longest useful steps, divided by a factor.
 
     All limits shrink by the same factor, so that runs with different refinements differ wherever the step matters. No
     step is longer than the automatic interval of frames in a recording of ``until`` seconds, the span of the

@@ -190,7 +190,7 @@ def _refuse_thin_walls(scene: Scene) -> None:
 
 
 def _refuse_laws_without_coefficients(scene: Scene) -> None:
-    """Refuse a contact law whose coefficients are all 0 because no section states one: the law has no effect.
+    """Refuse a contact law without effect: all of its coefficients are 0 because no section states any.
 
     The schema accepts such a law, so that old recordings of such scenes can still be read.
     """

@@ -1,4 +1,4 @@
-"""Whether the bodies of a scene orbit a dominant one, and how far apart they are at the start.
+"""Decides whether the bodies of a scene orbit a dominant one, and how far apart they are at the start.
 
 Planets and comets keep their distances for many revolutions; integrators of orbits rely on this.
 """
@@ -116,7 +116,7 @@ def _revolutions(scene: Scene, orbits: list[Orbit]) -> float:
 
 
 def _orbits_about_dominant(scene: Scene) -> list[Orbit]:
-    """Return the orbits about a dominant body, ordered by pericentre; none where anything but gravity acts."""
+    """Return the orbits about a dominant body, ordered by pericentre; none if any force but gravity acts."""
     if scene.group or scene.count < 3 or contact(scene).modelled or damping(scene) or why_no_hierarchy(scene):
         return []
     return _orbits(scene) or []

@@ -94,7 +94,7 @@ def moves_relatively(scene: Scene) -> bool:
 
 
 def where_bodies_meet(name: str, contact: Part, why: str) -> Part:
-    """Decide on a part that is modelled wherever contacts are."""
+    """Decide on a part that every model with contacts has."""
     return Part(name, contact.modelled, why if contact.modelled else "no contact is possible")
 
 
@@ -140,7 +140,7 @@ def pressing_wall(scene: Scene) -> str:
 
 
 def flow_presses(scene: Scene) -> bool:
-    """Return whether contacts in a sheared box may last: where impacts are resolved at the end of a step.
+    """Return whether contacts in a sheared box may last, which requires impacts resolved at the end of a step.
 
     "auto" resolves the impacts of a gas at their own times. A packing has too many impacts for that: 150 rough
     spheres at a fraction of 0.55 would take 40 times as long, and at 0.58 a step may take a minute.

@@ -61,7 +61,7 @@ def inexact_impacts(scene: Scene) -> str:
 
 
 def inexact_orbits(scene: Scene) -> str:
-    """Describe how far orbits about a dominant body lag at the end; empty if that is little or unknown.
+    """Describe the lag at the end of orbits about a dominant body; empty if the lag is small or unknown.
 
     With leapfrog, the phase of a circular orbit of angular velocity ω lags by (ω dt)²/3 of the angle (docs/physics.md).
     """

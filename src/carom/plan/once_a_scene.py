@@ -1,4 +1,4 @@
-"""`once_a_scene`: a decision about a scene, made when it is first asked for.
+"""`once_a_scene`: a decision about a scene, made when it is first needed.
 
 A run of three bodies asked 140 times whether anything can touch, and 50 times for the integrator, which took half of
 the time to set up a second `Space`. Scenes are immutable, so an answer holds as long as its scene exists.
@@ -17,7 +17,7 @@ Answer = TypeVar("Answer")
 
 
 def once_a_scene(decide: Callable[[Scene], Answer]) -> Callable[[Scene], Answer]:
-    """Keep the answers of a function of a scene alone; an exception is raised again each time."""
+    """Cache the results of a function whose only argument is a scene; exceptions are not cached."""
     answers: dict[int, tuple[weakref.ref[Scene], Answer]] = {}  # by the address of the scene
 
     @wraps(decide)

@@ -37,7 +37,8 @@ def memory_estimate(scene: Scene) -> int:
 def refuse_small_memory(scene: Scene, runs: float = 1.0) -> None:
     """Refuse a scene that exceeds the memory, or the limit of ``ulimit -v``, at which Rerun and OpenBLAS abort.
 
-    Everything that places bodies calls this first; ``runs`` are those that it holds at once. Raises SceneError.
+    All code that places bodies calls this function first; ``runs`` is the number of runs that it holds at once. Raises
+    SceneError.
     """
     import resource  # noqa: PLC0415 - POSIX only
 
@@ -61,7 +62,7 @@ def refuse_small_memory(scene: Scene, runs: float = 1.0) -> None:
 
 
 def resident_memory() -> int:
-    """Return the bytes of memory that this process has now; its largest number so far where that is not known."""
+    """Return the memory (bytes) of this process now, or its peak so far if the present value is unknown."""
     import resource  # noqa: PLC0415 - POSIX only
 
     try:
@@ -125,5 +126,5 @@ def refuse_small_disk(scene: Scene, folder: Path, begin: float = 0.0) -> None:
 
 
 def _longest_step(scene: Scene) -> float:
-    """Return the longest step (s) of a scene; infinity if its integrator finds it."""
+    """Return the longest step (s) of a scene; infinity if its integrator chooses the steps."""
     return float("inf") if integrator(scene).controls_error or scene.time.accuracy else step_limits(scene).max_dt

@@ -1,4 +1,4 @@
-"""The optional parts of a step: what requires each, in the order in which hooks call them."""
+"""The optional parts of a step, with their requirements, in the order in which hooks call them."""
 
 from __future__ import annotations
 

@@ -2,15 +2,15 @@
 
 A step treats the load of a contact as acting at one instant. If an impact, or the end of sliding, lies within the step,
 velocities differ by up to 2 J/m along the contact's normal, with J the impulse of the load in a step, and by 2 a dt
-along the acceleration a of the forces. An impact passes on the part of such a load along its own normal. Bodies that
-met pass this on, and friction passes a share of it on to other directions. Loads allow nothing where no contact began,
-ended or changed its mode, and nothing across their normals: a ball that rolls follows its path, and a slow impact along
-a floor bounces, whatever the floor carries.
+along the acceleration a of the forces. An impact passes on the part of such a load along the impact's normal. Bodies
+that met pass this part on, and friction passes a fraction of it on to other directions. Loads allow nothing where no
+contact began, ended or changed its mode, and nothing across their normals: a ball that rolls follows its path, and a
+slow impact along a floor bounces, whatever the floor carries.
 
-Two errors of first order are allowed in addition. A load that lasts, but changes by ΔJ from one step to the next, as
-where a column buckles, is uncertain by ΔJ. The closing speed of a body that rests on something is uncertain by a dt/2
-along the normal. So are, relative to that speed, the impulses of its impact, and what they do to all bodies that touch:
-a light ball that heavy ones squeeze out leaves with this relative error.
+Two errors of first order are allowed in addition. A load that lasts, but changes by ΔJ from one step to the next, as in
+a buckling column, is uncertain by ΔJ. The closing speed of a body that rests on something is uncertain by a dt/2 along
+the normal. The impulses of the body's impact, and their effects on all bodies that touch, have the same relative
+uncertainty: a light ball that heavy ones squeeze out leaves with this relative error.
 
 If several contacts acted, physics does not fix how they share impulses, nor the order of impacts at one moment. Bodies
 that touched are then equal in both runs if they keep the same share of their energy. Plastic impacts of a heavy ball
@@ -77,7 +77,7 @@ class RunInterval:
 
 @dataclass(frozen=True, slots=True)
 class Touching:
-    """Bodies that touched or met, directly or through others, and what happened to them in either run."""
+    """Bodies that touched or met, directly or through others, and the effects on them in both runs."""
 
     bodies: frozenset[int]
     contacts: int  # number of pairs that touched or met
@@ -90,7 +90,7 @@ class Touching:
     vague: float  # relative uncertainty of the effects of impacts
 
     def excess(self, vector: FloatArray, share: float = 1.0) -> float:
-        """Return the size of a difference beyond what loads allow, of velocities or ``share`` times as much."""
+        """Return the size of a difference beyond the allowance for loads, for velocities or ``share`` times as much."""
         return _beyond(vector, [*self.eased, *(self.loads if self.changes else [])], share)
 
     @property
@@ -135,14 +135,14 @@ class CloseLook:
         return self._known[label]
 
     def may_share_otherwise(self, touching: Touching, before: Frame, frame: Frame, refined: Frame) -> bool:
-        """Return whether several contacts acted and left the same energy, but for what loads allow."""
+        """Return whether several contacts acted and left the same energy, within the allowance for loads."""
         if touching.contacts < 2:
             return False
         had, kept, refined_kept = (self._kinetic(touching, one) for one in (before, frame, refined))
         return abs(kept - refined_kept) <= SHARED * max(had, kept, refined_kept)
 
     def _kinetic(self, touching: Touching, frame: Frame) -> float:
-        """Return the kinetic energy (J) of bodies that touched, without what loads and friction allow."""
+        """Return the kinetic energy (J) of bodies that touched, without the allowances for loads and friction."""
         mass, radius, inertia, energy = self.start.mass, self.start.radius, self.start.inertia, 0.0
         for body in touching.bodies:
             loads = self.run.loads.get(body, [])
@@ -187,7 +187,7 @@ def _movable(ends: Pair, start: InitialBodies) -> list[int]:
 
 
 def _beyond(vector: FloatArray, loads: list[Load], share: float) -> float:
-    """Return what is left of a difference by the changes of velocity that loads allow, times a share.
+    """Return the remainder of a difference beyond the changes of velocity that loads allow, times a share.
 
     Each load allows a difference of twice its change in a step, since an impact may reverse the load. Together they may
     leave less than one by one: a light ball between two heavy ones is pushed out across two normals that are nearly
@@ -208,7 +208,7 @@ def look_closely(space: Space, frame: Frame, begin: float, end: float, dt: float
     """Repeat the steps from a frame to the end (s) of an interval, and look at its contacts.
 
     The space records contacts. Steps before the beginning (s) of the interval, and some of ``dt`` (s) beyond its end,
-    show which contacts last and what they carry.
+    show which contacts last, and their loads.
     """
     space.restore(frame.checkpoint)
     n, free, mass = len(start.mass), ~np.asarray(start.fixed), start.mass
@@ -285,7 +285,7 @@ def _blur(vague: dict[Pair, float], impacts: Records, supported: set[int], frame
 
 
 def _load_of_impact(row: np.void, loads: dict[int, list[Load]], start: InitialBodies) -> None:
-    """Add what an impact makes of the support of its bodies, to the loads of both.
+    """Add the part of the bodies' support that an impact passes on to the loads of both bodies.
 
     The closing speed of a body that rests on something contains half of the impulse of its support in a step, along the
     normal of the impact (docs/physics.md, section 9).

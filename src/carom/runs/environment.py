@@ -198,7 +198,7 @@ _waiting: list[float] = []  # s, time of a request during an import
 def raise_signals(before: Sequence[Any] = ()) -> None:
     """Make the first signal that would end this process raise KeyboardInterrupt in the main thread, like Ctrl-C.
 
-    Later ones find the command on its way to its end: see `_raise`. The handlers ``before`` are replaced, too.
+    Later signals find the command already ending; see `_raise`. The handlers ``before`` are replaced, too.
     """
     for number in (signal.SIGINT, *ENDING):
         if signal.getsignal(number) in (signal.SIG_DFL, signal.default_int_handler, *before):  # nohup ignores SIGHUP
@@ -348,7 +348,7 @@ def leave_pandas_out() -> None:
     """Keep pyarrow from importing pandas in a process of carom: 0.15 to 0.2 s of CPU.
 
     At its first conversion of an array, pyarrow imports pandas if it is installed, to recognise its series. carom has
-    none. Whoever converts a table to pandas later still can: pyarrow then tries again.
+    none. A later conversion of a table to pandas still works: pyarrow then tries again.
     """
     import pyarrow as pa  # noqa: PLC0415 - `carom --help` does without
 
@@ -369,10 +369,10 @@ def leave_pandas_out() -> None:
 def collect_garbage_rarely() -> None:
     """Let Python collect cyclic garbage after 100 000 new objects instead of 700, unless the program collects none.
 
-    There is hardly any, since frames and rows have no cycles. A full collection takes 0.1 s, in which the physics waits
-    for the interpreter lock, and small ones took 50 µs of each frame of 1000 bodies (both on a busy machine).
-    Collections also take a tenth of a compilation: without them, `cloud-collapse` takes 38.5 and 41.9 instead of 42.7
-    and 46.6 s of CPU, and 4 to 18 % more memory.
+    There is hardly any cyclic garbage, since frames and rows have no cycles. A full collection takes 0.1 s, in which
+    the physics waits for the interpreter lock, and small ones took 50 µs of each frame of 1000 bodies (both on a busy
+    machine). Collections also take a tenth of a compilation: without them, `cloud-collapse` takes 38.5 and 41.9 instead
+    of 42.7 and 46.6 s of CPU, and 4 to 18 % more memory.
     """
     threshold, *others = gc.get_threshold()
     if threshold:
@@ -381,7 +381,7 @@ def collect_garbage_rarely() -> None:
 
 @contextlib.contextmanager
 def collecting_garbage_rarely() -> Iterator[None]:
-    """Collect garbage rarely for a while, in the process of somebody else's program."""
+    """Collect garbage rarely for a while, in the process of a user's program."""
     before = gc.get_threshold()
     collect_garbage_rarely()
     try:

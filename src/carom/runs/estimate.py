@@ -279,7 +279,7 @@ def _more_for_the_potential(space: Space) -> float:
 
 
 def _within(name: str, needs: Requirements) -> str | None:
-    """Return the part that is computed together with this one, so that their times cannot be separated."""
+    """Return the part that is computed together with this part, so that their times cannot be separated."""
     spin = "contact" if needs.friction.modelled else "energy"
     with_others = {"narrow-phase": "broad-phase", "tree": "gravity", "spin": spin}
     return (with_others | {"restitution": "contact", "friction": "contact"}).get(name)

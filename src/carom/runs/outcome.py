@@ -355,7 +355,7 @@ def _head_comment(scene: str) -> str:
 
 
 def problems(recording: Recording, most: int) -> list[str]:
-    """Return what went wrong in a run: its end, broken promises, and at most ``most`` warnings."""
+    """Return the problems of a run: its end, broken promises, and at most ``most`` warnings."""
     promises = recording.summary()["expect"]
     missed = [
         f"promise {name} missed: {promise_text(verdict)}"

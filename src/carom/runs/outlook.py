@@ -38,7 +38,7 @@ LIKELY = 2.0  # factor within which a complete estimate is right for the bundled
 
 
 def frames_to_keep(space: Space) -> int:
-    """Return how many frames are kept to measure the size of a frame."""
+    """Return the number of frames that are kept to measure the size of a frame."""
     return max(1, min(KEPT_FRAMES, KEPT_BYTES // (FRAME_BYTES * len(space.state))))
 
 
@@ -112,7 +112,7 @@ def estimate_steps(
 
 
 def forewarning(space: Space) -> str:
-    """Return what is to be said of a run before it starts if it will take long; otherwise an empty text.
+    """Return a warning before a run that will take long; otherwise an empty text.
 
     Only a scene that conceivably takes many steps is run coarsely, for a second or two.
     """

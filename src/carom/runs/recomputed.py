@@ -142,7 +142,7 @@ def snapshots(
 def _present(
     frame: Frame, body: IntArray, mass: FloatArray, radius: FloatArray, others: dict[str, Any]
 ) -> tuple[IntArray, FloatArray, FloatArray, dict[str, Any]]:
-    """Return what belongs to the bodies that do not wait to enter in a frame."""
+    """Return the values of the bodies in a frame that do not wait to enter."""
     if (waits := frame.waits) is None:
         return body, mass, radius, others
     there = ~waits[body]

@@ -1,10 +1,10 @@
-"""Runs a scene again with shorter steps, and compares what does not depend on the length of a step.
+"""Runs a scene again with shorter steps, and compares quantities that should not depend on the step.
 
 The ledger and the bits show that a run agrees with itself; this comparison can show that it is wrong. The run is
 compared with a second one whose steps are k times as short, at a few hundred instants: positions, velocities and spins
 of all bodies, overlaps, and the entries of the ledger. A quantity that differs by more than a tolerance depends on the
-step, so it does not follow from the scene's laws. `shorter_steps` tells chaos from a fault, and `close_look` what loads
-allow.
+step, so it does not follow from the scene's laws. `shorter_steps` distinguishes chaos from a fault, and `close_look`
+computes the differences that loads allow.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ class Refinement:
 
     @property
     def same(self) -> bool:
-        """Whether shorter steps tell the same story, up to the end."""
+        """Whether shorter steps give the same result, up to the end."""
         return not (self.moved or self.ended)
 
 
@@ -90,7 +90,7 @@ def refine(
     instants
         Number of instants at which the runs are compared.
     most_steps
-        The comparison ends after so many steps of the run.
+        Number of steps of the run after which the comparison ends.
     consent
         Called once, after a second of stepping, with the remaining time (s); returns whether to continue.
     watch
@@ -99,7 +99,7 @@ def refine(
     Returns
     -------
     result
-        ``result.same`` states whether both tell the same story; ``result.moved`` lists what does not.
+        ``result.same`` states whether both runs agree; ``result.moved`` lists the observables that differ.
 
     Raises
     ------

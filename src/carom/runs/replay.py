@@ -160,7 +160,7 @@ def replay(
 
 
 class _Window:
-    """The recorded frames of a replay, and how many of them were seen again."""
+    """The recorded frames of a replay, and the number of frames that were repeated."""
 
     def __init__(self, recording: Recording, begin: int, end: float) -> None:
         table = recording.fingerprints()
@@ -232,7 +232,7 @@ def _run_again(
 class _Again:
     """Records the window once more: frame 0, or the frames after the first one of the window.
 
-    A run that begins later continues with what the recording states for that first frame, as a resumed run does.
+    A run that begins later continues with the recorded values of that first frame, as a resumed run does.
     """
 
     def __init__(self, window: _Window, space: Space, path: Path) -> None:
@@ -273,7 +273,7 @@ class _Again:
         self._before = frame
 
     def compare(self, space: Space, ended: str) -> tuple[Difference | None, list[str]]:
-        """Close the file, compare it with the recording, and list what cannot be compared."""
+        """Close the file, compare it with the recording, and list the data that cannot be compared."""
         recording, window = self._recording, self._window
         reached_end = not ended and self._last == window.last_recorded and window.differs is None
         closed = reached_end and self._is_whole and "steps" in recording.closing

@@ -82,7 +82,7 @@ def run(
     Parameters
     ----------
     scene
-        What to simulate: a scene, a file or the name of a bundled scene.
+        The scene to simulate, a file, or the name of a bundled scene.
     path
         The ``.rrd`` to write; by default one in the folder ``recordings`` with the name of the scene's file.
     force
@@ -363,7 +363,7 @@ def header_of(space: Space) -> Header:
 def kept_accuracy(scene: Scene) -> dict[str, float]:
     """Return the requested accuracy, the time (s) up to which it is kept, and the largest Lyapunov exponent (1/s).
 
-    ``horizon`` exists only if the promise ends before the run, ``looked`` (s) only if the look-ahead's budget did.
+    ``horizon`` exists only if the promise ends before the run, ``looked`` (s) only if the look-ahead's budget ran out.
     """
     promise, requested = scene.promise, scene.time.accuracy
     if promise is None or requested is None:

@@ -8,8 +8,8 @@ compared. Regular motion has a single window, the whole run. The entries of the 
 differences over the intervals between instants have a mean, which is a fault if it is certain and adds up to more than
 a tolerance.
 
-Where bodies differ, both runs are repeated from the instant before with all contacts; `close_look` has what loads and
-the sharing of impulses allow.
+Where bodies differ, both runs are repeated from the instant before with all contacts; `close_look` computes the
+differences that loads and the sharing of impulses allow.
 """
 
 from __future__ import annotations
@@ -198,13 +198,13 @@ class Comparison:
             self._opened = frame
 
     def _judge_losses(self, before: Frame, frame: Frame, fine_before: Frame, fine: Frame, of_twin: FloatArray) -> None:
-        """Compare the entries of one interval, at whose start bodies with nearly all the energy moved with certainty.
+        """Compare the entries of an interval at whose start nearly all the energy was in bodies of certain motion.
 
         Chaos within it may change who has the energy, but hardly how much of it is left. An entry is judged if the twin
         agrees with the run, or with the shorter steps: then the run alone is wrong. The quantity must also differ two
         steps later, since an impact may be just before or after the instant. Where positions differ, forces have done
-        other work, and contacts take out what corrections of positions put in. Forces may let held bodies close within
-        a step; with shorter steps, these bodies bounce.
+        different work, and contacts remove the energy that corrections of positions add. Forces may let held bodies
+        close within a step; with shorter steps, these bodies bounce.
         """
         certain, self._certain = self._certain, self._certain_share(frame)
         taken, refined = _booked(before, frame), _booked(fine_before, fine)
@@ -232,7 +232,7 @@ class Comparison:
             self._add(Moved(self._entries[k], before.time, frame.time, (), "", *values, "J"))
 
     def _moved_energy(self, before: Frame, frame: Frame, fine: Frame) -> float:
-        """Return the work (J) of the forces over the differences of the positions, and over what contacts still close.
+        """Return the work (J) of the forces over the differences of positions and the remaining closing of contacts.
 
         Contacts at rest close by up to `HOLD_CONVERGED` of the velocity that a force causes in a step.
         """
@@ -414,7 +414,7 @@ class Comparison:
         return reach * float(np.sqrt(((other[body] - one[body]) ** 2).sum()))
 
     def _size(self, name: str, body: int, frame: Frame) -> float:
-        """Return the size of what is compared: a distance in m, or a speed in m/s."""
+        """Return the scale of the compared quantity: a distance in m, or a speed in m/s."""
         if name == "position":
             return float(np.sqrt((self._between(frame.position, self._origin)[body] ** 2).sum()))
         if name == "velocity":
@@ -444,15 +444,15 @@ class Comparison:
 
 
 def _booked(before: Frame, frame: Frame) -> FloatArray:
-    """Return what the entries of the ledger received between two frames, in joules."""
+    """Return the energies (J) that the entries of the ledger received between two frames."""
     return _entries(frame.energy)[1] - _entries(before.energy)[1]
 
 
 def _without_what_slips(differ: FloatArray) -> FloatArray:
-    """Return differences of the entries without what a wall or a flow gives to a contact that slips.
+    """Return differences of the entries without the energy that a wall or a flow gives to a sliding contact.
 
-    Friction takes it out at once, so both entries follow the load of that contact, which many contacts may share
-    otherwise, and no energy is left.
+    Friction removes this energy at once, so both entries follow the load of that contact, which many contacts may share
+    differently, and no energy is left.
     """
     rest = differ.copy()
     for k in range(FORCES, CORRECTED % len(rest)):

@@ -180,8 +180,8 @@ QUIET = 2.0  # s without a compilation after which the rest of a scene is expect
 def warm_up(scenes: Iterable[Scene] = ()) -> Warmth:
     """Run small scenes, and the beginning of ``scenes``, which compiles all of their kernels that are not in the cache.
 
-    The kernels of walls, of sheared boxes, and of contact laws other than Coulomb's have variants for what a scene
-    requires. Each variant takes 10 to 20 s, so only ``scenes`` compile them.
+    The kernels of walls, of sheared boxes, and of contact laws other than Coulomb's have variants for the features that
+    a scene requires. Each variant takes 10 to 20 s, so only ``scenes`` compile them.
     """
     began = time.perf_counter()
     with Compilations() as compilations, temporary_folder() as folder, sharing_all(), compiling_all():

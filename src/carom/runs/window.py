@@ -38,16 +38,16 @@ def rerun(
     """Run a recording again from its last checkpoint before a time (s), for data that the file does not hold.
 
     The result has the bodies, contacts, impacts and trajectories of a `Recording`, but computed, in float64. A rerun
-    goes forward only: ask for later times after earlier ones.
+    only moves forward: request later times after earlier ones.
 
     Parameters
     ----------
     recording
         The recording, or its file.
     before
-        s, the first time that is asked for.
+        s, the first requested time.
     contacts
-        Whether contacts and impacts are asked for.
+        Whether contacts and impacts are requested.
     threads
         Threads for the kernels; the bits do not depend on it.
     watch

@@ -25,7 +25,7 @@ _WRITTEN_BY_CAROM = "promise"  # a section already in the units of the simulatio
 
 @dataclass
 class Wrong:
-    """A text that should be a quantity, but is not."""
+    """A text in the place of a quantity that is not a quantity."""
 
     path: KeyPath
     given: str | None  # the given value; None if nothing was given

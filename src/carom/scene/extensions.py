@@ -68,7 +68,7 @@ def missing(extensions: Mapping[str, str]) -> str:
 
 
 def _from(package: str) -> str:
-    """Say from which package parts come, and how to install it."""
+    """Name the package that defines parts, and the command that installs it."""
     if (named := _DISTRIBUTION.fullmatch(package)) is None:
         given = in_one_line(package[:MOST_QUOTED])
         return f"of a package that is not installed; the file gives no package with its release, but {given!r}"

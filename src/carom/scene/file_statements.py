@@ -81,7 +81,7 @@ def take_over_laws(
 
 
 def compare_facts(scene: SceneModel, units: UnitSystem, each_bodies: list[SourcedBodies]) -> dict[int, str]:
-    """Compare what the files state with the scene and with each other; add notes to the bodies in ``each_bodies``.
+    """Compare the files' statements with the scene and with each other; add notes to the bodies in ``each_bodies``.
 
     Return contradictions by the index of the [[bodies]] table.
     """

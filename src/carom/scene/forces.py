@@ -18,7 +18,7 @@ from carom.scene.units.dimension import ACCELERATION, GRAVITATIONAL_CONSTANT, TI
 
 @dataclass(frozen=True, slots=True)
 class ForceKind:
-    """A force: when it is modelled, and the name of its energy."""
+    """A force: the condition under which it is modelled, and the name of its energy."""
 
     name: str  # name of the part of the model and, with underscores, of the module that computes the force
     decide: Callable[[SceneModel], tuple[bool, str]]  # returns whether the force is modelled, and why
@@ -47,7 +47,7 @@ class ForceKind:
 
     @property
     def recorded_with(self) -> str:
-        """The part of the model without which the series of its energy is not recorded."""
+        """The part of the model that the force's energy series requires."""
         return self.part or self.name
 
 

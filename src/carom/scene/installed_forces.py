@@ -1,4 +1,4 @@
-"""Forces of installed packages: what a package defines, and how a force is found by its name."""
+"""Forces of installed packages: the classes that a package fills, and the search for a force by its name."""
 
 from __future__ import annotations
 

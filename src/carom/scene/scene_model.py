@@ -1,4 +1,4 @@
-"""The scene: everything that a run depends on, as validated data."""
+"""The scene: all data that a run depends on, validated."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ from carom.scene.wording import suggestion
 class SceneModel(Forces, Heading):
     """The sections of a scene and the checks across them: validated, complete, immutable.
 
-    `carom.Scene` adds how a scene is made from a file, a dictionary or arrays.
+    `carom.Scene` adds the methods that make a scene from a file, a dictionary or arrays.
     """
 
     contact: ContactSettings = Field(ContactSettings(), description="how contacts are modelled")

@@ -51,7 +51,7 @@ def in_one_line(text: str) -> str:
 
 
 def told_by(error: BaseException) -> str:
-    """Return the text of an error of somebody else's program, in one line; to make it may raise an error, too."""
+    """Return the text of another program's error in one line, even if making the text raises an error, too."""
     try:
         return in_one_line(str(error)[:MOST_TOLD])
     except BaseException as other:

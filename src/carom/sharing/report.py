@@ -144,7 +144,8 @@ def _broken(recording: Recording, evidence: dict[str, Path]) -> list[str]:
 def _shown(recording: Recording, moment: float, why: str) -> tuple[Request, bool]:
     """Return the view of a report's pictures at a time (s), and whether the subject is two bodies that meet.
 
-    That is the case if an extreme of the run occurred at this time, or if the run failed then while bodies touched.
+    The subject is two bodies if an extreme of the run occurred at this time, or if the run failed then while bodies
+    touched.
     """
     for name in sorted(WORST, key=lambda name: name not in why):  # both quantities may have their extremes at this time
         if recording.closing.get(f"moments.{name}.time") == moment and pair_of_extreme(recording, name):
@@ -240,7 +241,7 @@ def _summary(
     name: str,
     evidence: dict[str, Path],
 ) -> str:
-    """Write the summary: what went wrong, its picture, warnings, how to repeat it, and everything else."""
+    """Write the summary: the problem, its picture, warnings, the way to repeat it, and further data."""
     times, units = clip.fingerprints()["time"].to_numpy(), recording.units
     span = units.span(times[0], times[-1], TIME, ".9g")
     repeat = f"{command('replay', name)}    # are the bits the same on your machine?"

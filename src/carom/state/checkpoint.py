@@ -20,7 +20,7 @@ from carom.state.saved import BODY, CONTACT, ENCOUNTER, HELD, INLET, OUTLET, RUN
 
 @dataclass(frozen=True, slots=True)
 class SleepCheckpoint:
-    """Which bodies sleep, and their contacts. Its arrays are never written to."""
+    """The sleeping bodies, and their contacts. The arrays are never written to."""
 
     # (n,) s, time for which each body has been slow; -1 if it sleeps
     calm: Annotated[FloatArray, Saved("sleep_calm", "s", BODY)]
@@ -36,7 +36,7 @@ PRESENT, GONE = -1.0, -2.0  # replaces the time since which a body waits: it exi
 
 @dataclass(frozen=True, slots=True)
 class ReleaseCheckpoint:
-    """Which bodies wait to enter. Its arrays are never written to."""
+    """The bodies that wait to enter. The arrays are never written to."""
 
     # (n,) s, time since which each body waits; `PRESENT` or `GONE`
     since: Annotated[FloatArray, Saved("release_since", "s", BODY)]
@@ -46,7 +46,7 @@ class ReleaseCheckpoint:
     totals: Annotated[FloatArray, Saved("release_totals", "", OUTLET, 2)]
 
     def check(self) -> None:
-        """Raise ValueError if bodies cannot wait like that."""
+        """Raise ValueError if the numbers do not describe bodies that wait."""
         if np.any((self.since < 0.0) & (self.since != PRESENT) & (self.since != GONE)):
             raise ValueError("release_since is no time")
 
@@ -93,7 +93,7 @@ class ContactCheckpoint:
 
 
 def waiting(memory: ContactCheckpoint | None) -> BoolArray | None:
-    """Return which bodies wait to enter, or have left, (n,); None if the scene has none."""
+    """Return a mask (n,) of the bodies that wait to enter, or have left; None if the scene has none."""
     release = None if memory is None else memory.release
     return None if release is None else np.asarray(release.since != PRESENT)
 

@@ -96,7 +96,7 @@ class Frame:
 
     @property
     def seen(self) -> FloatArray:
-        """(n, 3) m, the positions of the bodies that are there; NaN for those that wait."""
+        """(n, 3) m, the positions of the bodies that exist now; NaN for those that wait."""
         waits = self.waits
         return self.position if waits is None else np.where(waits[:, None], np.nan, self.position)
 

@@ -1,4 +1,4 @@
-"""How checkpoints store the fields of a state: the rows of one table, each beside the field that it stores.
+"""The table of a state's fields in checkpoints; each row stands beside the field that it stores.
 
 A field ``calm: Annotated[FloatArray, Saved("sleep_calm", "s", BODY)]`` of a class that belongs to `Checkpoint` is
 encoded, decoded, validated, digested and counted by this row (`recording/schema/checkpoint_columns.py`).
@@ -19,7 +19,7 @@ INLET, OUTLET = "inlet", "outlet"
 
 @dataclass(frozen=True, slots=True)
 class Saved:
-    """One component of a checkpoint. A field with two has columns of both; the second may be absent."""
+    """One component of a checkpoint. A field with two components has columns of both; the second may be absent."""
 
     name: str  # name of the component; prefix of the names for energies by name
     unit: str = ""  # SI unit; empty for pure numbers

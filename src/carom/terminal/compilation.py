@@ -56,7 +56,7 @@ def announce_compilation(
 ) -> None:
     """Announce the first compilation of a kernel, by default on stderr, and start a second process for others.
 
-    ``helped`` says that the process already runs. How many kernels are needed depends on the scene.
+    ``helped`` says that the process already runs. The number of needed kernels depends on the scene.
     """
     from carom.physics.jit.decorators import cache_folder, on_compilation
 

@@ -1,4 +1,4 @@
-"""How far the compilation of kernels is: how many of the needed kernels a run has, and the remaining time."""
+"""The progress of the compilation of kernels: the number of needed kernels that a run has, and the remaining time."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ class CompilationProgress(Compilations):
         self._depth = max(0, self._depth - 1)  # the event of the first kernel may have been missed
 
     def interlude(self, now: float) -> str:
-        """Return what a live line shows at a time of the clock (s) in place of its own; nothing between kernels."""
+        """Return the text that replaces a live line's own at a time of the clock (s); empty between kernels."""
         ready, needed = self._counts()
         return f"{bar(ready / needed)} {self.text(now)}" if self._depth else ""
 
@@ -69,7 +69,7 @@ class CompilationProgress(Compilations):
         return text
 
     def counts(self) -> str:
-        """Say how many kernels of how many there are."""
+        """State how many of the needed kernels are ready."""
         ready, needed = self._counts()
         return f"{ready} of about {needed}"
 

@@ -1,4 +1,4 @@
-"""The moment that a command is asked for, with one of ``--at``, ``--step`` and ``--event``."""
+"""The moment that a user requests with one of ``--at``, ``--step`` and ``--event``."""
 
 from __future__ import annotations
 

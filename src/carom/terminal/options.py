@@ -50,7 +50,7 @@ def seconds(text: str | float) -> TypedTime:
 
 
 def _rounding(text: str) -> float:
-    """Return half a unit of the last digit of a number, relative to it; trailing zeros are not printed."""
+    """Return half a unit of a number's last digit, relative to the number; trailing zeros are not printed."""
     matched = _NUMBER.match(text)
     number = Decimal(matched[1]) if matched else Decimal(0)
     if not number:

@@ -62,7 +62,7 @@ class RunProgress(LiveLine):
         return super().__enter__()
 
     def announce(self, scene: Scene) -> None:
-        """Print what the scene cannot promise with the step of its accuracy, which may end the run."""
+        """Print the limits of the scene's promise at the step of its accuracy, which may end the run."""
         self._scene = scene
         if shortfall := shortfall_text(scene):
             self.say(f"carom: {shortfall}")

@@ -219,7 +219,7 @@ def on_compilation(callback: Callable[[], None]) -> None:
 
 
 def chosen_by_type(stub: Callable[..., Any]) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
-    """Let kernels that call a function compile what the decorated function returns for the types of its arguments."""
+    """Let kernels that call a function compile the code that the decorated function returns for the argument types."""
     overload: Any = extending.overload
     decorated: Callable[[Callable[..., Any]], Callable[..., Any]] = overload(
         stub, jit_options={"error_model": "numpy"}, strict=False
@@ -228,7 +228,7 @@ def chosen_by_type(stub: Callable[..., Any]) -> Callable[[Callable[..., Any]], C
 
 
 def for_first(function: Callable[..., Any], is_meant: Callable[[Any], bool]) -> Callable[[Function], Function]:
-    """Let kernels that call a function call the decorated one where the type of the first argument is meant.
+    """Let kernels that call a function call the decorated one if the first argument has the annotated type.
 
     The decorated function may be the called one itself.
     """
@@ -248,9 +248,9 @@ def with_field(name: str, chosen: Callable[..., Any], place: int = 0) -> Callabl
     name
         The name of the field.
     chosen
-        Has the arguments of the decorated function.
+        The function to call, with the arguments of the decorated one.
     place
-        Which argument is the record, or the array of records.
+        Index of the argument that is the record, or the array of records.
     """
 
     def decorated(function: Function) -> Function:
@@ -268,8 +268,8 @@ def with_field(name: str, chosen: Callable[..., Any], place: int = 0) -> Callabl
 def identity_of(*functions: Callable[..., Any]) -> str:
     """Return a text that changes with the sources of functions, for use in the name of a type.
 
-    A function within another function, or a function whose sources cannot be read, depends on more than its text. Its
-    address is then part of the name, so that `KernelCache` stores no kernel with it.
+    A function within another function, or a function whose sources cannot be read, depends on more than its text. The
+    address of such a function is part of the name, so that `KernelCache` stores no kernel with it.
     """
     whole = xxhash.xxh3_64()
     for function in functions:

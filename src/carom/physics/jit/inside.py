@@ -1,9 +1,9 @@
 """The parts of Numba and llvmlite that are not documented for users; no other module imports them.
 
 `PLAIN` is true if kernels must do without them: with ``CAROM_PLAIN=1`` in the environment, or if the installed Numba
-lacks one of these parts. Plain kernels give the same bits and use only what Numba documents. One thread does all the
-work, one contact and one body at a time. Use plain kernels to find out whether a fault is in the code of this package,
-and to debug the phases of the contact solver step by step, since plain Python then calls them.
+lacks one of these parts. Plain kernels give the same bits and use only documented features of Numba. One thread does
+all the work, one contact and one body at a time. Use plain kernels to find out whether a fault is in the code of this
+package, and to debug the phases of the contact solver step by step, since plain Python then calls them.
 
 `tests/physics/jit/test_numba.py` tries each part, and `tests/physics/jit/test_plain.py` compares the bits.
 """
@@ -94,7 +94,7 @@ RANDOM_BYTES = 8  # bytes of the first number: 10⁵ processes of 10⁴ function
 
 
 def _name_of_layout(record: Any) -> tuple[str, tuple[str, ...]]:
-    """Return what identifies a record type in a symbol, in place of Numba's counter."""
+    """Return the text that identifies a record type in a symbol, in place of Numba's counter."""
     return type(record).__name__, (layout_digest(record),)
 
 
@@ -104,7 +104,7 @@ def layout_digest(record: Any) -> str:
 
 
 def _number_functions() -> None:
-    """Begin to number the functions that this process compiles from a number that no other process uses."""
+    """Start numbering the functions that this process compiles, from a number that no other process uses."""
     bytecode.FunctionIdentity._unique_ids = itertools.count(int.from_bytes(os.urandom(RANDOM_BYTES), "little"))
 
 

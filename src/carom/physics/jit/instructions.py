@@ -1,14 +1,14 @@
 """Instructions: functions of kernels written as LLVM code, each with a plain form.
 
 - *Atomic words* let threads share work inside kernels: pieces of a phase, cells of a grid, branches of a tree. Without
-  them, one thread does all the work; two threads gain 1.5 to 1.9 × (docs/performance.md).
+such words, one thread does all the work; two threads gain a factor of 1.5 to 1.9 (docs/performance.md).
 - *Prefetching*. The two bodies of a contact may be anywhere in memory, and the processor cannot predict the bodies of
   the next contacts. Prefetched sixteen contacts ahead, they arrive in time: 10⁵ bodies in random order cost 40 instead
   of 150 ns per contact and iteration, as little as bodies in the order of a lattice. Rejected: sorting the bodies along
   a space-filling curve, which gains nothing more.
 - `from_front`. Numba's indices may count from the end, as in Python, so each access tests the sign of its index unless
-  the compiler knows that it is not negative. With it, phases of the solver take 8 to 13 % less time. This function is
-  its own plain form.
+  the compiler knows that it is not negative. With `from_front`, phases of the solver take 8 to 13 % less time. This
+  function is its own plain form.
 - `lowest_bit` finds a free colour in a set of 64, with one instruction instead of a loop.
 """
 
@@ -52,7 +52,7 @@ class Code:
         return self.builder.extract_value(self.context.make_array(kind)(self.context, self.builder, array).shape, 0)
 
     def load(self, address: Any, offset: int = 0) -> Any:
-        """Load a value from an address, or a number of values after it."""
+        """Load the value at an address, or the one a number of values after it."""
         return self.builder.load(self.builder.gep(address, [WORD(offset)]) if offset else address)
 
     def variable(self, value: Any) -> Any:

@@ -12,7 +12,7 @@ LOADED_OR_COMPILED = "numba:compiler_lock"  # Numba holds this lock while it loa
 
 
 class KernelWatch(event.Listener):  # type: ignore[misc] # untyped, like Numba's internals
-    """Seconds in which kernels are loaded or compiled while it is active, and the number of the compiled ones.
+    """Seconds in which kernels are loaded or compiled while the watch is active, and the number of compiled kernels.
 
     ``clock`` returns seconds.
     """
@@ -31,12 +31,12 @@ class KernelWatch(event.Listener):  # type: ignore[misc] # untyped, like Numba's
 
     @property
     def loading(self) -> float:
-        """Seconds of these in which kernels were loaded."""
+        """Seconds in which kernels were loaded."""
         return self.seconds - self.compiling
 
     @property
     def compiling(self) -> float:
-        """Seconds of these in which kernels were compiled."""
+        """Seconds in which kernels were compiled."""
         return self._seconds[COMPILED]
 
     def __enter__(self) -> KernelWatch:

@@ -1,7 +1,7 @@
 """A team of threads that share the work of a kernel: a leader and helpers.
 
-Two threads gain 1.5 to 1.9 × in steps of 10⁴ bodies or more (docs/performance.md). In the plain form, the leader is
-alone.
+Two threads gain a factor of 1.5 to 1.9 in steps of 10⁴ bodies or more (docs/performance.md). In the plain form, the
+leader is alone.
 
 The leader posts a phase of independent pieces on a board, processes pieces itself, and posts the next phase when all
 are done. Helpers process pieces while there are any. Any thread may process any piece, so the pieces of a phase must be
@@ -14,7 +14,8 @@ interrupted within one.
 Rejected, with measurements:
 
 - Numba's ``prange``: its threads meet at a barrier after each of hundreds of colours, which takes 2 µs on a quiet
-  machine, and 7.8 ms beside two busy processes with libgomp's defaults. Its threading layer depends on the machine.
+  machine, and 7.8 ms beside two busy processes with libgomp's defaults. The threading layer of `prange` also depends on
+  the machine.
 - One thread pool task for each phase: 20 µs, and 60 to 80 µs if the thread has slept for a millisecond. A helper that
   is polling the board starts within 1 µs.
 - Helpers that ask the interpreter which function to call: they and the leader wait for its lock, 10 to 30 µs a phase. A
@@ -175,7 +176,7 @@ def _lead(board: IntArray, code: int, kind: int, count: int, pieces: int, argume
 def lead_phase(board: IntArray, doer: int, job: int, first: int, pieces: int) -> None:
     """Post ``pieces`` pieces of a job, from ``first`` on, and process them with the helpers.
 
-    The caller must raise the fault of the job after that, not before: helpers need the job until all pieces are done.
+    The caller must not raise the fault of the job before that: helpers need the job until all pieces are done.
     """
     board[DOER], board[JOB], board[FIRST] = doer, job, first
     post(board, pieces)
@@ -206,7 +207,7 @@ def _look(board: IntArray, offer: int, looks: int) -> None:
 
 @contextmanager
 def sharing_all() -> Iterator[None]:
-    """Share even the smallest work, to compile or load the kernels that this needs."""
+    """Share even the smallest work, to compile or load the kernels for sharing."""
     least, Team.least = Team.least, 0
     try:
         yield

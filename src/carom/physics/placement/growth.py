@@ -52,7 +52,7 @@ MOST_AT_ONCE = 30  # mean number of impacts per sphere in a pass
 
 
 def densest(radius: FloatArray) -> float:
-    """Return the packing up to which spheres of these radii, (n,), can be compressed.
+    """Return the largest packing to which spheres of these radii, (n,), can be compressed.
 
     The random close packing of spheres of several sizes is, from simulations,
 
@@ -196,7 +196,7 @@ BORDER = dtype_of(BorderRecord)
 
 
 class FlightSpace(NamedTuple):
-    """Everything that spheres can meet in a flight."""
+    """All objects that spheres can meet in a flight."""
 
     border: RecordArray[BorderRecord]  # (b,)
     ends: IntArray  # (n + 1,) the neighbours of sphere i are ``others[ends[i]:ends[i + 1]]``

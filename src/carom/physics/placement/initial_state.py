@@ -117,7 +117,7 @@ def _enters(scene: Scene, part: InitialBodies) -> bool:
 
 
 def _arrange(group: BodyGroup) -> Arrange:
-    """Return what finds the places of a group: bodies that enter one by one may have the same place."""
+    """Return the arrangement that places a group: bodies that enter one by one may have the same place."""
     if group.arrangement == "random" and group.release is not None and group.release.rate is not None:
         return scattered
     return arrangement_called(group.arrangement).arrange

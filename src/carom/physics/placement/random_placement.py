@@ -158,7 +158,7 @@ def scattered(
     rng: np.random.Generator,
     units: UnitSystem,
 ) -> FloatArray:
-    """Implement `Arrange` for spheres that are there one after another, and may overlap each other."""
+    """Implement `Arrange` for spheres that exist one after another, and may overlap each other."""
     index = next(iter(mixture))
     refuse_too_large(index, region, radius, units)
     position, missing = np.empty((len(radius), 3)), np.arange(len(radius))
@@ -247,7 +247,7 @@ def _is_inside(corners: tuple[FloatArray, FloatArray], box: FloatArray) -> bool:
 def _clean(
     pool: FloatArray, candidates: FloatArray, accepted: FloatArray, radius: FloatArray, box: FloatArray | None
 ) -> IntArray:
-    """Return the candidates, given the oldest first, that touch no accepted sphere and no older candidate.
+    """Return the candidates that touch no accepted sphere and no older candidate; the oldest come first.
 
     ``pool``, (k, 3) m, and ``accepted``, (k,) m, are the centres and radii of the accepted spheres.
     """
@@ -261,7 +261,7 @@ def _clean(
 
 
 def _clean_beside(occupied: Occupancy, candidates: FloatArray, radius: FloatArray) -> IntArray:
-    """Return the same as `_clean`, in open space, from the grids."""
+    """Return the result of `_clean`, for open space, from the grids."""
     from scipy.spatial import cKDTree  # noqa: PLC0415 - slow to import, and not always needed
 
     free = np.flatnonzero(~occupied.touches(candidates, radius))

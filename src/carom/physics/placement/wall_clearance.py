@@ -1,9 +1,10 @@
 """Checks that the walls of a scene leave space for bodies, at the start and as they move.
 
-Walls at rest may cross: planes form boxes, and an end plane cuts a cylinder. Mistakes are a wall behind another one,
-where no body can be, and walls that are apart at the start and meet later, which crush what is between them. A wall is
-represented by points of the surface with which it is drawn. In the frame of another wall, these points move by the
-difference of both displacements, so they cannot meet it before that difference is as long as their distance.
+Walls at rest may cross: planes form boxes, and an end plane cuts a cylinder. Two things are mistakes: a wall behind
+another one, where no body can be, and walls that are apart at the start and meet later, which crush the bodies between
+them. A wall is represented by points of the surface with which it is drawn. In the frame of another wall, these points
+move by the difference of both displacements, so they cannot meet that wall before the difference is as long as their
+distance.
 """
 
 from __future__ import annotations
@@ -80,7 +81,7 @@ def refuse_crossing_walls(scene: Scene, start: InitialBodies, solids: HalfSpaces
 def _refuse_meeting(
     scene: Scene, solids: SolidsWithWalls, pair: tuple[int, int], gap: Callable[[float], float], limit: float
 ) -> None:
-    """Refuse two walls whose gap (m), a function of the time in s, falls to a limit that it exceeds at first."""
+    """Refuse two walls whose gap (m), a function of time (s), falls to a limit that the gap exceeds at first."""
     motions = solids.motions[pair[0]], solids.motions[pair[1]]
     fastest = sum(_fastest(motion) for motion in motions if motion is not None)
     time, end = 0.0, scene.time.duration

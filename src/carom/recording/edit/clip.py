@@ -100,7 +100,7 @@ class Selection:
         return np.asarray(begins & ends)
 
     def _meets(self, point: SingleArray, centres: SingleArray) -> bool:
-        """Return whether a point is one of the centres or, in a periodic box, an image of one."""
+        """Return whether a point is one of the centres or, in a periodic box, an image of a centre."""
         apart = centres.astype(np.float64) - point
         size = float(np.max(np.abs(centres), initial=0.0))
         if self._box is not None:

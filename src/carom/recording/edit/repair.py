@@ -33,7 +33,7 @@ _LOOKS = 50  # number of frames to which the camera is fitted
 
 
 def new_layout(recording: Recording) -> rrb.Blueprint:
-    """Lay out a recording as the recorder would have done. Raises RecordingError if too little of it is left."""
+    """Lay out a recording as the recorder would have done. Raises RecordingError if too little data are left."""
     header = header_of_recording(recording)
     entries = recording.store.frames_of(paths.BODIES)
     some = [entries[k] for k in sorted(set(np.linspace(0, len(entries) - 1, _LOOKS).astype(int)))] if entries else []
@@ -188,7 +188,7 @@ _RENEWED = (paths.ABOUT, paths.SCENE, paths.BODIES, paths.STATIC_STATE, paths.LI
 
 
 def widen(path: Path) -> None:
-    """Rewrite a recording whose frames have places only for the bodies that had come by then; or RecordingError."""
+    """Rewrite a recording whose frames have places only for bodies that had come by then; may raise RecordingError."""
     recording = Recording.open(path)
     n, header = int(recording.info["bodies"]), header_of_recording(recording)
     steps, counts = _places(recording)

@@ -55,7 +55,7 @@ _OF_CONTACTS = ("normal_force", "tangential_force", "normal_impulse", "tangentia
 
 
 def _contacts(snapshot: Snapshot) -> tuple[Int32Array, dict[str, FloatArray]]:
-    """Return the points of contacts between two bodies, (m, 2), and what is measured of them; unknown values are 0."""
+    """Return the points of contacts between two bodies, (m, 2), and their measured values; unknown ones are 0."""
     table = snapshot.contacts
     if table is None:
         return np.zeros((0, 2), np.int32), {name: np.zeros(0) for name in _OF_CONTACTS}

@@ -125,7 +125,7 @@ class _Comparison:
         self._known = self._entities | {entry.entity_path for entry in entries}
 
     def first(self) -> Difference | None:
-        """Return the first difference: at the earliest step, and there in positions before other data."""
+        """Return the first difference: at the earliest step, and within the step in positions before other data."""
         both = (entry for run in (self._recorded, self._again) for entry in run.store.entries if not entry.is_static)
         groups = {(entry.entity_path, entry.is_within_steps) for entry in both if entry.rows}
         found = [self._rows(*group) for group in sorted(groups, key=_rank) if group[0] != paths.EVENTS]
@@ -200,7 +200,7 @@ class _Comparison:
             yield from _selected([reduced.batch], inside, IMPACT if at_impacts else STEP)
 
     def _in_rows(self, path: str, one: pa.RecordBatch, two: pa.RecordBatch) -> Difference | None:
-        """Return the first difference of rows that are not alike; None if it is excused."""
+        """Return the first difference of rows that are not alike; None if the difference is allowed."""
         key = IMPACT if IMPACT in one.schema.names else STEP
         keys = [_key(one).to_pylist(), _key(two).to_pylist()]
         for k, (own, other) in enumerate(zip(*keys, strict=True)):

@@ -173,7 +173,7 @@ def end_of_step(recording: RecordedData, step: int) -> float | None:
 
 
 def printed_time(recording: RecordedData, time: float, rounding: float) -> float:
-    """Return the recorded time (s) nearest to one that was rounded when it was printed; without one, the given time.
+    """Return the recorded time (s) whose printed form is nearest to a time; if there is none, the given time.
 
     Recorded times are the times of frames, and the moments that `carom inspect` lists, whose steps may have no frame.
     """
@@ -209,7 +209,7 @@ def frame_of(recording: RecordedData, at: float) -> int | None:
 
 
 def _row_at(times: FloatArray, at: float) -> int | None:
-    """Return the row of exactly this time; None without one. After 10⁸ steps, the tolerance is longer than a step."""
+    """Return the row of exactly this time; None if there is none. After 10⁸ steps, the tolerance exceeds a step."""
     row = int(np.searchsorted(times, at))
     return row if row < len(times) and times[row] == at else None
 

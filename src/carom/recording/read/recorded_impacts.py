@@ -43,7 +43,7 @@ class RecordedImpacts:
         return self.recorded + self.left_out
 
     def text(self, counted: int | None) -> str:
-        """Describe the numbers beside the ``counted`` impacts of the run (None: unknown).
+        """Describe these numbers beside the number of impacts that the run ``counted`` (None: unknown).
 
         The count lacks impacts at the end of a step whose bodies neither touch nor press afterwards, for example
         because the impulse of a neighbour separated them. Impacts of planes are recorded or left out like impacts of

@@ -54,7 +54,7 @@ class Recording(RecordedData):
         return recording
 
     def refuse_other_schema(self) -> None:
-        """Raise RecordingError if carom did not make it, or a version of carom that writes another schema did."""
+        """Raise RecordingError if carom did not make the file, or if a version of carom with another schema did."""
         version = schema_version(self.store.application_id)
         if version is None:
             raise RecordingError(f"{self.path} was not made by carom, but by {self.store.application_id!r}")
@@ -77,7 +77,7 @@ class Recording(RecordedData):
         Parameters
         ----------
         body
-            Its number or its name.
+            Number or name of the body.
         start, end
             s, both included.
 
@@ -103,7 +103,7 @@ class Recording(RecordedData):
         Parameters
         ----------
         bodies
-            Their numbers or names; by default all bodies that the recording shows.
+            Numbers or names of bodies; by default all bodies that the recording shows.
         start, end
             s, both included.
 

@@ -143,7 +143,7 @@ class Statics:
 
     @property
     def versions(self) -> dict[str, str]:
-        """Versions of the packages that recorded it, as names and numbers; other texts of the file are quoted."""
+        """Versions of the packages that made it, as names and numbers; other texts of the file are quoted."""
         stamped = ((key.partition("version."), value) for key, value in self.properties.items())
         found = {package: value for (before, dot, package), value in stamped if dot and not before}
         return {one_word(package): one_word(str(value)) for package, value in found.items()}
@@ -174,13 +174,13 @@ class Statics:
     @property
     @named
     def is_partial(self) -> bool:
-        """Whether it is a clip without exact states, which contains nothing about other bodies."""
+        """Whether the recording is a clip without exact states, which contains nothing about other bodies."""
         return bool(self.clip.get("partial", False))
 
     @property
     @named
     def is_overlay(self) -> bool:
-        """Whether it shows several runs: `carom diff -o` or `carom tradeoff` made it."""
+        """Whether the recording shows several runs: `carom diff -o` or `carom tradeoff` made it."""
         return bool(self.overlaid)
 
     @property
@@ -190,7 +190,7 @@ class Statics:
         return self._entities.properties("diff") or self._entities.properties("tradeoff")
 
     def refuse_overlay(self) -> None:
-        """Raise RecordingError if it shows several runs: an overlay has only drawn positions."""
+        """Raise RecordingError if the recording shows several runs: an overlay has only drawn positions."""
         if self.is_overlay:
             raise RecordingError(f"{self.path} contains several runs and can only be viewed, with `carom view`")
 
@@ -323,7 +323,7 @@ def encode_bodies(data: Sequence[BodyColumns]) -> dict[str, Any]:
 def decode_bodies(stored: Stored, index: int, row: int, place: range, bodies: BodyTable) -> BodyColumns:
     """Undo `encode_bodies` for one [[bodies]] table, given its index in the scene and the numbers of its bodies.
 
-    ``row`` is the row of its first body in the components; ``bodies`` has all bodies of the recording. Raises
+    ``row`` is the row of the table's first body in the components; ``bodies`` has all bodies of the recording. Raises
     DamageError if the components do not have these bodies, or are not finite.
     """
     n, own, has_names = len(place), slice(row, row + len(place)), np.asarray(stored["named"])

@@ -101,7 +101,7 @@ def _of_engine(recording: RecordedData) -> dict[str, Any]:
 
 
 def _forces(recording: RecordedData) -> dict[str, Any]:
-    """Describe what laws were judged beyond: the work (J) of known forces, and a common damping (1/s, 1/m or 1/rad)."""
+    """Describe the forces that the audit accounts for: known work (J), and a common damping (1/s, 1/m or 1/rad)."""
     found = _below(recording.closing, "audit")
     dampings: dict[str, Any] = {name: found[name] for name in ("damping", "angular_damping") if name in found}
     return {"work": float(found.get("forced", 0.0)), **dampings}
@@ -152,7 +152,7 @@ def _changes(recording: RecordedData) -> dict[str, float]:
 
 
 def _largest(momenta: pa.Table, name: str) -> float | None:
-    """Return the largest error of the recorded frames; None if it is not defined, NaN where no frame has it."""
+    """Return the largest error of the recorded frames; None if the error is not defined, NaN if no frame has it."""
     if momenta.num_rows == 0:
         return float("nan")
     errors = np.concatenate([np.zeros(1), *(np.ravel(value) for value in momenta[name].to_numpy())])

@@ -222,7 +222,7 @@ class _Pass:
         self._budget = _PATIENCE * size
 
     def go(self) -> None:
-        """Go through the file and fill in the result."""
+        """Read through the file and fill in the result."""
         at = STREAM_HEADER
         if not framing.is_rrd(self._file):
             self._found.gaps.append(Gap(0, STREAM_HEADER, "it does not begin like a recording"))

@@ -86,7 +86,7 @@ def record_batch(payload: memoryview, compression: int, size: int, stored: int =
 
 
 def release_memory() -> None:
-    """Return the memory of freed large chunks to the system: 400 MB for a recording of a million bodies."""
+    """Return the memory of freed large chunks to the system, such as 400 MB for a recording of a million bodies."""
     pool = pa.default_memory_pool()
     if pool.max_memory() > _LARGE:
         pool.release_unused()
@@ -214,7 +214,7 @@ class Chunk:
 
     @property
     def is_static(self) -> bool:
-        """Whether it is static: on no timeline."""
+        """Whether the chunk is static, that is, on no timeline."""
         return not self.timelines
 
     @property
@@ -242,7 +242,7 @@ class Entry:
 
     @property
     def is_within_steps(self) -> bool:
-        """Whether it has rows, and none on the timeline of steps."""
+        """Whether the chunk has rows, but none on the timeline of steps."""
         return self.rows > 0 and not self.is_static and self.first_step is None
 
     def overlaps(self, first: float, last: float) -> bool:

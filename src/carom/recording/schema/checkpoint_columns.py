@@ -263,7 +263,7 @@ class _Row:
         return made
 
     def _named(self, owner: type[Any], prefix: str) -> NamedEnergies:
-        """Return the energies whose components begin with a prefix and are no other field, in alphabetical order."""
+        """Return the energies whose components begin with a prefix and are not another field, in alphabetical order."""
         known = {each.name for components in saved_fields(owner).values() for each in components}
         names = sorted(name for name in self._stored if name.startswith(prefix) and name not in known)
         return tuple((name.removeprefix(prefix), float(self._finite(name, 1)[0])) for name in names)

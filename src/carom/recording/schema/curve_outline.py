@@ -1,4 +1,4 @@
-"""`CurveOutline`: the outline of a recorded series, by which plots choose axes, and legends their places."""
+"""`CurveOutline`: the outline of a recorded series, from which plots choose axes, and legends their places."""
 
 from __future__ import annotations
 

@@ -112,7 +112,7 @@ class SweepMember:
 
 @dataclass(frozen=True, slots=True)
 class Header:
-    """Everything static about a run: its bodies, and which parts of the model the scene requires.
+    """The static data of a run: its bodies, and the parts of the model that the scene requires.
 
     A recording has no entities for parts whose flag is false.
     """
@@ -308,7 +308,7 @@ class TimeScale:
         return np.round(shown * 1e9).astype(np.int64)
 
     def within(self, times: FloatArray, ends: FloatArray | None) -> IntArray:
-        """Convert seconds to nanoseconds, to less than the time of the frame that ends at ``ends`` (s); see `Index`."""
+        """Convert seconds to nanoseconds below the time of the frame that ends at ``ends`` (s); see `Index`."""
         shown = self.nanoseconds(times)
         return shown if ends is None or not len(ends) else np.minimum(shown, self.nanoseconds(ends) - 1)
 

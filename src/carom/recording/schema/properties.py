@@ -1,4 +1,4 @@
-"""The properties of a recording: one table of what is written, read and accepted under each key.
+"""The properties of a recording: one table of the values that are written, read and accepted under each key.
 
 A recording may come from a stranger, so values of other kinds are refused before they are used.
 """
@@ -98,7 +98,7 @@ def _offsets(header: Header) -> dict[str, float]:
 
 
 def _forces(header: Header) -> dict[str, bool]:
-    """Return whether there is gravity and a uniform field, and which other forces there are."""
+    """Return whether there are gravity and a uniform field, and the names of other forces."""
     present = {kind.present: kind.name in header.forces for kind in FORCES}
     return {key: value for key, value in present.items() if value or key in (GRAVITY.present, UNIFORM_FIELD.present)}
 

@@ -138,7 +138,7 @@ class _Datasets(_NamedArrays):
 
 
 def _most_values(dataset: Any) -> int:
-    """Return how many values HDF5 unpacks at a time: the dataset or a chunk of it, which may be far larger."""
+    """Return the number of values that HDF5 unpacks at a time: the dataset, or a chunk, which may be far larger."""
     return max(int(math.prod(dataset.shape)), int(math.prod(dataset.chunks or ())))
 
 

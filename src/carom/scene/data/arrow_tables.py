@@ -143,7 +143,7 @@ def open_arrow(path: Path, called: str, snapshot: int) -> DataTable:
 
 
 def _stores_each_row(kind: pa.DataType) -> bool:
-    """Return whether each value takes its own memory; a few bytes may represent any number of nulls or runs."""
+    """Return whether each value has its own memory; otherwise a few bytes may represent any number of nulls or runs."""
     if pa.types.is_null(kind) or pa.types.is_run_end_encoded(kind):
         return False
     if pa.types.is_dictionary(kind):

@@ -118,7 +118,7 @@ _SAME_DISTANCE = 0.02  # relative difference of distances from the Sun and from 
 
 
 class ReadBodies(NamedTuple):
-    """The bodies of a table, and what its file states; the box and the time are in units of the simulation."""
+    """The bodies of a table, and the statements of its file; box and time are in units of the simulation."""
 
     columns: BodyColumns
     notes: tuple[str, ...]

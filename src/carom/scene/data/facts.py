@@ -84,7 +84,7 @@ class Facts:
 
 @dataclass(frozen=True)
 class FileColumn:
-    """A column of a file: its name, and the unit that stands in the name or that the file states for it."""
+    """A column of a file: its name, and its unit, which the name contains or the file states."""
 
     name: str  # in the file
     proper: str  # name without the unit and, in HDF5, without the path

@@ -105,7 +105,7 @@ ColumnMapping = dict[str, tuple[FileColumn, ...]]  # quantity → one column, th
 
 
 def columns_in(table: DataTable, section: BodyData) -> list[FileColumn]:
-    """Return the columns of a table, with the hidden ones that the scene names."""
+    """Return the columns of a table, including hidden ones that the scene names."""
     named = [columns for _, columns in section.columns if columns is not None]
     asked = {name for columns in named for name in ((columns,) if isinstance(columns, str) else columns)}
     names = [*table.names, *(name for name in table.hidden if name in asked)]
@@ -116,7 +116,7 @@ def mapping_of(section: BodyData, columns: Sequence[FileColumn], table: DataTabl
     """Return the columns of each quantity that has no value in the scene.
 
     Raises SceneError if a column is missing, if two columns hold the same quantity, or if a vector of an unknown name
-    may hold one that would be 0.
+    may hold a quantity that would be 0 without it.
     """
     mapping: ColumnMapping = {}
     called = table.called

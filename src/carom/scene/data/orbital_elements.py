@@ -49,7 +49,7 @@ _MOST_STEPS = 1000  # most steps of Newton's method: some 6 for an ellipse, one 
 
 
 class Centre(NamedTuple):
-    """The body that others orbit, in units of the simulation."""
+    """The central body that others orbit, in units of the simulation."""
 
     constant: float  # gravitational constant
     mass: float
@@ -114,7 +114,7 @@ class OrbitTable(DataTable):
         return len(self._raw[self._columns["e"].name])
 
     def stated(self) -> Facts:
-        """Return what the file states, with the epoch of the bodies if it is a Julian date."""
+        """Return the file's statements, with the epoch of the bodies if it is a Julian date."""
         own = self._orbit.epoch
         if own is None and "epoch" in self._columns:
             own = float(numbers_of(self.called, "epoch", self._raw[self._columns["epoch"].name])[0])

@@ -150,7 +150,7 @@ class _Dump(DataTable):
 
 
 def _units_called(called: str, name: str) -> UnitSystem:
-    """Return the units that LAMMPS calls so; SI, which states nothing, without a name."""
+    """Return the units that LAMMPS calls by a name; SI, which states nothing, without a name."""
     if name and name not in UNITS:
         raise SceneError(
             f"{called}: its numbers are in the units {printable(name)} of LAMMPS, which carom does not know; it knows "

@@ -1,7 +1,7 @@
-"""Tables with several steps: which rows of a long table, or which axis of an array, is the step that a scene reads.
+"""Tables with several steps: finds the rows of a long table, or the axis of an array, of the step that a scene reads.
 
 A long table has a row for each body and step: the names of its bodies repeat beside a column of times. An array of
-shape (steps, n, 3) may also have the bodies first; the other arrays of the file, or ``count``, tell.
+shape (steps, n, 3) may also have the bodies first; the other arrays of the file, or ``count``, decide between both.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ _ROUNDED = 1e-8  # relative error of a time that was printed and typed again
 
 
 class Steps(NamedTuple):
-    """The columns of a table that may tell its steps apart."""
+    """The columns of a table that may distinguish its steps."""
 
     times: list[FileColumn]
     bodies: list[FileColumn]
@@ -130,7 +130,7 @@ def _text(value: object) -> str:
 def axis_of_steps(
     section: BodyData, table: DataTable, steps: Steps, raw: Mapping[str, Raw], dimensions: Mapping[str, int]
 ) -> int:
-    """Return the axis of the steps in arrays with several of them, 0 or 1; ask if nothing tells.
+    """Return the axis of the steps in arrays with several steps, 0 or 1; ask if nothing decides it.
 
     ``dimensions`` has the number of axes that each array of a single step has.
     """
