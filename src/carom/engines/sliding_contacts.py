@@ -2,8 +2,7 @@
 
 Where a body touches nothing but one plane or one other body, its momentum gives the impulse of this contact. While a
 contact slides, Coulomb's law fixes the ratio of friction to normal impulse, μ; while it sticks, μ limits the ratio. At
-the end of a run, μ is known as the ratio that most sliding contacts of this engine have. Another ratio in a contact of
-the same bodies breaks the law.
+the end of a run, μ is known as the ratio that most sliding contacts of this engine have. A contact of the same bodies with another ratio breaks the law.
 """
 
 from __future__ import annotations
@@ -17,16 +16,16 @@ from carom.arrays import BoolArray, FloatArray, IntArray
 from carom.engines.engine_contacts import EngineMoment, Near, cross, lengths
 from carom.engines.source import Setup
 
-FEWEST = 20  # contacts that slide
+FEWEST = 20  # fewest contacts that slide
 SLIDING = 0.1  # of the speed up to which contacts may rest; engines of soft friction let a sticking contact creep
-CLEAR = 20.0  # times the noise of an impulse
-ROUNDED = 1e-6  # of m |v|, of engines that compute in single precision
-EXACT = 0.02  # of μ, the deviation of most contacts of an engine whose single contacts are judged
-MOSTLY = 0.75  # of the contacts of an engine; deviations of the remaining contacts may be faults
-SPREADS = 6.0  # of the deviation of most contacts
-OFF = 0.1  # of μ, the least deviation that is a fault
-RARELY = 0.05  # of the contacts that stick; if more of them exceed μ, the static friction of this engine is larger
-MOST_FRAMES = 100_000  # with samples
+CLEAR = 20.0  # smallest clear impulse, in multiples of its noise
+ROUNDED = 1e-6  # rounding over m |v|, of engines that compute in single precision
+EXACT = 0.02  # largest deviation of most contacts, over μ, for which single contacts are judged
+MOSTLY = 0.75  # fraction of an engine's contacts that must agree; deviations of the others may be faults
+SPREADS = 6.0  # smallest deviation of a fault, in multiples of the deviation of most contacts
+OFF = 0.1  # smallest deviation of a fault, over μ
+RARELY = 0.05  # fraction of the sticking contacts; if more of them exceed μ, the engine's static friction is larger
+MOST_FRAMES = 100_000  # most frames with samples
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,7 +63,7 @@ class SlidingContacts:
         setup: Setup,
         moments: tuple[EngineMoment, EngineMoment],
         near: Near,
-        rows: IntArray,  # of near pairs that touched nothing else in the frame
+        rows: IntArray,  # rows of near pairs that touched nothing else in the frame
         slow: float,  # m/s, speed up to which contacts may rest
     ) -> None:
         """Keep the contacts that were pressed together."""
@@ -105,7 +104,7 @@ class SlidingContacts:
         slides = np.concatenate([frame.slides for frame in self.frames])
         owner = np.repeat(np.arange(len(self.frames)), [len(frame.ends) for frame in self.frames])
         pair = np.unique(ends, axis=0, return_inverse=True)[1].ravel()
-        order = np.argsort(pair, kind="stable")  # then by time
+        order = np.argsort(pair, kind="stable")  # sorted by pair, then by time
         goes_on = np.zeros(len(pair), bool)
         goes_on[order[:-1]] = (pair[order[:-1]] == pair[order[1:]]) & slides[order[1:]]
         # the friction of a soft contact falls in the step in which the slide ends
@@ -120,9 +119,9 @@ class SlidingContacts:
 
 
 def _comparable(ends: IntArray, pair: IntArray, slides: BoolArray, bodies: int) -> Iterator[IntArray]:
-    """Yield the rows whose ratios are compared: those of a pair that slides for long, else of a plane, or of bodies."""
+    """Yield the rows whose ratios are compared: of a pair that slides for long, otherwise of a plane, or of all bodies."""
     long = np.bincount(pair, slides) >= FEWEST
-    # a number for each such pair, for each plane, and one for all contacts of bodies
+    # a number for each such pair, a number for each plane, and one number for all contacts between bodies
     kind = np.where(long[pair], ends.max() + pair, np.maximum(ends[:, 1] - bodies, -1))
     for each in np.unique(kind).tolist():
         yield np.flatnonzero(kind == each)
@@ -133,7 +132,7 @@ def _wrong(
 ) -> Iterator[tuple[int, float, float]]:
     """Yield the rows whose ratio differs from the usual one, that ratio, and the violation over tolerance.
 
-    Bodies may be of other materials: a contact is judged only if each of its bodies also slides as usual.
+    Bodies may have different materials, so a contact is judged only if each of its bodies also slides with the usual ratio.
     """
     ratio = np.where(np.isfinite(most), 0.5 * (least + most), least)
     if np.count_nonzero(slides) < FEWEST:

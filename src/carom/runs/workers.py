@@ -93,7 +93,7 @@ class _Process:
 
 
 class LocalWorkers:
-    """Processes on this machine, started when there are tasks for them. Leaving the context ends them.
+    """Processes on this machine, started when there are tasks for them, and ended when the context is left.
 
     Parameters
     ----------

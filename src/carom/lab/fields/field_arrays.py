@@ -45,7 +45,7 @@ class Fields:
     velocity: FloatArray  # m/s, momentum over mass
     granular_temperature: FloatArray  # J, ⟨m c²⟩/3, with c relative to `velocity`
     kinetic_stress: FloatArray  # (…, 3, 3) Pa, momentum flux of moving bodies; compression is positive
-    contact_stress: FloatArray  # (…, 3, 3) Pa, momentum along the second index that contacts carry along the first
+    contact_stress: FloatArray  # (…, 3, 3) Pa, flux by contacts along the first index of momentum along the second
     coordination: FloatArray  # lasting contacts per body; a contact of two bodies counts for both
     notes: Sequence[str] = ()  # sentences about what the recording lacks
 

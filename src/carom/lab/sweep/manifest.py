@@ -159,7 +159,7 @@ def _inside(name: str) -> str:
 def _plain(name: str) -> str:
     """Return the name of a run. Raises ValueError if the text is not the name of a file."""
     if Path(name).name != name or name in ("", ".", "..") or "\0" in name:
-        raise ValueError(f"{name[:80]!r} is no name of a run")
+        raise ValueError(f"{name[:80]!r} is not the name of a run")
     return name
 
 

@@ -94,7 +94,7 @@ def _refuse_meeting(
             one, other = solids.name[moving], solids.name[sum(pair) - moving]
             at = scene.unit_system.text(time, TIME, ".4g")
             raise SceneError(
-                f"{one} meets {other} at t = {at} and would crush what is between them; let its motion end before, "
+                f"{one} meets {other} at t = {at} and would crush bodies between them; end its motion earlier, "
                 "or shorten time.duration",
                 (*_key(scene, moving, len(solids) - len(scene.wall)), "motion"),
             )

@@ -185,7 +185,7 @@ class RecordedData(Statics):
         first, last = (np.asarray(stored[name]) for name in ("first_step", "last_step"))
         n = int(self.info["bodies"])
         if any(each.shape != (n,) or each.dtype != np.int64 for each in (first, last)):
-            raise DamageError("it does not state for each body when it came and went")
+            raise DamageError("it lacks the times when some bodies came and went")
         end = int(self.fingerprints()[STEP][-1].as_py()) if self.frames else -1
         return np.stack([first, np.where((first >= 0) & (last < 0), end, last)], axis=1)
 
@@ -217,7 +217,7 @@ class RecordedData(Statics):
         n = int(self.info["bodies"])
         mask = np.asarray(self._entities.static(paths.STATIC_STATE).get(name, np.full(n, default)))
         if mask.shape != (n,) or mask.dtype != np.bool_:
-            raise DamageError(f"it does not state for each body whether it is {name}")
+            raise DamageError(f"it does not state of each body whether the body is {name}")
         return mask
 
     @cached_property

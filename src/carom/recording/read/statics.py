@@ -332,7 +332,7 @@ def decode_bodies(stored: Stored, index: int, row: int, place: range, bodies: Bo
         raise DamageError("its scene has more bodies than it")
     fixed = np.asarray(stored.get("fixed", np.zeros(whole, np.bool_)))
     if fixed.shape != (whole,) or fixed.dtype != np.bool_:
-        raise DamageError("it does not state for each body whether it is fixed")
+        raise DamageError("it does not state of each body whether the body is fixed")
     numbers, vectors = slice(place.start, place.stop), dict[str, FloatArray]()
     for name in VECTORS:
         values = np.asarray(stored.get(name, np.zeros(3 * whole)))

@@ -256,7 +256,7 @@ class RadiusRange(Section):
     @model_validator(mode="after")
     def _ordered(self) -> Self:
         if self.min > self.max:
-            raise ValueError("min is above max; exchange them")
+            raise ValueError("min is above max; swap them")
         if abs(self.exponent + 1.0) * math.log10(self.max / self.min) > STEEPEST:
             raise ValueError(
                 f"exponent = {self.exponent:g} is too steep for such different radii; lower it or their ratio"

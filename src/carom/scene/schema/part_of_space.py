@@ -53,5 +53,5 @@ class Region(Section):
             others = f", and no {given[0]}" if given else ""
             raise ValueError(f'shape = "{self.shape}" needs {values}{others}')
         if self.inner_radius is not None and self.radius is not None and self.inner_radius >= self.radius:
-            raise ValueError("inner_radius is not below radius; exchange them")
+            raise ValueError("inner_radius is not below radius; swap them")
         return self
