@@ -2,7 +2,8 @@
 
 Where a body touches nothing but one plane or one other body, its momentum gives the impulse of this contact. While a
 contact slides, Coulomb's law fixes the ratio of friction to normal impulse, μ; while it sticks, μ limits the ratio. At
-the end of a run, μ is known as the ratio that most sliding contacts of this engine have. A contact of the same bodies with another ratio breaks the law.
+the end of a run, μ is known as the ratio that most sliding contacts of this engine have. A contact of the same bodies
+with another ratio breaks the law.
 """
 
 from __future__ import annotations
@@ -119,7 +120,7 @@ class SlidingContacts:
 
 
 def _comparable(ends: IntArray, pair: IntArray, slides: BoolArray, bodies: int) -> Iterator[IntArray]:
-    """Yield the rows whose ratios are compared: of a pair that slides for long, otherwise of a plane, or of all bodies."""
+    """Yield the rows whose ratios are compared: of a pair that slides for long, else of a plane, or of all bodies."""
     long = np.bincount(pair, slides) >= FEWEST
     # a number for each such pair, a number for each plane, and one number for all contacts between bodies
     kind = np.where(long[pair], ends.max() + pair, np.maximum(ends[:, 1] - bodies, -1))
@@ -132,7 +133,8 @@ def _wrong(
 ) -> Iterator[tuple[int, float, float]]:
     """Yield the rows whose ratio differs from the usual one, that ratio, and the violation over tolerance.
 
-    Bodies may have different materials, so a contact is judged only if each of its bodies also slides with the usual ratio.
+    Bodies may have different materials, so a contact is judged only if each of its bodies also slides with the usual
+    ratio.
     """
     ratio = np.where(np.isfinite(most), 0.5 * (least + most), least)
     if np.count_nonzero(slides) < FEWEST:
