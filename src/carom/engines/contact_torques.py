@@ -88,7 +88,9 @@ class ContactTorques:
             yield from self._above(_off(ways[:, way], seen), max(SURELY, SPREADS * beside), what)
             return
         if usual < EXACT:
-            yield from self._above(off, max(OFF, SPREADS * usual), "changes its spin otherwise than its contacts tell")
+            yield from self._above(
+                off, max(OFF, SPREADS * usual), "changes its spin differently from what its contacts give"
+            )
 
     def _above(self, off: FloatArray, allowed: float, what: str) -> Iterator[WrongTorque]:
         """Yield the torques whose deviations exceed the allowed one.

@@ -380,7 +380,7 @@ class LawAudit:
         worst = int(np.argmax(excess))
         if excess[worst] > 1.0:
             end = int(self._ends[worst])
-            text = f"{self._names.of(end)} turns otherwise than it spins: by {lengths(turn)[worst]:.3g} rad, off by "
+            text = f"{self._names.of(end)} turns differently from its spin: by {lengths(turn)[worst]:.3g} rad, off by "
             text = f"{text[0].upper()}{text[1:]}{off[worst]:.3g} rad. Spins are expected in the frame of the world."
             yield Fault("spin", *place, float(excess[worst]), text, (end,), float(excess[worst]))
 

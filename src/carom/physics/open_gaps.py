@@ -109,7 +109,7 @@ def copy_records(contacts: Any, back: bool) -> None:
 
 @_without_contacts
 def hold(contacts: Any, totals: Totals, damped: DampedStep) -> bool:
-    """Hold the contacts of the last step after the first kick; return whether the step can go on."""
+    """Hold the contacts of the last step after the first kick; return whether the step can continue."""
     return True
 
 
@@ -139,7 +139,7 @@ def can_drift(
 
 @_without_contacts
 def find(contacts: Any, totals: Totals, dt: float) -> bool:
-    """Find the contacts after the drift of a step of dt s, and correct overlaps; return whether the step can go on."""
+    """Find the contacts after the drift of a step of dt s, and correct overlaps; return whether the step can continue."""
     return True
 
 

@@ -30,7 +30,7 @@ class InitialBodies:
 
 
 class EntryStates(NamedTuple):
-    """The states with which bodies enter; bodies that are there from the start have these states first."""
+    """The states with which bodies enter; bodies that exist from the start have these states first."""
 
     position: FloatArray  # (n, 3) m
     velocity: FloatArray  # (n, 3) m/s

@@ -1,6 +1,6 @@
 """Compiled kernels on disk: verified before they are used, in folders that nobody else can write to.
 
-A run starts within a second in place of 20 to 60 s of compilation. Without a folder, or if the installed Numba lacks a
+A run starts within a second instead of 20 to 60 s of compilation. Without a folder, or if the installed Numba lacks a
 required part, each process compiles the kernels again.
 
 Numba's own cache unpickles and links any file in its folder, and identifies a kernel by its source file. Here each file

@@ -204,7 +204,7 @@ class RecordedData(Statics):
     @cached_property
     @named
     def entries(self) -> EntryStates | None:
-        """How bodies enter; None if all are there from the start."""
+        """How bodies enter; None if all exist from the start."""
         if not self.info.get("admits") or self.is_partial:
             return None
         stored, n = self._entities.static(paths.STATIC_STATE), int(self.info["bodies"])

@@ -312,7 +312,7 @@ class BodyGroup(Matter):
         ORIGIN, description="rad/s, [x, y, z], of a rigid rotation of the whole group about its centre"
     )
     release: Release | None = Field(
-        None, description="{ at, rate, until }: when the bodies enter; by default they are there from the start"
+        None, description="{ at, rate, until }: when the bodies enter; by default they exist from the start"
     )
 
     @model_validator(mode="after")
