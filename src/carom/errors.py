@@ -64,7 +64,7 @@ class ExistsError(RecordingError):
 
 
 class NotRecordedError(RecordingError):
-    """The recording lacks the requested data. `carom.rerun` computes them, unless another engine made the run."""
+    """The recording lacks requested data. `carom.rerun` computes these, unless another engine made the run."""
 
     def __init__(self, path: Path, what: str, engine: str = "") -> None:
         remedy = f"it was recorded from {engine}, which carom cannot rerun" if engine else "carom.rerun computes it"

@@ -32,7 +32,7 @@ _made: dict[int, tuple[Path, int]] = {}  # by process: its folder, and the descr
 def private_folder() -> Path:
     """Return the temporary folder of this process; make it at the first call.
 
-    Child processes get it as ``TMPDIR`` for their own temporary files. Raises OSError if no temporary folder is
+    Child processes get the folder as ``TMPDIR`` for their own temporary files. Raises OSError if no temporary folder is
     writable, or others can replace its content.
     """
     with _guard:

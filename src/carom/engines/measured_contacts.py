@@ -38,7 +38,7 @@ UNSOLVED = "unsolved"  # key in a table's metadata for impacts with unknown impu
 
 
 def setup_of(recording: Recording) -> Setup:
-    """Return the constants of an engine's recording. RecordingError if it is a clip of selected bodies."""
+    """Return the constants of an engine's recording. RecordingError if the recording is a clip of selected bodies."""
     recording.refuse_some_bodies()
     bodies, info, planes = recording.bodies, recording.info, recording.planes
     box, field_ = info.get("box"), recording.uniform_field

@@ -341,7 +341,7 @@ class StateMemory:
         return cls(State(state.time, **dict(zip(there, parts, strict=True))), block)
 
     def take(self, state: State) -> None:
-        """Copy a state. Raises RecordingError if its arrays have other shapes, or its time is no number."""
+        """Copy a state. Raises RecordingError if the state's arrays have other shapes, or its time is not a number."""
         own = self.state
         own.time = time_of(state)
         if state.ids is not None:  # the arrays are those of this state's bodies

@@ -183,7 +183,7 @@ class Trajectory:
 
     @classmethod
     def load(cls, path: Path) -> Self:
-        """Read a file written by `save`. Raises ValueError or OSError if it is not one."""
+        """Read a file written by `save`. Raises ValueError or OSError for any other file."""
         with np.load(path, allow_pickle=False) as kept:
             missing = [each.name for each in fields(cls) if each.name not in kept]
             if missing:
@@ -217,7 +217,7 @@ def follow(
     PhysicsError
         If the state is no longer finite.
     RunStoppedError
-        If it exceeds its bound; see `RunGuard` for ``tell``.
+        If the run exceeds its bound; see `RunGuard` for ``tell``.
     """
     guard = RunGuard(bound, tell)
     watch = _Watch(space, times, guard)

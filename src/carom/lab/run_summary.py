@@ -65,7 +65,8 @@ class UnknownNameError(Exception):
 class Expression:
     """A condition on a summary: comparisons of names, numbers and texts, joined by ``and``, ``or`` and ``not``.
 
-    Names are the keys of ``carom inspect --json``, with dots between the levels. ExperimentError if it cannot be read.
+    Names are the keys of ``carom inspect --json``, with dots between the levels. ExperimentError if the text cannot be
+    read.
     """
 
     def __init__(self, text: str, option: str = "--while") -> None:

@@ -139,7 +139,7 @@ def can_drift(
 
 @_without_contacts
 def find(contacts: Any, totals: Totals, dt: float) -> bool:
-    """Find the contacts after the drift of a step of dt s, and correct overlaps; return whether the step can continue."""
+    """Find contacts after the drift of a step of dt s, and correct overlaps; return whether the step can continue."""
     return True
 
 

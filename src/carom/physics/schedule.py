@@ -105,7 +105,7 @@ def every(interval: float) -> Schedule:
 
 
 def at(steps: Iterable[int]) -> Schedule:
-    """Return the schedule of these steps."""
+    """Return the schedule of given steps."""
     return At(tuple(sorted(steps)))
 
 

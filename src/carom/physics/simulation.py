@@ -64,11 +64,11 @@ class StepStatus(NamedTuple):
 class Simulation:
     """A scene in motion, given its stepper; `Space` documents the parameters.
 
-    Only one thread may step it. Other threads may meanwhile only read ``status`` and call ``stop``.
+    Only one thread may step a simulation. Other threads may meanwhile only read ``status`` and call ``stop``.
 
     Errors are judged at the first step at or after each multiple of `check_interval` (s), at every
     ``record.check_every``-th step, and at the end of a run. The interval follows from the scene, so a verdict does not
-    depend on the recording. If it is None, errors are judged at the frames.
+    depend on the recording. If the interval is None, errors are judged at the frames.
     """
 
     def __init__(
@@ -257,7 +257,7 @@ class Simulation:
     def stop(self) -> None:
         """End `run` after the current step, with a last frame; any thread may call this.
 
-        Between two runs, it ends the next one at its first frame.
+        Between two runs, the call ends the next run at its first frame.
         """
         self._stopping = True
 

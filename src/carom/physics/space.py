@@ -28,7 +28,7 @@ ONE_STEP = Goal(end=np.inf, schedule=at(()), checks=at(()), most=1)
 class Space(Simulation):
     """A simulation of a scene, with the public calls of the reference engine and more.
 
-    Only one thread may step it. Other threads may meanwhile only read ``status`` and call ``stop``.
+    Only one thread may step a space. Other threads may meanwhile only read ``status`` and call ``stop``.
 
     Parameters
     ----------

@@ -215,7 +215,7 @@ class KickDriftStepper:
         """Take a step of dt seconds; return the potential energies at its end if requested.
 
         Overlaps are corrected after the last drift, so that forces belong to the final positions. The reference engine
-        corrects them at the end of the step. There, the forces then belong to other positions, the next kick is not
+        corrects overlaps at the end of the step. There, the forces then belong to other positions, the next kick is not
         central, and angular momentum drifts by overlap × force, unless forces are computed twice.
         """
         world, contact, hooks, step = self._world, self._world.contact, self._hooks, self._now

@@ -1,7 +1,7 @@
 """The parts of the model that a scene needs, and why; decided from the scene alone.
 
-A part that is not required costs no time, no memory and no bytes in the recording. Leaving it out does not change the
-result.
+A part that is not required costs no time, no memory and no bytes in the recording. Leaving out such a part does not
+change the result.
 """
 
 from __future__ import annotations

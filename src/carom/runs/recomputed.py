@@ -34,7 +34,8 @@ def contacts_of(
 ) -> pa.Table:
     """Return the contacts of the step that contains a time (s); see `Recording.contacts`.
 
-    With ``replay``, the step is computed in any case, for all columns in float64. ``watch`` receives its progress.
+    With ``replay``, the step is computed in any case, for all columns in float64. ``watch`` receives the progress of
+    the computation.
     """
     moment = recording.moment(at)
 
@@ -55,7 +56,7 @@ def impacts_of(
     """Return the impacts of an interval (s); see `Recording.impacts`.
 
     With ``replay``, the steps are computed in any case, for all impacts and for all columns in float64. ``watch``
-    receives their progress.
+    receives the progress of the computation.
     """
     first, last = interval(recording, start, end)
     first, last = first - tolerance(first), last + tolerance(last)

@@ -172,8 +172,8 @@ def continue_run(
     """Resume a run in a space made by `ResumableRun.space`, and record it from its start; see also `simulate`.
 
     The new recording is called ``NAME.resumed.rrd`` until it is complete. The finished file then replaces ``output``,
-    by default the old recording. If the disk runs full, it keeps that name, and the old recording is unchanged. Raises
-    RecordingError if the recording cannot be written at all, or has changed since it was opened.
+    by default the old recording. If the disk runs full, the new file keeps that name, and the old recording is
+    unchanged. Raises RecordingError if the recording cannot be written at all, or has changed since it was opened.
 
     Parameters
     ----------

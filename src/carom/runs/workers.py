@@ -1,4 +1,4 @@
-"""Runs tasks in processes of this machine, one at a time in each. `sweep.cluster` runs them on a Dask cluster.
+"""Runs tasks in processes of this machine, one at a time in each. `sweep.cluster` runs tasks on a Dask cluster.
 
 A worker is a Python process that imports nothing from the folder in which the command runs (``-P``). The worker
 receives its tasks over a socket without a name, which no other user can open. The worker ignores signals that request
@@ -187,7 +187,7 @@ class LocalWorkers:
         return ours
 
     def _died(self, connection: Connection) -> list[Ended]:
-        """Remove a dead worker; its task is repeated, or ends after the last attempt."""
+        """Remove a dead worker; the worker's task is repeated, or ends after the last attempt."""
         died = self._remove(connection)
         code = died.process.returncode
         how = f"by {signal.Signals(-code).name}" if code < 0 else f"with exit code {code}"

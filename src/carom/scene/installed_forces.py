@@ -39,7 +39,8 @@ class BodyForce:
 class PairForce:
     """A central force between every two bodies that depends on their distance.
 
-    The functions are compiled like the functions of a `BodyForce`. In a periodic box, it acts between nearest images.
+    The functions are compiled like the functions of a `BodyForce`. In a periodic box, the force acts between nearest
+    images.
     """
 
     section: type[Any]  # in the scene, as for `BodyForce`

@@ -45,7 +45,7 @@ class Integrator:
 
     @property
     def controls_error(self) -> bool:
-        """Whether it chooses its own steps, regardless of the scene's limits."""
+        """Whether the integrator chooses its own steps, regardless of the scene's limits."""
         return not self.substeps
 
     @property
@@ -85,7 +85,7 @@ class Integrator:
 
     @property
     def keeps_accuracy(self) -> bool:
-        """Whether its errors fall fast enough to be measured, so that a look-ahead can choose the step."""
+        """Whether the integrator's errors fall fast enough to be measured, so that a look-ahead can choose the step."""
         return self.controls_error or (self.order > 1 and self.ends_with_forces)
 
     @property

@@ -200,7 +200,7 @@ def scene_from_text(
 
 
 def longest_text(bodies: int) -> int:
-    """Return the largest number of characters of a scene. Longer ones are refused, so that recordings can be read."""
+    """Return the largest number of characters of a scene. Longer scenes are refused, so that recordings can be read."""
     return min(LARGEST_FILE, _LARGEST_BESIDES_BODIES + _LARGEST_BODY * bodies)
 
 

@@ -75,22 +75,22 @@ class HalfSpaces:
 
     @property
     def moves(self) -> bool:
-        """Whether one of the planes and walls moves."""
+        """Whether any plane or wall moves."""
         return self.rotates or self.translates
 
     @property
     def rotates(self) -> bool:
-        """Whether the surface of one of them moves along itself."""
+        """Whether the surface of any plane or wall moves along itself."""
         return False
 
     @property
     def translates(self) -> bool:
-        """Whether one of the planes and walls changes its place."""
+        """Whether any plane or wall changes its place."""
         return False
 
     @property
     def largest_acceleration(self) -> float:
-        """The largest acceleration of one of them at any time, in m/s²."""
+        """The largest acceleration of any plane or wall at any time, in m/s²."""
         return 0.0
 
     @property
@@ -100,12 +100,12 @@ class HalfSpaces:
 
     @property
     def takes_colours(self) -> bool:
-        """Whether contacts move one of them, so that each of its contacts has a colour."""
+        """Whether contacts move a plane or wall, so that each of its contacts has a colour."""
         return self.guided is not None
 
     @property
     def spin(self) -> FloatArray:
-        """The angular velocity of each, (p, 3) rad/s."""
+        """The angular velocity of each plane and wall, (p, 3) rad/s."""
         return np.zeros((len(self), 3))
 
     @property
@@ -115,7 +115,7 @@ class HalfSpaces:
 
     @property
     def curves(self) -> bool:
-        """Whether a [[wall]], which may be curved, is among them."""
+        """Whether there is a [[wall]], which may be curved."""
         return False
 
     def depth(self, position: FloatArray, radius: FloatArray) -> FloatArray:
@@ -123,7 +123,7 @@ class HalfSpaces:
         return np.asarray(radius[:, None] - ((position[:, None] * self.normal).sum(axis=2) - self.offset))
 
     def heights(self, position: FloatArray) -> FloatArray:
-        """Return the heights of points above each, (n, p) m; summed here, since rounding in BLAS varies."""
+        """Return the heights of points above each half-space, (n, p) m; summed here, since rounding in BLAS varies."""
         N = self.normal
         heights = -self.offset + position[:, :1] * N[:, 0]
         return np.asarray(heights + position[:, 1:2] * N[:, 1] + position[:, 2:] * N[:, 2])

@@ -1,4 +1,4 @@
-"""The books of a run: totals, extremes and reference values so far. No step depends on them."""
+"""The books of a run: totals, extremes and reference values so far. No step depends on the books."""
 
 from __future__ import annotations
 
@@ -156,7 +156,7 @@ class WrongWork:
 
 @dataclass(frozen=True, slots=True)
 class Books:
-    """Running totals and extremes of a run. The summary and the warnings depend on them; no step does."""
+    """Running totals and extremes of a run. The summary and the warnings depend on the books; no step does."""
 
     energy: EnergyBaseline
     momentum: MomentumBaseline

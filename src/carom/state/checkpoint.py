@@ -132,7 +132,7 @@ class OrbitCheckpoint:
 class IntegratorCheckpoint:
     """State of Gauss–Radau integration; the last two arrays have a row for each coordinate x, y, z of body after body.
 
-    With Wisdom–Holman integration, its arrays have rows only in close encounters.
+    With Wisdom–Holman integration, arrays have rows only in close encounters.
     """
 
     # `BY_LEAPFROG`, or 0 if the last step predicts nothing

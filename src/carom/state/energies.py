@@ -82,7 +82,7 @@ class Energy:
     def named(self, name: str) -> float:
         """Return a term, the total, an entry of the ledger or the integration error by its name in the recording (J).
 
-        Raises AttributeError if it has another name.
+        Raises AttributeError for any other name.
         """
         own = ("translational", "rotational", "gravitational", "field", "total", "integration_error")
         return self.term(name) if name in own or name in dict(self.others) else self.ledger.entry(name)

@@ -103,8 +103,8 @@ class LiveLine:
 class Patience(LiveLine):
     """A line on the terminal that names work which takes longer than `PATIENCE`.
 
-    The interlude replaces the line ``beside``. With ``everywhere``, it is also printed every `LINE_EVERY` where the
-    output is not a terminal.
+    The interlude replaces the line ``beside``. With ``everywhere``, the line is also printed every `LINE_EVERY` where
+    the output is not a terminal.
     """
 
     def __init__(self, text: str, beside: LiveLine, *, everywhere: bool = False) -> None:

@@ -68,7 +68,7 @@ class RunProgress(LiveLine):
             self.say(f"carom: {shortfall}")
 
     def forewarn(self, space: Space) -> None:
-        """Say before a run if it will take long, and why."""
+        """Say before a long run that it will take long, and why."""
         if text := forewarning(space):
             self.say(f"carom: {text}")
 

@@ -39,7 +39,7 @@ ROW = np.dtype((np.void, 8 * len(READ)))  # a particle's READ as one item, copie
 class ReboundSource:
     """The particles of a simulation, in its ``units``.
 
-    Without ``units``, they are in SI if G has its SI value, and otherwise dimensionless.
+    Without ``units``, the particles are in SI if G has its SI value, and otherwise dimensionless.
 
     Parameters
     ----------

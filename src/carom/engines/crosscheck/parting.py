@@ -110,9 +110,9 @@ def _first_other_outcome(
 ) -> int | None:
     """Return the first of ``before`` impacts with another outcome in a run; None without impacts.
 
-    The velocities of its bodies are compared at the last sample before their next impacts. If the next impacts come
-    before a soft contact could have ended, their outcomes must differ, too. If no velocity differs, return the last
-    impact: the run diverges by a delayed impact, or in the flight after it.
+    The velocities of an impact's bodies are compared at the last sample before their next impacts. If the next impacts
+    come before a soft contact could have ended, their outcomes must differ, too. If no velocity differs, return the
+    last impact: the run diverges by a delayed impact, or in the flight after it.
     """
     best = reference.trajectory
     count, bodies = min(len(run), reference.samples), best.position.shape[1]

@@ -342,7 +342,7 @@ def diff(a: Recording, b: Recording, moment: float | None = None) -> Diff:
 
 
 def overlay(a: Recording, b: Recording, found: Diff, out: Path) -> None:
-    """Write both runs into one recording for the viewer. Raises RecordingError if it cannot be written."""
+    """Write both runs into one recording for the viewer. Raises RecordingError if the file cannot be written."""
     matched = FrameAlignment(a, b)
     text = f"{found.verdict.text[0].upper()}{found.verdict.text[1:]}."
     curve = found.curve

@@ -173,7 +173,7 @@ class FieldSums:
         add_transferred(self._impacts, self._grid, self._branches(pushes))
 
     def add_unplaced(self, virial: FloatArray, of: FloatArray) -> None:
-        """Add Σ ℓ ⊗ J, (3, 3) J, of impacts without places, given the sum over the impacts with places, (3, 3) J.
+        """Add Σ ℓ ⊗ J (J) of impacts with unknown places, given that of impacts with known places, (3, 3) each.
 
         Each cell gets the fraction that it has of the trace of the sum with places, without parts in fixed bodies.
         """

@@ -53,7 +53,7 @@ class Collector(Protocol):
         """Add impacts."""
 
     def add_unplaced(self, virial: FloatArray, of: FloatArray) -> None:
-        """Add Σ ℓ ⊗ J, (3, 3) J, of impacts without places, given the sum over the impacts with places, (3, 3) J."""
+        """Add Σ ℓ ⊗ J (J) of impacts with unknown places, given that of impacts with known places, (3, 3) each."""
 
 
 def collect(interval: Interval, collector: Collector) -> None:

@@ -263,7 +263,7 @@ def _value(found: Diff, key: str, written: object) -> str:
 
 
 def write_ensemble(start: ForkStart, found: Ensemble, text: str, out: Path) -> None:
-    """Write an ensemble and a text in Markdown for the viewer. Raises RecordingError if it cannot be written."""
+    """Write an ensemble and a text in Markdown for the viewer. Raises RecordingError if the file cannot be written."""
     when = start.scene.unit_system.text(start.checkpoint.time, TIME)
     title = f"{start.recording.title}: {len(found.rms)} forks at t = {when}"
     rows = [(chance.time, chance.band[0], chance.probability, chance.band[1]) for chance in found.chances]

@@ -205,8 +205,8 @@ class Trials:
     def promising(self, documents: list[Document], number: int) -> int | None:
         """Return the number of the next candidate that may show the failure; None if there is none.
 
-        Without judges, that is the next candidate. With judges, which work ahead, it is the first that shows the
-        failure.
+        Without judges, that is the next candidate. With judges, which work ahead, that is the first candidate that
+        shows the failure.
         """
         rest = documents[number:]
         if self.judges is None or not self.judges.pay(self._seconds, len(rest)):

@@ -27,14 +27,14 @@ class MeasuredValue:
     error: float | None = None  # one standard error; None if it is not known
 
     def document(self, units: UnitSystem) -> dict[str, Any]:
-        """Return it as JSON, in the units of the recording."""
+        """Return the result as JSON, in the units of the recording."""
         value = self.value.tolist() if isinstance(self.value, np.ndarray) else self.value
         return {"value": value, "error": self.error, "unit": units.recorded_unit(self.dimension.unit or "1")}
 
 
 @dataclass(frozen=True)
 class Histogram:
-    """The distribution of a quantity, or a function of a distance: values between edges."""
+    """The distribution of a quantity, or a function of a distance, as values between edges."""
 
     label: str  # label of the quantity at the edges
     edges: FloatArray  # (b + 1,)
@@ -55,7 +55,7 @@ class Histogram:
         return cls(label, edges, counts / (max(1, len(values)) * np.diff(edges)), dimension, falls=falls)
 
     def document(self, units: UnitSystem) -> dict[str, Any]:
-        """Return it as JSON, in the units of the recording."""
+        """Return the result as JSON, in the units of the recording."""
         values = "values" if self.function else "density"
         theory = {} if self.expected is None else {"expected": self.expected.tolist(), "theory": self.theory}
         unit = units.recorded_unit(self.dimension.unit or "1")
@@ -73,7 +73,7 @@ class Statistic:
     missing: str = ""  # a sentence with the reason why there are no values
 
     def document(self, units: UnitSystem) -> dict[str, Any]:
-        """Return it as JSON, in the units of the recording."""
+        """Return the result as JSON, in the units of the recording."""
         if self.missing:
             return {"missing": self.missing}
         document: dict[str, Any] = {name: value.document(units) for name, value in self.values.items()}

@@ -191,7 +191,7 @@ class SweepRun:
 
     @property
     def ok(self) -> bool:
-        """Whether it completed and kept its promises."""
+        """Whether the run completed and kept its promises."""
         return self.outcome == COMPLETED
 
 

@@ -9,7 +9,8 @@ and only times of impact can be wrong, so these runs locate them within the step
 the run before it the check.
 
 The reference is trusted up to the *horizon*, where a check first deviates by more than a thousandth of the size of the
-system. Up to there its uncertainty is the largest error of a check. Beyond it only statistics can be compared.
+system. Up to the horizon, the uncertainty of the reference is the largest error of a check. Beyond the horizon, only
+statistics can be compared.
 """
 
 from __future__ import annotations

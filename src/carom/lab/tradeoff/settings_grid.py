@@ -3,10 +3,10 @@
 A setting is on the front if no other setting beats it in both cost and error. Errors are the same in every run. Costs
 are noisy, so each is an interval. A setting is beaten if another setting has no larger error and a cost interval that
 lies entirely below. A setting is on the front if the cost intervals of all settings with no larger error lie entirely
-above its own. Otherwise it is undecided. If the intervals of two measurements overlap for each setting, no setting is
-on the front in one measurement and beaten in the other. A front of medians would change with every measurement of
-settings with equal costs. Unequal errors that differ by less than the uncertainty of the reference are not
-distinguished.
+above its own. Otherwise the setting is undecided. If the intervals of two measurements overlap for each setting, no
+setting is on the front in one measurement and beaten in the other. A front of medians would change with every
+measurement of settings with equal costs. Unequal errors that differ by less than the uncertainty of the reference are
+not distinguished.
 """
 
 from __future__ import annotations

@@ -210,7 +210,7 @@ def _panel(
 def record(study: Study, path: Path) -> None:
     """Write a study's trajectories into one ``.rrd``, in place of an earlier one.
 
-    Raises RecordingError if it cannot be written.
+    Raises RecordingError if the file cannot be written.
     """
     reference = study.reference
     if reference is None or not len(reference.trajectory):

@@ -386,7 +386,7 @@ def limits(asked: list[str]) -> dict[str, float]:
 def write(tuning: Tuning, path: Path) -> None:
     """Write the scene with the best setting, its own comments, and a comment on the measurement.
 
-    Raises ExperimentError if it cannot be written.
+    Raises ExperimentError if the file cannot be written.
     """
     study, result = tuning.study, tuning.best
     assert study.reference is not None and result is not None, "the measured errors need a reference"

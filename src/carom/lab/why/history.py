@@ -215,8 +215,8 @@ def recorded_history(recording: Recording, question: Question, start: float | No
     is the change of velocity beyond these impulses, by forces and by contacts that the engine does not report. A
     contact is an impact while it closes or separates faster than these kicks explain; otherwise it holds.
 
-    The history begins with the last exact state before ``start`` (s). By default it goes back `MOST_FRAMES` frames, or
-    fewer with many bodies.
+    The history begins with the last exact state before ``start`` (s). By default the history goes back `MOST_FRAMES`
+    frames, or fewer with many bodies.
 
     Raises
     ------

@@ -1,6 +1,6 @@
 """The contact law in kernels: the impulses that a contact may exert, and the code that all laws share.
 
-The functions below are the ones that `carom.scene.contact_laws.ContactLaw` defines. Kernels call them with
+The functions below are the ones that `carom.scene.contact_laws.ContactLaw` defines. Kernels call these functions with
 ``material``, the record of a contact's coefficients. The type of the record names the law, by default Coulomb's
 (`coulomb`). Numba selects the functions by that type when it compiles a kernel, so a call costs nothing, and functions
 that a law lacks are not compiled. Kernels are compiled separately for each law, and `KernelCache` stores them under

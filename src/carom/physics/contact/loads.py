@@ -37,7 +37,7 @@ LOAD = dtype_of(LoadRecord)
 
 @kernel
 def clear_loads(active: IntArray, loads: RecordArray[LoadRecord]) -> None:
-    """Remove the loads of these bodies."""
+    """Remove the loads of given bodies."""
     for k in range(len(active)):
         load = loads[active[k]]
         load.x = load.y = load.z = 0.0
@@ -108,8 +108,8 @@ def write_rest_speeds(
 ) -> None:
     """Write the rest speeds (m/s) of the contacts [lo, hi).
 
-    ``pressed`` are the velocities (m/s), accelerations (m/s²) and loads of bodies and planes, and the step in s. A pair
-    that closes more slowly than velocities are rounded is at rest, too.
+    ``pressed`` holds velocities (m/s), accelerations (m/s²) and loads of bodies and planes, and the length of the step
+    (s). A pair that closes more slowly than velocities are rounded is at rest, too.
     """
     v, a, loads, dt = pressed
     for c in range(lo, hi):

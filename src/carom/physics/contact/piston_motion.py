@@ -1,7 +1,7 @@
 """A piston: a plane with a mass M that moves along its normal N only, under a constant force and gravity.
 
-Contacts move it like any guided wall (`guided_walls`). Kicks change its velocity u by a h, with a = F/M + g·N. Drifts
-change its displacement s along N by r(dt): by u dt, and by the changes due to impacts at their own times.
+Contacts move a piston like any guided wall (`guided_walls`). Kicks change its velocity u by a h, with a = F/M + g·N.
+Drifts change its displacement s along N by r(dt): by u dt, and by the changes due to impacts at their own times.
 
 The bodies give it the energy ½ M u² - M a s, whose change the ledger books in its entry for walls. The impulse of the
 bodies on its face, which a load cell there would measure, is

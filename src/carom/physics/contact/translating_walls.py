@@ -114,7 +114,7 @@ class WallTranslation:
         mean_velocities(self._records, 0.0, 1.0, self._mean)  # loads the kernel
 
     def place(self, time: float) -> None:
-        """Move the walls to where they are at a time (s), between two steps."""
+        """Move the walls to their places at a time (s), between two steps."""
         self._set_velocities(time)
         place(self._records, time, self._velocity)
         self.rest()

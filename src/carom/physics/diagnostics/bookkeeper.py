@@ -1,6 +1,6 @@
 """The books of a run: energy and momentum compared with the start, extremes, activity and events.
 
-No step depends on them.
+No step depends on the books.
 """
 
 from __future__ import annotations

@@ -84,7 +84,7 @@ class DragLaw(NamedTuple):
 
 
 class StokesDrag(Damping):
-    """Slows all bodies down relative to a medium, at the same rate; a force, and a part of a step with its own kicks.
+    """Slows all bodies down at one rate, relative to a medium; both a force and a part of a step, with its own kicks.
 
     ``outer``, (3,) m/s², is the acceleration by other forces that is the same for all bodies.
     """

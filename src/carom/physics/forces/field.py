@@ -2,8 +2,8 @@
 
 a = g,    U = -Σ m g·x
 
-Along a periodic axis, the field has no potential, since -m g·x differs on opposite faces. There the ledger books its
-work (`carom.physics.forces.force.PathWork`).
+Along a periodic axis, the field has no potential, since -m g·x differs on opposite faces. Along such an axis, the
+ledger books the work of the field (`carom.physics.forces.force.PathWork`).
 """
 
 from __future__ import annotations

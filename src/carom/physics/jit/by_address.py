@@ -76,8 +76,8 @@ def _located(known: dict[str, Any]) -> Any:
 def by_address(code: Code, fields: Any) -> Any:
     """Return a named tuple as a located one, valid until the caller returns; an empty tuple as it is.
 
-    An empty piece of assembly hides where the address comes from. Without it, LLVM might read fields, which nobody
-    writes, before they are stored.
+    An empty piece of assembly hides where the address comes from. Without this assembly, LLVM might read fields, which
+    nobody writes, before they are stored.
     """
     if not hasattr(code.kinds["fields"], "fields"):
         return fields

@@ -128,8 +128,8 @@ def entry_of(function: Callable[..., Any], *arguments: Any) -> Callable[..., Any
 
     Numba looks up the types of all arguments at each call: 3 to 5 µs for a tuple of 25 arrays. A call of the returned
     function takes 0.5 µs, or 2 µs if it counts references. The returned function misreads arguments of other types, so
-    it may be used only for arrays whose types its owner sets. Without it, a step of few spheres at rest takes 1.3 times
-    as long. In the plain form, the kernel itself is returned.
+    it may be used only for arrays whose types its owner sets. Without this shortcut, a step of few spheres at rest
+    takes 1.3 times as long. In the plain form, the kernel itself is returned.
     """
     if PLAIN:
         return function

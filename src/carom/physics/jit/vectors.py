@@ -292,7 +292,7 @@ class RecordLanes:
         return gathered(self._builder, [self._builder.load(at) for at in places])
 
     def assume(self, **fields: Lanes) -> None:
-        """Use these values as fields of lines that have not been read."""
+        """Use given values as fields of lines that have not been read."""
         vars(self).update(fields)
 
     def change(self, **fields: Lanes) -> None:

@@ -44,7 +44,7 @@ def is_bundle(path: Path) -> bool:
 
 
 def pack(path: Path, members: Mapping[str, bytes | Path]) -> int:
-    """Write a bundle atomically; return its size in bytes. Raises RecordingError if it cannot be written."""
+    """Write a bundle atomically; return its size in bytes. Raises RecordingError if the file cannot be written."""
     with Claim(path):
         try:
             with whole_file(path) as part, zipfile.ZipFile(part, "w", zipfile.ZIP_DEFLATED, compresslevel=9) as bundle:

@@ -67,7 +67,7 @@ class Repaired:
 
 
 def repair(source: str | Path, out: str | Path) -> Repaired:
-    """Write the readable parts of a recording to a new one, with a footer, a layout, and an outcome that says so.
+    """Write the readable parts of a recording to a new one, with footer, layout, and an outcome that states the repair.
 
     Raises RecordingError if there is no such file, it is not carom's, nothing in it is readable, or the new one cannot
     be written.

@@ -101,7 +101,7 @@ def write(path: Path, snapshots: Iterator[Snapshot], series: bool) -> tuple[Path
     """Write snapshots to a file that appears when it is complete; return its path and the number of steps.
 
     Several steps of `StepFiles`, such as a .vtk, go into a folder ``NAME-vtk`` beside the list of their times. Raises
-    RecordingError if it cannot be written.
+    RecordingError if the file cannot be written.
     """
     numbers = itertools.count()  # the next number is the number of steps that have been written
     counted = (snapshot for snapshot, _ in zip(snapshots, numbers, strict=False))

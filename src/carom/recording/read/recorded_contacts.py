@@ -294,7 +294,7 @@ def _of_impacts(
 
 
 def _values(chunk: Chunk, name: str, row: int, kind: pa.DataType) -> NDArray[Any]:
-    """Copy one row of a component as a flat array. Raises DamageError if it is missing or of another type."""
+    """Copy one row of a component as a flat array. Raises DamageError for a missing row or another type."""
     if name not in chunk.components:
         raise DamageError(f"/{chunk.entity_path} has no {name}")
     values = chunk.batch[name][row].values

@@ -143,7 +143,7 @@ class Statics:
 
     @property
     def versions(self) -> dict[str, str]:
-        """Versions of the packages that made it, as names and numbers; other texts of the file are quoted."""
+        """Versions of the packages that made the file, as names and numbers; other texts of the file are quoted."""
         stamped = ((key.partition("version."), value) for key, value in self.properties.items())
         found = {package: value for (before, dot, package), value in stamped if dot and not before}
         return {one_word(package): one_word(str(value)) for package, value in found.items()}

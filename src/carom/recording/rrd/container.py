@@ -91,7 +91,7 @@ class ChunkIndex:
         self._activated: set[str] = set()
 
     def add(self, message: Message, body: bytes) -> None:
-        """Add a message. Raises DamageError if it cannot be decoded."""
+        """Add a message. Raises DamageError if the message cannot be decoded."""
         match message.kind:
             case framing.STORE:
                 self._known(store_of(body))

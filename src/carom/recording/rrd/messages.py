@@ -285,7 +285,7 @@ def activated_by(body: bytes) -> Store:
 def decode(body: bytes, stored: int = 0) -> tuple[Store, Chunk]:
     """Decode and check a chunk of a file of ``stored`` bytes; return its store, without entries, and the chunk.
 
-    Raises DamageError if it is malformed.
+    Raises DamageError if the chunk is malformed.
     """
     message = fields(memoryview(body))
     if number(message, 4) != _ARROW_IPC:

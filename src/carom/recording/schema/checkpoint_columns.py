@@ -51,7 +51,7 @@ _OF_BODIES = tuple(name for name, (first, *_) in saved_fields(Checkpoint).items(
 
 @dataclass(frozen=True, kw_only=True)
 class PartialCheckpoint(Checkpoint):
-    """The state of a run in which bodies come and go; NaN for the bodies that do not exist. Only these are stored."""
+    """The state of a run in which bodies come and go; NaN for missing bodies, which are not stored."""
 
     present: IntArray  # (k,) numbers of the bodies that exist
 

@@ -350,7 +350,7 @@ class SolidPlane(Surface):
 
     @property
     def translates(self) -> bool:
-        """Whether it moves."""
+        """Whether the plane moves."""
         return self.piston is not None or (self.motion is not None and self.motion.translates)
 
     @model_validator(mode="after")

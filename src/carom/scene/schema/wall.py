@@ -30,22 +30,22 @@ class Wall(Surface):
 
     @property
     def shape(self) -> str:
-        """The name of its shape."""
+        """The name of the wall's shape."""
         return self.shapes[0]
 
     @property
     def section(self) -> Any:
-        """The section of its shape."""
+        """The section of the wall's shape."""
         return getattr(self, self.shape)
 
     @property
     def moves(self) -> bool:
-        """Whether its surface moves."""
+        """Whether the wall's surface moves."""
         return self.motion is not None and self.motion.moves
 
     @property
     def translates(self) -> bool:
-        """Whether it changes its place."""
+        """Whether the wall changes its place."""
         return self.motion is not None and self.motion.translates
 
     @model_validator(mode="after")

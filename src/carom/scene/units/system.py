@@ -34,8 +34,8 @@ _RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 class UnitSystem:
     """Units by their keys in [units]; SI where none is given.
 
-    By default, a scene is simulated and recorded in SI, and plain numbers are converted. With `own`, it is simulated
-    and recorded in its own units, without conversion.
+    By default, a scene is simulated and recorded in SI, and plain numbers are converted. With `own`, the scene is
+    simulated and recorded in its own units, without conversion.
     """
 
     given: Mapping[str, str] = field(default_factory=dict)

@@ -94,8 +94,8 @@ def time_of_impact_on_parabola(
 ) -> float:
     """Return the time (s) until two bodies touch and close; infinite if they do not within a span (s).
 
-    The bodies have a relative separation (m), velocity (m/s) and acceleration without drag (m/s²). Drag slows them down
-    at the rate ``damping`` in 1/s. R is the sum of their radii in m.
+    The bodies have a relative separation (m), velocity (m/s) and acceleration without drag (m/s²). Drag slows the
+    bodies down at the rate ``damping`` in 1/s. R is the sum of their radii in m.
     """
     (dx, dy, dz), (wx, wy, wz), (bx, by, bz) = separation, velocity, acceleration
     ax, ay, az = bx - damping * wx, by - damping * wy, bz - damping * wz

@@ -348,8 +348,8 @@ def half_turn_of(
 ) -> Vector:
     """Return the slip q (m/s) that a contact keeps before a drift (s), given v_t; 0 without a drift.
 
-    Friction ends the slip in the middle of the drift, so u = q before the drift and u = -q after it. In both kicks
-    together, it then does no work. If it ended u before the drift, it would remove 2 q²/K_t in each step.
+    Friction ends the slip in the middle of the drift, so u = q before the drift and u = -q after it. Over both kicks
+    together, friction then does no work. If friction ended u before the drift, it would remove 2 q²/K_t in each step.
     """
     if not drift > 0.0:
         return 0.0, 0.0, 0.0

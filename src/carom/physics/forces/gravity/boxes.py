@@ -158,7 +158,7 @@ def _sort(
     number, or 0 if a box was halved and its halves were queued separately.
 
     The function is not divided, because each call with arrays as arguments counts references in memory that all threads
-    write to. With calls, it took 1.5 times as long.
+    write to. With calls, the sort took 1.5 times as long.
     """
     rows, spare, stack, counters = sorting.rows, sorting.spare, sorting.stacks[lo], queue.counters
     x, m, body = bodies.x, bodies.m, bodies.body

@@ -84,7 +84,7 @@ def make(gravity: Gravity, mass: FloatArray, team: Team) -> DirectGravity:
 def _lanes(count: int) -> FloatArray:
     """Allocate floats that begin on a cache line; lanes that straddle two lines take twice as long.
 
-    The kernel allocates them itself, so that the compiler knows that lanes do not overlap. This function is not
+    The kernel itself allocates the lanes, so that the compiler knows that they do not overlap. This function is not
     inlined: a dozen copies would take half a second to compile.
     """
     buffer = np.empty(count + CACHE_LINE // 8)

@@ -170,7 +170,7 @@ def acceleration_at_start(motion: Motion, i: int, k: int) -> float:
 def attempt(motion: Motion, twin: Motion | None, run: ProgressRecord, dt: float, change: float) -> tuple[float, float]:
     """Compute the polynomial of a step, shortened while it is too long by more than a factor ``change``.
 
-    Return its length and the longest possible next step, in s.
+    Return the step's length and the longest possible next step, in s.
     """
     wanted = _attempt_once(motion, twin, run, dt)
     while wanted * change < dt:
