@@ -225,7 +225,7 @@ def refused_if_broken(kind: str, name: str) -> Iterator[None]:
 
 
 def _refuse_wrong(kind: str, part: Any) -> None:
-    """Raise TypeError if an object is no part of its kind."""
+    """Raise TypeError if an object is not a part of its kind."""
     known = tuple(imported(target) for target in MADE_OF.get(kind, ()))
     if known and not isinstance(part, known):
         wanted = " or ".join(each.__name__ for each in known)

@@ -410,10 +410,10 @@ def test_a_source_with_wrong_arrays_is_refused_before_a_file_is_made(tmp_path: P
         ({"constant": [1.0, 2.0]}, r"constant is \[1.0, 2.0\]; it must be a number that is not negative"),
         ({"softening": -0.5}, "softening is -0.5; it must be a number that is not negative"),
         ({"softening": float("nan")}, "softening is nan; it must be a number that is not negative"),
-        ({"constant": "x"}, "constant is no array of numbers"),
+        ({"constant": "x"}, "constant is not an array of numbers"),
         ({"time_step": -1.0}, "time_step is -1; it must be a number that is not negative"),
-        ({"mass": ["a", "b", "c"]}, "mass is no array of numbers"),
-        ({"mass": [[1.0], [2.0, 3.0], [1.0]]}, "mass is no array of numbers"),
+        ({"mass": ["a", "b", "c"]}, "mass is not an array of numbers"),
+        ({"mass": [[1.0], [2.0, 3.0], [1.0]]}, "mass is not an array of numbers"),
         ({"engine": ""}, "engine is ''; it must be a name"),
         ({"engine": None}, "engine is None; it must be a name"),
         ({"box": [1.0, 1.0, 0.0]}, "all three sizes must be positive"),
@@ -973,7 +973,7 @@ def test_an_exception_without_a_text_leaves_the_context_as_it_is_and_a_whole_fil
 def test_numbers_that_are_none_of_a_body_are_refused_in_a_sentence(mass: Any, tmp_path: Path) -> None:
     toy = Toy()
     toy.model = replace(toy.model, mass=mass)
-    with pytest.raises(RecordingError, match=r"toy 1\.0: mass is no array of numbers"):
+    with pytest.raises(RecordingError, match=r"toy 1\.0: mass is not an array of numbers"):
         carom.record.Recorder(toy, tmp_path / "toy.rrd")
     with pytest.raises(RecordingError, match="expected the time that the run will reach"):
         carom.record.Recorder(Toy(), tmp_path / "toy.rrd", duration=10**400)

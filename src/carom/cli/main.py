@@ -251,7 +251,7 @@ def main() -> NoReturn:
     finally:
         is_ending()
     sys.stdout.flush()
-    if output.error is not None and output.error.errno != errno.EPIPE:  # a closed pipe is no error
+    if output.error is not None and output.error.errno != errno.EPIPE:  # a closed pipe is not an error
         typer.echo(f"carom: cannot write to standard output: {output.error.strerror}", err=True)
         code = code or 1
     is_ending(at_once=True)

@@ -380,7 +380,7 @@ class Recorder:
         return SnapshotWriter(path, observer, header, force, self._new, self._unrecorded, population)
 
     def _dump(self, path: Path, outcome: str, faults: Iterable[Fault]) -> None:
-        """Write the frames in memory into their own file."""
+        """Write the frames in memory into a file of their own."""
         if not self._ring:
             raise RecordingError(f"{path}: there is no frame in memory yet")
         writer = self._writer(path, self._ring[0][1].state, self._force)

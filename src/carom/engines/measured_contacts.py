@@ -84,7 +84,7 @@ class MeasuredFrame:
     step: int
     time: float  # s
     dt: float
-    ends: IntArray  # (n + p,) numbers in the recording of the bodies that exist, and of the planes
+    ends: IntArray  # (n + p,) numbers, in the recording, of the existing bodies and of the planes
     near: Near
     closing: FloatArray  # (k,) m/s, closing speeds of near pairs before the frame
     slow: float  # m/s, largest speed of contacts at rest

@@ -243,13 +243,13 @@ def text_from(value: Any) -> str:
 
 
 def _numbers(engine: str, name: str, values: Any) -> FloatArray:
-    """Return an array of float64; RecordingError if these are no numbers."""
+    """Return an array of float64; RecordingError if they are not numbers."""
     try:
         if unfit := _unfit(values):
             raise TypeError(f"it has {unfit}")
         return np.array(values, dtype=np.float64)
     except (TypeError, ValueError, OverflowError) as error:
-        raise RecordingError(f"{engine}: {name} is no array of numbers: {error}") from None
+        raise RecordingError(f"{engine}: {name} is not an array of numbers: {error}") from None
 
 
 def _unfit(values: Any) -> str:

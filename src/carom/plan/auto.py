@@ -20,7 +20,7 @@ AUTO_BYTES = 300_000_000  # "auto" recordings of many bodies get fewer frames, t
 BYTES_PER_BODY_AND_FRAME = 60  # centre, quaternion, and about one arrow or edge
 
 MAX_DT = 1.0  # s, the longest step of kicks and drifts, as in the reference engine, unless a run would take
-FEWEST_STEPS = 1e6  # steps of that length: 1 s is no time scale of orbits, and would give a year 3 × 10⁷ steps
+FEWEST_STEPS = 1e6  # steps of that length: 1 s is not a time scale of orbits, and would give a year 3 × 10⁷ steps
 STRAIN_PER_STEP = 1e-3  # of a sheared packing; a strain of 0.015 halves the stress at a packing fraction of 0.54
 STEPS_PER_OSCILLATION = 100  # fewest steps per oscillation of a wall: contacts are held against its mean velocity
 

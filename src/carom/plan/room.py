@@ -103,7 +103,7 @@ def _group_limits(own: Path = Path("/proc/self/cgroup"), root: Path = _CGROUPS) 
         for folder in (inner, *inner.parents):  # only the outermost folder may be visible in a container
             try:
                 yield int((top / folder / name).read_text(encoding="ascii"))
-            except (OSError, ValueError):  # "max" is no number
+            except (OSError, ValueError):  # "max" is not a number
                 continue
 
 

@@ -179,7 +179,7 @@ def _snapshot(
     vectors = state_vectors(state, body, recording.bodies.mass, recording.bodies.inertia)
     known = dict[str, float]()
     for name in energies:
-        with suppress(AttributeError):  # the series belongs to an installed package, or is no energy
+        with suppress(AttributeError):  # the series belongs to an installed package, or is not an energy
             known[name] = state.energy.named(name)
     if contacts is not None:
         contacts = named_contacts(recording, contacts).replace_schema_metadata()  # the metadata belong to one step

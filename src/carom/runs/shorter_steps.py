@@ -1,12 +1,12 @@
 """Compares a run with shorter steps at a few hundred instants, window by window.
 
-Chaos is no fault, so runs are compared in windows. At the start of a window, the second run starts anew from the state
-of the run, and so does a *twin* with the steps of the run and positions that differ in the last bit. If the distance of
-the twin from the run has grown by G, then an error made in the window may have grown by as much: a body is compared
-with tolerances times G, and not at all once G exceeds `MOST_GROWTH`. A window ends when few bodies can still be
-compared. Regular motion has a single window, the whole run. The entries of the ledger are compared by statistics: their
-differences over the intervals between instants have a mean, which is a fault if it is certain and adds up to more than
-a tolerance.
+Chaos is not a fault, so runs are compared in windows. At the start of a window, the second run starts anew from the
+state of the run, and so does a *twin* with the steps of the run and positions that differ in the last bit. If the
+distance of the twin from the run has grown by G, then an error made in the window may have grown by as much: a body is
+compared with tolerances times G, and not at all once G exceeds `MOST_GROWTH`. A window ends when few bodies can still
+be compared. Regular motion has a single window, the whole run. The entries of the ledger are compared by statistics:
+their differences over the intervals between instants have a mean, which is a fault if it is certain and adds up to more
+than a tolerance.
 
 Where bodies differ, both runs are repeated from the instant before with all contacts; `close_look` computes the
 differences that loads and the sharing of impulses allow.
@@ -399,7 +399,7 @@ class Comparison:
         return CloseLook(run, refined, self._maker.start)
 
     def _close_spaces(self, dt: float) -> tuple[Space, Space]:
-        """Return spaces that record contacts, with steps of the run, at first of ``dt`` seconds, and shorter ones."""
+        """Return spaces that record contacts: one with the run's steps, at first of ``dt`` s, one with shorter."""
         if self._closely is None:
             max_dt = dt / self._factor if self._batches else None
             make = self._maker.space

@@ -38,7 +38,7 @@ def old_names(
 def apply_overrides(document: Any, before: dict[str, Any], overrides: Sequence[str]) -> dict[KeyPath, str]:
     """Set keys of a document, keeping its comments, given its data before; return the overrides by their keys.
 
-    Raises SceneError if an override is no key and value, or two set one key by its old and new name.
+    Raises SceneError if an override is not a key and value, or two set one key by its old and new name.
     """
     overridden: dict[KeyPath, str] = {}
     for override in overrides:

@@ -48,7 +48,7 @@ class ReleaseCheckpoint:
     def check(self) -> None:
         """Raise ValueError if the numbers do not describe bodies that wait."""
         if np.any((self.since < 0.0) & (self.since != PRESENT) & (self.since != GONE)):
-            raise ValueError("release_since is no time")
+            raise ValueError("release_since is not a time")
 
 
 @dataclass(frozen=True, slots=True)

@@ -163,7 +163,7 @@ def test_lines_of_the_minor_planet_center_are_read_by_their_places(tmp_path: Pat
         ("a,e,i,om,w,ma\n1,0,0,0,0,0\n", "radius = 1\nmass = 1", 'write orbit = { central_mass = "1 M_sun" } to read'),
         ("a,e,i,om,ma\n1,0,0,0,0\n", ORBIT, "there is no peri (w)"),
         ("a,e,i,om,w\n1,0,0,0,0\n", ORBIT, "there is no M (ma) or tp"),
-        ("a,e,i,om,w,ma\n1,1.5,0,0,0,0\n", ORBIT, "row 0: a = 1 and e = 1.5 are no orbit"),
+        ("a,e,i,om,w,ma\n1,1.5,0,0,0,0\n", ORBIT, "row 0: a = 1 and e = 1.5 define no orbit"),
         ("q,e,i,om,w,ma\n1,1,0,0,0,5\n", ORBIT, "a parabola has no mean anomaly; give q and tp"),
         ("a,e,i,om,w,tp\n1,0,0,0,0,5\n", ORBIT, "tp needs an epoch"),
         ("a,e,i,om,w,ma,epoch\n1,0,0,0,0,5,1\n1,0,0,0,0,5,2\n", ORBIT, "its epochs differ, from 1 to 2"),

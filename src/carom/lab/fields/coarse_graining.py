@@ -78,9 +78,9 @@ class Grid:
         Parameters
         ----------
         start, reach
-            m, (k, 3), their beginnings, and the vectors to their ends.
+            m, (k, 3), the beginnings of the branch vectors, and the vectors from there to their ends.
         time
-            s, (k,), of each.
+            s, (k,), time of each vector.
 
         Returns
         -------

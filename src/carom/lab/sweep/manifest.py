@@ -152,7 +152,7 @@ def _inside(name: str) -> str:
     """Return the path of a file below the sweep's folder. Raises ValueError if the path leads out of the folder."""
     path = Path(name)
     if name and (path.is_absolute() or ".." in path.parts or path == Path() or "\0" in name):
-        raise ValueError(f"{name[:80]!r} is no file below the folder of the sweep")
+        raise ValueError(f"{name[:80]!r} is not a file below the folder of the sweep")
     return name
 
 

@@ -224,7 +224,7 @@ def _parts(study: Study) -> Iterator[Part]:
         scatters = ", ".join(f"{phrase(each)} {study.floor(each):.1e}" for each in Settled._fields[:-1])
         yield (
             f"Settled piles of other seeds differ by {scatters}, and "
-            f"{units.text(study.floor('rest_time'), TIME, '.2g')} in {phrase('rest_time')}; less is no error."
+            f"{units.text(study.floor('rest_time'), TIME, '.2g')} in {phrase('rest_time')}; less is not an error."
         )
     yield _legend(study.noise)
     left_out = study.left_out

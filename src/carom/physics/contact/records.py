@@ -282,7 +282,7 @@ class SettingsRecord(Protocol):
     bias_rate: float  # 1/s, Baumgarte's separation speed per overlap
     alpha: float  # α of the line search and of conjugate gradients
     beta: float  # β of conjugate gradients, the weight of the last direction in the next one
-    negligible: float  # m/s; a slower approach is no violation
+    negligible: float  # m/s; a slower approach is not a violation
     tolerance: float  # in multiples of `tolerated`
     fastest: float  # m/s, fastest approach before the impulses of impacts
     any_rests: bool  # whether any contact was at rest before these impulses

@@ -4,8 +4,8 @@ At the time t, such a wall is displaced from where the scene puts it by
 
     D(t) = D_k + V_k (t - t_k) + A sin θ,    θ = 2π f t + φ
 
-so its place is no state: steps and checkpoints need only the time. The velocity V_k lasts from t_k to t_{k+1}, where a
-step ends (`next_change`), so V is constant within each step. Kernels evaluate the shape at x - D. Within a drift that
+so its place is not a state: steps and checkpoints need only the time. The velocity V_k lasts from t_k to t_{k+1}, where
+a step ends (`next_change`), so V is constant within each step. Kernels evaluate the shape at x - D. Within a drift that
 begins at t₀, the wall is displaced further by r(τ) = D(t₀ + τ) - D(t₀), and the path of a body relative to it has a
 second derivative of at most |g| + |A| (2π f)². Times of impact follow from both, as for a wall at rest.
 

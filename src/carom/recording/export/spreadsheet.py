@@ -23,12 +23,12 @@ def in_csv(table: pa.Table) -> pa.Table:
 
 
 def harmless(table: pa.Table) -> pa.Table:
-    """Return a table for CSV whose names and texts are no formulas: a spreadsheet shows a text after an apostrophe."""
+    """Return a table for CSV whose names and texts are not formulas: a spreadsheet shows a text after an apostrophe."""
     return pa.table(list(map(_shown, table.columns)), names=list(map(_text, table.column_names)))
 
 
 def _shown(column: pa.ChunkedArray) -> pa.ChunkedArray:
-    """Return a column of texts that are no formulas; numbers stay."""
+    """Return a column of texts that are not formulas; numbers stay."""
     kind = column.type.value_type if pa.types.is_dictionary(column.type) else column.type
     if not (pa.types.is_string(kind) or pa.types.is_large_string(kind)):
         return column

@@ -98,7 +98,7 @@ def first_difference(
     """Find the first difference between a recording and another one of the same run.
 
     ``few`` reduces chunks of the second recording to the bodies that the first one shows. The second value lists data
-    that the recording lost, or that another version wrote differently, which is no difference.
+    that the recording lost, or that another version wrote differently, which does not count as a difference.
     """
     found = _Comparison(recorded, again, extent, few)
     with reading(recorded.path):

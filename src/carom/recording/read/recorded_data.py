@@ -388,7 +388,7 @@ class RecordedData(Statics):
 
 
 def rising(fingerprints: pa.Table) -> pa.Table:
-    """Return the rows of frames. Raises DamageError if their times do not rise."""
+    """Return the rows of frames. Raises DamageError if the times of the frames do not rise."""
     times = fingerprints["time"].to_numpy()
     if not np.isfinite(times).all() or np.any(np.diff(times) < 0.0):
         raise DamageError("times that do not increase")

@@ -161,7 +161,7 @@ def _largest(momenta: pa.Table, name: str) -> float | None:
 
 
 def _contacts(recording: RecordedData) -> dict[str, Any]:
-    """Return the sum of contacts in the recorded frames and their deepest overlap; None where it is lost."""
+    """Return the sum of contacts in the recorded frames and the deepest overlap; None for a lost value."""
     steps = recording.steps("contacts")
     if "contacts" not in steps.column_names or steps.num_rows == 0:
         return {"total": 0, "max_overlap": 0.0, "summed_over": "frames"}

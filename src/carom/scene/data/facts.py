@@ -89,7 +89,7 @@ class FileColumn:
     name: str  # in the file
     proper: str  # name without the unit and, in HDF5, without the path
     unit: str = ""
-    odd: str = ""  # text in the place of a unit that is no unit
+    odd: str = ""  # text in the place of a unit that is not a unit
 
     @property
     def plain(self) -> str:

@@ -252,8 +252,8 @@ class OrbitTable(DataTable):
             row = int(np.argmax(wrong))
             raise SceneError(
                 f"{self.called}: row {self._kept[row]}: {key} = {size[row] / self._factor(key, LENGTH):g} and "
-                f"e = {e[row]:g} are no orbit; an ellipse has 0 ≤ e < 1 and a > 0, a hyperbola e > 1 and a < 0, and q "
-                "is above 0"
+                f"e = {e[row]:g} define no orbit; an ellipse has 0 ≤ e < 1 and a > 0, a hyperbola e > 1 and a < 0, and "
+                "q is above 0"
             )
         return beta, q
 

@@ -306,7 +306,7 @@ def open_xyz(path: Path, called: str, snapshot: int) -> DataTable:
 
 
 def _lattice(comment: str) -> FileBox | None:
-    """Return the box that a comment of the extended form states; None for one that is no cuboid."""
+    """Return the box that a comment of the extended form states; None for a box that is not a cuboid."""
     found = _LATTICE.search(comment)
     vectors = [number_in(word) for word in found[1].split()] if found else []
     if len(vectors) != 9 or any(each is None or (k % 4 and each) for k, each in enumerate(vectors)):

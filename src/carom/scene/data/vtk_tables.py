@@ -114,7 +114,7 @@ def _arrays(reader: _Reader) -> dict[str, Raw]:
 
     def whole(word: str) -> int:
         if not word.isdecimal() or len(word) > _DIGITS:
-            raise SceneError(f"{reader.called}: {printable(word)} is no count of values")
+            raise SceneError(f"{reader.called}: {printable(word)} is not a count of values")
         return int(word)
 
     def add(name: str, kind: str, width: int, rows: int) -> None:

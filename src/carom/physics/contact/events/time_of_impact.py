@@ -95,7 +95,7 @@ def time_of_impact_on_parabola(
     """Return the time (s) until two bodies touch and close; infinite if they do not within a span (s).
 
     The bodies have a relative separation (m), velocity (m/s) and acceleration without drag (m/s²). Drag slows the
-    bodies down at the rate ``damping`` in 1/s. R is the sum of their radii in m.
+    bodies down at the rate ``damping`` in 1/s. R is the sum of both radii in m.
     """
     (dx, dy, dz), (wx, wy, wz), (bx, by, bz) = separation, velocity, acceleration
     ax, ay, az = bx - damping * wx, by - damping * wy, bz - damping * wz
