@@ -24,8 +24,8 @@ class Strikes:
     ) -> FloatArray:
         """Return the closing speeds (k,) in m/s of the impacts that this frame resolves; 0 for other pairs.
 
-        ``ends`` (n + p,) are the lasting numbers of bodies and planes, ``met`` (k,) marks pairs that meet in this
-        frame, and ``speeds`` are their closing speeds before and after it along their ``normal`` (k, 3).
+        ``ends`` (n + p,) are the lasting numbers of bodies and planes, and ``met`` (k,) marks pairs that meet in this
+        frame. ``speeds`` are the closing speeds of pairs before and after the frame, along their ``normal`` (k, 3).
         """
         closing, after = speeds
         struck = np.where(met & (after < TUNNELLED * closing), closing, 0.0)

@@ -21,7 +21,7 @@ from carom.state.checkpoint import Checkpoint, IntegratorCheckpoint
 
 FREE_DT = 1.0  # s, the first step if nothing limits it; later steps are longer
 FORESEEN = 2.0  # largest ratio of the next step to the last step by the holder
-MOST_STRIKES = 100  # most impacts at one moment; bodies that meet after these rest on each other
+MOST_STRIKES = 100  # most impacts at one moment; bodies that still meet then rest on each other
 
 
 class BatchStepper:

@@ -85,7 +85,7 @@ def timing(scene: Scene) -> Literal["end-of-step", "time-of-impact"]:
 
 
 def why_late(scene: Scene) -> str:
-    """Return why impacts are resolved at the end of the step; empty if they are not."""
+    """Return the reason why impacts are resolved at the end of the step; empty if they are not."""
     asked, chosen = scene.contact.timing, integrator(scene)
     if asked != "auto":
         return f'contact.timing = "{asked}"' if asked == "end-of-step" else ""
@@ -109,7 +109,7 @@ def largest_speed(scene: Scene) -> float:
 
 
 def most_steps(scene: Scene, first: float) -> float:
-    """Return how many steps a run may take, given its first step (s) and the fastest conceivable contacts.
+    """Return the largest number of steps of a run, given its first step (s) and the fastest conceivable contacts.
 
     Bodies that fall onto the surface of another reach its escape speed, v = √(2 G m/r). The velocity limit then allows
     a step of κ r/v to the smallest body that slides or rolls there.

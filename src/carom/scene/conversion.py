@@ -25,7 +25,7 @@ _WRITTEN_BY_CAROM = "promise"  # a section already in the units of the simulatio
 
 @dataclass
 class Wrong:
-    """A text in the place of a quantity that is not a quantity."""
+    """A text that is not a quantity, in the place of one."""
 
     path: KeyPath
     given: str | None  # the given value; None if nothing was given

@@ -17,7 +17,7 @@ def numbers_of(section: Any) -> Mapping[str, float]:
 
 @dataclass(frozen=True, slots=True)
 class BodyForce:
-    """A force on each body that depends on its position.
+    """A force on each body, which depends on the body's position.
 
     The energy of such a force is that of its potential. Without a potential, the ledger has an entry for its work.
 
@@ -37,7 +37,7 @@ class BodyForce:
 
 @dataclass(frozen=True, slots=True)
 class PairForce:
-    """A central force between every two bodies that depends on their distance.
+    """A central force between every two bodies, which depends on their distance.
 
     The functions are compiled like the functions of a `BodyForce`. In a periodic box, the force acts between nearest
     images.

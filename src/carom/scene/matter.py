@@ -161,7 +161,7 @@ def kinds_of_contacts(scene: SceneModel) -> list[KindOfContact]:
 
 
 def material_called(scene: SceneModel, name: str) -> Material | None:
-    """Return the material of a name; None for the material of [contact]."""
+    """Return the material with a name; None for the material of [contact]."""
     return next((material for material in scene.material if material.name == name), None)
 
 

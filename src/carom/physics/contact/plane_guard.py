@@ -125,7 +125,7 @@ class PlaneGuard(OptionalPart):
     def _fraction_before_walls(
         self, start: FloatArray, end: FloatArray, crossed: BoolArray, touching: FloatArray
     ) -> FloatArray:
-        """Return the fraction of each path, (k,), up to which the body is ``touching`` m or more from crossed walls.
+        """Return the fraction of each path, (k,), on which the body stays at least ``touching`` m from crossed walls.
 
         The fraction is found by bisection, since the distance from a curved wall is not linear along the path.
         """

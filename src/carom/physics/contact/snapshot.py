@@ -133,7 +133,7 @@ EMPTY_SNAPSHOT = ContactSnapshot.of(empty_graph(), np.empty(0), np.empty(0))
 
 
 class SnapshotSource:
-    """Makes the contact snapshot of the last step when a frame, the statistics or the audit needs it."""
+    """Makes the contact snapshot of the last step when a frame, the statistics or the audit needs one."""
 
     def __init__(self, solver: ContactSolver, inverse_mass: FloatArray) -> None:
         self._solver, self._inverse_mass = solver, inverse_mass
