@@ -43,7 +43,7 @@ _NOT_DIGESTED = (_DIGEST, STEP)  # in a clip, the step is a component, too
 _BOOKS = TypeAdapter(Books)
 _BY_NAME = ("forces", "others")  # columns of energies by name, an object in JSON
 _IF_FOUND = ("contact_audit", "dissipation_error", "wrong_work")  # columns that only some runs measure or find
-_BOOKS_BYTES = 1200  # bytes as JSON
+BOOKS_BYTES = 1200  # of the books of a checkpoint, as JSON
 _FULL = 7  # contacts per body in a dense packing, with near ones
 _PRESENT = "present"
 _OF_BODIES = tuple(name for name, (first, *_) in saved_fields(Checkpoint).items() if first.per == BODY)
@@ -90,18 +90,29 @@ def spread(found: Checkpoint, present: IntArray, bodies: int) -> PartialCheckpoi
 
 def size(frame: Frame) -> int:
     """Return the bytes of the checkpoint of a frame."""
-    return _size_of(frame.checkpoint) + _BOOKS_BYTES
+    return _size_of(frame.checkpoint) + BOOKS_BYTES
 
 
 def _size_of(part: Any) -> int:
     """Return the bytes of an object with saved fields, and of its parts; repeated fields are not stored."""
-    numbers = {name: first for name, (first, *_) in saved_fields(type(part)).items() if not first.repeats}
-    parts = (getattr(part, name) for name in saved_parts(type(part)))
-    total = sum(_size_of(each) for each in parts if each is not None)
-    for name, first in numbers.items():
-        if (value := getattr(part, name)) is not None:
-            total += first.bytes // (first.width * first.rows) * (len(value) if first.is_named else np.size(value))
+    kind: Any = type(part)  # to mypy, a class cannot be a key
+    numbers, parts = _counted(kind)
+    total = sum(_size_of(each) for name in parts if (each := getattr(part, name)) is not None)
+    for name, each, is_named in numbers:
+        value = getattr(part, name)
+        if isinstance(value, np.ndarray):
+            total += each * value.size
+        elif value is not None:
+            total += each * (len(value) if is_named else np.size(value))
     return total
+
+
+@cache
+def _counted(owner: type) -> tuple[list[tuple[str, int, bool]], list[str]]:
+    """Return name, bytes of a number and whether they are energies by name, for each field of a class; its parts."""
+    stored = ((name, first) for name, (first, *_) in saved_fields(owner).items() if not first.repeats)
+    numbers = [(name, first.bytes // (first.width * first.rows), first.is_named) for name, first in stored]
+    return numbers, list(saved_parts(owner))
 
 
 def largest_size(header: Header) -> int:
@@ -115,7 +126,7 @@ def _largest_size(bodies: int, contacts: int, forces: int) -> int:
     table = (
         first for owner in (Checkpoint, ContactCheckpoint, Energy, Ledger) for first, *_ in saved_fields(owner).values()
     )
-    return sum(each.bytes * count.get(each.per, 1) for each in table if not each.repeats) + 8 * forces + _BOOKS_BYTES
+    return sum(each.bytes * count.get(each.per, 1) for each in table if not each.repeats) + 8 * forces + BOOKS_BYTES
 
 
 def unit_of(component: str) -> str:

@@ -24,7 +24,7 @@ from carom.recording.read.frame_rows import Continuation
 from carom.recording.read.recorded_impacts import RecordedImpacts
 from carom.recording.read.recorded_scene import recorded_curves
 from carom.recording.read.recording import Recording
-from carom.recording.schema.checkpoint_columns import size
+from carom.recording.schema.checkpoint_columns import BOOKS_BYTES, size
 from carom.recording.schema.header import Header, Scalar, TimeScale, viewer_time
 from carom.recording.write.durable_sink import AddressReserve
 from carom.recording.write.encoder import BatchEncoder, event_rows
@@ -136,7 +136,7 @@ class CheckpointPlan:
             # about the bytes of its row without arrows: drawn bodies and contacts, and twenty scalars
             drawn = len(frame.position) * (DRAWN_BYTES if frame.orientation is None else TURNED_BYTES)
             self._others += drawn + self._EDGE_BYTES * len(frame.contacts) + self._SCALAR_BYTES
-            room, cost = self._SHARE * self._others, size(frame)
+            room = self._SHARE * self._others
             before, self._before = self._before, frame
             warns = any(event.level == "WARN" for event in frame.events)
             if warns and before and before.step != self._last_kept:
@@ -144,6 +144,9 @@ class CheckpointPlan:
                 if self._warnings < self._WARNINGS_AT_LEAST or warned <= room:
                     self._warnings, self._warned, self._last_kept = self._warnings + 1, warned, before.step
                     kept.append(before)
+            if self._last_kept >= 0 and room < self._regular + BOOKS_BYTES:
+                continue  # as for most frames of few bodies; to count the other bytes, too, takes 15 µs
+            cost = size(frame)
             if self._last_kept < 0 or self._regular + cost <= room:
                 self._regular += cost
                 kept.append(frame)
