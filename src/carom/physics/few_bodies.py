@@ -7,7 +7,7 @@ contacts last, the stages of `contact.events.steady_contacts`. The same kernels 
 kick, drift and resolve, in the same order, so the bits are the same as in single steps.
 
 A step that Python must process is undone and left to `KickDriftStepper`: one in which something may begin to touch,
-or in which contacts change. So is a step too short to change the clock.
+or in which contacts change, or one too short to change the clock.
 """
 
 from __future__ import annotations

@@ -120,8 +120,8 @@ def quiet(schedule: Schedule, step: int, time: float) -> tuple[float, float]:
 def looks_before(schedule: Schedule) -> bool:
     """Return whether a schedule may read the state before each step.
 
-    Schedules of this module do not read the state. Any other schedule may, so many steps in one call end before the
-    step that is due.
+    Schedules of this module do not read the state. Any other schedule may read it, so a call that takes many steps ends
+    before the step that is due.
     """
     return not isinstance(schedule, Every | At | Pause)
 

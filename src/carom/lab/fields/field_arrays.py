@@ -28,7 +28,7 @@ class Fields:
     """Means over an interval in the cells of a grid, in the units of the recording; see docs/physics.md, section 13.
 
     Arrays have the shape (nx, ny, nz); vectors and tensors have further axes for their components. Velocity,
-    temperature and coordination of a cell without bodies are NaN, and so are all values that the recording lacks.
+    temperature and coordination of a cell without bodies are NaN, like all values that the recording lacks.
     """
 
     title: str

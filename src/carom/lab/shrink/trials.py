@@ -317,8 +317,8 @@ class Judges:
 class Smallest:
     """The smallest scene so far that shows the failure.
 
-    The first smallest scene is a document that shows the failure, with the observation of its run. Candidates that
-    still show the failure replace it; ``taken`` is called after each.
+    The first smallest scene is a document that shows the failure, with the observation of its run. A candidate that
+    still shows the failure replaces the smallest scene; ``taken`` is called after each replacement.
     """
 
     def __init__(

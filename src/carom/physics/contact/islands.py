@@ -252,7 +252,7 @@ def island_load_speeds(
 ) -> None:
     """Write the load speed of each body, `PER_STEP` |a|max dt of its island, (n + p,) m/s.
 
-    Pairs no farther apart than ``(r_i + r_j) scale + skin`` are joined, and so are bodies near a guided wall. The load
+    Pairs no farther apart than ``(r_i + r_j) scale + skin`` are joined, and also bodies near a guided wall. The load
     speed of fixed ends is 0. The queue of events, which is empty before a drift, serves as workspace.
     """
     x, radius, inverse_mass, speeds, parent, n = T.x, T.radius, T.inverse_mass, T.load_speed, T.queue, len(T.x)

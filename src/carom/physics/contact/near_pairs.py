@@ -1,8 +1,8 @@
 """The pairs of a step that are listed as contacts: touching pairs, and pairs that may soon touch.
 
-Pairs that touch are near. If contacts last, so are pairs that a fall from rest could close within a step. Iterations
-that end early leave small gaps. If such pairs were not listed, their contacts would start without an impulse in the
-next step, and a pile would never come to rest: 300 bodies kept 5 × 10⁻⁴ of their energy instead of 10⁻²².
+Pairs that touch are near. If contacts last, pairs that a fall from rest could close within a step are near, too.
+Iterations that end early leave small gaps. If such pairs were not listed, their contacts would start without an impulse
+in the next step, and a pile would never come to rest: 300 bodies kept 5 × 10⁻⁴ of their energy instead of 10⁻²².
 
 A list of pairs avoids most searches (Verlet 1967). The list is rebuilt only when bodies have moved far enough, and
 contains all pairs within the search distance, and pairs farther apart by at most a margin. Two bodies that have each

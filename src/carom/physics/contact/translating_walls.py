@@ -57,7 +57,7 @@ _PIECE = TRANSLATION[3:10]  # V_k, D_k, t_k
 
 
 def translation_of(motion: WallMotion | None) -> FloatArray:
-    """Return the fields `TRANSLATION` of a wall, at the time 0 but for the shift."""
+    """Return the fields `TRANSLATION` of a wall at the time 0, without the shift."""
     if motion is None or not motion.translates:
         return np.zeros(len(TRANSLATION))
     amplitude, frequency = np.array(motion.amplitude), motion.frequency or 0.0

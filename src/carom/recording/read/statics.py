@@ -61,7 +61,7 @@ class BodyTable:
         states
             Columns body, name, x, y, z (m), vx, vy, vz (m/s), with orientations qx, qy, qz, qw, with spins wx, wy, wz
             (rad/s), ax, ay, az (m/s², of forces without contacts and drag), kinetic_energy and, with spins,
-            rotational_energy (J); of a rerun with friction also torque_x … (N m) and angular_acceleration_x … (rad/s²).
+            rotational_energy (J). A rerun with friction adds torque_x … (N m) and angular_acceleration_x … (rad/s²).
             Fields have their unit as metadata. The metadata of its schema state the ``step``, the ``time`` (s) and the
             ``source``.
         """

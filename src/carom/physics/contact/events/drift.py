@@ -305,8 +305,8 @@ def resolve_touching(T: Trajectories, pairs: IntArray, log: RecordArray[ImpactRe
     solution where several pairs meet at once. If the sequence of impacts does not end, the contacts are held
     (`held_group`).
 
-    The bodies are at the impact. In `DRIFT`, clock and kick are equal, and ``exhausted`` and ``strays`` are 0. The
-    buffer ``pairs`` begins with a touching pair, whatever its gap; without rows, nothing is done.
+    The bodies are at their positions at the impact. In `DRIFT`, clock and kick are equal, and ``exhausted`` and
+    ``strays`` are 0. The buffer ``pairs`` begins with a touching pair, whatever its gap; without rows, nothing is done.
     """
     count, row = _touching_pairs(T, pairs), 0
     for i in range(len(T.x) if count > 0 else 0):

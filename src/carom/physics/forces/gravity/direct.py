@@ -3,9 +3,9 @@
     a_i = Σ_j a_ij      φ_i = Σ_j φ_ij,  j ≠ i      U = ½ Σ_i m_i φ_i        (`pair` has a_ij and φ_ij)
 
 Bodies are processed in blocks of 32. The targets of a block are in the SIMD lanes, and the bodies of a later block are
-the sources, one after another. Accelerations of the targets are summed lane by lane, and so are the reactions on each
-source. The lanes of a source are summed in a fixed order at the end of its block. The number of bodies therefore fixes
-the order of every sum: the bits are the same at any SIMD width and any number of threads.
+the sources, one after another. Accelerations of the targets and reactions on each source are summed lane by lane. The
+lanes of a source are summed in a fixed order at the end of its block. The number of bodies therefore fixes the order of
+every sum: the bits are the same at any SIMD width and any number of threads.
 
 Up to 32 bodies form one block, without lanes: `sum_few` computes each pair once and adds in the same order, with the
 same bits. Three bodies take 20 ns instead of 2 µs, 32 bodies 2.8 µs instead of 5.
