@@ -209,7 +209,7 @@ def load(kind: str, name: str) -> Any:
 
 @contextmanager
 def refused_if_broken(kind: str, name: str) -> Iterator[None]:
-    """Raise `ExtensionError` for whatever the code of a package raises, such as SystemExit or KeyboardInterrupt.
+    """Raise `ExtensionError` for any exception from the code of a package, such as SystemExit or KeyboardInterrupt.
 
     Signals wait meanwhile, so an interrupt raised here does not come from the user.
     """

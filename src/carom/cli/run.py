@@ -237,7 +237,7 @@ def replay(
 
 
 def _tell(result: Refinement, units: UnitSystem, as_json: bool) -> None:
-    """Print what shorter steps change; exit with 1 if they tell another story."""
+    """Print the changes due to shorter steps; exit with 1 if they tell another story."""
     from dataclasses import asdict
 
     if as_json:

@@ -102,5 +102,5 @@ class KnownForces:
         return moment
 
     def go_on(self, earlier: KnownForces) -> None:
-        """Take over what an earlier set of bodies showed of the same engine."""
+        """Take over the measurements from an earlier set of bodies of the same engine."""
         self.measured, self.work = earlier.measured, earlier.work

@@ -68,7 +68,7 @@ class IsolatedImpact:
     uncertainty: float  # of the coefficient
 
     def differs(self, usual: float) -> float:
-        """Return by how much the coefficient differs from another, beyond its uncertainty."""
+        """Return the difference of the coefficient from another one, beyond its uncertainty."""
         return abs(self.restitution - usual) - self.uncertainty
 
     def unlike(self, usual: float, allowed: float, source: str) -> Broken:

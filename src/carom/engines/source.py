@@ -259,7 +259,7 @@ def _unfit(values: Any) -> str:
         return "complex numbers"
     if kind not in "fiubO":
         return f"values of the type {values.dtype}"
-    # what a mask hides would be taken for a number
+    # otherwise masked values would be taken for numbers
     return "masked values" if isinstance(values, np.ma.MaskedArray) and np.ma.is_masked(values) else ""
 
 

@@ -46,7 +46,7 @@ class Setting:
     name: str  # a name such as "integrator = euler, steps 2 times as long"
     overrides: tuple[str, ...]  # as given to ``--set``
     threads: int | None = None  # None for the study's
-    engine: str = ""  # another engine, to whose own keys `overrides` belong; empty for carom
+    engine: str = ""  # name of another engine whose own keys `overrides` has; empty for carom
 
     def apply(self, scene: Scene) -> Scene:
         """Return the scene with this setting; SceneError if a key or a value is wrong."""

@@ -108,7 +108,7 @@ class Expression:
         return ", ".join(f"{name} is {_shown(_looked_up(name, summary))}" for name in self.names)
 
     def _compiled(self, node: ast.expr) -> Evaluator:
-        """Return the function that evaluates a node, and store its names; refuse what a condition cannot contain."""
+        """Return the function that evaluates a node, and store its names; refuse nodes that no condition may have."""
         match node:
             case ast.Name() | ast.Attribute():
                 name = self._dotted(node)

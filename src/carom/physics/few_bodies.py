@@ -118,7 +118,7 @@ class Flight(NamedTuple):
     before: float  # s, time before the last step
     time: float  # s, time after it
     dt: float  # s, its length
-    limit: str  # what set its length
+    limit: str  # the limit that set the length of the step
     impact_energy: float  # J, energy of recent impacts before the last step; see `Activity`
 
 

@@ -92,7 +92,7 @@ class Requirements:
 
 @once_a_scene
 def require(scene: Scene) -> Requirements:
-    """Decide what a scene needs, and switch on the parts named in ``model.force``.
+    """Decide which parts a scene needs, and switch on the parts named in ``model.force``.
 
     Raises
     ------
@@ -239,7 +239,7 @@ def _impact_time(scene: Scene, contact: Part) -> Part:
 
 
 def _why_released(scene: Scene) -> str:
-    """Say how many bodies enter, and where bodies leave."""
+    """State the number of bodies that enter, and the outlets."""
     entering = sum(group.count for group in scene.group if group.release is not None)
     said = [f"{counted(entering, 'body')} enter later"] if entering else []
     return "; ".join([*said, *(f"bodies leave by {name}" for name in scene.outlet_names)])

@@ -1,4 +1,4 @@
-"""The memory and the disk that a run needs, and what this process may use of them."""
+"""The memory and the disk space that a run needs, and that this process may use."""
 
 from __future__ import annotations
 

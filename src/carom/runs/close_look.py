@@ -36,7 +36,7 @@ from carom.physics.space import Space
 from carom.scene.start import InitialBodies
 from carom.state.frame import Frame
 
-LASTS = 4  # steps after which a pressing contact carries a load; what stops a slow impact is gone sooner
+LASTS = 4  # steps after which a pressing contact carries a load; the force that stops a slow impact ends sooner
 LOOK_AFTER = LASTS + 1.0  # steps for the loads of contacts after an interval
 RETURNS = 2.0  # steps: a bounce that takes longer, 2 v/a, may not be ended at rest by a step
 SHARED = 5e-2  # fraction of touching bodies' kinetic energy, before or after, within which runs may share differently

@@ -69,7 +69,7 @@ class CompilationProgress(Compilations):
         return text
 
     def counts(self) -> str:
-        """State how many of the needed kernels are ready."""
+        """State the numbers of ready and of needed kernels."""
         ready, needed = self._counts()
         return f"{ready} of about {needed}"
 

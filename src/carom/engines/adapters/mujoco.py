@@ -124,7 +124,7 @@ class MuJoCoSource:
         return state
 
     def _read_forces(self) -> None:
-        """Read what acted on free spheres in the last step: applied forces, the medium, compensation of gravity."""
+        """Read the forces on free spheres in the last step: applied forces, the medium, compensation of gravity."""
         data, free = self._data, self._free
         given = (data.qfrc_applied + data.qfrc_passive)[self._freedoms]
         applied = data.xfrc_applied[self._moving[free]]

@@ -212,7 +212,7 @@ def _alone(
     times: tuple[FloatArray, ...],
     rows: tuple[IntArray, IntArray],
 ) -> ImpactPair | None:
-    """Return the first impact within the common time that only one run certainly has; None if all impacts match."""
+    """Return the first impact, within the common time, that is certainly missing in one run; None without one."""
     spans = [recording.fingerprints()["time"].to_numpy() for recording in recordings]
     begin, end = max(span[0] for span in spans), min(span[-1] for span in spans)
     found: list[ImpactPair] = []

@@ -47,7 +47,7 @@ class Fields:
     kinetic_stress: FloatArray  # (…, 3, 3) Pa, momentum flux of moving bodies; compression is positive
     contact_stress: FloatArray  # (…, 3, 3) Pa, flux by contacts along the first index of momentum along the second
     coordination: FloatArray  # lasting contacts per body; a contact of two bodies counts for both
-    notes: Sequence[str] = ()  # sentences about what the recording lacks
+    notes: Sequence[str] = ()  # sentences about data that the recording lacks
 
     @property
     def shape(self) -> tuple[int, int, int]:

@@ -254,7 +254,7 @@ class FieldSums:
 
 
 def _left_out(interval: Interval) -> str:
-    """State how many impacts have no rows, and what these contribute; empty if all impacts have rows."""
+    """State the number of impacts without rows, and their contribution; empty if all impacts have rows."""
     try:
         rows, left_out = interval.impacts, interval.impacts_left_out
     except RecordingError:

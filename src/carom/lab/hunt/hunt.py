@@ -164,7 +164,7 @@ class Finding:
     condition: Condition | None  # a smaller scene violates the law if it meets this; None: the scene is not shrunk
     index: int  # index among all scenes of the seed
     scene: Scene
-    said: str  # what its run shows
+    said: str  # text about the run's violation
 
 
 @dataclass(frozen=True, slots=True)
@@ -173,7 +173,7 @@ class Miss:
 
     law: str
     index: int  # index among all scenes of the seed
-    said: str  # what its run shows
+    said: str  # text about the run's violation
     path: Path | None  # path of the reduced scene; None if a similar one was saved before
     bodies: int
 

@@ -237,7 +237,7 @@ class Trials:
         return Space(scene, threads=1, record_contacts=self.condition.needs_impacts)
 
 
-START = 6.0  # s, about twice what workers take to start
+START = 6.0  # s, about twice the time that workers take to start
 MIN_SECONDS_TO_SEND = 0.05  # s, shortest run sent to a worker; sending takes about as long
 AHEAD = 2  # candidates sent ahead to each worker
 _TICK = 0.1  # s between two checks of the budget

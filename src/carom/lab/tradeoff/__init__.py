@@ -407,7 +407,7 @@ def _extent(tuning: Tuning, errors: Collection[str]) -> str:
 
 
 def _tuning_lines(tuning: Tuning) -> list[str]:
-    """Describe the best settings: their gain in speed over the scene as written, and what they make worse."""
+    """Describe the best settings: their gain in speed over the scene as written, and the errors that they increase."""
     from carom.lab.tradeoff.reference import phrase
 
     best, written = tuning.best, tuning.written

@@ -198,7 +198,7 @@ class _Ball:
         closing = float(n @ self.v)
         pressed = -(1.0 + law.restitution) * closing  # m/s, the normal impulse over the mass
         slip = self._slip(n)
-        stops = slip / (1.0 + self.turned)  # what ends the slip
+        stops = slip / (1.0 + self.turned)  # the impulse that ends the slip
         size = float(np.linalg.norm(stops))
         if size > law.static_friction * pressed:
             stops *= law.kinetic_friction * pressed / size
@@ -267,7 +267,7 @@ class _Ball:
             self._follow(_Path(self.x, self.v, along - friction * towards, self.rate), began + stop, plane)
             self.spin = self.spin + self.turned / self.r * friction * (self.t - began) * np.cross(n, towards)
             if ends and self.t >= began + stop:
-                self._push(n, -self._slip(n) / (1.0 + self.turned))  # what rounding left
+                self._push(n, -self._slip(n) / (1.0 + self.turned))  # removes the rest that rounding left
         elif len(self.offset) > 1:
             self.ended = f"the ball slides along a curve between several planes from {self._now} on"
         else:

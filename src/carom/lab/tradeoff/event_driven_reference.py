@@ -113,7 +113,7 @@ class _Solver:
             velocity *= 1.0 + NUDGE * EPS * signs[1]
         self._max_step = (LONGER if twin else 1.0) * float(np.median(np.diff(times, prepend=0.0)))
         self._reach = start.radius[self._i] + start.radius[self._j]
-        self._near = TOUCHING * self._reach  # (pairs,) m; gaps up to this are contact
+        self._near = TOUCHING * self._reach  # (pairs,) m, largest gap of a contact
         self._touched = self._gaps(self._state()) <= self._near  # (pairs,) touch at the start: no first contact
         self._time = 0.0
         self._position: list[FloatArray] = []  # (n, 3) m, positions at each sample so far

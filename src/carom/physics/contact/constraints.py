@@ -37,8 +37,9 @@ from carom.physics.jit.decorators import inline
 from carom.physics.jit.instructions import from_front
 from carom.scene.schema import Coefficients
 
-# Overlap, relative to the sum of radii, that needs no further position correction: of contacts whose impulses converge
-# to rounding, and of those whose iterations end with small changes. The remainder is pushed in the next step.
+# Largest overlap, relative to the sum of radii, without further position correction: the first for contacts whose
+# impulses converge to rounding, the second for contacts whose iterations end with small changes. The next step pushes
+# the remainder.
 ENOUGH = 1e-9
 ENOUGH_AS_NEEDED = 1e-5
 

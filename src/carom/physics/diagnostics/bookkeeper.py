@@ -110,7 +110,7 @@ class BalanceAudit:
         return np.array([self.ledger.entry(entry), *self.momenta.expected])
 
     def exchange_up_to(self, entry: str, exchanged: FloatArray) -> None:
-        """Set what `exchanged` returns, after kernels have added to it."""
+        """Set the values that `exchanged` returns, after kernels have added to them."""
         self.ledger = self.ledger.with_loss(entry, float(exchanged[0]))
         self.momenta.expected = exchanged[1:].copy()
 

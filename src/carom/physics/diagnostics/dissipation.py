@@ -65,7 +65,7 @@ SLOWEST = 1e-100  # m/s, replaces 0 for a contact of a held group that does not 
 SIGNIFICANT = 1e-6  # smallest violation, over the energy scale; sweeps that end early leave less in every extreme
 
 _ROUNDED = np.array([ROUNDED])
-_IDLE, _STUCK, _OTHER = 1, 2, 4  # what a contact did in the kicks, as bits
+_IDLE, _STUCK, _OTHER = 1, 2, 4  # behaviour of a contact in the kicks, as bits
 
 
 class WrongWorkRecord(Protocol):

@@ -33,7 +33,7 @@ class Batch(NamedTuple):
     before: float  # s, time before the last step
     time: float  # s, time after it
     dt: float  # s, its length
-    limit: str  # what set its length
+    limit: str  # the limit that set the length of the last step
     meeting: Meeting | None = None  # the pair that touches at the end, which must be resolved before the next call
 
 

@@ -81,7 +81,7 @@ def kick_before_drift(damping: Any, bodies: KickedBodies, step: DampedStep, hold
 
 @_without_drag
 def measure_hold(damping: Any, bodies: KickedBodies, step: DampedStep) -> None:
-    """Compute by how much holding the contacts changed the energy lost to drag."""
+    """Compute the change of the energy lost to drag that holding the contacts caused."""
 
 
 @_without_drag
@@ -92,4 +92,4 @@ def kick_after_drift(damping: Any, bodies: KickedBodies, step: DampedStep) -> No
 
 @_without_drag
 def book_exchange(damping: Any) -> None:
-    """Add what a step has exchanged with the medium to `DragLaw.exchanged`."""
+    """Add the exchange of a step with the medium to `DragLaw.exchanged`."""

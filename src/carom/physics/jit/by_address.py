@@ -3,7 +3,7 @@
 Numba passes a tuple of arrays as some seven words for each array. The contacts of a step are 200 words, and a kernel of
 many steps would copy them for each of the forty functions of a step, which takes more than half of its time with three
 bodies. A located tuple is one word. Kernels read its fields like the fields of the tuple itself, and each function
-reads only what it uses.
+reads only the fields that it uses.
 
 In the plain form, a located tuple is the tuple.
 """

@@ -140,7 +140,7 @@ class Recording(RecordedData):
             (from i to j), approach_speed (m/s), normal_impulse, tangential_impulse (N s), mode, energy_lost (J),
             normal_force, tangential_force (null: an impact has no force), angular_impulse_i, angular_impulse_j (N m s,
             |r × J| about the centre of each body; null without spins, and for planes and walls). The metadata of the
-            schema state the ``source`` and how many impacts were ``left_out`` of the recording.
+            schema state the ``source`` and the number of impacts ``left_out`` of the recording.
         """
         check_times(start=start, end=end)
         return impacts(self, start, end, body)

@@ -54,7 +54,7 @@ class DataTable:
     unnamed: int = 0  # number of columns if they have no names
     paths: bool = False  # whether names are paths of HDF5, which end with the name of the column
     vectors: Collection[str] = ()  # names of the columns that hold three numbers for each body
-    facts: Facts = Facts()  # units, and whatever else the file states about its numbers
+    facts: Facts = Facts()  # units, and other statements of the file about its numbers
     law: MotionLaw | None = None  # None if unknown
     timed: bool = False  # whether the format finds a snapshot by its time
     notes: tuple[str, ...] = ()  # notes on columns that are unused or reinterpreted
@@ -74,7 +74,7 @@ class DataTable:
 class DataFormat(NamedTuple):
     """A format of data files, registered in `carom.registry` under the suffix of its files."""
 
-    called: str  # what messages call a file of this format: "an Arrow file"
+    called: str  # name in messages of a file of this format: "an Arrow file"
     open: Callable[[Path, str, int], DataTable]  # opens a path, given the name in messages and the index of a step
     # times of the steps in a file, ascending, in the units of its numbers; None if the format states no times
     times: Callable[[Path, str], Sequence[float]] | None = None

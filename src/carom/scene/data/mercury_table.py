@@ -1,7 +1,7 @@
 """MercuryDPM's .data files: for each step a line with the number of particles, the time and the box, then particles.
 
 MercuryDPM's DPMBaseXBalls.icc writes these columns: 14 in three dimensions, 8 in two, where angles
-and angular velocities have the opposite sign. LAMMPS uses the same ending; the first line tells the two apart.
+and angular velocities have the opposite sign. LAMMPS uses the same ending; the first line distinguishes the two.
 """
 
 from __future__ import annotations

@@ -306,7 +306,8 @@ def resolve_touching(T: Trajectories, pairs: IntArray, log: RecordArray[ImpactRe
     (`held_group`).
 
     The bodies are at their positions at the impact. In `DRIFT`, clock and kick are equal, and ``exhausted`` and
-    ``strays`` are 0. The buffer ``pairs`` begins with a touching pair, whatever its gap; without rows, nothing is done.
+    ``strays`` are 0. The first pair in the buffer ``pairs`` counts as touching, whatever its gap. A buffer without rows
+    does nothing.
     """
     count, row = _touching_pairs(T, pairs), 0
     for i in range(len(T.x) if count > 0 else 0):

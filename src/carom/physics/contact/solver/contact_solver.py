@@ -270,7 +270,7 @@ class ContactSolver:
             self.turning = add_load_of_walls(*near, lift, self.pressing)
 
     def correct_positions(self, max_iterations: int) -> float:
-        """Correct the overlaps of resting contacts; return how far that moves a guided wall along its normal, in m."""
+        """Correct the overlaps of resting contacts; return the displacement (m) of a guided wall along its normal."""
         system, counts = self._system, self.counts
         team, bodies, active, ends = self._team, self._bodies, system.active, self._bodies.ends
         team.divide(len(system.pairs), MIN_PER_TASK, find_push_fractions, system.pairs, counts, system.states)
