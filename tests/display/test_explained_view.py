@@ -69,7 +69,7 @@ def test_the_legend_names_the_scale_of_every_kind_of_arrow(bounce: Recording) ->
     (impact,) = bounce.impacts().to_pylist()
     step = shown_step(bounce, bounce.moment(), int(bounce.closing["moments.impact.step"])).frame
     assert step is not None and step.angular_impulse is not None
-    assert "lengths compressed: ½, 1, 1½ radii from the surface =" in lines
+    assert "lengths compressed; ½, 1, 1½ radii beyond the surface are:" in lines
     # of the only impact, alike on both bodies, so they are the middle of the scale: 1 of 2 radii
     turn = float(np.linalg.norm(step.angular_impulse[0]))
     for path, name, middle, unit in (
@@ -78,8 +78,8 @@ def test_the_legend_names_the_scale_of_every_kind_of_arrow(bounce: Recording) ->
     ):
         values = [two_digits(magnitude_at(radii, REACH[path], middle)) for radii in (0.5, 1.0, 1.5)]
         assert f"{name}: {', '.join(values)} {unit}" in lines
-    for share in (1 / 27, 1.0, 27.0):  # u = 1/4, 1/2, 3/4
-        assert f"— contact: {two_digits(share * impact['normal_impulse'])} N s" in lines
+    assert f"— contact: {two_digits(impact['normal_impulse'])} N s" in lines
+    assert lines.count("— contact") == 1, "there is one, and the legend names no other impulse"
     assert "torque" not in lines, "no contact lasts"
     assert "second number beside it: change of spin" in lines and "impact's change of spin" not in lines
     both = " ".join(" ".join(lines_of(asked(bounce, Request(arrows="both")))).split())
@@ -321,11 +321,68 @@ def test_the_light_theme_is_light_everywhere(view: str, slope: Recording) -> Non
 @pytest.mark.parametrize("theme", ["dark", "light"])
 def test_the_legend_explains_what_an_edges_width_and_colour_mean(theme: str, slope: Recording) -> None:
     lines = lines_of(asked(slope, Request(), Canvas(theme=theme)))
-    edges = {text: colour for text, colour in lines.items() if text.startswith("— contact")}
-    for text, width in zip(edges, ("thin", "medium", "wide"), strict=True):
-        told = f", {width}" if theme == "light" else ""
-        assert re.match(f"— contact{told}: [0-9.]+", text), "the scale"
-    assert len(set(edges.values())) == (3 if theme == "dark" else 1), "on paper only the width has a meaning"
+    (text,) = (text for text in lines if text.startswith("— contact"))  # alike on all three balls
+    assert re.match(f"— contact{', medium' if theme == 'light' else ''}: [0-9.]+", text), "the scale"
+    header, contents = header_of_recording(slope), LegendContents(contacts=True, impulses=True)
+    unknown = legend(header, "group", None, {}, None, contents, theme=theme).entries  # during a whole run
+    edges = [line.colour for line in unknown if line.text.startswith("— contact")]
+    assert len(edges) == 3 and len(set(edges)) == (3 if theme == "dark" else 1), "on paper only the width has a meaning"
+
+
+@pytest.mark.parametrize("theme", ["dark", "light"])
+def test_a_picture_of_all_views_says_what_happens_and_groups_its_legend_by_view(theme: str, bounce: Recording) -> None:
+    shown = asked(bounce, Request(), Canvas(rendered=True, theme=theme))
+    texts = [" ".join(text.split()) for text in lines_of(shown)]
+    assert " ".join(texts).startswith(
+        "Two spheres off centre, with friction t = 1.6 s: left meets right, the hardest impact of the run ■ left"
+    )
+    names = [str(view.name) for view in views_of(shown.supplement.layout.root_container)]
+    graph, close = (texts.index(f"{name}:") for name in names[1:3])
+    impulse, spin = (
+        next(k for k, text in enumerate(texts) if text.startswith(f"→ {what}")) for what in ("normal i", "spin")
+    )
+    assert graph < impulse < close < spin
+    assert not any(text.startswith("speed") for text in texts[:close]), "numbers of the close-up stand once"
+    labels, _ = (rows for rows in shown.supplement.rows if rows.path == close_up.LABELS)  # the second clears the first
+    column = next(each for each in labels.columns if str(each.component_descriptor()).endswith("labels"))
+    assert column.as_arrow_array().flatten().to_pylist() == [
+        "759 N s",
+        "0.857 rad/s",
+        "0.857 rad/s",
+        "0.77 m/s",
+        "0.77 m/s",
+    ]
+
+
+def test_a_legend_without_room_leaves_out_headings_and_not_arrows(bounce: Recording) -> None:
+    words = legend(header_of_recording(bounce), "group", None, {}, None, LegendContents(*[True] * 7))
+    grouped = words.grouped("Impulses and torques", {})
+    tight = Area(300.0, 25.0 * len(list(words.fitted(Area(300.0, 1e4)).entries)) + 10.0)
+    assert any(line.text == "Impulses and torques:" for line in grouped.fitted(Area(300.0, 1e4)).entries)
+    assert {line.text for line in grouped.fitted(tight).entries} == {line.text for line in words.fitted(tight).entries}
+
+
+def test_the_grid_of_a_plane_has_squares_of_a_round_size_that_the_legend_states(slope: Recording) -> None:
+    shown = asked(slope, Request(), Canvas(rendered=True))
+    (text,) = (text for text in lines_of(shown) if text.startswith("— grid"))
+    side = float(text.split()[-2])
+    assert f"{side:e}"[0] in "125"
+    grid: Any = dict(shown.supplement.statics)[paths.PLANES]
+    lines = np.array([np.array(line) for line in grid.strips.as_arrow_array().to_pylist()])
+    apart = np.linalg.norm(np.diff(lines[: len(lines) // 2, 0], axis=0), axis=1)
+    np.testing.assert_allclose(apart, side, rtol=1e-4)  # float32
+
+
+def test_axes_cover_a_path_rather_than_a_body() -> None:
+    area = Area(800.0, 500.0)
+    eye = View(np.zeros(3), 10.0, CameraMotion.STILL, np.array([0.0, -1.0, 0.0]))
+    low, wide = -0.36 * eye.height(), 0.36 * area.aspect * eye.height()
+    balls = np.array([[-wide, 0.0, low], [0.0, 0.0, low], [wide, 0.0, low]])
+    path = np.stack([np.full(50, -wide), np.zeros(50), np.linspace(low, -low, 50)], axis=1)
+    drawn, radius = np.concatenate([balls, path]), np.pad(np.full(3, 0.3), (0, 50))
+    arrows: Any = dict(axes_and_field(SI, eye, area, None, drawn, radius))[FIELD]
+    origin = np.array(arrows.origins.as_arrow_array().to_pylist())[0]
+    assert np.linalg.norm(balls - origin, axis=1).min() > 0.3 * eye.height()
 
 
 def _grounds(part: Any) -> list[int]:

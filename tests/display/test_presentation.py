@@ -229,6 +229,19 @@ def test_the_close_up_of_an_impact_states_spins_and_angular_impulses_by_name(gla
     )
 
 
+def test_the_close_up_of_an_impact_has_arrows_of_the_velocities_before_and_after(glancing: Recording) -> None:
+    shown = asked(glancing, Request(event="impact:1"))
+    rows = list(shown.supplement.rows)
+    (before,), (one, other) = (
+        np.array(values_of(path, "vectors", within_a_step(path, rows))[0])
+        for path in (close_up.BEFORE, close_up.VELOCITY)
+    )
+    assert before[0] > 0.0 and abs(before[1]) + abs(before[2]) < 1e-7 * before[0], "only the first ball moves, along x"
+    np.testing.assert_allclose(one + other, before, atol=1e-6 * before[0])  # equal masses share the momentum
+    texts = " ".join(legend_texts(shown))
+    assert "→ velocity before, close up" in texts and "→ velocity after, close up: 1.3 radii = 1 m/s" in texts
+
+
 def legend_texts(shown: Presentation) -> list[str]:
     legend: Any = dict(shown.supplement.statics)[LEGEND]
     return [" ".join(text.strip("\xa0\xad").split()) for text in legend.labels.as_arrow_array().to_pylist()]

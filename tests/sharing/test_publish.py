@@ -125,6 +125,18 @@ def test_every_picture_says_in_words_what_it_shows(run: Path) -> None:
         ]
 
 
+def test_a_phone_gets_a_picture_of_its_own_size(run: Path) -> None:
+    assert carom("publish", run.name, cwd=run.parent).returncode == 0
+    folder = run.parent / "my run-page"
+    page = Texts((folder / "index.html").read_text(encoding="utf-8"))
+    images = [tags["src"] for name, tags in page.tags if name == "img"]
+    narrow = [tags["srcset"] for name, tags in page.tags if name == "source"]
+    assert narrow == [f"{str(image).removesuffix('.png')}-narrow.png" for image in images] and narrow
+    for name in narrow:
+        with Image.open(folder / str(name)) as picture:
+            assert picture.size == web.NARROW_SIZE
+
+
 def test_pages_fit_a_phone(run: Path) -> None:
     """What a style sheet can do wrong is a width in pixels, a line that may not wrap, or a page scaled down."""
     assert carom("publish", run.name, cwd=run.parent).returncode == 0

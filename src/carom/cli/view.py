@@ -289,7 +289,7 @@ def movie(
     camera: Annotated[Camera | None, typer.Option("--camera", help=_CAMERA)] = None,
     slow: Annotated[bool, typer.Option("--slow/--even", help=_SLOW)] = True,
     theme: ThemeOption = Theme.DARK,
-    size: SizeOption = "1280x720",
+    size: SizeOption = "960x540",
     output: Annotated[
         Path | None, output_option("FILE", "Movie to write, .mp4 or .gif. Default: FILE with .mp4.")
     ] = None,

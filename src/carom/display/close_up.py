@@ -18,7 +18,7 @@ from carom.arrays import FloatArray, SingleArray
 from carom.contact_table import IMPACT_MODE
 from carom.display.body_colours import BodyColours
 from carom.display.legend import DrawnLabels, Legend, LegendLine, MovieClock
-from carom.display.letters import apart, label_width
+from carom.display.letters import apart, beyond, label_width
 from carom.display.margins import moving
 from carom.display.request import ShownStep
 from carom.display.staging import axes_and_field
@@ -52,6 +52,7 @@ from carom.state.frame import Frame
 
 ROOT = "close_up"
 BODIES, EDGE, NORMAL, IMPULSE, SPIN = (f"{ROOT}/{name}" for name in ("bodies", "edge", "normal", "impulse", "spin"))
+BEFORE, VELOCITY = f"{ROOT}/velocity_before", f"{ROOT}/velocity"
 FOLLOWED, LABELS = f"{ROOT}/followed", f"{ROOT}/labels"
 
 _MOST_UNLIKE = 6.0  # ratio of radii above which the view shows only a part of the larger body
@@ -59,6 +60,9 @@ _MOST_BYTES = 200_000_000  # of positions that are read to follow the bodies
 _ASIDE = 0.85  # fraction of the component along the normal that is subtracted from the direction to the eye
 _NORMAL = 0.9  # length of the normal, in radii of the smaller body
 _SPIN = 1.3  # length of the faster spin's arrow, in radii of the smaller body
+_VELOCITY = 1.3  # length of the longest velocity's arrow, in radii of the smaller body
+_OFF = (1.2, 1.55)  # distances of the velocities before and after an impact from the centre, in radii of their body
+_STEEP = 0.7  # of the normal on the screen, up or down: velocities then are to the right or left, otherwise above
 _IMPULSE = 1.6  # length of an impulse's arrow, in radii of its body
 _ROOM = 1.35  # half size of the view around each body, in its radii
 _THICK, _THIN = 0.07, 0.04  # radii of arrows, in radii of the smaller body
@@ -66,6 +70,7 @@ _REACH = 3.0  # distance of an eye that follows points, over half the diagonal o
 _ROUNDING = 1e-9  # of the faster spin; a spin below is rounding
 _TOUCHING = 1e-9  # of a radius; a smaller gap is rounding
 _FADED = {"dark": 0x3C4250FF, "light": 0xC4C8D0FF}  # wires of other bodies
+_EARLIER = {"dark": palette.GREY, "light": 0xB4BAC2FF}  # velocities before an impact; those after it have ink
 _ALIKE = 0.08  # two shades have one hue if their shares of red, green and blue differ by at most this
 _UNSEEN = 1e-6  # size of the invisible points that the camera follows, in radii of the smaller body
 
@@ -97,6 +102,7 @@ class _Arrows:
     labels: list[str]
     along: float = 1.0  # position of the labels, from 0 at the origins to 1 at the tips
     bodies: Sequence[int] = ()  # places of the bodies that the labels belong to, in the close-up
+    short: Sequence[str] = ()  # labels where the legend has the others
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,12 +129,15 @@ class CloseUp:
     colours: BodyColours  # of the bodies, as in the other views
     area: Area
     legend: Legend  # empty, unless the view is alone in a picture
+    is_brief: bool  # whether the numbers are in a legend beside the view, so that its labels are short
     corner: tuple[int, int]  # of the legend
+    aside: FloatArray  # (3,) unit vector across the normal on the screen, in which velocities are off their bodies
     poses: Sequence[View]  # of the camera, at the times of the clock of a movie
 
     def view(self, header: Header, recoloured: bool = False) -> rrb.Spatial3DView:
         """Return a view of the two bodies as solids, with all others as thin wires."""
-        contents = [BODIES, FOLLOWED, EDGE, NORMAL, IMPULSE, SPIN, LABELS, paths.BODIES, *surroundings(header)]
+        arrows = NORMAL, IMPULSE, SPIN, BEFORE, VELOCITY
+        contents = [BODIES, FOLLOWED, EDGE, *arrows, LABELS, paths.BODIES, *surroundings(header)]
         contents += [f"{LEGEND}/**", f"{FIELD}/**"] if self.legend.entries else []
         return spatial_view(
             *(f"Close-up: {self.names}", self.eye, contents, faint_bodies(header, recoloured, _FADED[self.area.theme])),
@@ -153,7 +162,9 @@ class CloseUp:
         impulse, spin = palette.legible([palette.ARROWS[paths.FORCE_NORMAL], palette.SPIN], self.area.theme).tolist()
         yield FOLLOWED, rr.Points3D.from_fields(radii=_UNSEEN * small, colors=palette.GROUNDS[self.area.theme])
         yield EDGE, rr.LineStrips3D.from_fields(radii=rr.Radius.ui_points(3.0), colors=palette.VERMILION)
-        yield NORMAL, rr.Arrows3D.from_fields(radii=line_radii(_THIN, small), colors=ink)
+        yield NORMAL, rr.Arrows3D.from_fields(radii=line_radii(_THIN, small), colors=palette.VERMILION)
+        yield BEFORE, rr.Arrows3D.from_fields(radii=line_radii(_THICK, small), colors=_EARLIER[self.area.theme])
+        yield VELOCITY, rr.Arrows3D.from_fields(radii=line_radii(_THICK, small), colors=ink)
         yield IMPULSE, rr.Arrows3D.from_fields(radii=line_radii(_THICK, small), colors=impulse)
         yield SPIN, rr.Arrows3D.from_fields(radii=line_radii(_THIN, small), colors=spin)
         # on the arrows themselves, the labels would have their colours
@@ -239,18 +250,25 @@ class CloseUp:
                 yield from self._once(arrows.path, columns, len(arrows.vectors))
         if self.legend.entries:  # it has the numbers
             return
+        if self.is_brief:
+            labelled = [replace(arrows, labels=list(arrows.short)) for arrows in labelled]
         # with two bodies, a label begins with the name of its body if there is space
         texts = [text for arrows in labelled for text in arrows.labels]
         owners = [arrows.bodies[k] if arrows.bodies else -1 for arrows in labelled for k in range(len(arrows.labels))]
         named = [text if k < 0 else f"{self.called[k]}: {text}" for text, k in zip(texts, owners, strict=True)]
-        if len(self.bodies) == 2 and max(map(label_width, named), default=0.0) < self.area.width:
+        if len(self.bodies) == 2 and not self.is_brief and max(map(label_width, named), default=0.0) < self.area.width:
             texts = named
-        wanted = [(a.origins + a.along * a.vectors)[: len(a.labels)] for a in labelled]
-        places = single(apart(np.concatenate(wanted), texts, self.eye, self.area))
+        wanted = np.concatenate([(a.origins + a.along * a.vectors)[: len(a.labels)] for a in labelled])
+        if self.is_brief:
+            ways = np.concatenate([a.vectors[: len(a.labels)] for a in labelled])
+            wanted = beyond(wanted, ways, texts, self.eye, self.area)
+        written = [k for k, text in enumerate(texts) if text]
+        texts, wanted = [texts[k] for k in written], wanted[written]
+        places = single(apart(wanted, texts, self.eye, self.area))
         yield from self._once(LABELS, rr.Points3D.columns(positions=places, labels=texts), len(texts))
 
     def _labelled(self, contact: Contact, header: Header) -> list[_Arrows]:
-        """Return normal, impulses, spins and angular impulses, with their numbers."""
+        """Return normal, impulses, spins, angular impulses and velocities, with their numbers."""
         small = float(header.radius[list(self.bodies)].min())
         label = "normal"
         if contact.force is None and contact.approach_speed > 0.0:  # bodies in lasting contact do not approach
@@ -260,7 +278,28 @@ class CloseUp:
             self._impulses(contact, header),
             self._spins(small, header.units),
             self._angular_impulses(contact, header),
+            *self._velocities(small),
         ]
+
+    def _velocities(self, small: float) -> Iterable[_Arrows]:
+        """Yield the velocities before an impact, and then those after it or, without an impact, of the step.
+
+        They stand beside their bodies, where no impulse is; a body that is too large to be shown whole has none.
+        """
+        if self.velocity is None:
+            return
+        speeds = np.linalg.norm(self.velocity, axis=2)
+        whole = _impulse_radii(self.header.radius[list(self.bodies)]) > 0.0
+        for path, velocity, speed, off in zip(
+            (BEFORE, VELOCITY)[-len(speeds) :], self.velocity, speeds, _OFF[-len(speeds) :], strict=True
+        ):
+            moving = whole & (speed > _ROUNDING * speeds.max())
+            vectors = _VELOCITY * small * velocity[moving] / (speeds.max() or 1.0)
+            apart = off * self.header.radius[list(self.bodies)][moving, None]
+            texts = [self.header.units.text(each, dimension.VELOCITY, ".3g") for each in speed[moving].tolist()]
+            short = texts if path == VELOCITY else []
+            start = self.position[moving] + apart * self.aside - 0.5 * vectors
+            yield _Arrows(path, start, vectors, [], short=short)
 
     def _speeds(self) -> list[str]:
         """Return a text for each body: its speed or, at an impact, its speeds before and after."""
@@ -277,16 +316,17 @@ class CloseUp:
     def speed_lines(self) -> list[LegendLine]:
         """Return the lines about velocities of a legend beside all views, in the colours of this view."""
         named = zip(self.called, self._speeds(), self._hues(self.area.theme), strict=False)
-        return [LegendLine(f"■ {name} close up: {text}", hue) for name, text, hue in named]
+        lines = [LegendLine(f"■ {name} close up: {text}", hue) for name, text, hue in named]
+        return lines + self._velocity_lines(self.area.theme, ", close up")
 
     def _hues(self, theme: str) -> list[int]:
         """Return the colours (b,) of the bodies; ink if they change with time."""
         fixed = self.colours.fixed
         return [palette.INKS[theme]] * len(self.bodies) if fixed is None else fixed.tolist()
 
-    def _explained(self, clock: MovieClock | str, theme: str) -> Legend:
-        """Return the legend of the view alone: each body with its numbers, and the arrows with theirs."""
-        colours = self._hues(theme)
+    def lines(self, theme: str) -> list[LegendLine]:
+        """Return the lines of a legend about this view: each body with its numbers, and the arrows with theirs."""
+        colours, units = self._hues(theme), self.header.units
         arrows = [] if self.contact is None else self._labelled(self.contact, self.header)
         speeds, entries = self._speeds(), list[LegendLine]()
         for place, (name, colour) in enumerate(zip(self.called, colours, strict=True)):
@@ -294,18 +334,35 @@ class CloseUp:
             entries.append(LegendLine(f"■ {name}", colour))
             entries += [LegendLine(f"    {text}", colour) for text in (*speeds[place : place + 1], *own)]
         if self.contact is None:
-            return Legend(entries, theme).titled(self.header.title, clock)
-        normal, impulse, spin, _ = arrows
-        entries += [
-            LegendLine("— line of centres", palette.VERMILION),
-            LegendLine(f"→ {normal.labels[0]}", palette.INKS[theme]),
-        ]
+            return entries
+        normal, impulse, spin, *_ = arrows
+        entries.append(LegendLine(f"→ {normal.labels[0]}; — line of centres", palette.VERMILION))
         if impulse.labels:
             text = f"→ impulse on each body, {impulse.labels[0]}"
             entries.append(LegendLine(text, palette.ARROWS[paths.FORCE_NORMAL]))
         if spin.labels:
-            entries.append(LegendLine("→ spin", palette.SPIN))
-        return Legend(entries, theme).titled(self.header.title, clock)
+            fastest = units.text(self.spin_of_scale, dimension.ANGULAR_VELOCITY, ".3g")
+            scale = f", {_SPIN} radii = {fastest}" if self.spin_of_scale > 0.0 else ""
+            entries.append(LegendLine(f"→ spin{scale}", palette.SPIN))
+        return entries + self._velocity_lines(theme)
+
+    def _velocity_lines(self, theme: str, where: str = "") -> list[LegendLine]:
+        """Return the lines of a legend about the arrows of velocities."""
+        if self.contact is None or self.velocity is None:
+            return []
+        drawn = {each.path for each in self._velocities(1.0) if len(each.vectors)}
+        longest = float(np.linalg.norm(self.velocity, axis=2).max(initial=0.0))
+        scale = f"{_VELOCITY} radii = {self.header.units.text(longest, dimension.VELOCITY, '.3g')}"
+        after = " after" if len(self.velocity) > 1 else ""
+        lines = {
+            BEFORE: LegendLine(f"→ velocity before{where}", _EARLIER[theme]),
+            VELOCITY: LegendLine(f"→ velocity{after}{where}: {scale}", palette.INKS[theme]),
+        }
+        return [line for path, line in lines.items() if path in drawn]
+
+    def _explained(self, clock: MovieClock | str, theme: str) -> Legend:
+        """Return the legend of the view alone."""
+        return Legend(self.lines(theme), theme).titled(self.header.title, clock)
 
     def _impulses(self, contact: Contact, header: Header) -> _Arrows:
         """Return the impulse on each body from its centre; if one is many times larger, only on the smaller."""
@@ -319,9 +376,10 @@ class CloseUp:
         text = header.units.text(size, dimension.IMPULSE, ".3g")
         together = ", friction included" if contact.friction > _ROUNDING * size else ""  # tables list the normal one
         if contact.force is None:
-            return _Arrows(IMPULSE, self.position[drawn], vectors, [text + together])
+            return _Arrows(IMPULSE, self.position[drawn], vectors, [text + together], short=[text])
         force = header.units.text(contact.force, dimension.FORCE, ".3g")
-        return _Arrows(IMPULSE, self.position[drawn], vectors, [f"{force}{together}, {text} in the step"])
+        labels = [f"{force}{together}, {text} in the step"]
+        return _Arrows(IMPULSE, self.position[drawn], vectors, labels, short=[force])
 
     def _spin_speeds(self) -> FloatArray:
         """Return the spins (2, b) rad/s before and after the impact of an instant, otherwise twice the same."""
@@ -344,11 +402,15 @@ class CloseUp:
         vectors = _SPIN * small * after[turning] / (speeds.max() or 1.0)
         unit = dimension.ANGULAR_VELOCITY
         labels = [units.text(last, unit, ".3g") for last in speeds[1].tolist()]
-        if self.spin_before is not None:
+        short = [label if last > 0.0 else "" for label, last in zip(labels, speeds[1].tolist(), strict=True)]
+        if self.spin_before is None:
+            labels = [f"spin {label}" for label in labels]
+        else:
             first = [units.shown(speed, unit) for speed in speeds[0].tolist()]
             labels = [f"spin {one:.3g} before, {last} after" for one, last in zip(first, labels, strict=True)]
-        labels = [label for label, turns in zip(labels, turning.tolist(), strict=True) if turns]
-        return _Arrows(SPIN, self.position[turning], vectors, labels, bodies=np.flatnonzero(turning).tolist())
+        places: list[int] = np.flatnonzero(turning).tolist()
+        labels, short = ([texts[place] for place in places] for texts in (labels, short))
+        return _Arrows(SPIN, self.position[turning], vectors, labels, bodies=places, short=short)
 
     def _angular_impulses(self, contact: Contact, header: Header) -> _Arrows:
         """Return the labels of the angular impulses of an impact, parallel to the changes of the spins."""
@@ -396,6 +458,7 @@ def close_up(
     pauses_within: bool = False,
     clock: MovieClock | str = "",
     explained: bool = False,
+    brief: bool = False,
 ) -> CloseUp:
     """Make the close-up view of a pair at a step.
 
@@ -412,6 +475,8 @@ def close_up(
         What the legend says about the time.
     explained
         Whether a legend is inside the view.
+    brief
+        Whether the legend beside the view has its numbers.
     """
     bodies = pair.bodies
     places = [recording.shown.index(body) for body in bodies]
@@ -449,6 +514,12 @@ def close_up(
     if contact is not None:
         tip = contact.point + _NORMAL * header.radius[places].min() * contact.normal
         ends = tip[None] if ends is None else np.concatenate([ends, tip[None]])
+    aside = _beside(_fit(header.radius[places], seen, contact).view(area.aspect), contact, spin)
+    if velocity is not None:
+        longest = float(np.linalg.norm(velocity, axis=2).max()) or 1.0
+        half = 0.5 * _VELOCITY * header.radius[places].min() * velocity[-1] / longest
+        off = seen + (_OFF[1] + _THICK) * header.radius[places, None] * aside
+        ends = np.concatenate([np.zeros((0, 3)) if ends is None else ends, off - half, off + half])
     colours = _told_apart(colours, area.theme)
     sizes, around = header.radius[places], ends if ends is not None else np.zeros((0, 3))
     shown, radii = np.concatenate([seen, around]), np.pad(_ROOM * sizes, (0, len(around)))
@@ -478,6 +549,8 @@ def close_up(
         colours=colours,
         area=area,
         legend=Legend([], area.theme),
+        is_brief=brief,
+        aside=aside,
         corner=CORNERS[0],
     )
     if explained:
@@ -495,6 +568,13 @@ def close_up(
     middle = seen.mean(axis=0)
     poses = [replace(eye, target=eye.target + _followed(each, half) - middle) for each in paths_then]
     return replace(made, eye=eye, poses=poses)
+
+
+def _beside(eye: View, contact: Contact | None, spin: FloatArray | None) -> FloatArray:
+    """Return the direction (3,) across the normal on the screen in which no spin points: up, right, down or left."""
+    right, up = eye.axes()
+    across = up if contact is None or abs(contact.normal @ up) < _STEEP else right
+    return np.asarray(across if spin is None or spin.sum(axis=0) @ across <= 0.0 else -across)
 
 
 def _told_apart(colours: BodyColours, theme: str) -> BodyColours:

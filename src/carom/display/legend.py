@@ -66,6 +66,7 @@ class LegendLine:
     views: Sequence[str] = ()  # views whose legend has this line in a picture of a single view
     bodies: int = 0  # that it names, in a list that may be folded
     is_clock: bool = False  # whether its text changes with time
+    is_extra: bool = False  # whether it is left out where there is no room for all lines
 
     @property
     def width(self) -> float:
@@ -116,10 +117,28 @@ class Legend:
             head.append(LegendLine(clock, ink, _SPACE))
         return replace(self, entries=[*head, *self.entries], clock=clock if isinstance(clock, MovieClock) else None)
 
+    def grouped(self, graph: str, more: Mapping[str, Sequence[LegendLine]]) -> Legend:
+        """Return the lines about all views, then those about the graph only, and more lines, below a heading each.
+
+        Headings, and lines of the groups that may be left out, are the first to go where there is no room.
+        """
+        ink, own = (
+            palette.INKS[self.theme],
+            [line for line in self.entries if line.views == (GRAPH,) and not line.bodies],
+        )
+        entries = [line for line in self.entries if line not in own]
+        for heading, lines in {graph: own, **more}.items():
+            entries += [LegendLine(f"{heading}:", ink, is_extra=True), *lines] if lines else []
+        return replace(self, entries=entries)
+
     def fitted(self, area: Area) -> Legend:
         """Return a legend that fits into an area: long lines are broken, and the last of many bodies are left out."""
         entries, rows = list(self.entries), int((area.height - 2.0 * _MARGIN) / _ROW)
         while len(found := list(_wrapped(entries, area.width))) > rows:
+            extra = next((k for k in reversed(range(len(entries))) if entries[k].is_extra), None)
+            if extra is not None:
+                del entries[extra]
+                continue
             named = [k for k, entry in enumerate(entries) if entry.bodies]
             if len(named) <= _LEAST_NAMED:
                 break
@@ -215,7 +234,7 @@ def _wrapped(entries: Sequence[LegendLine], width: float) -> Iterator[LegendLine
     for entry in entries:
         line, *words = entry.text.split(" ")
         for word in words:
-            if replace(entry, text=f"{line} {word}").width + 2.0 * _MARGIN > width and line.strip("→—■ "):
+            if replace(entry, text=f"{line} {word}").width + 2.0 * _MARGIN > width and line.strip("→—■• "):
                 yield replace(entry, text=line)
                 line = "    "
             line = f"{line} {word}"
@@ -242,6 +261,7 @@ def legend(
     both_arrows: bool = False,
     instant: bool = False,
     recent: float | None = None,
+    grid: str = "",
     theme: str = "dark",
 ) -> Legend:
     """Explain the views of a recording.
@@ -272,10 +292,12 @@ def legend(
         Whether the moment is an instant within a step, at which only the bodies that meet then have edges.
     recent
         s, the time for which paths are drawn; None for the whole past.
+    grid
+        The side of a square of the grids that show planes, with its unit; empty without a plane.
     """
     lines = [*_bodies(header, by, colours, references, named), *_edges(header, frame, drawn, theme, by_stage)]
     if instant:
-        lines.append(LegendLine("contacts at this instant only", palette.GREY, _SPACE))
+        lines.append(LegendLine("lines only where bodies touch at this instant", palette.GREY, _SPACE))
     if drawn.trails:
         path = (
             "path so far" if recent is None else f"path of the last {header.units.text(recent, dimension.TIME, '.1g')}"
@@ -285,8 +307,8 @@ def legend(
         lines += _arrows(header, references, turning, both_arrows, frame)
     arrows = next((k for k, line in enumerate(lines) if line.text.startswith("→")), None)
     if arrows is not None:
-        lengths = f"{', '.join(_LENGTHS)} radii from the surface"
-        lines.insert(arrows, LegendLine(f"arrows, lengths compressed: {lengths} =", palette.GREY, (GRAPH,)))
+        lengths = f"{', '.join(_LENGTHS)} radii beyond the surface"
+        lines.insert(arrows, LegendLine(f"arrows, lengths compressed; {lengths} are:", palette.GREY, (GRAPH,)))
     if fastest > 0.0:
         text = header.units.text(fastest, dimension.ANGULAR_VELOCITY, ".3g")
         lines.append(LegendLine(f"→ spin, close up: 1.3 radii = {text}", palette.SPIN))
@@ -295,6 +317,8 @@ def legend(
         lines.append(LegendLine(f"→ gravity, {size}", palette.FIELD))
     ink = palette.INKS[theme]
     lines += [LegendLine(text, ink, (BODIES,)) for text in motion_texts(header) if drawable(text)]
+    if grid:
+        lines.append(LegendLine(f"— grid of a plane: squares of {grid}", palette.GREY, (BODIES,), is_extra=True))
     if viewer_time:
         lines.append(LegendLine(f"time: {viewer_time}", palette.GREY))
     return Legend(lines, theme)
@@ -372,14 +396,17 @@ def _edges(
         else:
             yield LegendLine("— bodies that touch", palette.VERMILION, (*beside, *(() if drawn.impulses else (GRAPH,))))
     if drawn.impacts:
-        yield LegendLine("■ impact: size = impulse", palette.ARROWS[paths.FORCE_NORMAL], (BODIES,))
+        yield LegendLine("• impact: size shows its impulse", palette.ARROWS[paths.FORCE_NORMAL], (BODIES,))
     if not drawn.impulses:
         return
     middle = _middle(frame)
     levels = drawing.COLOURS.tolist() if theme == "dark" else [palette.VERMILION] * drawing.LEVELS
     normal, friction = palette.ARROWS[paths.FORCE_NORMAL], palette.ARROWS[paths.FORCE_FRICTION]
     views = (*beside, GRAPH) if by_impulse else (GRAPH,)
+    drawn_levels = _levels(frame, middle)
     for level, word in _EDGES.items():
+        if drawn_levels and not drawn_levels[0] <= level <= drawn_levels[-1]:
+            continue
         impulse = magnitude_at(level, drawing.LEVELS, middle)
         value = _round(header, impulse, dimension.IMPULSE) if middle else f"{word} impulse"
         width = f", {_WIDTHS[level]}" if theme == "light" else ""  # edges of one colour
@@ -394,6 +421,14 @@ def _middle(frame: Frame | None) -> float:
     rows = None if frame is None else frame.contact_rows
     positive = np.zeros(0) if rows is None else rows["normal_impulse"][rows["normal_impulse"] > 0.0]
     return float(np.median(positive)) if len(positive) else 0.0
+
+
+def _levels(frame: Frame | None, middle: float) -> list[int]:
+    """Return the levels of the edges of a step, ascending, down or up to the middle; none if they are not known."""
+    if frame is None or frame.contact_rows is None or not middle:
+        return []
+    found = drawing.level(frame.contact_rows["normal_impulse"], middle).tolist()
+    return sorted({*found, drawing.LEVELS // 2})
 
 
 def _scale(header: Header, path: str, reference: float) -> str:

@@ -54,6 +54,16 @@ def padded(text: str, width: float) -> str:
 _Placed = tuple[float, float, float]  # half width of a label, and its place, in half heights of the view
 
 
+def beyond(tips: FloatArray, ways: FloatArray, texts: Sequence[str], eye: View, area: Area) -> FloatArray:
+    """Move labels from the tips of arrows, (k, 3) m, on in their directions, so that they do not cover the arrows."""
+    across = ways @ eye.axes().T
+    across /= np.linalg.norm(across, axis=1, keepdims=True).clip(np.finfo(float).tiny)
+    wide = np.array([0.5 * label_width(text) for text in texts])
+    # a label is below its place: one that goes up needs its height more
+    points = np.stack([wide * across[:, 0], np.where(across[:, 1] > 0.0, _BELOW, 0.0) * across[:, 1]], axis=1)
+    return np.asarray(tips + points * eye.height() / area.height @ eye.axes())
+
+
 def apart(places: FloatArray, texts: Sequence[str], eye: View, area: Area) -> FloatArray:
     """Move labels, (k, 3) m, into the view; move a label up or down if it would cover an earlier one."""
     point = 2.0 / area.height  # half heights of the view

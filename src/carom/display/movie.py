@@ -305,7 +305,7 @@ def _layout(
         strip, bands, added = [*strip, row], [*bands, static], replace(added, caption=[header.title])
     parts = (laid_out, staging.camera, canvas, view, added, words, field, some, radius)
     placed = margins(*parts, poses=lambda eye: staging.poses(eye, positions), times=np.array(times))
-    statics = [*bands, *styles, *staging.statics(), *arrow_styles(header, theme), *placed.statics]
+    statics = [*bands, *styles, *staging.statics(theme), *arrow_styles(header, theme), *placed.statics]
     statics += motion_marks(header, recording.origin, placed.view, placed.area, float(times[0]))
     layout = blueprint(header, staging.camera, curves, canvas, view, placed.added)
     drawn = [

@@ -12,8 +12,17 @@ import rerun as rr
 from carom.arrays import FloatArray
 from carom.display.body_colours import body_colours, change_with_time, recorded_colours, redrawn_for, trail_colours
 from carom.display.close_up import close_up
-from carom.display.legend import GRAPH, LegendContents, MovieClock, drawn_at, drawn_during, impact_marks, legend
-from carom.display.letters import apart, drawable
+from carom.display.legend import (
+    GRAPH,
+    LegendContents,
+    LegendLine,
+    MovieClock,
+    drawn_at,
+    drawn_during,
+    impact_marks,
+    legend,
+)
+from carom.display.letters import apart, beyond, drawable
 from carom.display.margins import Margins, margins
 from carom.display.motion_marks import motion_marks
 from carom.display.request import (
@@ -38,6 +47,7 @@ from carom.recording.layout import (
     close_up_area,
     graph_area,
     graph_eye,
+    graph_name,
     has_graph,
     hidden_arrows,
 )
@@ -45,11 +55,11 @@ from carom.recording.layout.camera import FEW, CameraFit
 from carom.recording.layout.canvas import Additions, CameraMotion, Canvas
 from carom.recording.layout.drawing import REACH, single
 from carom.recording.read.frame_rows import arrow_floors
-from carom.recording.read.lookup import tolerance
+from carom.recording.read.lookup import names_of, tolerance
 from carom.recording.read.named_events import NamedEvent, Pair, named_event, named_pair, pair_of_extreme
 from carom.recording.read.recorded_scene import header_of_recording, recorded_curves, recorded_scene
 from carom.recording.read.recording import Recording
-from carom.recording.schema import paths
+from carom.recording.schema import palette, paths
 from carom.recording.schema.header import Header, TimeScale, viewer_time
 from carom.recording.timelines import STEP
 from carom.recording.write.encoder import BatchEncoder, state_rows
@@ -57,6 +67,7 @@ from carom.recording.write.rows import NO_STEPS, Index, Rows, vector_column
 from carom.recording.write.static_entities import arrow_styles
 from carom.scene.forces import UNIFORM_FIELD
 from carom.scene.units.dimension import TIME
+from carom.scene.wording import counted
 
 _PLOTS = ("energy", PLOT)  # views that are plots
 _ONCE = (paths.EVENTS, paths.FINGERPRINT, paths.MOMENTUM, paths.IMPACTS)  # not sent for repeated steps
@@ -177,9 +188,9 @@ def presentation(
     instant = None if chosen is None else at_impact(step, chosen, header, recording.origin, moment, clock)
     within_step = instant is not None and (at_own_time or abs(instant.time - moment) <= tolerance(moment))
     paused = instant if instant is not None and within_step else step
-    written = f"t = {header.units.text(paused.time, TIME, '.9g')}" if canvas.rendered else ""
-    if written and paused is not step:  # the log of events has the times of ends of steps
-        written += f", in the step to {header.units.text(step.time, TIME, '.6g')}"
+    written = ""
+    if canvas.rendered:
+        written = f"t = {header.units.text(paused.time, TIME, '.9g')}{_what_happens(recording, step, paused, chosen)}"
     close = None
     if chosen is not None:
         close_area = close_up_area(header, canvas, only)
@@ -188,6 +199,7 @@ def presentation(
             pauses_within=within_step,
             clock=movie_clock or written,
             explained=only == CLOSE_UP and canvas.rendered,
+            brief=canvas.rendered,
         )
     references = {name: float(value) for name, value in recording.arrow_references.items()}
     repeated, references = _steps(recording, header, step, references)
@@ -197,7 +209,7 @@ def presentation(
         rows += drawn
     statics = list(close.statics(header)) if close else []
     rows += staging.rows()
-    statics += staging.statics()
+    statics += staging.statics(canvas.theme)
     if plots is not None:
         if fixed is not None:
             plots = replace(plots, colours=dict(zip(recording.shown, fixed.tolist(), strict=True)))
@@ -221,7 +233,8 @@ def presentation(
         contents = drawn_during(recording, laid_out)
     contents |= LegendContents(impacts=len(marks) > 0, trails=has_trails)
     span = whole_span(recording)
-    field, fastest = uniform_field(recording, header), 0.0 if close is None else close.spin_of_scale
+    in_groups = canvas.rendered and only == ALL
+    field, fastest = uniform_field(recording, header), 0.0 if close is None or in_groups else close.spin_of_scale
     area = bodies_area(laid_out, canvas, only, close is not None)
     plain = staging.camera.view(area.aspect, narrow=area.rendered)
     named = names_that_fit(header, step.position, plain, area)
@@ -235,9 +248,14 @@ def presentation(
         both_arrows=both_arrows,
         instant=paused is not step,
         recent=staging.recent,
+        grid=staging.grid,
         theme=canvas.theme,
     )
-    if close is not None:
+    if in_groups:
+        more = {} if close is None else {f"Close-up: {close.names}": close.lines(canvas.theme)}
+        words = words.grouped(graph_name(header), more)
+        words = replace(words, entries=[*words.entries, *_strip_lines(recording, paused.time)])
+    elif close is not None:
         words = replace(words, entries=[*words.entries, *close.speed_lines()])
     words = words.titled(header.title, written) if canvas.rendered else words
     added = Additions(
@@ -278,6 +296,54 @@ def presentation(
     if close is not None:
         rows += close.camera_rows(layout)
     return Presentation(paused.time, step.missing, Supplement(layout, clock, rows, statics))
+
+
+def _what_happens(recording: Recording, step: ShownStep, paused: ShownStep, pair: Pair | None) -> str:
+    """Say what happens at the moment: who meets, how many touch, or that the run ends."""
+    hardest = pair_of_extreme(recording, "impact") == pair
+    hardest = hardest and recording.closing.get("moments.impact.step") == step.step
+    if pair is not None and (paused is not step or hardest):
+        names = names_of(recording)
+        ends = [recording.bodies.name[body] or names.of(body) for body in pair.bodies]
+        ends += [] if pair.plane is None else [names.of(len(names.bodies) + pair.plane)]
+        met = " meets ".join(ends) if len(ends) == 2 else f"impact of {ends[0]}"
+        return f": {met}{', the hardest impact of the run' if hardest else ''}"
+    if paused.frame is None:
+        return ""
+    touching = len(paused.frame.contacts.pairs)
+    if recording.closing.get("moments.contacts.step") == step.step:
+        return f": {counted(touching, 'contact')}, the most of the run"
+    if step.step == int(recording.fingerprints()[STEP].to_numpy()[-1]):
+        return ": the end of the run"
+    return f": {counted(touching, 'contact')}" if touching else ": nothing touches"
+
+
+_PHASES = {
+    "free": "free flight, apart from impacts",
+    "colliding": "bodies touch or have just met",
+    "settled": "most bodies rest on each other",
+}
+_LIMITS = {  # of the length of a step, as far as a name does not say it
+    "cap": "the longest step that the scene allows",
+    "fixed": "the step of the scene",
+    "impact": "the next impact ends the step",
+    "velocity": "the fastest body",
+    "acceleration": "the largest acceleration",
+    "friction": "a ball that slides will soon roll",
+}
+
+
+def _strip_lines(recording: Recording, moment: float) -> Iterator[LegendLine]:
+    """Explain the colours of phases and limits at a moment (s); they may be left out."""
+    row = max(0, int(np.searchsorted(recording.fingerprints()["time"].to_numpy(), moment, side="right")) - 1)
+    for path, colours, words in (
+        (paths.PHASE, palette.PHASES, _PHASES),
+        (paths.DT_LIMIT, palette.DT_LIMITS, _LIMITS),
+    ):
+        state = recording.states_at(int(recording.fingerprints()[STEP][row].as_py())).get(path)
+        if state in words:
+            what = "phase" if path == paths.PHASE else "limit of the step"
+            yield LegendLine(f"■ {what} “{state}”: {words[state]}", colours[state], is_extra=True)
 
 
 def uniform_field(recording: Recording, header: Header) -> FloatArray | None:
@@ -388,6 +454,9 @@ def _numbers_apart(
     places = np.concatenate([_vectors(rows, paths.NUMBERS_AT) for rows in numbered])
     texts = [text for rows in numbered for text in _values(rows, paths.NUMBERS).to_pylist()]
     seen = np.flatnonzero(np.array([bool(text) for text in texts]) & np.isfinite(places).all(axis=1))
+    ways = np.concatenate([_vectors(rows, "Arrows3D:vectors") for rows in numbered])
+    if len(ways) == len(places):
+        places[seen] = beyond(places[seen], ways[seen], [texts[k] for k in seen], view, area)
     places[seen] = apart(places[seen], [texts[k] for k in seen], view, area)
     ends = np.cumsum([len(_values(rows, paths.NUMBERS)) for rows in numbered])
     for rows, moved in zip(numbered, np.split(places, ends[:-1]), strict=True):

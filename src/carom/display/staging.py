@@ -29,14 +29,14 @@ from carom.recording.schema.header import Header, TimeScale
 from carom.recording.schema.series import PLOTS
 from carom.recording.timelines import STEP
 from carom.recording.write.rows import NO_STEPS, Index, Rows
-from carom.recording.write.static_entities import plane_grids
+from carom.recording.write.static_entities import grid_spacing, plane_grids
 from carom.scene.units import dimension
 from carom.scene.units.system import UnitSystem
 
 _LOOKS = 50  # frames of many bodies to which the camera is fitted
 MOST_BANDS = 100
 MOST_POINTS = 1000  # of impacts; with a few more, a picture takes the software driver seconds
-_BANDS = (palette.ORANGE, palette.YELLOW)  # of alternate impacts
+_BANDS = (palette.IMPACTS, palette.YELLOW)  # of alternate impacts
 MOST_NAMES = 12
 _ROW, _LETTER = 24.0, 7.5  # points, height of a label and width of a letter
 _LENGTH = 0.16  # of the field's arrow, in heights of the view
@@ -105,19 +105,36 @@ class Staging:
             return None
         return int(clock.nanoseconds([self.recent])[0]), self.trails.steps_of(self.recent)
 
+    @property
+    def grid(self) -> str:
+        """The side of a square of the grids that show planes, with its unit; empty without such a grid."""
+        if self.header.planes is None or not len(self.header.planes) or not self._has_own_grids:
+            return ""
+        return self.header.units.text(grid_spacing(self._grid_reach), dimension.LENGTH, ".3g")
+
+    @property
+    def _has_own_grids(self) -> bool:
+        """Whether grids are where the camera looks; grids in a box, or of walls, stay as they were recorded."""
+        return self.header.walls is None and self.header.box is None
+
+    @property
+    def _grid_reach(self) -> float:
+        """Reach (m) of the grids, such that their squares have a round size."""
+        least = grid_spacing(0.5 * self.camera.view().height())
+        return 0.5 * self.camera.view().height() * _round_length(2.5 * least, self.header.units) / least
+
     def rows(self) -> Iterator[Rows]:
         """Yield the trails."""
         if self.trails is not None:
             yield from self.trails.rows()
 
-    def statics(self) -> Iterator[Static]:
+    def statics(self, theme: str = "dark") -> Iterator[Static]:
         """Yield the colours of the trails, and the planes as grids where the camera looks.
 
         The recorded grids are centred on the initial bodies.
         """
-        if self.header.walls is None and self.header.box is None:
-            seen = self.camera.view()
-            yield from plane_grids(self.header, self.origin, seen.target, 0.5 * seen.height())
+        if self._has_own_grids:
+            yield from plane_grids(self.header, self.origin, self.camera.view().target, self._grid_reach, theme)
         if self.trails is not None:
             yield from self.trails.statics()
 
@@ -216,8 +233,9 @@ def axes_and_field(
     length = _LENGTH * height
     axis = _round_length(_AXIS * length, units)
     pull = f"gravity, {units.text(size, dimension.ACCELERATION, '.4g')}"
-    scale = f"axes: {units.text(axis, dimension.LENGTH, '.3g')}"
+    scale = f"axes: {units.text(axis, dimension.LENGTH, '.6g')}"
     places, sizes = view.on_screen(drawn), view.radius_on_screen(drawn, radius)[:, None]
+    weights = np.where(sizes[:, 0] > 0.0, len(sizes) + 1, 1)  # rather over all points of paths than over one body
     reach = np.array([_LETTER * (len(pull) + 1) / area.height, _LENGTH])  # half of the label and of the arrow
 
     def placed(middle: float, extent: FloatArray, start: float, taken: FloatArray) -> FloatArray:
@@ -225,11 +243,16 @@ def axes_and_field(
         if legend is not None and legend[1] * start > 0.0:
             aside[int(legend[0] > 0)] = -2.0 * legend[1] * area.inset_share[1]
         sides = [np.array([x * 0.72 * area.aspect, middle + down]) for x, down in zip((-1.0, 1.0), aside, strict=True)]
-        covered = [np.all(np.abs(places - side) < extent + sizes, axis=1).sum() for side in sides]
+        # where both sides would cover something: between them, and half way up
+        free = [x for x in (-1.0, 1.0) if legend is None or legend[0] * x < 0.0]
+        sides += [np.array([0.0, middle]), *(np.array([x * 0.72 * area.aspect, 0.0]) for x in free)]
+        aside = np.pad(aside, (0, len(sides) - 2))
+        covered = [weights[np.all(np.abs(places - side) < extent + sizes, axis=1)].sum() for side in sides]
         meets = [bool(np.all(np.abs(taken - side) < extent + 2.0 * _LENGTH, axis=1).any()) for side in sides]
-        covered = [count + (len(places) + 1) * meet for count, meet in zip(covered, meets, strict=True)]
-        chosen = int(covered[1] < covered[0]) if covered[0] != covered[1] else int(aside[0] != 0.0)
-        place = sides[chosen][0] * right + (start + aside[chosen]) * up
+        covered = [count + (weights.sum() + 1) * meet for count, meet in zip(covered, meets, strict=True)]
+        first = int(covered[1] < covered[0]) if covered[0] != covered[1] else int(aside[0] != 0.0)
+        chosen = first if covered[first] == min(covered) else int(np.argmin(covered))
+        place = sides[chosen][0] * right + (sides[chosen][1] - middle + start) * up
         return np.asarray(view.target + 0.5 * height * place)
 
     corner = placed(-0.72, np.full(2, 1.5 * _LENGTH), -0.72, np.zeros((0, 2)))

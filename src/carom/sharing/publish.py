@@ -21,12 +21,14 @@ from carom.display.presentation import asked
 from carom.display.request import Request
 from carom.display.supplement import has_trails
 from carom.display.web import (
+    NARROW_SIZE,
     ONLY,
     SIZE,
     About,
     Card,
     Figure,
     PageNames,
+    narrow_name,
     write_cards,
     write_layout,
     write_moment,
@@ -125,6 +127,9 @@ def _write_recording(
     if not missing:
         watch(f"{counted(len(shots), 'picture')} of {name}")
         missing = try_to_render(recording, shots, SIZE)
+    narrow = [replace(shot, out_png=shot.out_png.with_name(narrow_name(shot.out_png.name))) for shot in shots]
+    if not missing:
+        missing = try_to_render(recording, narrow, NARROW_SIZE)
     made = [shot.out_png for shot in shots if shot.out_png.exists()]
     figures = [
         Figure(
@@ -149,6 +154,7 @@ def _write_recording(
         figures=figures,
         energy=shots[-1].out_png.name if shots[-1].out_png in made else "",
         missing=missing,
+        narrow=all(shot.out_png.exists() for shot in narrow),
     )
 
 

@@ -98,6 +98,19 @@ def test_curves_stand_out_from_the_ground_of_a_plot(name: str, theme: str) -> No
     assert contrast(palette.LINES[name], palette.PLOT_GROUNDS[theme]) >= 3.0
 
 
+@pytest.mark.parametrize("theme", palette.PLOT_GROUNDS)
+@pytest.mark.parametrize("colour", [palette.CONTACTS, palette.IMPACTS, palette.FRICTION, palette.SLATE])
+def test_curves_in_the_colours_of_arrows_and_edges_stand_out_from_the_ground_of_a_plot(colour: int, theme: str) -> None:
+    assert contrast(colour, palette.PLOT_GROUNDS[theme]) >= 3.0
+
+
+def test_edges_are_shades_of_the_colour_of_contacts_from_dark_to_bright() -> None:
+    shades = [lab(linear(int(colour))) for colour in drawing.COLOURS]
+    assert np.all(np.diff([light for light, _, _ in shades]) > 4.0), "each level is brighter than the one before"
+    hue = [np.degrees(np.arctan2(b, a)) for _, a, b in [*shades, lab(linear(palette.VERMILION))]]
+    assert max(hue) - min(hue) < 20.0
+
+
 @pytest.mark.parametrize("vision", VISION)
 def test_curves_differ_for_colour_blind_readers(vision: str) -> None:
     for (one, a), (other, b) in combinations(palette.LINES.items(), 2):

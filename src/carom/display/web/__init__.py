@@ -276,6 +276,8 @@ def _listening(port: int) -> _Server:
 
 INDEX, STYLE = "index.html", "index.css"
 SIZE = (1000, 640)  # pixels of a picture
+NARROW_SIZE = (400, 520)  # pixels of a picture for phones, on which the words of the other would be too small
+_NARROW = 520  # pixels of width, up to which a screen gets it
 _FRAME = "frame.html"  # the template of a page, around the template of its content
 _CLASS = "class.html"  # the template of the page with cards
 
@@ -307,6 +309,7 @@ class About:
     figures: Sequence[Figure]
     energy: str  # name of the picture of the energy; empty without one
     missing: str  # why there are no pictures, or fewer; empty if there are all
+    narrow: bool  # whether each picture has one for phones, called `narrow_name`
 
 
 @dataclass(frozen=True, slots=True)
@@ -316,6 +319,11 @@ class Card:
     page: str
     about: About
     picture: str  # name of its file; empty without one
+
+
+def narrow_name(name: str) -> str:
+    """Return the name of the picture for phones, given that of the other."""
+    return f"{name.removesuffix('.png')}-narrow.png"
 
 
 def write_page(path: Path, about: About, *, back: bool) -> None:
@@ -337,8 +345,8 @@ def write_page(path: Path, about: About, *, back: bool) -> None:
         replay=hypertext(command("replay", Path(about.file))),
         size=f"{about.size / 1e6:.3g} MB",
         missing=_missing(about.missing),
-        moments="\n".join(map(_figure, about.figures)),
-        energy=f"<h2>Energy</h2>{_image(about.energy, 'The energy over time')}" if about.energy else "",
+        moments="\n".join(_figure(figure, about.narrow) for figure in about.figures),
+        energy=f"<h2>Energy</h2>{_image(about.energy, 'The energy over time', about.narrow)}" if about.energy else "",
         rows="\n".join(f"<tr><th>{hypertext(row)}</th><td>{hypertext(text)}</td></tr>" for row, text in about.rows),
         scene=scene if about.scene else "",
     )
@@ -371,12 +379,11 @@ def _write(path: Path, template: str, title: str, **texts: str) -> None:
     path.write_text(page, encoding="utf-8")
 
 
-def _figure(figure: Figure) -> str:
+def _figure(figure: Figure, narrow: bool) -> str:
     link = hypertext(figure.link)
     texts = (figure.heading, f"{figure.heading}, close up")
-    images = [_image(picture, text) for picture, text in zip(figure.pictures, texts, strict=False)]
+    images = [_image(picture, text, narrow) for picture, text in zip(figure.pictures, texts, strict=False)]
     shown = [f'<a href="{link}">{image}</a>' for image in images or ["Open this moment in the viewer"]]
-    # on a phone, the words inside pictures are too small
     names = zip(figure.pictures, ("bodies", "close up"), strict=False)
     whole = ", ".join(f'<a href="{hypertext(picture)}">{name}</a>' for picture, name in names)
     shown += [f'<p class="note">In full size: {whole}</p>'] if whole else []
@@ -387,7 +394,7 @@ def _figure(figure: Figure) -> str:
 
 def _card(card: Card) -> str:
     about, link = card.about, hypertext(card.page)
-    picture = _image(card.picture, about.title) if card.picture else ""
+    picture = _image(card.picture, about.title, about.narrow) if card.picture else ""
     return (
         f'<article class="card"><a href="{link}">{picture}<h2>{hypertext(about.title)}</h2></a>'
         f"{_problems(about.problems[:1])}{_headline(about.headline)}"
@@ -395,9 +402,13 @@ def _card(card: Card) -> str:
     )
 
 
-def _image(name: str, alt: str) -> str:
-    width, height = SIZE
-    return f'<img src="{hypertext(name)}" alt="{hypertext(alt)}" width="{width}" height="{height}" />'
+def _image(name: str, alt: str, narrow: bool) -> str:
+    (width, height), (thin, tall) = SIZE, NARROW_SIZE
+    image = f'<img src="{hypertext(name)}" alt="{hypertext(alt)}" width="{width}" height="{height}" />'
+    if not narrow:
+        return image
+    other = f'media="(max-width: {_NARROW}px)" srcset="{hypertext(narrow_name(name))}" width="{thin}" height="{tall}"'
+    return f"<picture><source {other} />{image}</picture>"
 
 
 def _problems(problems: Sequence[str]) -> str:

@@ -186,6 +186,12 @@ def has_graph(header: Header) -> bool:
     return header.collides or header.has_torque
 
 
+def graph_name(header: Header) -> str:
+    """Return the title of `graph_view`."""
+    edges = "Impulses" if header.records_contacts else "Collision graph"
+    return f"{edges} and torques" if header.has_torque else edges
+
+
 def graph_eye(header: Header, camera: CameraFit, area: Area, added: Additions) -> View:
     """Return the camera of `graph_view`."""
     # how far (m) arrows of medium length extend from the bodies
@@ -198,11 +204,10 @@ def graph_eye(header: Header, camera: CameraFit, area: Area, added: Additions) -
 
 def graph_view(header: Header, camera: CameraFit, area: Area, added: Additions = NONE) -> rrb.Spatial3DView:
     """Show the collision graph; its edges are drawn by their impulses if these are recorded."""
-    edges = "Impulses" if header.records_contacts else "Collision graph"
     hidden: Overrides = {path: rrb.EntityBehavior(visible=False) for path in hidden_arrows(header, added)}
     numbers: Overrides = {} if is_crowded(header) else {path: _with_numbers(area.theme) for path in paths.PARALLEL}
     return spatial_view(
-        f"{edges}, torques, angular accelerations" if header.has_torque else edges,
+        graph_name(header),
         graph_eye(header, camera, area, added),
         [
             paths.BODIES,
@@ -259,10 +264,11 @@ def blueprint(
     header = as_happened(header, curves)
     parts = header, camera, curves, canvas, added
     root: rrb.View | rrb.Container = _all(*parts) if only == ALL else _single(*parts, only)
-    panel: Literal["collapsed", "hidden"] = "collapsed" if canvas.framed else "hidden"
+    has_panels = canvas.framed and not canvas.rendered
+    panel: Literal["collapsed", "hidden"] = "collapsed" if has_panels else "hidden"
     return rrb.Blueprint(
         root,
-        rrb.TopPanel(state="expanded" if canvas.framed else "hidden"),
+        rrb.TopPanel(state="expanded" if has_panels else "hidden"),
         rrb.BlueprintPanel(state=panel),
         rrb.SelectionPanel(state=panel),
         # without a play state the viewer starts playing

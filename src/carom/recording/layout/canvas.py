@@ -156,15 +156,15 @@ class Canvas:
 
     width: int = 1600
     height: int = 1000
-    framed: bool = True  # whether the window has title bars and panels, which take some of its height
-    rendered: bool = False  # whether nobody can rotate the view, so that it may have a narrow lens
+    framed: bool = True  # whether views have title bars and windows have panels, which take some of the height
+    rendered: bool = False  # whether nobody can use the window: no panels, and views may have a narrow lens
     theme: str = "dark"
 
     def area(self, across: float = 1.0, down: float = 1.0) -> Area:
         """Return the area of a view that fills these fractions of the width and of the height."""
         width, height = self.width * across, self.height * down
         if self.framed:
-            panels = _TOP_PANEL + _TIME_PANEL
+            panels = _TOP_PANEL + (0 if self.rendered else _TIME_PANEL)  # a hidden top panel leaves its place empty
             width, height = max(1.0, width), max(1.0, (self.height - panels) * down - _TITLE)
         return Area(width, height, self.rendered, self.theme)
 

@@ -44,9 +44,10 @@ from carom.recording.schema.paths import (
 )
 from carom.scene.units import dimension
 
-# Matplotlib's plasma from 0.15 to 1, perceptually uniform; its dark end would be invisible on the dark background.
+# Matplotlib's viridis from 0.16 to 0.86, perceptually uniform: without its dark end, which would be invisible on the
+# dark background, and without its yellow, the colour of impulses.
 SPEEDS = np.array(
-    [0x5001A2FF, 0x7501A8FF, 0x9A169FFF, 0xB83289FF, 0xD14E72FF, 0xE56B5DFF, 0xF58C46FF, 0xFDB130FF, 0xF9DB24FF],
+    [0x453781FF, 0x3B518BFF, 0x31688EFF, 0x277E8EFF, 0x20928CFF, 0x22A785FF, 0x3DBC74FF, 0x69CD5BFF, 0xA2DA37FF],
     dtype=np.uint32,
 )
 
@@ -149,9 +150,10 @@ def magnitude_at(radii: float, reach: float, reference: float) -> float:
     return reference * (share / (1.0 - share)) ** 3
 
 
-# Matplotlib's inferno from 0.3 to 1, perceptually uniform; its dark end would be invisible on the dark background.
+# Shades of one hue, since every other hue has a meaning of its own: CIELAB from L = 30 to 78, about vermilion, the
+# colour of contacts. A search maximised the differences from colours of bodies (ΔE ≥ 31, CIE76) and of arrows (≥ 33).
 COLOURS = np.array(
-    [0x6A176EFF, 0x932667FF, 0xBC3754FF, 0xDD513AFF, 0xF37819FF, 0xFCA50AFF, 0xF6D746FF, 0xFCFFA4FF], dtype=np.uint32
+    [0x872105FF, 0x9F2F09FF, 0xB73E10FF, 0xCD501BFF, 0xE1652BFF, 0xF17B40FF, 0xFF9259FF, 0xFFA974FF], dtype=np.uint32
 )
 LEVELS = len(COLOURS)
 _THINNEST, _THICKEST = 0.06, 0.30  # radius of an edge, in median body radii
@@ -176,7 +178,7 @@ def level(magnitude: FloatArray, reference: float) -> IntArray:
 
 
 def speed_colours(speed: FloatArray, reference: float) -> ColourArray:
-    """Return colours of speeds (m/s) from violet to yellow; the reference is in the middle."""
+    """Return colours of speeds (m/s) from violet to green; the reference is in the middle."""
     share = speed / (speed + reference) if reference > 0.0 else np.zeros(len(speed))
     return SPEEDS[np.minimum((len(SPEEDS) * np.nan_to_num(share)).astype(np.int64), len(SPEEDS) - 1)]
 

@@ -18,7 +18,7 @@ from rerun.encodings import EntityPathLike
 
 from carom.arrays import IntArray
 from carom.recording.layout.canvas import NONE, Additions, Area, taken_from
-from carom.recording.schema import paths
+from carom.recording.schema import palette, paths
 from carom.recording.schema.curve_outline import CurveOutline, Curves
 from carom.recording.schema.header import Header
 from carom.recording.schema.series import (
@@ -26,7 +26,6 @@ from carom.recording.schema.series import (
     IMPULSES,
     IN_PLOT,
     PLOTS,
-    RED,
     THIN,
     Plot,
     Series,
@@ -197,7 +196,9 @@ def shown_series(header: Header, plot: Plot, curves: Curves | None = None) -> li
 
 def _plot(header: Header, plot: Plot, curves: Curves | None, area: Area, span: IntArray | None) -> rrb.TimeSeriesView:
     if plot == IMPULSES:
-        points = rr.SeriesPoints.from_fields(colors=RED, markers="circle", marker_sizes=_MARKER, names="normal impulse")
+        points = rr.SeriesPoints.from_fields(
+            colors=palette.IMPACTS, markers="circle", marker_sizes=_MARKER, names="normal impulse"
+        )
         factor = header.plot_factor(plot.unit)
         largest = 0.0 if curves is None else _largest(curves, paths.IMPACTS) / factor
         column = "normal_impulse" if factor == 1.0 else IN_PLOT

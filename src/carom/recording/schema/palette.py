@@ -89,29 +89,36 @@ ARROWS = {  # colours by entity: an arrow has one colour in every view
 }
 SPIN = 0x5CE0B0FF  # the palette's green is hardly visible on the bodies
 FIELD = GREY
+GRIDS = {"dark": 0x5A626EFF, "light": 0xA8AEB6FF}  # of planes, fainter than what stands on them
 
-PHASES = {"warm-up": GREY, "free": SKY, "colliding": VERMILION, "settled": GREEN}
-DT_LIMITS = {
+SLATE, DEEP_SLATE = 0x6F8296FF, 0x55657AFF  # of what needs no hue, since its name is written in it
+# Colours of curves that show what arrows, edges or points show, too: the same hues, with a contrast of 3 to 1 in plots.
+CONTACTS = VERMILION
+IMPACTS = 0x9F9728FF  # yellow, darkened
+FRICTION = PURPLE
+
+PHASES = {"warm-up": GREY, "free": SLATE, "colliding": VERMILION, "settled": DEEP_SLATE}
+DT_LIMITS = {  # dull, unless a limit is about impacts, friction or contacts
     "start": GREY,
-    "acceleration": PURPLE,
+    "acceleration": 0x7D6A8CFF,
     "held": 0x8C6BB1FF,
-    "velocity": ORANGE,
-    "pull": VERMILION,
-    "error": VERMILION,
+    "velocity": 0x8C7A5CFF,
+    "pull": 0x99605AFF,
+    "error": 0x99605AFF,
     "impact": YELLOW,
-    "friction": YELLOW,
-    "horizon": GREEN,
-    "cap": SKY,
-    "growth": YELLOW,
-    "fixed": BLUE,
-    "engine": BLUE,
-    "end": GREEN,
+    "friction": PURPLE,
+    "horizon": 0x5F8A72FF,
+    "cap": SLATE,
+    "growth": 0x8C8A5CFF,
+    "fixed": SLATE,
+    "engine": SLATE,
+    "end": DEEP_SLATE,
 }
 
 MOST_SINGLE = 70  # most single bodies with hues in rotation; with more, a hue would have over ten bodies
 
 _GOLDEN = 0.6180339887498949  # fractional parts of its first k multiples fill (0, 1) evenly for every k
-_SHADE = 0.45  # fraction by which the darkest body of a group is darker than its hue
+_SHADE = 0.3  # fraction by which the darkest body of a group is darker than its hue
 _BRIGHTEST_TEXT, _DARKEST_TEXT = 0.15, 0.24  # for a contrast of 4.5 to 1 on labels, #efefef and #1b1d20 in pictures
 _BRIGHTEST, _DARKEST = 0.3, 0.12  # luminances with a contrast of 3 to 1 on white, and on a dark plot
 

@@ -17,7 +17,7 @@ from carom import registry
 from carom.arrays import FloatArray
 from carom.contact_table import IMPACT_MODE
 from carom.plan.features import Requirements
-from carom.recording.schema import paths
+from carom.recording.schema import palette, paths
 from carom.recording.schema.header import RECORDED_PARTS, Header, flag_of
 from carom.recording.schema.palette import LINES
 from carom.recording.schema.paths import ENERGY, STEPS
@@ -184,22 +184,22 @@ SERIES = (
     *(_energy_of(kind) for kind in FORCES if kind.potential),
     Series("energy/total", "J", "total", GREY, _ENERGY,
            lambda s: s.energy.total, "sum of the energies above", width=THICK),
-    Series("energy/ledger/restitution", "J", "restitution", BLUE, _TAKEN,
+    Series("energy/ledger/restitution", "J", "restitution", palette.IMPACTS, _TAKEN,
            lambda s: s.energy.ledger.restitution, "removed by normal impulses since the start", "contact"),
-    Series("energy/ledger/friction", "J", "friction", RED, _TAKEN,
+    Series("energy/ledger/friction", "J", "friction", palette.FRICTION, _TAKEN,
            lambda s: s.energy.ledger.friction, "removed by tangential impulses since the start", "friction",
            inside=True),
     Series("energy/ledger/stabilisation", "J", "stabilisation (put in)", GREEN, _TAKEN,
            lambda s: s.energy.ledger.stabilisation, "added by the correction of overlaps since the "
                "start", "stabilisation"),
     *(_energy_of(kind) for kind in FORCES if kind.loss),
-    Series("energy/ledger/walls", "J", "moving walls", ORANGE, _TAKEN,
+    Series("energy/ledger/walls", "J", "moving walls", palette.SLATE, _TAKEN,
            lambda s: s.energy.ledger.entry("walls"), "removed by moving walls since the start; negative if they drive "
                "the bodies", "wall.motion"),
     Series("energy/ledger/driving_field", "J", "driving field", GREY, _TAKEN,
            lambda s: s.energy.ledger.entry("driving_field"), "removed by the uniform field along periodic axes since "
                "the start; negative if it drives the bodies", "driving-field"),
-    Series("energy/ledger/shear", "J", "shear", ORANGE, _TAKEN,
+    Series("energy/ledger/shear", "J", "shear", palette.SLATE, _TAKEN,
            lambda s: s.energy.ledger.entry("shear"), "removed by the shear of a periodic box since the start; negative "
                "if it drives the bodies", "shear"),
     Series("energy/ledger/passage", "J", "bodies that leave", PURPLE, _TAKEN,
@@ -210,16 +210,16 @@ SERIES = (
     Series("energy/relative_error", "1", "integration error / energy scale", RED, _ERROR,
            lambda s: s.energy.relative_change(s.energy.integration_error), "integration error over the energy scale; "
                "0 within the rounding of the total"),
-    Series("step/dt", "s", "dt", BLUE, _DT,
+    Series("step/dt", "s", "dt", palette.SLATE, _DT,
            lambda s: s.frame.dt, "length of the step; 0 at step 0", flat_is_dull=True),
     Series("step/error", "1", "expected error / size", PURPLE, _ERROR,
            lambda s: s.frame.expected_error, "expected error of positions over the size of the system", "accuracy"),
-    Series("step/contacts", "1", "contacts", BLUE, CONTACTS,
+    Series("step/contacts", "1", "contacts", palette.CONTACTS, CONTACTS,
            lambda s: len(s.frame.contacts.pairs), "contacts in the step", "contact"),
-    Series("step/contact_force", "N", "largest force of a contact", GREEN, _FORCE,
+    Series("step/contact_force", "N", "largest force of a contact", palette.CONTACTS, _FORCE,
            _largest_force, "largest normal force of a contact other than an impact: its impulse over the step",
            _TABLE, inside=True),
-    Series("step/impact_rate", "1/s", "impacts", RED, _IMPACTS,
+    Series("step/impact_rate", "1/s", "impacts", palette.IMPACTS, _IMPACTS,
            _impact_rate, "impacts since the previous frame, per time", "contact"),
     Series("step/colours", "1", "colours (stages)", PURPLE, _SOLVER,
            lambda s: s.colours, "colours of the contacts in the step", "contact", inside=True),
@@ -227,7 +227,7 @@ SERIES = (
            lambda s: s.frame.sweeps, "passes of the solver over the contacts in the step", "contact", inside=True),
     Series("step/overlap", "m", "deepest overlap", PURPLE, None,
            lambda s: s.overlap, "deepest overlap of a contact", "contact"),
-    Series("step/relative_overlap", "1", "deepest overlap / smaller radius", PURPLE, _OVERLAP,
+    Series("step/relative_overlap", "1", "deepest overlap / smaller radius", palette.SLATE, _OVERLAP,
            lambda s: s.relative_overlap, "largest overlap over the smaller radius of the pair", "contact"),
     Series("step/piston_position", "m", "piston", BLUE, _PISTON,
            lambda s: float(_piston(s.frame)[0]), "displacement of the piston along its normal", "piston"),

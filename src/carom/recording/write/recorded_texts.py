@@ -134,7 +134,11 @@ _SURROUNDINGS = {
 
 def legend_document(header: Header) -> str:
     """Return the text at /legend, in Markdown: the meaning of colours, lines and arrows, and the lengths of arrows."""
-    return "\n".join(["# Legend", *_legend(header), *_lengths(header)]) + "\n"
+    head = [
+        f"# Legend: {literal(header.title)}",
+        "Press play at the lower left, or drag in the bar of time beside it.\n",
+    ]
+    return "\n".join([*head, *_legend(header), *_lengths(header)]) + "\n"
 
 
 def _lengths(header: Header) -> Iterator[str]:
@@ -235,12 +239,7 @@ def _legend(header: Header) -> list[str]:
     if header.collides and header.engine:
         lines.append("- Lines join the centres of touching bodies.")
     elif header.collides:
-        stages = ", ".join(f"{k} {name}" for k, name in enumerate(palette.STAGE_NAMES))
-        lines.append(
-            f"- Lines join the centres of touching bodies. Their recorded colour, which `--edges stage` shows, is the "
-            f"stage in which the contact is resolved: {stages}, then again from the start; white is the last, serial "
-            f"stage (past {palette.SERIAL_STAGE})."
-        )
+        lines.append("- Lines (vermilion) join the centres of bodies that touch.")
     if header.records_contacts:
         lines += _impulse_legend(header)
     if header.has_torque:
@@ -261,6 +260,13 @@ def _legend(header: Header) -> list[str]:
         )
     if shape(header) == "mesh":
         lines.append("- Dark and light halves of a sphere show how it turns.")
+    if header.collides and not header.engine:
+        stages = ", ".join(f"{k} {name}" for k, name in enumerate(palette.STAGE_NAMES))
+        lines.append(
+            "- Lines have another recorded colour, which `carom view --edges stage` shows: the stage in which the "
+            f"solver resolves the contact, {stages}, then again from the start; white is the last, serial stage (past "
+            f"{palette.SERIAL_STAGE})."
+        )
     return lines
 
 
@@ -287,9 +293,9 @@ def _impulse_legend(header: Header) -> list[str]:
     longest, joules = header.units.text(arrow_length(header, FORCE_NORMAL), LENGTH, ".4g"), _drawn(header, "J")
     friction = ", and the friction on it (purple)" if header.has_friction else ""
     lines = [
-        "- Both views colour these lines by the normal impulse J of the step; that of impulses draws wider lines, too: "
-        "u = s / (1 + s), s = (J / m_ref)^(1/3), from dark purple (u = 0) over red (1/3) and orange (2/3) to pale "
-        "yellow (1). Chains of wide lines carry the load. m_ref is the median of the frame.",
+        "- The brighter a line, the larger the normal impulse J of the contact in the step; in the view of impulses, "
+        "lines are wider, too, so that chains of wide lines carry the load. From dark (u = 0) to bright (1), u = s / "
+        "(1 + s), s = (J / m_ref)^(1/3); m_ref is the median of the frame.",
         "- The contacts of the largest impulses have arrows at the contact point: the normal impulse on the second "
         f"body, or out of a plane or wall (yellow){friction}, {longest} · u long.",
     ]
@@ -316,5 +322,5 @@ def _body_colours(header: Header) -> str:
         case "island":
             return "one colour for bodies that are connected by contacts, or grey without contacts"
         case "speed":
-            return "by speed, from violet to yellow; the colour in the middle is the median speed of the first frame"
+            return "by speed, from violet to green; the colour in the middle is the median speed of the first frame"
     return "a hue for each group and each single body, in turns, and a shade for each body"

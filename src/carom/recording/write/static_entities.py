@@ -153,7 +153,14 @@ def _wall(path: str, header: Header, mesh: Mesh, origin: FloatArray) -> Static:
     )
 
 
-def plane_grids(header: Header, origin: FloatArray, centre: FloatArray, reach: float) -> Iterable[Static]:
+def grid_spacing(reach: float) -> float:
+    """Return the side (m) of a square of the grid on a plane whose bodies are within ``reach`` (m)."""
+    return 2.0 * _PLANE_REACH * reach / (paths.PLANE_LINES - 1)
+
+
+def plane_grids(
+    header: Header, origin: FloatArray, centre: FloatArray, reach: float, theme: str = "dark"
+) -> Iterable[Static]:
     """Draw each plane as a square grid about the point nearest to a centre, (3,) m from the origin.
 
     All bodies are within ``reach`` (m) of the centre.
@@ -161,10 +168,10 @@ def plane_grids(header: Header, origin: FloatArray, centre: FloatArray, reach: f
     if header.planes is not None and len(header.planes):
         planes = zip(header.planes.normal, header.planes.offset, strict=True)
         grids = [_grid(normal, offset - normal @ origin, centre, reach) for normal, offset in planes]
-        radii = rr.Radius.ui_points(0.6)
+        radii, colour = rr.Radius.ui_points(0.6), palette.GRIDS[theme]
         for k, grid in enumerate(grids) if header.drives else ():
-            yield f"{paths.MOVING}/plane-{k}", rr.LineStrips3D(grid, colors=palette.GREY, radii=radii)
-        yield paths.PLANES, rr.LineStrips3D(np.concatenate(grids), colors=palette.GREY, radii=radii)
+            yield f"{paths.MOVING}/plane-{k}", rr.LineStrips3D(grid, colors=colour, radii=radii)
+        yield paths.PLANES, rr.LineStrips3D(np.concatenate(grids), colors=colour, radii=radii)
 
 
 def _grid(normal: FloatArray, offset: float, centre: FloatArray, reach: float) -> SingleArray:
