@@ -69,7 +69,7 @@ def test_the_legend_names_the_scale_of_every_kind_of_arrow(bounce: Recording) ->
     (impact,) = bounce.impacts().to_pylist()
     step = shown_step(bounce, bounce.moment(), int(bounce.closing["moments.impact.step"])).frame
     assert step is not None and step.angular_impulse is not None
-    assert "lengths compressed; ½, 1, 1½ radii beyond the surface are:" in lines
+    assert "lengths compressed; ½, 1, 1½ radii are:" in lines
     # of the only impact, alike on both bodies, so they are the middle of the scale: 1 of 2 radii
     turn = float(np.linalg.norm(step.angular_impulse[0]))
     for path, name, middle, unit in (
@@ -206,6 +206,15 @@ def test_of_two_names_that_would_overlap_only_that_of_the_larger_body_is_shown(b
     assert names_that_fit(header, np.array([[-0.2, 0, 0], [0.2, 9.0, 0]]), eye, area) == larger, "one behind the other"
 
 
+def test_where_names_would_overlap_bodies_that_differ_by_a_number_show_the_number(bounce: Recording) -> None:
+    header, area = header_of_recording(bounce), Area(400.0, 400.0)
+    header = replace(header, radius=np.ones(3), names=["cue ball", "ball 1", "ball 12"], mass=np.ones(3))
+    eye = View(np.zeros(3), 10.0, CameraMotion.STILL, np.array([0.0, -1.0, 0.0]))
+    wide, near = (np.array([[-3.0, 0, 0], [x, 0, 0], [2 * x, 0, 0]]) for x in (2.0, 0.8))
+    assert names_that_fit(header, wide, eye, area) == ("cue ball", "ball 1", "ball 12")
+    assert names_that_fit(header, near, eye, area) == ("cue ball", "1", "12")
+
+
 def test_without_friction_the_legend_names_none(tmp_path: Path) -> None:
     straight = ["body.0.position=[-2, 0, 0]", "body.1.position=[2, 0, 0]", "record.every=0.25"]
     head_on = carom.run(Scene.load("two-spheres", straight), tmp_path / "head-on.rrd")
@@ -322,7 +331,7 @@ def test_the_light_theme_is_light_everywhere(view: str, slope: Recording) -> Non
 def test_the_legend_explains_what_an_edges_width_and_colour_mean(theme: str, slope: Recording) -> None:
     lines = lines_of(asked(slope, Request(), Canvas(theme=theme)))
     (text,) = (text for text in lines if text.startswith("— contact"))  # alike on all three balls
-    assert re.match(f"— contact{', medium' if theme == 'light' else ''}: [0-9.]+", text), "the scale"
+    assert re.match(f"— contact{', medium line' if theme == 'light' else ''}: [0-9.]+", text), "the scale"
     header, contents = header_of_recording(slope), LegendContents(contacts=True, impulses=True)
     unknown = legend(header, "group", None, {}, None, contents, theme=theme).entries  # during a whole run
     edges = [line.colour for line in unknown if line.text.startswith("— contact")]

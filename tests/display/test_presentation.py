@@ -242,6 +242,14 @@ def test_the_close_up_of_an_impact_has_arrows_of_the_velocities_before_and_after
     assert "→ velocity before, close up" in texts and "→ velocity after, close up: 1.3 radii = 1 m/s" in texts
 
 
+def test_an_impact_at_the_end_of_a_step_has_speeds_before_and_after_too(tmp_path: Path) -> None:
+    """Balls of equal mass exchange their velocities; the gap of the cradle is a whole number of steps."""
+    cradle = carom.run(Scene.load("newtons-cradle", ["time.duration=0.75"]), tmp_path / "cradle.rrd")
+    lines = legend_texts(asked(cradle, Request(event="impact:1")))
+    for name, first, last in (("striker 2", 1, 0), ("ball 1", 0, 1)):
+        assert f"■ {name} close up: speed {first} before, {last} m/s after" in lines
+
+
 def legend_texts(shown: Presentation) -> list[str]:
     legend: Any = dict(shown.supplement.statics)[LEGEND]
     return [" ".join(text.strip("\xa0\xad").split()) for text in legend.labels.as_arrow_array().to_pylist()]

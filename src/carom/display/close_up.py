@@ -20,7 +20,7 @@ from carom.display.body_colours import BodyColours
 from carom.display.legend import DrawnLabels, Legend, LegendLine, MovieClock
 from carom.display.letters import apart, beyond, label_width
 from carom.display.margins import moving
-from carom.display.request import ShownStep
+from carom.display.request import ShownStep, at_impact
 from carom.display.staging import axes_and_field
 from carom.display.supplement import Static
 from carom.physics.vector import minimum_images
@@ -44,7 +44,7 @@ from carom.recording.read.lookup import names_of
 from carom.recording.read.named_events import Pair
 from carom.recording.read.recording import Recording
 from carom.recording.schema import palette, paths
-from carom.recording.schema.header import Header
+from carom.recording.schema.header import Header, TimeScale
 from carom.recording.write.rows import NO_STEPS, BatchColumn, Index, Rows
 from carom.scene.units import dimension
 from carom.scene.units.system import UnitSystem
@@ -69,8 +69,8 @@ _THICK, _THIN = 0.07, 0.04  # radii of arrows, in radii of the smaller body
 _REACH = 3.0  # distance of an eye that follows points, over half the diagonal of the box around them (Rerun 0.41)
 _ROUNDING = 1e-9  # of the faster spin; a spin below is rounding
 _TOUCHING = 1e-9  # of a radius; a smaller gap is rounding
-_FADED = {"dark": 0x3C4250FF, "light": 0xC4C8D0FF}  # wires of other bodies
 _EARLIER = {"dark": palette.GREY, "light": 0xB4BAC2FF}  # velocities before an impact; those after it have ink
+_CHAINED = 0.01  # of an approach speed; where speeds before differ more, bodies have several impacts at an instant
 _ALIKE = 0.08  # two shades have one hue if their shares of red, green and blue differ by at most this
 _UNSEEN = 1e-6  # size of the invisible points that the camera follows, in radii of the smaller body
 
@@ -103,6 +103,7 @@ class _Arrows:
     along: float = 1.0  # position of the labels, from 0 at the origins to 1 at the tips
     bodies: Sequence[int] = ()  # places of the bodies that the labels belong to, in the close-up
     short: Sequence[str] = ()  # labels where the legend has the others
+    way: FloatArray | None = None  # (3,) in which the short labels are off the arrows; by default on beyond their tips
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,7 +141,12 @@ class CloseUp:
         contents = [BODIES, FOLLOWED, EDGE, *arrows, LABELS, paths.BODIES, *surroundings(header)]
         contents += [f"{LEGEND}/**", f"{FIELD}/**"] if self.legend.entries else []
         return spatial_view(
-            *(f"Close-up: {self.names}", self.eye, contents, faint_bodies(header, recoloured, _FADED[self.area.theme])),
+            *(
+                f"Close-up: {self.names}",
+                self.eye,
+                contents,
+                faint_bodies(header, recoloured, palette.FADED[self.area.theme]),
+            ),
             follows=FOLLOWED,
             theme=self.area.theme,
         )
@@ -260,7 +266,7 @@ class CloseUp:
             texts = named
         wanted = np.concatenate([(a.origins + a.along * a.vectors)[: len(a.labels)] for a in labelled])
         if self.is_brief:
-            ways = np.concatenate([a.vectors[: len(a.labels)] for a in labelled])
+            ways = np.concatenate([np.broadcast_to(_way(a), a.vectors.shape)[: len(a.labels)] for a in labelled])
             wanted = beyond(wanted, ways, texts, self.eye, self.area)
         written = [k for k, text in enumerate(texts) if text]
         texts, wanted = [texts[k] for k in written], wanted[written]
@@ -299,7 +305,7 @@ class CloseUp:
             texts = [self.header.units.text(each, dimension.VELOCITY, ".3g") for each in speed[moving].tolist()]
             short = texts if path == VELOCITY else []
             start = self.position[moving] + apart * self.aside - 0.5 * vectors
-            yield _Arrows(path, start, vectors, [], short=short)
+            yield _Arrows(path, start, vectors, [], 0.5, short=short, way=self.aside)
 
     def _speeds(self) -> list[str]:
         """Return a text for each body: its speed or, at an impact, its speeds before and after."""
@@ -332,9 +338,14 @@ class CloseUp:
         for place, (name, colour) in enumerate(zip(self.called, colours, strict=True)):
             own = [a.labels[a.bodies.index(place)] for a in arrows if a.labels and place in a.bodies]
             entries.append(LegendLine(f"■ {name}", colour))
-            entries += [LegendLine(f"    {text}", colour) for text in (*speeds[place : place + 1], *own)]
+            texts = (*speeds[place : place + 1], *own)
+            entries += [LegendLine(f"    {text}", colour, is_extra=True) for text in texts]
         if self.contact is None:
             return entries
+        if self.velocity is not None and len(self.velocity) > 1 and len(self.bodies) > 1:
+            apart = float((self.velocity[0, 0] - self.velocity[0, 1]) @ self.contact.normal)
+            if abs(apart - self.contact.approach_speed) > _CHAINED * self.contact.approach_speed:
+                entries.append(LegendLine("before and after all impacts of this instant", palette.GREY))
         normal, impulse, spin, *_ = arrows
         entries.append(LegendLine(f"→ {normal.labels[0]}; — line of centres", palette.VERMILION))
         if impulse.labels:
@@ -493,11 +504,15 @@ def close_up(
             near = (1.0 + _TOUCHING) * float(header.radius[places].sum())
             instant = None if float(np.linalg.norm(other - at_end[0])) <= near else instant
     drawn = instant or step
-    frame, spin, spin_before, velocity = drawn.frame, None, None, drawn.velocities
+    frame, spin, spin_before = drawn.frame, None, None
+    clock_of = TimeScale(float(recording.info["time_scale"]))
+    ended = None if instant else at_impact(step, pair, header, recording.origin, step.time, clock_of, at_end=True)
+    velocity = drawn.velocities if ended is None else ended.velocities
     if velocity is None and frame is not None:
         velocity = frame.velocity[None, list(bodies)]
-    if drawn.state is not None:
-        spin_before, spin = (None, None) if drawn.state.spins is None else drawn.state.spins
+    jumps = drawn.state if ended is None else ended.state
+    if jumps is not None:
+        spin_before, spin = (None, None) if jumps.spins is None else jumps.spins
     elif frame is not None and frame.angular_velocity is not None:
         spin = frame.angular_velocity[list(bodies)]
     position = _nearest_images(drawn.position[places], header.cell(drawn.time))
@@ -575,6 +590,11 @@ def _beside(eye: View, contact: Contact | None, spin: FloatArray | None) -> Floa
     right, up = eye.axes()
     across = up if contact is None or abs(contact.normal @ up) < _STEEP else right
     return np.asarray(across if spin is None or spin.sum(axis=0) @ across <= 0.0 else -across)
+
+
+def _way(arrows: _Arrows) -> FloatArray:
+    """Return the directions in which short labels are off their arrows."""
+    return arrows.vectors if arrows.way is None else arrows.way
 
 
 def _told_apart(colours: BodyColours, theme: str) -> BodyColours:

@@ -307,7 +307,7 @@ def legend(
         lines += _arrows(header, references, turning, both_arrows, frame)
     arrows = next((k for k, line in enumerate(lines) if line.text.startswith("→")), None)
     if arrows is not None:
-        lengths = f"{', '.join(_LENGTHS)} radii beyond the surface"
+        lengths = f"{', '.join(_LENGTHS)} radii"
         lines.insert(arrows, LegendLine(f"arrows, lengths compressed; {lengths} are:", palette.GREY, (GRAPH,)))
     if fastest > 0.0:
         text = header.units.text(fastest, dimension.ANGULAR_VELOCITY, ".3g")
@@ -409,7 +409,7 @@ def _edges(
             continue
         impulse = magnitude_at(level, drawing.LEVELS, middle)
         value = _round(header, impulse, dimension.IMPULSE) if middle else f"{word} impulse"
-        width = f", {_WIDTHS[level]}" if theme == "light" else ""  # edges of one colour
+        width = f", {_WIDTHS[level]} line" if theme == "light" else ""  # edges of one colour
         yield LegendLine(f"— contact{width}: {value}", levels[level], views)
     yield LegendLine(f"→ normal impulse: {_scale(header, paths.FORCE_NORMAL, middle)}", normal, (GRAPH,))
     if drawn.friction:
@@ -462,7 +462,7 @@ def _arrows(
             largest = float(drawing.magnitudes(vectors[np.isfinite(vectors).all(axis=1)]).max(initial=0.0))
             if largest > magnitude_at(max(_LENGTHS.values()), REACH[path], references[path]):
                 scale += f"; here up to {_round(header, largest, DIMENSIONS[path])}"
-        yield LegendLine(f"→ {_NAMES[path]}{scale}", colour, (GRAPH,))
+        yield LegendLine(f"→ {_NAMES[path]}{scale}, beyond the surface", colour, (GRAPH,))
         if other is not None and not is_crowded(header):
             yield LegendLine(f"    second number beside it: {_PARALLEL[other]}", colour, (GRAPH,))
         elif other is not None and not both:

@@ -155,13 +155,21 @@ def _frame_of_engine(recording: Recording, row: int) -> Frame | None:
 
 
 def at_impact(
-    step: ShownStep, pair: Pair, header: Header, origin: FloatArray, near: float, clock: TimeScale
+    step: ShownStep,
+    pair: Pair,
+    header: Header,
+    origin: FloatArray,
+    near: float,
+    clock: TimeScale,
+    *,
+    at_end: bool = False,
 ) -> ShownStep | None:
     """Return the instant of an impact within a repeated step; None if the pair has none before its end.
 
     Its frame holds the positions and contacts of the instant, and its state the quantities that jump there. Of several
     impacts of the pair, the impact nearest to the time ``near`` (s) is chosen, then the fastest; where ``near`` is the
-    end of the step, the fastest. An impact within a nanosecond of the end of the step is shown at its end.
+    end of the step, the fastest. An impact within a nanosecond of the end of the step is shown at its end, and found
+    with ``at_end`` only.
     """
     frame, n = step.frame, header.bodies
     earlier = [one for one in (step.before, *step.added) if one is not None and one.step < step.step]
@@ -171,7 +179,7 @@ def at_impact(
     j = pair.j if pair.j is not None else None if pair.plane is None else n + pair.plane
     partner = impacts["j"] >= n if j is None else impacts["j"] == j
     is_within = clock.nanoseconds(impacts["time"]) < clock.nanoseconds([frame.time])
-    own = np.flatnonzero((impacts["i"] == pair.i) & partner & is_within)
+    own = np.flatnonzero((impacts["i"] == pair.i) & partner & (is_within != at_end))
     if not len(own):
         return None
     off = np.abs(impacts["time"][own] - near)

@@ -5,6 +5,8 @@ Plots have content that is not in the file: a strip of the impacts, and logarith
 
 from __future__ import annotations
 
+import re
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
@@ -12,7 +14,7 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-from carom.arrays import ColourArray, FloatArray
+from carom.arrays import BoolArray, ColourArray, FloatArray
 from carom.display.request import ShownStep
 from carom.display.supplement import Static, Trails, has_trails
 from carom.recording.layout import FIELD
@@ -37,7 +39,7 @@ _LOOKS = 50  # frames of many bodies to which the camera is fitted
 MOST_BANDS = 100
 MOST_POINTS = 1000  # of impacts; with a few more, a picture takes the software driver seconds
 _BANDS = (palette.IMPACTS, palette.YELLOW)  # of alternate impacts
-MOST_NAMES = 12
+MOST_NAMES = 16
 _ROW, _LETTER = 24.0, 7.5  # points, height of a label and width of a letter
 _LENGTH = 0.16  # of the field's arrow, in heights of the view
 _AXIS = 0.8  # of the axes at most, in lengths of the field's arrow; at least 0.4, since they are rounded down
@@ -295,11 +297,28 @@ def names_that_fit(header: Header, position: FloatArray, view: View, area: Area)
     n = len(position)
     if not any(header.names) or n > MOST_NAMES or n != len(header.names) or shape(header) != "ellipsoids":
         return ()
+    numbers = _numbered(header.names)
+    whole, short = (_apart(names, header, position, view, area) for names in (header.names, numbers))
+    shown, names = (short, numbers) if short.sum() > whole.sum() else (whole, header.names)
+    return tuple(name if each else "" for name, each in zip(names, shown.tolist(), strict=True))
+
+
+def _numbered(names: Sequence[str]) -> list[str]:
+    """Return the names, of which those that differ only by a number at their end, such as "ball 7", are the number."""
+    parts = [re.fullmatch(r"(.*\D)(\d+)", name) for name in names]
+    stems = Counter(part[1] for part in parts if part is not None)
+    usual = stems.most_common(1)[0][0] if stems else ""
+    return [part[2] if part is not None and part[1] == usual else name for name, part in zip(names, parts, strict=True)]
+
+
+def _apart(names: Sequence[str], header: Header, position: FloatArray, view: View, area: Area) -> BoolArray:
+    """Return which names (n,) can be shown so that none covers another, those of large bodies first."""
+    n = len(names)
     points = (position - view.target) @ view.axes().T * area.height / view.height()
-    wide = np.array([_LETTER * (len(name) + 1) for name in header.names])
+    wide = np.array([_LETTER * (len(name) + 1) for name in names])
     across, up = np.abs(points[:, None] - points[None]).transpose(2, 0, 1)
     overlap = (across < (wide[:, None] + wide) / 2.0) & (up < _ROW)
     shown = np.zeros(n, dtype=bool)
     for k in np.argsort(-header.radius, kind="stable"):
         shown[k] = np.isfinite(points[k]).all() and not (overlap[k] & shown).any()
-    return tuple(name if each else "" for name, each in zip(header.names, shown.tolist(), strict=True))
+    return shown

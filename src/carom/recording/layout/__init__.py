@@ -79,6 +79,7 @@ FIELD = "field"  # the arrow of a uniform field, and axes
 # of fixed size at the recorded centre, so the file does not grow.
 
 LEAST = 2.0  # points of the screen, radius of a dot
+_MOST_NAMED = 7  # bodies whose names the layout in a file shows, as many as there are hues
 _HIDDEN = 1e-12  # of a body's radius; size of the dot if the body itself is large enough
 
 Overrides = dict[EntityPathLike, VisualizerLike | list[VisualizerLike]]
@@ -133,7 +134,9 @@ def bodies_view(header: Header, camera: CameraFit, area: Area, added: Additions 
     view = bodies_eye(camera, area, added)
     has_contacts = header.collides and not is_crowded(header)
     name = "Bodies and contacts" if has_contacts else "Bodies"
-    overrides = _drawn_bodies(header, view, area, added.recoloured, added.named)
+    # without carom, nobody has tried whether names overlap; few hardly do
+    own = tuple(header.names) if added.legend is None and not area.rendered and header.bodies <= _MOST_NAMED else ()
+    overrides = _drawn_bodies(header, view, area, added.recoloured, added.named or (own if any(own) else ()))
     overrides |= _edges(header, area.theme, wide=False, by_stage=added.by_stage)
     cursor = rr.TimeRangeBoundary.cursor_relative()
     if added.trails:  # the pieces up to the cursor
@@ -217,7 +220,11 @@ def graph_view(header: Header, camera: CameraFit, area: Area, added: Additions =
             *turning_arrows(header),
             *([f"{LEGEND}/**"] if area.inset[0] else []),
         ],
-        faint_bodies(header, added.recoloured) | _edges(header, area.theme, wide=True) | hidden | numbers,
+        # among many wires in the colours of bodies, arrows could not be seen
+        faint_bodies(header, added.recoloured, palette.FADED[area.theme] if is_crowded(header) else None)
+        | _edges(header, area.theme, wide=True)
+        | hidden
+        | numbers,
         theme=area.theme,
     )
 

@@ -156,7 +156,7 @@ COLOURS = np.array(
     [0x872105FF, 0x9F2F09FF, 0xB73E10FF, 0xCD501BFF, 0xE1652BFF, 0xF17B40FF, 0xFF9259FF, 0xFFA974FF], dtype=np.uint32
 )
 LEVELS = len(COLOURS)
-_THINNEST, _THICKEST = 0.06, 0.30  # radius of an edge, in median body radii
+_THINNEST, _THICKEST = 0.03, 0.15  # radius of an edge, in median body radii: wider ones hide arrows
 _SMALLEST, _LARGEST_IMPULSE = 0.12, 0.60  # radius of the point at an impact, in median body radii
 
 

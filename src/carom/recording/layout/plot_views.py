@@ -213,7 +213,7 @@ def _plot(header: Header, plot: Plot, curves: Curves | None, area: Area, span: I
             axis_y=rrb.ScalarAxis(range=(0.0, _ABOVE * largest)) if largest > 0.0 else None,
         )
     series = shown_series(header, plot, curves)
-    return _laid_out(header, plot, series, curves, area, span, named=len(series) > 1)
+    return _laid_out(header, plot, series, curves, area, span, named=len(series) > 1 or plot.unit == "J")
 
 
 def _laid_out(

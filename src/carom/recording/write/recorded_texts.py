@@ -323,4 +323,7 @@ def _body_colours(header: Header) -> str:
             return "one colour for bodies that are connected by contacts, or grey without contacts"
         case "speed":
             return "by speed, from violet to green; the colour in the middle is the median speed of the first frame"
+    if header.bodies <= len(palette.BODIES) and any(header.names):
+        each = zip(header.names, palette.BODIES, strict=False)
+        return ", ".join(f"{literal(name or f'body {k}')} {palette.name_of(hue)}" for k, (name, hue) in enumerate(each))
     return "a hue for each group and each single body, in turns, and a shade for each body"
