@@ -245,7 +245,7 @@ def test_the_close_up_of_an_impact_has_arrows_of_the_velocities_before_and_after
 def test_an_impact_at_the_end_of_a_step_has_speeds_before_and_after_too(tmp_path: Path) -> None:
     """Balls of equal mass exchange their velocities; the gap of the cradle is a whole number of steps."""
     cradle = carom.run(Scene.load("newtons-cradle", ["time.duration=0.75"]), tmp_path / "cradle.rrd")
-    lines = legend_texts(asked(cradle, Request(event="impact:1")))
+    lines = " ".join(legend_texts(asked(cradle, Request(event="impact:1"))))
     for name, first, last in (("striker 2", 1, 0), ("ball 1", 0, 1)):
         assert f"■ {name} close up: speed {first} before, {last} m/s after" in lines
 
