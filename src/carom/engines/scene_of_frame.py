@@ -29,7 +29,7 @@ LEAST_STEPS = 100  # fewest engine steps that a scene lasts where the recording 
 
 
 def scene_of_frame(recording: Recording, at: float | None, command: str) -> str:
-    """Return the text of a scene that begins with the state at the end of the step that contains a time (s).
+    """Return the text of a scene that begins with a recorded state: at the end of the step that contains a time (s).
 
     By default, the time is that of the frame before the worst broken law, or of the first frame. For another engine,
     the coefficients are measured from its impacts.

@@ -208,7 +208,7 @@ class SnapshotWriter:
 
 
 def observed_totals(observer: Observer, steps: int, time: float) -> dict[str, Scalar]:
-    """Return the closing properties of a run of another engine that ended after some steps, at a time in s."""
+    """Return the closing properties of another engine's run, which ended after some steps at a time (s)."""
     totals: dict[str, Scalar] = {"steps": steps, "sim_time": time, "contacts.impacts_counted": ONCE_A_STEP}
     return totals | closing_of(observer.extremes.named(observer.names)) | dict(observer.audit.closing())
 

@@ -133,7 +133,7 @@ class PromisedStepper:
 
 
 def without_accuracy(scene: Scene) -> Scene:
-    """Return a scene with a promise in the form that it has after the promise: with ordinary steps.
+    """Return a scene without its promise: with ordinary steps, as after the promise has ended.
 
     Impacts keep their exact times, and an integrator that chooses its own steps stays, since its state is recorded.
     """

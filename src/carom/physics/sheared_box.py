@@ -124,7 +124,7 @@ class ShearedBox:
         self._work += _work_of_corrections(contacts, impulses)
 
     def stretch(self, dt: float) -> float:
-        """Return the factor of search distances for the stretch by x ↦ x' and by the flow in a step of dt seconds."""
+        """Return the factor on search distances that covers the stretch by x ↦ x' and by the flow in a step of dt s."""
         return _largest_stretch(self._slope) * _largest_stretch(self.rate * dt)
 
     @property

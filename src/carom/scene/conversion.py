@@ -159,7 +159,7 @@ def place(key: str) -> _Place | None:
 
 @cache
 def _places(model: type[BaseModel]) -> dict[str, _Place]:
-    """Return the values of all keys of a model that have quantities."""
+    """Return the values of all keys of a model that hold quantities."""
     places = {}
     for key, info in model.model_fields.items():
         dimension, words, below = None, set[str](), dict[str, _Place]()

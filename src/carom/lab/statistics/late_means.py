@@ -16,7 +16,7 @@ COMPONENTS = (("xx", 0, 0), ("yy", 1, 1), ("zz", 2, 2), ("xy", 0, 1), ("xz", 0, 
 
 
 def late_means(recording: Recording) -> dict[str, float]:
-    """Return ``granular.temperature``, ``granular.pressure`` and ``granular.stress.xx`` to ``.yz``, in its units.
+    """Return ``granular.temperature``, ``granular.pressure``, ``granular.stress.xx`` to ``.yz`` in recorded units.
 
     The stress is the mean of σ and its transpose. Columns that the recording cannot give are left out; nothing is
     simulated.

@@ -410,7 +410,7 @@ class _Solver:
         return np.asarray(np.linalg.norm(v[self._j] - v[self._i], axis=1))
 
     def _closing(self, y: FloatArray, pair: int) -> float:
-        """Return the rate of change of the gap of a pair, negative while it closes."""
+        """Return the rate at which a pair's gap changes; negative while the pair closes."""
         x, v = y.reshape(2, -1, 3)
         i, j = self._i[pair], self._j[pair]
         normal = (x[j] - x[i]) / np.linalg.norm(x[j] - x[i])

@@ -125,7 +125,7 @@ def _integrators(scene: Scene) -> tuple[str, ...]:
 
 
 def default_points(scene: Scene) -> list[GridPoint]:
-    """Return about a dozen useful settings of the parts that the scene requires; the first is the scene itself.
+    """Return about a dozen useful settings for the parts that the scene requires; the first is the scene itself.
 
     Raises SceneError if the scene has an accuracy, which chooses the step: default settings vary the step and the keys
     that set it.

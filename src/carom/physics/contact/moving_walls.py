@@ -80,7 +80,7 @@ def _set_surface_velocity(contact: Any, surface: FloatArray, solid: int, point: 
 
 @with_field("surface_x", _set_surface_velocity)
 def set_surface_velocity(contact: object, surface: FloatArray, solid: int, point: Vector) -> None:
-    """Set s of a contact with a wall that touches at a point (m)."""
+    """Set s of a contact with a wall, given the contact point (m)."""
 
 
 def _clear_surface_velocity(contact: Any) -> None:

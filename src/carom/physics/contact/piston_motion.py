@@ -3,8 +3,8 @@
 Contacts move a piston like any guided wall (`guided_walls`). Kicks change its velocity u by a h, with a = F/M + g·N.
 Drifts change its displacement s along N by r(dt): by u dt, and by the changes due to impacts at their own times.
 
-The bodies give it the energy ½ M u² - M a s, whose change the ledger books in its entry for walls. The impulse of the
-bodies on its face, which a load cell there would measure, is
+The bodies give the piston the energy ½ M u² - M a s, whose change the ledger books in the entry for walls. The impulse
+of the bodies on its face, which a load cell there would measure, is
 
     ∫ P dt = M a t - M Δu
 """

@@ -44,7 +44,7 @@ BLOCK_COUNTS = dtype_of(BlockCountsRecord)
 
 
 class ContactStatistics(NamedTuple):
-    """Statistics of the contacts in a step that touch or carry an impulse, and the work of all contacts."""
+    """Statistics of a step's contacts that touch or carry an impulse, and the work of all contacts."""
 
     work: FloatArray  # (k, 3) J, ledger of each block of contacts
     contacts: int
@@ -177,8 +177,8 @@ def _add_impacts(
 ) -> tuple[int, float, float, int, int]:
     """Add impacts; ``order`` has their indices, sorted by pair and then by time.
 
-    Return the number of pairs without a contact at the end, the sum of the energies (J) of the hardest impact of each
-    pair, less the energies that contacts at the end already count, and the energy and the ends of the hardest impact.
+    Return the number of pairs without a contact at the end; the energies (J) of the pairs' hardest impacts, summed
+    without energies that contacts at the end already count; and the energy and the ends of the hardest impact.
     """
     further, energy, hardest, hardest_i, hardest_j = 0, 0.0, 0.0, 0, 0
     row = 0

@@ -303,7 +303,7 @@ def judge_impacts(
     time: float,
     wrong: RecordArray[WrongWorkRecord],
 ) -> bool:
-    """Compare the loss of each impact with the loss that its closing speed requires; return whether one is wrong.
+    """Compare the loss of each impact with the loss that its closing speed requires; return whether any is wrong.
 
     ``tolerance``, for each impact or for all, is the allowed error relative to ½ μ v_n².
     The impulses of a group that is held act at one time, and their energies have a meaning only together.

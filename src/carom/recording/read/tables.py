@@ -102,7 +102,7 @@ def frames_within(recording: RecordedData, start: float, end: float) -> tuple[In
 
 
 def frames_with(recording: RecordedData, body: int | str, start: float, end: float) -> tuple[int, IntArray, FloatArray]:
-    """Return the number of a body, and steps and times (s) of the frames in an interval (s) that contain the body."""
+    """Return a body's number, and steps and times (s) of the frames with this body in an interval (s)."""
     number = body_number(recording, body)
     steps, times = frames_within(recording, start, end)
     if recording.lives is None:
