@@ -142,7 +142,7 @@ def pressing_wall(scene: Scene) -> str:
 def flow_presses(scene: Scene) -> bool:
     """Return whether contacts in a sheared box may last, which requires impacts resolved at the end of a step.
 
-    "auto" resolves the impacts of a gas at their own times. A packing has too many impacts for that: 150 rough
+    "auto" resolves the impacts of a gas at their own times. A packing has too many impacts for exact times: 150 rough
     spheres at a fraction of 0.55 would take 40 times as long, and at 0.58 a step may take a minute.
     """
     if scene.domain.shear is None:

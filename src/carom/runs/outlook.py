@@ -217,7 +217,7 @@ def _look(
 
 
 def _with_impacts_of(interval: float, span: float, frame: Frame) -> Frame:
-    """Return a frame with only the impacts within an interval (s), which a coarse step may exceed."""
+    """Return a frame with as many of its impacts as an interval (s) would have; a coarse step may be longer."""
     if frame.impacts is None or span <= interval:
         return frame
     return replace(frame, impacts=frame.impacts[: round(len(frame.impacts) * interval / span)])

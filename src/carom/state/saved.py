@@ -43,7 +43,7 @@ def saved_fields(owner: Any) -> dict[str, tuple[Saved, ...]]:
 
 
 def saved_parts(owner: Any) -> dict[str, type[Any]]:
-    """Return the classes with saved fields that a class consists of, by the name of the field; it may be None."""
+    """Return the classes with saved fields among a class's fields, by field name; such a field may be None."""
     return _table(owner)[1]
 
 

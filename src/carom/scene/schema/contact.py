@@ -192,7 +192,7 @@ def _known_colour(colour: str) -> str:
 
 
 class Material(Surface):
-    """[[material]]: what bodies, groups and planes are made of; they refer to it by ``material``."""
+    """[[material]]: a material of bodies, groups and planes, which refer to it by ``material``."""
 
     name: str = Field(
         min_length=1, description='name by which bodies, groups, planes and pairs refer to it; not "default"'

@@ -95,7 +95,7 @@ class Expect(Section):
 
 
 class Promise(Section):
-    """[promise]: what a run needs to keep time.accuracy; carom determines it and writes it into the recorded scene."""
+    """[promise]: data that a run needs to keep time.accuracy; carom finds and stores them in the recorded scene."""
 
     refinement: Positive = Field(
         description="ratio of the longest useful steps, or of the usual ones of gauss-radau15 and wisdom-holman, to "
@@ -160,7 +160,7 @@ def _values_by_key(given: Any) -> Any:
 
 
 class Sweep(Section):
-    """[sweep]: what `carom sweep` varies; `carom run` ignores it."""
+    """[sweep]: keys and values that `carom sweep` varies; `carom run` ignores them."""
 
     vary: Annotated[dict[str, Values], BeforeValidator(_values_by_key)] = Field(
         {}, description='values by key: a list, or text such as "0.1:0.9:5" or "1e-3:1:4log"'

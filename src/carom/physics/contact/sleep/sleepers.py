@@ -249,8 +249,8 @@ class Sleepers(OptionalPart):
     def _fall_asleep(self, pairs: IntArray, cache: ImpulseCache, dt: float) -> FloatArray:
         """Put islands to sleep after a step of dt s; return the energy that they lose, (k, 3) J, by term.
 
-        Nothing falls asleep unless the impulses of the last kick, in ``cache``, belong to ``pairs``, the contacts of
-        the step with near ones.
+        Nothing falls asleep unless the impulses of the last kick, in ``cache``, belong to ``pairs``, which are the
+        step's contacts and near contacts.
         """
         bodies, ends = self._bodies, self._bodies.ends
         motion = (ends.velocity, ends.angular_velocity, bodies.radius, ends.inverse_mass)
