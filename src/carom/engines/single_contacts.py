@@ -121,7 +121,7 @@ class ContactLaws:
         found: list[Broken] = []
         trees = list(trees_of(self._setup, near, closing, dt))
         isolated = np.array([tree[0] for tree in trees if len(tree) == 1], dtype=np.int64)
-        self.slides.see((step, now.time), self._setup, (before, now), near, isolated, still)
+        self.slides.see((step, now.time), self._setup, (before, now), near, isolated, closing, still)
         for tree in trees:
             if (closing[tree] > still).any() or (after[tree] < -still).any():
                 found += ContactTree(self._setup, before, now, near, tree).judge(

@@ -39,6 +39,7 @@ class Rubbing:
     least: FloatArray
     most: FloatArray
     slides: BoolArray
+    strikes: BoolArray  # whether the bodies closed fast
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,6 +66,7 @@ class SlidingContacts:
         moments: tuple[EngineMoment, EngineMoment],
         near: Near,
         rows: IntArray,  # rows of near pairs that touched nothing else in the frame
+        closing: FloatArray,  # (k,) m/s, closing speeds of all near pairs, before
         slow: float,  # m/s, speed up to which contacts may rest
     ) -> None:
         """Keep the contacts that were pressed together."""
@@ -94,7 +96,8 @@ class SlidingContacts:
         J_n, J_t, noise = along[:, pressed], across[:, pressed], noise[pressed]
         least = np.maximum(J_t.min(axis=0) - noise, 0.0) / (J_n.max(axis=0) + noise)
         most = (J_t.max(axis=0) + noise) / (J_n.min(axis=0) - noise)
-        self.frames.append(Rubbing(*place, np.stack([i, j], axis=1)[pressed], least, most, slides[pressed]))
+        strikes = (closing[rows] > slow)[pressed]
+        self.frames.append(Rubbing(*place, np.stack([i, j], axis=1)[pressed], least, most, slides[pressed], strikes))
 
     def concluded(self, bodies: int) -> Iterator[WrongFriction]:
         """Yield the contacts whose friction differs from μ."""
@@ -102,14 +105,15 @@ class SlidingContacts:
             return
         ends = np.concatenate([frame.ends for frame in self.frames])
         least, most = (np.concatenate([getattr(frame, name) for frame in self.frames]) for name in ("least", "most"))
-        slides = np.concatenate([frame.slides for frame in self.frames])
+        slides, strikes = (np.concatenate([getattr(f, name) for f in self.frames]) for name in ("slides", "strikes"))
         owner = np.repeat(np.arange(len(self.frames)), [len(frame.ends) for frame in self.frames])
         pair = np.unique(ends, axis=0, return_inverse=True)[1].ravel()
         order = np.argsort(pair, kind="stable")  # sorted by pair, then by time
         goes_on = np.zeros(len(pair), bool)
         goes_on[order[:-1]] = (pair[order[:-1]] == pair[order[1:]]) & slides[order[1:]]
-        # the friction of a soft contact falls in the step in which the slide ends
-        most = np.where(goes_on, most, np.inf)
+        # The friction of a soft contact falls in the step in which the slide ends, and Box3D applies restitution
+        # without friction, so that impacts have μ / (1 + e).
+        most = np.where(goes_on & ~strikes, most, np.inf)
         for among in _comparable(ends, pair, slides, bodies):
             for k, usual, excess in _wrong(ends[among], least[among], most[among], slides[among], bodies):
                 row, frame = among[k], self.frames[owner[among[k]]]
